@@ -1,0 +1,1 @@
+"""étendue: global illumination for Mitsuba 3 scenes."""

@@ -1,0 +1,33 @@
+"""Ground floor: what every room shares and that knows nothing of rendering."""
+
+from .errors import (
+    BackendError,
+    CheckpointError,
+    EtendueError,
+    OptionError,
+    OutputError,
+    SceneError,
+    UnsupportedError,
+)
+from .log import logger
+from .measurement import RELATIVE_EPSILON, Iterations, Measurement
+from .method import Method, Result
+from .settings import Settings, setting
+
+__all__ = [
+    "RELATIVE_EPSILON",
+    "BackendError",
+    "CheckpointError",
+    "EtendueError",
+    "Iterations",
+    "Measurement",
+    "Method",
+    "OptionError",
+    "OutputError",
+    "Result",
+    "SceneError",
+    "Settings",
+    "UnsupportedError",
+    "logger",
+    "setting",
+]

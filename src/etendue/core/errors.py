@@ -1,0 +1,47 @@
+"""Errors for people: one line that says what is wrong, where, and what to do about it.
+
+Every error the library raises on purpose derives from :class:`EtendueError`. The command line prints its text as one
+line and exits with :attr:`EtendueError.exit_code`; anything else is a bug and keeps its traceback.
+"""
+
+from __future__ import annotations
+
+
+class EtendueError(Exception):
+    """Base of every error raised on purpose. ``str(error)`` is one line fit for a user."""
+
+    exit_code = 1
+
+
+class OptionError(EtendueError):
+    """An option, setting or budget has no such name or no such value."""
+
+    exit_code = 2
+
+
+class SceneError(EtendueError):
+    """A scene cannot be read, or holds something that is broken (no sensor, no emitter, a NaN vertex)."""
+
+    exit_code = 3
+
+
+class UnsupportedError(SceneError):
+    """A scene element that no method here can render correctly. Names the element and the alternative."""
+
+
+class CheckpointError(EtendueError):
+    """A checkpoint is missing, damaged, or belongs to another scene or other settings."""
+
+    exit_code = 4
+
+
+class OutputError(EtendueError):
+    """A file cannot be written where it was asked for."""
+
+    exit_code = 5
+
+
+class BackendError(EtendueError):
+    """Mitsuba, Dr.Jit, LLVM or CUDA is missing or unusable; says what to install."""
+
+    exit_code = 6

@@ -1,0 +1,8 @@
+"""The one logger of the library."""
+
+from __future__ import annotations
+
+import logging
+
+logger = logging.getLogger("etendue")
+logger.addHandler(logging.NullHandler())

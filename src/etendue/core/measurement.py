@@ -1,0 +1,150 @@
+"""What a pass measured, in a form that adds: the currency between methods, engine, checkpoints and machines.
+
+A :class:`Measurement` holds named sums, each with its own weight. Nothing in it is a mean: division happens once, in
+``Method.develop``. Hence ``a + b`` is exact bookkeeping, whoever computed ``a`` and ``b`` and in whatever order, and
+adding the same iteration twice is an error rather than a silently wrong picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import EtendueError
+
+Array = NDArray[np.float64]
+
+#: Added to the squared reference in every relative error of the project (see :func:`Measurement.relative_error`).
+RELATIVE_EPSILON = 0.01
+
+
+class Iterations:
+    """A set of (replica, iteration) pairs, kept as sorted half-open intervals so that a million passes stay small."""
+
+    def __init__(self, intervals: dict[int, list[tuple[int, int]]] | None = None) -> None:
+        self._intervals = {r: list(v) for r, v in (intervals or {}).items() if v}
+
+    @classmethod
+    def single(cls, iteration: int, replica: int = 0) -> Iterations:
+        """The set of one iteration."""
+        return cls({replica: [(iteration, iteration + 1)]})
+
+    def __len__(self) -> int:
+        return sum(b - a for spans in self._intervals.values() for a, b in spans)
+
+    def __iter__(self) -> Iterator[tuple[int, int]]:
+        for replica, spans in sorted(self._intervals.items()):
+            for a, b in spans:
+                for iteration in range(a, b):
+                    yield replica, iteration
+
+    def __contains__(self, item: object) -> bool:
+        replica, iteration = item if isinstance(item, tuple) else (0, item)
+        return any(a <= iteration < b for a, b in self._intervals.get(replica, ()))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Iterations) and self._intervals == other._intervals
+
+    def next_iteration(self, replica: int = 0) -> int:
+        """The smallest iteration number above every one contained: where an interrupted run goes on."""
+        spans = self._intervals.get(replica)
+        return spans[-1][1] if spans else 0
+
+    def union(self, other: Iterations) -> Iterations:
+        """Disjoint union. Raises :class:`EtendueError` if an iteration is in both."""
+        merged: dict[int, list[tuple[int, int]]] = {}
+        for replica in self._intervals.keys() | other._intervals.keys():
+            spans: list[tuple[int, int]] = []
+            for a, b in sorted(self._intervals.get(replica, []) + other._intervals.get(replica, [])):
+                if spans and a < spans[-1][1]:
+                    raise EtendueError(
+                        f"iteration {a} of replica {replica} is in both measurements; each pass may be added once"
+                    )
+                if spans and a == spans[-1][1]:
+                    spans[-1] = (spans[-1][0], b)
+                else:
+                    spans.append((a, b))
+            merged[replica] = spans
+        return Iterations(merged)
+
+    def to_json(self) -> list[list[int]]:
+        """Rows ``[replica, first, end]``, ``end`` excluded."""
+        return [[r, a, b] for r, spans in sorted(self._intervals.items()) for a, b in spans]
+
+    @classmethod
+    def from_json(cls, rows: Iterable[Iterable[int]]) -> Iterations:
+        """Inverse of :meth:`to_json`."""
+        intervals: dict[int, list[tuple[int, int]]] = {}
+        for replica, a, b in rows:
+            intervals.setdefault(int(replica), []).append((int(a), int(b)))
+        return cls(intervals)
+
+
+@dataclass
+class Measurement:
+    """Named sums of one or more passes.
+
+    ``sums[name]`` is a host float64 array of any shape (an image layer: height, width, channels); ``weights[name]`` is
+    what ``develop`` divides it by. ``squares[name]`` sums the squares of each pass's own value ``sum / weight``; it is
+    kept for the quantities whose error is wanted. ``counters`` are plain totals (rays, paths, non-finite
+    contributions, seconds).
+    """
+
+    sums: dict[str, Array]
+    weights: dict[str, float]
+    iterations: Iterations
+    squares: dict[str, Array] = field(default_factory=dict)
+    counters: dict[str, float] = field(default_factory=dict)
+
+    def mean(self, name: str = "image") -> Array:
+        """``sums[name] / weights[name]``."""
+        return self.sums[name] / self.weights[name]
+
+    def __iadd__(self, other: Measurement) -> Measurement:
+        iterations = self.iterations.union(other.iterations)  # refuses overlap before anything changes
+        if self.sums.keys() != other.sums.keys() or self.squares.keys() != other.squares.keys():
+            raise EtendueError("measurements of different layers cannot be added; were the settings the same?")
+        for name, value in other.sums.items():
+            self.sums[name] += value
+            self.weights[name] += other.weights[name]
+        for name, value in other.squares.items():
+            self.squares[name] += value
+        for name, count in other.counters.items():
+            self.counters[name] = self.counters.get(name, 0.0) + count
+        self.iterations = iterations
+        return self
+
+    def __add__(self, other: Measurement) -> Measurement:
+        result = self.copy()
+        result += other
+        return result
+
+    def copy(self) -> Measurement:
+        """A deep copy."""
+        return Measurement(
+            sums={k: v.copy() for k, v in self.sums.items()},
+            weights=dict(self.weights),
+            iterations=Iterations(self.iterations._intervals),
+            squares={k: v.copy() for k, v in self.squares.items()},
+            counters=dict(self.counters),
+        )
+
+    def variance_of_mean(self, name: str = "image") -> Array:
+        """Estimated variance of ``mean(name)`` from the scatter of the passes; needs two passes (NaN with one)."""
+        n = len(self.iterations)
+        mean = self.mean(name)
+        if n < 2:
+            return np.full_like(mean, np.nan)
+        return np.maximum(self.squares[name] / n - mean * mean, 0.0) / (n - 1)
+
+    def relative_error(self, name: str = "image") -> float:
+        """Noise of ``mean(name)``: mean of ``variance / (mean^2 + 0.01)`` over every entry. Noise only, not bias.
+
+        The same mean as relMSE (``film.relative_mse``) with the estimated variance in place of the squared difference.
+        NaN with fewer than two passes.
+        """
+        mean = self.mean(name)
+        return float(np.mean(self.variance_of_mean(name) / (mean * mean + RELATIVE_EPSILON)))

@@ -1,0 +1,67 @@
+"""The one protocol that joins methods to everything that loops, saves, resumes, distributes or displays them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .measurement import Measurement
+from .settings import Settings
+
+
+@dataclass
+class Result:
+    """A developed measurement: layers of shape (height, width, channels), float32. ``layers["image"]`` is the picture;
+    the other layers are the technique families it is the sum of, and the first-hit layers if they were asked for."""
+
+    layers: dict[str, NDArray[np.float32]]
+    metadata: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def image(self) -> NDArray[np.float32]:
+        """The picture, (height, width, 3), linear RGB radiance."""
+        return self.layers["image"]
+
+
+@runtime_checkable
+class Method(Protocol):
+    """An estimator that is run pass by pass.
+
+    ``prepare`` builds tables and may run pilot passes under a seed role of its own. ``step`` is one pass and, for a
+    method without state, a function of its arguments alone: iterations run in any order, anywhere, once each.
+    ``develop`` is the only place that divides, normalises or combines.
+    """
+
+    name: ClassVar[str]
+    Settings: ClassVar[type[Settings]]
+    #: Keys into ``core/bibliography.bib`` of the papers the method implements.
+    citations: ClassVar[tuple[str, ...]]
+    settings: Settings
+
+    @property
+    def samples_per_iteration(self) -> int:
+        """Camera paths per pixel that one ``step`` traces (what a budget in samples is counted in)."""
+        ...
+
+    def prepare(self, problem: Any, seed: int) -> None:
+        """Build what every pass shares. ``problem`` is a ``scene.Problem`` for image methods."""
+        ...
+
+    def step(self, iteration: int, seed: int) -> Measurement:
+        """One pass. ``iteration`` counts from 0."""
+        ...
+
+    def develop(self, measurement: Measurement) -> Result:
+        """The picture that the passes in ``measurement`` make."""
+        ...
+
+    def state(self) -> dict[str, Any]:
+        """What ``prepare`` measured (pilot constants) or passes carry on: plain JSON values and arrays."""
+        ...
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Inverse of :meth:`state`, called after ``prepare`` when a run is resumed."""
+        ...

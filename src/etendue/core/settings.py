@@ -1,0 +1,140 @@
+"""Settings of methods: frozen dataclasses that validate themselves, round-trip to JSON and read ``-D name=value``.
+
+A method declares its parameters once::
+
+    @dataclass(frozen=True)
+    class PathSettings(Settings):
+        max_depth: int = setting(-1, "longest path in edges, -1 for unlimited", minimum=-1)
+
+and the command line, the Mitsuba plugin, the checkpoint and the manual page all read that declaration.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import json
+import math
+from collections.abc import Mapping
+from typing import Any, Self, get_type_hints
+
+from .errors import OptionError
+
+
+def setting(
+    default: Any,
+    doc: str,
+    *,
+    choices: tuple[str, ...] | None = None,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    above: float | None = None,
+) -> Any:
+    """A dataclass field with its one-line documentation and its allowed range.
+
+    ``minimum`` and ``maximum`` are inclusive, ``above`` is an exclusive lower bound.
+    """
+    metadata = {"doc": doc, "choices": choices, "minimum": minimum, "maximum": maximum, "above": above}
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """Base of every settings class. Construction checks types and ranges and raises :class:`OptionError`."""
+
+    def __post_init__(self) -> None:
+        for field, kind in self._fields():
+            value = _coerce(field, kind, getattr(self, field.name))
+            object.__setattr__(self, field.name, value)
+            _check_range(field, value)
+
+    @classmethod
+    def _fields(cls) -> list[tuple[dataclasses.Field[Any], type]]:
+        hints = get_type_hints(cls)
+        return [(f, hints[f.name]) for f in dataclasses.fields(cls)]
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any], owner: str = "") -> Self:
+        """Build from names to values; a value may be a string as typed on the command line.
+
+        Raises :class:`OptionError` on a name that does not exist, with the nearest one that does.
+        """
+        known = [f.name for f in dataclasses.fields(cls)]
+        for name in values:
+            if name not in known:
+                close = difflib.get_close_matches(name, known, n=1)
+                hint = f"did you mean '{close[0]}'?" if close else f"it has: {', '.join(known)}"
+                raise OptionError(f"{owner or cls.__name__} has no option '{name}'; {hint}")
+        return cls(**values)
+
+    def replace(self, **changes: Any) -> Self:
+        """A copy with some values changed, checked again."""
+        return dataclasses.replace(self, **changes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain names to plain values, ready for JSON."""
+        return dataclasses.asdict(self)
+
+    def to_json(self) -> str:
+        """One line of JSON with sorted names; equal settings give equal text."""
+        return json.dumps(self.to_dict(), sort_keys=True)
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """Inverse of :meth:`to_json`."""
+        return cls.from_mapping(json.loads(text))
+
+    @classmethod
+    def describe(cls) -> list[tuple[str, str, Any, str]]:
+        """Rows ``(name, type, default, doc)`` for manual pages."""
+        rows = []
+        for field, kind in cls._fields():
+            choices = field.metadata.get("choices")
+            rows.append(
+                (field.name, "|".join(choices) if choices else kind.__name__, field.default, field.metadata["doc"])
+            )
+        return rows
+
+
+def _coerce(field: dataclasses.Field[Any], kind: type, value: Any) -> Any:
+    """``value`` as ``kind``; strings are read as a user types them."""
+    try:
+        if kind is bool:
+            if isinstance(value, str):
+                return {"true": True, "1": True, "yes": True, "on": True}.get(value.lower()) or _false(value)
+            return bool(value)
+        if kind is int:
+            if isinstance(value, float) and not value.is_integer():
+                raise ValueError
+            return int(value)
+        return kind(value)
+    except (ValueError, TypeError):
+        raise OptionError(f"option '{field.name}' wants {_article(kind)}, not '{value}'") from None
+
+
+def _false(value: str) -> bool:
+    if value.lower() in ("false", "0", "no", "off"):
+        return False
+    raise ValueError
+
+
+def _article(kind: type) -> str:
+    return {bool: "true or false", int: "a whole number", float: "a number"}.get(kind, kind.__name__)
+
+
+def _check_range(field: dataclasses.Field[Any], value: Any) -> None:
+    limits = field.metadata
+    choices = limits.get("choices")
+    if choices and value not in choices:
+        raise OptionError(f"option '{field.name}' is one of {', '.join(choices)}, not '{value}'")
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        if not math.isfinite(value):
+            raise OptionError(f"option '{field.name}' must be finite, not {value}")
+        for key, ok, words in (
+            ("minimum", lambda v, m: v >= m, "at least"),
+            ("maximum", lambda v, m: v <= m, "at most"),
+            ("above", lambda v, m: v > m, "above"),
+        ):
+            bound = limits.get(key)
+            if bound is not None and not ok(value, bound):
+                raise OptionError(f"option '{field.name}' must be {words} {bound:g}, not {value:g}")
