@@ -12,7 +12,7 @@ import drjit as dr
 
 _MASK = 0xFFFFFFFF
 #: Dimensions reserved for one vertex; a component is an index below this.
-COMPONENTS_PER_VERTEX = 32
+COMPONENTS_PER_VERTEX = 64
 
 
 class SampleSource(Protocol):
