@@ -1,0 +1,189 @@
+"""Filter importance sampling: the reconstruction filter of a film for camera paths and light splats alike.
+
+Pixel ``c`` of a film is
+
+    I_c = 1/Z_c  integral over the film of  f(x - c - 1/2) L(x) dx,        Z_c = integral over the film of f(x - c - 1/2),
+
+which is what Mitsuba's film converges to: it divides by the filter weights of the samples it received, and it draws
+none outside the film (``sample_border`` off). Two estimators of the same integral live here. A camera path picks its
+film position from ``|f|`` around its own pixel [Ernst 2006], so every path counts for one pixel. A path that arrives
+at a film position of its own accord picks one of the pixels in reach. Both read one table of ``f``, constant on bins
+that have the film's border among their edges, so that their expectations are equal, not merely close.
+
+Filters are separable, so everything below is done per axis. Negative lobes are sampled by magnitude and carry the
+sign in the weight.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import OptionError
+
+#: Bins of the table per pixel: a filter of radius 1 has this many on either side.
+BINS_PER_PIXEL = 1024
+#: Midpoint rule inside a bin, so that a bin holds the mean of the filter rather than one value of it.
+_POINTS_PER_BIN = 4
+
+
+class FilterTable:
+    """A reconstruction filter on the host: ``values[i]`` is its mean over bin ``i`` of ``[-reach, reach]``.
+
+    ``reach`` is the radius rounded up to half pixels, so that pixel edges are bin edges.
+    """
+
+    def __init__(self, rfilter: Any) -> None:
+        radius = float(rfilter.radius())
+        self.reach = max(math.ceil(2.0 * radius - 1e-6), 1) / 2.0
+        count = round(2.0 * self.reach * BINS_PER_PIXEL)
+        points = (np.arange(count * _POINTS_PER_BIN) + 0.5) / (_POINTS_PER_BIN * BINS_PER_PIXEL) - self.reach
+        sampled = np.array(rfilter.eval(mi.Float(points.astype(np.float32))), dtype=np.float64)
+        # A filter given by a fitted polynomial may be anything beyond its radius.
+        sampled[np.abs(points) > radius] = 0.0
+        self.values: NDArray[np.float64] = sampled.reshape(count, _POINTS_PER_BIN).mean(axis=1)
+        if not np.isfinite(self.values).all() or not np.abs(self.values).sum() > 0.0:
+            raise OptionError("the film's reconstruction filter is zero or not finite everywhere; choose another rfilter")
+        self.values /= self.values.sum() / BINS_PER_PIXEL  # unit integral: only ratios matter, and float32 likes 1
+
+    @property
+    def candidates(self) -> int:
+        """Pixels in reach of one film position, along one axis."""
+        return round(2.0 * self.reach)
+
+    def truncation(self, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """First bin and end bin (excluded) that lie on the film, for each of ``size`` pixels of an axis."""
+        pixel = np.arange(size)
+        half = BINS_PER_PIXEL // 2
+        to_left, to_right = pixel * BINS_PER_PIXEL + half, (size - pixel) * BINS_PER_PIXEL - half
+        zero = len(self.values) // 2
+        return np.maximum(zero - to_left, 0), np.minimum(zero + to_right, len(self.values))
+
+    def integrals(self, size: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """``Z`` and ``A``: the integrals of ``f`` and of ``|f|`` over the film, for each of ``size`` pixels."""
+        first, end = self.truncation(size)
+        signed = np.concatenate([[0.0], np.cumsum(self.values)]) / BINS_PER_PIXEL
+        absolute = np.concatenate([[0.0], np.cumsum(np.abs(self.values))]) / BINS_PER_PIXEL
+        return signed[end] - signed[first], absolute[end] - absolute[first]
+
+
+class _Axis:
+    """The sampler along one axis of ``size`` pixels; device tables and nothing else."""
+
+    def __init__(self, table: FilterTable, size: int) -> None:
+        self.size = size
+        self.bins = len(table.values)
+        self.reach = table.reach
+        self.candidates = table.candidates
+        integral, magnitude = table.integrals(size)
+        cumulative = np.concatenate([[0.0], np.cumsum(np.abs(table.values))]) / BINS_PER_PIXEL
+        self.cumulative = _device(cumulative)
+        self.values = _device(table.values)
+        self.inverse_integral = _device(1.0 / integral)
+        self.camera_weight = _device(magnitude / integral)
+
+    def camera(self, pixel: Any, u: Any) -> tuple[Any, Any]:
+        """Position drawn from ``|f|`` around ``pixel`` on the film, and its signed weight."""
+        per_pixel, zero = BINS_PER_PIXEL, self.bins // 2
+        to_left = mi.Int32(pixel) * per_pixel + per_pixel // 2
+        first = mi.UInt32(dr.maximum(zero - to_left, 0))
+        end = mi.UInt32(dr.minimum(zero + self.size * per_pixel - to_left, self.bins))
+        below = dr.gather(mi.Float, self.cumulative, first)
+        above = dr.gather(mi.Float, self.cumulative, end)
+        target = dr.fma(u, above - below, below)
+        # By inversion, so that nearby numbers give nearby positions (point sequences, Markov chains).
+        found = dr.binary_search(
+            0, self.bins - 1, lambda index: dr.gather(mi.Float, self.cumulative, index + 1) <= target
+        )
+        chosen = dr.clip(found, first, end - 1)
+        value = dr.gather(mi.Float, self.values, chosen)
+        inside = (target - dr.gather(mi.Float, self.cumulative, chosen)) * per_pixel / dr.abs(value)
+        inside = dr.select(value != 0.0, dr.clip(inside, 0.0, 1.0), 0.5)
+        offset = (mi.Float(chosen) + inside) / per_pixel - self.reach
+        position = dr.clip(mi.Float(pixel) + (0.5 + offset), 0.0, float(self.size))
+        weight = dr.gather(mi.Float, self.camera_weight, pixel)
+        return position, dr.mulsign(weight, value)
+
+    def splat(self, position: Any, u: Any) -> tuple[Any, Any, Any]:
+        """A pixel drawn from ``|f|`` among those in reach of ``position``, its signed weight, and validity."""
+        last = mi.Int32(dr.floor(position + (self.reach - 0.5)))
+        pixels, values = [], []
+        total = mi.Float(0.0)
+        for index in range(self.candidates):
+            pixel = last - (self.candidates - 1 - index)
+            offset = position - (mi.Float(pixel) + 0.5)
+            bin_index = dr.clip(mi.Int32(dr.floor((offset + self.reach) * BINS_PER_PIXEL)), 0, self.bins - 1)
+            on_film = (pixel >= 0) & (pixel < self.size)
+            value = dr.gather(mi.Float, self.values, mi.UInt32(bin_index), on_film)
+            total = total + dr.abs(value)
+            pixels.append(pixel)
+            values.append(value)
+        target = u * total
+        # Downwards, so that the last one taken is the lowest whose cumulative sum passes the target.
+        running = mi.Float(total)
+        pixel, value = mi.Int32(0), mi.Float(0.0)
+        for candidate, here in zip(reversed(pixels), reversed(values), strict=True):
+            take = (running > target) & (here != 0.0)
+            pixel = dr.select(take, candidate, pixel)
+            value = dr.select(take, here, value)
+            running = running - dr.abs(here)
+        valid = (position >= 0.0) & (position <= float(self.size)) & (value != 0.0)
+        chosen = mi.UInt32(pixel)
+        weight = total * dr.gather(mi.Float, self.inverse_integral, chosen, valid)
+        return chosen, dr.mulsign(weight, value), valid
+
+
+class FilterSampler:
+    """Reconstruction filter of a ``width`` x ``height`` film, sampled from a pixel and onto pixels.
+
+    ``rfilter`` is a Mitsuba reconstruction filter (``film.rfilter()``). Film positions are continuous, in pixels,
+    with (0, 0) the corner of the first pixel (of the crop window, if the film has one). Built under a JIT variant;
+    both methods use gathers only and may be called inside symbolic loops.
+    """
+
+    def __init__(self, rfilter: Any, width: int, height: int) -> None:
+        self.width, self.height = int(width), int(height)
+        #: The box filter needs neither a table nor random numbers for a splat.
+        self.is_box = bool(rfilter.is_box_filter())
+        if not self.is_box:
+            table = FilterTable(rfilter)
+            self._x = _Axis(table, self.width)
+            self._y = self._x if self.width == self.height else _Axis(table, self.height)
+
+    def camera(self, px: Any, py: Any, u1: Any, u2: Any) -> tuple[Any, Any, Any]:
+        """Film position for a camera path of pixel (``px``, ``py``), UInt32, from two numbers in [0, 1).
+
+        Returns ``x``, ``y`` and the signed weight that the path's radiance is multiplied with; its mean over the
+        pixel's samples is the pixel. The weight is 1 for filters without negative lobes.
+        """
+        if self.is_box:
+            return mi.Float(px) + u1, mi.Float(py) + u2, mi.Float(1.0)
+        x, weight_x = self._x.camera(px, u1)
+        y, weight_y = self._y.camera(py, u2)
+        return x, y, weight_x * weight_y
+
+    def splat(self, x: Any, y: Any, u1: Any, u2: Any) -> tuple[Any, Any, Any]:
+        """Pixel that a contribution at film position (``x``, ``y``) goes to, from two numbers in [0, 1).
+
+        The contribution is measured per unit of film area in pixels. Returns the pixel index ``y * width + x``
+        (UInt32), the signed weight to multiply with and a mask, false off the film: the expected value added to pixel
+        ``c`` is the contribution times ``f(x - c - 1/2) / Z_c``. Where the mask is false the index is 0.
+        """
+        if self.is_box:
+            valid = (x >= 0.0) & (x < float(self.width)) & (y >= 0.0) & (y < float(self.height))
+            column, row = mi.UInt32(dr.maximum(x, 0.0)), mi.UInt32(dr.maximum(y, 0.0))
+            return dr.select(valid, row * self.width + column, 0), mi.Float(1.0), valid
+        column, weight_x, valid_x = self._x.splat(x, u1)
+        row, weight_y, valid_y = self._y.splat(y, u2)
+        valid = valid_x & valid_y
+        index = dr.select(valid, row * self.width + column, 0)
+        return index, dr.select(valid, weight_x * weight_y, 0.0), valid
+
+
+def _device(values: NDArray[np.float64]) -> Any:
+    return mi.Float(values.astype(np.float32))

@@ -1,0 +1,234 @@
+"""Both uses of a reconstruction filter against numerical integration, and against Mitsuba's own film."""
+
+import numpy as np
+import pytest
+
+FILTERS = ["box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos", "wide"]
+SIZES = [(7, 5), (3, 9), (1, 2), (40, 33)]
+
+
+@pytest.fixture(scope="module")
+def mi():
+    mitsuba = pytest.importorskip("mitsuba")
+    mitsuba.set_variant("llvm_ad_rgb")
+    return mitsuba
+
+
+def make_filter(mi, name):
+    # "wide" has a radius that is no multiple of half a pixel, and reaches across the whole film.
+    return mi.load_dict({"type": "gaussian", "stddev": 0.77} if name == "wide" else {"type": name})
+
+
+def radiance(x, y):
+    """Smooth, different at each border, and never far from 1."""
+    return 1.0 + 0.5 * np.sin(1.3 * x + 0.4) + 0.03 * y * y / (1.0 + 0.1 * y * y) + 0.2 * np.cos(0.9 * y)
+
+
+def filter_matrix(mi, rfilter, size, points):
+    """Rows: normalised weight of every integration point, for each pixel of an axis."""
+    position = (np.arange(size * points) + 0.5) / points
+    offset = position[None, :] - np.arange(size)[:, None] - 0.5
+    values = np.array(rfilter.eval(mi.Float(offset.ravel().astype(np.float32))), dtype=np.float64).reshape(offset.shape)
+    values[np.abs(offset) > rfilter.radius()] = 0.0
+    return position, values / values.sum(axis=1, keepdims=True)
+
+
+def expected_image(mi, rfilter, width, height):
+    x, across = filter_matrix(mi, rfilter, width, 512)
+    y, down = filter_matrix(mi, rfilter, height, 512)
+    return down @ radiance(x[None, :], y[:, None]) @ across.T
+
+
+def lattice(count, dimensions, seed):
+    """Columns of a randomly shifted Korobov-like lattice: far less noise than independent numbers."""
+    golden = np.array([1.0])
+    for _ in range(30):  # the root of g^(d+1) = g + 1, whose powers make the lattice [Roberts 2018]
+        golden = (1.0 + golden) ** (1.0 / (dimensions + 1))
+    shift = np.random.default_rng(seed).random(dimensions)
+    steps = golden ** -np.arange(1, dimensions + 1)
+    points = (np.arange(count)[:, None] * steps[None, :] + shift) % 1.0
+    return np.minimum(points, 1.0 - 2.0**-24).astype(np.float32).T
+
+
+def camera_image(mi, sampler, width, height, samples):
+    u1, u2 = lattice(samples, 2, seed=1)
+    pixels = np.repeat(np.arange(width * height), samples)
+    x, y, weight = sampler.camera(
+        mi.UInt32(pixels % width),
+        mi.UInt32(pixels // width),
+        mi.Float(np.tile(u1, width * height)),
+        mi.Float(np.tile(u2, width * height)),
+    )
+    x, y = x.numpy().astype(np.float64), y.numpy().astype(np.float64)
+    assert x.min() >= 0 and x.max() <= width and y.min() >= 0 and y.max() <= height
+    return (radiance(x, y) * weight.numpy()).reshape(height, width, samples).mean(axis=2)
+
+
+def splat_image(mi, sampler, width, height, samples):
+    s1, s2, u1, u2 = lattice(samples, 4, seed=2)
+    x, y = s1 * np.float32(width), s2 * np.float32(height)
+    index, weight, valid = sampler.splat(mi.Float(x), mi.Float(y), mi.Float(u1), mi.Float(u2))
+    valid = valid.numpy() & np.ones(samples, dtype=bool)
+    value = radiance(x.astype(np.float64), y.astype(np.float64)) * weight.numpy() * valid
+    image = np.bincount(index.numpy(), weights=value, minlength=width * height) * (width * height / samples)
+    return image.reshape(height, width)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("width, height", SIZES)
+def test_camera_paths_converge_to_the_convolution(mi, name, width, height):
+    from etendue.film import FilterSampler
+
+    rfilter = make_filter(mi, name)
+    image = camera_image(mi, FilterSampler(rfilter, width, height), width, height, samples=2000)
+    np.testing.assert_allclose(image, expected_image(mi, rfilter, width, height), rtol=6e-3)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("width, height", SIZES[:3])
+def test_splats_converge_to_the_same_convolution(mi, name, width, height):
+    from etendue.film import FilterSampler
+
+    rfilter = make_filter(mi, name)
+    image = splat_image(mi, FilterSampler(rfilter, width, height), width, height, samples=2_000_000)
+    np.testing.assert_allclose(image, expected_image(mi, rfilter, width, height), rtol=1e-2)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_splat_probabilities_are_the_filter_at_that_position(mi, name):
+    """One film position near a corner: frequencies times weights are f / Z for every pixel, lobes with their sign."""
+    from etendue.film import FilterSampler
+
+    width, height, samples = 9, 6, 300_000
+    rfilter = make_filter(mi, name)
+    sampler = FilterSampler(rfilter, width, height)
+    for x, y in [(0.2, 0.35), (8.7, 5.9), (4.26, 2.61)]:
+        u1, u2 = lattice(samples, 2, seed=3)
+        index, weight, valid = sampler.splat(
+            mi.Float(np.full(samples, x)), mi.Float(np.full(samples, y)), mi.Float(u1), mi.Float(u2)
+        )
+        signed = weight.numpy() * valid.numpy() * np.ones(samples)
+        got = np.bincount(index.numpy(), weights=signed, minlength=width * height).reshape(height, width) / samples
+        rows = []
+        for size, position in ((width, x), (height, y)):
+            points = 1000
+            grid, matrix = filter_matrix(mi, rfilter, size, points)
+            rows.append([np.interp(position, grid, row) * points for row in matrix])
+        expected = np.outer(rows[1], rows[0])
+        np.testing.assert_allclose(got, expected, atol=4e-3 * np.abs(expected).max())
+
+
+def test_weights_are_one_without_negative_lobes_and_signed_with_them(mi):
+    from etendue.film import FilterSampler
+
+    u1, u2 = lattice(20_000, 2, seed=4)
+    px = mi.UInt32(np.arange(20_000) % 8)
+    for name, signs in [("box", {1}), ("tent", {1}), ("gaussian", {1}), ("mitchell", {-1, 1}), ("lanczos", {-1, 1})]:
+        _, _, weight = FilterSampler(make_filter(mi, name), 8, 8).camera(px, px, mi.Float(u1), mi.Float(u2))
+        weight = weight.numpy()
+        assert set(np.sign(weight)) == signs
+        if signs == {1}:
+            np.testing.assert_allclose(weight, 1.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["box", "gaussian", "lanczos"])
+def test_positions_off_the_film_are_not_valid(mi, name):
+    from etendue.film import FilterSampler
+
+    x = np.array([-0.01, 4.01, 2.0, 2.0, 1e9, -1e9, np.nan, 2.0], dtype=np.float32)
+    y = np.array([1.0, 1.0, -0.01, 3.01, 1.0, 1.0, 1.0, 1.0], dtype=np.float32)
+    half = mi.Float(np.full(8, 0.5))
+    index, _, valid = FilterSampler(make_filter(mi, name), 4, 3).splat(mi.Float(x), mi.Float(y), half, half)
+    assert valid.numpy().tolist() == [False] * 7 + [True]
+    assert index.numpy()[:7].tolist() == [0] * 7
+
+
+def test_inversion_is_monotone_and_reaches_the_whole_support(mi):
+    """Neighbouring numbers give neighbouring positions, which point sequences and Markov chains rely on."""
+    from etendue.film import FilterSampler
+
+    u = np.linspace(0.0, 1.0 - 2**-24, 5000, dtype=np.float32)
+    pixel = mi.UInt32(np.full(5000, 5))
+    x, _, _ = FilterSampler(make_filter(mi, "tent"), 11, 11).camera(pixel, pixel, mi.Float(u), mi.Float(u))
+    x = x.numpy()
+    assert (np.diff(x) >= 0).all()
+    assert x[0] == pytest.approx(4.5, abs=2e-3) and x[-1] == pytest.approx(6.5, abs=2e-3)
+
+
+def test_works_inside_a_symbolic_loop(mi):
+    import drjit as dr
+
+    from etendue.film import FilterSampler
+
+    sampler = FilterSampler(make_filter(mi, "mitchell"), 6, 4)
+    n = 64
+    u = mi.Float(lattice(n, 1, seed=5)[0])
+
+    def body(i, total):
+        _, _, weight = sampler.camera(dr.arange(mi.UInt32, n) % 6, mi.UInt32(i) % 4, u, u)
+        index, splat_weight, valid = sampler.splat(u * 6.0, u * 4.0, u, u)
+        return i + 1, total + weight + dr.select(valid, splat_weight, 0.0) + mi.Float(index)
+
+    _, looped = dr.while_loop((mi.UInt32(dr.zeros(mi.UInt32, n)), dr.zeros(mi.Float, n)), lambda i, _: i < 4, body)
+    total = dr.zeros(mi.Float, n)
+    for i in range(4):
+        _, total = body(dr.full(mi.UInt32, i, n), total)
+    np.testing.assert_allclose(looped.numpy(), total.numpy(), rtol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["tent", "gaussian", "mitchell", "lanczos"])
+def test_borders_agree_with_a_mitsuba_render(mi, name):
+    """A textured emitter seen head-on, by Mitsuba's film and by both samplers of ours: a Z-test per pixel."""
+    from etendue.film import FilterSampler
+
+    width, height, spp, runs = 6, 4, 1024, 12
+    rng = np.random.default_rng(7)
+    texture = rng.random((4, 6, 3)).astype(np.float32)
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": 1},
+            "sensor": {
+                "type": "perspective",
+                "fov": 40,
+                "to_world": mi.ScalarTransform4f().look_at(origin=[0, 0, 3], target=[0, 0, 0], up=[0, 1, 0]),
+                "film": {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": name}},
+                "sampler": {"type": "independent"},
+            },
+            "screen": {
+                "type": "rectangle",
+                "to_world": mi.ScalarTransform4f().scale([1.4, 1.0, 1.0]),
+                "emitter": {
+                    "type": "area",
+                    "radiance": {"type": "bitmap", "bitmap": mi.Bitmap(texture), "raw": True},
+                },
+            },
+        }
+    )
+    theirs = np.array([np.array(mi.render(scene, spp=spp, seed=k)) for k in range(runs)])
+    sampler = FilterSampler(scene.sensors()[0].film().rfilter(), width, height)
+
+    def seen(x, y):
+        ray, _ = scene.sensors()[0].sample_ray(0.0, 0.5, mi.Point2f(x / width, y / height), mi.Point2f(0.5))
+        si = scene.ray_intersect(ray)
+        return np.array(si.emitter(scene).eval(si)).T
+
+    camera, splat = [], []
+    pixels = np.tile(np.arange(width * height), spp)
+    n = len(pixels)
+    for _ in range(runs):
+        u = rng.random((4, n)).astype(np.float32)
+        x, y, weight = sampler.camera(mi.UInt32(pixels % width), mi.UInt32(pixels // width), mi.Float(u[0]), mi.Float(u[1]))
+        value = seen(x, y) * weight.numpy()[:, None]
+        camera.append(value.reshape(spp, height, width, 3).mean(axis=0))
+        x, y = mi.Float(u[0] * width), mi.Float(u[1] * height)
+        index, weight, valid = sampler.splat(x, y, mi.Float(u[2]), mi.Float(u[3]))
+        value = seen(x, y) * (weight.numpy() * valid.numpy())[:, None]
+        sums = [np.bincount(index.numpy(), weights=value[:, k], minlength=width * height) for k in range(3)]
+        splat.append(np.stack(sums, axis=-1).reshape(height, width, 3) / spp)
+
+    for ours in (np.array(camera), np.array(splat)):
+        variance = (ours.var(axis=0, ddof=1) + theirs.var(axis=0, ddof=1)) / runs
+        z = (ours.mean(axis=0) - theirs.mean(axis=0)) / np.sqrt(variance)
+        assert np.abs(z).max() < 5.0  # 72 values, t-distributed with some 20 degrees of freedom
+        assert np.mean(z * z) < 1.9
