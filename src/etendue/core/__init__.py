@@ -1,5 +1,6 @@
 """Ground floor: what every room shares and that knows nothing of rendering."""
 
+from .backend import check_llvm, check_variant, choose_variant, ensure_llvm, set_threads, use_variant
 from .errors import (
     BackendError,
     CheckpointError,
@@ -28,6 +29,12 @@ __all__ = [
     "SceneError",
     "Settings",
     "UnsupportedError",
+    "check_llvm",
+    "check_variant",
+    "choose_variant",
+    "ensure_llvm",
     "logger",
+    "set_threads",
     "setting",
+    "use_variant",
 ]

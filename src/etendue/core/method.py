@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .measurement import Measurement
-from .settings import Settings
+from .settings import Settings as AnySettings
 
 
 @dataclass
@@ -36,10 +36,10 @@ class Method(Protocol):
     """
 
     name: ClassVar[str]
-    Settings: ClassVar[type[Settings]]
+    Settings: ClassVar[type[AnySettings]]
     #: Keys into ``core/bibliography.bib`` of the papers the method implements.
     citations: ClassVar[tuple[str, ...]]
-    settings: Settings
+    settings: AnySettings
 
     @property
     def samples_per_iteration(self) -> int:

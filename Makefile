@@ -1,0 +1,42 @@
+# `make demo` renders and compares, `make test` checks; both first make the environment if it is not there.
+.DEFAULT_GOAL := help
+.PHONY: help env demo test test-all bench lint clean
+
+BIN := .venv/bin
+# pytest runs in one process per group: Dr.Jit keeps kernels and memory for as long as a process lives.
+PYTEST := $(BIN)/python -m pytest
+
+help: ## this text
+	@echo "étendue: global illumination for Mitsuba 3 scenes. Targets:"
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-10s %s\n", $$1, $$2}'
+
+env: .venv/stamp-dev ## the environment in .venv, with everything for development
+
+.venv/stamp-run: requirements.lock pyproject.toml tools/bootstrap.sh tools/setup_llvm.py
+	@sh tools/bootstrap.sh run
+	@touch $@
+
+.venv/stamp-dev: .venv/stamp-run requirements-dev.lock
+	@sh tools/bootstrap.sh dev
+	@touch $@
+
+demo: .venv/stamp-run ## render the bundled caustic scene by path and by vcm, and write a page that compares them
+	@$(BIN)/etendue demo
+
+lint: .venv/stamp-dev ## ruff and mypy
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+test: lint ## lint, and the tests that a change must pass (minutes)
+	$(PYTEST) -m "not slow and not gpu"
+
+test-all: lint ## lint, and every test this machine can run
+	$(PYTEST)
+
+bench: .venv/stamp-dev ## cost and quality of every method against Mitsuba's path
+	$(BIN)/python -m benchmarks
+
+clean: ## remove the environment and every generated file
+	rm -rf .venv build dist demo-output .pytest_cache .mypy_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,156 @@
+"""What kernels are compiled with: LLVM for the CPU, CUDA and OptiX for the GPU; choice of the Mitsuba variant.
+
+Dr.Jit resolves its LLVM library while it is being imported, and an LLVM below 17 aborts the whole process inside the
+first kernel. Hence two steps: :func:`ensure_llvm` runs before anything here imports ``drjit`` and points it to a usable
+library; :func:`check_variant` asks, before the first kernel, what it really got, and raises :class:`BackendError`.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from typing import Any
+
+from . import llvm
+from .errors import BackendError, OptionError
+from .log import logger
+
+#: The Mitsuba variants that étendue runs under.
+VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
+
+_INSTALL = {
+    "linux": "sudo apt-get install -y libllvm19 (another system: docs/install.md)",
+    "darwin": "brew install llvm@19",
+    "win32": f"install LLVM 19 from releases.llvm.org and set {llvm.VARIABLE} to its bin\\LLVM-C.dll",
+}
+
+
+def install_hint() -> str:
+    """What to type on this system to get a usable LLVM."""
+    return _INSTALL.get(sys.platform, f"install LLVM {llvm.PREFERRED} and set {llvm.VARIABLE} to its shared library")
+
+
+def ensure_llvm() -> None:
+    """Point Dr.Jit to a usable LLVM through ``DRJIT_LIBLLVM_PATH``, unless the user has set that variable.
+
+    Does nothing once ``drjit`` is imported (too late), and leaves Dr.Jit to itself if none is found: a machine with a
+    GPU may need none, and :func:`check_variant` reports where it matters. Never raises.
+    """
+    if os.environ.get(llvm.VARIABLE) or "drjit" in sys.modules:
+        return
+    library = llvm.load_usable()
+    if library is not None:
+        os.environ[llvm.VARIABLE] = str(library.path)
+
+
+def llvm_version() -> tuple[int, int, int] | None:
+    """Version of the LLVM that Dr.Jit holds, ``None`` if it holds none that it can use. Safe with any LLVM."""
+    import drjit as dr
+
+    version = tuple(int(v) for v in dr.detail.llvm_version())
+    if version[0] < 0 or not dr.has_backend(dr.JitBackend.LLVM):
+        return None
+    return version[0], version[1], version[2]
+
+
+def check_llvm() -> None:
+    """Raise :class:`BackendError` if a kernel of an ``llvm`` variant would fail or abort the process."""
+    version = llvm_version()
+    if version is not None and version[0] >= llvm.OLDEST:
+        return
+    found = f"Dr.Jit found LLVM {'.'.join(map(str, version))}" if version else "Dr.Jit found no LLVM that it can use"
+    named = os.environ.get(llvm.VARIABLE)
+    usable = next((library for library in llvm.find() if library.usable), None)
+    if usable is not None and named and str(usable.path) != os.path.realpath(named):
+        remedy = f"{llvm.VARIABLE} names {named}; unset it to use {usable.path}"
+    elif usable is not None:
+        remedy = f"import etendue before drjit and mitsuba, or set {llvm.VARIABLE}={usable.path}"
+    else:
+        remedy = install_hint()
+    raise BackendError(f"{found}, but LLVM {llvm.OLDEST} or newer is needed: {remedy}")
+
+
+def cuda_problem() -> str | None:
+    """Why ``cuda_ad_rgb`` cannot be used here, in a few words; ``None`` if it can."""
+    import drjit as dr
+    import mitsuba as mi
+
+    if "cuda_ad_rgb" not in mi.variants():
+        return "this build of Mitsuba has no CUDA variant"
+    if not dr.has_backend(dr.JitBackend.CUDA):
+        return "Dr.Jit found no CUDA driver and device"
+    if sys.platform == "linux":
+        # Containers often get the CUDA driver without its ray tracing library; Mitsuba would fail at the first scene.
+        name = os.environ.get("DRJIT_LIBOPTIX_PATH") or "libnvoptix.so.1"
+        try:
+            ctypes.CDLL(name)
+        except OSError:
+            return f"the driver's OptiX library ({name}) is missing; in a container, allow the 'graphics' capability"
+    return None
+
+
+def choose_variant(requested: str | None = None) -> str:
+    """The Mitsuba variant to use: ``requested`` if it works, else by default CUDA where usable, else LLVM.
+
+    Raises :class:`BackendError` for a variant that étendue does not support or that this machine cannot run.
+    """
+    if requested is None:
+        problem = cuda_problem()
+        if problem is None:
+            return "cuda_ad_rgb"
+        logger.debug("cuda_ad_rgb is not usable: %s", problem)
+        requested = "llvm_ad_rgb"
+    check_variant(requested)
+    return requested
+
+
+def check_variant(variant: str) -> None:
+    """Raise one clear error if étendue cannot run under ``variant`` on this machine; compiles nothing."""
+    import mitsuba as mi
+
+    if variant not in VARIANTS:
+        raise BackendError(
+            f"variant '{variant}' is not supported: étendue runs under {' and '.join(VARIANTS)} "
+            "(unpolarized RGB, just-in-time compiled); choose one with --variant or mi.set_variant"
+        )
+    if variant not in mi.variants():
+        raise BackendError(f"this build of Mitsuba has no variant '{variant}'; it has: {', '.join(mi.variants())}")
+    if variant.startswith("llvm"):
+        check_llvm()
+    elif (problem := cuda_problem()) is not None:
+        raise BackendError(f"variant '{variant}' cannot be used: {problem}; use llvm_ad_rgb, or see etendue doctor")
+
+
+def use_variant(requested: str | None = None) -> str:
+    """Make a usable variant current and return its name.
+
+    ``None`` keeps the variant that the user has set (checked), and chooses by :func:`choose_variant` if none is.
+    Setting a variant that is current already is free. Errors as :func:`choose_variant`.
+    """
+    import mitsuba as mi
+
+    current: str | None = mi.variant()
+    if requested is None and current is not None:
+        check_variant(current)
+        return current
+    chosen = choose_variant(requested)
+    if chosen != current:
+        mi.set_variant(chosen)
+    return chosen
+
+
+def set_threads(count: Any) -> None:
+    """Number of CPU threads that Dr.Jit uses; ``None`` leaves it alone. Raises :class:`OptionError` below 1."""
+    import drjit as dr
+
+    if count is None:
+        return
+    if not isinstance(count, int) or isinstance(count, bool) or count < 1:
+        raise OptionError(f"the number of threads must be a whole number of at least 1, not {count!r}")
+    dr.set_thread_count(count)
+
+
+# Dr.Jit takes its LLVM the moment it is imported, and this is the first module of étendue that Python runs
+# (`etendue/__init__.py` imports `core` before all else, `core` this module).
+ensure_llvm()

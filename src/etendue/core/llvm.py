@@ -1,0 +1,173 @@
+"""Where the LLVM library is that Dr.Jit compiles CPU kernels with. Standard library only, imports nothing of étendue.
+
+Dr.Jit 1.5 loads LLVM while ``drjit`` is being imported: the library that ``DRJIT_LIBLLVM_PATH`` names, else one called
+plainly ``libLLVM.so``, else the newest in a few directories. A version below 17 kills the process inside the first
+kernel. So the library is looked for here, earlier and in more places; ``tools/setup_llvm.py`` runs the same search
+before anything is installed.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+#: Oldest major version whose kernels work.
+OLDEST = 17
+#: The version étendue is tested with; taken first where several are installed.
+PREFERRED = 19
+#: Environment variable by which a user names a library to Dr.Jit.
+VARIABLE = "DRJIT_LIBLLVM_PATH"
+
+# libLLVM.so.19.1, libLLVM-17.so.1, libLLVM-14.0.6.so.1; not libLLVMCore.so.19 and not libLLVMSPIRVLib.so.15.
+_NUMBERED = re.compile(r"^libLLVM(?:-(?P<a>\d+)(?:\.\d+)*)?\.(?:so|dylib)(?:\.(?P<b>\d+)(?:\.\d+)*)?$")
+# Directories whose name carries a version: llvm-19, llvm19, llvm@19, Cellar/llvm/19.1.7.
+_DIRECTORY = re.compile(r"llvm[-@/]?(\d+)")
+
+
+@dataclass(frozen=True)
+class Library:
+    """An LLVM shared library: where it is and its major version (0 if the file does not tell)."""
+
+    path: Path
+    major: int
+
+    @property
+    def usable(self) -> bool:
+        """Whether Dr.Jit's kernels work with this version."""
+        return self.major >= OLDEST
+
+
+def private_directory(prefix: str = sys.prefix) -> Path:
+    """Where ``tools/setup_llvm.py`` unpacks a library that could not be installed system-wide."""
+    return Path(prefix) / "llvm"
+
+
+def find() -> list[Library]:
+    """Every libLLVM found, best first: the environment's own, then version 19, then the newest; unusable ones last."""
+    own = private_directory()
+    seen: dict[Path, Library] = {}
+    for path in _candidates():
+        real = path.resolve()
+        if real not in seen and real.is_file():
+            seen[real] = Library(real, version_of(path))
+    return sorted(
+        seen.values(),
+        key=lambda lib: (not lib.usable, own not in lib.path.parents, lib.major != PREFERRED, -lib.major),
+    )
+
+
+def load_usable() -> Library | None:
+    """The best usable library that the dynamic linker accepts, or ``None``. Loads it, as Dr.Jit is about to."""
+    for library in find():
+        if not library.usable:
+            return None
+        try:
+            if private_directory() in library.path.parents:
+                _load_neighbours(library.path)
+            ctypes.CDLL(str(library.path))
+        except OSError:
+            continue  # another processor's, or a library it needs is missing
+        return library
+    return None
+
+
+def version_of(path: Path) -> int:
+    """Major version of the library at ``path``: from its name, else by asking it in a process of its own; 0 unknown."""
+    for name in (path.name, path.resolve().name):
+        match = _NUMBERED.match(name)
+        # "libLLVM-17.so.1": the number after the dash counts; "libLLVM.so.19.1": the one after "so".
+        if match and (match["a"] or int(match["b"] or 0) > 1):
+            return int(match["a"] or match["b"])
+    match = _DIRECTORY.search(path.resolve().as_posix())
+    return int(match[1]) if match else _ask(path)
+
+
+def _ask(path: Path) -> int:
+    # In a process of its own: two LLVMs in one process are a risk, and a broken one must not take us along.
+    code = (
+        "import ctypes,sys;l=ctypes.CDLL(sys.argv[1]);v=[ctypes.c_uint() for _ in range(3)];"
+        "l.LLVMGetVersion(*map(ctypes.byref,v));print(v[0].value)"
+    )
+    try:
+        run = subprocess.run([sys.executable, "-I", "-c", code, str(path)], capture_output=True, timeout=20, check=True)
+        return int(run.stdout)
+    except (OSError, subprocess.SubprocessError, ValueError):
+        return 0  # LLVMGetVersion came with 16: a library without it is too old
+
+
+def _load_neighbours(path: Path) -> None:
+    """Load the libraries unpacked next to ``path``; the linker then finds them by name when it loads ``path``."""
+    pending = [p for p in sorted(path.parent.iterdir()) if ".so" in p.name and not p.name.startswith("libLLVM")]
+    while pending:
+        refused = []
+        for neighbour in pending:
+            try:
+                ctypes.CDLL(str(neighbour), mode=ctypes.RTLD_GLOBAL)
+            except OSError:
+                refused.append(neighbour)  # perhaps it needs one that comes later
+        if len(refused) == len(pending):
+            return
+        pending = refused
+
+
+def _candidates() -> Iterator[Path]:
+    if sys.platform == "win32":
+        yield from _windows()
+        return
+    for directory in _directories():
+        if directory.is_dir():
+            yield from sorted(p for p in directory.glob("libLLVM*") if _NUMBERED.match(p.name))
+    if sys.platform == "linux":
+        yield from _linker_cache()
+
+
+def _directories() -> Iterator[Path]:
+    yield private_directory() / "lib"
+    yield Path(sys.prefix) / "lib"  # a conda environment's own
+    if sys.platform == "darwin":
+        for root in ("/opt/homebrew", "/usr/local"):
+            yield from sorted(Path(root).glob("opt/llvm*/lib"))
+            yield from sorted(Path(root).glob("Cellar/llvm*/*/lib"))
+        yield Path("/opt/local/lib")
+        yield from sorted(Path("/opt/local/libexec").glob("llvm-*/lib"))
+        return
+    triplet = sysconfig.get_config_var("MULTIARCH") or f"{os.uname().machine}-linux-gnu"
+    for root in ("/usr/lib", "/usr/local/lib"):
+        yield Path(root, triplet)
+    for root in ("/usr/lib64", "/usr/lib", "/usr/local/lib64", "/usr/local/lib"):
+        yield Path(root)
+        yield from sorted(Path(root).glob("llvm*/lib"))
+        yield from sorted(Path(root).glob("llvm*/lib64"))
+    yield from sorted(Path("/usr/lib/llvm").glob("*/lib64"))
+    yield Path("/usr/lib/wsl/lib")
+
+
+def _linker_cache() -> Iterator[Path]:
+    """What ``ldconfig -p`` lists: libraries in directories that only the linker's configuration knows."""
+    for program in ("/sbin/ldconfig", "/usr/sbin/ldconfig"):
+        if not os.path.exists(program):
+            continue
+        try:
+            listing = subprocess.run([program, "-p"], capture_output=True, text=True, timeout=20, check=True).stdout
+        except (OSError, subprocess.SubprocessError):
+            return
+        for line in listing.splitlines():
+            path = Path(line.rpartition(" => ")[2].strip())
+            if _NUMBERED.match(path.name):
+                yield path
+        return
+
+
+def _windows() -> Iterator[Path]:
+    roots = [os.environ.get("PROGRAMFILES", r"C:\Program Files") + r"\LLVM\bin"]
+    roots += [sys.prefix + r"\Library\bin", *os.environ.get("PATH", "").split(os.pathsep)]
+    for root in roots:
+        if root and (path := Path(root, "LLVM-C.dll")).is_file():
+            yield path
