@@ -19,6 +19,9 @@ from .log import logger
 #: The Mitsuba variants that étendue runs under.
 VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
 
+#: Whether the user's environment, rather than :func:`ensure_llvm`, names the LLVM library.
+NAMED_BY_USER = bool(os.environ.get(llvm.VARIABLE))
+
 _INSTALL = {
     "linux": "sudo apt-get install -y libllvm19 (another system: docs/install.md)",
     "darwin": "brew install llvm@19",
