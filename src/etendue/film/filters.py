@@ -2,7 +2,7 @@
 
 Pixel ``c`` of a film is
 
-    I_c = 1/Z_c  integral over the film of  f(x - c - 1/2) L(x) dx,        Z_c = integral over the film of f(x - c - 1/2),
+    I_c = 1/Z_c  integral over the film of f(x - c - 1/2) L(x) dx,    Z_c = integral over the film of f(x - c - 1/2),
 
 which is what Mitsuba's film converges to: it divides by the filter weights of the samples it received, and it draws
 none outside the film (``sample_border`` off). Two estimators of the same integral live here. A camera path picks its
@@ -48,7 +48,7 @@ class FilterTable:
         sampled[np.abs(points) > radius] = 0.0
         self.values: NDArray[np.float64] = sampled.reshape(count, _POINTS_PER_BIN).mean(axis=1)
         if not np.isfinite(self.values).all() or not np.abs(self.values).sum() > 0.0:
-            raise OptionError("the film's reconstruction filter is zero or not finite everywhere; choose another rfilter")
+            raise OptionError("the film's reconstruction filter has no finite, non-zero values; use another rfilter")
         self.values /= self.values.sum() / BINS_PER_PIXEL  # unit integral: only ratios matter, and float32 likes 1
 
     @property
