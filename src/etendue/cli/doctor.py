@@ -1,6 +1,6 @@
 """`etendue doctor`: what étendue needs from this machine, what it found, and how to mend what is wrong.
 
-Anything that could end the process, as an unsuitable LLVM does inside its first kernel, is tried in a process of its own.
+Anything that could end the process, as an unsuitable LLVM does in its first kernel, is tried in a process of its own.
 """
 
 from __future__ import annotations
@@ -90,8 +90,6 @@ def run_doctor(console: Console) -> int:
 
 def _python() -> Check:
     finding = f"{platform.python_version()} ({platform.machine()}, {platform.system()}), {sys.prefix}"
-    if sys.version_info < (3, 11):
-        return Check("python", "fail", finding, "étendue needs Python 3.11 or newer")
     return Check("python", "ok", finding)
 
 

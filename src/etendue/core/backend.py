@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
+from pathlib import Path
 from typing import Any
 
 from . import llvm
@@ -40,10 +41,12 @@ def ensure_llvm() -> None:
     Does nothing once ``drjit`` is imported (too late), and leaves Dr.Jit to itself if none is found: a machine with a
     GPU may need none, and :func:`check_variant` reports where it matters. Never raises.
     """
-    if os.environ.get(llvm.VARIABLE) or "drjit" in sys.modules:
+    if "drjit" in sys.modules:
         return
-    library = llvm.load_usable()
-    if library is not None:
+    named = os.environ.get(llvm.VARIABLE)
+    if named:
+        llvm.load_neighbours(Path(named))  # the variable is inherited from a parent process, what that loaded is not
+    elif (library := llvm.load_usable()) is not None:
         os.environ[llvm.VARIABLE] = str(library.path)
 
 

@@ -69,8 +69,7 @@ def load_usable() -> Library | None:
         if not library.usable:
             return None
         try:
-            if private_directory() in library.path.parents:
-                _load_neighbours(library.path)
+            load_neighbours(library.path)
             ctypes.CDLL(str(library.path))
         except OSError:
             continue  # another processor's, or a library it needs is missing
@@ -102,8 +101,13 @@ def _ask(path: Path) -> int:
         return 0  # LLVMGetVersion came with 16: a library without it is too old
 
 
-def _load_neighbours(path: Path) -> None:
-    """Load the libraries unpacked next to ``path``; the linker then finds them by name when it loads ``path``."""
+def load_neighbours(path: Path) -> None:
+    """Load what was unpacked next to the environment's own LLVM ``path``: the linker then finds it by name.
+
+    Does nothing for a library from elsewhere.
+    """
+    if private_directory() not in path.parents:
+        return
     pending = [p for p in sorted(path.parent.iterdir()) if ".so" in p.name and not p.name.startswith("libLLVM")]
     while pending:
         refused = []
