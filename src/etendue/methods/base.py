@@ -1,0 +1,130 @@
+"""What every image method shares: settings, lanes, and the way from device arrays to a Measurement and a Result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.core import Iterations, Measurement, Result, Settings, setting
+from etendue.core.measurement import Array
+from etendue.core.samples import IndependentSource
+from etendue.scene import LightTable, Problem
+from etendue.transport import Camera
+
+#: Lanes that fill the machine: below, a pass wastes time; above, nothing is gained.
+FULL_LANES = 1 << 17
+
+
+@dataclass(frozen=True)
+class ImageSettings(Settings):
+    """Settings of every image method."""
+
+    max_depth: int = setting(-1, "longest path in edges, 1 shows lights only; -1 is unlimited", minimum=-1)
+    rr_depth: int = setting(5, "path edges after which Russian roulette by throughput begins", minimum=1)
+    samples_per_pass: int = setting(
+        0, "camera paths per pixel that one pass traces; 0 chooses enough to fill the machine", minimum=0
+    )
+    aovs: bool = setting(False, "add first-hit layers: albedo, normal, depth")
+
+
+class ImageMethod:
+    """Base of the methods that render an image pass by pass. A subclass implements ``render_pass``."""
+
+    name: ClassVar[str]
+    Settings: ClassVar[type[ImageSettings]]
+    citations: ClassVar[tuple[str, ...]] = ()
+    #: Layers besides "image" that a pass returns, in order.
+    layers: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, settings: ImageSettings | None = None) -> None:
+        self.settings: Any = settings if settings is not None else self.Settings()
+
+    def prepare(self, problem: Problem, seed: int) -> None:
+        """Build the tables that every pass shares."""
+        self.problem = problem
+        self.scene = problem.scene
+        self.camera = Camera(problem)
+        self.lights = LightTable(problem.scene)
+
+    @property
+    def samples_per_iteration(self) -> int:
+        """Camera paths per pixel of one pass."""
+        if self.settings.samples_per_pass:
+            return int(self.settings.samples_per_pass)
+        width, height = self.problem.size
+        return min(16, max(1, FULL_LANES // (width * height)))
+
+    def step(self, iteration: int, seed: int) -> Measurement:
+        """One pass: :attr:`samples_per_iteration` camera paths per pixel."""
+        samples = self.samples_per_iteration
+        layers, counters = self.render_pass(iteration, seed, samples)
+        if self.settings.aovs:
+            layers |= self._first_hits(iteration, seed, samples)
+        if "image" not in layers:
+            layers["image"] = np.sum([layers[name] for name in self.layers], axis=0)
+        value = layers["image"] / samples
+        return Measurement(
+            sums=layers,
+            weights=dict.fromkeys(layers, float(samples)),
+            iterations=Iterations.single(iteration),
+            squares={"image": value * value},
+            counters=counters | {"samples": float(samples)},
+        )
+
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Array], dict[str, float]]:
+        """Sums over the pass's ``samples`` camera paths per pixel: layers (height, width, channels), and counters."""
+        raise NotImplementedError
+
+    def develop(self, measurement: Measurement) -> Result:
+        """Mean over the passes, layer by layer."""
+        layers = {name: measurement.mean(name).astype(np.float32) for name in measurement.sums}
+        return Result(layers, {"method": self.name, "settings": self.settings.to_dict()})
+
+    def state(self) -> Mapping[str, Any]:
+        """Nothing is carried from pass to pass."""
+        return {}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Inverse of :meth:`state`."""
+
+    # ------------------------------------------------------------------ helpers of the subclasses
+
+    def max_edges(self) -> int:
+        """``max_depth`` as a number a kernel can compare with."""
+        return self.settings.max_depth if self.settings.max_depth >= 0 else 1 << 30
+
+    def image(self, values: Any) -> Array:
+        """Per-lane colours or scalars, ``samples`` consecutive lanes a pixel, summed into a (height, width, c) image."""
+        width, height = self.problem.size
+        flat = np.asarray(dr.ravel(values), dtype=np.float64)
+        channels = len(values) if dr.depth_v(values) > 1 else 1
+        per_pixel = flat.reshape(height * width, -1, channels)
+        return per_pixel.sum(axis=1).reshape(height, width, channels)
+
+    def _first_hits(self, iteration: int, seed: int, samples: int) -> dict[str, Array]:
+        """Albedo, shading normal and distance of what the camera sees first; zeros where it sees nothing."""
+        lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
+        source = IndependentSource(lanes, seed, "camera", iteration)
+        ray, _, _ = self.camera.primary(lanes // samples, source)
+        si = self.scene.ray_intersect(ray)
+        hit = si.is_valid()
+        albedo = si.bsdf(ray).eval_diffuse_reflectance(si, hit) & hit
+        normal = dr.select(hit, si.sh_frame.n, 0.0)
+        depth = dr.select(hit, si.t, 0.0)
+        return {"albedo": self.image(albedo), "normal": self.image(normal), "depth": self.image(depth)}
+
+
+def keep_finite(value: Any) -> tuple[Any, Any]:
+    """``value`` with non-finite lanes set to zero, and their mask: they are counted, never written to a picture."""
+    good = dr.all(dr.isfinite(value))
+    return dr.select(good, value, 0.0), ~good
+
+
+def total(values: Any) -> float:
+    """Sum over all lanes of an evaluated array of counts or flags."""
+    return float(np.asarray(values).sum(dtype=np.float64))

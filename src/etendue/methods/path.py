@@ -1,0 +1,148 @@
+r"""Path tracing from the camera: the reference that every other method is tested against.
+
+Estimator [Kajiya 1986; Veach 1997, ch. 9 and 10], one camera path of vertices z_0 (sensor), z_1, z_2, ...:
+
+.. math:: L = \sum_j \alpha_j \left( w^e_j L_e(z_j) + w^d_j f_s(z_j) |cos| L_e(y) / p(y) \right)
+
+with the throughput alpha_j, emission where the path hits a light, and one light point y drawn at each vertex. Three
+modes: ``naive`` counts hits only, ``next_event`` counts light points wherever one can be drawn and hits elsewhere,
+``mis`` weighs both by the balance or power heuristic.
+
+Limits: a point or spot light seen through glass or in a mirror cannot be found at all, a small one only by chance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core import setting
+from etendue.core.measurement import Array
+from etendue.core.samples import IndependentSource
+from etendue.transport import dimensions as dim
+from etendue.transport import (
+    emission_of_hit,
+    is_emissive,
+    is_smooth,
+    roulette,
+    sample_direct,
+    scatter_camera,
+)
+
+from .base import ImageMethod, ImageSettings, keep_finite, total
+
+
+@dataclass(frozen=True)
+class PathSettings(ImageSettings):
+    """Settings of ``path``."""
+
+    mode: str = setting(
+        "mis", "how lights are found: by hits, by next event, or by both", choices=("naive", "next_event", "mis")
+    )
+    heuristic: str = setting("balance", "weights of mode mis", choices=("balance", "power"))
+
+
+@dataclass
+class _State:
+    """Loop state, one lane a camera path."""
+
+    active: Any
+    ray: Any
+    throughput: Any
+    radiance: Any
+    eta: Any  #: product of the relative indices of refraction
+    depth: Any  #: edges so far, the one being traced included
+    pdf: Any  #: density of the edge's direction; 0 after a delta scattering, which no light point competes with
+    rays: Any
+
+
+class Path(ImageMethod):
+    """Path tracing with next event estimation and multiple importance sampling."""
+
+    name: ClassVar[str] = "path"
+    Settings: ClassVar[type[ImageSettings]] = PathSettings
+    citations: ClassVar[tuple[str, ...]] = ("Kajiya1986", "Veach1997")
+
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Array], dict[str, float]]:
+        """See :class:`ImageMethod`."""
+        lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
+        source = IndependentSource(lanes, seed, "camera", iteration)
+        ray, weight, _ = self.camera.primary(lanes // samples, source)
+        state = _State(
+            active=mi.Bool(True),
+            ray=mi.Ray3f(ray),
+            throughput=mi.Color3f(1.0),
+            radiance=mi.Color3f(0.0),
+            eta=mi.Float(1.0),
+            depth=mi.UInt32(1),
+            pdf=mi.Float(0.0),
+            rays=mi.UInt32(0),
+        )
+        max_edges = dr.opaque(mi.UInt32, self.max_edges())
+        state.active &= max_edges > 0
+        (state,) = dr.while_loop(
+            (state,), lambda s: s.active, lambda s: (self._edge(s, source, max_edges),), label="path"
+        )
+        radiance, bad = keep_finite(state.radiance * weight)
+        dr.eval(radiance, state.rays, bad)  # one kernel; the sums below would launch it once each
+        counters = {"rays": total(state.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
+        return {"image": self.image(radiance)}, counters
+
+    def _edge(self, s: _State, source: Any, max_edges: Any) -> _State:
+        """Trace one edge and scatter at its end."""
+        si = self.scene.ray_intersect(s.ray, s.active)
+        s.rays += 1
+
+        # ---- The edge ends on a light
+        on_light = s.active & is_emissive(self.scene, si)
+        radiance, area_density, _ = emission_of_hit(self.lights, self.scene, si, on_light)
+        solid_angle = dr.select(si.is_valid(), dr.square(si.t) / dr.abs(dr.dot(si.n, s.ray.d)), 1.0)
+        s.radiance[on_light] += s.throughput * radiance * self._hit_weight(s.pdf, area_density * solid_angle)
+        s.active &= si.is_valid() & (s.depth < max_edges)
+
+        # ---- A light point is drawn
+        bsdf = si.bsdf(s.ray)
+        if self.settings.mode != "naive":
+            direct = sample_direct(self.lights, si, source, s.depth, 0, s.active & is_smooth(bsdf))
+            wo = si.to_local(direct.direction)
+            value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, wo, direct.active)
+            contribution = s.throughput * value * direct.radiance * self._direct_weight(direct, pdf)
+            lit = direct.active & dr.any(contribution != 0.0)
+            lit &= ~self.scene.ray_test(si.spawn_ray_to(direct.target), lit)
+            s.radiance[lit] += contribution
+            s.rays += dr.select(direct.active, mi.UInt32(1), mi.UInt32(0))
+
+        # ---- Scatter
+        scattered = scatter_camera(bsdf, si, source, s.depth, s.active, reverse=False)
+        s.throughput *= scattered.weight
+        s.eta *= scattered.eta
+        s.pdf = dr.select(scattered.is_delta, 0.0, scattered.pdf)
+        s.ray = si.spawn_ray(scattered.direction)
+        alive, factor = roulette(
+            s.throughput, s.eta, s.depth, self.settings.rr_depth, source.next_1d(s.depth, dim.ROULETTE)
+        )
+        s.throughput *= factor
+        s.depth += 1
+        s.active &= scattered.active & alive
+        return s
+
+    def _hit_weight(self, pdf: Any, direct_pdf: Any) -> Any:
+        """Weight of a hit; ``pdf`` is 0 where only a hit can find the light."""
+        match self.settings.mode:
+            case "naive":
+                return mi.Float(1.0)
+            case "next_event":
+                return dr.select(pdf == 0.0, mi.Float(1.0), 0.0)
+        ratio = direct_pdf / pdf
+        return dr.select(pdf == 0.0, 1.0, dr.rcp(1.0 + self._power(ratio)))
+
+    def _direct_weight(self, direct: Any, pdf: Any) -> Any:
+        if self.settings.mode == "next_event":
+            return mi.Float(1.0)
+        return dr.select(direct.is_delta, 1.0, dr.rcp(1.0 + self._power(pdf / direct.pdf)))
+
+    def _power(self, ratio: Any) -> Any:
+        return ratio * ratio if self.settings.heuristic == "power" else ratio

@@ -1,0 +1,82 @@
+"""The camera end of a path: primary rays, and joining a surface point to the sensor (the splat)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.core.samples import SampleSource
+from etendue.film import FilterSampler
+from etendue.scene import Problem
+
+from . import dimensions as dim
+
+
+@dataclass
+class CameraConnection:
+    """A surface point joined to the sensor, one lane each."""
+
+    position: Any  #: film point in pixels
+    direction: Any  #: world, from the surface to the sensor
+    target: Any  #: end of the shadow ray: the near plane on the way to the aperture point
+    importance: Any  #: measurement contribution of one pixel per unit radiance, over squared distance
+    active: Any
+
+    def area_pdf(self, cos: Any) -> Any:
+        """Area density, at the surface, of a camera ray through a point uniform in its pixel; ``cos`` = \\|cos\\| there."""
+        return self.importance * cos
+
+
+class Camera:
+    """Primary rays and splats of one sensor, with its film's reconstruction filter."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.sensor = problem.sensor
+        self.width, self.height = problem.size
+        self.pixels = self.width * self.height
+        self.filter = FilterSampler(self.sensor.film().rfilter(), self.width, self.height)
+        parameters = mi.traverse(self.sensor)
+        self.near_clip = float(np.asarray(parameters["near_clip"]).ravel()[0]) if "near_clip" in parameters else 0.0
+
+    def primary(self, pixel: Any, source: SampleSource) -> tuple[Any, Any, Any]:
+        """A camera ray through ``pixel`` (index y * width + x): (ray, weight, aperture sample)."""
+        y = pixel // self.width
+        x = pixel - y * self.width
+        film_x, film_y, weight = self.filter.camera(x, y, *source.next_2d(0, dim.FILM))
+        position = mi.Point2f(film_x / self.width, film_y / self.height)
+        aperture = mi.Point2f(0.5)
+        if self.sensor.needs_aperture_sample():
+            aperture = mi.Point2f(*source.next_2d(0, dim.APERTURE))
+        ray, sensor_weight = self.sensor.sample_ray(0.0, 0.5, position, aperture)
+        return ray, mi.Color3f(sensor_weight) * weight, aperture
+
+    def connect(self, si: Any, aperture: Any, active: Any) -> CameraConnection:
+        """Join ``si`` to the aperture point ``aperture``. Inactive where the point is off the film or out of range."""
+        ds, weight = self.sensor.sample_direction(si, aperture, active)
+        importance = weight[0] * self.pixels
+        # Camera rays start at the near plane, so a splat's shadow ray must end there.
+        axial = dr.maximum(dr.dot(-ds.d, dr.normalize(ds.n)), 1e-6)
+        target = ds.p - ds.d * (self.near_clip / axial)
+        usable = active & (ds.pdf > 0.0) & (importance > 0.0)
+        return CameraConnection(ds.uv, ds.d, target, importance, usable)
+
+    def pixel_density(self, si: Any, aperture: Any, active: Any) -> Any:
+        """Solid-angle density over squared distance with which :meth:`primary` reaches ``si`` from a point uniform in
+        its pixel; 0 where the sensor cannot be joined. [Georgiev 2012b, eq. 31]"""
+        _, weight = self.sensor.sample_direction(si, aperture, active)
+        return weight[0] * self.pixels
+
+    def splat_aperture(self, source: SampleSource, vertex: Any) -> Any:
+        """Aperture sample of a splat."""
+        if self.sensor.needs_aperture_sample():
+            return mi.Point2f(*source.next_2d(vertex, dim.SPLAT_APERTURE))
+        return mi.Point2f(0.5)
+
+    def splat_pixel(self, connection: CameraConnection, source: SampleSource, vertex: Any) -> tuple[Any, Any, Any]:
+        """Pixel that a splat goes to: (index, filter weight, on film)."""
+        u = (0.5, 0.5) if self.filter.is_box else source.next_2d(vertex, dim.SPLAT_FILTER)
+        return self.filter.splat(connection.position.x, connection.position.y, *u)

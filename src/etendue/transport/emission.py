@@ -1,0 +1,204 @@
+"""The light end of a path: rays that leave lights, light points for next event, and the densities of both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core.samples import SampleSource
+from etendue.scene import Light, LightTable
+
+from . import dimensions as dim
+
+
+@dataclass
+class EmittedRay:
+    """A ray sampled from the lights, one lane each."""
+
+    ray: Any
+    throughput: Any  #: emitted radiance times cos over the density: the flux the path carries
+    area_density: Any  #: of the light point under next event, picking included (infinite: of the direction)
+    emission_density: Any  #: of point and direction together, picking included
+    cos_light: Any  #: 1 where the light has no surface
+    is_delta: Any
+    is_infinite: Any
+    active: Any
+
+
+@dataclass
+class DirectSample:
+    """A light point joined to a surface point, one lane each."""
+
+    direction: Any  #: world, towards the light
+    target: Any  #: end point of the shadow ray
+    radiance: Any  #: what arrives, over ``pdf``
+    pdf: Any  #: solid-angle density of the direction, picking included
+    light_ratio: Any  #: emission density over (pdf times cos at the light); times cos at the surface for the weight
+    is_delta: Any
+    active: Any
+
+
+def emit(lights: LightTable, source: SampleSource, active: Any) -> EmittedRay:
+    """Sample a ray that leaves a light: emitter by power, then uniformly over its points and by kind in direction."""
+    light = lights.pick(source.next_1d(0, dim.LIGHT_PICK), active)
+    u_point = mi.Point2f(*source.next_2d(0, dim.LIGHT_POINT))
+    u_direction = mi.Point2f(*source.next_2d(0, dim.LIGHT_DIRECTION))
+    n = dr.width(u_point)
+    result = EmittedRay(
+        ray=dr.zeros(mi.Ray3f, n),
+        throughput=dr.zeros(mi.Color3f, n),
+        area_density=dr.full(mi.Float, 1.0, n),
+        emission_density=dr.full(mi.Float, 1.0, n),
+        cos_light=dr.full(mi.Float, 1.0, n),
+        is_delta=mi.Bool(light.is_delta),
+        is_infinite=mi.Bool(light.is_infinite),
+        active=mi.Bool(active),
+    )
+    if lights.has_area:
+        _emit_area(result, light, u_point, u_direction, active & ~light.is_delta & ~light.is_infinite)
+    if lights.has_delta:
+        _emit_delta(result, light, u_direction, active & light.is_delta)
+    if lights.has_infinite:
+        _emit_infinite(result, lights, light, u_point, u_direction, active & light.is_infinite)
+    result.active &= dr.any(result.throughput != 0.0)
+    return result
+
+
+def _emit_area(out: EmittedRay, light: Light, u_point: Any, u_direction: Any, mask: Any) -> None:
+    position = light.emitter.get_shape().sample_position(0.0, u_point, mask)
+    si = mi.SurfaceInteraction3f(position, dr.zeros(mi.Color0f))
+    local = mi.warp.square_to_cosine_hemisphere(u_direction)
+    cos = mi.Frame3f.cos_theta(local)
+    si.wi = local
+    radiance = light.emitter.eval(si, mask)
+    area_density = light.pick * light.area_density
+    out.ray[mask] = si.spawn_ray(si.to_world(local))
+    out.throughput[mask] = radiance * (dr.pi / area_density)
+    out.area_density[mask] = area_density
+    out.emission_density[mask] = area_density * cos * dr.inv_pi
+    out.cos_light[mask] = cos
+    out.active &= ~mask | (cos > 0.0)
+
+
+def _emit_delta(out: EmittedRay, light: Light, u_direction: Any, mask: Any) -> None:
+    # The spot takes its direction from the first pair of numbers, the point light from the second.
+    ray, _ = light.emitter.sample_ray(0.0, 0.5, u_direction, u_direction, mask)
+    probe = dr.zeros(mi.Interaction3f)
+    probe.p = ray.o + ray.d  # at unit distance, so that irradiance is intensity
+    _, intensity = light.emitter.sample_direction(probe, u_direction, mask)
+    out.ray[mask] = ray
+    out.throughput[mask] = intensity / (light.pick * light.direction_density)
+    out.area_density[mask] = light.pick
+    out.emission_density[mask] = light.pick * light.direction_density
+
+
+def _emit_infinite(
+    out: EmittedRay, lights: LightTable, light: Light, u_point: Any, u_direction: Any, mask: Any
+) -> None:
+    centre = dr.zeros(mi.Interaction3f)
+    centre.p = mi.Point3f(lights.centre)
+    ds, weight = light.emitter.sample_direction(centre, u_direction, mask)
+    # A disc of the scene's radius, perpendicular to the direction, just outside the scene.
+    disc = mi.warp.square_to_uniform_disk_concentric(u_point) * lights.radius
+    frame = mi.Frame3f(ds.d)
+    origin = centre.p + frame.to_world(mi.Vector3f(disc.x, disc.y, lights.radius))
+    direction_density = light.pick * ds.pdf
+    usable = mask & (ds.pdf > 0.0)
+    out.ray[usable] = mi.Ray3f(origin, -ds.d)
+    out.throughput[usable] = weight / (light.pick * light.area_density)
+    out.area_density[usable] = direction_density
+    out.emission_density[usable] = direction_density * light.area_density
+
+
+def sample_direct(lights: LightTable, si: Any, source: SampleSource, vertex: Any, index: int, active: Any) -> DirectSample:
+    """Sample a light point for the surface point ``si``: the ``index``-th next-event sample of ``vertex``."""
+    component = dim.NEXT_EVENT + 3 * index
+    u_point = mi.Point2f(*source.next_2d(vertex, component + 1))
+    light = lights.pick(source.next_1d(vertex, component), active)
+    n = dr.width(u_point)
+    result = DirectSample(
+        direction=dr.zeros(mi.Vector3f, n),
+        target=dr.zeros(mi.Point3f, n),
+        radiance=dr.zeros(mi.Color3f, n),
+        pdf=dr.full(mi.Float, 1.0, n),
+        light_ratio=dr.zeros(mi.Float, n),
+        is_delta=mi.Bool(light.is_delta),
+        active=mi.Bool(active),
+    )
+    if lights.has_area:
+        _direct_area(result, light, si, u_point, active & ~light.is_delta & ~light.is_infinite)
+    if lights.has_delta:
+        _direct_delta(result, light, si, u_point, active & light.is_delta)
+    if lights.has_infinite:
+        _direct_infinite(result, light, si, u_point, active & light.is_infinite)
+    result.active &= dr.any(result.radiance != 0.0)
+    return result
+
+
+def _direct_area(out: DirectSample, light: Light, si: Any, u_point: Any, mask: Any) -> None:
+    position = light.emitter.get_shape().sample_position(si.time, u_point, mask)
+    offset = position.p - si.p
+    distance_squared = dr.squared_norm(offset)
+    direction = offset * dr.rsqrt(distance_squared)
+    at_light = mi.SurfaceInteraction3f(position, dr.zeros(mi.Color0f))
+    at_light.wi = at_light.to_local(-direction)
+    cos = mi.Frame3f.cos_theta(at_light.wi)
+    mask = mask & (cos > 0.0)
+    area_density = light.pick * light.area_density
+    pdf = area_density * distance_squared / dr.select(mask, cos, 1.0)
+    out.direction[mask] = direction
+    out.target[mask] = position.p
+    out.radiance[mask] = light.emitter.eval(at_light, mask) / pdf
+    out.pdf[mask] = pdf
+    out.light_ratio[mask] = dr.inv_pi * cos / distance_squared
+
+
+def _direct_delta(out: DirectSample, light: Light, si: Any, u_point: Any, mask: Any) -> None:
+    ds, weight = light.emitter.sample_direction(si, u_point, mask)
+    distance_squared = dr.square(ds.dist)
+    out.direction[mask] = ds.d
+    out.target[mask] = ds.p
+    out.radiance[mask] = weight / light.pick
+    out.pdf[mask] = light.pick * distance_squared
+    out.light_ratio[mask] = light.direction_density / distance_squared
+
+
+def _direct_infinite(out: DirectSample, light: Light, si: Any, u_point: Any, mask: Any) -> None:
+    ds, weight = light.emitter.sample_direction(si, u_point, mask)
+    usable = mask & (ds.pdf > 0.0)
+    out.direction[usable] = ds.d
+    out.target[usable] = ds.p
+    out.radiance[usable] = weight / light.pick
+    out.pdf[usable] = light.pick * ds.pdf
+    out.light_ratio[usable] = light.area_density
+
+
+def is_emissive(scene: Any, si: Any) -> Any:
+    """Lanes whose ray reached an emitter, the environment of a miss included."""
+    return dr.reinterpret_array(mi.UInt32, si.emitter(scene)) != 0
+
+
+def emission_of_hit(lights: LightTable, scene: Any, si: Any, active: Any) -> tuple[Any, Any, Any]:
+    """What a ray that reached ``si`` sees of a light: (radiance, area density, emission density).
+
+    ``si`` may be a miss, where the environment is seen; its densities are those of the direction [Georgiev 2012b, eq. 43].
+    ``active`` marks the lanes whose ``si.emitter(scene)`` is not null.
+    """
+    emitter = si.emitter(scene)
+    light = lights.of(emitter, active)
+    radiance = emitter.eval(si, active)
+    point_density = light.pick * light.area_density
+    area_density = point_density
+    emission_density = point_density * dr.maximum(mi.Frame3f.cos_theta(si.wi), 0.0) * dr.inv_pi
+    if lights.has_infinite:
+        infinite = active & light.is_infinite
+        ds = dr.zeros(mi.DirectionSample3f)
+        ds.d = -si.wi
+        reference = dr.zeros(mi.Interaction3f)
+        direction_density = light.pick * emitter.pdf_direction(reference, ds, infinite)
+        area_density = dr.select(infinite, direction_density, area_density)
+        emission_density = dr.select(infinite, direction_density * light.area_density, emission_density)
+    return radiance, area_density, emission_density

@@ -1,0 +1,204 @@
+"""Multiple importance sampling over all techniques of a path, carried along each sub-path in two numbers.
+
+A path with k edges can be made by hitting the light (emission), by next event, by connecting two inner vertices, by
+connecting a light sub-path to the camera (splat), and by merging at any inner vertex. The weight of technique i is
+``(n_i p_i)^beta / sum_j (n_j p_j)^beta`` [Veach 1997, eq. 9.8; Georgiev 2012, eq. 7]; its denominator is assembled
+from one running pair per sub-path, so it costs O(1) per vertex [Georgiev 2012b, sec. 4]. The report's quantities are
+dVCM, dVC and dVM; here
+
+- ``d_vcm`` is the report's dVCM times the sample count of the technique that it stands for, and
+- ``d_vc`` holds dVC; with merging but no connections it holds ``eta_vm * dVM``. The report's dVM is never stored:
+  with both it equals dVC / eta_vm [Georgiev 2012b, eq. 20 in 35 and 36].
+
+Sample counts enter where a technique enters, so any set of techniques, each with any count, gives weights that sum to
+one: a count of zero removes the technique, from the estimator and from the weights alike. Cosines in here are those of
+the geometric normal. Russian roulette is left out of every density; that costs no bias, as the weights of a path stay
+the same whichever technique makes it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+
+
+@dataclass(frozen=True)
+class Techniques:
+    """How many samples each technique takes per camera path (zero: not used) and the heuristic's exponent."""
+
+    emission: int = 1  #: the camera sub-path hits a light (s = 0)
+    next_event: int = 1  #: a camera vertex is joined to a fresh light point (s = 1)
+    connection: int = 1  #: a camera vertex is joined to stored light vertices (s >= 2, t >= 2)
+    splat: bool = True  #: a light vertex is joined to the camera (t = 1)
+    merge: bool = True  #: a camera vertex gathers light vertices around it
+    merge_first: bool = True  #: merging at the first camera vertex too
+    beta: int = 1  #: 1 balance heuristic, 2 power heuristic
+
+    @property
+    def connects(self) -> bool:
+        """Whether any technique joins two vertices by an edge (the report's VC family)."""
+        return bool(self.next_event or self.connection or self.splat)
+
+
+class Mis:
+    """The recursion and the weights for one set of techniques.
+
+    Parameters
+    ----------
+    techniques: the sample counts.
+    eta_vm: merging's sample count times the acceptance area, n_VM pi r^2 [Georgiev 2012b, eq. 20]; may be an opaque
+        scalar, as it shrinks from pass to pass. Ignored if merging is off.
+    paths_per_sample: light sub-paths per camera path of one pixel, n_LP (a splat reaches every pixel).
+    """
+
+    def __init__(self, techniques: Techniques, eta_vm: Any, paths_per_sample: Any) -> None:
+        self.techniques = techniques
+        self.eta_vm = self.power(eta_vm) if techniques.merge else 0.0
+        self.paths_per_sample = paths_per_sample
+
+    def power(self, x: Any) -> Any:
+        """``x^beta``."""
+        return x * x if self.techniques.beta == 2 else x
+
+    def _count(self, n: int) -> float:
+        return float(n**self.techniques.beta)
+
+    # ------------------------------------------------------------------ light sub-path
+
+    def start_light(self, area_density: Any, emission_density: Any, cos_light: Any, is_delta: Any) -> tuple[Any, Any]:
+        """(d_vcm, d_vc) of an emitted ray [Georgiev 2012b, eq. 31, 32].
+
+        ``area_density``: density of the light point under next event (of the direction, for an infinite light), and
+        ``emission_density``: of point and direction together; both include the picking probability.
+        """
+        t = self.techniques
+        d_vcm = self.power(area_density / emission_density) * self._count(t.next_event)
+        emission = self._count(t.emission) if t.connects else 0.0
+        d_vc = dr.select(is_delta, 0.0, self.power(cos_light / emission_density) * emission)
+        return d_vcm, d_vc
+
+    # ------------------------------------------------------------------ camera sub-path
+
+    def start_camera(self, pixel_density: Any) -> tuple[Any, Any]:
+        """(d_vcm, d_vc) of a camera ray; ``pixel_density`` is its solid-angle density for a point uniform in its pixel.
+
+        Zero density (a direction the sensor can't be splatted from) leaves the splat out [Georgiev 2012b, eq. 31].
+        """
+        zero = dr.zeros(type(pixel_density), dr.width(pixel_density))
+        if not self.techniques.splat:
+            return zero, zero
+        ok = pixel_density > 0.0
+        return dr.select(ok, self.power(self.paths_per_sample / dr.select(ok, pixel_density, 1.0)), 0.0), zero
+
+    # ------------------------------------------------------------------ both
+
+    def hit(self, d_vcm: Any, d_vc: Any, distance_squared: Any, cos: Any) -> tuple[Any, Any]:
+        """Solid angle to area at the surface just reached; ``cos`` = \\|cos\\| there."""
+        inverse = dr.rcp(self.power(cos))
+        return d_vcm * self.power(distance_squared) * inverse, d_vc * inverse
+
+    def joined(self, depth: Any, d_vcm: Any) -> Any:
+        """``d_vcm`` of a camera vertex as the count of the technique that cuts the edge before it: a splat at the first
+        vertex, a connection after (kept unscaled by the walk, as emission weighs the same edge as next event)."""
+        count = self._count(self.techniques.connection)
+        return d_vcm if count == 1.0 else d_vcm * dr.select(depth == 1, 1.0, count)
+
+    def merge_area(self, depth: Any) -> Any:
+        """``eta_vm`` where camera vertex ``depth`` may merge, else 0."""
+        t = self.techniques
+        if t.merge and not t.merge_first:
+            return dr.select(depth == 1, 0.0, self.eta_vm)
+        return self.eta_vm
+
+    def _sum(self, eta: Any, d_vcm: Any, reverse_pdf: Any, d_vc: Any) -> Any:
+        """Techniques that cut the sub-path at its end vertex or before, over the density of reaching it."""
+        if self.techniques.connects:
+            return eta + d_vcm + self.power(reverse_pdf) * d_vc
+        return eta + self.power(reverse_pdf) * d_vc
+
+    def scatter_light(self, d_vcm: Any, d_vc: Any, cos: Any, pdf: Any, reverse_pdf: Any, is_delta: Any) -> Any:
+        """(d_vcm, d_vc) after scattering at a light vertex [Georgiev 2012b, eq. 34, 35; delta: 53, 54]."""
+        total = self._sum(self.eta_vm, d_vcm, reverse_pdf, d_vc)
+        return self._scatter(total, d_vc, cos, pdf, is_delta, self._count(self.techniques.connection))
+
+    def scatter_camera(
+        self, depth: Any, d_vcm: Any, d_vc: Any, cos: Any, pdf: Any, reverse_pdf: Any, is_delta: Any
+    ) -> Any:
+        """(d_vcm, d_vc) after scattering at camera vertex ``depth``; d_vcm stays unscaled (see :meth:`joined`)."""
+        total = self._sum(self.merge_area(depth), self.joined(depth, d_vcm), reverse_pdf, d_vc)
+        return self._scatter(total, d_vc, cos, pdf, is_delta, 1.0)
+
+    def _scatter(self, total: Any, d_vc: Any, cos: Any, pdf: Any, is_delta: Any, count: float) -> tuple[Any, Any]:
+        cos, inverse_pdf = self.power(cos), self.power(dr.rcp(pdf))
+        return (
+            dr.select(is_delta, 0.0, inverse_pdf * count),
+            dr.select(is_delta, cos * d_vc, cos * inverse_pdf * total),
+        )
+
+    # ------------------------------------------------------------------ weights
+
+    def emission_weight(self, depth: Any, d_vcm: Any, d_vc: Any, area_density: Any, emission_density: Any) -> Any:
+        """The camera sub-path hit a light at its vertex ``depth`` [Georgiev 2012b, eq. 43]."""
+        t = self.techniques
+        if not (t.connects and t.emission):
+            # Only what nothing else can make: seen directly, or through vertices that no other technique may cut.
+            return dr.select((depth == 1) | ((d_vcm == 0.0) & (d_vc == 0.0)), 1.0, 0.0)
+        own = self._count(t.emission)
+        others = (
+            self.power(area_density) * d_vcm * self._count(t.next_event) + self.power(emission_density) * d_vc
+        )
+        return dr.select(depth == 1, 1.0, own / (own + others))
+
+    def next_event_weight(
+        self, depth: Any, d_vcm: Any, d_vc: Any, bsdf_pdf: Any, reverse_pdf: Any, direct_pdf: Any, light_ratio: Any
+    ) -> Any:
+        """A camera vertex joined to a light point [Georgiev 2012b, eq. 44, 45].
+
+        ``bsdf_pdf``: of scattering towards the light (0 for a light that no ray hits); ``direct_pdf``: solid-angle
+        density of the light point; ``light_ratio``: emission density times cos at the vertex over ``direct_pdf`` times
+        cos at the light.
+        """
+        own = self._count(self.techniques.next_event)
+        hit = self.power(bsdf_pdf / direct_pdf) * self._count(self.techniques.emission)
+        camera = self.power(light_ratio) * self._sum(
+            self.merge_area(depth), self.joined(depth, d_vcm), reverse_pdf, d_vc
+        )
+        return own / (own + hit + camera)
+
+    def connection_weight(
+        self,
+        depth: Any,
+        camera: tuple[Any, Any],
+        light: tuple[Any, Any],
+        area_pdf_to_light: Any,
+        area_pdf_to_camera: Any,
+        reverse_pdf_camera: Any,
+        reverse_pdf_light: Any,
+    ) -> Any:
+        """Two inner vertices joined; ``camera`` and ``light`` are their (d_vcm, d_vc) [Georgiev 2012b, eq. 40, 41]."""
+        own = self._count(self.techniques.connection)
+        w_light = self.power(area_pdf_to_light) * self._sum(self.eta_vm, light[0], reverse_pdf_light, light[1])
+        w_camera = self.power(area_pdf_to_camera) * self._sum(
+            self.merge_area(depth), self.joined(depth, camera[0]), reverse_pdf_camera, camera[1]
+        )
+        return own / (own + w_light + w_camera)
+
+    def splat_weight(self, d_vcm: Any, d_vc: Any, reverse_pdf: Any, camera_area_pdf: Any) -> Any:
+        """A light vertex joined to the camera; ``camera_area_pdf``: area density with which the pixel's camera ray
+        reaches it [Georgiev 2012b, eq. 46, 47]."""
+        eta = self.eta_vm if self.techniques.merge_first else 0.0
+        others = self._sum(eta, d_vcm, reverse_pdf, d_vc)
+        return dr.rcp(1.0 + self.power(camera_area_pdf / self.paths_per_sample) * others)
+
+    def merge_weight(
+        self, depth: Any, camera: tuple[Any, Any], light: tuple[Any, Any], pdf: Any, reverse_pdf: Any
+    ) -> Any:
+        """A light vertex merged into a camera vertex [Georgiev 2012b, eq. 38, 39].
+
+        ``pdf``: of the camera vertex's BSDF towards where the light came from; ``reverse_pdf``: the other way.
+        """
+        w_light = self._sum(0.0, light[0], pdf, light[1])
+        w_camera = self._sum(0.0, self.joined(depth, camera[0]), reverse_pdf, camera[1])
+        return dr.rcp(1.0 + (w_light + w_camera) / self.eta_vm)
