@@ -1,0 +1,131 @@
+"""Error measures of images, defined once for the whole project.
+
+    relMSE = mean of (x - ref)^2 / (ref^2 + 0.01)
+
+over channels and over the pixels that are finite in both images. Where a few rare bright paths decide it, it is also
+quoted without the worst pixels (``trim``).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from etendue.core import RELATIVE_EPSILON, OptionError
+
+Array = NDArray[np.float64]
+
+
+def relative_squared_error(image: ArrayLike, reference: ArrayLike) -> Array:
+    """``(x - ref)^2 / (ref^2 + 0.01)`` per pixel, mean over its channels: shape (height, width).
+
+    NaN where a pixel is not finite in either image. Raises :class:`OptionError` if the sizes differ.
+    """
+    x, ref = _pair(image, reference)
+    with np.errstate(invalid="ignore", over="ignore"):
+        error = ((x - ref) ** 2 / (ref * ref + RELATIVE_EPSILON)).mean(axis=2)
+    error[~_finite(x, ref)] = np.nan
+    return error
+
+
+def relative_mse(image: ArrayLike, reference: ArrayLike, trim: float = 0.0) -> float:
+    """relMSE of ``image`` against ``reference``, both (height, width, channels) or (height, width).
+
+    Pixels that are not finite in either are left out, and of the rest the fraction ``trim`` with the largest error
+    (0.001: the worst 0.1 %). NaN if nothing remains. Raises :class:`OptionError` if the sizes differ or ``trim`` is
+    outside [0, 1).
+    """
+    if not 0.0 <= trim < 1.0:
+        raise OptionError(f"trim is a fraction of the pixels in [0, 1), not {trim}")
+    error = relative_squared_error(image, reference)
+    error = np.sort(error[np.isfinite(error)])
+    kept = error[: len(error) - int(np.floor(trim * len(error)))]
+    return float(kept.mean()) if len(kept) else float("nan")
+
+
+def rmse(image: ArrayLike, reference: ArrayLike) -> float:
+    """Root of the mean squared difference over channels and finite pixels. NaN if there are none."""
+    x, ref = _pair(image, reference)
+    finite = _finite(x, ref)
+    return float(np.sqrt(((x[finite] - ref[finite]) ** 2).mean())) if finite.any() else float("nan")
+
+
+def relative_bias(image: ArrayLike, reference: ArrayLike) -> float:
+    """``mean(image) / mean(reference) - 1`` over channels and finite pixels: too bright is positive.
+
+    For an unbiased estimator this is noise around 0. NaN if no pixel is finite or the reference is black.
+    """
+    x, ref = _pair(image, reference)
+    finite = _finite(x, ref)
+    total = ref[finite].sum()
+    return float(x[finite].sum() / total - 1.0) if total > 0.0 else float("nan")
+
+
+def block_average(image: ArrayLike, factor: int) -> Array:
+    """Mean of each ``factor`` x ``factor`` block: (height, width, channels) to (height / factor, width / factor, ...).
+
+    A block that holds a non-finite pixel is not finite, and the error measures leave it out. Raises
+    :class:`OptionError` if the factor does not divide the size.
+    """
+    x = np.asarray(image, dtype=np.float64)
+    height, width = x.shape[:2]
+    if factor < 1 or height % factor or width % factor:
+        raise OptionError(f"an image of {width} x {height} pixels cannot be averaged in blocks of {factor}")
+    with np.errstate(invalid="ignore"):
+        return x.reshape(height // factor, factor, width // factor, factor, *x.shape[2:]).mean(axis=(1, 3))
+
+
+class ErrorHistory:
+    """relMSE over time of a picture in the making, for convergence plots.
+
+    ``record`` is meant for a progress callback: it looks at the picture only when the elapsed time has grown by
+    ``ratio`` since the last entry, so that a run of any length costs some dozens of comparisons. Ask :meth:`due` first
+    where developing the picture costs something.
+    """
+
+    def __init__(self, reference: ArrayLike, ratio: float = 1.25, first: float = 0.0) -> None:
+        if not ratio > 1.0:
+            raise OptionError(f"the time between entries must grow by a ratio above 1, not {ratio}")
+        self._reference = np.asarray(reference)
+        self._ratio = ratio
+        self._next = first
+        #: Rows (elapsed seconds, relMSE), in the order of time.
+        self.entries: list[tuple[float, float]] = []
+
+    def due(self, elapsed: float) -> bool:
+        """Whether :meth:`record` would look at a picture now."""
+        return elapsed >= self._next
+
+    def record(self, elapsed: float, image: ArrayLike, force: bool = False) -> float | None:
+        """Add an entry if one is due, or in any case with ``force`` (the last picture). Returns its relMSE or None.
+
+        Raises :class:`OptionError` if the picture and the reference differ in size.
+        """
+        if not (force or self.due(elapsed)):
+            return None
+        error = relative_mse(image, self._reference)
+        if self.entries and self.entries[-1][0] >= elapsed:
+            self.entries[-1] = (self.entries[-1][0], error)
+        else:
+            self.entries.append((float(elapsed), error))
+        self._next = elapsed * self._ratio
+        return error
+
+
+def _pair(image: ArrayLike, reference: ArrayLike) -> tuple[Array, Array]:
+    x, ref = (np.asarray(a, dtype=np.float64) for a in (image, reference))
+    x, ref = (a[:, :, None] if a.ndim == 2 else a for a in (x, ref))
+    if x.shape != ref.shape:
+        raise OptionError(
+            f"the picture is {_size(x)} and the reference {_size(ref)}; render with the reference's size, "
+            "or average the larger one in blocks"
+        )
+    return x, ref
+
+
+def _size(x: Array) -> str:
+    return " x ".join(str(n) for n in (x.shape[1], x.shape[0], *x.shape[2:])) if x.ndim > 1 else f"{x.shape}"
+
+
+def _finite(x: Array, ref: Array) -> NDArray[np.bool_]:
+    return np.isfinite(x).all(axis=2) & np.isfinite(ref).all(axis=2)

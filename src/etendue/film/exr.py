@@ -1,0 +1,176 @@
+"""Pictures as files: multi-layer OpenEXR with metadata, and reading of reference pictures.
+
+The layer ``image`` is the file's R, G, B, so that every viewer shows the picture; another layer ``name`` has channels
+``name.R``, ``name.G``, ``name.B`` (``name.X``, ``name.Y``, ``name.Z`` for normals and positions, ``name.Z`` for a
+depth, ``name.Y`` for any other single channel). Metadata are string attributes ``etendue:key``: text as it is,
+anything else as JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import OutputError, Result, SceneError
+
+from .output import replacing
+
+_PREFIX = "etendue:"
+#: Layers of directions and positions, whose channels are axes rather than colours.
+_VECTOR_LAYERS = frozenset({"normal", "position", "tangent"})
+_DEPTH_LAYERS = frozenset({"depth"})
+_CHANNEL_ORDERS = ("RGB", "RGBA", "XYZ", "Y", "Z", "YA")
+_EXR_MAGIC = b"\x76\x2f\x31\x01"
+
+
+def write_exr(path: str | os.PathLike[str], result: Result) -> None:
+    """Write every layer of ``result`` as 32-bit floats, and its metadata, to one OpenEXR file.
+
+    The file appears whole or not at all. Raises :class:`OutputError` if it cannot be written or a layer has another
+    size than the picture.
+    """
+    import OpenEXR
+
+    channels: dict[str, NDArray[np.float32]] = {}
+    size: tuple[int, ...] | None = None
+    for name, layer in result.layers.items():
+        values = np.asarray(layer, dtype=np.float32)
+        values = values[:, :, None] if values.ndim == 2 else values
+        size = size or values.shape[:2]
+        if values.ndim != 3 or values.shape[:2] != size:
+            raise OutputError(f"cannot write '{path}': layer '{name}' has shape {values.shape}, the picture {size}")
+        for suffix, index in zip(_suffixes(name, values.shape[2], path), range(values.shape[2]), strict=True):
+            channel = suffix if name == "image" else f"{name}.{suffix}"
+            channels[channel] = np.ascontiguousarray(values[:, :, index])
+    if not channels:
+        raise OutputError(f"cannot write '{path}': the result has no layers")
+    header: dict[str, Any] = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "software": f"etendue {_own_version()}".strip(),
+    }
+    header.update({_PREFIX + key: _encode(value) for key, value in result.metadata.items()})
+    with replacing(path) as temporary:
+        try:
+            OpenEXR.File(header, channels).write(str(temporary))
+        except RuntimeError as error:
+            raise OutputError(f"cannot write '{path}': {' '.join(str(error).split())}") from None
+
+
+def read_exr(path: str | os.PathLike[str]) -> Result:
+    """Read a file of :func:`write_exr`, or any scan-line OpenEXR file, as layers (height, width, channels), float32.
+
+    Channels without a layer name make up ``image``. Raises :class:`SceneError` if the file is missing or no OpenEXR
+    file.
+    """
+    import OpenEXR
+
+    _check_readable(path)
+    if not _is_exr(path):
+        raise SceneError(f"'{path}' is not an OpenEXR file")
+    try:
+        file = OpenEXR.File(str(path), separate_channels=True)
+        stored = {name: np.asarray(channel.pixels) for name, channel in file.channels().items()}
+        header = file.header()
+    except (RuntimeError, ValueError) as error:
+        # A damaged file is reported as one without parts.
+        raise SceneError(f"'{path}' is a damaged OpenEXR file: {' '.join(str(error).split())}") from None
+    grouped: dict[str, dict[str, NDArray[Any]]] = {}
+    for name, pixels in stored.items():
+        layer, _, suffix = name.rpartition(".")
+        grouped.setdefault(layer or "image", {})[suffix] = pixels
+    layers = {}
+    for layer in sorted(grouped, key=lambda name: (name != "image", name)):
+        members = grouped[layer]
+        order = next((o for o in _CHANNEL_ORDERS if set(o) == members.keys()), None) or sorted(members)
+        layers[layer] = np.stack([members[suffix] for suffix in order], axis=-1).astype(np.float32)
+    metadata = {key.removeprefix(_PREFIX): _decode(v) for key, v in header.items() if key.startswith(_PREFIX)}
+    return Result(layers=layers, metadata=metadata)
+
+
+def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
+    """Read a picture as linear RGB, (height, width, 3), float32: OpenEXR, or whatever Mitsuba reads (PNG, JPEG, HDR).
+
+    Eight-bit files are taken as sRGB, a single channel is repeated, alpha is dropped. Raises :class:`SceneError` if
+    the file is missing or no picture.
+    """
+    _check_readable(path)
+    if _is_exr(path):
+        layers = read_exr(path).layers
+        pixels = layers.get("image")
+        if pixels is None:
+            raise SceneError(f"'{path}' has no R, G, B channels, only layers: {', '.join(layers)}")
+    else:
+        import mitsuba as mi
+
+        try:
+            bitmap = mi.Bitmap(str(path))
+            # Conversion to Float32 undoes the sRGB curve where the file has it.
+            pixels = np.array(bitmap.convert(component_format=mi.Struct.Type.Float32, srgb_gamma=False))
+        except RuntimeError:
+            raise SceneError(f"'{path}' is not a picture that can be read; use OpenEXR, PNG, JPEG or HDR") from None
+        pixels = pixels[:, :, None] if pixels.ndim == 2 else pixels
+    if pixels.shape[2] < 3:
+        pixels = np.repeat(pixels[:, :, :1], 3, axis=2)
+    return np.ascontiguousarray(pixels[:, :, :3], dtype=np.float32)
+
+
+def _suffixes(name: str, count: int, path: str | os.PathLike[str]) -> str:
+    if count == 1:
+        return "Z" if name in _DEPTH_LAYERS else "Y"
+    if count == 3:
+        return "XYZ" if name in _VECTOR_LAYERS else "RGB"
+    if count == 4:
+        return "RGBA"
+    raise OutputError(f"cannot write '{path}': layer '{name}' has {count} channels; 1, 3 or 4 can be stored")
+
+
+def _encode(value: Any) -> str:
+    """Text stays as it is unless it could be taken for JSON."""
+    if isinstance(value, str):
+        try:
+            json.loads(value)
+        except ValueError:
+            return value
+    return json.dumps(value, sort_keys=True, default=_plain, ensure_ascii=False)
+
+
+def _decode(text: Any) -> Any:
+    if not isinstance(text, str):
+        return text
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    return str(value)
+
+
+def _own_version() -> str:
+    try:
+        return version("etendue")
+    except PackageNotFoundError:
+        return ""
+
+
+def _check_readable(path: str | os.PathLike[str]) -> None:
+    if not Path(path).is_file():
+        raise SceneError(f"there is no picture '{path}'; check the path")
+
+
+def _is_exr(path: str | os.PathLike[str]) -> bool:
+    try:
+        with open(path, "rb") as file:
+            return file.read(4) == _EXR_MAGIC
+    except OSError as error:
+        raise SceneError(f"'{path}' cannot be read: {error.strerror}") from None

@@ -1,0 +1,93 @@
+"""Closed forms of the error measures."""
+
+import numpy as np
+import pytest
+
+from etendue.core import OptionError
+from etendue.film import ErrorHistory, block_average, relative_bias, relative_mse, relative_squared_error, rmse
+
+
+def test_relative_mse_of_a_constant_factor():
+    reference = np.full((6, 5, 3), 2.0)
+    assert relative_mse(1.1 * reference, reference) == pytest.approx(0.2**2 / (4.0 + 0.01))
+    assert relative_mse(reference, reference) == 0.0
+
+
+def test_black_reference_is_bounded_by_the_epsilon():
+    assert relative_mse(np.full((2, 2, 3), 0.1), np.zeros((2, 2, 3))) == pytest.approx(1.0)
+
+
+def test_channels_are_averaged():
+    image, reference = np.ones((1, 1, 3)), np.ones((1, 1, 3))
+    image[0, 0, 1] = 2.0
+    assert relative_mse(image, reference) == pytest.approx(1.0 / 1.01 / 3.0)
+    assert rmse(image, reference) == pytest.approx(np.sqrt(1.0 / 3.0))
+
+
+def test_only_finite_pixels_count():
+    image, reference = np.full((10, 10, 3), 1.5), np.ones((10, 10, 3))
+    expected = relative_mse(image, reference)
+    image[3, 4, 1], reference[7, 7, 0], reference[1, 1] = np.nan, np.inf, np.inf
+    image[1, 1] = np.inf
+    assert relative_mse(image, reference) == pytest.approx(expected)
+    assert rmse(image, reference) == pytest.approx(0.5)
+    assert relative_bias(image, reference) == pytest.approx(0.5)
+    assert np.isnan(relative_squared_error(image, reference)).sum() == 3
+
+
+def test_nothing_finite_is_nan():
+    assert np.isnan(relative_mse(np.full((2, 2, 3), np.nan), np.ones((2, 2, 3))))
+
+
+def test_trim_leaves_out_the_worst_pixels_only():
+    image, reference = np.full((50, 40, 3), 1.1), np.ones((50, 40, 3))
+    plain = relative_mse(image, reference)
+    image[3, 3] = image[17, 2] = 1000.0  # 2 of 2000 pixels are 0.1 %
+    assert relative_mse(image, reference) > 900.0
+    assert relative_mse(image, reference, trim=0.001) == pytest.approx(plain)
+    image[20, 20] = 1000.0
+    assert relative_mse(image, reference, trim=0.001) > 400.0
+
+
+@pytest.mark.parametrize("trim", [-0.1, 1.0, float("nan")])
+def test_trim_out_of_range(trim):
+    with pytest.raises(OptionError, match="trim"):
+        relative_mse(np.ones((2, 2, 3)), np.ones((2, 2, 3)), trim=trim)
+
+
+def test_sizes_must_match():
+    with pytest.raises(OptionError, match=r"4 x 2 x 3.*3 x 2 x 3"):
+        relative_mse(np.ones((2, 4, 3)), np.ones((2, 3, 3)))
+
+
+def test_bias_has_a_sign():
+    reference = np.random.default_rng(1).random((8, 8, 3))
+    assert relative_bias(0.9 * reference, reference) == pytest.approx(-0.1)
+
+
+def test_block_average():
+    image = np.arange(2 * 4 * 3, dtype=float).reshape(2, 4, 3)
+    small = block_average(image, 2)
+    assert small.shape == (1, 2, 3)
+    np.testing.assert_allclose(small[0, 0], image[:2, :2].mean(axis=(0, 1)))
+    np.testing.assert_allclose(small[0, 1], image[:2, 2:].mean(axis=(0, 1)))
+    image[0, 0, 0] = np.inf
+    assert np.isinf(block_average(image, 2)[0, 0, 0]) and np.isfinite(block_average(image, 2)[0, 1]).all()
+    with pytest.raises(OptionError, match="blocks of 3"):
+        block_average(image, 3)
+
+
+def test_history_looks_at_log_spaced_times():
+    reference = np.ones((4, 4, 3))
+    history = ErrorHistory(reference, ratio=1.5)
+    for second in range(1, 1001):
+        history.record(float(second), reference * (1.0 + 1.0 / second))
+    times = np.array([t for t, _ in history.entries])
+    assert times[0] == 1.0 and len(times) < 20
+    assert (times[1:] / times[:-1] >= 1.5).all()
+    np.testing.assert_allclose([e for _, e in history.entries], 1.0 / times**2 / 1.01)
+    assert not history.due(times[-1] + 0.1)
+    assert history.record(1000.5, reference, force=True) == 0.0
+    assert history.entries[-1] == (1000.5, 0.0)
+    with pytest.raises(OptionError, match="reference"):
+        history.record(1e9, np.ones((2, 2, 3)))
