@@ -3,7 +3,6 @@
 .PHONY: help env demo test test-all bench lint clean
 
 BIN := .venv/bin
-# pytest runs in one process per group: Dr.Jit keeps kernels and memory for as long as a process lives.
 PYTEST := $(BIN)/python -m pytest
 
 help: ## this text
@@ -12,7 +11,7 @@ help: ## this text
 
 env: .venv/stamp-dev ## the environment in .venv, with everything for development
 
-.venv/stamp-run: requirements.lock pyproject.toml tools/bootstrap.sh tools/setup_llvm.py
+.venv/stamp-run: requirements.lock pyproject.toml tools/bootstrap.sh tools/setup_native.py
 	@sh tools/bootstrap.sh run
 	@touch $@
 

@@ -2,8 +2,8 @@
 # Make the environment: .venv with the pinned packages and étendue itself, and an LLVM that Dr.Jit can use.
 #   tools/bootstrap.sh run    what the demo needs
 #   tools/bootstrap.sh dev    what the tests need as well
-# As root it installs what the system lacks; otherwise it prints one apt line, except for LLVM, which it can do without
-# (tools/setup_llvm.py unpacks the distribution's package into .venv). The Makefile runs this when a lock file changes.
+# As root it installs what the system lacks; otherwise it prints one apt line for Python and venv, and unpacks the
+# distribution's packages of LLVM into .venv (tools/setup_native.py). The Makefile runs this when a lock file changes.
 set -eu
 cd "$(dirname "$0")/.."
 what=${1:-run}
@@ -55,9 +55,10 @@ if [ ! -x "$venv/bin/python" ] || ! "$venv/bin/python" -c 'import pip' >/dev/nul
     if [ -n "$missing" ]; then
         if has_apt; then
             python=$(find_python)
-            if [ -z "$python" ] || ! "$python" -B tools/setup_llvm.py --check; then missing="$missing libllvm19"; fi
+            native="libllvm19 libatomic1"
+            if [ -n "$python" ]; then native=$("$python" -B tools/setup_native.py --missing); fi
             say "étendue needs Python 3.11 or newer with venv. Run, then make again:" >&2
-            say "    sudo apt-get install -y $missing" >&2
+            say "    sudo apt-get install -y $missing $native" >&2
         else
             say "étendue needs Python 3.11 or newer with the venv module; docs/install.md says where to get it." >&2
         fi
@@ -77,4 +78,4 @@ else
 fi
 pip install --no-deps --no-build-isolation --editable .
 
-"$venv/bin/python" -B tools/setup_llvm.py
+"$venv/bin/python" -B tools/setup_native.py

@@ -1,6 +1,6 @@
 """Ground floor: what every room shares and that knows nothing of rendering."""
 
-from .backend import check_llvm, check_variant, choose_variant, ensure_llvm, set_threads, use_variant
+from .backend import check_imports, check_llvm, check_variant, choose_variant, ensure_llvm, set_threads, use_variant
 from .errors import (
     BackendError,
     CheckpointError,
@@ -29,6 +29,7 @@ __all__ = [
     "SceneError",
     "Settings",
     "UnsupportedError",
+    "check_imports",
     "check_llvm",
     "check_variant",
     "choose_variant",

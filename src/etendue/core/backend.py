@@ -10,7 +10,6 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from pathlib import Path
 from typing import Any
 
 from . import llvm
@@ -45,9 +44,25 @@ def ensure_llvm() -> None:
         return
     named = os.environ.get(llvm.VARIABLE)
     if named:
-        llvm.load_neighbours(Path(named))  # the variable is inherited from a parent process, what that loaded is not
+        llvm.load_private()  # a child process inherits the variable, but not what its parent has loaded
     elif (library := llvm.load_usable()) is not None:
         os.environ[llvm.VARIABLE] = str(library.path)
+
+
+def check_imports() -> None:
+    """Import Dr.Jit and Mitsuba; raise :class:`BackendError` with the cause if a library they need is missing."""
+    try:
+        import drjit  # noqa: F401
+        import mitsuba  # noqa: F401
+    except Exception as error:
+        # Dr.Jit hides the linker's message behind an error of its own.
+        cause: BaseException = error
+        while cause.__context__ is not None:
+            cause = cause.__context__
+        remedy = "etendue doctor and docs/install.md say what they need"
+        if "libatomic" in str(cause):
+            remedy = "sudo apt-get install -y libatomic1"
+        raise BackendError(f"Dr.Jit or Mitsuba cannot be loaded ({cause}): {remedy}") from error
 
 
 def llvm_version() -> tuple[int, int, int] | None:

@@ -2,7 +2,7 @@
 
 Dr.Jit 1.5 loads LLVM while ``drjit`` is being imported: the library that ``DRJIT_LIBLLVM_PATH`` names, else one called
 plainly ``libLLVM.so``, else the newest in a few directories. A version below 17 kills the process inside the first
-kernel. So the library is looked for here, earlier and in more places; ``tools/setup_llvm.py`` runs the same search
+kernel. So the library is looked for here, earlier and in more places; ``tools/setup_native.py`` runs the same search
 before anything is installed.
 """
 
@@ -45,8 +45,8 @@ class Library:
 
 
 def private_directory(prefix: str = sys.prefix) -> Path:
-    """Where ``tools/setup_llvm.py`` unpacks a library that could not be installed system-wide."""
-    return Path(prefix) / "llvm"
+    """Where ``tools/setup_native.py`` puts libraries that could not be installed system-wide."""
+    return Path(prefix) / "native" / "lib"
 
 
 def find() -> list[Library]:
@@ -65,11 +65,11 @@ def find() -> list[Library]:
 
 def load_usable() -> Library | None:
     """The best usable library that the dynamic linker accepts, or ``None``. Loads it, as Dr.Jit is about to."""
+    load_private()
     for library in find():
         if not library.usable:
             return None
         try:
-            load_neighbours(library.path)
             ctypes.CDLL(str(library.path))
         except OSError:
             continue  # another processor's, or a library it needs is missing
@@ -101,21 +101,22 @@ def _ask(path: Path) -> int:
         return 0  # LLVMGetVersion came with 16: a library without it is too old
 
 
-def load_neighbours(path: Path) -> None:
-    """Load what was unpacked next to the environment's own LLVM ``path``: the linker then finds it by name.
+def load_private() -> None:
+    """Load what :func:`private_directory` holds besides LLVM, what LLVM and Dr.Jit depend on.
 
-    Does nothing for a library from elsewhere.
+    The linker knows a library that is loaded already by its name, and so does not look for it where it is not.
     """
-    if private_directory() not in path.parents:
+    directory = private_directory()
+    if not directory.is_dir():
         return
-    pending = [p for p in sorted(path.parent.iterdir()) if ".so" in p.name and not p.name.startswith("libLLVM")]
+    pending = [path for path in sorted(directory.iterdir()) if not path.name.startswith("libLLVM")]
     while pending:
         refused = []
-        for neighbour in pending:
+        for path in pending:
             try:
-                ctypes.CDLL(str(neighbour), mode=ctypes.RTLD_GLOBAL)
+                ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
             except OSError:
-                refused.append(neighbour)  # perhaps it needs one that comes later
+                refused.append(path)  # perhaps it needs one that comes later
         if len(refused) == len(pending):
             return
         pending = refused
@@ -133,7 +134,7 @@ def _candidates() -> Iterator[Path]:
 
 
 def _directories() -> Iterator[Path]:
-    yield private_directory() / "lib"
+    yield private_directory()
     yield Path(sys.prefix) / "lib"  # a conda environment's own
     if sys.platform == "darwin":
         for root in ("/opt/homebrew", "/usr/local"):
