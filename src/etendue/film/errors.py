@@ -128,4 +128,4 @@ def _size(x: Array) -> str:
 
 
 def _finite(x: Array, ref: Array) -> NDArray[np.bool_]:
-    return np.isfinite(x).all(axis=2) & np.isfinite(ref).all(axis=2)
+    return np.asarray((np.isfinite(x) & np.isfinite(ref)).all(axis=2))

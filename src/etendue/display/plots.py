@@ -1,0 +1,174 @@
+"""Convergence plots as inline SVG: log-log, readable in light and dark, without colour, and by a screen reader."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+#: Distinct for most kinds of colour blindness (Okabe and Ito); a page may redefine them as ``--series-1`` and so on.
+_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#aa4499", "#7a6a00", "#56b4e9")
+_DASHES = ("", "7 3", "2 3", "9 3 2 3", "4 2", "1 2")
+
+
+@dataclass(frozen=True)
+class Series:
+    """A named curve; points are (x, y), both positive. Others are left out of the plot."""
+
+    name: str
+    points: Sequence[tuple[float, float]]
+
+    def drawable(self) -> list[tuple[float, float]]:
+        """The points that a logarithmic plot can show."""
+        return [(x, y) for x, y in self.points if x > 0.0 and y > 0.0 and math.isfinite(x) and math.isfinite(y)]
+
+
+@dataclass(frozen=True)
+class _LogAxis:
+    low: float
+    high: float
+    start: float  # pixel of low
+    end: float  # pixel of high
+
+    def __call__(self, value: float) -> float:
+        share = math.log(value / self.low) / math.log(self.high / self.low)
+        return self.start + share * (self.end - self.start)
+
+    def ticks(self) -> list[tuple[float, bool]]:
+        """(value, labelled) at the decades, and at their 2 and 5 where there are few of them."""
+        first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
+        decades = math.log10(self.high / self.low)
+        steps = (1, 2, 5) if decades < 2.5 else (1,)
+        every = 1 if decades <= 6 else 2
+        found = []
+        for exponent in range(first, last + 1):
+            for step in range(1, 10):
+                value = step * 10.0**exponent
+                if self.low * (1 - 1e-9) <= value <= self.high * (1 + 1e-9):
+                    found.append((value, step in steps and exponent % every == 0))
+        return found
+
+
+def convergence_plot(
+    series: Sequence[Series],
+    *,
+    width: int = 720,
+    height: int = 400,
+    x_label: str = "seconds",
+    y_label: str = "relMSE",
+    title: str = "Error over time",
+) -> str:
+    """Error over time, both logarithmic, as one ``<svg>`` element; an empty string if no series has a point.
+
+    Text takes the colour of its surroundings (``currentColor``), so the plot fits a light and a dark page. A thin line
+    shows the slope of an unbiased estimator, whose squared error falls as 1/t.
+    """
+    curves = [(index, s.name, points) for index, s in enumerate(series) if (points := s.drawable())]
+    if not curves:
+        return ""
+    left, right, top, bottom = 62.0, 14.0, 14.0, 44.0
+    x_axis = _axis([x for _, _, points in curves for x, _ in points], left, width - right)
+    y_axis = _axis([y for _, _, points in curves for _, y in points], height - bottom, top)
+    parts = _frame(x_axis, y_axis, x_label, y_label)
+    parts += _slope_guide(x_axis, y_axis, curves[0][2])
+    for index, name, points in curves:
+        parts.append(_curve(index, name, [(x_axis(x), y_axis(y)) for x, y in points]))
+    parts += _legend([(index, name) for index, name, _ in curves], width - right - 8.0, top + 8.0)
+    ends = "; ".join(f"{name}: {points[-1][1]:.3g} after {points[-1][0]:.3g} s" for _, name, points in curves)
+    return (
+        f'<svg class="plot" viewBox="0 0 {width} {height}" role="img" aria-label="{escape(f"{title}. {ends}.")}" '
+        f'font-family="inherit" font-size="13" fill="currentColor">{"".join(parts)}</svg>'
+    )
+
+
+def _axis(values: list[float], start: float, end: float) -> _LogAxis:
+    low, high = min(values), max(values)
+    margin = max((high / low) ** 0.06, 1.25)
+    return _LogAxis(low / margin, high * margin, start, end)
+
+
+def _frame(x_axis: _LogAxis, y_axis: _LogAxis, x_label: str, y_label: str) -> list[str]:
+    x0, x1, y0, y1 = x_axis.start, x_axis.end, y_axis.start, y_axis.end
+    parts = []
+    for value, labelled in x_axis.ticks():
+        x = x_axis(value)
+        parts.append(_line(x, y0, x, y1, 0.14 if labelled else 0.06))
+        if labelled:
+            parts.append(_text(x, y0 + 18, _number(value), "middle"))
+    for value, labelled in y_axis.ticks():
+        y = y_axis(value)
+        parts.append(_line(x0, y, x1, y, 0.14 if labelled else 0.06))
+        if labelled:
+            parts.append(_text(x0 - 8, y + 4, _number(value), "end"))
+    parts.append(_line(x0, y0, x1, y0, 0.6) + _line(x0, y0, x0, y1, 0.6))
+    parts.append(_text((x0 + x1) / 2, y0 + 37, x_label, "middle"))
+    middle = (y0 + y1) / 2
+    parts.append(f'<g transform="rotate(-90 14 {middle:.1f})">{_text(14, middle + 4, y_label, "middle")}</g>')
+    return parts
+
+
+def _slope_guide(x_axis: _LogAxis, y_axis: _LogAxis, points: list[tuple[float, float]]) -> list[str]:
+    """A line of slope -1 through the lower left of the frame, clipped to it."""
+    if len(points) < 2:
+        return []
+    product = y_axis.low * x_axis.low * (y_axis.high / y_axis.low) ** 0.42
+    x_low = max(x_axis.low, product / y_axis.high)
+    x_high = min(x_axis.high, product / y_axis.low)
+    if not x_low < x_high:
+        return []
+    x0, y0, x1, y1 = x_axis(x_low), y_axis(product / x_low), x_axis(x_high), y_axis(product / x_high)
+    return [
+        f'<path d="M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}" stroke="currentColor" stroke-opacity=".45" '
+        'stroke-dasharray="1 4" stroke-linecap="round" fill="none"/>',
+        f'<g fill-opacity=".65" font-size="12">{_text(x0 + 7, y0 + 16, "slope of 1/t", "start")}</g>',
+    ]
+
+
+def _curve(index: int, name: str, points: list[tuple[float, float]]) -> str:
+    path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
+    dots = "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.6"/>' for x, y in points)
+    dash = _DASHES[index % len(_DASHES)]
+    return (
+        f'<g style="stroke:{_colour(index)};fill:{_colour(index)}"><title>{escape(name)}</title>'
+        f'<path d="{path}" fill="none" stroke-width="2"{f" stroke-dasharray={chr(34)}{dash}{chr(34)}" if dash else ""}/>'
+        f'<g stroke="none">{dots}</g></g>'
+    )
+
+
+def _legend(entries: list[tuple[int, str]], right: float, top: float) -> list[str]:
+    parts = []
+    for row, (index, name) in enumerate(entries):
+        y = top + 20.0 * row + 6.0
+        dash = _DASHES[index % len(_DASHES)]
+        parts.append(
+            f'<path d="M{right - 30:.0f} {y:.0f}h30" style="stroke:{_colour(index)}" stroke-width="2.5"'
+            + (f' stroke-dasharray="{dash}"' if dash else "")
+            + "/>"
+        )
+        parts.append(_text(right - 38, y + 4, name, "end"))
+    return parts
+
+
+def _colour(index: int) -> str:
+    slot = index % len(_COLOURS)
+    return f"var(--series-{slot + 1}, {_COLOURS[slot]})"
+
+
+def _line(x0: float, y0: float, x1: float, y1: float, opacity: float) -> str:
+    d = f"M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}"
+    return f'<path d="{d}" stroke="currentColor" stroke-opacity="{opacity}"/>'
+
+
+def _text(x: float, y: float, text: str, anchor: str) -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
+
+
+def _number(value: float) -> str:
+    """1000, 0.05, 10^-4 (superscript by Unicode)."""
+    if 1e-3 <= value < 1e5:
+        return f"{value:g}"
+    exponent = math.floor(math.log10(value) + 1e-9)
+    lead = round(value / 10.0**exponent)
+    power = "10" + str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return power if lead == 1 else f"{lead}·{power}"
