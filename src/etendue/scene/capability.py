@@ -1,0 +1,160 @@
+"""The capability check: what the methods can render correctly, asked of a scene before the first ray.
+
+Anything else raises one error that names the element and says what to use instead; nothing is approximated silently.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import SceneError, UnsupportedError, check_variant
+
+from .graph import below, contents, describe, plugin_name, shapes
+
+_SENSORS = ("perspective", "thinlens")
+_EMITTERS = ("area", "point", "spot", "constant", "envmap")
+#: Shapes whose ``sample_position`` is uniform in area, besides meshes.
+_UNIFORM_SHAPES = ("rectangle", "disk", "sphere", "cylinder")
+
+_SENSOR_REMEDY = "use a 'perspective' or 'thinlens' sensor"
+_NULL_REMEDY = {
+    "mask": "model the cut-out as geometry, or remove the mask",
+    "null": "remove the shape or give it another material",
+    "thindielectric": "use 'dielectric' on a closed, thick pane, or remove the pane",
+    "hair": "use 'roughplastic' or 'principled'",
+}
+_EMITTER_REMEDY = {
+    "directional": "use a small bright 'area' disc far away, or an 'envmap' with a bright pixel",
+    "directionalarea": "use an 'area' or a 'spot' emitter",
+    "projector": "use a 'spot' emitter, or a textured 'area' emitter",
+    "sunsky": "bake it into an 'envmap'",
+    "timed_sunsky": "bake it into an 'envmap'",
+}
+
+
+def check(scene: Any, sensor: Any) -> None:
+    """Raise :class:`UnsupportedError` or :class:`SceneError` if ``scene`` cannot be rendered through ``sensor``.
+
+    Supported are perspective and thin-lens sensors; area, point, spot, constant and environment-map emitters, area
+    emitters on meshes, rectangles, discs, spheres and cylinders; every RGB BSDF without a null component; textures.
+    Broken input (a NaN vertex or radiance, no emitter, an index beyond the vertices) is a :class:`SceneError`. Raises
+    :class:`BackendError` under a Mitsuba variant that is not supported.
+    """
+    check_variant(scene.variant_name())
+    _check_sensor(sensor)
+    every_shape = shapes(scene)
+    for shape in every_shape:
+        _check_shape(shape)
+    if not scene.emitters():
+        raise SceneError("the scene has no emitter, so every picture would be black; add one, such as 'constant'")
+    for emitter in scene.emitters():
+        _check_emitter(emitter)
+
+
+def _check_sensor(sensor: Any) -> None:
+    name = describe(sensor, "sensor")
+    if plugin_name(sensor) not in _SENSORS:
+        raise UnsupportedError(f"{name} is not supported; {_SENSOR_REMEDY}")
+    if sensor.get_medium() is not None:
+        raise UnsupportedError(f"{name} sits in a participating medium, which is not supported; remove the medium")
+    film = sensor.film()
+    if plugin_name(film) != "hdrfilm":
+        raise UnsupportedError(f"{describe(film, 'film')} is not supported; use 'hdrfilm'")
+    _check_values(sensor, name)
+
+
+def _check_shape(shape: Any) -> None:
+    import mitsuba as mi
+
+    name = describe(shape, "shape")
+    if shape.interior_medium() is not None or shape.exterior_medium() is not None:
+        raise UnsupportedError(
+            f"{name} bounds a participating medium, which is not supported; remove its interior and exterior medium"
+        )
+    values = dict(contents(shape).values)
+    if "vertex_positions" in values:
+        _check_mesh(shape, values, name)
+    else:
+        _check_values(shape, name)
+    bsdf = shape.bsdf()
+    if bsdf is not None:
+        for node in below(bsdf):
+            if isinstance(node, mi.BSDF):
+                _check_bsdf(node, name)
+            _check_values(node, f"{describe(node, 'material' if isinstance(node, mi.BSDF) else 'texture')} of {name}")
+    if shape.is_emitter() and "vertex_positions" not in values and plugin_name(shape) not in _UNIFORM_SHAPES:
+        raise UnsupportedError(
+            f"{name} cannot carry an emitter; emit from a mesh or from: {', '.join(_UNIFORM_SHAPES)}"
+        )
+    if shape.is_emitter() and not float(np.asarray(shape.surface_area()).ravel()[0]) > 0:
+        raise SceneError(f"{name} emits light but has no area; remove it or mend its geometry")
+
+
+def _check_bsdf(bsdf: Any, shape: str) -> None:
+    import mitsuba as mi
+
+    if not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null):
+        return
+    # A wrapper inherits the flag from what it wraps: blame the innermost.
+    inner = [b for _, b in contents(bsdf).objects if isinstance(b, mi.BSDF)]
+    if plugin_name(bsdf) not in _NULL_REMEDY and any(mi.has_flag(b.flags(), mi.BSDFFlags.Null) for b in inner):
+        return
+    remedy = _NULL_REMEDY.get(plugin_name(bsdf), "use another material")
+    raise UnsupportedError(
+        f"{describe(bsdf, 'material')} on {shape} lets light pass unbent (a null component), which is not supported; "
+        f"{remedy}"
+    )
+
+
+def _check_emitter(emitter: Any) -> None:
+    import mitsuba as mi
+
+    kind, name = plugin_name(emitter), describe(emitter, "emitter")
+    shape = emitter.get_shape()
+    if shape is not None and mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface):
+        name += f" on {describe(shape, 'shape')}"
+    if kind not in _EMITTERS:
+        remedy = _EMITTER_REMEDY.get(kind, "use one of: " + ", ".join(_EMITTERS))
+        raise UnsupportedError(f"{name} is not supported; {remedy}")
+    if emitter.get_medium() is not None:
+        raise UnsupportedError(f"{name} sits in a participating medium, which is not supported; remove the medium")
+    for node in below(emitter):
+        _check_values(node, name)
+
+
+def _check_values(item: Any, name: str) -> None:
+    """Every number that the object shows must be finite."""
+    for key, value in contents(item).values:
+        array = _floats(value)
+        if array is not None and not np.isfinite(array).all():
+            raise SceneError(f"{name} has a NaN or infinite value in '{key}'; correct it in the scene")
+
+
+def _check_mesh(mesh: Any, values: dict[str, Any], name: str) -> None:
+    for key in ("vertex_positions", "vertex_normals", "vertex_texcoords"):
+        array = _floats(values.get(key))
+        if array is not None and not np.isfinite(array).all():
+            width = 2 if key == "vertex_texcoords" else 3
+            vertex = int(np.flatnonzero(~np.isfinite(array))[0]) // width
+            raise SceneError(f"{name} has a NaN or infinite number in {key} of vertex {vertex}; mend the mesh")
+    faces = np.asarray(values["faces"])
+    if faces.size == 0:
+        raise SceneError(f"{name} has no faces; remove it or mend the mesh")
+    if int(faces.max()) >= mesh.vertex_count():
+        face = int(np.argmax(faces >= mesh.vertex_count())) // 3
+        raise SceneError(
+            f"{name} has a face ({face}) that names vertex {int(faces.max())} of {mesh.vertex_count()}; mend the mesh"
+        )
+
+
+def _floats(value: Any) -> NDArray[np.floating[Any]] | None:
+    """``value`` as a float array, ``None`` if it is of another kind."""
+    if value is None or isinstance(value, (str, bool)):
+        return None
+    if hasattr(value, "matrix"):  # transforms
+        value = value.matrix
+    array = np.asarray(value)
+    return array if array.dtype.kind == "f" else None

@@ -1,0 +1,95 @@
+"""A digest of what a scene shows: equal for one scene in every process, different once a parameter changes.
+
+It walks the scene graph as ``mi.traverse`` does and hashes names, values and class names from the leaves up. Names
+given to objects, paths of files and addresses stay out; shapes and emitters enter as a sorted multiset, as Mitsuba's
+mesh merging orders them by address.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from typing import Any
+
+import numpy as np
+
+from .graph import contents, shapes
+
+#: Lines of an object's description that do not tell what it looks like: file names, and a mean summed on the device.
+_VOLATILE = re.compile(r"^\s*(name|filename|mean) = .*$", re.MULTILINE)
+#: Values that only steer other integrators.
+_IGNORED = {"silhouette_sampling_weight", "allow_thread_reordering"}
+
+
+def fingerprint(scene: Any, sensor: Any, extra: str = "") -> str:
+    """Hex digest (32 characters) of every shape, material, texture and emitter of ``scene`` and of ``sensor``.
+
+    ``extra`` is hashed as well: what the loader knows and the loaded scene does not show. The sampler and the sample
+    count do not enter.
+    """
+    digests: dict[Any, bytes] = {}
+    every_shape = shapes(scene)
+    parts = sorted(_digest(s, digests) for s in every_shape)
+    parts += sorted(_digest(e, digests) for e in scene.emitters())
+    parts.append(_sensor_digest(sensor))
+    parts.append(extra.encode())
+    return _hash(parts).hex()
+
+
+def _hash(parts: list[bytes]) -> bytes:
+    h = hashlib.blake2b(digest_size=16)
+    for part in parts:
+        h.update(len(part).to_bytes(8, "little"))  # lengths keep neighbouring parts apart
+        h.update(part)
+    return h.digest()
+
+
+def _digest(item: Any, digests: dict[Any, bytes]) -> bytes:
+    import mitsuba as mi
+
+    known = digests.get(item)
+    if known is not None:
+        return known
+    inside = contents(item)
+    parts = [str(item.class_name()).encode()]
+    for name, value in inside.values:
+        if name not in _IGNORED:
+            parts += [name.encode(), _bytes(value)]
+    for role, child in inside.objects:
+        # Shapes name their parts by role; a shape group by id, which a scene may change freely.
+        parts += [b"" if isinstance(child, mi.Shape) else role.encode(), _digest(child, digests)]
+    if isinstance(item, mi.Shape):
+        if isinstance(item, mi.Mesh):
+            parts.append(bytes([item.has_face_normals(), item.has_flipped_normals()]))
+    elif not isinstance(item, mi.Emitter):
+        parts.append(_description(item))
+    result = _hash(parts)
+    digests[item] = result
+    return result
+
+
+def _sensor_digest(sensor: Any) -> bytes:
+    film = sensor.film()
+    parts = [str(sensor.class_name()).encode(), _description(film.rfilter()), bytes([film.sample_border()])]
+    for item in (sensor, film):
+        for name, value in contents(item).values:
+            parts += [name.encode(), _bytes(value)]
+    return _hash(parts)
+
+
+def _description(item: Any) -> bytes:
+    """An object's own text: it tells settings that ``traverse`` keeps to itself, such as a microfacet distribution."""
+    try:
+        text = str(item)
+    except Exception:  # a Python plugin without to_string cannot be printed
+        text = type(item).__name__
+    return _VOLATILE.sub("", text).encode()
+
+
+def _bytes(value: Any) -> bytes:
+    if isinstance(value, (bool, int, float, str)):
+        return repr(value).encode()
+    if hasattr(value, "matrix"):
+        value = value.matrix
+    array = np.ascontiguousarray(np.asarray(value))
+    return str((array.shape, array.dtype.str)).encode() + array.tobytes()

@@ -1,0 +1,132 @@
+"""Walking a Mitsuba scene graph: what every object holds, and what to call it when it is to blame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+#: C++ class names whose plugin name is not found by lowering the case.
+_PLUGIN_NAMES = {
+    "SmoothDiffuse": "diffuse",
+    "SmoothConductor": "conductor",
+    "SmoothDielectric": "dielectric",
+    "SmoothPlastic": "plastic",
+    "MaskBSDF": "mask",
+    "TwoSidedBRDF": "twosided",
+    "LinearPolarizer": "polarizer",
+    "CircularPolarizer": "circular",
+    "LinearRetarder": "retarder",
+    "PolarizedPlastic": "pplastic",
+    "MeasuredPolarized": "measured_polarized",
+    "AreaLight": "area",
+    "PointLight": "point",
+    "SpotLight": "spot",
+    "ConstantBackgroundEmitter": "constant",
+    "EnvironmentMapEmitter": "envmap",
+    "DirectionalEmitter": "directional",
+    "SunskyEmitter": "sunsky",
+    "TimedSunskyEmitter": "timed_sunsky",
+    "PerspectiveCamera": "perspective",
+    "ThinLensCamera": "thinlens",
+    "OrthographicCamera": "orthographic",
+    "BatchSensor": "batch",
+    "DistantSensor": "distant",
+    "DistantSensorImpl": "distant",
+    "PLYMesh": "ply",
+    "OBJMesh": "obj",
+    "SerializedMesh": "serialized",
+    "ShapeGroupPlugin": "shapegroup",
+    "HomogeneousMedium": "homogeneous",
+    "HeterogeneousMedium": "heterogeneous",
+    "PathIntegrator": "path",
+    "DirectIntegrator": "direct",
+    "ParticleTracerIntegrator": "ptracer",
+    "VolumetricPathIntegrator": "volpath",
+    "VolumetricMisPathIntegrator": "volpathmis",
+}
+
+
+@dataclass
+class Contents:
+    """What one object shows to ``mi.traverse``: plain values, and objects below it, in the object's own order."""
+
+    values: list[tuple[str, Any]] = field(default_factory=list)
+    objects: list[tuple[str, Any]] = field(default_factory=list)
+
+
+@lru_cache(maxsize=8)
+def _collector(variant: str) -> type:
+    # A class per variant, as Mitsuba's types exist only once a variant is set.
+    import mitsuba as mi
+
+    class Collector(mi.TraversalCallback):
+        def __init__(self, owner: Any) -> None:
+            super().__init__()
+            self.owner = owner
+            self.contents = Contents()
+
+        def put(self, name: str, value: Any, flags: Any, cpptype: Any = None) -> None:
+            if isinstance(value, mi.Object):
+                self.contents.objects.append((name, value))
+            elif value is not None:
+                if cpptype is not None:
+                    value = mi.get_property(value, cpptype, self.owner)
+                self.contents.values.append((name, value))
+
+    return Collector
+
+
+def contents(item: Any) -> Contents:
+    """The direct contents of a Mitsuba object."""
+    import mitsuba as mi
+
+    collector = _collector(mi.variant())(item)
+    item.traverse(collector)
+    return collector.contents
+
+
+def below(item: Any) -> Iterator[Any]:
+    """Every object under ``item``, each once, parents before children; ``item`` itself first."""
+    seen: set[int] = set()
+    keep = []  # wrappers must outlive the walk, or another object could reuse an id()
+    stack = [item]
+    while stack:
+        node = stack.pop()
+        if id(node) in seen:
+            continue
+        seen.add(id(node))
+        keep.append(node)
+        yield node
+        stack.extend(child for _, child in reversed(contents(node).objects))
+
+
+def shapes(scene: Any) -> list[Any]:
+    """Every shape of a scene, those inside shape groups included."""
+    import mitsuba as mi
+
+    found = list(scene.shapes())
+    for _, child in contents(scene).objects:
+        if isinstance(child, mi.Shape) and child not in found:
+            found.extend(s for s in below(child) if isinstance(s, mi.Shape) and s not in found)
+    return found
+
+
+def plugin_name(item: Any) -> str:
+    """The name by which a scene file asks for this object, such as ``roughconductor``."""
+    own = getattr(item, "plugin_name", None)  # Python plugins may say it themselves
+    if isinstance(own, str):
+        return own
+    name = str(item.class_name()).split("[")[0]
+    if type(item).__name__.endswith("Integrator") and name == "SamplingIntegrator":
+        name = type(item).__name__  # Mitsuba's Python integrators
+    return _PLUGIN_NAMES.get(name, name.removesuffix("Integrator").lower())
+
+
+def describe(item: Any, role: str) -> str:
+    """``role 'id' (type plugin)``, without the id where the scene gave none."""
+    own = str(item.id())
+    unnamed = not own or own.startswith(("_unnamed", "_arg_", "__root__"))
+    kind = plugin_name(item)
+    return f"{role} of type '{kind}'" if unnamed else f"{role} '{own}' of type '{kind}'"

@@ -1,0 +1,299 @@
+"""Loading scenes: Mitsuba XML of any version, dictionaries, loaded scenes and the bundled ones become a Problem.
+
+XML and dictionaries go through Mitsuba's own parser in steps, so that the film can be resized before anything is
+built and an integrator that does not exist here can be left out: the caller chooses the method.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Callable, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from etendue.core import OptionError, SceneError, use_variant
+
+from .bundled import bundled
+from .capability import check as check_scene
+from .graph import contents, plugin_name
+from .parsing import (
+    Size,
+    built_integrator,
+    check_films,
+    merge_meshes,
+    resize,
+    scaled_window,
+    take_integrator,
+    texture_details,
+)
+from .problem import Problem
+
+
+def load(
+    source: Any,
+    *,
+    size: Size | None = None,
+    sensor: int = 0,
+    parameters: Mapping[str, Any] | None = None,
+    memory: int | None = None,
+    check: bool = True,
+) -> Problem:
+    """Load a scene and return the problem of seeing it through one of its sensors.
+
+    ``source`` is the path of a Mitsuba XML file, the name of a bundled scene, a scene dictionary or a loaded
+    ``mi.Scene``. ``size`` (width, height) replaces the film's size, and a crop window keeps its proportions; field of
+    view and ``fov_axis`` mean what they would mean had the file named that size (a loaded scene has forgotten its
+    ``fov_axis``: its horizontal field of view is kept). A loaded scene is not changed. ``sensor`` is an index into the
+    scene's sensors. ``parameters`` gives values to ``$variables`` of an XML file. The scene's integrator is reported,
+    not built. Without ``check`` unsupported elements are let through.
+
+    Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for what cannot be read or is broken,
+    :class:`UnsupportedError` for what cannot be rendered, :class:`OptionError` for arguments out of range.
+    """
+    import mitsuba as mi
+
+    use_variant()
+    if size is not None:
+        size = _checked_size(size)
+    if memory is not None and memory <= 0:
+        raise OptionError(f"a memory bound must be above zero bytes, not {memory}")
+    is_scene = type(source).__name__ == "Scene" and hasattr(source, "sensors")
+    no_variables = OptionError("parameters replace $variables of an XML file; this scene is none")
+    if parameters and (is_scene or isinstance(source, Mapping)):
+        raise no_variables
+    if is_scene:
+        return _from_scene(source, size, sensor, memory, check)
+    if isinstance(source, Mapping):
+        dictionary = dict(source)
+        return _from_parser(lambda c: mi.parser.parse_dict(c, dictionary), "<dict>", None, size, sensor, memory, check)
+    path, build = _find(str(source))
+    if build is not None:
+        if parameters:
+            raise no_variables
+        built = build()
+        return _from_parser(lambda c: mi.parser.parse_dict(c, built), str(source), None, size, sensor, memory, check)
+    values = {str(k): str(v) for k, v in (parameters or {}).items()}
+    return _from_parser(
+        lambda c: mi.parser.parse_file(c, str(path), **values), str(source), path, size, sensor, memory, check
+    )
+
+
+def _find(name: str) -> tuple[Path, Callable[[], dict[str, Any]] | None]:
+    """A file, or the builder of a bundled scene; a file wins."""
+    path = Path(name)
+    scenes = bundled()
+    if path.is_file():
+        if path.suffix.lower() not in (".xml", ""):
+            raise SceneError(f"'{name}' is not a Mitsuba scene file; give an .xml file or a bundled scene")
+        return path, None
+    if path.is_dir():
+        raise SceneError(f"'{name}' is a folder; name the scene file in it, such as {path / 'scene.xml'}")
+    if name in scenes:
+        return path, scenes[name].build
+    close = difflib.get_close_matches(name, scenes, n=1)
+    hint = f"did you mean '{close[0]}'?" if close else f"bundled scenes: {', '.join(scenes)}"
+    raise SceneError(f"there is no scene file '{name}', and no bundled scene of that name; {hint}")
+
+
+def _checked_size(size: Any) -> Size:
+    try:
+        width, height = (int(v) for v in size)
+    except (TypeError, ValueError):
+        raise OptionError(f"a size is (width, height) in pixels, not {size!r}") from None
+    if width < 1 or height < 1:
+        raise OptionError(f"a picture needs at least one pixel a side, not {width}x{height}")
+    return width, height
+
+
+# -- XML and dictionaries --------------------------------------------------------------------------------------------
+
+
+def _from_parser(
+    parse: Callable[[Any], Any],
+    name: str,
+    path: Path | None,
+    size: Size | None,
+    sensor: int,
+    memory: int | None,
+    check: bool,
+) -> Problem:
+    import mitsuba as mi
+
+    config = mi.parser.ParserConfig(mi.variant())
+    with _resolving(path), _mitsuba_errors(name):
+        state = parse(config)
+        mi.parser.transform_upgrade(config, state)
+        mi.parser.transform_resolve(config, state)
+        if state.root.type != mi.ObjectType.Scene:
+            raise SceneError(f"{name} describes a '{state.root.props.plugin_name()}', not a scene")
+        integrator, depth, options = take_integrator(state)
+        if size is not None:
+            resize(state, size)
+        check_films(state, name)
+        details = texture_details(state)
+        mi.parser.transform_merge_equivalent(config, state)
+        unmerged = mi.parser.ParserState(state)
+        merge_meshes(state)
+        scene = mi.parser.instantiate(config, state)
+
+    chosen = _sensor(scene, sensor, name)
+    if check:
+        try:
+            check_scene(scene, chosen)
+        except SceneError:
+            # Merged meshes have lost their names: look again where they have them, so that the error names the element.
+            with _resolving(path), _mitsuba_errors(name):
+                scene = mi.parser.instantiate(config, unmerged)
+            check_scene(scene, _sensor(scene, sensor, name))
+            raise
+    return _problem(scene, chosen, integrator, depth, options, name, memory, details)
+
+
+@contextmanager
+def _resolving(path: Path | None) -> Any:
+    """Mitsuba looks for textures and meshes beside the scene file, and only while it is being loaded."""
+    import mitsuba as mi
+
+    before = mi.file_resolver()
+    resolver = mi.FileResolver(before)
+    if path is not None:
+        resolver.prepend(str(path.parent))
+    mi.set_file_resolver(resolver)
+    try:
+        yield
+    finally:
+        mi.set_file_resolver(before)
+
+
+@contextmanager
+def _mitsuba_errors(name: str) -> Any:
+    """Turn what Mitsuba raises into one line that says what to do."""
+    try:
+        yield
+    except SceneError:
+        raise
+    except (RuntimeError, ValueError, TypeError, KeyError) as error:
+        text = re.sub(r"\[\w+\.(cpp|h|inl):\d+\]\s*", "", str(error))
+        text = re.sub(r"\s+", " ", text).strip().rstrip(".")
+        if "unused parameters" in text:
+            raise OptionError(f"{name} has no such $variable: {text.split(':', 1)[-1].strip(' -')}") from error
+        raise SceneError(f"{text if name in text else f'{name}: {text}'}; {_remedy(text)}") from error
+
+
+def _remedy(text: str) -> str:
+    for pattern, remedy in (
+        ("undefined parameter", "give it a value with parameters, or add a <default> to the file"),
+        ("unresolved reference", "correct the reference"),
+        ("not found!|No such file|does not exist", "correct the name, or put the file there"),
+        ("unreferenced propert", "correct or remove it"),
+        ("Parsing of XML|could not parse|tags mismatch", "correct the file there"),
+    ):
+        if re.search(pattern, text):
+            return remedy
+    return "correct the scene"
+
+
+# -- loaded scenes ---------------------------------------------------------------------------------------------------
+
+
+def _from_scene(scene: Any, size: Size | None, sensor: int, memory: int | None, check: bool) -> Problem:
+    import mitsuba as mi
+
+    if scene.variant_name() != mi.variant():
+        raise SceneError(
+            f"the scene was loaded under '{scene.variant_name()}' but '{mi.variant()}' is set; load it again"
+        )
+    chosen = _sensor(scene, sensor, "the scene")
+    if size is not None and size != tuple(int(v) for v in chosen.film().size()):
+        chosen = _resized_sensor(chosen, size)
+    if check:
+        check_scene(scene, chosen)
+    integrator = scene.integrator()
+    name, depth, options = ("", -1, {}) if integrator is None else built_integrator(integrator)
+    return _problem(scene, chosen, name, depth, options, "<scene>", memory, "")
+
+
+def _sensor(scene: Any, index: int, name: str) -> Any:
+    sensors = scene.sensors()
+    if not sensors:
+        raise SceneError(f"{name} has no sensor, so there is nothing to render; add a 'perspective' sensor")
+    if not 0 <= index < len(sensors):
+        raise OptionError(f"{name} has no sensor {index}; choose one of 0 to {len(sensors) - 1}")
+    return sensors[index]
+
+
+def _resized_sensor(sensor: Any, size: Size) -> Any:
+    """A copy of a perspective or thin-lens sensor with a film of another size.
+
+    Changing the film through ``mi.traverse`` would alter the user's scene and leave the sensor with its old resolution.
+    """
+    import mitsuba as mi
+
+    kind = plugin_name(sensor)
+    if kind not in ("perspective", "thinlens"):
+        raise OptionError(
+            f"a '{kind}' sensor of a loaded scene cannot be given another size; load the scene at that size"
+        )
+    film = sensor.film()
+    old = int(film.size()[0]), int(film.size()[1])
+    window = [int(v) for v in (*film.crop_offset(), *film.crop_size())]
+    x, y, width, height = scaled_window(window, old, size)
+    values = dict(contents(sensor).values)
+    matrix = np.asarray(values.pop("to_world").matrix, dtype=np.float64).reshape(4, 4)
+    plain = {k: float(np.asarray(v).ravel()[0]) for k, v in values.items() if k not in ("x_fov", "shutter_open_time")}
+    plain["shutter_close"] = plain.get("shutter_open", 0.0) + float(values["shutter_open_time"])
+    pixel_format = re.search(r"pixel_format = (\w+)", str(film))
+    return mi.load_dict(
+        {
+            "type": kind,
+            "fov": float(np.asarray(values["x_fov"]).ravel()[0]),
+            "fov_axis": "x",
+            "to_world": mi.ScalarTransform4f(matrix),
+            "sampler": sensor.sampler().clone(),
+            "film": {
+                "type": "hdrfilm",
+                "width": size[0],
+                "height": size[1],
+                "crop_offset_x": x,
+                "crop_offset_y": y,
+                "crop_width": width,
+                "crop_height": height,
+                "sample_border": bool(film.sample_border()),
+                "pixel_format": pixel_format.group(1) if pixel_format else "rgb",
+                "component_format": "float32",
+                "filter": film.rfilter(),
+            },
+            **plain,
+        }
+    )
+
+
+def _problem(
+    scene: Any,
+    sensor: Any,
+    integrator: str,
+    depth: int,
+    options: dict[str, Any],
+    name: str,
+    memory: int | None,
+    details: str,
+) -> Problem:
+    width, height = (int(v) for v in sensor.film().crop_size())
+    if width < 1 or height < 1:
+        raise SceneError(f"the film of {name} has {width}x{height} pixels; it needs at least one a side")
+    return Problem(
+        scene=scene,
+        sensor=sensor,
+        size=(width, height),
+        spp=int(sensor.sampler().sample_count()),
+        max_depth=depth,
+        integrator=integrator,
+        integrator_options=options,
+        source=name,
+        memory=memory,
+        details=details,
+    )

@@ -1,0 +1,162 @@
+"""Surgery on Mitsuba's parsed scene, between reading a file and building its objects."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from etendue.core import SceneError
+
+from .graph import plugin_name
+
+Size = tuple[int, int]
+
+_MESH_PLUGINS = ("ply", "obj", "serialized")
+_CROP = ("crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
+
+
+def take_integrator(state: Any) -> tuple[str, int, dict[str, Any]]:
+    """Remove the integrator from the scene; return its name, maximum depth and other plain parameters."""
+    import mitsuba as mi
+
+    root = state.root
+    for key, value in _read(root.props).items():
+        if isinstance(value, mi.Integrator):  # a dictionary may hold a built one
+            del root.props[key]
+            return built_integrator(value)
+        if not isinstance(value, mi.Properties.ResolvedReference):
+            continue
+        node = state.nodes[value.index()]
+        unknown = node.type == mi.ObjectType.Unknown and key == "integrator"
+        if node.type != mi.ObjectType.Integrator and not unknown:
+            continue
+        del root.props[key]
+        while inner := _children(node, mi.ObjectType.Integrator, state):
+            node = inner[0][1]  # 'aov' and 'moment' wrap the integrator that counts
+        plain = {k: v for k, v in _read(node.props).items() if isinstance(v, (bool, int, float, str))}
+        return node.props.plugin_name(), int(plain.pop("max_depth", -1)), plain
+    return "", -1, {}
+
+
+def built_integrator(integrator: Any) -> tuple[str, int, dict[str, Any]]:
+    """What can be learnt of an integrator that is built already: it tells in its description."""
+    name = plugin_name(integrator)
+    own = getattr(integrator, "options", None)  # the integrators of the plugins room tell everything
+    if isinstance(own, dict):
+        plain = dict(own)
+        return name, int(plain.pop("max_depth", -1)), plain
+    found = re.search(r"max_depth = (-?\d+)", str(integrator))
+    depth = int(found.group(1)) if found else -1
+    return name, depth if depth < 2**31 else -1, {}
+
+
+def resize(state: Any, size: Size) -> None:
+    """Give every film of the scene another size; a crop window keeps its proportions."""
+    import mitsuba as mi
+
+    for node in state.nodes:
+        if node.type == mi.ObjectType.Film:
+            props, values = node.props, _read(node.props)
+            old = int(values.get("width", 768)), int(values.get("height", 576))
+            if any(k in values for k in _CROP):
+                window = [int(values.get(k, d)) for k, d in zip(_CROP, (0, 0, *old), strict=True)]
+                for key, value in zip(_CROP, scaled_window(window, old, size), strict=True):
+                    props[key] = value
+            props["width"], props["height"] = size
+        elif node.type == mi.ObjectType.Sensor and not _has_film(node, state):
+            node.props["film"] = mi.load_dict({"type": "hdrfilm", "width": size[0], "height": size[1]})
+
+
+def scaled_window(window: list[int], old: Size, new: Size) -> tuple[int, int, int, int]:
+    """Offset and size of a crop window (x, y, width, height) on a film of another size; never empty."""
+    edges = []
+    for axis in (0, 1):
+        scale = new[axis] / max(old[axis], 1)
+        low = min(round(window[axis] * scale), new[axis] - 1)
+        high = min(max(round((window[axis] + window[2 + axis]) * scale), low + 1), new[axis])
+        edges.append((low, high - low))
+    (x, width), (y, height) = edges
+    return x, y, width, height
+
+
+def check_films(state: Any, name: str) -> None:
+    """Raise :class:`SceneError` for a film without pixels, which Mitsuba reports as a wrong field of view."""
+    import mitsuba as mi
+
+    for node in state.nodes:
+        if node.type == mi.ObjectType.Film:
+            values = _read(node.props)
+            for key in ("width", "height", "crop_width", "crop_height"):
+                if key in values and int(values[key]) < 1:
+                    raise SceneError(f"{name}: the film's {key} is {values[key]}; it must be at least 1")
+
+
+def texture_details(state: Any) -> str:
+    """Text parameters of textures (interpolation, wrapping), which a loaded texture does not show."""
+    import mitsuba as mi
+
+    rows = []
+    for node in state.nodes:
+        if node.type == mi.ObjectType.Texture:
+            values = sorted(_read(node.props).items())
+            texts = [f"{k}={v}" for k, v in values if isinstance(v, str) and k != "filename"]
+            rows += [f"{node.props.plugin_name()}:{','.join(texts)}"] if texts else []
+    return "\n".join(sorted(rows))
+
+
+def merge_meshes(state: Any) -> None:
+    """Let Mitsuba join meshes of one material, which makes rays a little cheaper.
+
+    Meshes that emit stay apart: Mitsuba orders what it joins by address, and the order of emitters decides which of
+    them a random number picks, so the same seed would give another picture in another process.
+    """
+    import mitsuba as mi
+
+    root = state.root.props
+    keys = []
+    for key, node in _children(state.root, mi.ObjectType.Shape, state):
+        own = _read(node.props).values()
+        types = [state.nodes[v.index()].type for v in own if isinstance(v, mi.Properties.ResolvedReference)]
+        if node.props.plugin_name() in _MESH_PLUGINS and not {mi.ObjectType.Emitter, mi.ObjectType.Sensor} & set(types):
+            keys.append(key)
+    if len(keys) < 2:
+        return
+    merge = mi.parser.SceneNode()
+    merge.type = mi.ObjectType.Shape
+    merge.props.set_plugin_name("merge")
+    for key in keys:
+        merge.props[key] = root[key]
+        del root[key]
+    index = len(state.nodes)
+    state.nodes.append(merge)
+    state.root.props["_etendue_merged"] = mi.Properties.ResolvedReference(index)
+
+
+def _read(props: Any) -> dict[str, Any]:
+    """The properties of a node. Reading marks them as used, and Mitsuba reports misspelt ones as unused: unmark."""
+    values = {}
+    for key in props.keys():  # noqa: SIM118
+        used = props.was_queried(key)
+        values[key] = props[key]
+        props.mark_queried(key, used)
+    return values
+
+
+def _children(node: Any, wanted: Any, state: Any) -> list[tuple[str, Any]]:
+    """(property name, node) of the children of type ``wanted`` that the parser still keeps as nodes."""
+    import mitsuba as mi
+
+    found = []
+    for key, value in _read(node.props).items():
+        if isinstance(value, mi.Properties.ResolvedReference):
+            child = state.nodes[value.index()]
+            if child.type == wanted:
+                found.append((key, child))
+    return found
+
+
+def _has_film(sensor: Any, state: Any) -> bool:
+    import mitsuba as mi
+
+    built = any(isinstance(v, mi.Film) for v in _read(sensor.props).values())
+    return built or bool(_children(sensor, mi.ObjectType.Film, state))
