@@ -76,11 +76,11 @@ class Iterations:
 
     @classmethod
     def from_json(cls, rows: Iterable[Iterable[int]]) -> Iterations:
-        """Inverse of :meth:`to_json`."""
-        intervals: dict[int, list[tuple[int, int]]] = {}
+        """Inverse of :meth:`to_json`; rows in any order. Raises :class:`EtendueError` if they overlap."""
+        result = cls()
         for replica, a, b in rows:
-            intervals.setdefault(int(replica), []).append((int(a), int(b)))
-        return cls(intervals)
+            result = result.union(cls({int(replica): [(int(a), int(b))]}))
+        return result
 
 
 @dataclass
@@ -105,7 +105,7 @@ class Measurement:
 
     def __iadd__(self, other: Measurement) -> Measurement:
         iterations = self.iterations.union(other.iterations)  # refuses overlap before anything changes
-        if self.sums.keys() != other.sums.keys() or self.squares.keys() != other.squares.keys():
+        if self._shapes() != other._shapes():
             raise EtendueError("measurements of different layers cannot be added; were the settings the same?")
         for name, value in other.sums.items():
             self.sums[name] += value
@@ -116,6 +116,9 @@ class Measurement:
             self.counters[name] = self.counters.get(name, 0.0) + count
         self.iterations = iterations
         return self
+
+    def _shapes(self) -> tuple[dict[str, tuple[int, ...]], dict[str, tuple[int, ...]]]:
+        return {k: v.shape for k, v in self.sums.items()}, {k: v.shape for k, v in self.squares.items()}
 
     def __add__(self, other: Measurement) -> Measurement:
         result = self.copy()

@@ -76,7 +76,9 @@ class IndependentSource:
         self._key1 = hash_mix((lane ^ self._key0) + k1)
 
     def _bits(self, vertex: Any, component: int) -> Any:
-        dimension = vertex * COMPONENTS_PER_VERTEX + component
+        if not 0 <= component < COMPONENTS_PER_VERTEX:
+            raise ValueError(f"component {component} of a vertex: there are {COMPONENTS_PER_VERTEX}")
+        dimension = type(self._key0)(vertex) * COMPONENTS_PER_VERTEX + component  # wraps, also for a Python int
         x = self._key0 + dimension * 0x9E3779B9
         x = x ^ (x >> 16)
         x = x * 0x21F0AAAD

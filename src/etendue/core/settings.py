@@ -69,7 +69,7 @@ class Settings:
 
     def replace(self, **changes: Any) -> Self:
         """A copy with some values changed, checked again."""
-        return dataclasses.replace(self, **changes)
+        return self.from_mapping(self.to_dict() | changes)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain names to plain values, ready for JSON."""
@@ -81,8 +81,14 @@ class Settings:
 
     @classmethod
     def from_json(cls, text: str) -> Self:
-        """Inverse of :meth:`to_json`."""
-        return cls.from_mapping(json.loads(text))
+        """Inverse of :meth:`to_json`. Raises :class:`OptionError` if ``text`` is not a JSON object of settings."""
+        try:
+            values = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise OptionError(f"settings of {cls.__name__} are not JSON: {error}") from None
+        if not isinstance(values, dict):
+            raise OptionError(f"settings of {cls.__name__} are a JSON object, not '{text}'")
+        return cls.from_mapping(values)
 
     @classmethod
     def describe(cls) -> list[tuple[str, str, Any, str]]:
@@ -100,9 +106,9 @@ def _coerce(field: dataclasses.Field[Any], kind: type, value: Any) -> Any:
     """``value`` as ``kind``; strings are read as a user types them."""
     try:
         if kind is bool:
-            if isinstance(value, str):
-                return {"true": True, "1": True, "yes": True, "on": True}.get(value.lower()) or _false(value)
-            return bool(value)
+            return _truth(value)
+        if isinstance(value, bool):
+            raise ValueError
         if kind is int:
             if isinstance(value, float) and not value.is_integer():
                 raise ValueError
@@ -112,10 +118,12 @@ def _coerce(field: dataclasses.Field[Any], kind: type, value: Any) -> Any:
         raise OptionError(f"option '{field.name}' wants {_article(kind)}, not '{value}'") from None
 
 
-def _false(value: str) -> bool:
-    if value.lower() in ("false", "0", "no", "off"):
-        return False
-    raise ValueError
+def _truth(value: Any) -> bool:
+    words = {"true": True, "1": True, "yes": True, "on": True, "false": False, "0": False, "no": False, "off": False}
+    text = str(value).lower()
+    if text not in words:
+        raise ValueError
+    return words[text]
 
 
 def _article(kind: type) -> str:

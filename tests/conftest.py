@@ -1,0 +1,55 @@
+"""What every test shares: the variant, the scenes, and a tidy Dr.Jit after each file."""
+
+from __future__ import annotations
+
+import gc
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from etendue.core import choose_variant, use_variant
+
+ROOT = Path(__file__).resolve().parent.parent
+SCENES = ROOT.parent / "shared" / "scenes"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests marked ``gpu`` are skipped, with the reason, where CUDA is not usable."""
+    if not any(item.get_closest_marker("gpu") for item in items):
+        return
+    from etendue.core.backend import cuda_problem
+
+    problem = cuda_problem()
+    if problem is not None:
+        for item in items:
+            if item.get_closest_marker("gpu"):
+                item.add_marker(pytest.mark.skip(reason=problem))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def variant() -> str:
+    """The Mitsuba variant of this session: ``$ETENDUE_TEST_VARIANT``, else ``llvm_ad_rgb``."""
+    return use_variant(choose_variant(os.environ.get("ETENDUE_TEST_VARIANT", "llvm_ad_rgb")))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _tidy_drjit(variant: str) -> Iterator[None]:
+    """Give memory and kernels back after each file; kernels stay on disk, so nothing is compiled twice."""
+    yield
+    import drjit as dr
+
+    gc.collect()
+    dr.sync_thread()
+    dr.flush_kernel_cache()
+    dr.flush_malloc_cache()
+    dr.kernel_history_clear()
+
+
+@pytest.fixture(scope="session")
+def scenes_dir() -> Path:
+    """The public test scenes, which are not part of the repository; the test is skipped where they are absent."""
+    if not SCENES.is_dir():
+        pytest.skip("the public scenes are not beside this checkout (../shared/scenes)")
+    return SCENES
