@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from etendue.core import SceneError, UnsupportedError, check_variant
 
-from .graph import below, contents, describe, plugin_name, shapes
+from .graph import as_array, below, contents, describe, plugin_name, shapes
 
 _SENSORS = ("perspective", "thinlens")
 _EMITTERS = ("area", "point", "spot", "constant", "envmap")
@@ -154,7 +154,5 @@ def _floats(value: Any) -> NDArray[np.floating[Any]] | None:
     """``value`` as a float array, ``None`` if it is of another kind."""
     if value is None or isinstance(value, (str, bool)):
         return None
-    if hasattr(value, "matrix"):  # transforms
-        value = value.matrix
-    array = np.asarray(value)
+    array = as_array(value)
     return array if array.dtype.kind == "f" else None

@@ -11,9 +11,7 @@ import hashlib
 import re
 from typing import Any
 
-import numpy as np
-
-from .graph import contents, shapes
+from .graph import as_array, contents, shapes
 
 #: Lines of an object's description that do not tell what it looks like: file names, and a mean summed on the device.
 _VOLATILE = re.compile(r"^\s*(name|filename|mean) = .*$", re.MULTILINE)
@@ -89,7 +87,5 @@ def _description(item: Any) -> bytes:
 def _bytes(value: Any) -> bytes:
     if isinstance(value, (bool, int, float, str)):
         return repr(value).encode()
-    if hasattr(value, "matrix"):
-        value = value.matrix
-    array = np.ascontiguousarray(np.asarray(value))
+    array = as_array(value)
     return str((array.shape, array.dtype.str)).encode() + array.tobytes()

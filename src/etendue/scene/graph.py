@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 #: C++ class names whose plugin name is not found by lowering the case.
 _PLUGIN_NAMES = {
     "SmoothDiffuse": "diffuse",
@@ -34,6 +37,7 @@ _PLUGIN_NAMES = {
     "BatchSensor": "batch",
     "DistantSensor": "distant",
     "DistantSensorImpl": "distant",
+    "BitmapTextureImpl": "bitmap",
     "PLYMesh": "ply",
     "OBJMesh": "obj",
     "SerializedMesh": "serialized",
@@ -85,6 +89,13 @@ def contents(item: Any) -> Contents:
     collector = _collector(mi.variant())(item)
     item.traverse(collector)
     return collector.contents
+
+
+def as_array(value: Any) -> NDArray[Any]:
+    """A value of :class:`Contents` on the host; a transform becomes its matrix."""
+    if "Transform" in type(value).__name__:  # every Dr.Jit array has an attribute 'matrix', so do not ask for that
+        value = value.matrix
+    return np.ascontiguousarray(np.asarray(value))
 
 
 def below(item: Any) -> Iterator[Any]:

@@ -1,0 +1,171 @@
+"""What is let in, and what each refused element is told."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from etendue.core import BackendError, SceneError, UnsupportedError
+from etendue.scene import check, load
+
+DIFFUSE = {"type": "diffuse"}
+AREA = {"type": "area", "radiance": 2.0}
+MEDIUM = {"type": "homogeneous"}
+MASK = {"type": "mask", "inner": DIFFUSE}
+CHECKERS = {"type": "checkerboard"}
+
+
+def scene(**parts):
+    base = {"type": "scene", "light": {"type": "constant"}, "camera": {"type": "perspective"}}
+    return base | parts
+
+
+def ball(bsdf, **more):
+    return {"type": "sphere", "bsdf": bsdf} | more
+
+
+def bitmap(value=0.5):
+    return {"type": "bitmap", "bitmap": mi.Bitmap(np.full((2, 2, 3), value, np.float32)), "raw": True}
+
+
+MATERIALS = {
+    "diffuse": lambda: DIFFUSE,
+    "textured": lambda: {"type": "diffuse", "reflectance": bitmap()},
+    "checkerboard": lambda: {"type": "diffuse", "reflectance": CHECKERS},
+    "dielectric": lambda: {"type": "dielectric"},
+    "roughdielectric": lambda: {"type": "roughdielectric"},
+    "conductor": lambda: {"type": "conductor"},
+    "roughconductor": lambda: {"type": "roughconductor"},
+    "plastic": lambda: {"type": "plastic"},
+    "roughplastic": lambda: {"type": "roughplastic"},
+    "pplastic": lambda: {"type": "pplastic"},
+    "principled": lambda: {"type": "principled", "spec_trans": 0.5},
+    "principledthin": lambda: {"type": "principledthin", "spec_trans": 0.5},
+    "twosided": lambda: {"type": "twosided", "inner": DIFFUSE},
+    "bumpmap": lambda: {"type": "bumpmap", "arbitrary": bitmap(), "inner": {"type": "roughplastic"}},
+    "normalmap": lambda: {"type": "normalmap", "normalmap": bitmap(), "inner": DIFFUSE},
+    "blend": lambda: {"type": "blendbsdf", "weight": 0.5, "a": DIFFUSE, "b": {"type": "conductor"}},
+}
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+def test_materials_that_are_rendered(name):
+    load(scene(ball=ball(MATERIALS[name]())))
+
+
+LIGHTS = {
+    "point": lambda: {"type": "point"},
+    "spot": lambda: {"type": "spot"},
+    "constant": lambda: {"type": "constant"},
+    "environment": lambda: {"type": "envmap", "bitmap": mi.Bitmap(np.ones((8, 16, 3), np.float32))},
+    "sphere": lambda: ball(DIFFUSE, emitter=AREA),
+    "rectangle": lambda: {"type": "rectangle", "emitter": AREA},
+    "disk": lambda: {"type": "disk", "emitter": AREA},
+    "cylinder": lambda: {"type": "cylinder", "emitter": AREA},
+    "cube": lambda: {"type": "cube", "emitter": AREA},
+    "textured": lambda: {"type": "rectangle", "emitter": {"type": "area", "radiance": bitmap()}},
+}
+
+
+@pytest.mark.parametrize("name", LIGHTS)
+def test_emitters_that_are_rendered(name):
+    load(scene(light=LIGHTS[name]()))
+
+
+def test_thin_lens():
+    load(scene(camera={"type": "thinlens", "aperture_radius": 0.1, "focus_distance": 2.0}))
+
+
+NULL = "null component"
+PIXEL = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
+BLEND = {"type": "blendbsdf", "weight": 0.5, "x": DIFFUSE, "y": MASK}
+BUMPED = {"type": "bumpmap", "arbitrary": CHECKERS, "inner": MASK}
+GROUP = {"type": "shapegroup", "leaf": ball(MASK)}
+
+REFUSED = {
+    "mask": (
+        {"a": ball(MASK | {"id": "veil"}, id="leaf")},
+        f"material 'veil' of type 'mask' on shape 'leaf'.*{NULL}.*geometry",
+    ),
+    "null": ({"a": ball({"type": "null"})}, f"type 'null'.*{NULL}"),
+    "thin pane": (
+        {"pane": ball({"type": "thindielectric"})},
+        f"'thindielectric' on shape 'pane'.*{NULL}.*'dielectric'",
+    ),
+    "hair": ({"a": ball({"type": "hair"})}, f"'hair'.*{NULL}"),
+    "nested": ({"a": ball(BLEND)}, "'y' of type 'mask'"),
+    "bumped": ({"a": ball(BUMPED)}, "'inner' of type 'mask'"),
+    "polarizer": ({"a": ball({"type": "polarizer"})}, f"'polarizer'.*{NULL}"),
+    "interior": (
+        {"fog": ball({"type": "dielectric"}, interior=MEDIUM)},
+        "shape 'fog' of type 'sphere'.*participating medium.*remove",
+    ),
+    "exterior": ({"fog": ball(DIFFUSE, exterior=MEDIUM)}, "shape 'fog'.*participating medium"),
+    "foggy camera": ({"camera": {"type": "perspective", "medium": MEDIUM}}, "sensor 'camera'.*medium"),
+    "directional": ({"light": {"type": "directional"}}, "emitter 'light' of type 'directional'.*envmap"),
+    "projector": ({"light": {"type": "projector", "irradiance": CHECKERS}}, "'projector'.*'spot'"),
+    "directional area": (
+        {"light": {"type": "rectangle", "emitter": {"type": "directionalarea"}}},
+        "'directionalarea' on shape 'light'.*'area'",
+    ),
+    "orthographic": ({"camera": {"type": "orthographic"}}, "'camera' of type 'orthographic'.*'perspective'"),
+    "distant": ({"camera": {"type": "distant", "film": PIXEL}}, "'distant'"),
+    "radiance meter": ({"camera": {"type": "radiancemeter", "film": PIXEL}}, "'radiancemeter'"),
+    "irradiance meter": (
+        {"camera": {"type": "rectangle", "meter": {"type": "irradiancemeter", "film": PIXEL}}},
+        "'meter' of type 'irradiancemeter'",
+    ),
+    "shape group": (
+        {"group": GROUP, "one": {"type": "instance", "g": {"type": "ref", "id": "group"}}},
+        "'mask' on shape 'leaf'",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_refused_elements_are_named(case):
+    parts, text = REFUSED[case]
+    with pytest.raises(UnsupportedError, match=text) as caught:
+        load(scene(**parts))
+    assert "\n" not in str(caught.value)
+    assert load(scene(**parts), check=False).scene is not None
+
+
+def test_a_radiance_that_is_no_number():
+    with pytest.raises(SceneError, match=r"emitter 'light' of type 'point'.*NaN"):
+        load(scene(light={"type": "point", "intensity": {"type": "rgb", "value": [1.0, float("nan"), 1.0]}}))
+
+
+def test_a_texture_that_is_infinite():
+    with pytest.raises(SceneError, match=r"texture of type 'bitmap' of shape 'ball'.*'data'"):
+        load(scene(ball=ball({"type": "diffuse", "reflectance": bitmap(np.inf)})))
+
+
+def test_a_lamp_without_area():
+    mesh = mi.Mesh("sliver", 3, 1, props=lamp_properties())
+    params = mi.traverse(mesh)
+    params["vertex_positions"] = [0, 0, 0, 1, 0, 0, 2, 0, 0]
+    params["faces"] = [0, 1, 2]
+    params.update()
+    with pytest.raises(SceneError, match=r"'sliver'.*emits light but has no area"):
+        load(scene(sliver=mesh))
+
+
+def lamp_properties():
+    props = mi.Properties()
+    props["lamp"] = mi.load_dict(AREA)
+    return props
+
+
+def test_joined_meshes_are_still_named(scenes_dir):
+    with pytest.raises(UnsupportedError, match="'thindielectric' on shape 'clear_plastic'"):
+        load(scenes_dir / "soda-shoppe" / "scene.xml")
+
+
+@pytest.mark.parametrize("other", ["scalar_rgb", "llvm_ad_spectral", "llvm_ad_mono_polarized"])
+def test_other_variants(other):
+    with mi.variant_context(other):
+        loaded = mi.load_dict(scene())
+        with pytest.raises(BackendError, match=f"'{other}' is not supported"):
+            check(loaded, loaded.sensors()[0])
+        with pytest.raises(BackendError, match=f"'{other}' is not supported"):
+            load(loaded)
