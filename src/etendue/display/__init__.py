@@ -2,6 +2,17 @@
 
 from .plots import Series, convergence_plot
 from .png import encode_png, write_png
+from .report import Entry, render_report, write_report
 from .tonemap import auto_exposure, tonemap
 
-__all__ = ["Series", "auto_exposure", "convergence_plot", "encode_png", "tonemap", "write_png"]
+__all__ = [
+    "Entry",
+    "Series",
+    "auto_exposure",
+    "convergence_plot",
+    "encode_png",
+    "render_report",
+    "tonemap",
+    "write_png",
+    "write_report",
+]

@@ -25,7 +25,7 @@ _NOT_FINITE = (0, 200, 220)
 
 
 def false_colour(values: ArrayLike, low: float, high: float) -> NDArray[np.uint8]:
-    """``values``, (height, width), on a logarithmic scale from ``low`` (black) to ``high`` (pale yellow), as sRGB bytes.
+    """``values``, (height, width), on a logarithmic scale from ``low`` (black) to ``high`` (yellow), as sRGB bytes.
 
     Values outside are clipped to the ends; NaN is turquoise.
     """
@@ -40,5 +40,5 @@ def false_colour(values: ArrayLike, low: float, high: float) -> NDArray[np.uint8
 
 def css_gradient() -> str:
     """The same scale as a CSS gradient from left to right."""
-    colours = ", ".join("#%02x%02x%02x" % tuple(int(c) for c in row) for row in _INFERNO)
+    colours = ", ".join("rgb({:.0f} {:.0f} {:.0f})".format(*row) for row in _INFERNO)
     return f"linear-gradient(to right, {colours})"

@@ -67,14 +67,15 @@ def convergence_plot(
     curves = [(index, s.name, points) for index, s in enumerate(series) if (points := s.drawable())]
     if not curves:
         return ""
-    left, right, top, bottom = 62.0, 14.0, 14.0, 44.0
+    left, right, bottom = 62.0, 14.0, 44.0
+    legend, top = _legend([(index, name) for index, name, _ in curves], left, width - right)
     x_axis = _axis([x for _, _, points in curves for x, _ in points], left, width - right)
     y_axis = _axis([y for _, _, points in curves for _, y in points], height - bottom, top)
     parts = _frame(x_axis, y_axis, x_label, y_label)
     parts += _slope_guide(x_axis, y_axis, curves[0][2])
     for index, name, points in curves:
         parts.append(_curve(index, name, [(x_axis(x), y_axis(y)) for x, y in points]))
-    parts += _legend([(index, name) for index, name, _ in curves], width - right - 8.0, top + 8.0)
+    parts += legend
     ends = "; ".join(f"{name}: {points[-1][1]:.3g} after {points[-1][0]:.3g} s" for _, name, points in curves)
     return (
         f'<svg class="plot" viewBox="0 0 {width} {height}" role="img" aria-label="{escape(f"{title}. {ends}.")}" '
@@ -128,31 +129,36 @@ def _slope_guide(x_axis: _LogAxis, y_axis: _LogAxis, points: list[tuple[float, f
 def _curve(index: int, name: str, points: list[tuple[float, float]]) -> str:
     path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
     dots = "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.6"/>' for x, y in points)
-    dash = _DASHES[index % len(_DASHES)]
     return (
         f'<g style="stroke:{_colour(index)};fill:{_colour(index)}"><title>{escape(name)}</title>'
-        f'<path d="{path}" fill="none" stroke-width="2"{f" stroke-dasharray={chr(34)}{dash}{chr(34)}" if dash else ""}/>'
+        f'<path d="{path}" fill="none" stroke-width="2"{_dash(index)}/>'
         f'<g stroke="none">{dots}</g></g>'
     )
 
 
-def _legend(entries: list[tuple[int, str]], right: float, top: float) -> list[str]:
+def _legend(entries: list[tuple[int, str]], left: float, right: float) -> tuple[list[str], float]:
+    """Samples of the lines with their names, in rows above the frame, and where the frame may begin."""
     parts = []
-    for row, (index, name) in enumerate(entries):
-        y = top + 20.0 * row + 6.0
-        dash = _DASHES[index % len(_DASHES)]
-        parts.append(
-            f'<path d="M{right - 30:.0f} {y:.0f}h30" style="stroke:{_colour(index)}" stroke-width="2.5"'
-            + (f' stroke-dasharray="{dash}"' if dash else "")
-            + "/>"
-        )
-        parts.append(_text(right - 38, y + 4, name, "end"))
-    return parts
+    x, y = left, 14.0
+    for index, name in entries:
+        extent = 38.0 + 7.5 * len(name)  # text is not measured, only estimated
+        if x > left and x + extent > right:
+            x, y = left, y + 20.0
+        sample = f"M{x:.0f} {y:.0f}h28"
+        parts.append(f'<path d="{sample}" style="stroke:{_colour(index)}" stroke-width="2.5"{_dash(index)}/>')
+        parts.append(_text(x + 34.0, y + 4.0, name, "start"))
+        x += extent + 22.0
+    return parts, y + 18.0
 
 
 def _colour(index: int) -> str:
     slot = index % len(_COLOURS)
     return f"var(--series-{slot + 1}, {_COLOURS[slot]})"
+
+
+def _dash(index: int) -> str:
+    dash = _DASHES[index % len(_DASHES)]
+    return f' stroke-dasharray="{dash}"' if dash else ""
 
 
 def _line(x0: float, y0: float, x1: float, y1: float, opacity: float) -> str:
