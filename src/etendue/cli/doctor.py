@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from etendue.core import EtendueError, backend, llvm
@@ -78,11 +79,12 @@ def render(checks: list[Check], console: Console) -> None:
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")
     for check in checks:
-        table.add_row(f"[{colour[check.status]}]{check.status}[/]", check.name, check.finding)
+        table.add_row(f"[{colour[check.status]}]{check.status}[/]", check.name, escape(check.finding))
     console.print(table, highlight=False)
     for check in checks:
         if check.remedy:
-            console.print(f"\n[{colour[check.status]}]{check.name}[/]: {check.remedy}", highlight=False, soft_wrap=True)
+            line = f"\n[{colour[check.status]}]{check.name}[/]: {escape(check.remedy)}"
+            console.print(line, highlight=False, soft_wrap=True)
 
 
 def run_doctor(console: Console) -> int:

@@ -1,0 +1,54 @@
+"""`etendue doctor` says that all is well here, and finds and explains a planted fault."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+
+from rich.console import Console
+
+from etendue.cli.doctor import Check, _kernel, diagnose, render
+from etendue.core import llvm
+
+RUN = """
+import sys
+from rich.console import Console
+from etendue.cli.doctor import run_doctor
+sys.exit(run_doctor(Console()))
+"""
+
+
+def test_this_machine_is_well():
+    checks = {check.name: check for check in diagnose()}
+    assert [check for check in checks.values() if check.status == "fail"] == []
+    assert checks["mitsuba"].finding == "3.9.1"
+    assert "llvm_ad_rgb" in checks["variants"].finding
+
+
+def test_a_planted_fault_is_found_and_explained():
+    environment = os.environ | {llvm.VARIABLE: "/nowhere/libLLVM.so"}
+    run = subprocess.run([sys.executable, "-c", RUN], env=environment, capture_output=True, text=True, timeout=120)
+    assert run.returncode == 1
+    assert "Traceback" not in run.stderr
+    assert "DRJIT_LIBLLVM_PATH names /nowhere/libLLVM.so; unset it" in run.stdout.replace("\n", " ")
+
+
+def test_a_kernel_that_aborts_does_not_abort_the_doctor(monkeypatch):
+    monkeypatch.setattr(
+        "etendue.cli.doctor._PROBE", "import os, sys; print('LLVM ERROR: x', file=sys.stderr, flush=True); os.abort()"
+    )
+    check = _kernel("llvm_ad_rgb")
+    assert check.status == "fail"
+    assert check.finding == "killed by signal 6: LLVM ERROR: x"
+    assert check.remedy
+
+
+def test_findings_and_remedies_are_printed():
+    out = io.StringIO()
+    checks = [Check("python", "ok", "3.11"), Check("llvm", "fail", "none [found]", "apt-get install libllvm19")]
+    render(checks, Console(file=out, width=60))
+    assert "none [found]" in out.getvalue()
+    assert "llvm: apt-get install libllvm19" in out.getvalue()
+    assert "python:" not in out.getvalue()
