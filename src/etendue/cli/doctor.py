@@ -56,10 +56,6 @@ def diagnose() -> list[Check]:
     checks = [_python(), *(_package(name) for name in ("etendue", "mitsuba", "drjit", "OpenEXR"))]
     if any(check.status == "fail" for check in checks):
         return checks
-    try:
-        backend.check_imports()
-    except EtendueError as error:
-        return [*checks, Check("libraries", "fail", *str(error).rsplit(": ", 1))]
     gpu = _gpu()
     compiler = _llvm()
     checks += [gpu, compiler]

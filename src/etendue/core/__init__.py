@@ -1,6 +1,7 @@
 """Ground floor: what every room shares and that knows nothing of rendering."""
 
-from .backend import check_imports, check_llvm, check_variant, choose_variant, ensure_llvm, set_threads, use_variant
+from .backend import check_llvm, check_variant, choose_variant, set_threads, use_variant
+from .citations import bibliography, bibtex
 from .errors import (
     BackendError,
     CheckpointError,
@@ -11,31 +12,43 @@ from .errors import (
     UnsupportedError,
 )
 from .log import logger
-from .measurement import RELATIVE_EPSILON, Iterations, Measurement
+from .measurement import RELATIVE_EPSILON, Array, Iterations, Measurement
 from .method import Method, Result
+from .progress import Progress, format_rate, format_seconds
+from .samples import COMPONENTS_PER_VERTEX, IndependentSource, SampleSource, hash_mix, seed_key, to_unit_float
 from .settings import Settings, setting
 
 __all__ = [
+    "COMPONENTS_PER_VERTEX",
     "RELATIVE_EPSILON",
+    "Array",
     "BackendError",
     "CheckpointError",
     "EtendueError",
+    "IndependentSource",
     "Iterations",
     "Measurement",
     "Method",
     "OptionError",
     "OutputError",
+    "Progress",
     "Result",
+    "SampleSource",
     "SceneError",
     "Settings",
     "UnsupportedError",
-    "check_imports",
+    "bibliography",
+    "bibtex",
     "check_llvm",
     "check_variant",
     "choose_variant",
-    "ensure_llvm",
+    "format_rate",
+    "format_seconds",
+    "hash_mix",
     "logger",
+    "seed_key",
     "set_threads",
     "setting",
+    "to_unit_float",
     "use_variant",
 ]

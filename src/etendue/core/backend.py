@@ -175,3 +175,4 @@ def set_threads(count: Any) -> None:
 # Dr.Jit takes its LLVM the moment it is imported, and this is the first module of étendue that Python runs
 # (`etendue/__init__.py` imports `core` before all else, `core` this module).
 ensure_llvm()
+check_imports()

@@ -1,0 +1,208 @@
+"""The house rules of the source: rooms in order, no type of a variant at import, no print, files of a readable size."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import etendue
+import etendue.methods
+from etendue.core import bibliography
+
+SOURCE = Path(etendue.__file__).parent
+ROOMS = (
+    *("core", "points", "integration", "density", "film", "scene", "transport", "methods", "radiosity"),
+    *("engine", "distributed", "display", "viewer", "plugins", "cli"),
+)
+#: Siblings: one stands after the other in the list, but may not import it.
+FORBIDDEN = {
+    "radiosity": {"methods"},
+    "engine": {"methods", "radiosity"},
+    "distributed": {"methods", "radiosity"},
+    "display": {"methods", "radiosity", "engine"},
+}
+MAX_LINES = 450
+FILES = sorted(SOURCE.rglob("*.py"))
+#: A citation in a docstring or comment: [Georgiev 2012, eq. 31] stands for the key Georgiev2012; several take a ";".
+CITATION = re.compile(r"\[([A-Z][A-Za-z]+ (?:19|20)\d\d\w*\b[^\]\n]*)\]")
+
+
+def cited_keys(text: str) -> list[str]:
+    """The keys that the citations in ``text`` stand for."""
+    parts = [part for found in CITATION.findall(text) for part in found.split(";")]
+    return [m[1] + m[2] for part in parts if (m := re.match(r"\s*([A-Z][A-Za-z]+) ((?:19|20)\d\d\w*)", part))]
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(SOURCE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def room_of(name: str) -> str | None:
+    """The room of a module; ``None`` for the package itself and the modules directly in it, the face of the house."""
+    parts = name.split(".")
+    return parts[1] if len(parts) > 1 and parts[1] in ROOMS else None
+
+
+def imports(path: Path) -> Iterator[tuple[int, str]]:
+    """Line and absolute name of everything of étendue that a file imports, at any level."""
+    package = module_name(path) if path.name == "__init__.py" else module_name(path).rpartition(".")[0]
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield node.lineno, alias.name
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                base = importlib.util.resolve_name("." * node.level + base, package)
+            for alias in node.names:
+                # `from etendue.core import backend` may name a module or something inside the package.
+                yield node.lineno, f"{base}.{alias.name}"
+
+
+def faults_of_order(path: Path) -> list[str]:
+    """What a file imports that its room may not see."""
+    faults = []
+    own = room_of(module_name(path))
+    for line, name in imports(path):
+        if name.split(".")[0] != "etendue":
+            continue
+        other = room_of(name)
+        where = f"{path.relative_to(SOURCE)}:{line} imports {name}"
+        if own is None or other == own:
+            continue  # the face may look into every room
+        if other is None:
+            if own != "cli" and name not in ("etendue", "etendue.__version__"):
+                faults.append(f"{where}, but a room knows nothing of what stands above all rooms")
+            continue
+        if ROOMS.index(other) > ROOMS.index(own) or other in FORBIDDEN.get(own, ()):
+            faults.append(f"{where}, but room {own} may not import room {other}")
+        inner = name.split(".")[2:]
+        if len(inner) > 1 or (inner and inner[0].startswith("_")):
+            faults.append(f"{where}, a private module: import it from etendue.{other}")
+    return faults
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SOURCE)))
+def test_rooms_import_only_rooms_before_them(path):
+    assert faults_of_order(path) == []
+
+
+def test_every_package_is_a_room():
+    assert {p.parent.name for p in SOURCE.glob("*/__init__.py")} <= set(ROOMS)
+
+
+@pytest.mark.parametrize(
+    ("room", "text", "wrong"),
+    [
+        ("film", "from etendue.methods import table", "film may not import room methods"),
+        ("film", "def f():\n    import etendue.engine", "film may not import room engine"),
+        ("methods", "from ..radiosity import solve", "methods may not import room radiosity"),
+        ("radiosity", "from etendue import methods", "radiosity may not import room methods"),
+        ("engine", "from etendue.methods import get", "engine may not import room methods"),
+        ("display", "from ..methods.path import Path", "display may not import room methods"),
+        ("scene", "from etendue.core.settings import Settings", "private module"),
+        ("scene", "from ..core.settings import Settings", "private module"),
+        ("core", "from etendue import render", "above all rooms"),
+        ("scene", "from etendue.core import Settings", None),
+        ("scene", "from .lights import Table", None),
+        ("cli", "from etendue import render", None),
+    ],
+)
+def test_the_check_itself_finds_faults(room, text, wrong, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys.modules[__name__], "SOURCE", tmp_path / "etendue")
+    path = tmp_path / "etendue" / room / "example.py"
+    path.parent.mkdir(parents=True)
+    path.write_text(text)
+    found = faults_of_order(path)
+    assert (found == []) if wrong is None else (len(found) >= 1 and wrong in found[0])
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SOURCE)))
+def test_files_are_of_a_readable_size(path):
+    assert len(path.read_text("utf-8").splitlines()) <= MAX_LINES
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SOURCE)))
+def test_the_library_does_not_print(path):
+    """Everything goes through the one logger; the command line has a console object."""
+    calls = [
+        node.lineno
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("print", "breakpoint")
+    ]
+    assert calls == []
+
+
+def run_without_variant(code: str) -> str:
+    """Output of ``code`` in a fresh interpreter, where no variant has been set."""
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+    assert run.returncode == 0, run.stderr
+    return run.stdout
+
+
+def test_every_module_is_imported_without_a_variant():
+    """The variant is the user's choice, made late; a type looked up at import would fail here, or set one."""
+    names = [module_name(path) for path in FILES if path.name != "__main__.py"]
+    code = f"import importlib\nfor n in {names!r}: importlib.import_module(n)\nimport mitsuba\nprint(mitsuba.variant())"
+    assert run_without_variant(code).strip() == "None"
+
+
+@pytest.mark.parametrize("room", sorted({p.parent.name for p in SOURCE.glob("*/__init__.py")}))
+def test_llvm_is_looked_for_before_drjit_is_imported(room):
+    """Whichever room a script imports first."""
+    code = (
+        "import sys\n"
+        "class Watch:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        backend = sys.modules.get('etendue.core.backend')\n"
+        "        if name == 'drjit' and not getattr(backend, 'VARIANTS', None): raise SystemExit('too early')\n"
+        "sys.meta_path.insert(0, Watch())\n"
+        f"import etendue.{room}"
+    )
+    run_without_variant(code)
+
+
+def method_table():
+    return sorted(etendue.methods.table().items())
+
+
+def test_every_method_is_documented_and_cites_what_exists():
+    known = bibliography()
+    for name, method in method_table():
+        assert method.name == name
+        assert (method.__doc__ or "").strip(), f"method {name} has no manual page"
+        assert method.citations, f"method {name} cites nothing"
+        assert [key for key in method.citations if key not in known] == []
+
+
+def test_every_setting_is_documented():
+    for name, method in method_table():
+        rows = method.Settings.describe()
+        assert rows, f"method {name} has no settings"
+        for option, _, default, text in rows:
+            assert text.strip(), f"{name}: option {option} has no documentation"
+            assert getattr(method.Settings(), option) == default, f"{name}: option {option} does not keep its default"
+
+
+def test_every_citation_in_the_source_is_in_the_bibliography():
+    known = bibliography()
+    unknown = {
+        f"{path.relative_to(SOURCE)}: {key}"
+        for path in FILES
+        for key in cited_keys(path.read_text("utf-8"))
+        if key not in known
+    }
+    assert sorted(unknown) == []
+
+
+def test_how_citations_are_read():
+    text = "[Georgiev 2012TR, eq. 31; Kajiya 1986] and [Veach 1997], not [0, 1), list[int], [Section 2]"
+    assert cited_keys(text) == ["Georgiev2012TR", "Kajiya1986", "Veach1997"]
