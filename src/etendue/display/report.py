@@ -148,23 +148,24 @@ def _pictures_section(
 ) -> str:
     figures = []
     for index, (name, image) in enumerate(pictures):
-        caption = _caption(entries[index]) if index < len(entries) else escape(note)
+        facts = _facts(entries[index]) if index < len(entries) else [note] if note else []
+        bad = int((~np.isfinite(image).all(axis=2)).sum())
+        if bad:
+            facts.append(f"{bad} pixel{'s' if bad != 1 else ''} not finite")
         alt = f"picture by {name}" if index < len(entries) else "reference picture"
-        figures.append(_figure(tonemap(image, exposure, curve), alt, name, caption, index))
-    return f'<section><h2>Side by side</h2><div class="figures">{"".join(figures)}</div></section>'
+        figures.append(_figure(tonemap(image, exposure, curve), alt, name, " · ".join(facts), index))
+    heading = "Side by side" if len(pictures) > 1 else "Picture"
+    return f'<section><h2>{heading}</h2><div class="figures">{"".join(figures)}</div></section>'
 
 
-def _caption(entry: Entry) -> str:
-    parts = []
+def _facts(entry: Entry) -> list[str]:
+    facts = []
     if "seconds" in entry.metadata:
-        parts.append(time_text(float(entry.metadata["seconds"])))
+        facts.append(time_text(float(entry.metadata["seconds"])))
     if "passes" in entry.metadata:
         passes = int(entry.metadata["passes"])
-        parts.append(f"{passes} pass{'es' if passes != 1 else ''}")
-    bad = int((~np.isfinite(entry.image).all(axis=2)).sum())
-    if bad:
-        parts.append(f"{bad} pixel{'s' if bad != 1 else ''} not finite")
-    return escape(" · ".join(parts))
+        facts.append(f"{passes} pass{'es' if passes != 1 else ''}")
+    return facts
 
 
 def _errors_section(entries: Sequence[Entry], reference: Image | None) -> str:
@@ -209,18 +210,24 @@ def _plot_section(entries: Sequence[Entry]) -> str:
 def _layers_section(entries: Sequence[Entry], exposure: float, curve: str) -> str:
     blocks = []
     for entry in entries:
-        shown = {name: layer for name, layer in entry.layers.items() if name != "image" and layer.ndim == 3}
-        colour = {name: layer for name, layer in shown.items() if layer.shape[2] == 3}
-        if colour:
-            figures = "".join(
-                _figure(tonemap(layer, exposure, curve), f"layer {name} of {entry.name}", name, "")
-                for name, layer in colour.items()
-            )
+        figures = [
+            _figure(_layer_pixels(name, layer, exposure, curve), f"layer {name} of {entry.name}", name, "")
+            for name, layer in entry.layers.items()
+            if name != "image" and layer.ndim == 3 and layer.shape[2] == 3
+        ]
+        if figures:
             blocks.append(
                 f"<details><summary>Layers of {escape(entry.name)}</summary>"
-                f'<div class="figures">{figures}</div></details>'
+                f'<div class="figures">{"".join(figures)}</div></details>'
             )
     return f"<section><h2>Layers</h2>{''.join(blocks)}</section>" if blocks else ""
+
+
+def _layer_pixels(name: str, layer: Image, exposure: float, curve: str) -> NDArray[np.uint8]:
+    """Directions as colours around grey, reflectances as they are, radiance like the picture."""
+    if name == "normal":
+        return np.round(127.5 * (np.nan_to_num(layer).clip(-1.0, 1.0) + 1.0)).astype(np.uint8)
+    return tonemap(layer, 0.0 if name == "albedo" else exposure, "srgb" if name == "albedo" else curve)
 
 
 def _settings_section(entries: Sequence[Entry]) -> str:
@@ -245,7 +252,7 @@ def _figure(pixels: NDArray[np.uint8], alt: str, name: str, caption: str, index:
     mark = "" if index is None else f' data-picture="{index}"'
     return (
         f'<figure><img src="{source}" width="{width}" height="{height}" alt="{escape(alt)}"{mark}>'
-        f"<figcaption><strong>{escape(name)}</strong>{f' · {caption}' if caption else ''}</figcaption></figure>"
+        f"<figcaption><strong>{escape(name)}</strong>{escape(f' · {caption}') if caption else ''}</figcaption></figure>"
     )
 
 

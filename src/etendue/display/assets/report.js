@@ -118,6 +118,7 @@
     right.add(new Option(name, index, false, index === data.right));
   }
   curve.value = data.curve;
+  find("viewer").classList.toggle("single", names.length < 2);
   left.addEventListener("change", show);
   right.addEventListener("change", show);
   position.addEventListener("input", () => { divided = Number(position.value); show(); });

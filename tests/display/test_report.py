@@ -1,0 +1,226 @@
+"""The comparison page holds everything it needs, well formed, and asks nobody else for anything."""
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+import zlib
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from etendue.core import OptionError, OutputError
+from etendue.display import Entry, render_report, write_report
+from etendue.display.report import shared_exponent
+from etendue.display.tables import number_text, time_text, value_text
+from etendue.film import relative_mse
+
+VOID = {"meta", "img", "input", "br", "link", "hr"}
+
+
+class Checker(HTMLParser):
+    """Nesting, identifiers, and every attribute that could load something."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.stack, self.ids, self.tags, self.loads, self.texts = [], [], [], [], []
+        self.feed(text)
+        self.close()
+        assert not self.stack, f"never closed: {self.stack}"
+
+    def handle_starttag(self, tag, attrs):
+        attrs = dict(attrs)
+        self.tags.append((tag, attrs))
+        if "id" in attrs:
+            self.ids.append(attrs["id"])
+        self.loads += [attrs[k] for k in ("src", "href", "srcset", "data", "action", "poster") if k in attrs]
+        if tag not in VOID:
+            self.stack.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.stack and self.stack.pop() == tag, f"</{tag}> closes nothing"
+
+    def handle_data(self, data):
+        if not self.stack or self.stack[-1] not in ("script", "style"):
+            self.texts.append(data)
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.texts).split())
+
+
+@pytest.fixture
+def comparison():
+    rng = np.random.default_rng(11)
+    reference = rng.gamma(0.5, 2.0, (24, 32, 3)).astype(np.float32)
+    entries = []
+    for name, noise in (("path", 0.5), ("vcm", 0.1)):
+        image = (reference * (1 + noise * rng.standard_normal(reference.shape))).clip(0).astype(np.float32)
+        entries.append(
+            Entry(
+                name=name,
+                image=image,
+                metadata={
+                    "method": name,
+                    "seed": 4,
+                    "seconds": 45.2,
+                    "passes": 31,
+                    "rays": 123456789,
+                    "scene": "a</script><b>.xml",
+                    "settings": {"max_depth": 10, "samples_per_pass": 1 if name == "path" else 2},
+                    "versions": {"mitsuba": "3.9.1", "llvm": "19.1.7"},
+                },
+                error_history=[(1.0, 4 * noise), (10.0, noise)],
+                layers={"image": image, "emission": image * 0.5, "depth": image[:, :, :1], "normal": image - 1},
+            )
+        )
+    entries[0].image[3, 4] = np.nan
+    return entries, reference
+
+
+def test_page_is_well_formed_and_complete(comparison):
+    entries, reference = comparison
+    page = render_report(entries, reference, title="A & <B>", subtitle="45 s each", reference_note="path, 9 h & more")
+    checker = Checker(page)
+    assert len(set(checker.ids)) == len(checker.ids)
+    text = checker.text
+    for words in (
+        "A & <B>",
+        "45 s each",
+        "path, 9 h & more",
+        "45 s · 31 passes · 1 pixel not finite",
+        "a</script><b>.xml",
+    ):
+        assert words in text
+    for heading in ("Side by side", "Error against the reference", "Error over time", "Layers", "Settings", "Versions"):
+        assert heading in text
+    for entry in entries:
+        assert number_text(relative_mse(entry.image, reference)) in text
+        assert number_text(relative_mse(entry.image, reference, trim=0.001)) in text
+    assert "vcm has the smallest error" in text
+    rows = re.findall(r'<tr class="differs">.*?</tr>', page)
+    assert len(rows) == 1 and "samples per pass" in rows[0]
+
+
+def test_page_loads_nothing(comparison):
+    entries, reference = comparison
+    page = render_report(entries, reference)
+    checker = Checker(page)
+    assert checker.loads and all(value.startswith("data:") for value in checker.loads)
+    assert not re.search(r"https?://|url\(|@import|//[a-z0-9.-]+\.[a-z]{2,}/|fetch\(|XMLHttpRequest|import\(", page)
+    assert "default-src 'none'" in page
+
+
+def test_everything_to_see_or_touch_has_a_name(comparison):
+    entries, reference = comparison
+    page = render_report(entries, reference)
+    checker = Checker(page)
+    assert all(attrs.get("alt") for tag, attrs in checker.tags if tag == "img")
+    assert all(attrs.get("aria-label") for tag, attrs in checker.tags if tag == "svg")
+    for tag, attrs in checker.tags:
+        if tag in ("input", "select"):
+            labelled = re.search(rf'<label[^>]*>(?:(?!</label>).)*id="{attrs["id"]}"', page, re.DOTALL)
+            assert labelled or attrs.get("aria-label"), attrs
+    assert ("html", {"lang": "en"}) in checker.tags
+
+
+def test_script_data_is_the_radiance(comparison):
+    entries, reference = comparison
+    page = render_report(entries, reference, exposure=1.5, curve="filmic")
+    data = json.loads(re.search(r'id="pictures">(.*?)</script>', page, re.DOTALL).group(1))
+    assert data["names"] == ["path", "vcm", "reference"] and (data["width"], data["height"]) == (32, 24)
+    assert data["exposure"] == 1.5 and data["curve"] == "filmic"
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(data["planes"][2])), np.uint8).reshape(4, 24, 32)
+    value = planes[:3] * 2.0 ** (planes[3].astype(float) - 136)
+    error = np.abs(np.moveaxis(value, 0, 2) - reference).max(axis=2)
+    assert (error <= reference.max(axis=2) / 255).all()
+
+
+def test_shared_exponent_at_its_limits():
+    values = np.array([[[0, 0, 0], [1e-45, 0, 0], [1, 0.5, 0.25], [255.6, 1, 0], [np.nan, -1, np.inf], [3e38, 1, 1]]])
+    planes = shared_exponent(values.astype(np.float32))
+    value = np.moveaxis(planes[:3] * 2.0 ** (planes[3].astype(float) - 136), 0, 2)[0]
+    assert value[0].tolist() == [0, 0, 0] and value[2].tolist() == [1, 0.5, 0.25]
+    np.testing.assert_allclose(value[3, 0], 255.6, rtol=1 / 255)
+    assert value[4, 0] == value[4, 1] == 0 and value[4, 2] > 1e29
+
+
+def test_one_picture_without_a_reference(comparison):
+    entries, _ = comparison
+    text = Checker(render_report(entries[1:])).text
+    assert "Error against" not in text and "smallest error" not in text and "Side by side" not in text
+
+
+def test_large_pictures_go_without_the_script():
+    entry = Entry("big", np.full((1000, 1600, 3), 0.2, np.float32))
+    page = render_report([entry])
+    assert "<script" not in page and len(page) < 200_000
+    Checker(page)
+
+
+def test_wrong_input_is_one_line(comparison, tmp_path):
+    entries, reference = comparison
+    with pytest.raises(OptionError, match="at least one"):
+        render_report([])
+    with pytest.raises(OptionError, match="different names"):
+        render_report([entries[0], entries[0]])
+    with pytest.raises(OptionError, match="reference is 12 x 32 x 3"):
+        render_report(entries, reference[:12])
+    with pytest.raises(OutputError, match="no folder"):
+        write_report(tmp_path / "no" / "page.html", entries, reference)
+
+
+def test_numbers_for_people():
+    assert [number_text(v) for v in (0.00123456, 45.6789, 1234.5, 0.0, float("nan"), 1e-9)] == [
+        "0.00123",
+        "45.7",
+        "1234",
+        "0",
+        "–",
+        "1.00e-09",
+    ]
+    assert [time_text(v) for v in (4.24, 45.2, 200, 7500)] == ["4.2 s", "45 s", "3 min 20 s", "2 h 5 min"]
+    assert [value_text(v) for v in (True, None, 12, 1234567, 0.003, [1, 2], 2e6)] == [
+        "yes",
+        "–",
+        "12",
+        "1\u202f234\u202f567",
+        "0.003",
+        "1, 2",
+        "2\u202f000\u202f000",
+    ]
+
+
+def test_script_runs_in_a_browser(comparison, tmp_path):
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    if browser is None:
+        pytest.skip("no Chromium on this machine")
+    entries, reference = comparison
+    write_report(tmp_path / "page.html", entries, reference)
+    # The page's own controls, moved as a user would, before the document is printed.
+    act = (
+        "<script>const wait = setInterval(() => { if (document.documentElement.dataset.ready !== 'true') return;"
+        "clearInterval(wait); const set = (id, v) => { const e = document.getElementById(id); e.value = v;"
+        "e.dispatchEvent(new Event('input')); }; set('position', 20); set('exposure', 2);"
+        "const c = document.querySelector('figure canvas');"
+        "document.body.dataset.pixel = c.getContext('2d').getImageData(9, 7, 1, 1).data.join(' ');"
+        "}, 20)</script></body>"
+    )
+    page = (tmp_path / "page.html").read_text().replace("</body>", act)
+    (tmp_path / "page.html").write_text(page)
+    flags = "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking"
+    command = [browser, *flags.split(), "--disable-component-update", "--disable-sync", "--virtual-time-budget=5000"]
+    command += [f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", (tmp_path / "page.html").as_uri()]
+    dom = subprocess.run(command, capture_output=True, text=True, timeout=120).stdout
+    assert 'data-ready="true"' in dom
+    assert re.search(r"clip-path: inset\(0(px)? 80% 0(px)? 0(px)?\)", dom)
+    from etendue.display import auto_exposure, tonemap
+
+    expected = tonemap(entries[0].image, auto_exposure(reference) + 2.0)[7, 9].astype(int)
+    shown = np.array([int(v) for v in re.search(r'data-pixel="([\d ]+)"', dom).group(1).split()])
+    assert np.abs(shown[:3] - expected).max() <= 3 and shown[3] == 255
