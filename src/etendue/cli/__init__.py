@@ -1,1 +1,1 @@
-"""Room cli."""
+"""The command line: `etendue render`, `compare`, `resume`, `demo`, `methods`, `scenes`, `doctor`, `cite`."""

@@ -1,0 +1,113 @@
+"""Messages and progress on a terminal or in a pipe. Paths of pictures go to standard output, the rest to the other."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from types import TracebackType
+from typing import Any, Self
+
+from rich.console import Console
+from rich.progress import BarColumn, TaskID, TextColumn
+from rich.progress import Progress as RichProgress
+
+from etendue.core.progress import Progress, format_rate, format_seconds
+
+#: In a pipe, a line of progress comes when the time has grown by this ratio, and at least this often.
+_LINE_RATIO, _LINE_EVERY = 1.5, 60.0
+
+
+def error_console() -> Console:
+    """Where progress, warnings and errors go."""
+    return Console(stderr=True, highlight=False)
+
+
+def say(text: str) -> None:
+    """A line of a command's output, on standard output; never wrapped."""
+    Console(highlight=False).print(text, markup=False, soft_wrap=True)
+
+
+def note(console: Console, text: str, style: str | None = None) -> None:
+    """A line beside the output; never wrapped."""
+    console.print(text, markup=False, soft_wrap=True, style=style)
+
+
+class ConsoleHandler(logging.Handler):
+    """Shows log records above the progress bar: ``warning: ...``."""
+
+    def __init__(self, console: Console, level: int) -> None:
+        super().__init__(level)
+        self._console = console
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """See :class:`logging.Handler`."""
+        style = {logging.WARNING: "yellow", logging.ERROR: "red"}.get(record.levelno)
+        note(self._console, f"{record.levelname.lower()}: {record.getMessage()}", style)
+
+
+class ProgressView:
+    """A live bar on a terminal, a line now and then elsewhere."""
+
+    def __init__(self, console: Console, label: str) -> None:
+        self._console = console
+        self._label = label
+        self._bar: RichProgress | None = None
+        self._task = TaskID(0)
+        self._next_line = 1.0
+        self._began = time.monotonic()
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal:
+            self._bar = RichProgress(
+                TextColumn("{task.description}"),
+                BarColumn(bar_width=None),
+                TextColumn("{task.fields[status]}"),
+                console=self._console,
+                transient=True,
+                expand=True,
+            )
+            self._task = self._bar.add_task(self._label, total=None, status="loading the scene")
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Remove the bar and give the cursor back."""
+        if self._bar is not None:
+            self._bar.stop()
+
+    def update(self, progress: Progress, prepared: bool) -> None:
+        """Show ``progress``; called some times a second."""
+        if self._bar is not None:
+            self._bar.update(self._task, **self._fields(progress, prepared))
+            return
+        now = time.monotonic() - self._began
+        if progress.passes and now >= self._next_line:
+            self._next_line = min(max(now * _LINE_RATIO, 1.0), now + _LINE_EVERY)
+            share = f"{100 * progress.fraction:3.0f} %  " if progress.fraction is not None else ""
+            note(self._console, f"{self._label}: {share}{progress}")
+
+    def _fields(self, progress: Progress, prepared: bool) -> dict[str, Any]:
+        if not progress.passes:
+            return {"total": None, "status": "first pass, compiling" if prepared else "loading the scene"}
+        parts = [f"pass {progress.passes}", format_seconds(progress.elapsed)]
+        if progress.eta is not None:
+            parts.append(f"ETA {format_seconds(progress.eta)}")
+        if progress.rays_per_second:
+            parts.append(format_rate(progress.rays_per_second))
+        if progress.relative_error is not None:
+            parts.append(f"noise {progress.relative_error:.2g}")
+        fields: dict[str, Any] = {"status": "  ".join(parts), "total": 1.0 if progress.fraction is not None else None}
+        if progress.fraction is not None:
+            fields["completed"] = progress.fraction
+        return fields
+
+
+def print_error(message: str) -> None:
+    """One line on standard error, whatever ``message`` looks like."""
+    print("error:", " ".join(message.split()), file=sys.stderr)  # noqa: T201

@@ -1,0 +1,50 @@
+"""Ctrl-C and SIGTERM while rendering: the first stops after the current pass, a second ends the process at once."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+#: Signals that ask a process to end.
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Interrupts:
+    """Handlers for the length of a block; the former ones come back after it. Main thread only.
+
+    ``stop`` is called at the first signal; ``abort`` at the second, just before the process ends: the rendering thread
+    is inside compiled code and cannot be ended otherwise.
+    """
+
+    def __init__(self, stop: Callable[[], None], abort: Callable[[], None]) -> None:
+        self._stop = stop
+        self._abort = abort
+        self._former: dict[int, Any] = {}
+        #: The signal that came, if one did.
+        self.received: int | None = None
+
+    def __enter__(self) -> Self:
+        for number in SIGNALS:
+            self._former[number] = signal.signal(number, self._handle)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._former.items():
+            signal.signal(number, handler)
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        if self.received is not None:
+            self._abort()
+            os._exit(128 + number)
+        self.received = number
+        self._stop()
+
+    @property
+    def exit_code(self) -> int:
+        """0, or what a shell expects of a process that a signal ended."""
+        return 0 if self.received is None else 128 + self.received

@@ -1,0 +1,331 @@
+"""The command `etendue`. Every error that a user can cause is one line on standard error and a non-zero exit status.
+
+Mitsuba, NumPy and the rest of étendue are imported inside the commands: `etendue --help` is immediate.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from etendue.core import EtendueError, logger
+
+from . import options as opt
+from .console import ConsoleHandler, error_console, note, print_error, say
+
+app = typer.Typer(
+    name="etendue",
+    help="Global illumination for Mitsuba 3 scenes: path, light and bidirectional path tracing, VCM.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+# The base of typer's usage errors; where it lives depends on the version of typer.
+_UsageError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; ``arguments`` are those of the process by default. Returns the exit status."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    debug = "--debug" in words  # looked at here, as it must also hold for errors in the other options
+    handler = ConsoleHandler(error_console(), logging.DEBUG if debug else logging.WARNING)
+    level = logger.level
+    logger.addHandler(handler)
+    logger.setLevel(logging.DEBUG if debug else logging.WARNING)
+    try:
+        return int(app(words, prog_name="etendue", standalone_mode=False) or 0)
+    except (EtendueError, _UsageError) as error:
+        if debug:
+            traceback.print_exc()
+        text = error.format_message() if hasattr(error, "format_message") else str(error)
+        # Without arguments typer raises with the help text, which it has printed, or with nothing.
+        if text.strip():
+            print_error(text)
+        return int(getattr(error, "exit_code", 1))
+    except typer.Abort:
+        return 130
+    except BrokenPipeError:
+        return 141
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        print_error(f"{type(error).__name__}: {error} (unexpected; --debug shows where, please report it)")
+        return 70
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from importlib import metadata
+
+        names = ("etendue", "mitsuba", "drjit")
+        say(", ".join(f"{name} {metadata.version(name)}" for name in names))
+        raise typer.Exit
+
+
+@app.callback()
+def root(
+    version: Annotated[
+        bool, typer.Option("--version", help="Show versions and exit.", callback=_show_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Options of the command itself."""
+
+
+@app.command()
+def render(
+    scene: opt.Scene,
+    method: Annotated[str, typer.Option("--method", "-m", help="See `etendue methods`.", metavar="NAME")] = "vcm",
+    output: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "-o", "--output", help="Picture: .exr (all layers, metadata) or .png; repeatable.", metavar="FILE"
+        ),
+    ] = None,
+    time: opt.Time = None,
+    spp: opt.Spp = None,
+    error: opt.Error = None,
+    size: opt.Size = None,
+    sensor: opt.Sensor = 0,
+    seed: opt.Seed = 0,
+    variant: opt.Variant = None,
+    define: opt.Define = None,
+    param: opt.Param = None,
+    max_depth: opt.MaxDepth = None,
+    threads: opt.Threads = None,
+    memory: opt.Memory = None,
+    aovs: opt.Aovs = False,
+    save_every: opt.SaveEvery = "60",
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(help="Checkpoint for `etendue resume`; by default beside the first picture.", metavar="FILE"),
+    ] = None,
+    no_checkpoint: Annotated[bool, typer.Option("--no-checkpoint", help="Write no checkpoint.")] = False,
+    debug: opt.Debug = False,
+) -> int:
+    """Render a scene.
+
+    Stops at the first of --time, --spp and --error that is reached; without any, at the scene's own sample count.
+    Ctrl-C stops after the current pass and writes the picture and the checkpoint.
+    """
+    from etendue import methods
+    from etendue.api import Outputs, start_job
+    from etendue.core import OptionError
+    from etendue.engine import Budget, Job, Task
+
+    from .rendering import choose_device, default_name, follow, list_outputs, summary
+
+    given: dict[str, object] = {}
+    if max_depth is not None:
+        given["max_depth"] = max_depth
+    if aovs:
+        given["aovs"] = True
+    task = Task(
+        scene=scene,
+        method=methods.get(method),
+        settings=given | opt.parse_pairs(define, "-D"),
+        seed=seed,
+        budget=Budget(opt.parse_time(time) if time is not None else None, spp, None, error),
+        size=opt.parse_size(size),
+        sensor=sensor,
+        parameters=opt.parse_pairs(param, "-P"),
+        memory=opt.parse_memory(memory),
+    )
+    every = opt.parse_time(save_every, "--save-every")
+    if every < 0:
+        raise OptionError(f"--save-every wants a time of at least 0, not '{save_every}'")
+    pictures = output or [Path(f"{default_name(scene)}-{method}.exr")]
+    if no_checkpoint and checkpoint is not None:
+        raise OptionError("--checkpoint and --no-checkpoint exclude each other; give one of them")
+    saved = None if no_checkpoint else checkpoint or pictures[0].with_suffix(".checkpoint")
+    outputs = Outputs.of(pictures, saved)
+    choose_device(variant, threads)
+
+    console = error_console()
+    outcome = follow(lambda: start_job(lambda: Job.open(task), outputs, every or None), console, method)
+    if outcome.rendering is not None:
+        note(console, summary(outcome.rendering))
+        say(list_outputs(outputs))
+    return outcome.exit_code
+
+
+@app.command()
+def resume(
+    checkpoint: Annotated[Path, typer.Argument(help="File that `etendue render` wrote.", metavar="CHECKPOINT")],
+    output: Annotated[
+        list[Path] | None,
+        typer.Option("-o", "--output", help="Picture; by default the .exr beside the checkpoint.", metavar="FILE"),
+    ] = None,
+    scene: Annotated[str | None, typer.Option(help="Where the scene is now, if it has moved.", metavar="SCENE")] = None,
+    time: opt.Time = None,
+    spp: opt.Spp = None,
+    error: opt.Error = None,
+    variant: opt.Variant = None,
+    threads: opt.Threads = None,
+    save_every: opt.SaveEvery = "60",
+    debug: opt.Debug = False,
+) -> int:
+    """Go on with an interrupted or finished render; the checkpoint is updated.
+
+    --time counts from now, --spp and --error speak of the whole picture. Without them the interrupted budget is
+    used up.
+    """
+    from etendue import methods
+    from etendue.api import Outputs, start_job
+    from etendue.core import OptionError
+    from etendue.engine import Budget, Checkpoint, Job
+
+    from .rendering import choose_device, follow, list_outputs, summary
+
+    budget = Budget(opt.parse_time(time) if time is not None else None, spp, None, error)
+    every = opt.parse_time(save_every, "--save-every")
+    if every < 0:
+        raise OptionError(f"--save-every wants a time of at least 0, not '{save_every}'")
+    saved = Checkpoint.read(checkpoint)
+    method = methods.get(saved.method)
+    outputs = Outputs.of(output or [checkpoint.with_suffix(".exr")], checkpoint)
+    choose_device(variant, threads)
+
+    console = error_console()
+    outcome = follow(
+        lambda: start_job(
+            lambda: Job.resume(saved, method, budget=budget or None, scene=scene), outputs, every or None
+        ),
+        console,
+        saved.method,
+    )
+    if outcome.rendering is not None:
+        note(console, summary(outcome.rendering))
+        say(list_outputs(outputs))
+    return outcome.exit_code
+
+
+@app.command()
+def compare(
+    scene: opt.Scene,
+    method: Annotated[
+        list[str] | None, typer.Option("--method", "-m", help="A method; give it twice or more.", metavar="NAME")
+    ] = None,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Folder for pictures and page; made if needed.", metavar="DIR")
+    ] = Path("comparison"),
+    reference: Annotated[
+        Path | None, typer.Option(help="A converged picture to measure the error against.", metavar="FILE")
+    ] = None,
+    time: opt.Time = None,
+    spp: opt.Spp = None,
+    error: opt.Error = None,
+    size: opt.Size = None,
+    sensor: opt.Sensor = 0,
+    seed: opt.Seed = 0,
+    variant: opt.Variant = None,
+    define: Annotated[
+        list[str] | None,
+        typer.Option(
+            "-D", "--set", help="A setting for every method that has it, or METHOD.NAME=VALUE.", metavar="NAME=VALUE"
+        ),
+    ] = None,
+    param: opt.Param = None,
+    max_depth: opt.MaxDepth = None,
+    threads: opt.Threads = None,
+    memory: opt.Memory = None,
+    debug: opt.Debug = False,
+) -> int:
+    """Render a scene by several methods for the same time, and write a page that compares them.
+
+    By default `path` and `vcm`, 60 seconds each.
+    """
+    from etendue.engine import Budget
+
+    from .compare import Comparison
+    from .rendering import choose_device
+
+    budget = Budget(opt.parse_time(time) if time is not None else None, spp, None, error)
+    comparison = Comparison(
+        scene=scene,
+        methods=method or ["path", "vcm"],
+        output=output,
+        budget=budget or Budget(seconds=60),
+        settings=opt.parse_pairs(define, "-D") | ({} if max_depth is None else {"max_depth": str(max_depth)}),
+        reference=reference,
+        seed=seed,
+        size=opt.parse_size(size),
+        sensor=sensor,
+        parameters=opt.parse_pairs(param, "-P"),
+        memory=opt.parse_memory(memory),
+    )
+    comparison.check()
+    choose_device(variant, threads)
+    return comparison.run(error_console())
+
+
+@app.command()
+def demo(
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Folder for pictures and page; made if needed.", metavar="DIR")
+    ] = Path("demo-output"),
+    time: Annotated[str, typer.Option("--time", "-t", help="Time for each method.", metavar="TIME")] = "45",
+    size: opt.Size = None,
+    variant: opt.Variant = None,
+    threads: opt.Threads = None,
+    debug: opt.Debug = False,
+) -> int:
+    """Render the bundled caustic scene by path tracing and by VCM for the same time, and write a page."""
+    from .compare import demonstration
+    from .rendering import choose_device
+
+    comparison = demonstration(output, opt.parse_time(time), opt.parse_size(size))
+    choose_device(variant, threads)
+    comparison.check()
+    return comparison.run(error_console())
+
+
+@app.command()
+def methods(
+    name: Annotated[str | None, typer.Argument(help="Show the manual page of this method.", metavar="[NAME]")] = None,
+    debug: opt.Debug = False,
+) -> int:
+    """List the methods, or show one's manual page with its settings."""
+    from .listings import show_method, show_methods
+
+    return show_method(name) if name else show_methods()
+
+
+@app.command()
+def scenes(debug: opt.Debug = False) -> int:
+    """List the bundled scenes."""
+    from .listings import show_scenes
+
+    return show_scenes()
+
+
+@app.command()
+def cite(
+    method: Annotated[list[str], typer.Argument(help="Methods.", metavar="METHOD...")], debug: opt.Debug = False
+) -> int:
+    """Print the papers that a method implements, as BibTeX."""
+    from .listings import show_citations
+
+    return show_citations(method)
+
+
+@app.command()
+def doctor(debug: opt.Debug = False) -> int:
+    """Report what is installed, what is wrong and how to mend it."""
+    from rich.console import Console
+
+    from .doctor import run_doctor
+
+    return run_doctor(Console())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,65 @@
+"""When a run is over: seconds, samples, passes, noise; whichever is reached first."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from dataclasses import dataclass
+from typing import Any
+
+from etendue.core import OptionError
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Any combination of limits; the first one reached stops the run. ``None`` is no limit.
+
+    ``seconds`` count from the first pass of a run, compilation included. ``samples`` (camera paths per pixel),
+    ``iterations`` (passes) and ``error`` (:meth:`Measurement.relative_error`: noise, not bias) speak of the picture,
+    so the passes of an earlier run that is resumed count. Raises :class:`OptionError` on a limit that is not positive.
+    """
+
+    seconds: float | None = None
+    samples: int | None = None
+    iterations: int | None = None
+    error: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "seconds", _positive("seconds (--time)", self.seconds))
+        object.__setattr__(self, "error", _positive("error (--error)", self.error))
+        object.__setattr__(self, "samples", _count("samples per pixel (--spp)", self.samples))
+        object.__setattr__(self, "iterations", _count("passes", self.iterations))
+
+    def __bool__(self) -> bool:
+        """Whether there is any limit at all."""
+        return any(limit is not None for limit in (self.seconds, self.samples, self.iterations, self.error))
+
+    def passes(self, samples_per_iteration: int) -> int | None:
+        """Number of passes that ``samples`` and ``iterations`` allow; ``None`` if neither is limited."""
+        limits = []
+        if self.samples is not None:
+            limits.append(-(-self.samples // max(1, samples_per_iteration)))
+        if self.iterations is not None:
+            limits.append(self.iterations)
+        return min(limits, default=None)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The limits that are set, ready for JSON."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+
+def _positive(what: str, value: Any) -> float | None:
+    if value is None:
+        return None
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value) or value <= 0:
+        raise OptionError(f"a budget in {what} must be a number above 0, not {value!r}")
+    return float(value)
+
+
+def _count(what: str, value: Any) -> int | None:
+    if value is None:
+        return None
+    whole = isinstance(value, numbers.Real) and not isinstance(value, bool) and float(value).is_integer()
+    if not whole or value < 1:
+        raise OptionError(f"a budget in {what} must be a whole number of at least 1, not {value!r}")
+    return int(value)

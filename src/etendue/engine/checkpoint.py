@@ -1,0 +1,172 @@
+"""Checkpoints: all that a run needs to go on as if it had never stopped, in one file.
+
+A checkpoint is a NumPy ``.npz`` archive without pickled objects: the sums and squares of the measurement as float64
+arrays, and one JSON header with everything else. Sums stay float64, so a resumed run adds in the same order to the
+same numbers as an uninterrupted one.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from etendue.core import CheckpointError, Iterations, Measurement
+from etendue.film import replacing
+
+#: Version of the layout of the file.
+FORMAT = 1
+_MAGIC = "etendue checkpoint"
+_HEADER = "header"
+
+
+@dataclass
+class Checkpoint:
+    """A measurement, and what it was measured with."""
+
+    measurement: Measurement
+    method: str
+    #: Settings of the method as JSON text, see ``Settings.to_json``.
+    settings: str
+    seed: int
+    #: Digest of the scene's parameters, sensor and film size.
+    fingerprint: str
+    #: ``Method.state()``.
+    state: dict[str, Any] = field(default_factory=dict)
+    #: How to find the scene again: the arguments of ``scene.load`` that are plain values.
+    scene: dict[str, Any] = field(default_factory=dict)
+    #: The budget that was running, see ``Budget.to_dict``.
+    budget: dict[str, Any] = field(default_factory=dict)
+    #: What ended the run, see ``runner.StoppedBy``.
+    stopped_by: str = "running"
+    #: Versions of étendue, Mitsuba and Dr.Jit, and the variant.
+    versions: dict[str, str] = field(default_factory=dict)
+    #: Seconds of the run that ended here, as its budget counts them.
+    elapsed: float = 0.0
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write the file in one step: a process that is killed leaves the old one or the new one, whole.
+
+        Raises :class:`OutputError` if it cannot be written; an existing checkpoint is then untouched.
+        """
+        arrays: dict[str, Any] = {}
+        m = self.measurement
+        for kind, table in (("sum", m.sums), ("square", m.squares)):
+            for name, array in table.items():
+                arrays[f"{kind}/{name}"] = np.asarray(array, dtype=np.float64)
+        header = {
+            "magic": _MAGIC,
+            "format": FORMAT,
+            "weights": m.weights,
+            "counters": m.counters,
+            "iterations": m.iterations.to_json(),
+            "state": _pack(self.state, arrays),
+            **{k: v for k, v in vars(self).items() if k not in ("measurement", "state")},
+        }
+        arrays[_HEADER] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+        with replacing(path) as part, open(part, "wb") as file:
+            np.savez(file, **arrays)
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Checkpoint:
+        """Read a file. Raises :class:`CheckpointError` if it is missing, damaged, or something else."""
+        try:
+            with open(path, "rb") as file:
+                arrays = _load(file)
+        except FileNotFoundError:
+            raise CheckpointError(f"there is no checkpoint {path}; check the name") from None
+        except OSError as error:
+            raise CheckpointError(f"cannot read checkpoint {path}: {error.strerror or error}") from error
+        except (ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+            raise CheckpointError(
+                f"{path} is not an étendue checkpoint, or it is damaged ({error}); render again or use another one"
+            ) from error
+        try:
+            header = json.loads(arrays.pop(_HEADER).tobytes())
+            if header.pop("magic") != _MAGIC:
+                raise KeyError("magic")
+            version = header.pop("format")
+            if version != FORMAT:
+                raise CheckpointError(
+                    f"checkpoint {path} has format {version}, this étendue reads format {FORMAT}; "
+                    f"resume it with étendue {header.get('versions', {}).get('etendue', 'of its time')}"
+                )
+            measurement = Measurement(
+                sums=_select(arrays, "sum/"),
+                weights=header.pop("weights"),
+                iterations=Iterations.from_json(header.pop("iterations")),
+                squares=_select(arrays, "square/"),
+                counters=header.pop("counters"),
+            )
+            return cls(measurement=measurement, state=_unpack(header.pop("state"), arrays), **header)
+        except (KeyError, ValueError, TypeError, AttributeError) as error:
+            raise CheckpointError(
+                f"{path} is not an étendue checkpoint, or it is damaged ({error}); render again or use another one"
+            ) from error
+
+    def require(self, *, fingerprint: str, method: str, settings: str, seed: int | None = None) -> None:
+        """Raise :class:`CheckpointError` unless the run that wants to go on is the run that was saved."""
+        if method != self.method:
+            raise CheckpointError(
+                f"the checkpoint was made by method '{self.method}', not '{method}'; resume it with {self.method}"
+            )
+        if settings != self.settings:
+            differences = _differences(json.loads(self.settings), json.loads(settings))
+            raise CheckpointError(
+                f"the checkpoint was made with other settings ({differences}); resume it with its own, or render anew"
+            )
+        if seed is not None and seed != self.seed:
+            raise CheckpointError(f"the checkpoint was made with seed {self.seed}, not {seed}; resume it with its own")
+        if fingerprint != self.fingerprint:
+            raise CheckpointError(
+                "the scene is not the one the checkpoint was made with: its parameters, sensor or size have changed; "
+                "restore the scene, or start a new render"
+            )
+
+
+def _load(file: Any) -> dict[str, Any]:
+    archive = np.load(file, allow_pickle=False)
+    if not isinstance(archive, np.lib.npyio.NpzFile):
+        raise ValueError("not an archive")
+    return {name: archive[name] for name in archive.files}
+
+
+def _select(arrays: dict[str, Any], prefix: str) -> dict[str, Any]:
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+
+
+def _pack(value: Any, arrays: dict[str, Any]) -> Any:
+    """``value`` as JSON; arrays in it move to ``arrays`` and leave a reference."""
+    if isinstance(value, np.ndarray):
+        key = f"state/{len(arrays)}"
+        arrays[key] = value
+        return {"__array__": key}
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Mapping):
+        return {str(k): _pack(v, arrays) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_pack(v, arrays) for v in value]
+    return value
+
+
+def _unpack(value: Any, arrays: dict[str, Any]) -> Any:
+    """Inverse of :func:`_pack`; tuples come back as lists."""
+    if isinstance(value, dict):
+        if value.keys() == {"__array__"}:
+            return arrays[value["__array__"]]
+        return {k: _unpack(v, arrays) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_unpack(v, arrays) for v in value]
+    return value
+
+
+def _differences(saved: dict[str, Any], asked: dict[str, Any]) -> str:
+    names = [name for name in sorted(saved.keys() | asked.keys()) if saved.get(name) != asked.get(name)]
+    return ", ".join(f"{name} was {saved.get(name)}, is {asked.get(name)}" for name in names)

@@ -1,0 +1,249 @@
+"""From what a user asked for to a run that can be saved and resumed: the scene, the method on it, the checkpoint.
+
+The class of the method comes from outside: the engine knows no concrete one.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from etendue.core import (
+    CheckpointError,
+    Measurement,
+    Method,
+    OptionError,
+    Result,
+    SceneError,
+    Settings,
+    logger,
+)
+from etendue.scene import Problem, load
+
+from .budget import Budget
+from .checkpoint import Checkpoint
+from .runner import Runner, RunResult
+
+
+@dataclass(frozen=True)
+class Task:
+    """What to render, as asked for. Settings are checked at once, before any scene is read.
+
+    ``settings`` are those that were given; the others come from the scene's integrator where it speaks of them (its
+    depth), else from the method's defaults. Without a budget the scene's own sample count is used.
+    """
+
+    scene: Any
+    method: type[Any]  #: implements ``core.Method``, made from its settings
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0
+    budget: Budget = field(default_factory=Budget)
+    size: tuple[int, int] | None = None
+    sensor: int = 0
+    parameters: Mapping[str, Any] | None = None
+    memory: int | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
+            raise OptionError(f"a seed is a whole number of at least 0, not {self.seed!r}")
+        self.method.Settings.from_mapping(self.settings, owner=f"method '{self.method.name}'")
+
+    def place(self) -> dict[str, Any]:
+        """How to find the scene again: arguments of ``scene.load`` as plain values; no source if it lay in memory."""
+        place: dict[str, Any] = {"sensor": self.sensor}
+        if isinstance(self.scene, (str, os.PathLike)):
+            path = Path(self.scene)
+            place["source"] = str(path.absolute()) if path.exists() else str(path)
+        for name in ("size", "memory"):
+            if (value := getattr(self, name)) is not None:
+                place[name] = value
+        if self.parameters:
+            place["parameters"] = {k: str(v) for k, v in self.parameters.items()}
+        return place
+
+
+class Job:
+    """A task whose scene is loaded and whose method is prepared."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        method: Method,
+        *,
+        seed: int,
+        budget: Budget,
+        place: Mapping[str, Any],
+        start: Measurement | None = None,
+    ) -> None:
+        self.problem = problem
+        self.method = method
+        self.seed = seed
+        self.budget = budget
+        self.place = dict(place)
+        self.start = start
+
+    @classmethod
+    def open(cls, task: Task) -> Job:
+        """Load the scene and prepare the method. A Mitsuba variant must be set."""
+        problem = load(task.scene, size=task.size, sensor=task.sensor, parameters=task.parameters, memory=task.memory)
+        budget = task.budget or Budget(samples=max(1, problem.spp))
+        method = task.method(_settings(task, problem))
+        method.prepare(problem, task.seed)
+        method = _fit_samples(method, budget, problem, task.seed)
+        return cls(problem, method, seed=task.seed, budget=budget, place=task.place())
+
+    @classmethod
+    def resume(
+        cls, checkpoint: Checkpoint, method: type[Any], *, budget: Budget | None = None, scene: Any = None
+    ) -> Job:
+        """Continue ``checkpoint``; ``method`` is the class of its method.
+
+        ``budget`` replaces the saved one: its seconds count from now, its samples and error speak of the whole picture.
+        Without it, the saved budget is used up. ``scene`` is where the scene is now, if not where it was. Raises
+        :class:`CheckpointError` if the scene is another one or the saved budget is spent.
+        """
+        place = dict(checkpoint.scene)
+        source = scene if scene is not None else place.pop("source", None)
+        if source is None:
+            raise CheckpointError("the checkpoint was made from a scene in memory; give the scene to resume it with")
+        settings = method.Settings.from_json(checkpoint.settings)
+        budget = budget or _rest(checkpoint)
+        wanted = {k: place[k] for k in ("size", "sensor", "parameters", "memory") if k in place}
+        if "size" in wanted:
+            wanted["size"] = tuple(wanted["size"])
+        try:
+            problem = load(source, **wanted)
+        except SceneError as error:
+            raise CheckpointError(f"the scene of the checkpoint cannot be loaded: {error}") from error
+        checkpoint.require(fingerprint=problem.fingerprint, method=method.name, settings=settings.to_json())
+        instance = method(settings)
+        instance.prepare(problem, checkpoint.seed)
+        instance.restore(checkpoint.state)
+        task = Task(source, method, seed=checkpoint.seed, **wanted)
+        return cls(
+            problem,
+            instance,
+            seed=checkpoint.seed,
+            budget=budget,
+            place=task.place(),
+            start=checkpoint.measurement,
+        )
+
+    def runner(self, **options: Any) -> Runner:
+        """A :class:`Runner` of this job; ``options`` are its callbacks, ``save_every`` and ``cancel``.
+
+        It takes over the measurement of a resumed job, so there is one runner per job.
+        """
+        start, self.start = self.start, None
+        return Runner(self.method, seed=self.seed, budget=self.budget, start=start, **options)
+
+    def checkpoint(self, run: RunResult) -> Checkpoint:
+        """All that is needed to go on with ``run`` later."""
+        return Checkpoint(
+            measurement=run.measurement,
+            method=self.method.name,
+            settings=self.method.settings.to_json(),
+            seed=self.seed,
+            fingerprint=self.problem.fingerprint,
+            state=dict(self.method.state()),
+            scene=self.place,
+            budget=self.budget.to_dict(),
+            stopped_by=run.stopped_by,
+            versions=versions(),
+            elapsed=run.elapsed,
+        )
+
+    def result(self, run: RunResult) -> Result:
+        """The developed picture of ``run`` with the metadata that files carry."""
+        result = run.result
+        measurement = run.measurement
+        counters = {
+            k: v for k, v in measurement.counters.items() if k not in ("samples", "seconds", "rays", "nonfinite")
+        }
+        error = measurement.relative_error() if "image" in measurement.squares else float("nan")
+        result.metadata = {
+            **result.metadata,
+            "method": self.method.name,
+            "settings": self.method.settings.to_dict(),
+            "seed": self.seed,
+            "scene": self.problem.source,
+            "fingerprint": self.problem.fingerprint,
+            "passes": run.passes,
+            "samples": run.samples,
+            "seconds": round(measurement.counters.get("seconds", run.elapsed), 3),
+            "rays": measurement.counters.get("rays", 0.0),
+            "nonfinite": measurement.counters.get("nonfinite", 0.0),
+            "relative_error": error if error == error else None,
+            "stopped_by": run.stopped_by,
+            **({"counters": counters} if counters else {}),
+            "versions": versions(),
+        }
+        return result
+
+
+def versions() -> dict[str, str]:
+    """Versions of what made a picture, and the Mitsuba variant."""
+    import drjit as dr
+    import mitsuba as mi
+
+    try:
+        own = metadata.version("etendue")
+    except metadata.PackageNotFoundError:  # run from a source tree
+        own = "unknown"
+    return {"etendue": own, "mitsuba": mi.__version__, "drjit": dr.__version__, "variant": mi.variant() or ""}
+
+
+def warn_of_nonfinite(run: RunResult) -> None:
+    """Log how many contributions were left out of the picture because they were NaN or infinite."""
+    count = run.measurement.counters.get("nonfinite", 0.0)
+    if count > 0:
+        logger.warning(
+            "%d contributions were not finite (NaN or infinite) and were left out of the picture; "
+            "look for extreme values in the scene's materials and lights",
+            int(count),
+        )
+
+
+def _settings(task: Task, problem: Problem) -> Settings:
+    """The given settings over those that the scene's integrator names over the defaults."""
+    known = {name for name, *_ in task.method.Settings.describe()}
+    from_scene: dict[str, Any] = {"max_depth": problem.max_depth}
+    if problem.integrator == task.method.name:
+        unknown = sorted(problem.integrator_options.keys() - known)
+        if unknown:
+            logger.warning(
+                "option '%s' of the scene's integrator '%s' is not known here and is ignored",
+                "', '".join(unknown),
+                problem.integrator,
+            )
+        from_scene |= problem.integrator_options
+    values = {k: v for k, v in from_scene.items() if k in known} | dict(task.settings)
+    return task.method.Settings.from_mapping(values, owner=f"method '{task.method.name}'")
+
+
+def _fit_samples(method: Method, budget: Budget, problem: Problem, seed: int) -> Method:
+    """Where a method chose the samples of a pass itself, choose so that the passes add up to the budget's samples."""
+    chosen = method.samples_per_iteration
+    if budget.samples is None or budget.samples % chosen == 0 or getattr(method.settings, "samples_per_pass", 1) != 0:
+        return method
+    passes = -(-budget.samples // chosen)
+    kind: Any = type(method)
+    fitted: Method = kind(method.settings.replace(samples_per_pass=-(-budget.samples // passes)))
+    fitted.prepare(problem, seed)
+    return fitted
+
+
+def _rest(checkpoint: Checkpoint) -> Budget:
+    """What the interrupted run had left of its budget."""
+    if checkpoint.stopped_by in ("seconds", "samples", "error"):
+        raise CheckpointError("the checkpoint's budget is used up; say how much more with --time, --spp or --error")
+    saved = dict(checkpoint.budget)
+    if "seconds" in saved:
+        saved["seconds"] -= checkpoint.elapsed
+        if saved["seconds"] <= 0:
+            raise CheckpointError("the checkpoint's time is used up; say how much more with --time, --spp or --error")
+    return Budget(**saved)

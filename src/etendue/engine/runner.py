@@ -1,0 +1,287 @@
+"""The loop over passes: budgets, progress, intermediate saves, cancellation. Knows no concrete method."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from etendue.core import EtendueError, Measurement, Method, OptionError, Result, logger
+from etendue.core.progress import Progress
+
+from .budget import Budget
+
+#: What ended a run. ``running``: it goes on (an intermediate save); ``failure``: a pass raised.
+StoppedBy = Literal["seconds", "samples", "error", "cancel", "failure", "running"]
+
+#: An intermediate save may take at most this share of the time.
+SAVE_SHARE = 0.1
+#: Passes between two estimates of the noise, as a share of the passes done: cheap, and the same in every run.
+ERROR_CADENCE = 0.05
+
+
+class CancelEvent(Protocol):
+    """What the loop asks between passes; a ``threading.Event`` is one."""
+
+    def is_set(self) -> bool:
+        """Whether the run should stop."""
+        ...
+
+
+@dataclass
+class RunResult:
+    """What a run measured so far."""
+
+    method: Method
+    measurement: Measurement
+    #: Seconds since the first pass of this run began; ``measurement.counters["seconds"]`` also has earlier runs.
+    elapsed: float
+    stopped_by: StoppedBy
+
+    @property
+    def passes(self) -> int:
+        """Passes in the measurement."""
+        return len(self.measurement.iterations)
+
+    @property
+    def samples(self) -> int:
+        """Camera paths per pixel in the measurement."""
+        return self.passes * self.method.samples_per_iteration
+
+    @property
+    def result(self) -> Result:
+        """The picture, developed anew at each call."""
+        return self.method.develop(self.measurement)
+
+
+class RunError(EtendueError):
+    """A pass failed after others had been done; ``run`` holds those, and the cause is chained."""
+
+    def __init__(self, message: str, run: RunResult) -> None:
+        super().__init__(message)
+        self.run = run
+
+
+class Cancelled(EtendueError):
+    """A run was stopped before its first pass was done, so there is no picture."""
+
+
+class Runner:
+    """One run of a prepared method. :meth:`run` blocks; the other members may be used from other threads meanwhile."""
+
+    def __init__(
+        self,
+        method: Method,
+        *,
+        seed: int,
+        budget: Budget,
+        start: Measurement | None = None,
+        on_progress: Callable[[Progress], None] | None = None,
+        on_save: Callable[[RunResult], None] | None = None,
+        save_every: float | None = None,
+        cancel: CancelEvent | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        if save_every is not None and not (math.isfinite(save_every) and save_every > 0):
+            raise OptionError(f"the time between saves must be above 0 seconds, not {save_every}")
+        if not budget and cancel is None:
+            raise OptionError("a run needs a budget: seconds, samples, passes or error")
+        self.method = method
+        self.seed = seed
+        self.budget = budget
+        self.progress = Progress()
+        self._measurement = start
+        self.on_progress = on_progress
+        self._on_save = on_save
+        self._save_every = save_every
+        self._cancel = cancel
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._begin = 0.0
+        self._durations: deque[tuple[float, float]] = deque(maxlen=8)  # (seconds, rays) of the latest passes
+        self._adding = False  # the sums are being changed
+        self._done = 0  # passes of this run
+        self._error: float | None = None
+        self._next_error = 2
+        if start is not None:
+            self._update_error(len(start.iterations))
+
+    # ------------------------------------------------------------------ for other threads
+
+    def snapshot(self) -> Result | None:
+        """The picture so far, ``None`` before the first pass is done."""
+        with self._lock:
+            return self.method.develop(self._measurement) if self._measurement is not None else None
+
+    def interrupted(self) -> RunResult | None:
+        """What was done before an exception that is no ``Exception`` (Ctrl-C) left :meth:`run`.
+
+        ``None`` if that is nothing, or if a pass was just being added, so that the sums are no longer whole.
+        """
+        return None if self._measurement is None or self._adding else self._result("cancel")
+
+    # ------------------------------------------------------------------ the loop
+
+    def run(self) -> RunResult:
+        """Do passes until the budget is used up, then return what was measured.
+
+        A pass that is predicted to overrun ``budget.seconds`` is not started; the first one always is. Raises
+        :class:`RunError` if a pass fails after others were done (the failure itself if none was), and
+        :class:`Cancelled` if the run was stopped before its first pass.
+        """
+        self._begin = saved = self._clock()
+        while (reason := self._reason_to_stop()) is None:
+            try:
+                self._pass()
+                if self.on_progress is not None:
+                    self.on_progress(self.progress)
+            except Exception as error:
+                if self._measurement is None:
+                    raise
+                run = self._result("failure")
+                message = str(error) if isinstance(error, EtendueError) else f"{type(error).__name__}: {error}"
+                raise RunError(f"{_one_line(message)} (after {run.passes} passes, which are kept)", run) from error
+            if self._on_save is not None and self._save_every is not None:
+                now = self._clock()
+                if now - saved >= self._save_every:
+                    cost = self._save()
+                    # A slow disk makes saves rarer, never the rendering slow.
+                    saved = self._clock() + max(0.0, cost / SAVE_SHARE - self._save_every)
+        if self._measurement is None:
+            raise Cancelled("stopped before the first pass was done; there is no picture")
+        return self._result(reason)
+
+    def _pass(self) -> None:
+        iteration = self._measurement.iterations.next_iteration() if self._measurement is not None else 0
+        begin = self._clock()
+        measured = self.method.step(iteration, self.seed)
+        duration = self._clock() - begin
+        measured.counters["seconds"] = measured.counters.get("seconds", 0.0) + duration
+        self._durations.append((duration, measured.counters.get("rays", 0.0)))
+        with self._lock:
+            if self._measurement is None:
+                self._measurement = measured
+            else:
+                self._adding = True
+                self._measurement += measured
+                self._adding = False
+        self._done += 1
+        self._update_error(len(self._measurement.iterations))
+        self.progress = self._describe()
+
+    def _save(self) -> float:
+        """An intermediate save; its failure is reported and costs no work. Returns the seconds it took."""
+        assert self._on_save is not None
+        begin = self._clock()
+        try:
+            self._on_save(self._result("running"))
+        except EtendueError as error:
+            logger.warning("intermediate save failed, rendering goes on: %s", error)
+        return self._clock() - begin
+
+    def _result(self, reason: StoppedBy) -> RunResult:
+        assert self._measurement is not None
+        return RunResult(self.method, self._measurement, self._clock() - self._begin, reason)
+
+    # ------------------------------------------------------------------ predictions
+
+    def _reason_to_stop(self) -> StoppedBy | None:
+        if self._cancel is not None and self._cancel.is_set():
+            return "cancel"
+        passes = len(self._measurement.iterations) if self._measurement is not None else 0
+        allowed = self.budget.passes(self.method.samples_per_iteration)
+        if allowed is not None and passes >= allowed:
+            return "samples"
+        if self.budget.error is not None and self._error is not None and self._error <= self.budget.error:
+            return "error"
+        if self.budget.seconds is not None and self._done > 0:
+            elapsed = self._clock() - self._begin
+            if elapsed + self._predict() > self.budget.seconds:
+                return "seconds"
+        return None
+
+    def _predict(self) -> float:
+        """Seconds that the next pass will take, on the safe side."""
+        if self._done == 1:
+            return 0.5 * self._durations[0][0]  # the first pass compiles; the second tells
+        recent = [seconds for seconds, _ in self._durations][-min(len(self._durations), self._done - 1) :]
+        return max(recent)
+
+    def _update_error(self, passes: int) -> None:
+        assert self._measurement is not None
+        if passes < self._next_error or "image" not in self._measurement.squares:
+            return
+        self._error = error = self._measurement.relative_error()
+        step = math.ceil(ERROR_CADENCE * passes)
+        if self.budget.error is not None and math.isfinite(error):
+            # Noise falls as 1/passes: look again no later than where the target should be reached.
+            step = min(step, math.ceil(passes * (error / self.budget.error - 1.0)))
+        self._next_error = passes + max(1, step)
+
+    def _describe(self) -> Progress:
+        assert self._measurement is not None
+        passes = len(self._measurement.iterations)
+        elapsed = self._clock() - self._begin
+        timed = list(self._durations)[1:] if self._done == len(self._durations) > 1 else list(self._durations)
+        seconds = sum(s for s, _ in timed)
+        rays = sum(r for _, r in timed)
+        per_pass = seconds / len(timed)
+        left: list[float] = []
+        shares: list[float] = []
+        if self.budget.seconds is not None:
+            left.append(max(0.0, self.budget.seconds - elapsed))
+            shares.append(elapsed / self.budget.seconds)
+        if (allowed := self.budget.passes(self.method.samples_per_iteration)) is not None:
+            left.append(max(0, allowed - passes) * per_pass)
+            shares.append(passes / allowed)
+        if self.budget.error is not None and self._error:
+            left.append(max(0.0, self._error / self.budget.error - 1.0) * passes * per_pass)
+            shares.append(self.budget.error / self._error)
+        return Progress(
+            passes=passes,
+            samples=passes * self.method.samples_per_iteration,
+            elapsed=elapsed,
+            eta=min(left, default=None),
+            rays_per_second=rays / seconds if rays > 0 and seconds > 0 else None,
+            relative_error=self._error,
+            fraction=min(1.0, max(shares)) if shares else None,
+        )
+
+
+def run(
+    method: Method,
+    *,
+    seed: int,
+    budget: Budget,
+    start: Measurement | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+    on_save: Callable[[RunResult], None] | None = None,
+    save_every: float | None = None,
+    cancel: CancelEvent | None = None,
+) -> RunResult:
+    """Run a prepared ``method`` until ``budget`` is used up.
+
+    ``start`` continues an earlier run: its measurement is taken over (added to in place), the first pass is the one
+    after its last. ``on_progress`` is called after each pass, ``on_save`` every ``save_every`` seconds with what there
+    is so far; an :class:`EtendueError` from it is logged and the run goes on. ``cancel`` is looked at between passes.
+    Errors as :meth:`Runner.run`.
+    """
+    runner = Runner(
+        method,
+        seed=seed,
+        budget=budget,
+        start=start,
+        on_progress=on_progress,
+        on_save=on_save,
+        save_every=save_every,
+        cancel=cancel,
+    )
+    return runner.run()
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())

@@ -1,0 +1,145 @@
+"""A run in the background: the picture so far, progress, and a stop that is complete when it returns."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Generic, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import EtendueError, logger
+from etendue.core.progress import Progress
+
+from .runner import CancelEvent, RunError, Runner, RunResult
+
+T = TypeVar("T")
+
+
+class Session(Generic[T]):
+    """A run in a thread of its own. All members may be used from any thread.
+
+    ``build(cancel)`` is called in the new thread and returns a :class:`Runner` that looks at ``cancel``; ``finish``
+    turns what was measured into :attr:`result`. Dr.Jit's flags belong to a thread: those of the creating thread are
+    copied. The variant of Mitsuba is global and must not be changed while a session runs.
+
+    As a context manager a session is cancelled at the end of the block, and waited for.
+    """
+
+    def __init__(self, build: Callable[[CancelEvent], Runner], finish: Callable[[RunResult], T]) -> None:
+        self._build = build
+        self._finish = finish
+        self._stop = threading.Event()
+        self._done = threading.Event()
+        self._runner: Runner | None = None
+        self._result: list[T] = []
+        self._error: BaseException | None = None
+        self._flags = _jit_flags()
+        self._thread = threading.Thread(target=self._work, name="etendue-session", daemon=True)
+        self._thread.start()
+
+    def _work(self) -> None:
+        try:
+            _set_jit_flags(self._flags)
+            self._runner = self._build(self._stop)
+            self._result.append(self._finish(self._runner.run()))
+        except RunError as error:
+            self._error = error
+            self._keep(error.run)
+        except BaseException as error:  # whatever it is, the caller of `wait` gets it
+            self._error = error
+        finally:
+            self._done.set()
+
+    def _keep(self, run: RunResult) -> None:
+        """Save the passes that were done before one failed; that failure is what the caller should hear of."""
+        try:
+            self._finish(run)
+        except Exception as error:
+            logger.warning("what was rendered before the failure could not be saved: %s", error)
+
+    @property
+    def running(self) -> bool:
+        """Whether the run goes on."""
+        return not self._done.is_set()
+
+    @property
+    def prepared(self) -> bool:
+        """Whether the scene is loaded and passes are being made."""
+        return self._runner is not None
+
+    @property
+    def progress(self) -> Progress:
+        """State after the latest pass."""
+        return self._runner.progress if self._runner is not None else Progress()
+
+    @property
+    def image(self) -> NDArray[np.float32] | None:
+        """The picture so far, (height, width, 3), linear RGB; ``None`` before the first pass is done. A copy."""
+        snapshot = self._runner.snapshot() if self._runner is not None else None
+        return snapshot.image if snapshot is not None else None
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until the run is over, at most ``timeout`` seconds; whether it is. Raises what the run raised."""
+        # Waiting in slices lets Ctrl-C through on systems where a lock cannot be interrupted.
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while not self._done.is_set():
+            left = 0.5 if deadline is None else min(0.5, deadline - time.monotonic())
+            if left <= 0:
+                return False
+            self._done.wait(left)
+        self._thread.join()
+        if self._error is not None:
+            raise self._error
+        return True
+
+    @property
+    def result(self) -> T:
+        """What the run made. Waits for its end, and raises what the run raised."""
+        self.wait()
+        return self._result[0]
+
+    def request_stop(self) -> None:
+        """Ask the run to stop after the current pass, and return at once."""
+        self._stop.set()
+
+    def cancel(self) -> None:
+        """Stop after the current pass and wait until that has happened. :attr:`result` then has what was done."""
+        self._stop.set()
+        self._done.wait()
+        self._thread.join()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.cancel()
+        if error is None and self._error is not None and not isinstance(self._error, EtendueError):
+            raise self._error
+
+    def __repr__(self) -> str:
+        return f"<etendue.Session {'running' if self.running else 'done'}: {self.progress}>"
+
+
+def _jit_flags() -> dict[Any, bool]:
+    if "drjit" not in sys.modules:
+        return {}
+    import drjit as dr
+
+    # Not those that say where in a trace a thread is.
+    own = {"Default", "SymbolicScope", "FreezingScope", "ForbidSynchronization"}
+    return {flag: dr.flag(flag) for flag in dr.JitFlag if flag.name not in own}
+
+
+def _set_jit_flags(flags: dict[Any, bool]) -> None:
+    if flags:
+        import drjit as dr
+
+        for flag, value in flags.items():
+            dr.set_flag(flag, value)
