@@ -1,1 +1,31 @@
-"""Room methods."""
+"""The image methods, by name."""
+
+from __future__ import annotations
+
+import difflib
+
+from etendue.core import OptionError
+
+from .base import ImageMethod, ImageSettings
+from .bidirectional import Bidirectional, Bpm, Bpt, Vcm
+from .light import Light
+from .path import Path
+
+_METHODS: dict[str, type[ImageMethod]] = {cls.name: cls for cls in (Path, Light, Bpt, Bpm, Vcm)}
+
+
+def table() -> dict[str, type[ImageMethod]]:
+    """Name to class, in the order of the manual."""
+    return dict(_METHODS)
+
+
+def get(name: str) -> type[ImageMethod]:
+    """The class of a method. Raises :class:`OptionError` with the nearest name if there is none."""
+    if name in _METHODS:
+        return _METHODS[name]
+    close = difflib.get_close_matches(name, _METHODS, n=1)
+    hint = f"did you mean '{close[0]}'?" if close else f"there are: {', '.join(_METHODS)}"
+    raise OptionError(f"no method '{name}'; {hint}")
+
+
+__all__ = ["Bidirectional", "Bpm", "Bpt", "ImageMethod", "ImageSettings", "Light", "Path", "Vcm", "get", "table"]

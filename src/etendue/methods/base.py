@@ -38,8 +38,6 @@ class ImageMethod:
     name: ClassVar[str]
     Settings: ClassVar[type[ImageSettings]]
     citations: ClassVar[tuple[str, ...]] = ()
-    #: Layers besides "image" that a pass returns, in order.
-    layers: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, settings: ImageSettings | None = None) -> None:
         self.settings: Any = settings if settings is not None else self.Settings()
@@ -63,10 +61,10 @@ class ImageMethod:
         """One pass: :attr:`samples_per_iteration` camera paths per pixel."""
         samples = self.samples_per_iteration
         layers, counters = self.render_pass(iteration, seed, samples)
+        if "image" not in layers:
+            layers = {"image": np.sum(list(layers.values()), axis=0)} | layers
         if self.settings.aovs:
             layers |= self._first_hits(iteration, seed, samples)
-        if "image" not in layers:
-            layers["image"] = np.sum([layers[name] for name in self.layers], axis=0)
         value = layers["image"] / samples
         return Measurement(
             sums=layers,
@@ -77,7 +75,9 @@ class ImageMethod:
         )
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Array], dict[str, float]]:
-        """Sums over the pass's ``samples`` camera paths per pixel: layers (height, width, channels), and counters."""
+        """Sums over the pass's ``samples`` camera paths per pixel: layers (height, width, channels), and counters.
+
+        The layers are the image, or the technique families that it is the sum of."""
         raise NotImplementedError
 
     def develop(self, measurement: Measurement) -> Result:

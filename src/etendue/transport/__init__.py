@@ -1,7 +1,9 @@
 """The shared words of every path method: emission, camera, scattering with both densities, weights, stored vertices."""
 
 from .camera import Camera, CameraConnection
+from .camera_walk import CameraWalk, Gather, LightCache
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, sample_direct
+from .light_walk import LightWalk
 from .mis import Mis, Techniques
 from .scattering import (
     Scattered,
@@ -14,13 +16,21 @@ from .scattering import (
     scatter_camera,
     scatter_light,
 )
+from .vertices import LightVertex, LightVertices, Photons, needs_interaction
 
 __all__ = [
     "Camera",
     "CameraConnection",
+    "CameraWalk",
     "DirectSample",
     "EmittedRay",
+    "Gather",
+    "LightCache",
+    "LightVertex",
+    "LightVertices",
+    "LightWalk",
     "Mis",
+    "Photons",
     "Scattered",
     "Techniques",
     "emission_of_hit",
@@ -31,6 +41,7 @@ __all__ = [
     "geometric_cos",
     "is_emissive",
     "is_smooth",
+    "needs_interaction",
     "roulette",
     "sample_direct",
     "scatter_camera",

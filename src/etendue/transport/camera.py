@@ -40,7 +40,10 @@ class Camera:
         self.pixels = self.width * self.height
         self.filter = FilterSampler(self.sensor.film().rfilter(), self.width, self.height)
         parameters = mi.traverse(self.sensor)
-        self.near_clip = float(np.asarray(parameters["near_clip"]).ravel()[0]) if "near_clip" in parameters else 0.0
+        self.near_clip = _scalar(parameters, "near_clip", 0.0)
+        #: A distance within the sensor's range at which the environment may be thought of as a point.
+        self.far = 0.5 * _scalar(parameters, "far_clip", 1e4)
+        self.origin = mi.Point3f(self.sensor.world_transform().translation())
 
     def primary(self, pixel: Any, source: SampleSource) -> tuple[Any, Any, Any]:
         """A camera ray through ``pixel`` (index y * width + x): (ray, weight, aperture sample)."""
@@ -80,3 +83,7 @@ class Camera:
         """Pixel that a splat goes to: (index, filter weight, on film)."""
         u = (0.5, 0.5) if self.filter.is_box else source.next_2d(vertex, dim.SPLAT_FILTER)
         return self.filter.splat(connection.position.x, connection.position.y, *u)
+
+
+def _scalar(parameters: Any, name: str, default: float) -> float:
+    return float(np.asarray(parameters[name]).ravel()[0]) if name in parameters else default

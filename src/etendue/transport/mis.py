@@ -96,7 +96,7 @@ class Mis:
 
     def hit(self, d_vcm: Any, d_vc: Any, distance_squared: Any, cos: Any) -> tuple[Any, Any]:
         """Solid angle to area at the surface just reached; ``cos`` = \\|cos\\| there."""
-        inverse = dr.rcp(self.power(cos))
+        inverse = dr.rcp(self.power(dr.maximum(cos, 1e-8)))  # a ray along the surface: 0 * inf is no weight
         return d_vcm * self.power(distance_squared) * inverse, d_vc * inverse
 
     def joined(self, depth: Any, d_vcm: Any) -> Any:

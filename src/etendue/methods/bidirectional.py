@@ -1,0 +1,299 @@
+r"""Bidirectional path tracing, bidirectional photon mapping, and their union, vertex connection and merging.
+
+One estimator with switches. A pass traces N light sub-paths, stores their vertices, then one camera sub-path per
+sample; at each camera vertex it takes what every technique offers, weighted against all others [Georgiev 2012, eq. 9]:
+
+.. math::
+    I = \sum_{s,t} \frac{1}{n_{VC}} w^{VC}_{s,t} \frac{f}{p^{VC}_{s,t}}
+      + \sum_{s \ge 2, t \ge 2} \frac{1}{n_{VM}} w^{VM}_{s,t} \frac{f^{VM}}{p^{VM}_{s,t}}
+
+- ``bpt``: emission hits, next event, connections, camera splats. Unbiased.
+- ``bpm``: merging only, and lights seen directly or through mirrors and glass. Consistent.
+- ``vcm``: all of them. Consistent: the merge radius shrinks as :math:`r_i = r_1 i^{(\alpha - 1)/2}`.
+
+Limits: a caustic of a point light seen in a mirror is made by merging alone, blurred by the radius.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.core import logger, setting
+from etendue.core.measurement import Array
+from etendue.core.samples import IndependentSource
+from etendue.density import HashGrid
+from etendue.scene import Problem
+from etendue.transport import CameraWalk, Gather, LightCache, LightVertices, LightWalk, Mis, Techniques, needs_interaction
+from etendue.transport.dimensions import CONNECT_MAX, NEXT_EVENT_MAX
+
+from .base import ImageMethod, ImageSettings, keep_finite, total
+
+#: Room for light vertices without a memory limit, in bytes, and the share of a limit that they may take.
+STORE_BYTES = 800e6
+STORE_SHARE = 0.4
+#: Room beyond what the pilot measured.
+STORE_MARGIN = 1.05
+
+
+@dataclass(frozen=True)
+class BidirectionalSettings(ImageSettings):
+    """Settings of ``bpt``, ``bpm`` and ``vcm``."""
+
+    connecting: bool = setting(True, "connect vertices: emission hits, next event, connections, camera splats")
+    merging: bool = setting(True, "merge camera vertices with light vertices around them")
+    connections: int = setting(
+        1, "light vertices that each camera vertex is connected to (light_source=cache)", minimum=0, maximum=CONNECT_MAX
+    )
+    next_events: int = setting(1, "light points drawn at each camera vertex", minimum=0, maximum=NEXT_EVENT_MAX)
+    light_source: str = setting(
+        "cache",
+        "connect to vertices drawn from all light paths (cache), or to all vertices of the path of the same number (path)",
+        choices=("cache", "path"),
+    )
+    heuristic: str = setting("balance", "weights of the techniques", choices=("balance", "power"))
+    merge_first: bool = setting(True, "merge at the first camera vertex too")
+    light_paths: float = setting(1.0, "light paths traced per camera path", above=0.0, maximum=64.0)
+    radius: float = setting(0.003, "first merge radius, in the unit of radius_unit", above=0.0)
+    radius_unit: str = setting(
+        "scene",
+        "unit of radius: half the diagonal of the scene's bounding box (scene), the median size of a pixel on what the "
+        "camera sees first (pixel), or scene units (absolute)",
+        choices=("scene", "pixel", "absolute"),
+    )
+    alpha: float = setting(0.75, "radius reduction: r_i = radius i^((alpha - 1) / 2)", above=0.0, maximum=1.0)
+    eta_discount: float = setting(
+        1.0, "factor on merging's sample count in the weights; below 1 trusts correlated merges less", above=0.0, maximum=1.0
+    )
+    split_layers: bool = setting(True, "keep a layer for each technique family")
+
+
+class Bidirectional(ImageMethod):
+    """The estimator; ``bpt``, ``bpm`` and ``vcm`` are this with other defaults."""
+
+    Settings: ClassVar[type[ImageSettings]] = BidirectionalSettings
+    citations: ClassVar[tuple[str, ...]] = ("Georgiev2012", "Georgiev2012b", "Hachisuka2012", "Davidovic2014")
+
+    def prepare(self, problem: Problem, seed: int) -> None:
+        """Tables, merge radius, and a pilot light pass that measures how much room the vertices of a pass take."""
+        super().prepare(problem, seed)
+        s = self.settings
+        self.techniques = Techniques(
+            emission=int(s.connecting),
+            next_event=s.next_events if s.connecting else 0,
+            connection=(1 if s.light_source == "path" else s.connections) if s.connecting else 0,
+            splat=s.connecting,
+            merge=s.merging,
+            merge_first=s.merge_first,
+            beta=2 if s.heuristic == "power" else 1,
+        )
+        self._indexed = needs_interaction(problem.scene)
+        box = problem.scene.bbox()
+        self._box = np.asarray(box.min, float).ravel(), np.asarray(box.max, float).ravel()
+        self._paths = max(1, round(s.light_paths * self.camera.pixels * self.samples_per_iteration))
+        self._first_radius = self._absolute_radius(seed) if s.merging else 0.0
+        self._vertices_per_path = self._pilot(seed)
+        self._groups = self._count_groups(problem.memory)
+
+    # ------------------------------------------------------------------ pilots
+
+    def _absolute_radius(self, seed: int) -> float:
+        """The first merge radius in scene units."""
+        s = self.settings
+        match s.radius_unit:
+            case "absolute":
+                return float(s.radius)
+            case "scene":
+                return float(s.radius * 0.5 * np.linalg.norm(self._box[1] - self._box[0]))
+        return float(s.radius * self._pixel_footprint(seed))
+
+    def _pixel_footprint(self, seed: int) -> float:
+        """Median, over what the camera sees first, of the side of a pixel there: sqrt(1 / (pixel density / d^2))."""
+        lanes = dr.arange(mi.UInt32, min(self.camera.pixels, 1 << 14))
+        source = IndependentSource(lanes, seed, "pilot camera", 0)
+        pixel = mi.UInt32(mi.Float(self.camera.pixels) * (mi.Float(lanes) + 0.5) / len(lanes))
+        ray, _, aperture = self.camera.primary(dr.minimum(pixel, self.camera.pixels - 1), source)
+        si = self.scene.ray_intersect(ray)
+        density = np.asarray(self.camera.pixel_density(si, aperture, si.is_valid()))
+        density = density[density > 0]
+        if not len(density):
+            return float(0.001 * np.linalg.norm(self._box[1] - self._box[0]))
+        return float(np.median(1.0 / np.sqrt(density)))
+
+    def _pilot(self, seed: int) -> float:
+        """Stored vertices per light path, from a small light pass under its own seed role."""
+        if not self._stores:
+            return 0.0
+        paths = min(self._paths, 1 << 14)
+        vertices = LightVertices(1, paths, self._indexed, bool(self.techniques.connection))
+        source = IndependentSource(dr.arange(mi.UInt32, paths), seed, "pilot light", 0)
+        self._light_walk(self._mis(self._first_radius, paths)).trace(paths, source, vertices, None)
+        return vertices.finish() / paths
+
+    @property
+    def _stores(self) -> bool:
+        """Whether light vertices are kept for the camera pass."""
+        return bool(self.techniques.connection or self.techniques.merge)
+
+    def _count_groups(self, memory: int | None) -> int:
+        """Into how many groups the light paths of a pass are split, so that their vertices fit into memory."""
+        bytes_per_vertex = LightVertices.bytes_per_vertex(bool(self.techniques.connection), self.techniques.merge)
+        needed = self._vertices_per_path * self._paths * STORE_MARGIN * bytes_per_vertex
+        room = STORE_SHARE * memory if memory else STORE_BYTES
+        groups = max(1, math.ceil(needed / room))
+        if groups > 1:
+            logger.info("light vertices of a pass take %.0f MB: traced in %d groups", needed / 1e6, groups)
+        return min(groups, self._paths)
+
+    # ------------------------------------------------------------------ a pass
+
+    def radius(self, iteration: int) -> float:
+        """Merge radius of a pass, scene units [Georgiev 2012, eq. 10]; ``iteration`` counts from 0."""
+        return float(self._first_radius * (iteration + 1) ** ((self.settings.alpha - 1.0) / 2.0))
+
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Array], dict[str, float]]:
+        """See :class:`ImageMethod`."""
+        radius = self.radius(iteration) if self.techniques.merge else 0.0
+        camera_paths = self.camera.pixels * samples
+        splats = dr.zeros(mi.Float, 3 * self.camera.pixels if self.techniques.splat else 1)
+        parts: list[dict[str, Any]] = []
+        counters = {"rays": 0.0, "light_vertices": 0.0, "nonfinite": 0.0}
+        for group in range(self._groups):
+            first, end = (self._paths * g // self._groups for g in (group, group + 1))
+            mis = self._mis(radius, end - first)
+            light = IndependentSource(dr.arange(mi.UInt32, end - first) + dr.opaque(mi.UInt32, first), seed, "light", iteration)
+            cache, gather = self._trace_light(light, end - first, mis, radius, splats, counters)
+
+            first, end = (camera_paths * g // self._groups for g in (group, group + 1))
+            lanes = dr.arange(mi.UInt32, end - first) + dr.opaque(mi.UInt32, first)
+            parts.append(self._trace_camera(lanes, seed, iteration, samples, mis, cache, gather, counters))
+
+        layers = {name: self.image(dr.concat([part[name] for part in parts])) for name in parts[0]}
+        counters["paths"] = float(camera_paths + self._paths)
+        if self.techniques.splat:
+            # A splat is one of N / samples chances per camera path, and the layers' weight is the pass's samples.
+            splatted = np.asarray(splats, np.float64).reshape(self.camera.height, self.camera.width, 3)
+            splatted *= samples / self._paths
+            name = "splat" if self.settings.split_layers else "image"
+            layers[name] = layers[name] + splatted if name in layers else splatted
+        return layers, counters
+
+    def _mis(self, radius: float, paths: int) -> Mis:
+        """Weights of a pass that merges with ``paths`` light paths."""
+        eta = np.pi * radius * radius * paths * self.settings.eta_discount
+        paths_per_sample = self._paths / self.samples_per_iteration
+        return Mis(self.techniques, dr.opaque(mi.Float, eta), dr.opaque(mi.Float, paths_per_sample))
+
+    def _light_walk(self, mis: Mis) -> LightWalk:
+        max_edges = dr.opaque(mi.UInt32, self.max_edges())
+        return LightWalk(self.scene, self.lights, self.camera, mis, max_edges, self.settings.rr_depth)
+
+    def _trace_light(
+        self, source: Any, paths: int, mis: Mis, radius: float, splats: Any, counters: dict[str, float]
+    ) -> tuple[LightCache | None, Gather | None]:
+        """Trace light paths and prepare their vertices for connecting and merging."""
+        connecting, merging = self.techniques.connection > 0, self.techniques.merge
+        walk = self._light_walk(mis)
+        before = mi.Float(splats)
+        while True:
+            capacity = math.ceil(self._vertices_per_path * paths * STORE_MARGIN) + 1024
+            vertices = LightVertices(capacity, paths, self._indexed, connecting) if self._stores else None
+            rays, nonfinite = walk.trace(paths, source, vertices, splats if self.techniques.splat else None)
+            dr.schedule(rays, nonfinite, splats)
+            wanted = vertices.finish() if vertices else 0
+            if wanted <= capacity:
+                break
+            # The pilot guessed too low: the same paths again, into a larger store.
+            self._vertices_per_path = wanted / paths
+            splats[:] = before
+        counters["rays"] += total(rays)
+        counters["nonfinite"] += total(nonfinite)
+        counters["light_vertices"] += wanted
+        cache = gather = None
+        if vertices and merging and wanted:
+            grid = HashGrid(vertices.positions(), radius, *self._box)
+            factor = dr.opaque(mi.Float, 1.0 / (np.pi * radius * radius * paths))
+            gather = Gather(grid, vertices.sorted_by(grid.destination), factor)
+        if vertices and connecting and wanted:
+            factor = wanted / (paths * self.techniques.connection)
+            cache = LightCache(
+                vertices,
+                dr.opaque(mi.UInt32, wanted),
+                dr.opaque(mi.Float, factor),
+                dr.opaque(mi.UInt32, paths),
+                pairs=self.settings.light_source == "path",
+            )
+        return cache, gather
+
+    def _trace_camera(
+        self,
+        lanes: Any,
+        seed: int,
+        iteration: int,
+        samples: int,
+        mis: Mis,
+        cache: LightCache | None,
+        gather: Gather | None,
+        counters: dict[str, float],
+    ) -> dict[str, Any]:
+        """Trace camera paths; radiance by technique family, a lane a path, evaluated."""
+        walk = CameraWalk(
+            self.scene,
+            self.lights,
+            self.camera,
+            mis,
+            dr.opaque(mi.UInt32, self.max_edges()),
+            self.settings.rr_depth,
+            self.settings.split_layers,
+            cache,
+            gather,
+        )
+        radiance, rays = walk.trace(lanes // samples, IndependentSource(lanes, seed, "camera", iteration))
+        bad = {}
+        for name, value in radiance.items():
+            radiance[name], bad[name] = keep_finite(value)
+        dr.eval(radiance, rays, bad)  # the one launch of the camera pass
+        counters["rays"] += total(rays)
+        counters["nonfinite"] += sum(total(flags) for flags in bad.values())
+        return radiance
+
+
+@dataclass(frozen=True)
+class BptSettings(BidirectionalSettings):
+    """Settings of ``bpt``."""
+
+    merging: bool = setting(False, "merge camera vertices with light vertices around them")
+
+
+class Bpt(Bidirectional):
+    """Bidirectional path tracing: every connection, no merging."""
+
+    name: ClassVar[str] = "bpt"
+    Settings: ClassVar[type[ImageSettings]] = BptSettings
+    citations: ClassVar[tuple[str, ...]] = ("LafortuneWillems1993", "VeachGuibas1995", "Davidovic2014", "Georgiev2012b")
+
+
+@dataclass(frozen=True)
+class BpmSettings(BidirectionalSettings):
+    """Settings of ``bpm``."""
+
+    connecting: bool = setting(False, "connect vertices: emission hits, next event, connections, camera splats")
+
+
+class Bpm(Bidirectional):
+    """Bidirectional photon mapping: merging alone, at every camera vertex."""
+
+    name: ClassVar[str] = "bpm"
+    Settings: ClassVar[type[ImageSettings]] = BpmSettings
+    citations: ClassVar[tuple[str, ...]] = ("Vorba2011", "Georgiev2012", "Georgiev2012b")
+
+
+class Vcm(Bidirectional):
+    """Vertex connection and merging: every technique, weighted against every other."""
+
+    name: ClassVar[str] = "vcm"

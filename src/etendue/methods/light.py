@@ -1,0 +1,114 @@
+r"""Light tracing: paths from the lights, every vertex joined to the camera.
+
+Estimator [Arvo 1986; Veach 1997, ch. 10], N light sub-paths of vertices y_0 (light), y_1, ...:
+
+.. math:: I = \frac{1}{N} \sum_{i=1}^{N} \sum_j \alpha_j f_s^*(y_j) \, G(y_j, z_0) \, W_e
+
+Emitters seen directly are made by points on their surface, joined to the camera as well. Good at caustics of small
+lights. Limits: whatever the camera sees through a mirror or smooth glass stays black, by design: no edge can be drawn to it.
+An environment is not seen directly, as no point of it can be joined; render those pixels with another method.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.core import setting
+from etendue.core.measurement import Array
+from etendue.core.samples import IndependentSource
+from etendue.transport import LightWalk, Mis, Techniques
+from etendue.transport import dimensions as dim
+
+from .base import ImageMethod, ImageSettings, total
+
+#: Share of its length by which a shadow ray stops short of a light.
+_SHADOW_EPSILON = 1e-3
+
+
+@dataclass(frozen=True)
+class LightSettings(ImageSettings):
+    """Settings of ``light``."""
+
+    light_paths: float = setting(1.0, "light paths traced per sample of a pixel", above=0.0, maximum=64.0)
+
+
+class Light(ImageMethod):
+    """Light tracing: every vertex of every light path is splatted."""
+
+    name: ClassVar[str] = "light"
+    Settings: ClassVar[type[ImageSettings]] = LightSettings
+    citations: ClassVar[tuple[str, ...]] = ("Arvo1986", "Veach1997")
+
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Array], dict[str, float]]:
+        """See :class:`ImageMethod`."""
+        paths = max(1, round(self.settings.light_paths * self.camera.pixels * samples))
+        techniques = Techniques(emission=0, next_event=0, connection=0, splat=True, merge=False)
+        mis = Mis(techniques, 0.0, dr.opaque(mi.Float, paths / samples))
+        max_edges = dr.opaque(mi.UInt32, self.max_edges())
+        walk = LightWalk(self.scene, self.lights, self.camera, mis, max_edges, self.settings.rr_depth)
+        scattered = dr.zeros(mi.Float, 3 * self.camera.pixels)
+        lanes = dr.arange(mi.UInt32, paths)
+        rays, bad = walk.trace(paths, IndependentSource(lanes, seed, "light", iteration), None, scattered)
+        dr.eval(rays, bad, scattered)
+
+        seen = dr.zeros(mi.Float, 3 * self.camera.pixels)
+        seen_rays = self._seen_directly(IndependentSource(lanes, seed, "visible light", iteration), paths, seen)
+        dr.eval(seen_rays, seen)
+
+        shape = (self.camera.height, self.camera.width, 3)
+        layers = {
+            name: np.asarray(splats, np.float64).reshape(shape) * (samples / paths)
+            for name, splats in (("splat", scattered), ("emission", seen))
+        }
+        counters = {"rays": total(rays) + total(seen_rays), "paths": float(paths), "nonfinite": total(bad)}
+        return layers, counters
+
+    def _seen_directly(self, source: Any, paths: int, splats: Any) -> Any:
+        """Join points of the lights themselves to the camera (s = 1, t = 1); returns rays a lane."""
+        active = dr.full(mi.Bool, True, paths)
+        light = self.lights.pick(source.next_1d(0, dim.LIGHT_PICK), active)
+        u = mi.Point2f(*source.next_2d(0, dim.LIGHT_POINT))
+        aperture = self.camera.splat_aperture(source, 1)
+        active &= ~light.is_delta & (self.max_edges() > 0)
+
+        on_surface = active & ~light.is_infinite
+        si = dr.zeros(mi.SurfaceInteraction3f, paths)
+        density = light.pick * light.area_density  # per area; per solid angle from the camera for the environment
+        if self.lights.has_area:
+            si = mi.SurfaceInteraction3f(light.emitter.get_shape().sample_position(0.0, u, on_surface), dr.zeros(mi.Color0f))
+        if self.lights.has_infinite:
+            eye = dr.zeros(mi.Interaction3f)
+            eye.p = self.camera.origin
+            ds, _ = light.emitter.sample_direction(eye, u, active & light.is_infinite)
+            si.p = dr.select(light.is_infinite, eye.p + ds.d * self.camera.far, si.p)
+            si.n = dr.select(light.is_infinite, mi.Normal3f(-ds.d), si.n)
+            density = dr.select(light.is_infinite, light.pick * ds.pdf, density)
+            active &= density > 0.0
+
+        joined = self.camera.connect(si, aperture, active)
+        si.sh_frame = mi.Frame3f(si.n)
+        si.wi = si.to_local(joined.direction)
+        cos = mi.Frame3f.cos_theta(si.wi)
+        distance = dr.norm(si.p - joined.target)
+        reach = distance * (1.0 - _SHADOW_EPSILON)
+        if self.lights.has_infinite:
+            # Its density is that of a direction: no cosine, the squared distance cancels, nothing lies behind it, and
+            # its radiance is looked up by the world direction.
+            cos = dr.select(light.is_infinite, dr.square(distance), cos)
+            reach = dr.select(light.is_infinite, dr.inf, reach)
+            si.wi = dr.select(light.is_infinite, joined.direction, si.wi)
+        active = joined.active & (cos > 0.0)
+        radiance = light.emitter.eval(si, active)
+        pixel, filter_weight, on_film = self.camera.splat_pixel(joined, source, 1)
+        contribution = radiance * (joined.importance * cos * filter_weight / density)
+        active &= on_film & dr.all(dr.isfinite(contribution)) & dr.any(contribution != 0.0)
+        rays = dr.select(active, mi.UInt32(1), mi.UInt32(0))
+        active &= ~self.scene.ray_test(mi.Ray3f(joined.target, -joined.direction, reach, 0.0, mi.Color0f()), active)
+        for channel in range(3):
+            dr.scatter_reduce(dr.ReduceOp.Add, splats, contribution[channel], 3 * pixel + channel, active)
+        return rays

@@ -1,0 +1,134 @@
+"""The light pass: sub-paths from the lights, joined to the camera on the way and stored vertex by vertex."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core.samples import SampleSource
+from etendue.scene import LightTable
+
+from . import dimensions as dim
+from .camera import Camera
+from .emission import emit
+from .mis import Mis
+from .scattering import evaluate_from_light, geometric_cos, is_smooth, roulette, scatter_light
+from .vertices import LightVertices
+
+
+@dataclass
+class _State:
+    """Loop state, one lane a light sub-path."""
+
+    active: Any
+    ray: Any
+    throughput: Any
+    d_vcm: Any
+    d_vc: Any
+    depth: Any  #: edges so far, the one being traced included
+    stored: Any  #: vertices stored so far
+    from_infinity: Any  #: the edge being traced leaves an infinite light
+    rays: Any
+    nonfinite: Any
+
+
+@dataclass
+class LightWalk:
+    """What a light pass needs; :meth:`trace` runs it as one kernel."""
+
+    scene: Any
+    lights: LightTable
+    camera: Camera
+    mis: Mis
+    max_edges: Any  #: opaque UInt32
+    rr_depth: int
+
+    def trace(
+        self, paths: int, source: SampleSource, vertices: LightVertices | None, splats: Any | None
+    ) -> tuple[Any, Any]:
+        """Trace ``paths`` sub-paths. Stores into ``vertices`` and adds to ``splats`` (3 floats a pixel, the sum over
+        paths) where they are given. Returns (rays, non-finite splats) a lane, not yet evaluated."""
+        emitted = emit(self.lights, source, mi.Bool(True))
+        d_vcm, d_vc = self.mis.start_light(
+            emitted.area_density, emitted.emission_density, emitted.cos_light, emitted.is_delta
+        )
+        path = dr.arange(mi.UInt32, paths)
+        state = _State(
+            active=emitted.active & (self.max_edges > 1),
+            ray=emitted.ray,
+            throughput=emitted.throughput,
+            d_vcm=d_vcm,
+            d_vc=d_vc,
+            depth=dr.full(mi.UInt32, 1, paths),
+            stored=dr.zeros(mi.UInt32, paths),
+            from_infinity=emitted.is_infinite,
+            rays=dr.zeros(mi.UInt32, paths),
+            nonfinite=dr.zeros(mi.UInt32, paths),
+        )
+        (state,) = dr.while_loop(
+            (state,),
+            lambda s: s.active,
+            lambda s: (self._edge(s, path, source, vertices, splats),),
+            label="light walk",
+        )
+        if vertices is not None:
+            vertices.close_paths(path, state.stored)
+        return state.rays, state.nonfinite
+
+    def _edge(self, s: _State, path: Any, source: Any, vertices: LightVertices | None, splats: Any | None) -> _State:
+        """Trace one edge; splat, store and scatter at its end."""
+        hit = self.scene.ray_intersect_preliminary(s.ray, active=s.active)
+        si = hit.compute_surface_interaction(s.ray, active=s.active)
+        s.rays += 1
+        s.active &= si.is_valid()
+
+        distance_squared = dr.square(si.t)
+        if self.lights.has_infinite:
+            distance_squared = dr.select(s.from_infinity, 1.0, distance_squared)
+            s.from_infinity = mi.Bool(False)
+        s.d_vcm, s.d_vc = self.mis.hit(s.d_vcm, s.d_vc, distance_squared, geometric_cos(si, s.ray.d))
+
+        bsdf = si.bsdf(s.ray)
+        smooth = s.active & is_smooth(bsdf)
+        if splats is not None:
+            self._splat(s, si, bsdf, source, splats, smooth)
+        if vertices is not None:
+            vertices.append(path, s.stored, s.depth, hit, si, bsdf, s.throughput, (s.d_vcm, s.d_vc), smooth)
+            s.stored += dr.select(smooth, mi.UInt32(1), mi.UInt32(0))
+
+        # Going on takes an edge, and using the vertex it leads to at least one more.
+        s.active &= s.depth + 1 < self.max_edges
+        scattered = scatter_light(bsdf, si, source, s.depth, s.active)
+        s.d_vcm, s.d_vc = self.mis.scatter_light(
+            s.d_vcm, s.d_vc, scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
+        )
+        s.throughput *= scattered.weight
+        s.ray = si.spawn_ray(scattered.direction)
+        alive, factor = roulette(
+            s.throughput / self.lights.total_power, 1.0, s.depth, self.rr_depth, source.next_1d(s.depth, dim.ROULETTE)
+        )
+        s.throughput *= factor
+        s.depth += 1
+        s.active &= scattered.active & alive
+        return s
+
+    def _splat(self, s: _State, si: Any, bsdf: Any, source: Any, splats: Any, active: Any) -> None:
+        """Join the vertex to the camera (t = 1) [Georgiev 2012b, eq. 46, 47]."""
+        joined = self.camera.connect(si, self.camera.splat_aperture(source, s.depth), active)
+        wo = si.to_local(joined.direction)
+        value, reverse_pdf = evaluate_from_light(bsdf, si, wo, joined.direction, joined.active)
+        area_pdf = joined.area_pdf(geometric_cos(si, joined.direction))
+        weight = self.mis.splat_weight(s.d_vcm, s.d_vc, reverse_pdf, area_pdf)
+        pixel, filter_weight, on_film = self.camera.splat_pixel(joined, source, s.depth)
+        contribution = s.throughput * value * (joined.importance * weight * filter_weight)
+        visible = joined.active & on_film & dr.any(contribution != 0.0)
+        s.rays += dr.select(visible, mi.UInt32(1), mi.UInt32(0))
+        visible &= ~self.scene.ray_test(si.spawn_ray_to(joined.target), visible)
+        finite = dr.all(dr.isfinite(contribution))
+        s.nonfinite += dr.select(visible & ~finite, mi.UInt32(1), mi.UInt32(0))
+        visible &= finite
+        for channel in range(3):
+            dr.scatter_reduce(dr.ReduceOp.Add, splats, contribution[channel], 3 * pixel + channel, visible)

@@ -1,0 +1,220 @@
+"""Light sub-path vertices in device memory: written once by the light walk, read by index, never copied to the host.
+
+A vertex is a few packets of four floats, so that one read brings one cache line's worth. Two layouts: *framed* keeps
+the two normals and texture coordinates, enough for every material that looks at nothing else; *indexed* keeps what
+recomputes the whole surface interaction (primitive and shape), for bump and normal maps, mesh attributes and
+anisotropic materials, at twice the cost of reading.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+
+def needs_interaction(scene: Any) -> bool:
+    """Whether some material reads more of a surface than the framed layout keeps."""
+    description = str(scene)
+    if any(name in description for name in ("BumpMap", "NormalMap", "MeshAttribute", "anisotropic")):
+        return True
+    roughness = re.findall(r"alpha_u = (.*?),?\n\s*alpha_v = (.*?),?\n", description)
+    return any(u != v for u, v in roughness)
+
+
+@dataclass
+class LightVertex:
+    """Vertices read back, one lane each."""
+
+    si: Any  #: SurfaceInteraction3f, ``wi`` towards the light side
+    bsdf: Any
+    throughput: Any
+    d_vcm: Any
+    d_vc: Any
+    depth: Any  #: edges from the light
+
+
+class LightVertices:
+    """A store of at most ``capacity`` vertices of ``paths`` light sub-paths.
+
+    Slots are claimed by an atomic counter, in no repeatable order. :meth:`finish` builds the repeatable one: vertex
+    ``j`` of path ``i`` is number ``start[i] + j``, and :meth:`slot` leads from number to slot.
+    """
+
+    def __init__(self, capacity: int, paths: int, indexed: bool, numbered: bool) -> None:
+        self.capacity = capacity
+        self.indexed = indexed
+        self.numbered = numbered
+        self._count = dr.zeros(mi.UInt32, 1)
+        self._position = dr.empty(mi.Float, 4 * capacity)  # position, depth | index on path
+        self._throughput = dr.empty(mi.Float, 4 * capacity)  # throughput, d_vcm
+        self._direction = dr.empty(mi.Float, 4 * capacity)  # world direction to the light side, d_vc
+        self._surface = dr.empty(mi.Float, (8 if numbered else 0) * capacity)
+        self._owner = dr.empty(mi.UInt32, (2 if numbered else 0) * capacity)  # BSDF, path
+        self._stored = dr.zeros(mi.UInt32, paths)  # vertices of each path
+        self.count = 0
+        self.order: Any = None
+        self.start: Any = None
+
+    @staticmethod
+    def bytes_per_vertex(numbered: bool, merged: bool) -> int:
+        """Device memory that a stored vertex takes, the copy and the grid of merging included."""
+        return 48 + (32 + 8 + 4 if numbered else 0) + (48 + 24 if merged else 0)
+
+    def append(
+        self,
+        path: Any,
+        index: Any,
+        depth: Any,
+        hit: Any,
+        si: Any,
+        bsdf: Any,
+        throughput: Any,
+        mis: tuple[Any, Any],
+        active: Any,
+    ) -> None:
+        """Store one vertex per active lane, inside the walk; ``hit`` is the preliminary intersection,
+        ``index`` counts the vertices that the path has stored.
+
+        A full store drops vertices but goes on counting, so that the caller sees ``count > capacity`` and repeats the
+        pass with more room."""
+        slot = dr.scatter_inc(self._count, mi.UInt32(0), active)
+        active = active & (slot < self.capacity)
+        tag = _as_float(depth | (index << 16))
+        direction = si.to_world(si.wi)
+        dr.scatter(self._position, mi.Vector4f(si.p.x, si.p.y, si.p.z, tag), slot, active)
+        dr.scatter(self._throughput, mi.Vector4f(throughput.x, throughput.y, throughput.z, mis[0]), slot, active)
+        dr.scatter(self._direction, mi.Vector4f(direction.x, direction.y, direction.z, mis[1]), slot, active)
+        if not self.numbered:
+            return
+        if self.indexed:
+            uv = hit.prim_uv
+            first = mi.Vector4f(uv.x, uv.y, _as_float(hit.prim_index), _as_float(_pointer(hit.shape)))
+            second = mi.Vector4f(_as_float(_pointer(hit.instance)), _as_float(hit.shape_index), 0.0, 0.0)
+        else:
+            n, g = si.sh_frame.n, si.n
+            first, second = mi.Vector4f(n.x, n.y, n.z, si.uv.x), mi.Vector4f(g.x, g.y, g.z, si.uv.y)
+        dr.scatter(self._surface, first, 2 * slot, active)
+        dr.scatter(self._surface, second, 2 * slot + 1, active)
+        dr.scatter(self._owner, mi.Vector2u(_pointer(bsdf), path), slot, active)
+
+    def close_paths(self, path: Any, stored: Any) -> None:
+        """Record how many vertices each path has stored; called once after the walk, in the same kernel."""
+        if self.numbered:
+            dr.scatter(self._stored, stored, path)
+
+    def finish(self) -> int:
+        """Wait for the walk and number the vertices. Returns how many it wanted to store (see :meth:`append`)."""
+        dr.eval(self._count, self._position, self._throughput, self._direction, self._surface, self._owner, self._stored)
+        wanted = int(self._count[0])
+        self.count = min(wanted, self.capacity)
+        if self.numbered and wanted <= self.capacity:
+            self.start = dr.prefix_reduce(dr.ReduceOp.Add, self._stored, exclusive=True)
+            slot = dr.arange(mi.UInt32, self.count)
+            path = dr.gather(mi.Vector2u, self._owner, slot).y
+            index = _as_uint(dr.gather(mi.Vector4f, self._position, slot).w) >> 16
+            self.order = dr.zeros(mi.UInt32, max(self.count, 1))
+            dr.scatter(self.order, slot, dr.gather(mi.UInt32, self.start, path) + index)
+            dr.eval(self.order, self.start)
+        return wanted
+
+    def slot(self, number: Any, active: Any) -> Any:
+        """Slot of the vertex with this number."""
+        return dr.gather(mi.UInt32, self.order, number, active)
+
+    def path_vertices(self, path: Any, active: Any) -> tuple[Any, Any]:
+        """(first number, how many) of a path's vertices."""
+        return dr.gather(mi.UInt32, self.start, path, active), dr.gather(mi.UInt32, self._stored, path, active)
+
+    def read(self, slot: Any, active: Any) -> LightVertex:
+        """Read whole vertices."""
+        position = dr.gather(mi.Vector4f, self._position, slot, active)
+        throughput = dr.gather(mi.Vector4f, self._throughput, slot, active)
+        direction = dr.gather(mi.Vector4f, self._direction, slot, active)
+        first = dr.gather(mi.Vector4f, self._surface, 2 * slot, active)
+        second = dr.gather(mi.Vector4f, self._surface, 2 * slot + 1, active)
+        bsdf = dr.reinterpret_array(mi.BSDFPtr, dr.gather(mi.Vector2u, self._owner, slot, active).x)
+        world = mi.Vector3f(direction.x, direction.y, direction.z)
+        p = mi.Point3f(position.x, position.y, position.z)
+        si = self._recompute(p, world, first, second, active) if self.indexed else _framed(p, first, second)
+        si.wi = si.to_local(world)
+        return LightVertex(
+            si=si,
+            bsdf=bsdf,
+            throughput=mi.Color3f(throughput.x, throughput.y, throughput.z),
+            d_vcm=throughput.w,
+            d_vc=direction.w,
+            depth=_as_uint(position.w) & 0xFFFF,
+        )
+
+    def _recompute(self, p: Any, world: Any, first: Any, second: Any, active: Any) -> Any:
+        pi = dr.zeros(mi.PreliminaryIntersection3f)
+        pi.t = mi.Float(1.0)
+        pi.valid = mi.Bool(True)
+        pi.prim_uv = mi.Point2f(first.x, first.y)
+        pi.prim_index = _as_uint(first.z)
+        pi.shape = dr.reinterpret_array(mi.ShapePtr, _as_uint(first.w))
+        pi.shape_index = _as_uint(second.y)
+        pi.instance = dr.reinterpret_array(mi.ShapePtr, _as_uint(second.x))
+        return pi.compute_surface_interaction(mi.Ray3f(p + world, -world), active=active)
+
+    def positions(self) -> Any:
+        """All stored positions, one lane a vertex."""
+        p = dr.gather(mi.Vector4f, self._position, dr.arange(mi.UInt32, self.count))
+        return mi.Point3f(p.x, p.y, p.z)
+
+    def sorted_by(self, destination: Any) -> Photons:
+        """The packets that merging reads, in the order that a search structure gives."""
+        slot = dr.arange(mi.UInt32, self.count)
+        arrays = []
+        for source in (self._position, self._throughput, self._direction):
+            target = dr.empty(mi.Float, max(4 * self.count, 4))
+            dr.scatter(target, dr.gather(mi.Vector4f, source, slot), destination)
+            arrays.append(target)
+        dr.eval(arrays)
+        return Photons(*arrays)
+
+
+@dataclass
+class Photons:
+    """Vertices as merging sees them: position, direction, throughput and weights' quantities, sorted for a search."""
+
+    _position: Any
+    _throughput: Any
+    _direction: Any
+
+    def position(self, index: Any, active: Any) -> tuple[Any, Any]:
+        """(position, depth)."""
+        p = dr.gather(mi.Vector4f, self._position, index, active)
+        return mi.Point3f(p.x, p.y, p.z), _as_uint(p.w) & 0xFFFF
+
+    def flux(self, index: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+        """(throughput, world direction to the light side, d_vcm, d_vc)."""
+        t = dr.gather(mi.Vector4f, self._throughput, index, active)
+        d = dr.gather(mi.Vector4f, self._direction, index, active)
+        return mi.Color3f(t.x, t.y, t.z), mi.Vector3f(d.x, d.y, d.z), t.w, d.w
+
+
+def _framed(p: Any, first: Any, second: Any) -> Any:
+    si = dr.zeros(mi.SurfaceInteraction3f)
+    si.t = mi.Float(0.0)
+    si.p = p
+    si.sh_frame = mi.Frame3f(mi.Normal3f(first.x, first.y, first.z))
+    si.n = mi.Normal3f(second.x, second.y, second.z)
+    si.uv = mi.Point2f(first.w, second.w)
+    return si
+
+
+def _as_float(bits: Any) -> Any:
+    return dr.reinterpret_array(mi.Float, bits)
+
+
+def _as_uint(value: Any) -> Any:
+    return dr.reinterpret_array(mi.UInt32, value)
+
+
+def _pointer(pointer: Any) -> Any:
+    return dr.reinterpret_array(mi.UInt32, pointer)
