@@ -6,6 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+from .caustics import caustics
+
 
 @dataclass(frozen=True)
 class BundledScene:
@@ -19,8 +23,15 @@ class BundledScene:
 def bundled() -> dict[str, BundledScene]:
     """Every bundled scene by name, the one for demonstration first."""
     rows = (
+        (
+            "caustics",
+            "glass, gold and water lit by a lamp in a glass bulb: nearly all of its light is caustic",
+            caustics,
+        ),
         ("cornell-box", "the Cornell box: diffuse walls, two boxes, an area light", cornell_box),
         ("cornell-glass", "the Cornell box with a glass ball and a box of rough gold", cornell_glass),
+        ("skylight", "frosted glass and lacquer under a sky with a low sun, through a thin lens", skylight),
+        ("stage", "glass, plastic and steel under two spot lights and a point light", stage),
     )
     return {name: BundledScene(name, text, build) for name, text, build in rows}
 
@@ -35,11 +46,9 @@ def cornell_box() -> dict[str, Any]:
 
 def cornell_glass() -> dict[str, Any]:
     """The scene that costs are measured on: glass and rough metal under a small light, 512x512, depth 10."""
-    import mitsuba as mi
-
     scene = cornell_box()
     scene["integrator"]["max_depth"] = 10
-    scene["sensor"]["film"].update({"width": 512, "height": 512, "rfilter": {"type": "box"}})
+    scene["sensor"]["film"] |= {"width": 512, "height": 512, "rfilter": {"type": "box"}}
     del scene["small-box"]
     scene["glass-ball"] = {
         "type": "sphere",
@@ -48,5 +57,109 @@ def cornell_glass() -> dict[str, Any]:
         "bsdf": {"type": "dielectric"},
     }
     scene["large-box"]["bsdf"] = {"type": "roughconductor", "material": "Au", "distribution": "ggx", "alpha": 0.15}
-    assert isinstance(scene["large-box"]["to_world"], mi.ScalarTransform4f)
     return scene
+
+
+def skylight() -> dict[str, Any]:
+    """An environment map with a sun, frosted and clear glass, a principled lacquer and a thin lens."""
+    import mitsuba as mi
+
+    def ball(x: float, z: float, radius: float, bsdf: dict[str, Any]) -> dict[str, Any]:
+        return {"type": "sphere", "center": [x, radius + 0.002, z], "radius": radius, "bsdf": bsdf}
+
+    checkers = {
+        "type": "checkerboard",
+        "color0": _rgb(0.32, 0.30, 0.28),
+        "color1": _rgb(0.62, 0.60, 0.55),
+        "to_uv": mi.ScalarTransform4f().scale([16, 16, 1]),
+    }
+    lacquer = {"type": "principled", "base_color": _rgb(0.55, 0.06, 0.05), "roughness": 0.25, "clearcoat": 1.0}
+    return {
+        "type": "scene",
+        "integrator": {"type": "vcm", "max_depth": 10},
+        "sensor": _camera([0.0, 1.6, 5.2], [0.0, 0.55, 0.0], 38.0)
+        | {"type": "thinlens", "aperture_radius": 0.03, "focus_distance": 5.0},
+        "sky": {"type": "envmap", "bitmap": mi.Bitmap(_sky_pixels())},
+        "ground": {
+            "type": "disk",
+            "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], -90).scale(9.0),
+            "bsdf": {"type": "diffuse", "reflectance": checkers},
+        },
+        "frosted": ball(-1.25, 0.0, 0.6, {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.08}),
+        "clear": ball(0.05, 0.5, 0.5, {"type": "dielectric"}),
+        "lacquer": ball(1.25, -0.1, 0.6, lacquer),
+        "steel": ball(0.3, -1.4, 0.75, {"type": "roughconductor", "material": "Cr", "alpha": 0.15}),
+    }
+
+
+def _sky_pixels() -> Any:
+    """Radiance of the sky, 64x128: blue that brightens to the horizon, dark ground, and a soft sun low on one side."""
+    theta = (np.arange(64) + 0.5) / 64 * np.pi
+    phi = (np.arange(128) + 0.5) / 128 * 2 * np.pi
+    up = np.cos(theta)[:, None, None]
+    zenith, horizon, ground = np.array([0.10, 0.22, 0.50]), np.array([0.65, 0.68, 0.70]), np.array([0.09, 0.08, 0.07])
+    sky = np.where(up > 0, horizon + (zenith - horizon) * np.clip(up, 0, 1) ** 0.5, ground)
+    pixels = np.broadcast_to(sky, (64, 128, 3)).copy()
+    direction = np.stack(
+        [np.sin(theta)[:, None] * np.sin(phi), np.broadcast_to(np.cos(theta)[:, None], (64, 128)),
+         -np.sin(theta)[:, None] * np.cos(phi)], -1,
+    )  # fmt: skip
+    sun = np.array([-0.75, 0.55, -0.35])
+    cosine = direction @ (sun / np.linalg.norm(sun))
+    pixels += np.exp((cosine - 1.0) / 0.0012)[..., None] * np.array([260.0, 220.0, 165.0])
+    return pixels.astype(np.float32)
+
+
+def stage() -> dict[str, Any]:
+    """Delta lights only: two spots and a point light over glass, plastic and steel on a bare stage."""
+    import mitsuba as mi
+
+    def spot(origin: list[float], target: list[float], colour: dict[str, Any]) -> dict[str, Any]:
+        look = mi.ScalarTransform4f().look_at(origin, target, [0, 1, 0])
+        return {"type": "spot", "to_world": look, "intensity": colour, "cutoff_angle": 20.0, "beam_width": 14.0}
+
+    def wall(transform: Any, *value: float) -> dict[str, Any]:
+        return {"type": "rectangle", "to_world": transform, "bsdf": {"type": "diffuse", "reflectance": _rgb(*value)}}
+
+    floor = mi.ScalarTransform4f().rotate([1, 0, 0], -90).scale(6.0)
+    back = mi.ScalarTransform4f().translate([0, 2, -2.5]).scale([6.0, 4.0, 1.0])
+    return {
+        "type": "scene",
+        "integrator": {"type": "vcm", "max_depth": 10},
+        "sensor": _camera([0.0, 2.2, 6.0], [0.0, 0.6, 0.0], 36.0),
+        "warm": spot([-3.0, 4.0, 1.5], [-0.6, 0.4, 0.0], _rgb(90.0, 62.0, 38.0)),
+        "cool": spot([3.0, 4.0, 0.5], [0.8, 0.4, 0.2], _rgb(30.0, 52.0, 90.0)),
+        "candle": {"type": "point", "position": [0.1, 0.5, 1.5], "intensity": _rgb(1.2, 0.8, 0.4)},
+        "floor": wall(floor, 0.5, 0.48, 0.45),
+        "back": wall(back, 0.35, 0.12, 0.12),
+        "glass": {"type": "sphere", "center": [-0.7, 0.552, 0.1], "radius": 0.55, "bsdf": {"type": "dielectric"}},
+        "plastic": {
+            "type": "cube",
+            "to_world": mi.ScalarTransform4f().translate([0.25, 0.402, -0.9]).rotate([0, 1, 0], 30).scale(0.4),
+            "bsdf": {"type": "roughplastic", "diffuse_reflectance": _rgb(0.1, 0.35, 0.15), "alpha": 0.1},
+        },
+        "steel": {
+            "type": "cylinder",
+            "p0": [1.1, 0.002, 0.3],
+            "p1": [1.1, 0.7, 0.3],
+            "radius": 0.5,
+            "bsdf": {"type": "twosided", "bsdf": {"type": "conductor", "material": "Cr"}},
+        },
+    }
+
+
+def _camera(origin: list[float], target: list[float], fov: float) -> dict[str, Any]:
+    import mitsuba as mi
+
+    film = {"type": "hdrfilm", "width": 512, "height": 384, "pixel_format": "rgb", "rfilter": {"type": "gaussian"}}
+    return {
+        "type": "perspective",
+        "fov": fov,
+        "to_world": mi.ScalarTransform4f().look_at(origin, target, [0, 1, 0]),
+        "sampler": {"type": "independent", "sample_count": 64},
+        "film": film,
+    }
+
+
+def _rgb(*value: float) -> dict[str, Any]:
+    return {"type": "rgb", "value": list(value)}

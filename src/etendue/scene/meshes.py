@@ -1,0 +1,118 @@
+"""Meshes made by code for the bundled scenes: surfaces of revolution, height fields and flat-faced solids."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Points = NDArray[np.float64]
+Faces = NDArray[np.int64]
+
+
+def mesh(name: str, points: Points, faces: Faces, bsdf: dict[str, Any], normals: Points | None = None) -> Any:
+    """A ``mi.Mesh`` from (n, 3) points, (m, 3) faces and, for a smooth look, (n, 3) normals."""
+    import mitsuba as mi
+
+    properties = mi.Properties()
+    properties["mesh_bsdf"] = mi.load_dict(bsdf)
+    result = mi.Mesh(name, len(points), len(faces), has_vertex_normals=normals is not None, props=properties)
+    parameters = mi.traverse(result)
+    parameters["vertex_positions"] = np.ascontiguousarray(points, np.float32).ravel()
+    parameters["faces"] = np.ascontiguousarray(faces, np.uint32).ravel()
+    if normals is not None:
+        parameters["vertex_normals"] = np.ascontiguousarray(normals, np.float32).ravel()
+    parameters.update()
+    return result
+
+
+def lathe(profile: Points, segments: int, closed: bool) -> tuple[Points, Faces, Points]:
+    """Turn a profile of (radius, height) points about the y axis; returns points, faces and smooth normals.
+
+    The solid lies to the left of the profile as it is followed in the (radius, height) plane, so that faces and
+    normals look out. A profile that is not ``closed`` begins and ends on the axis (radius 0).
+    """
+    n = len(profile)
+    angle = 2.0 * np.pi * np.arange(segments) / segments
+    ring = np.stack([np.cos(angle), np.zeros(segments), np.sin(angle)], -1)
+    up = np.array([0.0, 1.0, 0.0])
+    points = profile[:, None, :1] * ring + profile[:, None, 1:] * up
+
+    # Normal of the profile: its tangent turned to the right.
+    if closed:
+        tangent = np.roll(profile, -1, 0) - np.roll(profile, 1, 0)
+    else:
+        tangent = np.gradient(profile, axis=0)
+        tangent[0], tangent[-1] = [1.0, 0.0], [-1.0, 0.0]  # the surface crosses the axis horizontally
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    normals = tangent[:, None, 1:] * ring - tangent[:, None, :1] * up
+
+    i = np.arange(n if closed else n - 1)[:, None]
+    j = np.arange(segments)[None, :]
+    a, b = i * segments + j, i * segments + (j + 1) % segments
+    c, d = (i + 1) % n * segments + j, (i + 1) % n * segments + (j + 1) % segments
+    lower, upper = np.stack([a, d, b], -1), np.stack([a, c, d], -1)
+    if not closed:  # at the axis one triangle of each quadrilateral has no area
+        lower, upper = lower[1:], upper[:-1]
+    faces = np.concatenate([lower.reshape(-1, 3), upper.reshape(-1, 3)])
+    return points.reshape(-1, 3), faces, normals.reshape(-1, 3)
+
+
+def smooth(corners: Points, per_corner: int, closed: bool) -> Points:
+    """A curve of quadratic B-spline pieces that rounds every corner of a polygon; an open curve keeps its ends."""
+    t = np.linspace(0.0, 1.0, per_corner, endpoint=False)[:, None]
+    before, after = np.roll(corners, 1, 0), np.roll(corners, -1, 0)
+    first, last = (before + corners) / 2, (corners + after) / 2
+    if not closed:
+        first[1], last[-2] = corners[0], corners[-1]
+        corners, first, last = corners[1:-1], first[1:-1], last[1:-1]
+    pieces = [(1 - t) ** 2 * f + 2 * t * (1 - t) * c + t**2 * e for f, c, e in zip(first, corners, last, strict=True)]
+    return np.concatenate(pieces if closed else [*pieces, last[-1:]])
+
+
+def height_field(
+    height: Callable[[Points, Points], Points], x: tuple[float, float], z: tuple[float, float], cells: tuple[int, int]
+) -> tuple[Points, Faces, Points]:
+    """The surface y = height(x, z) over a rectangle, normals up; returns points, faces and smooth normals."""
+    grid_x, grid_z = np.meshgrid(np.linspace(*x, cells[0] + 1), np.linspace(*z, cells[1] + 1), indexing="ij")
+    step = 1e-4
+    slope_x = (height(grid_x + step, grid_z) - height(grid_x - step, grid_z)) / (2 * step)
+    slope_z = (height(grid_x, grid_z + step) - height(grid_x, grid_z - step)) / (2 * step)
+    normals = np.stack([-slope_x, np.ones_like(slope_x), -slope_z], -1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    points = np.stack([grid_x, height(grid_x, grid_z), grid_z], -1)
+    row = cells[1] + 1
+    a = (np.arange(cells[0])[:, None] * row + np.arange(cells[1])[None, :]).ravel()
+    faces = np.concatenate([np.stack([a, a + 1, a + row + 1], -1), np.stack([a, a + row + 1, a + row], -1)])
+    return points.reshape(-1, 3), faces, normals.reshape(-1, 3)
+
+
+def brilliant(radius: float, crown: float, pavilion: float, sides: int) -> tuple[Points, Faces]:
+    """A cut stone standing on its table: flat table and girdle polygons joined by facets, coming to a point above.
+
+    Every facet has its own vertices, so it stays flat.
+    """
+    angle = 2 * np.pi * np.arange(sides) / sides
+    half = angle + np.pi / sides
+
+    def ring(r: float, y: float, phi: NDArray[np.float64]) -> Points:
+        return np.stack([r * np.cos(phi), np.full(sides, y), r * np.sin(phi)], -1)
+
+    table, girdle = ring(0.58 * radius, 0.0, angle), ring(radius, crown, half)
+    waist = ring(0.93 * radius, crown + 0.3 * pavilion, angle)
+    tip, centre = np.array([0.0, crown + pavilion, 0.0]), np.zeros(3)
+    triangles = []
+    for i in range(sides):
+        j, h = (i + 1) % sides, (i - 1) % sides
+        triangles += [
+            (centre, table[i], table[j]),
+            (table[j], table[i], girdle[i]),
+            (table[i], girdle[h], girdle[i]),
+            (girdle[i], girdle[h], waist[i]),
+            (girdle[i], waist[i], waist[j]),
+            (waist[i], tip, waist[j]),
+        ]
+    points = np.array(triangles).reshape(-1, 3)
+    return points, np.arange(len(points)).reshape(-1, 3)
