@@ -92,7 +92,8 @@ def faults_of_order(path: Path) -> list[str]:
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SOURCE)))
 def test_rooms_import_only_rooms_before_them(path):
-    assert faults_of_order(path) == []
+    faults = faults_of_order(path)
+    assert not faults, "\n".join(faults)
 
 
 def test_every_package_is_a_room():
@@ -200,7 +201,7 @@ def test_every_citation_in_the_source_is_in_the_bibliography():
         for key in cited_keys(path.read_text("utf-8"))
         if key not in known
     }
-    assert sorted(unknown) == []
+    assert not unknown, "not in core/bibliography.bib:\n" + "\n".join(sorted(unknown))
 
 
 def test_how_citations_are_read():
