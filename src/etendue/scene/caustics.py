@@ -19,8 +19,8 @@ Vector = tuple[float, float, float]
 #: Inside of the room: x, y, z from and to.
 _ROOM = ((-4.2, 4.2), (0.0, 4.4), (-3.0, 7.6))
 #: The pool in the floor: x and z from and to; its depth; the water's level.
-_POOL_X, _POOL_Z, _POOL_DEPTH, _WATER = (-2.75, -0.55), (0.9, 2.9), 0.42, -0.07
-_LAMP: Vector = (0.95, 2.2, -1.5)
+_POOL_X, _POOL_Z, _POOL_DEPTH, _WATER = (-2.2, -0.45), (0.75, 2.55), 0.4, -0.06
+_LAMP: Vector = (0.85, 1.95, -1.35)
 _LAMP_RADIUS, _BULB_RADIUS, _BULB_WALL = 0.045, 0.3, 0.02
 #: Gap under objects that stand on the floor, so that no two faces coincide.
 _GAP = 0.002
@@ -44,9 +44,9 @@ def _sensor() -> dict[str, Any]:
 
     return {
         "type": "perspective",
-        "fov": 44.0,
+        "fov": 43.0,
         "fov_axis": "x",
-        "to_world": mi.ScalarTransform4f().look_at([-0.3, 2.75, 7.1], [-0.1, 0.62, 0.3], [0, 1, 0]),
+        "to_world": mi.ScalarTransform4f().look_at([-0.3, 3.2, 6.9], [-0.08, 0.5, 0.35], [0, 1, 0]),
         "sampler": {"type": "independent", "sample_count": 64},
         "film": {
             "type": "hdrfilm",
@@ -83,7 +83,7 @@ def _rectangle(corner: Vector, along: Vector, across: Vector, bsdf: dict[str, An
 def _room() -> dict[str, Any]:
     (x0, x1), (y0, y1), (z0, z1) = _ROOM
     width, height, depth = x1 - x0, y1 - y0, z1 - z0
-    wall, side, ceiling = _diffuse(0.16, 0.30, 0.36), _diffuse(0.55, 0.36, 0.26), _diffuse(0.7, 0.68, 0.64)
+    wall, side, ceiling = _diffuse(0.09, 0.20, 0.26), _diffuse(0.34, 0.20, 0.15), _diffuse(0.45, 0.43, 0.40)
     floor = _diffuse(0.62, 0.57, 0.50)
     (p0, p1), (q0, q1) = _POOL_X, _POOL_Z
     return {
@@ -103,7 +103,7 @@ def _room() -> dict[str, Any]:
 def _ripples(x: Points, z: Points) -> Points:
     """Water level: rings from where two drops fell, fading outwards."""
     level = np.full_like(x, _WATER)
-    for cx, cz, wave, amplitude in ((-1.2, 1.5, 0.34, 0.014), (-2.2, 2.3, 0.27, 0.009)):
+    for cx, cz, wave, amplitude in ((-0.95, 1.35, 0.32, 0.014), (-1.8, 2.1, 0.25, 0.009)):
         r = np.sqrt((x - cx) ** 2 + (z - cz) ** 2 + 1e-4)
         level += amplitude * np.cos(2 * np.pi * r / wave) * np.exp(-0.7 * r)
     return level
@@ -122,7 +122,7 @@ def _pool() -> dict[str, Any]:
                 "type": "checkerboard",
                 "color0": _rgb(0.20, 0.55, 0.60),
                 "color1": _rgb(0.60, 0.78, 0.76),
-                "to_uv": mi.ScalarTransform4f().scale([5, 5, 1]),
+                "to_uv": mi.ScalarTransform4f().scale([4, 4, 1]),
             },
         },
     }
@@ -156,7 +156,7 @@ def _lamp() -> dict[str, Any]:
             "center": [x, y, z],
             "radius": _LAMP_RADIUS,
             "bsdf": {"type": "diffuse", "reflectance": _rgb(0.0, 0.0, 0.0)},
-            "emitter": {"type": "area", "radiance": _rgb(4200.0, 3150.0, 2050.0)},
+            "emitter": {"type": "area", "radiance": _rgb(6400.0, 4800.0, 3100.0)},
         },
         "bulb": {"type": "sphere", "center": [x, y, z], "radius": _BULB_RADIUS, "bsdf": glass},
         "bulb-inside": {"type": "sphere", "center": [x, y, z], "radius": _BULB_RADIUS - _BULB_WALL, "bsdf": hollow},
@@ -193,12 +193,12 @@ def _still_life() -> dict[str, Any]:
 
 def _ring() -> Any:
     """A gold band lying on the floor: the inside throws a cardioid."""
-    band = np.array([[0.70, 0.0], [0.75, 0.0], [0.75, 0.46], [0.70, 0.46]])
+    band = np.array([[0.74, 0.0], [0.82, 0.0], [0.82, 0.26], [0.74, 0.26]])
     band = np.concatenate(
         [np.linspace(a, b, 4, endpoint=False) for a, b in zip(band, np.roll(band, -1, 0), strict=True)]
     )
     points, faces, normals = lathe(smooth(band, 3, closed=True), 192, closed=True)
-    points = points + np.array([1.65, _GAP, 1.2])
+    points = points + np.array([1.6, _GAP, 1.1])
     return mesh("ring", points, faces, {"type": "conductor", "material": "Au"}, normals)
 
 
@@ -220,7 +220,7 @@ def _vase() -> Any:
 
 def _stone() -> Any:
     points, faces = brilliant(0.42, 0.3, 0.36, 9)
-    points = points + np.array([0.45, _GAP, 2.35])
+    points = points + np.array([0.6, _GAP, 2.45])
     sapphire = {
         "type": "dielectric",
         "int_ior": 1.77,
