@@ -59,7 +59,7 @@ def follow(open_session: Callable[[], Session[Rendering]], console: Console, lab
 def summary(rendering: Rendering) -> str:
     """``vcm: 120 passes, 120 spp, 59.8s, 9.2 Mrays/s, noise 0.012``."""
     m = rendering.metadata
-    parts = [f"{m['passes']} passes", f"{m['samples']} spp", format_seconds(m["seconds"])]
+    parts = [f"{m['passes']} pass{'' if m['passes'] == 1 else 'es'}", f"{m['samples']} spp", format_seconds(m["seconds"])]
     if m["rays"] and m["seconds"]:
         parts.append(format_rate(m["rays"] / m["seconds"]))
     if m["relative_error"] is not None:

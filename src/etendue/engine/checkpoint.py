@@ -83,7 +83,7 @@ class Checkpoint:
             raise CheckpointError(f"there is no checkpoint {path}; check the name") from None
         except OSError as error:
             raise CheckpointError(f"cannot read checkpoint {path}: {error.strerror or error}") from error
-        except (ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+        except (ValueError, EOFError, KeyError, MemoryError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
             raise CheckpointError(
                 f"{path} is not an étendue checkpoint, or it is damaged ({error}); render again or use another one"
             ) from error
@@ -131,9 +131,10 @@ class Checkpoint:
 
 
 def _load(file: Any) -> dict[str, Any]:
+    if not zipfile.is_zipfile(file):
+        raise ValueError("not an archive, or cut off")
+    file.seek(0)
     archive = np.load(file, allow_pickle=False)
-    if not isinstance(archive, np.lib.npyio.NpzFile):
-        raise ValueError("not an archive")
     return {name: archive[name] for name in archive.files}
 
 

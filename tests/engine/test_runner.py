@@ -1,0 +1,215 @@
+"""Budgets, predictions, progress, failures: on a method that is arithmetic and a clock that is a number."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from etendue.core import OptionError, OutputError
+from etendue.engine import Budget, Cancelled, RunError, Runner, run
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [
+        {"seconds": 0},
+        {"seconds": -1.0},
+        {"seconds": float("nan")},
+        {"seconds": float("inf")},
+        {"seconds": "60"},
+        {"samples": 0},
+        {"samples": -4},
+        {"samples": 1.5},
+        {"samples": True},
+        {"iterations": 0},
+        {"error": 0.0},
+        {"error": -0.1},
+    ],
+)
+def test_a_budget_that_is_not_positive_is_refused(limits):
+    with pytest.raises(OptionError, match=r"budget in .* must be"):
+        Budget(**limits)
+
+
+def test_samples_are_counted_in_passes_and_the_smaller_limit_holds():
+    assert Budget(samples=10).passes(4) == 3
+    assert Budget(samples=10, iterations=2).passes(4) == 2
+    assert Budget(seconds=1).passes(4) is None
+    assert not Budget()
+    assert Budget(error=0.1)
+
+
+def test_a_run_without_any_end_is_refused(noise):
+    with pytest.raises(OptionError, match="needs a budget"):
+        run(noise, seed=0, budget=Budget())
+
+
+@pytest.mark.parametrize(
+    ("durations", "seconds", "passes"),
+    [
+        ([1.0], 10.0, 10),  # exactly filled
+        ([3.0], 10.0, 3),  # a fourth would end at 12
+        ([50.0], 10.0, 1),  # one pass at least
+        ([6.0, 1.0], 10.0, 5),  # the first compiles: 6 + 4 * 1
+        ([6.0, 5.0], 10.0, 2),  # nothing tells that the second is slow; a third is not begun
+        ([1.0, 1.0, 4.0, 1.0], 9.0, 3),  # the slowest of the latest passes is what the next may take
+    ],
+)
+def test_the_last_pass_is_predicted(timed, durations, seconds, passes):
+    method, clock = timed(durations)
+    result = Runner(method, seed=0, budget=Budget(seconds=seconds), clock=clock).run()
+    assert result.passes == passes
+    assert result.stopped_by == "seconds"
+    assert result.elapsed == pytest.approx(sum(durations[:passes]) + durations[-1] * max(0, passes - len(durations)))
+    assert result.measurement.counters["seconds"] == pytest.approx(result.elapsed)
+
+
+def test_first_limit_reached_stops(timed):
+    method, clock = timed([1.0])
+    result = Runner(method, seed=0, budget=Budget(seconds=5.0, samples=3), clock=clock).run()
+    assert (result.passes, result.stopped_by) == (3, "samples")
+    method, clock = timed([1.0])
+    result = Runner(method, seed=0, budget=Budget(seconds=5.0, samples=30), clock=clock).run()
+    assert (result.passes, result.stopped_by) == (5, "seconds")
+
+
+def test_error_budget_stops_at_the_noise_that_was_asked_for(noise):
+    result = run(noise, seed=1, budget=Budget(error=0.01, iterations=2000))
+    assert result.stopped_by == "error"
+    assert result.measurement.relative_error() <= 0.01
+    # Variance of a pass is 1/2, of the mean 1/(2n), relative to a mean of 1: about 50 passes, and no twice that.
+    assert 30 < result.passes < 80
+
+
+def test_error_budget_needs_two_passes(noise):
+    result = run(noise, seed=1, budget=Budget(error=1e9))
+    assert result.passes == 2
+
+
+def test_accumulation_is_the_sum_of_the_passes(noise):
+    result = run(noise, seed=3, budget=Budget(iterations=5))
+    expected = noise.step(0, 3)
+    for iteration in range(1, 5):
+        expected += noise.step(iteration, 3)
+    assert np.array_equal(result.measurement.sums["image"], expected.sums["image"])
+    assert result.result.image.dtype == np.float32
+    assert result.measurement.counters["rays"] == 500.0
+
+
+def test_memory_does_not_grow_with_the_passes(noise):
+    noise.shape = (64, 64, 3)
+    arrays = []
+    runner = Runner(noise, seed=0, budget=Budget(iterations=50))
+    runner.on_progress = lambda progress: arrays.append(id(runner.interrupted().measurement.sums["image"]))
+    runner.run()
+    assert len(set(arrays)) == 1  # added in place
+
+
+def test_progress_speaks_of_time_rate_noise_and_share(timed):
+    method, clock = timed([2.0])
+    seen = []
+    Runner(method, seed=0, budget=Budget(seconds=100.0, samples=5), on_progress=seen.append, clock=clock).run()
+    assert [p.passes for p in seen] == [1, 2, 3, 4, 5]
+    assert [p.eta for p in seen] == pytest.approx([8.0, 6.0, 4.0, 2.0, 0.0])
+    assert [p.fraction for p in seen] == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
+    assert seen[0].relative_error is None
+    assert seen[-1].relative_error > 0
+    assert seen[-1].rays_per_second == pytest.approx(50.0)
+    assert "pass 5, 5 spp, 10.0s" in str(seen[-1])
+
+
+def test_saves_come_in_time_and_their_failure_costs_nothing(timed, caplog):
+    method, clock = timed([1.0])
+    saves = []
+
+    def save(run):
+        saves.append((run.passes, run.stopped_by))
+        raise OutputError("cannot write 'x': no space; free some")
+
+    result = Runner(method, seed=0, budget=Budget(iterations=9), on_save=save, save_every=3.0, clock=clock).run()
+    assert saves == [(3, "running"), (6, "running"), (9, "running")]
+    assert result.passes == 9
+    assert "intermediate save failed, rendering goes on: cannot write 'x'" in caplog.text
+
+
+def test_slow_saves_become_rare(timed):
+    method, clock = timed([1.0])
+    saves = []
+
+    def save(run):
+        saves.append(run.passes)
+        clock.now += 2.0
+
+    Runner(method, seed=0, budget=Budget(iterations=60), on_save=save, save_every=1.0, clock=clock).run()
+    assert saves == [1, 21, 41]  # two seconds of saving for twenty of rendering
+
+
+@pytest.mark.parametrize("save_every", [0.0, -1.0, float("nan")])
+def test_time_between_saves_is_checked(noise, save_every):
+    with pytest.raises(OptionError, match="time between saves"):
+        Runner(noise, seed=0, budget=Budget(iterations=1), on_save=print, save_every=save_every)
+
+
+def test_cancel_stops_at_the_next_pass(noise):
+    cancel = threading.Event()
+    noise.before_pass = lambda iteration: cancel.set() if iteration == 2 else None
+    result = run(noise, seed=0, budget=Budget(), cancel=cancel)
+    assert (result.passes, result.stopped_by) == (3, "cancel")
+
+
+def test_cancel_before_the_first_pass_leaves_no_picture(noise):
+    cancel = threading.Event()
+    cancel.set()
+    with pytest.raises(Cancelled, match="there is no picture"):
+        run(noise, seed=0, budget=Budget(iterations=3), cancel=cancel)
+
+
+def test_a_failing_pass_loses_no_work(noise):
+    def fail(iteration):
+        if iteration == 3:
+            raise RuntimeError("device\n   lost")
+
+    noise.before_pass = fail
+    with pytest.raises(RunError, match=r"RuntimeError: device lost \(after 3 passes, which are kept\)") as caught:
+        run(noise, seed=0, budget=Budget(iterations=10))
+    assert isinstance(caught.value.__cause__, RuntimeError)
+    assert caught.value.run.passes == 3
+    assert caught.value.run.stopped_by == "failure"
+    assert np.array_equal(
+        caught.value.run.measurement.sums["image"],
+        (noise.__class__().step(0, 0) + noise.__class__().step(1, 0) + noise.__class__().step(2, 0)).sums["image"],
+    )
+
+
+def test_a_failing_first_pass_raises_what_it_raised(noise):
+    noise.before_pass = lambda iteration: 1 / 0
+    with pytest.raises(ZeroDivisionError):
+        run(noise, seed=0, budget=Budget(iterations=10))
+
+
+def test_ctrl_c_in_a_pass_keeps_those_before_it(noise):
+    def interrupt(iteration):
+        if iteration == 2:
+            raise KeyboardInterrupt
+
+    noise.before_pass = interrupt
+    runner = Runner(noise, seed=0, budget=Budget(iterations=10))
+    with pytest.raises(KeyboardInterrupt):
+        runner.run()
+    assert runner.interrupted().passes == 2
+
+
+def test_start_is_continued_and_counts(noise):
+    first = run(noise, seed=7, budget=Budget(samples=4))
+    second = run(noise, seed=7, budget=Budget(samples=10), start=first.measurement)
+    whole = run(noise, seed=7, budget=Budget(samples=10))
+    assert np.array_equal(second.measurement.sums["image"], whole.measurement.sums["image"])
+    assert second.measurement.iterations == whole.measurement.iterations
+
+
+def test_a_reached_total_does_no_further_pass(noise):
+    first = run(noise, seed=7, budget=Budget(samples=4))
+    noise.before_pass = lambda iteration: pytest.fail("a pass was made")
+    assert run(noise, seed=7, budget=Budget(samples=4), start=first.measurement).passes == 4
