@@ -55,7 +55,7 @@ def choose(options: list[str]) -> list[str]:
     package = available(options)
     names = missing(package or "")
     if "" in names:
-        raise LookupError("this distribution has no LLVM package of version 17 to 21")
+        raise LookupError("the package lists have no LLVM of version 17 to 21, or cannot be fetched")
     return names
 
 
@@ -138,9 +138,7 @@ def main() -> int:
                 trouble = "what was installed cannot be loaded"
             except (LookupError, OSError, subprocess.CalledProcessError) as error:
                 trouble = reason(error)
-    print(
-        f"étendue needs LLVM {llvm.OLDEST} or newer and libatomic, and could not get them: {trouble}", file=sys.stderr
-    )
+    print(f"étendue needs {' and '.join(missing())}, and could not get it: {trouble}", file=sys.stderr)
     if shutil.which("apt-get"):
         print("    sudo apt-get install -y", *missing(), file=sys.stderr)
     print("docs/install.md says what other systems need.", file=sys.stderr)
