@@ -1,1 +1,5 @@
-"""Room plugins."""
+"""Registration of étendue's methods with Mitsuba, under every variant that is set, now or later."""
+
+from .registration import register
+
+__all__ = ["register"]

@@ -1,0 +1,196 @@
+"""A method as a Mitsuba integrator: what ``mi.load_dict({"type": "vcm"})`` makes and ``mi.render`` calls."""
+
+from __future__ import annotations
+
+import time
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import EtendueError, Measurement, OptionError, UnsupportedError, check_variant
+from etendue.scene import Problem, check
+
+#: First-hit layers and the names of their channels in a film, as Mitsuba's 'aov' integrator calls them.
+_AOV_CHANNELS = {
+    "albedo": ("albedo.R", "albedo.G", "albedo.B"),
+    "normal": ("sh_normal.X", "sh_normal.Y", "sh_normal.Z"),
+    "depth": ("depth.T",),
+}
+#: Rays per pixel that measure its coverage, for films with an alpha channel.
+_ALPHA_RAYS = 16
+
+
+def integrator_class(method: Any) -> type:
+    """The integrator class of a method for the current variant. Raises :class:`BackendError` if that is unsupported."""
+    import mitsuba as mi
+
+    check_variant(mi.variant())
+    return _integrator_class(method, mi.variant())
+
+
+@lru_cache(maxsize=64)
+def _integrator_class(method: Any, variant: str) -> type:
+    # Made per variant, since its base class is Mitsuba's of that variant.
+    import mitsuba as mi
+
+    class EtendueIntegrator(mi.SamplingIntegrator):
+        """Runs the method's passes until ``spp`` camera paths per pixel are traced."""
+
+        def __init__(self, props: Any) -> None:
+            names = [name for name, *_ in method.Settings.describe()]
+            given = {name: props[name] for name in names if name in props}
+            if props.get("hide_emitters", False):
+                raise UnsupportedError(f"{method.name} has no 'hide_emitters'; remove it, or hide the emitter's shape")
+            self.plugin_name = method.name
+            self.settings = method.Settings.from_mapping(given, owner=f"integrator '{method.name}'")
+            self.options = self.settings.to_dict()
+            self.timeout = float(props.get("timeout", -1.0))
+            self._cancelled = False
+            super().__init__(props)
+
+        def render(
+            self,
+            scene: Any,
+            sensor: Any = 0,
+            seed: Any = 0,
+            spp: int = 0,
+            develop: bool = True,
+            evaluate: bool = True,
+        ) -> Any:
+            """The picture as a tensor (height, width, channels); it stays in the sensor's film, too."""
+            import drjit as dr
+
+            self._cancelled = False
+            if isinstance(sensor, int):
+                sensor = scene.sensors()[sensor]
+            check(scene, sensor)
+            film = sensor.film()
+            width, height = (int(v) for v in film.crop_size())
+            problem = Problem(
+                scene=scene,
+                sensor=sensor,
+                size=(width, height),
+                spp=int(spp) or int(sensor.sampler().sample_count()),
+                max_depth=self.options["max_depth"],
+                integrator=method.name,
+                integrator_options=dict(self.options),
+            )
+            with dr.suspend_grad():
+                measurement = self._measure(problem, int(np.asarray(seed).ravel()[0]))
+                layers = measurement[0].develop(measurement[1]).layers
+                _fill(film, problem, layers, self.aov_names())
+                if not develop:
+                    return mi.TensorXf()
+                image = film.develop()
+                if evaluate:
+                    dr.eval(image)
+                    dr.sync_thread()
+                return image
+
+        def _measure(self, problem: Problem, seed: int) -> tuple[Any, Measurement]:
+            """Prepare the method and run its passes; the method and what it measured."""
+            runner = method(self.settings)
+            runner.prepare(problem, seed)
+            samples = fitting_samples(problem.spp, runner.samples_per_iteration)
+            if samples != runner.samples_per_iteration and not self.settings.samples_per_pass:
+                runner = method(self.settings.replace(samples_per_pass=samples))
+                runner.prepare(problem, seed)
+            passes = -(-problem.spp // runner.samples_per_iteration)
+            start = time.perf_counter()
+            total = runner.step(0, seed)
+            for iteration in range(1, passes):
+                if self._cancelled or 0 < self.timeout < time.perf_counter() - start:
+                    break
+                total += runner.step(iteration, seed)
+            return runner, total
+
+        def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
+            """Raises: derivatives are not computed."""
+            raise _no_gradients(method.name)
+
+        def render_backward(
+            self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
+        ) -> None:
+            """Raises: derivatives are not computed."""
+            raise _no_gradients(method.name)
+
+        def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
+            """Raises: light does not come ray by ray here, so wrapping integrators such as 'aov' cannot ask for it."""
+            raise UnsupportedError(
+                f"'{method.name}' renders whole pictures and cannot be nested in another integrator; "
+                "use it by itself, with aovs=true for first-hit layers"
+            )
+
+        def cancel(self) -> None:
+            """Stop the rendering under way, in another thread, after its present pass."""
+            self._cancelled = True
+
+        def should_stop(self) -> bool:
+            """Whether :meth:`cancel` was called since the rendering began."""
+            return self._cancelled
+
+        def aov_names(self) -> list[str]:
+            """Names of the channels after the picture's own."""
+            return [c for channels in _AOV_CHANNELS.values() for c in channels] if self.options["aovs"] else []
+
+        def to_string(self) -> str:
+            rows = ",\n".join(f"  {name} = {value}" for name, value in self.options.items())
+            return f"{method.name}[\n{rows}\n]"
+
+    EtendueIntegrator.__name__ = f"{method.name.capitalize()}Integrator"
+    EtendueIntegrator.__qualname__ = EtendueIntegrator.__name__
+    return EtendueIntegrator
+
+
+def _no_gradients(name: str) -> EtendueError:
+    return UnsupportedError(
+        f"'{name}' computes pictures, not gradients; differentiate with Mitsuba's own 'prb' integrator, or detach the "
+        "scene parameters"
+    )
+
+
+def fitting_samples(spp: int, most: int) -> int:
+    """Camera paths per pixel and pass, at most ``most``, that share ``spp`` without rest where that costs little.
+
+    The largest divisor of ``spp`` if it fills at least half of a pass; otherwise passes of equal size that together
+    exceed ``spp`` by less than one path each.
+    """
+    if spp < 1:
+        raise OptionError(f"a rendering needs at least one sample per pixel, not {spp}")
+    divisor = max(n for n in range(1, min(spp, most) + 1) if spp % n == 0)
+    return divisor if 2 * divisor >= min(spp, most) else -(-spp // -(-spp // most))
+
+
+def _fill(film: Any, problem: Problem, layers: dict[str, NDArray[np.float32]], aovs: list[str]) -> None:
+    """Put the picture into the film, so that ``film.develop()``, ``film.bitmap()`` and ``film.write()`` show it."""
+    import mitsuba as mi
+
+    image = layers["image"]
+    channels = [image]
+    if mi.has_flag(film.flags(), mi.FilmFlags.Alpha):
+        channels.append(_coverage(problem))
+    channels.append(np.ones((*image.shape[:2], 1), np.float32))  # the film divides by this weight
+    if aovs:
+        channels += [layers[name] for name in _AOV_CHANNELS]
+    film.prepare(aovs)
+    tensor = mi.TensorXf(np.concatenate(channels, -1, dtype=np.float32))
+    film.put_block(mi.ImageBlock(tensor, mi.ScalarPoint2i(film.crop_offset())))
+
+
+def _coverage(problem: Problem) -> NDArray[np.float32]:
+    """Share of each pixel that shows something: 1 wherever there is an environment, as in Mitsuba's 'path'."""
+    import drjit as dr
+    import mitsuba as mi
+
+    width, height = problem.size
+    if problem.scene.environment() is not None:
+        return np.ones((height, width, 1), np.float32)
+    lanes = dr.arange(mi.UInt32, width * height * _ALPHA_RAYS)
+    pixel, ray_number = lanes // _ALPHA_RAYS, lanes % _ALPHA_RAYS
+    offset = mi.Point2f((ray_number % 4) + 0.5, (ray_number // 4) + 0.5) / 4
+    position = (mi.Point2f(pixel % width, pixel // width) + offset) / mi.Point2f(width, height)
+    ray, _ = problem.sensor.sample_ray(0.0, 0.5, position, mi.Point2f(0.5))
+    hit = np.asarray(problem.scene.ray_test(ray), dtype=np.float32)
+    return hit.reshape(height, width, _ALPHA_RAYS).mean(-1, keepdims=True)
