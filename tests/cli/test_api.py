@@ -1,0 +1,196 @@
+"""The Python door on a bundled scene, small."""
+
+from __future__ import annotations
+
+import time
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from etendue import api, film
+from etendue.core import CheckpointError, OptionError, OutputError, SceneError
+from etendue.engine import RunError
+
+SMALL = {"size": (16, 12), "samples_per_pass": 2}
+
+
+def test_render_returns_image_layers_and_metadata(tmp_path):
+    rendering = api.render("cornell-box", "path", samples=6, seed=3, max_depth=4, **SMALL)
+    assert rendering.image.shape == (12, 16, 3)
+    assert rendering.image.dtype == np.float32
+    assert np.isfinite(rendering.image).all()
+    assert rendering.image.mean() > 0.01
+    m = rendering.metadata
+    assert (m["method"], m["seed"], m["passes"], m["samples"]) == ("path", 3, 3, 6)
+    assert m["settings"]["max_depth"] == 4
+    assert m["rays"] > 16 * 12 * 6
+    assert m["seconds"] > 0
+    assert m["nonfinite"] == 0
+    assert m["versions"]["mitsuba"] == mi.__version__
+    assert m["versions"]["variant"] == mi.variant()
+    rendering.save(tmp_path / "a.exr")
+    rendering.save(tmp_path / "a.png")
+    read = film.read_exr(tmp_path / "a.exr")
+    assert np.array_equal(read.image, rendering.image)
+    assert read.metadata["settings"] == m["settings"]
+    assert read.metadata["fingerprint"] == m["fingerprint"]
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("kind", ["dict", "scene"])
+def test_scenes_in_memory(kind, tmp_path):
+    scene = mi.cornell_box()
+    scene["sensor"]["film"].update({"width": 8, "height": 8})
+    checkpoint = tmp_path / "a"
+    given = scene if kind == "dict" else mi.load_dict(scene)
+    rendering = api.render(given, "path", samples=2, samples_per_pass=1, checkpoint=checkpoint)
+    assert rendering.image.shape == (8, 8, 3)
+    with pytest.raises(CheckpointError, match="from a scene in memory"):
+        api.resume(checkpoint, samples=4)
+    assert api.resume(checkpoint, samples=4, scene=given).metadata["passes"] == 4
+
+
+def test_without_a_budget_the_scene_decides():
+    scene = mi.cornell_box()
+    scene["sensor"]["film"].update({"width": 8, "height": 8})
+    scene["sensor"]["sampler"]["sample_count"] = 7
+    scene["integrator"]["max_depth"] = 3
+    rendering = api.render(scene, "path")
+    assert rendering.metadata["samples"] == 7
+    assert rendering.metadata["settings"]["max_depth"] == 3
+
+
+def test_the_scenes_own_integrator_gives_settings_that_were_not_given(caplog):
+    scene = mi.cornell_box()
+    scene["sensor"]["film"].update({"width": 8, "height": 8})
+    scene["integrator"] = {"type": "path", "max_depth": 5, "rr_depth": 3, "hide_emitters": True}
+    settings = api.render(scene, "path", samples=1, rr_depth=2).metadata["settings"]
+    assert (settings["max_depth"], settings["rr_depth"]) == (5, 2)
+    assert "'hide_emitters' of the scene's integrator 'path' is not known" in caplog.text
+    assert api.render(scene, "light", samples=1).metadata["settings"]["rr_depth"] != 3
+
+
+def test_samples_of_a_pass_add_up_to_the_budget():
+    rendering = api.render("cornell-box", "path", samples=20, size=(8, 8))
+    assert rendering.metadata["samples"] == 20
+
+
+def test_callback_sees_the_picture_and_may_stop():
+    seen = []
+
+    def callback(update):
+        seen.append((update.progress.passes, float(update.image.mean())))
+        return update.progress.passes < 3
+
+    rendering = api.render("cornell-box", "path", samples=100, callback=callback, **SMALL)
+    assert [passes for passes, _ in seen] == [1, 2, 3]
+    assert rendering.metadata["stopped_by"] == "cancel"
+    assert seen[-1][1] == pytest.approx(rendering.image.mean())
+
+
+def test_what_a_callback_raises_costs_no_work(tmp_path):
+    def callback(update):
+        if update.progress.passes == 2:
+            raise ValueError("plot window closed")
+
+    with pytest.raises(RunError, match="plot window closed"):
+        api.render("cornell-box", "path", samples=100, callback=callback, save=tmp_path / "a.exr", **SMALL)
+    assert film.read_exr(tmp_path / "a.exr").metadata["passes"] == 2
+
+
+def test_ctrl_c_writes_what_there_is(tmp_path):
+    def callback(update):
+        if update.progress.passes == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        api.render("cornell-box", "path", samples=100, callback=callback, checkpoint=tmp_path / "a", **SMALL)
+    assert api.resume(tmp_path / "a", samples=6).metadata["passes"] == 3
+
+
+@pytest.mark.parametrize(("method", "tolerance"), [("path", 0.0), ("light", 1e-5), ("bpt", 1e-5), ("vcm", 1e-5)])
+def test_a_resumed_render_is_an_uninterrupted_one(method, tolerance, tmp_path):
+    whole = api.render("cornell-glass", method, samples=8, **SMALL)
+    checkpoint, picture = tmp_path / "a", tmp_path / "a.exr"
+    with api.start("cornell-glass", method, samples=8, checkpoint=checkpoint, **SMALL) as session:
+        while session.progress.passes < 1:
+            assert session.running
+            time.sleep(0.001)
+        session.cancel()
+        early = session.result.metadata["passes"]
+    if early == 4:  # the machine was faster than the cancellation
+        api.render("cornell-glass", method, samples=4, checkpoint=checkpoint, **SMALL)
+    resumed = api.resume(checkpoint, samples=8, save=picture)
+    assert resumed.metadata["passes"] == 4
+    for name, layer in whole.layers.items():
+        if tolerance == 0.0:
+            assert np.array_equal(resumed.layers[name], layer)
+        else:
+            assert np.allclose(resumed.layers[name], layer, rtol=tolerance, atol=1e-7)
+    assert np.array_equal(film.read_exr(picture).image, resumed.image)
+
+
+def test_session():
+    began = time.perf_counter()
+    session = api.start("cornell-box", "path", seconds=60, **SMALL)
+    assert time.perf_counter() - began < 0.5
+    while session.progress.passes < 2:
+        time.sleep(0.005)
+    assert session.image.shape == (12, 16, 3)
+    assert 0 < session.progress.fraction < 0.5
+    session.cancel()
+    assert not session.running
+    assert session.result.metadata["stopped_by"] == "cancel"
+    assert session.result.metadata["passes"] >= 2
+
+
+def test_session_reports_a_bad_scene_where_one_waits():
+    session = api.start("cornell-bax", "path", samples=1)
+    with pytest.raises(SceneError, match="did you mean 'cornell-box'"):
+        session.wait()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        ({"method": "vmc"}, OptionError, "did you mean 'vcm'"),
+        ({"max_dept": 3}, OptionError, "did you mean 'max_depth'"),
+        ({"seconds": -1}, OptionError, "must be a number above 0"),
+        ({"samples": 0}, OptionError, "at least 1"),
+        ({"seed": -1}, OptionError, "a seed is"),
+        ({"seed": 0.5}, OptionError, "a seed is"),
+        ({"save": "a.tiff"}, OptionError, "as .exr or .png"),
+        ({"save": "/no/such/folder/a.exr"}, OutputError, "no folder"),
+        ({"checkpoint": "/no/such/folder/a"}, OutputError, "no folder"),
+    ],
+)
+@pytest.mark.parametrize("door", [api.render, api.start])
+def test_bad_arguments_are_refused_before_the_scene_is_read(door, arguments, error, message):
+    with pytest.raises(error, match=message):
+        door(**({"scene": "/no/such/scene.xml", "method": "path"} | arguments))
+
+
+def test_resume_refuses_a_changed_scene_and_a_spent_budget(tmp_path):
+    scene = tmp_path / "scene.xml"
+    text = """<scene version="3.0.0"><emitter type="constant"/><sensor type="perspective"><film type="hdrfilm">
+        <integer name="width" value="8"/><integer name="height" value="8"/></film></sensor>
+        <shape type="sphere"><point name="center" x="0" y="0" z="5"/>
+        <float name="radius" value="RADIUS"/></shape></scene>"""
+    scene.write_text(text.replace("RADIUS", "1"))
+    checkpoint = tmp_path / "a.checkpoint"
+    api.render(scene, "path", samples=2, samples_per_pass=1, checkpoint=checkpoint)
+    with pytest.raises(CheckpointError, match="budget is used up"):
+        api.resume(checkpoint)
+    scene.write_text(text.replace("RADIUS", "2"))
+    before = checkpoint.read_bytes()
+    with pytest.raises(CheckpointError, match="the scene is not the one"):
+        api.resume(checkpoint, samples=4)
+    scene.unlink()
+    with pytest.raises(CheckpointError, match="cannot be loaded"):
+        api.resume(checkpoint, samples=4)
+    assert checkpoint.read_bytes() == before
+    moved = tmp_path / "moved.xml"
+    moved.write_text(text.replace("RADIUS", "1"))
+    assert api.resume(checkpoint, samples=4, scene=moved).metadata["passes"] == 4
+    assert api.resume(checkpoint, samples=5).metadata["passes"] == 5  # it remembers where the scene is now

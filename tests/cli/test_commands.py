@@ -1,0 +1,261 @@
+"""The commands on small pictures; signals and start-up in processes of their own."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from etendue import api, film, methods
+from etendue.cli import options
+from etendue.cli.main import main
+from etendue.core import OptionError, citations
+from etendue.engine import Checkpoint
+
+COMMAND = [sys.executable, "-m", "etendue.cli.main"]
+
+
+def run(command: str) -> int:
+    return main(shlex.split(command))
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_render_writes_picture_and_checkpoint_with_metadata(folder, capsys):
+    assert run("render cornell-box -m path --size 16x12 --spp 4 --seed 9 -o a.exr -o a.png --aovs -D rr_depth=3") == 0
+    out, err = capsys.readouterr()
+    assert out == "a.exr, a.png, a.checkpoint\n"
+    assert "path: 1 pass, 4 spp" in err
+    result = film.read_exr("a.exr")
+    assert result.image.shape == (12, 16, 3)
+    assert {"albedo", "normal", "depth"} <= result.layers.keys()
+    m = result.metadata
+    assert (m["method"], m["seed"], m["samples"], m["scene"]) == ("path", 9, 4, "cornell-box")
+    assert m["settings"]["rr_depth"] == 3
+    assert m["settings"]["aovs"] is True
+    assert m["versions"].keys() == {"etendue", "mitsuba", "drjit", "variant"}
+    assert m["rays"] > 0
+    assert m["seconds"] > 0
+    assert Checkpoint.read("a.checkpoint").fingerprint == m["fingerprint"]
+
+
+def test_names_of_outputs_come_from_scene_and_method(folder, capsys):
+    assert run("render cornell-box -m path --size 8x8 --spp 1 --no-checkpoint") == 0
+    assert os.listdir(folder) == ["cornell-box-path.exr"]
+
+
+def test_resume_goes_on(folder, capsys):
+    assert run("render cornell-box -m path --size 8x8 --spp 2 -D samples_per_pass=1 -o a.exr") == 0
+    assert run("resume a.checkpoint --spp 5") == 0
+    assert run("render cornell-box -m path --size 8x8 --spp 5 -D samples_per_pass=1 -o b.exr") == 0
+    assert np.array_equal(film.read_exr("a.exr").image, film.read_exr("b.exr").image)
+    assert run("resume a.checkpoint") == 4
+    assert "budget is used up" in capsys.readouterr().err
+
+
+def test_compare_writes_pictures_and_a_page(folder, capsys):
+    api.render("cornell-box", "path", samples=16, size=(16, 16), save="reference.exr")
+    command = (
+        "compare cornell-box -m path -m bpt --size 16x16 --spp 8 -o out --reference reference.exr -D path.mode=naive"
+    )
+    assert main(command.split()) == 0
+    assert capsys.readouterr().out == f"{Path('out/index.html')}\n"
+    assert sorted(os.listdir("out")) == ["bpt.exr", "bpt.png", "index.html", "path.exr", "path.png"]
+    assert film.read_exr("out/path.exr").metadata["settings"]["mode"] == "naive"
+    page = Path("out/index.html").read_text("utf-8")
+    assert "relMSE" in page
+    assert "naive" in page
+
+
+def test_compare_refuses_a_reference_of_another_size_before_rendering(folder, capsys):
+    api.render("cornell-box", "path", samples=1, size=(8, 8), save="reference.exr")
+    assert run("compare cornell-box --size 16x16 --spp 1 --reference reference.exr") == 2
+    assert "use --size 8x8" in capsys.readouterr().err
+
+
+def test_demo_writes_a_page(folder, capsys):
+    assert run("demo --time 0.2 --size 24x18 -o d") == 0
+    assert capsys.readouterr().out == f"{Path('d/index.html')}\n"
+    assert {"path.exr", "vcm.exr", "path.png", "vcm.png"} <= set(os.listdir("d"))
+
+
+def test_methods_and_manual_pages(capsys):
+    assert run("methods") == 0
+    out = capsys.readouterr().out
+    for name, method in methods.table().items():
+        assert re.search(rf"^{name}\s+\S", out, re.MULTILINE)
+        assert main(["methods", name]) == 0
+        page = capsys.readouterr().out
+        for setting, *_ in method.Settings.describe():
+            assert setting in page
+
+
+def test_cite_prints_every_paper_of_every_method(capsys):
+    for name, method in methods.table().items():
+        assert method.citations
+        assert main(["cite", name]) == 0
+        entries = citations.parse(capsys.readouterr().out)
+        assert set(method.citations) <= entries.keys()
+
+
+def test_scenes(capsys):
+    from etendue.scene import bundled
+
+    assert run("scenes") == 0
+    out = capsys.readouterr().out
+    assert all(name in out for name in bundled())
+
+
+def test_version_and_help(capsys):
+    assert run("--version") == 0
+    assert re.match(r"etendue \S+, mitsuba 3\S+, drjit \S+\n$", capsys.readouterr().out)
+    assert run("render --help") == 0
+    text = capsys.readouterr().out
+    for option in ("--time", "--spp", "--error", "--size", "--seed", "--variant", "--max-depth", "--threads"):
+        assert option in text
+    for option in ("--save-every", "--memory", "--debug", "--aovs", "--checkpoint", "--sensor"):
+        assert option in text
+
+
+def test_nonfinite_contributions_are_reported(folder, capsys, monkeypatch):
+    step = methods.get("path").step
+
+    def tainted(self, iteration, seed):
+        measured = step(self, iteration, seed)
+        measured.counters["nonfinite"] = 2.0
+        return measured
+
+    monkeypatch.setattr(methods.get("path"), "step", tainted)
+    assert run("render cornell-box -m path --size 8x8 --spp 3 -D samples_per_pass=1 -o a.exr") == 0
+    assert "warning: 6 contributions were not finite" in capsys.readouterr().err
+    assert film.read_exr("a.exr").metadata["nonfinite"] == 6
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [("60", 60), ("1.5", 1.5), ("90s", 90), ("5m", 300), ("1h30m", 5400), ("2h", 7200), ("1e-1", 0.1)],
+)
+def test_times(text, seconds):
+    assert options.parse_time(text) == pytest.approx(seconds)
+
+
+@pytest.mark.parametrize("text", ["", "m", "1x", "1m1h", "--", "1.2.3"])
+def test_bad_times(text):
+    with pytest.raises(OptionError):
+        options.parse_time(text)
+
+
+def test_sizes_of_memory():
+    assert options.parse_memory("2G") == 2 << 30
+    assert options.parse_memory("512MiB") == 512 << 20
+    assert options.parse_memory("1000") == 1000
+
+
+def start(*arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen([*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def wait_for_pass(process: subprocess.Popen[str]) -> None:
+    """Return when the first line of progress has come."""
+    assert process.stderr is not None
+    for line in process.stderr:
+        if "pass " in line:
+            return
+    pytest.fail(f"ended with status {process.wait()} before a line of progress")
+
+
+RENDER = shlex.split("render cornell-box -m path --size 32x32 -D samples_per_pass=1 --spp 800 -o a.exr")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of Unix")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_at_the_next_pass_and_the_rest_can_follow(number, folder):
+    process = start(*RENDER)
+    wait_for_pass(process)
+    process.send_signal(number)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 128 + number
+    assert out == "a.exr, a.checkpoint\n"
+    assert "stopping after this pass" in err
+    assert "Traceback" not in err
+    early = film.read_exr("a.exr").metadata
+    assert early["stopped_by"] == "cancel"
+    assert 0 < early["passes"] < 800
+    if number == signal.SIGTERM:
+        return
+    # Without a budget of its own, a resumed run does what the interrupted one had left.
+    assert run("resume a.checkpoint") == 0
+    assert main([*RENDER[:-1], "b.exr"]) == 0
+    assert film.read_exr("a.exr").metadata["passes"] == 800
+    assert np.array_equal(film.read_exr("a.exr").image, film.read_exr("b.exr").image)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of Unix")
+def test_a_second_signal_aborts_at_once(folder):
+    process = start(
+        *shlex.split("render cornell-box -m path --size 1024x1024 -D samples_per_pass=32 --spp 320 -o a.exr")
+    )
+    time.sleep(3.0)  # inside the first pass, which takes many times as long
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.3)
+    process.send_signal(signal.SIGINT)
+    began = time.monotonic()
+    _, err = process.communicate(timeout=60)
+    assert time.monotonic() - began < 2.0
+    assert process.returncode == 130
+    assert "aborted" in err
+    assert os.listdir(folder) == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of Unix")
+def test_a_killed_render_leaves_its_last_intermediate_save(folder):
+    process = start(*RENDER[:-4], "--time", "60", "-o", "a.exr", "--save-every", "0.2")
+    while not Path("a.checkpoint").exists():
+        assert process.poll() is None
+        time.sleep(0.02)
+    time.sleep(0.5)
+    process.kill()
+    process.communicate()
+    assert film.read_exr("a.exr").metadata["stopped_by"] == "running"
+    passes = Checkpoint.read("a.checkpoint").measurement.iterations.next_iteration()
+    assert passes > 0
+    assert main(["resume", "a.checkpoint", "--spp", str(passes + 2)]) == 0
+    assert film.read_exr("a.exr").metadata["passes"] == passes + 2
+
+
+def test_help_is_immediate():
+    code = "import sys; from etendue.cli.main import main; main(['--help']); print(*sys.modules)"
+    seconds = []
+    for _ in range(3):
+        began = time.monotonic()
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+        seconds.append(time.monotonic() - began)
+        loaded = done.stdout.splitlines()[-1].split()
+        assert "etendue.cli.main" in loaded
+        assert not {"etendue.methods", "etendue.scene", "etendue.display", "OpenEXR"} & set(loaded)
+    assert min(seconds) < 1.0
+
+
+def test_every_paper_cited_in_the_source_is_in_the_bibliography():
+    known = set(citations.bibliography())
+    root = Path(api.__file__).parent
+    found = set()
+    for path in root.rglob("*.py"):
+        for group in re.findall(r"\[([A-Z][^\[\]\n]*? \d{4}[^\[\]]*)\]", path.read_text("utf-8")):
+            for author, second, year in re.findall(r"([A-Z]\w+)(?: (?:and|&) ([A-Z]\w+))? (\d{4}[a-z]?)\b", group):
+                found.add((author + second + year, path.name))
+    assert len(found) > 5
+    missing = {(key, name) for key, name in found if key not in known}
+    assert not missing
