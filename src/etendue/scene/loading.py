@@ -150,6 +150,9 @@ def _from_parser(
                 scene = mi.parser.instantiate(config, unmerged)
             check_scene(scene, _sensor(scene, sensor, name))
             raise
+    if not integrator and scene.integrator() is not None:
+        # Mitsuba's parser knows the kind of a Python plugin only once it is built.
+        integrator, depth, options = built_integrator(scene.integrator())
     return _problem(scene, chosen, integrator, depth, options, name, memory, details)
 
 

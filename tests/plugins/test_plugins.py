@@ -1,0 +1,280 @@
+"""Our methods as Mitsuba integrators: from dictionaries, from XML, in either order of import."""
+
+import os
+import subprocess
+import sys
+import threading
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from etendue import methods, plugins
+from etendue.core import OptionError, UnsupportedError
+from etendue.plugins.integrator import fitting_samples
+from etendue.scene import load
+
+NAMES = [name for name in methods.table() if name != "path"]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def registered(variant):
+    plugins.register()
+
+
+def box(integrator, size=24, **film):
+    scene = mi.cornell_box()
+    scene["integrator"] = {"type": integrator} if isinstance(integrator, str) else integrator
+    scene["sensor"]["film"] |= {"width": size, "height": size} | film
+    return scene
+
+
+@pytest.fixture(scope="module")
+def reference(registered):
+    scene = mi.load_dict(box({"type": "path", "max_depth": 4}))
+    return np.array(mi.render(scene, spp=2048))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_plugin_renders_what_mitsuba_does(name, reference):
+    scene = mi.load_dict(box({"type": name, "max_depth": 4}))
+    picture = mi.render(scene, spp=128, seed=7)
+    assert isinstance(picture, mi.TensorXf) and picture.shape == reference.shape
+    mine, theirs = np.array(picture), reference
+    if name == "light":  # light tracing leaves noise where it matters little: compare the walls, not the lamp
+        theirs = np.minimum(theirs, 1.0)
+        mine = np.minimum(mine, 1.0)
+    assert mine.mean() == pytest.approx(theirs.mean(), rel=0.03)
+    blocks = (slice(None), slice(None))
+    a = mine[blocks].reshape(4, 6, 4, 6, 3).mean((1, 3))
+    b = theirs[blocks].reshape(4, 6, 4, 6, 3).mean((1, 3))
+    np.testing.assert_allclose(a, b, rtol=0.25, atol=0.03)
+
+
+def test_the_film_holds_the_picture(tmp_path):
+    scene = mi.load_dict(box({"type": "bpt", "max_depth": 3}))
+    picture = np.array(mi.render(scene, spp=4, seed=1))
+    film = scene.sensors()[0].film()
+    np.testing.assert_allclose(np.array(film.develop()), picture, rtol=1e-5)
+    film.write(str(tmp_path / "film.exr"))
+    np.testing.assert_allclose(np.array(mi.Bitmap(str(tmp_path / "film.exr"))), picture, rtol=1e-5)
+
+
+def test_the_seed_decides():
+    scene = mi.load_dict(box({"type": "bpt", "max_depth": 3}))
+    first, again, other = (np.array(mi.render(scene, spp=2, seed=s)) for s in (1, 1, 2))
+    np.testing.assert_allclose(first, again, rtol=1e-4, atol=1e-6)
+    assert np.abs(first - other).mean() > 1e-3
+
+
+def test_without_spp_the_scenes_own_count_is_used(monkeypatch):
+    counted = count_samples(monkeypatch, "bpt")
+    scene = box({"type": "bpt", "max_depth": 2})
+    scene["sensor"]["sampler"]["sample_count"] = 12
+    mi.render(mi.load_dict(scene))
+    assert sum(counted) == 12
+
+
+def count_samples(monkeypatch, name):
+    """Camera paths per pixel of every pass that runs from now on."""
+    counted = []
+    method = methods.get(name)
+    step = method.step
+
+    def counting(self, iteration, seed):
+        counted.append(self.samples_per_iteration)
+        return step(self, iteration, seed)
+
+    monkeypatch.setattr(method, "step", counting)
+    return counted
+
+
+@pytest.mark.parametrize(("spp", "most", "passes", "total"), [
+    (1, 16, 1, 1), (7, 16, 1, 7), (16, 16, 1, 16), (20, 16, 2, 20), (64, 16, 4, 64), (17, 16, 2, 18), (37, 4, 10, 40),
+    (5, 1, 5, 5),
+])  # fmt: skip
+def test_samples_share_the_budget(spp, most, passes, total):
+    samples = fitting_samples(spp, most)
+    assert samples <= most
+    assert (-(-spp // samples), -(-spp // samples) * samples) == (passes, total)
+
+
+def test_given_samples_per_pass_are_kept(monkeypatch):
+    counted = count_samples(monkeypatch, "vcm")
+    mi.render(mi.load_dict(box({"type": "vcm", "max_depth": 2, "samples_per_pass": 3})), spp=6)
+    assert counted == [3, 3]
+
+
+def test_pixel_formats_and_crop_windows():
+    crop = {"crop_offset_x": 4, "crop_offset_y": 6, "crop_width": 10, "crop_height": 8}
+    for pixel_format in ("rgb", "rgba", "luminance", "luminance_alpha", "xyz"):
+        scene = mi.load_dict(box({"type": "bpt", "max_depth": 2}, pixel_format=pixel_format, **crop))
+        theirs = np.array(mi.render(scene, integrator=mi.load_dict({"type": "path", "max_depth": 2}), spp=256))
+        ours = np.array(mi.render(scene, spp=64))
+        assert ours.shape == theirs.shape
+        np.testing.assert_allclose(ours.mean((0, 1)), theirs.mean((0, 1)), rtol=0.05)
+
+
+def test_alpha_is_coverage():
+    scene = box({"type": "light", "max_depth": 2}, pixel_format="rgba", rfilter={"type": "box"})
+    del scene["back"], scene["large-box"]
+    scene = mi.load_dict(scene)
+    ours = np.array(mi.render(scene, spp=1))[..., 3]
+    theirs = np.array(mi.render(scene, integrator=mi.load_dict({"type": "path", "max_depth": 1}), spp=512))[..., 3]
+    np.testing.assert_allclose(ours, theirs, atol=0.15)
+    assert 0.1 < theirs.mean() < 0.9
+    assert ours.mean() == pytest.approx(theirs.mean(), abs=0.01)
+
+
+def test_first_hit_channels():
+    integrator = mi.load_dict({"type": "bpt", "max_depth": 2, "aovs": True})
+    picture = np.array(mi.render(mi.load_dict(box("path")), integrator=integrator, spp=8))
+    names = integrator.aov_names()
+    assert picture.shape == (24, 24, 3 + len(names))
+    depth = picture[..., 3 + names.index("depth.T")]
+    assert 2.5 < np.median(depth) < 5.0
+    assert np.linalg.norm(picture[..., 6:9], axis=-1).max() == pytest.approx(1.0, abs=1e-4)
+
+
+XML = """<scene version="3.0.0">
+<integrator type="vcm"><integer name="max_depth" value="3"/><string name="heuristic" value="power"/>
+<float name="radius" value="0.01"/><boolean name="merge_first" value="false"/></integrator>
+<sensor type="perspective"><film type="hdrfilm"><integer name="width" value="8"/>
+<integer name="height" value="6"/></film></sensor><emitter type="constant"/><shape type="sphere"/></scene>"""
+
+
+def test_xml(tmp_path):
+    path = tmp_path / "scene.xml"
+    path.write_text(XML)
+    scene = mi.load_file(str(path))
+    settings = scene.integrator().settings
+    assert (settings.max_depth, settings.heuristic, settings.radius, settings.merge_first) == (3, "power", 0.01, False)
+    assert mi.render(scene, spp=1).shape == (6, 8, 3)
+    for problem in (load(path), load(scene)):  # the loader reads the same from the file and from the built integrator
+        assert (problem.integrator, problem.max_depth) == ("vcm", 3)
+        assert problem.integrator_options["heuristic"] == "power"
+
+
+def test_under_any_key_of_a_dictionary():
+    scene = box("path")
+    del scene["integrator"]
+    problem = load(scene | {"renderer": {"type": "bpt", "max_depth": 5}})
+    assert (problem.integrator, problem.max_depth) == ("bpt", 5)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_printing(name):
+    assert str(mi.load_dict({"type": name, "max_depth": 9})).startswith(f"{name}[\n  max_depth = 9,")
+
+
+def test_mitsubas_own_path_stays():
+    assert mi.load_dict({"type": "path"}).class_name() == "PathIntegrator"
+
+
+@pytest.mark.parametrize(("wrong", "text"), [
+    ({"max_dept": 3}, '"max_dept"'),
+    ({"max_depth": -5}, "option 'max_depth' must be at least -1"),
+    ({"heuristic": "best"}, "option 'heuristic' is one of balance, power"),
+    ({"hide_emitters": True}, "no 'hide_emitters'"),
+])  # fmt: skip
+def test_wrong_parameters(wrong, text):
+    with pytest.raises(RuntimeError, match=text):
+        mi.load_dict({"type": "vcm"} | wrong)
+
+
+def test_unsupported_elements_keep_their_text():
+    scene = box("vcm") | {"sun": {"type": "directional"}}
+    loaded = mi.load_dict(scene)
+    with pytest.raises(RuntimeError) as caught:
+        mi.render(loaded, spp=1)
+    assert "'sun' of type 'directional'" in str(caught.value.__cause__)
+    with pytest.raises(UnsupportedError, match="'sun' of type 'directional'"):
+        loaded.integrator().render(loaded, spp=1)
+
+
+def test_nested_in_another_integrator():
+    nested = mi.load_dict({"type": "aov", "aovs": "d:depth", "inner": {"type": "bpt"}})
+    with pytest.raises(Exception) as caught:
+        mi.render(mi.load_dict(box("path")), integrator=nested, spp=1)
+    assert "cannot be nested" in f"{caught.value} {caught.value.__cause__}"
+
+
+@pytest.mark.parametrize("direction", ["backward", "forward"])
+def test_gradients_get_one_clear_error(direction):
+    scene = mi.load_dict(box({"type": "vcm", "max_depth": 2}, size=4))
+    params = mi.traverse(scene)
+    key = "light.emitter.radiance.value"
+    dr.enable_grad(params[key])
+    params.update()
+    picture = mi.render(scene, params=params, spp=1)
+    with pytest.raises(UnsupportedError, match=r"'vcm' computes pictures, not gradients.*'prb'"):
+        if direction == "backward":
+            dr.backward(dr.mean(picture, axis=None))
+        else:
+            dr.forward(params[key])
+
+
+def test_cancel_stops_after_the_pass(monkeypatch):
+    integrator = mi.load_dict({"type": "bpt", "max_depth": 2, "samples_per_pass": 1})
+    scene = mi.load_dict(box("path", size=8))
+    method = methods.get("bpt")
+    step = method.step
+    passes = []
+
+    def slow(self, iteration, seed):
+        passes.append(iteration)
+        if iteration == 2:
+            thread = threading.Thread(target=integrator.cancel)
+            thread.start()
+            thread.join()
+        return step(self, iteration, seed)
+
+    monkeypatch.setattr(method, "step", slow)
+    assert mi.render(scene, integrator=integrator, spp=1000).shape == (8, 8, 3)
+    assert passes == [0, 1, 2] and integrator.should_stop()
+    passes.clear()
+    mi.render(scene, integrator=integrator, spp=2)  # the flag does not stick
+    assert passes == [0, 1]
+
+
+def test_timeout():
+    integrator = mi.load_dict({"type": "bpt", "max_depth": 2, "samples_per_pass": 1, "timeout": 0.2})
+    assert mi.render(mi.load_dict(box("path", size=8)), integrator=integrator, spp=100000).shape == (8, 8, 3)
+
+
+def test_no_samples():
+    with pytest.raises(OptionError, match="at least one sample"):
+        fitting_samples(0, 4)
+
+
+BEFORE = "import etendue, mitsuba as mi; mi.set_variant(V)"
+AFTER = "import mitsuba as mi; mi.set_variant(V); import etendue"
+CHANGED = "import etendue, mitsuba as mi; mi.set_variant(V); mi.set_variant('scalar_rgb'); mi.set_variant(V)"
+RENDER = """
+scene = mi.load_file(sys.argv[1])
+print(type(scene.integrator()).__name__, mi.render(scene, spp=1).shape)
+print(type(mi.load_dict({"type": "path"})).__name__)
+"""
+
+
+def python(code, *arguments):
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [sys.executable, "-c", f"import sys; V = {mi.variant()!r}; {code}", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, env=environment)
+
+
+@pytest.mark.parametrize("order", [BEFORE, AFTER, CHANGED], ids=["before", "after", "changed"])
+def test_either_order_of_import(order, tmp_path):
+    path = tmp_path / "scene.xml"
+    path.write_text(XML)
+    done = python(order + RENDER, path)
+    assert done.stdout.splitlines() == ["VcmIntegrator (6, 8, 3)", "MonteCarloIntegrator"], done.stderr
+
+
+@pytest.mark.parametrize("other", ["scalar_rgb", "llvm_ad_spectral"])
+def test_other_variants_get_one_clear_error(other):
+    done = python(f"import etendue, mitsuba as mi; mi.set_variant('{other}'); mi.load_dict({{'type': 'vcm'}})")
+    assert done.returncode == 1
+    last = done.stderr.strip().splitlines()[-1]
+    assert f"BackendError: variant '{other}' is not supported" in last
