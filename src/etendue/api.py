@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import OptionError, Result, use_variant
+from etendue.core import OptionError, OutputError, Result, use_variant
 from etendue.core.progress import Progress
 from etendue.engine import (
     Budget,
@@ -202,13 +203,37 @@ class Outputs:
         return bool(self.pictures) or self.checkpoint is not None
 
     def write(self, job: Job, run: RunResult) -> Rendering:
-        """Develop ``run`` and write every file; the picture first, as it is the smallest."""
+        """Develop ``run`` and write every file. One that fails does not keep the others from being written.
+
+        Raises the first :class:`OutputError` when all have been tried; a picture whose place has failed at the end of
+        a run is then in the system's folder for temporary files, if that takes it.
+        """
         result = job.result(run)
+        errors: list[str] = []
         for path in self.pictures:
-            save_result(path, result)
+            try:
+                save_result(path, result)
+            except OutputError as error:
+                rescued = _rescue(path, result) if run.stopped_by != "running" else None
+                errors.append(f"{error}; the picture is in '{rescued}' instead" if rescued else str(error))
         if self.checkpoint is not None:
-            job.checkpoint(run).write(self.checkpoint)
+            try:
+                job.checkpoint(run).write(self.checkpoint)
+            except OutputError as error:
+                errors.append(str(error))
+        if errors:
+            raise OutputError(errors[0])
         return Rendering(result.layers, result.metadata, lambda: job.checkpoint(run))
+
+
+def _rescue(path: Path, result: Result) -> Path | None:
+    """Write ``result`` to a new file in the folder for temporary files; where, or ``None`` if that fails too."""
+    try:
+        place = Path(tempfile.mkdtemp(prefix="etendue-")) / path.name
+        save_result(place, result)
+    except (OSError, OutputError):
+        return None
+    return place
 
 
 def save_result(path: PathLike, result: Result) -> None:

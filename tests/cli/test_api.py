@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import time
+from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
@@ -107,6 +109,24 @@ def test_ctrl_c_writes_what_there_is(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         api.render("cornell-box", "path", samples=100, callback=callback, checkpoint=tmp_path / "a", **SMALL)
     assert api.resume(tmp_path / "a", samples=6).metadata["passes"] == 3
+
+
+def test_a_place_that_vanishes_costs_no_picture(tmp_path, caplog):
+    place, other = tmp_path / "place", tmp_path / "other"
+    place.mkdir()
+
+    def callback(update):
+        if update.progress.passes == 2:
+            (place / "a.exr").unlink(missing_ok=True)
+            place.rmdir()
+
+    with pytest.raises(OutputError, match=r"the picture is in '(.*a\.exr)' instead") as caught:
+        api.render("cornell-box", "path", samples=8, callback=callback, save=place / "a.exr", checkpoint=other, **SMALL)
+    rescued = Path(re.search(r"in '(.*a\.exr)' instead", str(caught.value))[1])
+    assert film.read_exr(rescued).metadata["passes"] == 4
+    assert api.resume(other, samples=10).metadata["passes"] == 5
+    rescued.unlink()
+    rescued.parent.rmdir()
 
 
 @pytest.mark.parametrize(("method", "tolerance"), [("path", 0.0), ("light", 1e-5), ("bpt", 1e-5), ("vcm", 1e-5)])

@@ -17,7 +17,7 @@ import typer
 from etendue.core import EtendueError, logger
 
 from . import options as opt
-from .console import ConsoleHandler, error_console, note, print_error, say
+from .console import ConsoleHandler, error_console, print_error, say
 
 app = typer.Typer(
     name="etendue",
@@ -117,11 +117,11 @@ def render(
     Ctrl-C stops after the current pass and writes the picture and the checkpoint.
     """
     from etendue import methods
-    from etendue.api import Outputs, start_job
+    from etendue.api import Outputs
     from etendue.core import OptionError
     from etendue.engine import Budget, Job, Task
 
-    from .rendering import choose_device, default_name, follow, list_outputs, summary
+    from .rendering import choose_device, default_name, render_to_files
 
     given: dict[str, object] = {}
     if max_depth is not None:
@@ -149,12 +149,7 @@ def render(
     outputs = Outputs.of(pictures, saved)
     choose_device(variant, threads)
 
-    console = error_console()
-    outcome = follow(lambda: start_job(lambda: Job.open(task), outputs, every or None), console, method)
-    if outcome.rendering is not None:
-        note(console, summary(outcome.rendering))
-        say(list_outputs(outputs))
-    return outcome.exit_code
+    return render_to_files(lambda: Job.open(task), outputs, every or None, method)
 
 
 @app.command()
@@ -179,11 +174,11 @@ def resume(
     used up.
     """
     from etendue import methods
-    from etendue.api import Outputs, start_job
+    from etendue.api import Outputs
     from etendue.core import OptionError
     from etendue.engine import Budget, Checkpoint, Job
 
-    from .rendering import choose_device, follow, list_outputs, summary
+    from .rendering import choose_device, render_to_files
 
     budget = Budget(opt.parse_time(time) if time is not None else None, spp, None, error)
     every = opt.parse_time(save_every, "--save-every")
@@ -194,18 +189,9 @@ def resume(
     outputs = Outputs.of(output or [checkpoint.with_suffix(".exr")], checkpoint)
     choose_device(variant, threads)
 
-    console = error_console()
-    outcome = follow(
-        lambda: start_job(
-            lambda: Job.resume(saved, method, budget=budget or None, scene=scene), outputs, every or None
-        ),
-        console,
-        saved.method,
+    return render_to_files(
+        lambda: Job.resume(saved, method, budget=budget or None, scene=scene), outputs, every or None, saved.method
     )
-    if outcome.rendering is not None:
-        note(console, summary(outcome.rendering))
-        say(list_outputs(outputs))
-    return outcome.exit_code
 
 
 @app.command()

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from rich.console import Console
 
-from etendue.api import Outputs, Rendering
+from etendue.api import Outputs, Rendering, start_job
 from etendue.core import set_threads, use_variant
 from etendue.core.progress import format_rate, format_seconds
-from etendue.engine import Cancelled, Session
+from etendue.engine import Cancelled, Job, RunError, Session
 
-from .console import ProgressView, note
+from .console import ProgressView, error_console, note, say
 from .interrupts import Interrupts
 
 
@@ -56,10 +56,25 @@ def follow(open_session: Callable[[], Session[Rendering]], console: Console, lab
     return Outcome(session.result, interrupts.exit_code)
 
 
+def render_to_files(open_job: Callable[[], Job], outputs: Outputs, save_every: float | None, label: str) -> int:
+    """Render, write ``outputs`` and name them on standard output. Returns the exit status."""
+    console = error_console()
+    try:
+        outcome = follow(lambda: start_job(open_job, outputs, save_every), console, label)
+    except RunError:
+        say(list_outputs(outputs))  # the passes before the failure are in them
+        raise
+    if outcome.rendering is not None:
+        note(console, summary(outcome.rendering))
+        say(list_outputs(outputs))
+    return outcome.exit_code
+
+
 def summary(rendering: Rendering) -> str:
     """``vcm: 120 passes, 120 spp, 59.8s, 9.2 Mrays/s, noise 0.012``."""
     m = rendering.metadata
-    parts = [f"{m['passes']} pass{'' if m['passes'] == 1 else 'es'}", f"{m['samples']} spp", format_seconds(m["seconds"])]
+    passes = f"{m['passes']} pass{'' if m['passes'] == 1 else 'es'}"
+    parts = [passes, f"{m['samples']} spp", format_seconds(m["seconds"])]
     if m["rays"] and m["seconds"]:
         parts.append(format_rate(m["rays"] / m["seconds"]))
     if m["relative_error"] is not None:

@@ -24,6 +24,8 @@ from etendue.film import replacing
 FORMAT = 1
 _MAGIC = "etendue checkpoint"
 _HEADER = "header"
+# What reading an archive raises if a byte of it is wrong, depending on which.
+_DAMAGE = (ValueError, EOFError, KeyError, MemoryError, NotImplementedError, zipfile.BadZipFile, zlib.error)
 
 
 @dataclass
@@ -83,7 +85,7 @@ class Checkpoint:
             raise CheckpointError(f"there is no checkpoint {path}; check the name") from None
         except OSError as error:
             raise CheckpointError(f"cannot read checkpoint {path}: {error.strerror or error}") from error
-        except (ValueError, EOFError, KeyError, MemoryError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
+        except _DAMAGE as error:
             raise CheckpointError(
                 f"{path} is not an étendue checkpoint, or it is damaged ({error}); render again or use another one"
             ) from error
