@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import OptionError, OutputError, Result, use_variant
-from etendue.core.progress import Progress
+from etendue.core import OptionError, OutputError, Progress, Result, use_variant
 from etendue.engine import (
     Budget,
     Checkpoint,

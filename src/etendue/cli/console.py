@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, TaskID, TextColumn
 from rich.progress import Progress as RichProgress
 
-from etendue.core.progress import Progress, format_rate, format_seconds
+from etendue.core import Progress, format_rate, format_seconds
 
 #: In a pipe, a line of progress comes when the time has grown by this ratio, and at least this often.
 _LINE_RATIO, _LINE_EVERY = 1.5, 60.0
@@ -110,4 +110,4 @@ class ProgressView:
 
 def print_error(message: str) -> None:
     """One line on standard error, whatever ``message`` looks like."""
-    print("error:", " ".join(message.split()), file=sys.stderr)  # noqa: T201
+    sys.stderr.write(f"error: {' '.join(message.split())}\n")

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from etendue import methods
-from etendue.core import citations
+from etendue.core import bibtex
 
 from .console import say
 
@@ -71,7 +71,7 @@ def show_citations(names: Sequence[str]) -> int:
     for name in names:
         keys.update(dict.fromkeys(methods.get(name).citations))
     keys.update(dict.fromkeys(_ALWAYS_CITED))
-    say(citations.bibtex(keys))
+    say(bibtex(keys))
     return 0
 
 

@@ -9,8 +9,7 @@ from pathlib import Path
 from rich.console import Console
 
 from etendue.api import Outputs, Rendering, start_job
-from etendue.core import set_threads, use_variant
-from etendue.core.progress import format_rate, format_seconds
+from etendue.core import format_rate, format_seconds, set_threads, use_variant
 from etendue.engine import Cancelled, Job, RunError, Session
 
 from .console import ProgressView, error_console, note, say

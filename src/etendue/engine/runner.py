@@ -10,8 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from etendue.core import EtendueError, Measurement, Method, OptionError, Result, logger
-from etendue.core.progress import Progress
+from etendue.core import EtendueError, Measurement, Method, OptionError, Progress, Result, logger
 
 from .budget import Budget
 

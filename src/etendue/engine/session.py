@@ -12,8 +12,7 @@ from typing import Any, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import EtendueError, logger
-from etendue.core.progress import Progress
+from etendue.core import EtendueError, Progress, logger
 
 from .runner import CancelEvent, RunError, Runner, RunResult
 
