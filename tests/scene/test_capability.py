@@ -79,7 +79,8 @@ NULL = "null component"
 PIXEL = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
 BLEND = {"type": "blendbsdf", "weight": 0.5, "x": DIFFUSE, "y": MASK}
 BUMPED = {"type": "bumpmap", "arbitrary": CHECKERS, "inner": MASK}
-GROUP = {"type": "shapegroup", "leaf": ball(MASK)}
+GROUP = {"type": "shapegroup", "leaf": ball(DIFFUSE)}
+GROUP_OF_MASKED = {"type": "shapegroup", "leaf": ball(MASK)}
 
 REFUSED = {
     "mask": (
@@ -114,10 +115,16 @@ REFUSED = {
         {"camera": {"type": "rectangle", "meter": {"type": "irradiancemeter", "film": PIXEL}}},
         "'meter' of type 'irradiancemeter'",
     ),
-    "shape group": (
+    "instance": (
         {"group": GROUP, "one": {"type": "instance", "g": {"type": "ref", "id": "group"}}},
-        "'mask' on shape 'leaf'",
+        "shape 'one' of type 'instance'.*copies",
     ),
+    "material in a shape group": ({"group": GROUP_OF_MASKED}, "'mask' on shape 'leaf'|'group' of type 'shapegroup'"),
+    "emissive checkers": (
+        {"light": {"type": "rectangle", "emitter": {"type": "area", "radiance": CHECKERS}}},
+        "emitter .* on shape 'light' of type 'rectangle' cannot emit.*'checkerboard'; use a 'bitmap'",
+    ),
+    "shape group": ({"group": GROUP}, "'group' of type 'shapegroup'"),
 }
 
 

@@ -19,7 +19,7 @@ _AOV_CHANNELS = {
     "depth": ("depth.T",),
 }
 #: Rays per pixel that measure its coverage, for films with an alpha channel.
-_ALPHA_RAYS = 16
+_ALPHA_RAYS = 32
 
 
 def integrator_class(method: Any) -> type:
@@ -188,8 +188,10 @@ def _coverage(problem: Problem) -> NDArray[np.float32]:
     if problem.scene.environment() is not None:
         return np.ones((height, width, 1), np.float32)
     lanes = dr.arange(mi.UInt32, width * height * _ALPHA_RAYS)
-    pixel, ray_number = lanes // _ALPHA_RAYS, lanes % _ALPHA_RAYS
-    offset = mi.Point2f((ray_number % 4) + 0.5, (ray_number // 4) + 0.5) / 4
+    pixel, number = lanes // _ALPHA_RAYS, mi.Float(lanes % _ALPHA_RAYS)
+    # A Kronecker sequence of the plastic number: even along edges of any direction, where a grid is not.
+    offset = mi.Point2f(0.5 + number * 0.7548777, 0.5 + number * 0.5698403)
+    offset -= dr.floor(offset)
     position = (mi.Point2f(pixel % width, pixel // width) + offset) / mi.Point2f(width, height)
     ray, _ = problem.sensor.sample_ray(0.0, 0.5, position, mi.Point2f(0.5))
     hit = np.asarray(problem.scene.ray_test(ray), dtype=np.float32)

@@ -16,8 +16,9 @@ from .graph import as_array, below, contents, describe, plugin_name, shapes
 
 _SENSORS = ("perspective", "thinlens")
 _EMITTERS = ("area", "point", "spot", "constant", "envmap")
-#: Shapes whose ``sample_position`` is uniform in area, besides meshes.
-_UNIFORM_SHAPES = ("rectangle", "disk", "sphere", "cylinder")
+#: Shapes besides meshes. Each has a ``sample_position`` that is uniform in area: Dr.Jit compiles that call for every
+#: shape of a scene, whether it emits or not, and fails on shapes that lack it.
+_SHAPES = ("rectangle", "disk", "sphere", "cylinder")
 
 _SENSOR_REMEDY = "use a 'perspective' or 'thinlens' sensor"
 _NULL_REMEDY = {
@@ -25,6 +26,10 @@ _NULL_REMEDY = {
     "null": "remove the shape or give it another material",
     "thindielectric": "use 'dielectric' on a closed, thick pane, or remove the pane",
     "hair": "use 'roughplastic' or 'principled'",
+}
+_SHAPE_REMEDY = {
+    "instance": "put transformed copies of the shape in its place",
+    "shapegroup": "put its shapes in the scene directly",
 }
 _EMITTER_REMEDY = {
     "directional": "use a small bright 'area' disc far away, or an 'envmap' with a bright pixel",
@@ -38,8 +43,8 @@ _EMITTER_REMEDY = {
 def check(scene: Any, sensor: Any) -> None:
     """Raise :class:`UnsupportedError` or :class:`SceneError` if ``scene`` cannot be rendered through ``sensor``.
 
-    Supported are perspective and thin-lens sensors; area, point, spot, constant and environment-map emitters, area
-    emitters on meshes, rectangles, discs, spheres and cylinders; every RGB BSDF without a null component; textures.
+    Supported are perspective and thin-lens sensors; meshes, rectangles, discs, spheres and cylinders; area, point,
+    spot, constant and environment-map emitters; every RGB BSDF without a null component; textures.
     Broken input (a NaN vertex or radiance, no emitter, an index beyond the vertices) is a :class:`SceneError`. Raises
     :class:`BackendError` under a Mitsuba variant that is not supported.
     """
@@ -75,6 +80,9 @@ def _check_shape(shape: Any) -> None:
             f"{name} bounds a participating medium, which is not supported; remove its interior and exterior medium"
         )
     values = dict(contents(shape).values)
+    if not shape.is_mesh() and plugin_name(shape) not in _SHAPES:
+        remedy = _SHAPE_REMEDY.get(plugin_name(shape), "convert it to a mesh")
+        raise UnsupportedError(f"{name} is not supported; {remedy}")
     if "vertex_positions" in values:
         _check_mesh(shape, values, name)
     else:
@@ -85,10 +93,6 @@ def _check_shape(shape: Any) -> None:
             if isinstance(node, mi.BSDF):
                 _check_bsdf(node, name)
             _check_values(node, f"{describe(node, 'material' if isinstance(node, mi.BSDF) else 'texture')} of {name}")
-    if shape.is_emitter() and "vertex_positions" not in values and plugin_name(shape) not in _UNIFORM_SHAPES:
-        raise UnsupportedError(
-            f"{name} cannot carry an emitter; emit from a mesh or from: {', '.join(_UNIFORM_SHAPES)}"
-        )
     if shape.is_emitter() and not float(np.asarray(shape.surface_area()).ravel()[0]) > 0:
         raise SceneError(f"{name} emits light but has no area; remove it or mend its geometry")
 
@@ -123,6 +127,13 @@ def _check_emitter(emitter: Any) -> None:
         raise UnsupportedError(f"{name} sits in a participating medium, which is not supported; remove the medium")
     for node in below(emitter):
         _check_values(node, name)
+    try:  # traced, not run: some textures have no way to emit light from them
+        emitter.sample_ray(0.0, 0.5, mi.Point2f(0.5), mi.Point2f(0.5))
+    except RuntimeError:
+        textures = [plugin_name(node) for node in below(emitter) if isinstance(node, mi.Texture)]
+        raise UnsupportedError(
+            f"{name} cannot emit light through a texture of type {', '.join(map(repr, textures[:1]))}; use a 'bitmap'"
+        ) from None
 
 
 def _check_values(item: Any, name: str) -> None:
