@@ -6,7 +6,7 @@ Estimator [Arvo 1986; Veach 1997, ch. 10], N light sub-paths of vertices y_0 (li
 
 Emitters seen directly are made by points on their surface, joined to the camera as well. Good at caustics of small
 lights. Limits: whatever the camera sees through a mirror or smooth glass stays black, by design: no edge can be drawn to it.
-An environment is not seen directly, as no point of it can be joined; render those pixels with another method.
+Lights seen directly, the environment included, are found by joining their own points to the camera.
 """
 
 from __future__ import annotations

@@ -103,20 +103,21 @@ class Path(ImageMethod):
         s.radiance[on_light] += s.throughput * radiance * self._hit_weight(s.pdf, area_density * solid_angle)
         s.active &= si.is_valid() & (s.depth < max_edges)
 
-        # ---- A light point is drawn
+        # ---- A light point is drawn, and a way on; the BSDF is asked about both in one call
         bsdf = si.bsdf(s.ray)
-        if self.settings.mode != "naive":
+        if self.settings.mode == "naive":
+            scattered, _ = scatter_camera(bsdf, si, source, s.depth, s.active)
+        else:
             direct = sample_direct(self.lights, si, source, s.depth, 0, s.active & is_smooth(bsdf))
             wo = si.to_local(direct.direction)
-            value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, wo, direct.active)
-            contribution = s.throughput * value * direct.radiance * self._direct_weight(direct, pdf)
+            scattered, (value,) = scatter_camera(bsdf, si, source, s.depth, s.active, [(wo, direct.active)])
+            contribution = s.throughput * value.value * direct.radiance * self._direct_weight(direct, value.pdf)
             lit = direct.active & dr.any(contribution != 0.0)
+            s.rays += dr.select(lit, mi.UInt32(1), mi.UInt32(0))
             lit &= ~self.scene.ray_test(si.spawn_ray_to(direct.target), lit)
             s.radiance[lit] += contribution
-            s.rays += dr.select(direct.active, mi.UInt32(1), mi.UInt32(0))
 
         # ---- Scatter
-        scattered = scatter_camera(bsdf, si, source, s.depth, s.active, reverse=False)
         s.throughput *= scattered.weight
         s.eta *= scattered.eta
         s.pdf = dr.select(scattered.is_delta, 0.0, scattered.pdf)

@@ -6,9 +6,11 @@ from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissi
 from .light_walk import LightWalk
 from .mis import Mis, Techniques
 from .scattering import (
+    Evaluated,
     Scattered,
-    evaluate_from_eye,
-    evaluate_from_light,
+    cosine_ratio,
+    evaluate_camera_end,
+    evaluate_light_end,
     exchanged,
     geometric_cos,
     is_smooth,
@@ -24,6 +26,7 @@ __all__ = [
     "CameraWalk",
     "DirectSample",
     "EmittedRay",
+    "Evaluated",
     "Gather",
     "LightCache",
     "LightVertex",
@@ -35,8 +38,9 @@ __all__ = [
     "Techniques",
     "emission_of_hit",
     "emit",
-    "evaluate_from_eye",
-    "evaluate_from_light",
+    "cosine_ratio",
+    "evaluate_camera_end",
+    "evaluate_light_end",
     "exchanged",
     "geometric_cos",
     "is_emissive",

@@ -14,18 +14,24 @@ from etendue.scene import LightTable
 
 from . import dimensions as dim
 from .camera import Camera
-from .emission import emission_of_hit, is_emissive, sample_direct
+from .emission import DirectSample, emission_of_hit, is_emissive, sample_direct
 from .mis import Mis
 from .scattering import (
-    evaluate_from_eye,
-    evaluate_from_light,
-    exchanged,
+    Evaluated,
+    cosine_ratio,
+    evaluate_camera_end,
+    evaluate_light_end,
     geometric_cos,
     is_smooth,
     roulette,
     scatter_camera,
 )
 from .vertices import LightVertex, LightVertices, Photons
+
+
+#: Neighbours that a merge collects before it evaluates them. Searching and evaluating in turns keeps the lanes of a
+#: packet together: one candidate in five is a neighbour, so evaluating each as it is found would leave most lanes idle.
+_BATCH = 8
 
 
 @dataclass
@@ -57,6 +63,16 @@ class LightCache:
     factor: Any  #: opaque Float
     paths: Any  #: N, opaque UInt32
     pairs: bool
+
+
+@dataclass
+class _Joined:
+    """An edge from a camera vertex to a light vertex."""
+
+    vertex: LightVertex
+    direction: Any  #: world, towards the light vertex
+    inverse_square: Any
+    active: Any
 
 
 @dataclass
@@ -139,13 +155,24 @@ class CameraWalk:
             self._merge(s, si, bsdf, smooth)
         s.active &= s.depth < self.max_edges
         smooth &= s.active
-        for index in range(techniques.next_event):
-            self._next_event(s, si, bsdf, source, index, smooth)
-        if techniques.connection and self.cache is not None:
-            self._connect(s, si, bsdf, source, smooth)
 
-        # ---- Scatter
-        scattered = scatter_camera(bsdf, si, source, s.depth, s.active)
+        # ---- Choose light points and light vertices; ask the BSDF about all of them and a way on, in one call
+        direct = [
+            sample_direct(self.lights, si, source, s.depth, index, smooth) for index in range(techniques.next_event)
+        ]
+        vertices = self._pick_vertices(s, si, source, smooth)
+        directions = [(si.to_local(d.direction), d.active) for d in direct]
+        directions += [(si.to_local(v.direction), v.active) for v in vertices]
+        scattered, values = scatter_camera(bsdf, si, source, s.depth, s.active, directions)
+        for d, value in zip(direct, values, strict=False):
+            self._next_event(s, si, d, value)
+        for v, value in zip(vertices, values[len(direct) :], strict=True):
+            assert self.cache is not None
+            self._add(s, "connection", v.active, self._connection(s, si, v, value) * self.cache.factor)
+            s.rays += dr.select(v.active, mi.UInt32(1), mi.UInt32(0))
+        if self.cache is not None and self.cache.pairs:
+            self._connect_pair(s, si, bsdf, smooth)
+
         s.d_vcm, s.d_vc = self.mis.scatter_camera(
             s.depth, s.d_vcm, s.d_vc, scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
         )
@@ -167,113 +194,134 @@ class CameraWalk:
         weight = self.mis.emission_weight(s.depth, s.d_vcm, s.d_vc, area_density, emission_density)
         self._add(s, "emission", on_light, radiance * weight)
 
-    def _next_event(self, s: _State, si: Any, bsdf: Any, source: Any, index: int, active: Any) -> None:
+    def _next_event(self, s: _State, si: Any, direct: DirectSample, bsdf: Evaluated) -> None:
         """s = 1 [Georgiev 2012b, eq. 44, 45]."""
-        direct = sample_direct(self.lights, si, source, s.depth, index, active)
-        wo = si.to_local(direct.direction)
-        value, pdf, reverse_pdf = evaluate_from_eye(bsdf, si, wo, direct.active)
         weight = self.mis.next_event_weight(
             s.depth,
             s.d_vcm,
             s.d_vc,
-            dr.select(direct.is_delta, 0.0, pdf),
-            reverse_pdf,
+            dr.select(direct.is_delta, 0.0, bsdf.pdf),
+            bsdf.reverse_pdf,
             direct.pdf,
             direct.light_ratio * geometric_cos(si, direct.direction),
         )
-        contribution = value * direct.radiance * (weight / self.mis.techniques.next_event)
+        contribution = bsdf.value * direct.radiance * (weight / self.mis.techniques.next_event)
         lit = direct.active & dr.any(contribution != 0.0)
         s.rays += dr.select(lit, mi.UInt32(1), mi.UInt32(0))
         lit &= ~self.scene.ray_test(si.spawn_ray_to(direct.target), lit)
         self._add(s, "next_event", lit, contribution)
 
-    def _connect(self, s: _State, si: Any, bsdf: Any, source: Any, active: Any) -> None:
-        """s >= 2, t >= 2 [Georgiev 2012b, eq. 40, 41]."""
+    def _pick_vertices(self, s: _State, si: Any, source: Any, active: Any) -> list[_Joined]:
+        """Light vertices drawn at random from the cache, joined to ``si``."""
+        if self.cache is None or self.cache.pairs:
+            return []
+        active = active & (self.cache.count > 0)
+        joined = []
+        for index in range(self.mis.techniques.connection):
+            u = source.next_1d(s.depth, dim.CONNECT + index)
+            number = dr.minimum(mi.UInt32(u * mi.Float(self.cache.count)), self.cache.count - 1)
+            joined.append(self._join(s, si, number, active))
+        return joined
+
+    def _connect_pair(self, s: _State, si: Any, bsdf: Any, active: Any) -> None:
+        """Connect to every vertex of the light path that goes with this camera path."""
         assert self.cache is not None
-        cache = self.cache
-        if not cache.pairs:
-            active = active & (cache.count > 0)
-            for index in range(self.mis.techniques.connection):
-                u = source.next_1d(s.depth, dim.CONNECT + index)
-                number = dr.minimum(mi.UInt32(u * mi.Float(cache.count)), cache.count - 1)
-                value, rays = self._connection(s, si, bsdf, number, active)
-                s.rays += rays
-                self._add(s, "connection", active, value * cache.factor)
-            return
-        first, count = cache.vertices.path_vertices(s.lane % cache.paths, active)
+        first, count = self.cache.vertices.path_vertices(s.lane % self.cache.paths, active)
+
+        def connect(j: Any, total: Any) -> tuple[Any, Any]:
+            joined = self._join(s, si, first + j, active)
+            value = evaluate_camera_end(bsdf, si, si.to_local(joined.direction), joined.active)
+            return j + 1, total + self._connection(s, si, joined, value)
+
         n = dr.width(s.depth)
-        _, total, rays = dr.while_loop(
-            (dr.zeros(mi.UInt32, n), dr.zeros(mi.Color3f, n), dr.zeros(mi.UInt32, n)),
-            lambda j, total, rays: active & (j < count),
-            lambda j, total, rays: _accumulate(j, total, rays, self._connection(s, si, bsdf, first + j, active)),
-            label="connect",
+        _, total = dr.while_loop(
+            (dr.zeros(mi.UInt32, n), dr.zeros(mi.Color3f, n)), lambda j, _: active & (j < count), connect, label="connect"
         )
-        s.rays += rays
+        s.rays += dr.select(active, count, 0)
         self._add(s, "connection", active, total)
 
-    def _connection(self, s: _State, si: Any, bsdf: Any, number: Any, active: Any) -> tuple[Any, Any]:
-        """(weighted contribution of joining with light vertex ``number`` over the throughput, shadow rays)."""
+    def _join(self, s: _State, si: Any, number: Any, active: Any) -> _Joined:
+        """The edge between ``si`` and light vertex ``number``."""
         assert self.cache is not None
-        vertex: LightVertex = self.cache.vertices.read(self.cache.vertices.slot(number, active), active)
-        active = active & (vertex.depth + s.depth + 1 <= self.max_edges)
+        vertex = self.cache.vertices.read(self.cache.vertices.slot(number, active), active)
         offset = vertex.si.p - si.p
         distance_squared = dr.squared_norm(offset)
-        active &= distance_squared > 0.0
-        direction = offset * dr.rsqrt(distance_squared)
-        inverse = dr.rcp(distance_squared)
+        active = active & (vertex.depth + s.depth + 1 <= self.max_edges) & (distance_squared > 0.0)
+        return _Joined(vertex, offset * dr.rsqrt(distance_squared), dr.rcp(distance_squared), active)
 
-        value, pdf, reverse_pdf = evaluate_from_eye(bsdf, si, si.to_local(direction), active)
-        active &= dr.any(value != 0.0)
-        wo = vertex.si.to_local(-direction)
-        light_value, light_reverse_pdf = evaluate_from_light(vertex.bsdf, vertex.si, wo, -direction, active)
-        context = mi.BSDFContext(mi.TransportMode.Importance)
-        light_pdf = vertex.bsdf.pdf(context, vertex.si, wo, active)
+    def _connection(self, s: _State, si: Any, joined: _Joined, bsdf: Evaluated) -> Any:
+        """s >= 2, t >= 2: weighted contribution over the throughput [Georgiev 2012b, eq. 40, 41]."""
+        vertex = joined.vertex
+        active = joined.active & dr.any(bsdf.value != 0.0)
+        wo = vertex.si.to_local(-joined.direction)
+        light = evaluate_light_end(vertex.bsdf, vertex.si, wo, active)
         weight = self.mis.connection_weight(
             s.depth,
             (s.d_vcm, s.d_vc),
             (vertex.d_vcm, vertex.d_vc),
-            pdf * geometric_cos(vertex.si, direction) * inverse,
-            light_pdf * geometric_cos(si, direction) * inverse,
-            reverse_pdf,
-            light_reverse_pdf,
+            bsdf.pdf * geometric_cos(vertex.si, joined.direction) * joined.inverse_square,
+            light.pdf * geometric_cos(si, joined.direction) * joined.inverse_square,
+            bsdf.reverse_pdf,
+            light.reverse_pdf,
         )
-        contribution = vertex.throughput * value * light_value * (weight * inverse)
-        joined = active & dr.any(contribution != 0.0)
-        rays = dr.select(joined, mi.UInt32(1), mi.UInt32(0))
-        joined &= ~self.scene.ray_test(si.spawn_ray_to(vertex.si.p), joined)
-        return dr.select(joined, contribution, 0.0), rays
+        factor = weight * joined.inverse_square * cosine_ratio(vertex.si, joined.direction)
+        contribution = vertex.throughput * bsdf.value * light.value * factor
+        visible = active & dr.any(contribution != 0.0)
+        visible &= ~self.scene.ray_test(si.spawn_ray_to(vertex.si.p), visible)
+        return dr.select(visible, contribution, 0.0)
 
     def _merge(self, s: _State, si: Any, bsdf: Any, active: Any) -> None:
         """s >= 2, t >= 2, no edge between them [Georgiev 2012b, eq. 38, 39]."""
         assert self.gather is not None
         if not self.mis.techniques.merge_first:
             active = active & (s.depth > 1)
-        query = self.gather.grid.query(si.p, active)
-        n = dr.width(s.depth)
-        _, total = dr.while_loop(
-            (dr.zeros(mi.UInt32, n), dr.zeros(mi.Color3f, n)),
-            lambda i, total: active & (i < query.total),
-            lambda i, total: (i + 1, total + self._merged(s, si, bsdf, query, i, active)),
+        grid, photons = self.gather.grid, self.gather.photons
+        query = grid.query(si.p, active)
+
+        def collect(i: Any, found: Any, near: Any) -> tuple[Any, Any, Any]:
+            """Test one candidate, keep it if it is a neighbour."""
+            index, row = grid.candidate(query, i)
+            position, light_depth = photons.position(index, active)
+            hit = grid.accepts(query, row, position) & (light_depth + s.depth <= self.max_edges)
+            near = [dr.select(hit & (found == k), index, kept) for k, kept in enumerate(near)]
+            return i + 1, found + dr.select(hit, mi.UInt32(1), mi.UInt32(0)), near
+
+        def batch(i: Any, total: Any, near: Any) -> tuple[Any, Any, Any]:
+            i, found, near = dr.while_loop(
+                (i, mi.UInt32(0), near),
+                lambda i, found, _: (i < query.total) & (found < _BATCH),
+                collect,
+                label="merge: search",
+            )
+            _, total = dr.while_loop(
+                (mi.UInt32(0), total),
+                lambda j, _: j < found,
+                lambda j, total: (j + 1, total + self._merged(s, si, bsdf, _choose(near, j), active)),
+                label="merge: evaluate",
+            )
+            return i, total, near
+
+        _, total, _ = dr.while_loop(
+            (mi.UInt32(0), mi.Color3f(0.0), [mi.UInt32(0) for _ in range(_BATCH)]),
+            lambda i, *_: active & (i < query.total),
+            batch,
             label="merge",
         )
         self._add(s, "merge", active, total * self.gather.factor)
 
-    def _merged(self, s: _State, si: Any, bsdf: Any, query: Any, i: Any, active: Any) -> Any:
-        """Weighted contribution of the query's ``i``-th candidate, without the kernel's factor."""
+    def _merged(self, s: _State, si: Any, bsdf: Any, photon: Any, active: Any) -> Any:
+        """Weighted contribution of one photon."""
         assert self.gather is not None
-        index, row = self.gather.grid.candidate(query, i)
-        position, depth = self.gather.photons.position(index, active)
-        near = active & self.gather.grid.accepts(query, row, position) & (depth + s.depth <= self.max_edges)
-        throughput, direction, d_vcm, d_vc = self.gather.photons.flux(index, near)
-        wo = si.to_local(direction)
-        value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, wo, near)
-        reverse_pdf = bsdf.pdf(mi.BSDFContext(mi.TransportMode.Importance), exchanged(si, wo), si.wi, near)
+        throughput, direction, d_vcm, d_vc = self.gather.photons.flux(photon, active)
+        bsdf = evaluate_camera_end(bsdf, si, si.to_local(direction), active)
         # eval carries the shading cosine; a photon's flux per area already holds the geometric one.
         cos = geometric_cos(si, direction)
-        near &= cos > 0.0
-        weight = self.mis.merge_weight(s.depth, (s.d_vcm, s.d_vc), (d_vcm, d_vc), pdf, reverse_pdf)
-        return dr.select(near, throughput * value * (weight / dr.select(near, cos, 1.0)), 0.0)
+        weight = self.mis.merge_weight(s.depth, (s.d_vcm, s.d_vc), (d_vcm, d_vc), bsdf.pdf, bsdf.reverse_pdf)
+        return dr.select(cos > 0.0, throughput * bsdf.value * (weight / dr.select(cos > 0.0, cos, 1.0)), 0.0)
 
 
-def _accumulate(j: Any, total: Any, rays: Any, result: tuple[Any, Any]) -> tuple[Any, Any, Any]:
-    return j + 1, total + result[0], rays + result[1]
+def _choose(values: list[Any], index: Any) -> Any:
+    result = values[0]
+    for k, value in enumerate(values[1:], 1):
+        result = dr.select(index == k, value, result)
+    return result

@@ -12,10 +12,10 @@ from etendue.core.samples import SampleSource
 from etendue.scene import LightTable
 
 from . import dimensions as dim
-from .camera import Camera
+from .camera import Camera, CameraConnection
 from .emission import emit
 from .mis import Mis
-from .scattering import evaluate_from_light, geometric_cos, is_smooth, roulette, scatter_light
+from .scattering import Evaluated, cosine_ratio, geometric_cos, is_smooth, roulette, scatter_light
 from .vertices import LightVertices
 
 
@@ -93,15 +93,18 @@ class LightWalk:
 
         bsdf = si.bsdf(s.ray)
         smooth = s.active & is_smooth(bsdf)
-        if splats is not None:
-            self._splat(s, si, bsdf, source, splats, smooth)
         if vertices is not None:
             vertices.append(path, s.stored, s.depth, hit, si, bsdf, s.throughput, (s.d_vcm, s.d_vc), smooth)
             s.stored += dr.select(smooth, mi.UInt32(1), mi.UInt32(0))
-
         # Going on takes an edge, and using the vertex it leads to at least one more.
         s.active &= s.depth + 1 < self.max_edges
-        scattered = scatter_light(bsdf, si, source, s.depth, s.active)
+        if splats is None:
+            scattered, _ = scatter_light(bsdf, si, source, s.depth, s.active)
+        else:
+            joined = self.camera.connect(si, self.camera.splat_aperture(source, s.depth), smooth)
+            wo = si.to_local(joined.direction)
+            scattered, (value,) = scatter_light(bsdf, si, source, s.depth, s.active, [(wo, joined.active)])
+            self._splat(s, si, joined, value, source, splats)
         s.d_vcm, s.d_vc = self.mis.scatter_light(
             s.d_vcm, s.d_vc, scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
         )
@@ -115,15 +118,15 @@ class LightWalk:
         s.active &= scattered.active & alive
         return s
 
-    def _splat(self, s: _State, si: Any, bsdf: Any, source: Any, splats: Any, active: Any) -> None:
+    def _splat(
+        self, s: _State, si: Any, joined: CameraConnection, bsdf: Evaluated, source: Any, splats: Any
+    ) -> None:
         """Join the vertex to the camera (t = 1) [Georgiev 2012b, eq. 46, 47]."""
-        joined = self.camera.connect(si, self.camera.splat_aperture(source, s.depth), active)
-        wo = si.to_local(joined.direction)
-        value, reverse_pdf = evaluate_from_light(bsdf, si, wo, joined.direction, joined.active)
         area_pdf = joined.area_pdf(geometric_cos(si, joined.direction))
-        weight = self.mis.splat_weight(s.d_vcm, s.d_vc, reverse_pdf, area_pdf)
+        weight = self.mis.splat_weight(s.d_vcm, s.d_vc, bsdf.reverse_pdf, area_pdf)
         pixel, filter_weight, on_film = self.camera.splat_pixel(joined, source, s.depth)
-        contribution = s.throughput * value * (joined.importance * weight * filter_weight)
+        factor = joined.importance * weight * filter_weight * cosine_ratio(si, joined.direction)
+        contribution = s.throughput * bsdf.value * factor
         visible = joined.active & on_film & dr.any(contribution != 0.0)
         s.rays += dr.select(visible, mi.UInt32(1), mi.UInt32(0))
         visible &= ~self.scene.ray_test(si.spawn_ray_to(joined.target), visible)

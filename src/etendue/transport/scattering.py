@@ -9,6 +9,7 @@ the exchanged call returns the reverse density that the weights want anyway.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,62 +52,94 @@ def geometric_cos(si: Any, direction: Any) -> Any:
     return dr.abs(dr.dot(si.n, direction))
 
 
-def evaluate_from_eye(bsdf: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any, Any]:
-    """(f |cos_s|, pdf, reverse pdf) at a camera vertex towards the light-side local direction ``wo``."""
+@dataclass
+class Evaluated:
+    """A BSDF towards one given direction, one lane each."""
+
+    value: Any  #: f |cos_s(light side)|
+    pdf: Any  #: solid-angle density of the direction
+    reverse_pdf: Any  #: of the opposite walk
+
+
+def evaluate_camera_end(bsdf: Any, si: Any, wo: Any, active: Any) -> Evaluated:
+    """The BSDF at a camera vertex towards the light-side local direction ``wo``."""
+    return Evaluated(*dr.dispatch(bsdf, _camera_end, si, wo, active))
+
+
+def evaluate_light_end(bsdf: Any, si: Any, wo: Any, active: Any) -> Evaluated:
+    """The BSDF at a light vertex towards the eye-side local direction ``wo``; its value, times :func:`cosine_ratio`,
+    is the adjoint BSDF times its cosine."""
+    return Evaluated(*dr.dispatch(bsdf, _light_end, si, wo, active))
+
+
+def _camera_end(bsdf: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any, Any]:
     value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, wo, active)
     reverse = bsdf.pdf(mi.BSDFContext(mi.TransportMode.Importance), exchanged(si, wo), si.wi, active)
     return value, pdf, reverse
 
 
-def evaluate_from_light(bsdf: Any, si: Any, wo: Any, direction: Any, active: Any) -> tuple[Any, Any]:
-    """(f |cos_g|, reverse pdf) at a light vertex towards the eye-side direction ``wo`` (local), ``direction`` (world)."""
+def _light_end(bsdf: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any, Any]:
     value, reverse = bsdf.eval_pdf(mi.BSDFContext(), exchanged(si, wo), si.wi, active)
-    return value * _cosine_ratio(si, direction), reverse
+    pdf = bsdf.pdf(mi.BSDFContext(mi.TransportMode.Importance), si, wo, active)
+    return value, pdf, reverse
 
 
-def _cosine_ratio(si: Any, direction: Any) -> Any:
-    """cos_g(eye) / cos_g(light): the exchanged value carries the cosine of the light side."""
+def cosine_ratio(si: Any, direction: Any) -> Any:
+    """cos_g(eye) / cos_g(light) at a light vertex, ``direction`` pointing to the eye side: what turns the value of
+    :func:`evaluate_light_end`, which holds the cosine of the light side, into the adjoint BSDF times its cosine."""
     cos_light = geometric_cos(si, si.to_world(si.wi))
     return dr.select(cos_light > 0.0, geometric_cos(si, direction) / cos_light, 0.0)
 
 
-def scatter_camera(bsdf: Any, si: Any, source: SampleSource, vertex: Any, active: Any, reverse: bool = True) -> Scattered:
-    """Sample a direction at a camera vertex. ``reverse``: whether the reverse density is wanted."""
-    bs, weight = bsdf.sample(
-        mi.BSDFContext(), si, source.next_1d(vertex, dim.LOBE), mi.Point2f(*source.next_2d(vertex, dim.DIRECTION)), active
-    )
+def scatter_camera(
+    bsdf: Any, si: Any, source: SampleSource, vertex: Any, active: Any, directions: Sequence[tuple[Any, Any]] = ()
+) -> tuple[Scattered, list[Evaluated]]:
+    """Sample a direction at a camera vertex, and evaluate towards the given (local direction, mask) pairs."""
+    return _scatter(_sample_camera, _camera_end, bsdf, si, source, vertex, active, directions)
+
+
+def scatter_light(
+    bsdf: Any, si: Any, source: SampleSource, vertex: Any, active: Any, directions: Sequence[tuple[Any, Any]] = ()
+) -> tuple[Scattered, list[Evaluated]]:
+    """The same at a light vertex, for importance."""
+    scattered, evaluated = _scatter(_sample_light, _light_end, bsdf, si, source, vertex, active, directions)
+    ratio = cosine_ratio(si, scattered.direction)
+    # A delta lobe has no density to divide by: its sampled weight, made adjoint by the cosines of both normals.
+    wo = si.to_local(scattered.direction)
+    shading = dr.select(scattered.is_delta, dr.abs(mi.Frame3f.cos_theta(si.wi) / mi.Frame3f.cos_theta(wo)), 1.0)
+    scattered.weight *= ratio * shading
+    return scattered, evaluated
+
+
+def _scatter(
+    sample: Any, evaluate: Any, bsdf: Any, si: Any, source: SampleSource, vertex: Any, active: Any, directions: Any
+) -> tuple[Scattered, list[Evaluated]]:
+    """One call a BSDF for everything that is asked of it: a call of its own for each question costs a seventh more."""
+    u = source.next_1d(vertex, dim.LOBE), mi.Point2f(*source.next_2d(vertex, dim.DIRECTION))
+
+    def ask(self: Any, si: Any, u: Any, active: Any, directions: list[tuple[Any, Any]]) -> Any:
+        return sample(self, si, u, active), [evaluate(self, si, wo, mask) for wo, mask in directions]
+
+    (wo, weight, pdf, reverse_pdf, eta, is_delta), evaluated = dr.dispatch(bsdf, ask, si, u, active, list(directions))
+    direction = si.to_world(wo)
+    active = active & (pdf > 0.0) & dr.any(weight != 0.0)
+    scattered = Scattered(direction, weight, pdf, reverse_pdf, geometric_cos(si, direction), eta, is_delta, active)
+    return scattered, [Evaluated(*e) for e in evaluated]
+
+
+def _sample_camera(bsdf: Any, si: Any, u: Any, active: Any) -> tuple[Any, ...]:
+    bs, weight = bsdf.sample(mi.BSDFContext(), si, *u, active)
     is_delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
-    reverse_pdf: Any = 0.0
-    if reverse:
-        context = mi.BSDFContext(mi.TransportMode.Importance)
-        reverse_pdf = bsdf.pdf(context, exchanged(si, bs.wo), si.wi, active & ~is_delta)
-    direction = si.to_world(bs.wo)
-    return Scattered(
-        direction, weight, bs.pdf, reverse_pdf, geometric_cos(si, direction), bs.eta, is_delta,
-        active & (bs.pdf > 0.0) & dr.any(weight != 0.0),
-    )  # fmt: skip
+    context = mi.BSDFContext(mi.TransportMode.Importance)
+    reverse_pdf = bsdf.pdf(context, exchanged(si, bs.wo), si.wi, active & ~is_delta)
+    return bs.wo, weight, bs.pdf, reverse_pdf, bs.eta, is_delta
 
 
-def scatter_light(bsdf: Any, si: Any, source: SampleSource, vertex: Any, active: Any) -> Scattered:
-    """Sample a direction at a light vertex; importance transport."""
-    bs, weight = bsdf.sample(
-        mi.BSDFContext(mi.TransportMode.Importance),
-        si,
-        source.next_1d(vertex, dim.LOBE),
-        mi.Point2f(*source.next_2d(vertex, dim.DIRECTION)),
-        active,
-    )
+def _sample_light(bsdf: Any, si: Any, u: Any, active: Any) -> tuple[Any, ...]:
+    bs, weight = bsdf.sample(mi.BSDFContext(mi.TransportMode.Importance), si, *u, active)
     is_delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
     value, reverse_pdf = bsdf.eval_pdf(mi.BSDFContext(), exchanged(si, bs.wo), si.wi, active & ~is_delta)
-    direction = si.to_world(bs.wo)
-    ratio = _cosine_ratio(si, direction)
-    # A delta lobe has no density to divide by: its sampled weight, made adjoint by the cosines of both normals.
-    shading = dr.abs(mi.Frame3f.cos_theta(si.wi) / mi.Frame3f.cos_theta(bs.wo))
-    weight = dr.select(is_delta, weight * shading * ratio, value * (ratio * dr.rcp(bs.pdf)))
-    return Scattered(
-        direction, weight, bs.pdf, reverse_pdf, geometric_cos(si, direction), bs.eta, is_delta,
-        active & (bs.pdf > 0.0) & dr.any(weight != 0.0),
-    )  # fmt: skip
+    return bs.wo, dr.select(is_delta, weight, value * dr.rcp(bs.pdf)), bs.pdf, reverse_pdf, bs.eta, is_delta
 
 
 def roulette(throughput: Any, eta: Any, depth: Any, first_depth: int, u: Any) -> tuple[Any, Any]:

@@ -16,6 +16,11 @@ import drjit as dr
 import mitsuba as mi
 
 
+#: Packets of four floats in a record: of a vertex that is connected to, and of one that is only merged with.
+_PACKETS = 6
+_PHOTON_PACKETS = 3
+
+
 def needs_interaction(scene: Any) -> bool:
     """Whether some material reads more of a surface than the framed layout keeps."""
     description = str(scene)
@@ -48,13 +53,12 @@ class LightVertices:
         self.capacity = capacity
         self.indexed = indexed
         self.numbered = numbered
+        self._packets = _PACKETS if numbered else _PHOTON_PACKETS
         self._count = dr.zeros(mi.UInt32, 1)
-        self._position = dr.empty(mi.Float, 4 * capacity)  # position, depth | index on path
-        self._throughput = dr.empty(mi.Float, 4 * capacity)  # throughput, d_vcm
-        self._direction = dr.empty(mi.Float, 4 * capacity)  # world direction to the light side, d_vc
-        self._surface = dr.empty(mi.Float, (8 if numbered else 0) * capacity)
-        self._owner = dr.empty(mi.UInt32, (2 if numbered else 0) * capacity)  # BSDF, path
-        self._stored = dr.zeros(mi.UInt32, paths)  # vertices of each path
+        # One record a vertex, of packets: position, depth | index on path; throughput, d_vcm; world direction to the
+        # light side, d_vc; two packets of the surface; BSDF and path.
+        self._records = dr.empty(mi.Float, 4 * self._packets * capacity)
+        self._stored = dr.zeros(mi.UInt32, paths if numbered else 1)  # vertices of each path
         self.count = 0
         self.order: Any = None
         self.start: Any = None
@@ -62,7 +66,13 @@ class LightVertices:
     @staticmethod
     def bytes_per_vertex(numbered: bool, merged: bool) -> int:
         """Device memory that a stored vertex takes, the copy and the grid of merging included."""
-        return 48 + (32 + 8 + 4 if numbered else 0) + (48 + 24 if merged else 0)
+        return 16 * (_PACKETS if numbered else _PHOTON_PACKETS) + (4 if numbered else 0) + (48 + 24 if merged else 0)
+
+    def _put(self, packet: int, value: Any, slot: Any, active: Any) -> None:
+        dr.scatter(self._records, value, slot * self._packets + packet, active)
+
+    def _get(self, packet: int, slot: Any, active: Any = True) -> Any:
+        return dr.gather(mi.Vector4f, self._records, slot * self._packets + packet, active)
 
     def append(
         self,
@@ -85,9 +95,9 @@ class LightVertices:
         active = active & (slot < self.capacity)
         tag = _as_float(depth | (index << 16))
         direction = si.to_world(si.wi)
-        dr.scatter(self._position, mi.Vector4f(si.p.x, si.p.y, si.p.z, tag), slot, active)
-        dr.scatter(self._throughput, mi.Vector4f(throughput.x, throughput.y, throughput.z, mis[0]), slot, active)
-        dr.scatter(self._direction, mi.Vector4f(direction.x, direction.y, direction.z, mis[1]), slot, active)
+        self._put(0, mi.Vector4f(si.p.x, si.p.y, si.p.z, tag), slot, active)
+        self._put(1, mi.Vector4f(throughput.x, throughput.y, throughput.z, mis[0]), slot, active)
+        self._put(2, mi.Vector4f(direction.x, direction.y, direction.z, mis[1]), slot, active)
         if not self.numbered:
             return
         if self.indexed:
@@ -97,9 +107,9 @@ class LightVertices:
         else:
             n, g = si.sh_frame.n, si.n
             first, second = mi.Vector4f(n.x, n.y, n.z, si.uv.x), mi.Vector4f(g.x, g.y, g.z, si.uv.y)
-        dr.scatter(self._surface, first, 2 * slot, active)
-        dr.scatter(self._surface, second, 2 * slot + 1, active)
-        dr.scatter(self._owner, mi.Vector2u(_pointer(bsdf), path), slot, active)
+        self._put(3, first, slot, active)
+        self._put(4, second, slot, active)
+        self._put(5, mi.Vector4f(_as_float(_pointer(bsdf)), _as_float(path), 0.0, 0.0), slot, active)
 
     def close_paths(self, path: Any, stored: Any) -> None:
         """Record how many vertices each path has stored; called once after the walk, in the same kernel."""
@@ -108,14 +118,14 @@ class LightVertices:
 
     def finish(self) -> int:
         """Wait for the walk and number the vertices. Returns how many it wanted to store (see :meth:`append`)."""
-        dr.eval(self._count, self._position, self._throughput, self._direction, self._surface, self._owner, self._stored)
+        dr.eval(self._count, self._records, self._stored)
         wanted = int(self._count[0])
         self.count = min(wanted, self.capacity)
         if self.numbered and wanted <= self.capacity:
             self.start = dr.prefix_reduce(dr.ReduceOp.Add, self._stored, exclusive=True)
             slot = dr.arange(mi.UInt32, self.count)
-            path = dr.gather(mi.Vector2u, self._owner, slot).y
-            index = _as_uint(dr.gather(mi.Vector4f, self._position, slot).w) >> 16
+            path = _as_uint(self._get(5, slot).y)
+            index = _as_uint(self._get(0, slot).w) >> 16
             self.order = dr.zeros(mi.UInt32, max(self.count, 1))
             dr.scatter(self.order, slot, dr.gather(mi.UInt32, self.start, path) + index)
             dr.eval(self.order, self.start)
@@ -131,12 +141,8 @@ class LightVertices:
 
     def read(self, slot: Any, active: Any) -> LightVertex:
         """Read whole vertices."""
-        position = dr.gather(mi.Vector4f, self._position, slot, active)
-        throughput = dr.gather(mi.Vector4f, self._throughput, slot, active)
-        direction = dr.gather(mi.Vector4f, self._direction, slot, active)
-        first = dr.gather(mi.Vector4f, self._surface, 2 * slot, active)
-        second = dr.gather(mi.Vector4f, self._surface, 2 * slot + 1, active)
-        bsdf = dr.reinterpret_array(mi.BSDFPtr, dr.gather(mi.Vector2u, self._owner, slot, active).x)
+        position, throughput, direction, first, second, owner = (self._get(i, slot, active) for i in range(_PACKETS))
+        bsdf = dr.reinterpret_array(mi.BSDFPtr, _as_uint(owner.x))
         world = mi.Vector3f(direction.x, direction.y, direction.z)
         p = mi.Point3f(position.x, position.y, position.z)
         si = self._recompute(p, world, first, second, active) if self.indexed else _framed(p, first, second)
@@ -163,28 +169,27 @@ class LightVertices:
 
     def positions(self) -> Any:
         """All stored positions, one lane a vertex."""
-        p = dr.gather(mi.Vector4f, self._position, dr.arange(mi.UInt32, self.count))
+        p = self._get(0, dr.arange(mi.UInt32, self.count))
         return mi.Point3f(p.x, p.y, p.z)
 
     def sorted_by(self, destination: Any) -> Photons:
         """The packets that merging reads, in the order that a search structure gives."""
         slot = dr.arange(mi.UInt32, self.count)
-        arrays = []
-        for source in (self._position, self._throughput, self._direction):
-            target = dr.empty(mi.Float, max(4 * self.count, 4))
-            dr.scatter(target, dr.gather(mi.Vector4f, source, slot), destination)
-            arrays.append(target)
-        dr.eval(arrays)
-        return Photons(*arrays)
+        position = dr.empty(mi.Float, 4 * self.count)
+        flux = dr.empty(mi.Float, 8 * self.count)
+        dr.scatter(position, self._get(0, slot), destination)
+        dr.scatter(flux, self._get(1, slot), 2 * destination)
+        dr.scatter(flux, self._get(2, slot), 2 * destination + 1)
+        dr.eval(position, flux)
+        return Photons(position, flux)
 
 
 @dataclass
 class Photons:
-    """Vertices as merging sees them: position, direction, throughput and weights' quantities, sorted for a search."""
+    """Vertices as merging sees them, sorted for a search. Positions lie apart: most candidates fail the distance test."""
 
     _position: Any
-    _throughput: Any
-    _direction: Any
+    _flux: Any
 
     def position(self, index: Any, active: Any) -> tuple[Any, Any]:
         """(position, depth)."""
@@ -193,8 +198,8 @@ class Photons:
 
     def flux(self, index: Any, active: Any) -> tuple[Any, Any, Any, Any]:
         """(throughput, world direction to the light side, d_vcm, d_vc)."""
-        t = dr.gather(mi.Vector4f, self._throughput, index, active)
-        d = dr.gather(mi.Vector4f, self._direction, index, active)
+        t = dr.gather(mi.Vector4f, self._flux, 2 * index, active)
+        d = dr.gather(mi.Vector4f, self._flux, 2 * index + 1, active)
         return mi.Color3f(t.x, t.y, t.z), mi.Vector3f(d.x, d.y, d.z), t.w, d.w
 
 
