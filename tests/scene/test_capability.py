@@ -15,7 +15,12 @@ CHECKERS = {"type": "checkerboard"}
 
 
 def scene(**parts):
-    base = {"type": "scene", "light": {"type": "constant"}, "camera": {"type": "perspective"}}
+    base = {
+        "type": "scene",
+        "light": {"type": "constant"},
+        "camera": {"type": "perspective"},
+        "floor": {"type": "disk"},
+    }
     return base | parts
 
 

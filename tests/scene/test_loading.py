@@ -8,7 +8,7 @@ from etendue.core import OptionError, SceneError
 from etendue.scene import bundled, load
 
 SENSOR = '<sensor type="perspective"><film type="hdrfilm"/></sensor>'
-LIGHT = '<emitter type="constant"/>'
+LIGHT = '<emitter type="constant"/><shape type="sphere"/>'
 
 
 def xml(tmp_path, body, version="3.0.0", name="scene.xml"):
@@ -47,7 +47,15 @@ def test_a_scene_written_for_another_integrator_loads(tmp_path, integrator):
     assert (problem.integrator, problem.max_depth) == (integrator, 7)
     assert problem.integrator_options == {"strength": 2.5}
     described = {"type": integrator, "max_depth": 7, "strength": 2.5}
-    problem = load({"type": "scene", "integrator": described, "l": {"type": "constant"}, "s": {"type": "perspective"}})
+    problem = load(
+        {
+            "type": "scene",
+            "integrator": described,
+            "l": {"type": "constant"},
+            "b": {"type": "sphere"},
+            "s": {"type": "perspective"},
+        }
+    )
     assert (problem.integrator, problem.max_depth, problem.integrator_options) == (integrator, 7, {"strength": 2.5})
 
 
@@ -85,7 +93,7 @@ def test_another_size_is_what_the_file_would_have_meant(lens, crop):
         film = {"type": "hdrfilm", "width": width, "height": height} | {k: v * scale for k, v in crop.items()}
         to_world = mi.ScalarTransform4f().look_at([3, 1, 2], [0, 0, 0], [0, 1, 0])
         sensor = {"type": "perspective", "to_world": to_world, "film": film} | lens
-        return {"type": "scene", "light": {"type": "constant"}, "sensor": sensor}
+        return {"type": "scene", "light": {"type": "constant"}, "ball": {"type": "sphere"}, "sensor": sensor}
 
     written = load(scene(120, 90, 2))
     resized = load(scene(60, 45, 1), size=(120, 90))
@@ -109,7 +117,7 @@ def test_a_loaded_scene_is_resized_in_a_copy(kind):
             sensor |= {"aperture_radius": 0.2, "focus_distance": 3.5}
         else:
             sensor |= {"principal_point_offset_x": 0.1}
-        return mi.load_dict({"type": "scene", "l": {"type": "constant"}, "s": sensor})
+        return mi.load_dict({"type": "scene", "l": {"type": "constant"}, "b": {"type": "sphere"}, "s": sensor})
 
     small, wide = scene((40, 30)), scene((90, 20))
     problem = load(small, size=(90, 20))
@@ -178,14 +186,15 @@ BROKEN = {
     "reference": ('<shape type="sphere"><ref id="nobody"/></shape>', SceneError, r'unresolved reference to "nobody"'),
     "variable": ('<integrator type="$which"/>', SceneError, r"undefined parameter: \$which.*<default>"),
     "no sensor": (LIGHT, SceneError, r"has no sensor.*add a 'perspective'"),
-    "no emitter": (SENSOR, SceneError, r"no emitter.*black"),
+    "no emitter": (SENSOR + '<shape type="sphere"/>', SceneError, r"no emitter.*black"),
+    "no shape": (SENSOR + '<emitter type="constant"/>', SceneError, r"no shape.*add geometry"),
     "no pixels": (
         LIGHT + '<sensor type="perspective"><film type="hdrfilm"><integer name="height" value="0"/></film></sensor>',
         SceneError,
         r"film's height is 0",
     ),
     "NaN radiance": (
-        '<emitter type="point" id="lamp"><rgb name="intensity" value="1, nan, 1"/></emitter>' + SENSOR,
+        '<emitter type="point" id="lamp"><rgb name="intensity" value="1, nan, 1"/></emitter>' + LIGHT + SENSOR,
         SceneError,
         r"'lamp' of type 'point'.*NaN.*'value'",
     ),
@@ -227,7 +236,13 @@ def test_nan_in_a_mesh_is_named():
     params["vertex_positions"] = [0, 0, 0, 1, 0, 0, 0, float("nan"), 0]
     params["faces"] = [0, 1, 2]
     params.update()
-    scene = {"type": "scene", "torn": mesh, "l": {"type": "constant"}, "s": {"type": "perspective"}}
+    scene = {
+        "type": "scene",
+        "torn": mesh,
+        "l": {"type": "constant"},
+        "b": {"type": "sphere"},
+        "s": {"type": "perspective"},
+    }
     with pytest.raises(SceneError, match=r"'torn'.*NaN.*vertex_positions of vertex 2"):
         load(scene)
 
@@ -261,7 +276,9 @@ def test_unknown_variable_is_an_option_error(tmp_path):
 
 def test_a_scene_of_another_variant(variant):
     with mi.variant_context("scalar_rgb"):
-        scene = mi.load_dict({"type": "scene", "l": {"type": "constant"}, "s": {"type": "perspective"}})
+        scene = mi.load_dict(
+            {"type": "scene", "l": {"type": "constant"}, "b": {"type": "sphere"}, "s": {"type": "perspective"}}
+        )
     with pytest.raises(SceneError, match=f"'scalar_rgb' but '{variant}'"):
         load(scene)
 

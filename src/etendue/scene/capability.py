@@ -51,6 +51,8 @@ def check(scene: Any, sensor: Any) -> None:
     check_variant(scene.variant_name())
     _check_sensor(sensor)
     every_shape = shapes(scene)
+    if not every_shape:
+        raise SceneError("the scene has no shape, so there is nothing that light could meet; add geometry")
     for shape in every_shape:
         _check_shape(shape)
     if not scene.emitters():
