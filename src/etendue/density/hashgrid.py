@@ -35,16 +35,17 @@ class HashGrid:
 
     Parameters
     ----------
-    points: Point3f, one lane a point; all of them are inserted.
+    points: Point3f, one lane a point.
     radius: search radius, scene units, a host number above zero.
     lower, upper: corners of a box that holds the points (host sequences of three numbers).
+    active: mask of the points to insert; the others get no destination.
 
     Attributes
     ----------
     destination: UInt32, where point i goes in sorted order. The caller scatters whatever payload a query shall read.
     """
 
-    def __init__(self, points: Any, radius: float, lower: Any, upper: Any) -> None:
+    def __init__(self, points: Any, radius: float, lower: Any, upper: Any, active: Any = True) -> None:
         extent_x = max(float(upper[0]) - float(lower[0]), 0.0)
         cell = max(2.0 * radius, extent_x / _MAX_CELLS_X)
         count = dr.width(points)
@@ -59,10 +60,10 @@ class HashGrid:
         x, y, z = self._cell(points)
         bucket = self._row(y, z) + mi.UInt32(x)
         population = dr.zeros(mi.UInt32, buckets)
-        rank = dr.scatter_inc(population, bucket)
+        rank = dr.scatter_inc(population, bucket, active)
         dr.eval(rank, population)
         self._start = dr.prefix_reduce(dr.ReduceOp.Add, population, exclusive=True)
-        self.destination = dr.gather(mi.UInt32, self._start, bucket) + rank
+        self.destination = dr.gather(mi.UInt32, self._start, bucket, active) + rank
 
     def _cell(self, p: Any, offset: float = 0.0) -> tuple[Any, Any, Any]:
         q = (p - self._origin) * self._inverse_cell - offset

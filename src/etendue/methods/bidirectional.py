@@ -29,7 +29,17 @@ from etendue.core.measurement import Array
 from etendue.core.samples import IndependentSource
 from etendue.density import HashGrid
 from etendue.scene import Problem
-from etendue.transport import CameraWalk, Gather, LightCache, LightVertices, LightWalk, Mis, Techniques, needs_interaction
+from etendue.transport import (
+    PICK_BLOCK,
+    CameraWalk,
+    Gather,
+    LightCache,
+    LightVertices,
+    LightWalk,
+    Mis,
+    Techniques,
+    needs_interaction,
+)
 from etendue.transport.dimensions import CONNECT_MAX, NEXT_EVENT_MAX
 
 from .base import ImageMethod, ImageSettings, keep_finite, total
@@ -132,8 +142,12 @@ class Bidirectional(ImageMethod):
         paths = min(self._paths, 1 << 14)
         vertices = LightVertices(1, paths, self._indexed, bool(self.techniques.connection))
         source = IndependentSource(dr.arange(mi.UInt32, paths), seed, "pilot light", 0)
-        self._light_walk(self._mis(self._first_radius, paths)).trace(paths, source, vertices, None)
-        return vertices.finish() / paths
+        max_edges = dr.opaque(mi.UInt32, self.max_edges())
+        mis = self._mis(self._first_radius, paths)
+        walk = LightWalk(self.scene, self.lights, self.camera, mis, max_edges, self.settings.rr_depth)
+        walk.trace(paths, source, vertices, None)
+        vertices.launch()
+        return float(vertices.wanted[0]) / paths
 
     @property
     def _stores(self) -> bool:
@@ -163,15 +177,16 @@ class Bidirectional(ImageMethod):
         splats = dr.zeros(mi.Float, 3 * self.camera.pixels if self.techniques.splat else 1)
         parts: list[dict[str, Any]] = []
         counters = {"rays": 0.0, "light_vertices": 0.0, "nonfinite": 0.0}
-        for group in range(self._groups):
-            first, end = (self._paths * g // self._groups for g in (group, group + 1))
-            mis = self._mis(radius, end - first)
-            light = IndependentSource(dr.arange(mi.UInt32, end - first) + dr.opaque(mi.UInt32, first), seed, "light", iteration)
-            cache, gather = self._trace_light(light, end - first, mis, radius, splats, counters)
-
-            first, end = (camera_paths * g // self._groups for g in (group, group + 1))
-            lanes = dr.arange(mi.UInt32, end - first) + dr.opaque(mi.UInt32, first)
-            parts.append(self._trace_camera(lanes, seed, iteration, samples, mis, cache, gather, counters))
+        group = 0
+        while group < self._groups:
+            before = mi.Float(splats) if self.techniques.splat else splats
+            part, wanted, capacity = self._group(group, iteration, seed, samples, radius, splats, counters)
+            if wanted > capacity:  # the pilot guessed too low: the same paths again, into a larger store
+                self._vertices_per_path *= wanted / capacity
+                splats = before
+                continue
+            parts.append(part)
+            group += 1
 
         layers = {name: self.image(dr.concat([part[name] for part in parts])) for name in parts[0]}
         counters["paths"] = float(camera_paths + self._paths)
@@ -189,78 +204,74 @@ class Bidirectional(ImageMethod):
         paths_per_sample = self._paths / self.samples_per_iteration
         return Mis(self.techniques, dr.opaque(mi.Float, eta), dr.opaque(mi.Float, paths_per_sample))
 
-    def _light_walk(self, mis: Mis) -> LightWalk:
-        max_edges = dr.opaque(mi.UInt32, self.max_edges())
-        return LightWalk(self.scene, self.lights, self.camera, mis, max_edges, self.settings.rr_depth)
-
-    def _trace_light(
-        self, source: Any, paths: int, mis: Mis, radius: float, splats: Any, counters: dict[str, float]
-    ) -> tuple[LightCache | None, Gather | None]:
-        """Trace light paths and prepare their vertices for connecting and merging."""
-        connecting, merging = self.techniques.connection > 0, self.techniques.merge
-        walk = self._light_walk(mis)
-        before = mi.Float(splats)
-        while True:
-            capacity = math.ceil(self._vertices_per_path * paths * STORE_MARGIN) + 1024
-            vertices = LightVertices(capacity, paths, self._indexed, connecting) if self._stores else None
-            rays, nonfinite = walk.trace(paths, source, vertices, splats if self.techniques.splat else None)
-            dr.schedule(rays, nonfinite, splats)
-            wanted = vertices.finish() if vertices else 0
-            if wanted <= capacity:
-                break
-            # The pilot guessed too low: the same paths again, into a larger store.
-            self._vertices_per_path = wanted / paths
-            splats[:] = before
-        counters["rays"] += total(rays)
-        counters["nonfinite"] += total(nonfinite)
-        counters["light_vertices"] += wanted
-        cache = gather = None
-        if vertices and merging and wanted:
-            grid = HashGrid(vertices.positions(), radius, *self._box)
-            factor = dr.opaque(mi.Float, 1.0 / (np.pi * radius * radius * paths))
-            gather = Gather(grid, vertices.sorted_by(grid.destination), factor)
-        if vertices and connecting and wanted:
-            factor = wanted / (paths * self.techniques.connection)
-            cache = LightCache(
-                vertices,
-                dr.opaque(mi.UInt32, wanted),
-                dr.opaque(mi.Float, factor),
-                dr.opaque(mi.UInt32, paths),
-                pairs=self.settings.light_source == "path",
-            )
-        return cache, gather
-
-    def _trace_camera(
+    def _group(
         self,
-        lanes: Any,
-        seed: int,
+        group: int,
         iteration: int,
+        seed: int,
         samples: int,
-        mis: Mis,
-        cache: LightCache | None,
-        gather: Gather | None,
+        radius: float,
+        splats: Any,
         counters: dict[str, float],
-    ) -> dict[str, Any]:
-        """Trace camera paths; radiance by technique family, a lane a path, evaluated."""
-        walk = CameraWalk(
-            self.scene,
-            self.lights,
-            self.camera,
-            mis,
-            dr.opaque(mi.UInt32, self.max_edges()),
-            self.settings.rr_depth,
-            self.settings.split_layers,
-            cache,
-            gather,
+    ) -> tuple[dict[str, Any], int, int]:
+        """One group's light paths, then its camera paths. Kernels are queued without waiting for one another, so that
+        Python traces the next while one runs. Returns (radiance by technique family, a lane a camera path; vertices
+        that wanted to be stored; room that there was)."""
+        first, end = (self._paths * g // self._groups for g in (group, group + 1))
+        paths = end - first
+        mis = self._mis(radius, paths)
+        max_edges = dr.opaque(mi.UInt32, self.max_edges())
+        common = (self.scene, self.lights, self.camera, mis, max_edges, self.settings.rr_depth)
+
+        capacity = math.ceil(self._vertices_per_path * paths * STORE_MARGIN) + 1024
+        vertices = LightVertices(capacity, paths, self._indexed, self.techniques.connection > 0) if self._stores else None
+        lanes = dr.arange(mi.UInt32, paths) + dr.opaque(mi.UInt32, first)
+        source = IndependentSource(lanes, seed, "light", iteration)
+        light_rays, light_bad = LightWalk(*common).trace(
+            paths, source, vertices, splats if self.techniques.splat else None
         )
+        dr.schedule(light_rays, light_bad, splats)
+        if vertices:
+            vertices.launch()
+        dr.eval()
+
+        first, end = (self.camera.pixels * samples * g // self._groups for g in (group, group + 1))
+        lanes = dr.arange(mi.UInt32, end - first) + dr.opaque(mi.UInt32, first)
+        cache = self._cache(vertices, paths, IndependentSource(lanes // PICK_BLOCK, seed, "connect", iteration))
+        gather = self._gather(vertices, paths, radius)
+        walk = CameraWalk(*common, self.settings.split_layers, cache, gather)
         radiance, rays = walk.trace(lanes // samples, IndependentSource(lanes, seed, "camera", iteration))
         bad = {}
         for name, value in radiance.items():
             radiance[name], bad[name] = keep_finite(value)
         dr.eval(radiance, rays, bad)  # the one launch of the camera pass
-        counters["rays"] += total(rays)
-        counters["nonfinite"] += sum(total(flags) for flags in bad.values())
-        return radiance
+
+        wanted = int(vertices.wanted[0]) if vertices else 0
+        if wanted <= capacity:
+            counters["rays"] += total(rays) + total(light_rays)
+            counters["nonfinite"] += total(light_bad) + sum(total(flags) for flags in bad.values())
+            counters["light_vertices"] += wanted
+        return radiance, wanted, capacity
+
+    def _cache(self, vertices: LightVertices | None, paths: int, picks: IndependentSource) -> LightCache | None:
+        """The stored vertices made ready for connecting."""
+        if not vertices or not self.techniques.connection:
+            return None
+        pairs = self.settings.light_source == "path"
+        vertices.number(by_path=pairs)
+        count = mi.UInt32(vertices.count)
+        factor = dr.full(mi.Float, 1.0) if pairs else mi.Float(count) / (paths * self.techniques.connection)
+        dr.eval(count, factor)
+        return LightCache(vertices, count, factor, dr.opaque(mi.UInt32, paths), None if pairs else picks)
+
+    def _gather(self, vertices: LightVertices | None, paths: int, radius: float) -> Gather | None:
+        """The stored vertices made ready for merging."""
+        if not vertices or not self.techniques.merge:
+            return None
+        positions, held = vertices.positions()
+        grid = HashGrid(positions, radius, *self._box, held)
+        factor = dr.opaque(mi.Float, 1.0 / (np.pi * radius * radius * paths))
+        return Gather(grid, vertices.sorted_by(grid.destination), factor)
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """The shared words of every path method: emission, camera, scattering with both densities, weights, stored vertices."""
 
 from .camera import Camera, CameraConnection
-from .camera_walk import CameraWalk, Gather, LightCache
+from .camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, sample_direct
 from .light_walk import LightWalk
 from .mis import Mis, Techniques
@@ -21,6 +21,7 @@ from .scattering import (
 from .vertices import LightVertex, LightVertices, Photons, needs_interaction
 
 __all__ = [
+    "PICK_BLOCK",
     "Camera",
     "CameraConnection",
     "CameraWalk",

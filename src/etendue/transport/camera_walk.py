@@ -54,15 +54,20 @@ class _State:
 class LightCache:
     """The stored light vertices as connections use them.
 
-    ``pairs`` false: ``techniques.connection`` vertices drawn at random from all paths, ``factor`` = M / (N k)
-    [Davidovic 2014]. ``pairs`` true: all vertices of the light path with the camera path's number.
+    With ``picks``: ``techniques.connection`` vertices drawn at random from all paths [Davidovic 2014]. The lanes of a
+    block draw one number together and take consecutive vertices from there, so that they read memory together; each
+    vertex is as likely as any other for each lane. Without: every vertex of the light path with the camera path's number.
     """
 
     vertices: LightVertices
-    count: Any  #: M, opaque UInt32
-    factor: Any  #: opaque Float
+    count: Any  #: M, UInt32 on the device
+    factor: Any  #: M / (N k), or 1 without ``picks``; Float on the device
     paths: Any  #: N, opaque UInt32
-    pairs: bool
+    picks: SampleSource | None  #: one number a block of ``PICK_BLOCK`` lanes
+
+
+#: Lanes that pick light vertices together.
+PICK_BLOCK = 16
 
 
 @dataclass
@@ -160,7 +165,7 @@ class CameraWalk:
         direct = [
             sample_direct(self.lights, si, source, s.depth, index, smooth) for index in range(techniques.next_event)
         ]
-        vertices = self._pick_vertices(s, si, source, smooth)
+        vertices = self._pick_vertices(s, si, smooth)
         directions = [(si.to_local(d.direction), d.active) for d in direct]
         directions += [(si.to_local(v.direction), v.active) for v in vertices]
         scattered, values = scatter_camera(bsdf, si, source, s.depth, s.active, directions)
@@ -170,7 +175,7 @@ class CameraWalk:
             assert self.cache is not None
             self._add(s, "connection", v.active, self._connection(s, si, v, value) * self.cache.factor)
             s.rays += dr.select(v.active, mi.UInt32(1), mi.UInt32(0))
-        if self.cache is not None and self.cache.pairs:
+        if self.cache is not None and self.cache.picks is None:
             self._connect_pair(s, si, bsdf, smooth)
 
         s.d_vcm, s.d_vc = self.mis.scatter_camera(
@@ -211,15 +216,17 @@ class CameraWalk:
         lit &= ~self.scene.ray_test(si.spawn_ray_to(direct.target), lit)
         self._add(s, "next_event", lit, contribution)
 
-    def _pick_vertices(self, s: _State, si: Any, source: Any, active: Any) -> list[_Joined]:
+    def _pick_vertices(self, s: _State, si: Any, active: Any) -> list[_Joined]:
         """Light vertices drawn at random from the cache, joined to ``si``."""
-        if self.cache is None or self.cache.pairs:
+        if self.cache is None or self.cache.picks is None:
             return []
         active = active & (self.cache.count > 0)
         joined = []
         for index in range(self.mis.techniques.connection):
-            u = source.next_1d(s.depth, dim.CONNECT + index)
-            number = dr.minimum(mi.UInt32(u * mi.Float(self.cache.count)), self.cache.count - 1)
+            u = self.cache.picks.next_1d(s.depth, dim.CONNECT + index)
+            offset = dr.select(self.cache.count >= PICK_BLOCK, s.lane % PICK_BLOCK, 0)
+            number = mi.UInt32(u * mi.Float(self.cache.count)) + offset
+            number = dr.select(number < self.cache.count, number, number - self.cache.count)
             joined.append(self._join(s, si, number, active))
         return joined
 

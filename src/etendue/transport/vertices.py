@@ -19,6 +19,8 @@ import mitsuba as mi
 #: Packets of four floats in a record: of a vertex that is connected to, and of one that is only merged with.
 _PACKETS = 6
 _PHOTON_PACKETS = 3
+#: Paths that are numbered together, position by position.
+_BLOCK = 16
 
 
 def needs_interaction(scene: Any) -> bool:
@@ -45,28 +47,35 @@ class LightVertex:
 class LightVertices:
     """A store of at most ``capacity`` vertices of ``paths`` light sub-paths.
 
-    Slots are claimed by an atomic counter, in no repeatable order. :meth:`finish` builds the repeatable one: vertex
-    ``j`` of path ``i`` is number ``start[i] + j``, and :meth:`slot` leads from number to slot.
+    Slots are claimed by an atomic counter, in no repeatable order. :meth:`number` therefore gives vertices numbers that
+    depend on the paths alone, and :meth:`slot` leads from number to slot. Nothing here waits for the device: the count
+    stays on it, and arrays are as wide as the capacity.
+
+    Parameters
+    ----------
+    indexed: the layout that recomputes surface interactions (see above).
+    connected: vertices will be connected to; if not, only what merging reads is kept.
     """
 
-    def __init__(self, capacity: int, paths: int, indexed: bool, numbered: bool) -> None:
+    def __init__(self, capacity: int, paths: int, indexed: bool, connected: bool) -> None:
         self.capacity = capacity
         self.indexed = indexed
-        self.numbered = numbered
-        self._packets = _PACKETS if numbered else _PHOTON_PACKETS
-        self._count = dr.zeros(mi.UInt32, 1)
+        self.connected = connected
+        self._packets = _PACKETS if connected else _PHOTON_PACKETS
+        #: Vertices that the paths wanted to store, one number on the device; more than the capacity if it was too small.
+        self.wanted = dr.zeros(mi.UInt32, 1)
         # One record a vertex, of packets: position, depth | index on path; throughput, d_vcm; world direction to the
         # light side, d_vc; two packets of the surface; BSDF and path.
         self._records = dr.empty(mi.Float, 4 * self._packets * capacity)
-        self._stored = dr.zeros(mi.UInt32, paths if numbered else 1)  # vertices of each path
-        self.count = 0
-        self.order: Any = None
-        self.start: Any = None
+        padded = -(-paths // _BLOCK) * _BLOCK
+        self._stored = dr.zeros(mi.UInt32, padded if connected else 1)  # vertices of each path
+        self._order: Any = None
+        self._start: Any = None
 
     @staticmethod
-    def bytes_per_vertex(numbered: bool, merged: bool) -> int:
+    def bytes_per_vertex(connected: bool, merged: bool) -> int:
         """Device memory that a stored vertex takes, the copy and the grid of merging included."""
-        return 16 * (_PACKETS if numbered else _PHOTON_PACKETS) + (4 if numbered else 0) + (48 + 24 if merged else 0)
+        return 16 * (_PACKETS if connected else _PHOTON_PACKETS) + (4 if connected else 0) + (48 + 24 if merged else 0)
 
     def _put(self, packet: int, value: Any, slot: Any, active: Any) -> None:
         dr.scatter(self._records, value, slot * self._packets + packet, active)
@@ -89,16 +98,16 @@ class LightVertices:
         """Store one vertex per active lane, inside the walk; ``hit`` is the preliminary intersection,
         ``index`` counts the vertices that the path has stored.
 
-        A full store drops vertices but goes on counting, so that the caller sees ``count > capacity`` and repeats the
-        pass with more room."""
-        slot = dr.scatter_inc(self._count, mi.UInt32(0), active)
+        A full store drops vertices but goes on counting, so that the caller sees ``wanted > capacity`` and repeats
+        the pass with more room."""
+        slot = dr.scatter_inc(self.wanted, mi.UInt32(0), active)
         active = active & (slot < self.capacity)
         tag = _as_float(depth | (index << 16))
         direction = si.to_world(si.wi)
         self._put(0, mi.Vector4f(si.p.x, si.p.y, si.p.z, tag), slot, active)
         self._put(1, mi.Vector4f(throughput.x, throughput.y, throughput.z, mis[0]), slot, active)
         self._put(2, mi.Vector4f(direction.x, direction.y, direction.z, mis[1]), slot, active)
-        if not self.numbered:
+        if not self.connected:
             return
         if self.indexed:
             uv = hit.prim_uv
@@ -113,31 +122,46 @@ class LightVertices:
 
     def close_paths(self, path: Any, stored: Any) -> None:
         """Record how many vertices each path has stored; called once after the walk, in the same kernel."""
-        if self.numbered:
+        if self.connected:
             dr.scatter(self._stored, stored, path)
 
-    def finish(self) -> int:
-        """Wait for the walk and number the vertices. Returns how many it wanted to store (see :meth:`append`)."""
-        dr.eval(self._count, self._records, self._stored)
-        wanted = int(self._count[0])
-        self.count = min(wanted, self.capacity)
-        if self.numbered and wanted <= self.capacity:
-            self.start = dr.prefix_reduce(dr.ReduceOp.Add, self._stored, exclusive=True)
-            slot = dr.arange(mi.UInt32, self.count)
-            path = _as_uint(self._get(5, slot).y)
-            index = _as_uint(self._get(0, slot).w) >> 16
-            self.order = dr.zeros(mi.UInt32, max(self.count, 1))
-            dr.scatter(self.order, slot, dr.gather(mi.UInt32, self.start, path) + index)
-            dr.eval(self.order, self.start)
-        return wanted
+    def launch(self) -> None:
+        """Start the walk's kernel, with whatever else is scheduled."""
+        dr.eval(self.wanted, self._records, self._stored)
+
+    @property
+    def count(self) -> Any:
+        """Vertices held, one number on the device."""
+        return dr.minimum(self.wanted, self.capacity)
+
+    def number(self, by_path: bool) -> None:
+        """Number the vertices, repeatably: path after path (``by_path``), or block of paths after block and in it by
+        position on the path, so that neighbouring numbers are slots that lie together in memory."""
+        self._start = dr.prefix_reduce(dr.ReduceOp.Add, self._stored, exclusive=True)
+        slot = dr.arange(mi.UInt32, self.capacity)
+        held = slot < self.count
+        path = _as_uint(self._get(_PACKETS - 1, slot, held).y)
+        index = _as_uint(self._get(0, slot, held).w) >> 16
+        if by_path:
+            number = dr.gather(mi.UInt32, self._start, path, held) + index
+        else:
+            first = path & ~mi.UInt32(_BLOCK - 1)
+            number = dr.gather(mi.UInt32, self._start, first, held)
+            for lane in range(_BLOCK):
+                stored = dr.gather(mi.UInt32, self._stored, first + lane, held)
+                number += dr.minimum(stored, index)
+                number += dr.select((first + lane < path) & (stored > index), mi.UInt32(1), mi.UInt32(0))
+        self._order = dr.zeros(mi.UInt32, self.capacity)
+        dr.scatter(self._order, slot, number, held)
+        dr.eval(self._order, self._start)
 
     def slot(self, number: Any, active: Any) -> Any:
         """Slot of the vertex with this number."""
-        return dr.gather(mi.UInt32, self.order, number, active)
+        return dr.gather(mi.UInt32, self._order, number, active)
 
     def path_vertices(self, path: Any, active: Any) -> tuple[Any, Any]:
         """(first number, how many) of a path's vertices."""
-        return dr.gather(mi.UInt32, self.start, path, active), dr.gather(mi.UInt32, self._stored, path, active)
+        return dr.gather(mi.UInt32, self._start, path, active), dr.gather(mi.UInt32, self._stored, path, active)
 
     def read(self, slot: Any, active: Any) -> LightVertex:
         """Read whole vertices."""
@@ -167,19 +191,22 @@ class LightVertices:
         pi.instance = dr.reinterpret_array(mi.ShapePtr, _as_uint(second.x))
         return pi.compute_surface_interaction(mi.Ray3f(p + world, -world), active=active)
 
-    def positions(self) -> Any:
-        """All stored positions, one lane a vertex."""
-        p = self._get(0, dr.arange(mi.UInt32, self.count))
-        return mi.Point3f(p.x, p.y, p.z)
+    def positions(self) -> tuple[Any, Any]:
+        """(positions, mask of the slots that hold a vertex), one lane a slot."""
+        slot = dr.arange(mi.UInt32, self.capacity)
+        held = slot < self.count
+        p = self._get(0, slot, held)
+        return mi.Point3f(p.x, p.y, p.z), held
 
     def sorted_by(self, destination: Any) -> Photons:
         """The packets that merging reads, in the order that a search structure gives."""
-        slot = dr.arange(mi.UInt32, self.count)
-        position = dr.empty(mi.Float, 4 * self.count)
-        flux = dr.empty(mi.Float, 8 * self.count)
-        dr.scatter(position, self._get(0, slot), destination)
-        dr.scatter(flux, self._get(1, slot), 2 * destination)
-        dr.scatter(flux, self._get(2, slot), 2 * destination + 1)
+        slot = dr.arange(mi.UInt32, self.capacity)
+        held = slot < self.count
+        position = dr.empty(mi.Float, 4 * self.capacity)
+        flux = dr.empty(mi.Float, 8 * self.capacity)
+        dr.scatter(position, self._get(0, slot, held), destination, held)
+        dr.scatter(flux, self._get(1, slot, held), 2 * destination, held)
+        dr.scatter(flux, self._get(2, slot, held), 2 * destination + 1, held)
         dr.eval(position, flux)
         return Photons(position, flux)
 
