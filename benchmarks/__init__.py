@@ -1,0 +1,1 @@
+"""Speed, memory and quality of the methods: ``python -m benchmarks``. See README.md in this folder."""

@@ -1,0 +1,134 @@
+"""``python -m benchmarks [cost|first-pass|memory|rays|quality]``; without a name, all of them."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from etendue.core import EtendueError, use_variant
+
+from . import cost as cost_of_a_pass
+from . import fresh
+from . import quality as quality_over_time
+from . import rays as ray_casting
+from .measuring import Record, console, machine, parse_size, software
+
+app = typer.Typer(
+    help="Speed, memory and quality of the methods. Run on an idle machine; without a command all are run (an hour).",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+Methods = Annotated[str, typer.Option(help="Names, separated by commas.", metavar="NAMES")]
+Size = Annotated[str, typer.Option(metavar="WxH")]
+Rounds = Annotated[int, typer.Option(min=1, help="Rounds that are timed.")]
+WarmUp = Annotated[int, typer.Option(min=1, help="Rounds before them.")]
+Variant = Annotated[str | None, typer.Option(help="Mitsuba variant; by default CUDA where usable, else LLVM.")]
+Keep = Annotated[bool, typer.Option("--record", help="Append the tables to benchmarks/RESULTS.md.")]
+
+
+def _begin(variant: str | None) -> str:
+    chosen = use_variant(variant)
+    console.print(f"{machine()}; {software(chosen)}\n", style="dim")
+    return chosen
+
+
+def _publish(variant: str, keep: bool, *records: Record) -> None:
+    for record in records:
+        record.publish(variant, keep)
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+@app.command()
+def cost(
+    methods: Methods = "path,bpt,vcm",
+    size: Size = "512x512",
+    rounds: Rounds = 11,
+    warm_up: WarmUp = 2,
+    variant: Variant = None,
+    record: Keep = False,
+) -> None:
+    """Seconds of a pass relative to Mitsuba's path at one sample per pixel, interleaved."""
+    chosen = _begin(variant)
+    _publish(chosen, record, cost_of_a_pass.measure(_names(methods), parse_size(size), rounds, warm_up))
+
+
+@app.command("first-pass")
+def first_pass(
+    methods: Methods = "path,bpt,vcm", size: Size = "512x512", variant: Variant = None, record: Keep = False
+) -> None:
+    """The first pass in a fresh process, with an empty and with a filled kernel cache."""
+    chosen = _begin(variant)
+    _publish(chosen, record, fresh.first_pass(_names(methods), parse_size(size), chosen))
+
+
+@app.command()
+def memory(
+    methods: Methods = "vcm",
+    sizes: Annotated[str, typer.Option(help="Sizes, separated by commas.", metavar="WxH,...")] = "512x512,1920x1080",
+    bound: Annotated[float | None, typer.Option(help="What --memory is given, in MB.", metavar="MB")] = None,
+    variant: Variant = None,
+    record: Keep = False,
+) -> None:
+    """Peak memory of a fresh process."""
+    chosen = _begin(variant)
+    wanted = [parse_size(text) for text in _names(sizes)]
+    limit = int(bound * 1e6) if bound else None
+    _publish(chosen, record, fresh.memory(_names(methods), wanted, chosen, bound=limit))
+
+
+@app.command()
+def rays(
+    methods: Methods = "path,bpt,vcm",
+    size: Size = "512x512",
+    rounds: Rounds = 9,
+    warm_up: WarmUp = 2,
+    variant: Variant = None,
+    record: Keep = False,
+) -> None:
+    """Share of ray casting: the rays of a pass are recorded and cast again."""
+    chosen = _begin(variant)
+    _publish(chosen, record, ray_casting.measure(_names(methods), parse_size(size), rounds, warm_up))
+
+
+@app.command()
+def quality(
+    scenes: Annotated[str, typer.Option(help="Names, separated by commas.", metavar="NAMES")] = ",".join(
+        (quality_over_time.DEMO, *quality_over_time.PUBLIC)
+    ),
+    methods: Methods = "path,light,bpt,bpm,vcm",
+    size: Size = "512x512",
+    time: Annotated[float, typer.Option(help="Seconds for each picture.")] = 60.0,
+    seeds: Annotated[int, typer.Option(min=1, help="Pictures of each; the median counts.")] = 1,
+    define: Annotated[
+        list[str] | None, typer.Option("-D", help="A setting, or METHOD.NAME=VALUE.", metavar="NAME=VALUE")
+    ] = None,
+    variant: Variant = None,
+    record: Keep = False,
+) -> None:
+    """Error against a converged picture after a given time, for every method."""
+    chosen = _begin(variant)
+    settings = dict(text.partition("=")[::2] for text in define or [])
+    tables = quality_over_time.measure(_names(scenes), _names(methods), parse_size(size), time, seeds, settings)
+    _publish(chosen, record, *tables)
+
+
+@app.callback(invoke_without_command=True)
+def everything(context: typer.Context, variant: Variant = None, record: Keep = False) -> None:
+    """Run every benchmark in turn."""
+    if context.invoked_subcommand is None:
+        cost(variant=variant, record=record)
+        first_pass(variant=variant, record=record)
+        memory(variant=variant, record=record)
+        rays(variant=variant, record=record)
+        quality(variant=variant, record=record)
+
+
+if __name__ == "__main__":
+    try:
+        app()
+    except EtendueError as error:
+        raise SystemExit(str(error)) from None

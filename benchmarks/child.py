@@ -1,0 +1,79 @@
+"""What must be measured in a fresh process: the first pass, and peak memory. Run by the other modules.
+
+``python -m benchmarks.child COMMAND JSON`` prints one JSON object.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+import time
+from typing import Any
+
+_START = time.perf_counter()
+
+
+def _peak() -> float:
+    """Largest resident memory of this process so far, in bytes."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return float(peak if sys.platform == "darwin" else peak * 1024)
+
+
+def _open(options: dict[str, Any]) -> tuple[Any, dict[str, float]]:
+    """The prepared method, and the seconds of each step on the way."""
+    from etendue import methods, scene
+    from etendue.core import use_variant
+
+    use_variant(options["variant"])
+    clock = [time.perf_counter()]
+    problem = scene.load(options["scene"], size=tuple(options["size"]), memory=options.get("memory"))
+    clock.append(time.perf_counter())
+    loaded = _peak()
+    method = methods.get(options["method"])
+    estimator = method(method.Settings(**options["settings"]))
+    estimator.prepare(problem, 0)
+    clock.append(time.perf_counter())
+    seconds = {"import": clock[0] - _START, "load": clock[1] - clock[0], "prepare": clock[2] - clock[1]}
+    return estimator, seconds | {"loaded_bytes": loaded}
+
+
+def first_pass(options: dict[str, Any]) -> dict[str, Any]:
+    """Seconds of the first pass and of those after it, and how many kernels the later ones compiled."""
+    import drjit as dr
+
+    estimator, outcome = _open(options)
+    seconds = []
+    for iteration in range(options["passes"]):
+        start = time.perf_counter()
+        estimator.step(iteration, 0)
+        seconds.append(time.perf_counter() - start)
+    # Two passes more, with the history on, as it costs time: the kernels that are not found in memory.
+    dr.kernel_history_clear()
+    new = launched = 0
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        for iteration in range(options["passes"], options["passes"] + 2):
+            estimator.step(iteration, 0)
+        for kernel in dr.kernel_history():
+            if kernel["type"] == dr.KernelType.JIT:
+                launched += 1
+                new += not kernel["cache_hit"]
+    return outcome | {"passes": seconds, "compiled": new, "launched": launched}
+
+
+def memory(options: dict[str, Any]) -> dict[str, Any]:
+    """Peak resident memory after each pass."""
+    estimator, outcome = _open(options)
+    peaks = []
+    total = None
+    for iteration in range(options["passes"]):
+        measured = estimator.step(iteration, 0)
+        total = measured if total is None else total + measured
+        peaks.append(_peak())
+    return outcome | {"peaks": peaks}
+
+
+if __name__ == "__main__":
+    import etendue  # noqa: F401  # before Dr.Jit: it finds the LLVM
+
+    print(json.dumps({"first-pass": first_pass, "memory": memory}[sys.argv[1]](json.loads(sys.argv[2]))))
