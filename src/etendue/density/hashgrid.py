@@ -2,8 +2,7 @@
 
 Cells have side ``2 r``, so a ball of radius ``r`` touches two cells an axis. A cell's bucket is ``hash(y, z) + x``:
 neighbours along x are neighbours in the table, and a query reads four rows of two adjacent buckets, four ranges of the
-sorted points. Two rows whose hashes collide overlap; a candidate is therefore accepted only in the row of its own
-(y, z), or it would count twice. Built by counting sort [Green 2008; Georgiev 2012 uses the same structure].
+sorted points. Rows whose hashes collide share buckets; each bucket is read once. Built by counting sort [Green 2008; Georgiev 2012 uses the same structure].
 """
 
 from __future__ import annotations
@@ -26,8 +25,6 @@ class Query:
     total: Any
     _first: list[Any]  #: sorted index of candidate 0 as seen from range k
     _end: list[Any]  #: number of candidates in ranges 0..k
-    _y: list[Any]
-    _z: list[Any]
 
 
 class HashGrid:
@@ -75,33 +72,29 @@ class HashGrid:
 
     def query(self, point: Any, active: Any) -> Query:
         """Prepare the search around ``point``: lanes that are not active find nothing."""
-        x, y0, z0 = self._cell(point, 0.5)
-        q = Query(point, mi.UInt32(0), [], [], [], [])
-        for y, z in ((y0, z0), (y0 + 1, z0), (y0, z0 + 1), (y0 + 1, z0 + 1)):
-            bucket = self._row(y, z) + mi.UInt32(x)
-            first = dr.gather(mi.UInt32, self._start, bucket, active)
-            end = dr.gather(mi.UInt32, self._start, bucket + 2, active)
+        x, y, z = self._cell(point, 0.5)
+        rows = [self._row(v, w) + mi.UInt32(x) for v, w in ((y, z), (y + 1, z), (y, z + 1), (y + 1, z + 1))]
+        q = Query(point, mi.UInt32(0), [], [])
+        for k, row in enumerate(rows):
+            begin, end = mi.UInt32(row), row + 2
+            for earlier in rows[:k]:  # a bucket that an earlier row reads is left to it
+                same = row == earlier
+                begin = dr.select(same | (row + 1 == earlier + 2), row + 1, begin)
+                end = dr.select(same | (row + 1 == earlier), row + 1, end)
+            begin = dr.minimum(begin, end)
+            first = dr.gather(mi.UInt32, self._start, begin, active)
+            count = dr.gather(mi.UInt32, self._start, end, active) - first
             q._first.append(first - q.total)
-            q.total = q.total + (end - first)
+            q.total = q.total + count
             q._end.append(q.total)
-            q._y.append(y)
-            q._z.append(z)
         return q
 
-    def candidate(self, query: Query, i: Any) -> tuple[Any, Any]:
-        """Sorted index of the query's ``i``-th candidate, and the range it lies in."""
-        row = dr.select(i >= query._end[1], mi.UInt32(2), mi.UInt32(0))
-        row += dr.select(i >= dr.select(row == 2, query._end[2], query._end[0]), mi.UInt32(1), mi.UInt32(0))
-        return i + _choose(row, query._first), row
+    def candidate(self, query: Query, i: Any) -> Any:
+        """Sorted index of the query's ``i``-th candidate."""
+        low = dr.select(i < query._end[0], query._first[0], query._first[1])
+        high = dr.select(i < query._end[2], query._first[2], query._first[3])
+        return i + dr.select(i < query._end[1], low, high)
 
-    def accepts(self, query: Query, row: Any, position: Any) -> Any:
-        """Whether the candidate at ``position``, found in range ``row``, is a neighbour within the radius."""
-        near = dr.squared_norm(position - query.point) <= self._radius_squared
-        _, y, z = self._cell(position)
-        return near & (y == _choose(row, query._y)) & (z == _choose(row, query._z))
-
-
-def _choose(row: Any, values: list[Any]) -> Any:
-    low = dr.select((row & 1) == 1, values[1], values[0])
-    high = dr.select((row & 1) == 1, values[3], values[2])
-    return dr.select(row >= 2, high, low)
+    def accepts(self, query: Query, position: Any) -> Any:
+        """Whether the candidate at ``position`` is within the radius."""
+        return dr.squared_norm(position - query.point) <= self._radius_squared

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -62,7 +63,7 @@ class ImageMethod:
         samples = self.samples_per_iteration
         layers, counters = self.render_pass(iteration, seed, samples)
         if "image" not in layers:
-            layers = {"image": np.sum(list(layers.values()), axis=0)} | layers
+            layers = {"image": functools.reduce(np.add, layers.values())} | layers
         if self.settings.aovs:
             layers |= self._first_hits(iteration, seed, samples)
         value = layers["image"] / samples
@@ -101,10 +102,10 @@ class ImageMethod:
     def image(self, values: Any) -> Array:
         """Per-lane colours or scalars, ``samples`` consecutive lanes a pixel, summed into a (height, width, c) image."""
         width, height = self.problem.size
-        flat = np.asarray(dr.ravel(values), dtype=np.float64)
-        channels = len(values) if dr.depth_v(values) > 1 else 1
-        per_pixel = flat.reshape(height * width, -1, channels)
-        return per_pixel.sum(axis=1).reshape(height, width, channels)
+        lanes = dr.width(values)
+        if lanes > height * width:
+            values = dr.block_sum(values, lanes // (height * width))
+        return np.asarray(dr.ravel(values), dtype=np.float64).reshape(height, width, -1)
 
     def _first_hits(self, iteration: int, seed: int, samples: int) -> dict[str, Array]:
         """Albedo, shading normal and distance of what the camera sees first; zeros where it sees nothing."""

@@ -37,6 +37,7 @@ from etendue.transport import (
     LightVertices,
     LightWalk,
     Mis,
+    Splats,
     Techniques,
     needs_interaction,
 )
@@ -49,12 +50,15 @@ STORE_BYTES = 800e6
 STORE_SHARE = 0.4
 #: Room beyond what the pilot measured.
 STORE_MARGIN = 1.05
+#: Light and camera paths of the pilot pass.
+_PILOT_PATHS = 1 << 13
 
 
 @dataclass(frozen=True)
 class BidirectionalSettings(ImageSettings):
     """Settings of ``bpt``, ``bpm`` and ``vcm``."""
 
+    rr_depth: int = setting(2, "path edges after which Russian roulette by throughput begins", minimum=1)
     connecting: bool = setting(True, "connect vertices: emission hits, next event, connections, camera splats")
     merging: bool = setting(True, "merge camera vertices with light vertices around them")
     connections: int = setting(
@@ -78,9 +82,38 @@ class BidirectionalSettings(ImageSettings):
     )
     alpha: float = setting(0.75, "radius reduction: r_i = radius i^((alpha - 1) / 2)", above=0.0, maximum=1.0)
     eta_discount: float = setting(
-        1.0, "factor on merging's sample count in the weights; below 1 trusts correlated merges less", above=0.0, maximum=1.0
+        1.0,
+        "factor on merging's sample count in the weights; below 1 trusts correlated merges less",
+        above=0.0,
+        maximum=1.0,
+    )
+    shadow_roulette: float = setting(
+        0.1,
+        "contributions below this share of the picture's mean play roulette before their shadow ray is cast; 0: none do",
+        minimum=0.0,
     )
     split_layers: bool = setting(True, "keep a layer for each technique family")
+
+
+@dataclass
+class _Run:
+    """What one round of light paths and camera paths is made of."""
+
+    role: str  #: prefix of the seed roles
+    iteration: int
+    seed: int
+    radius: float
+    light: Any  #: numbers of the light paths, one lane each
+    camera: Any  #: numbers of the camera paths
+    pixel: Any  #: their pixels
+    splats: Splats | None
+    capacity: int  #: of the vertex store
+
+
+def _part(count: int, index: int, parts: int) -> Any:
+    """Lane numbers of one of ``parts`` nearly equal parts of ``count`` lanes."""
+    first, end = count * index // parts, count * (index + 1) // parts
+    return dr.arange(mi.UInt32, end - first) + dr.opaque(mi.UInt32, first)
 
 
 class Bidirectional(ImageMethod):
@@ -107,7 +140,7 @@ class Bidirectional(ImageMethod):
         self._box = np.asarray(box.min, float).ravel(), np.asarray(box.max, float).ravel()
         self._paths = max(1, round(s.light_paths * self.camera.pixels * self.samples_per_iteration))
         self._first_radius = self._absolute_radius(seed) if s.merging else 0.0
-        self._vertices_per_path = self._pilot(seed)
+        self._pilot(seed)
         self._groups = self._count_groups(problem.memory)
 
     # ------------------------------------------------------------------ pilots
@@ -135,19 +168,24 @@ class Bidirectional(ImageMethod):
             return float(0.001 * np.linalg.norm(self._box[1] - self._box[0]))
         return float(np.median(1.0 / np.sqrt(density)))
 
-    def _pilot(self, seed: int) -> float:
-        """Stored vertices per light path, from a small light pass under its own seed role."""
-        if not self._stores:
-            return 0.0
-        paths = min(self._paths, 1 << 14)
-        vertices = LightVertices(1, paths, self._indexed, bool(self.techniques.connection))
-        source = IndependentSource(dr.arange(mi.UInt32, paths), seed, "pilot light", 0)
-        max_edges = dr.opaque(mi.UInt32, self.max_edges())
-        mis = self._mis(self._first_radius, paths)
-        walk = LightWalk(self.scene, self.lights, self.camera, mis, max_edges, self.settings.rr_depth)
-        walk.trace(paths, source, vertices, None)
-        vertices.launch()
-        return float(vertices.wanted[0]) / paths
+    def _pilot(self, seed: int) -> None:
+        """Measure, by a small pass under seed roles of its own, how many vertices a light path stores and how bright the
+        picture is."""
+        self._vertices_per_path, self._dark = 0.0, 0.0
+        paths = min(_PILOT_PATHS, self._paths)
+        samples = min(_PILOT_PATHS, self.camera.pixels)
+        splats = Splats(self.camera.pixels) if self.techniques.splat else None
+        lanes = dr.arange(mi.UInt32, samples)
+        pixel = dr.minimum(mi.UInt32((mi.Float(lanes) + 0.5) * (self.camera.pixels / samples)), self.camera.pixels - 1)
+        run = _Run("pilot ", 0, seed, self._first_radius, dr.arange(mi.UInt32, paths), lanes, pixel, splats, 64 * paths)
+        radiance, counters = self._trace(run)
+        self._vertices_per_path = counters["light_vertices"] / paths
+        mean = sum(float(np.asarray(v, np.float64).mean()) for v in radiance.values())
+        if splats:
+            mean += float(np.asarray(splats.array, np.float64).sum()) / (3.0 * paths * self.camera.pixels)
+        # In coarse steps: the order of atomic additions must not move a threshold that random numbers are compared with.
+        brightness = 2.0 ** (round(4.0 * math.log2(mean)) / 4.0) if mean > 0.0 else 0.0
+        self._dark = self.settings.shadow_roulette * brightness
 
     @property
     def _stores(self) -> bool:
@@ -173,27 +211,30 @@ class Bidirectional(ImageMethod):
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Array], dict[str, float]]:
         """See :class:`ImageMethod`."""
         radius = self.radius(iteration) if self.techniques.merge else 0.0
-        camera_paths = self.camera.pixels * samples
-        splats = dr.zeros(mi.Float, 3 * self.camera.pixels if self.techniques.splat else 1)
+        splats = Splats(self.camera.pixels) if self.techniques.splat else None
         parts: list[dict[str, Any]] = []
         counters = {"rays": 0.0, "light_vertices": 0.0, "nonfinite": 0.0}
-        group = 0
-        while group < self._groups:
-            before = mi.Float(splats) if self.techniques.splat else splats
-            part, wanted, capacity = self._group(group, iteration, seed, samples, radius, splats, counters)
-            if wanted > capacity:  # the pilot guessed too low: the same paths again, into a larger store
-                self._vertices_per_path *= wanted / capacity
-                splats = before
+        while len(parts) < self._groups:
+            light, camera = (
+                _part(count, len(parts), self._groups) for count in (self._paths, self.camera.pixels * samples)
+            )
+            before = mi.Float(splats.array) if splats else None
+            capacity = math.ceil(self._vertices_per_path * len(light) * STORE_MARGIN) + 1024
+            run = _Run("", iteration, seed, radius, light, camera, camera // samples, splats, capacity)
+            radiance, counts = self._trace(run)
+            if counts["light_vertices"] > capacity:  # the pilot guessed too low: the same again with more room
+                self._vertices_per_path = counts["light_vertices"] / len(light)
+                if splats:
+                    splats.array = before
                 continue
-            parts.append(part)
-            group += 1
+            parts.append(radiance)
+            counters = {name: value + counts[name] for name, value in counters.items()}
 
         layers = {name: self.image(dr.concat([part[name] for part in parts])) for name in parts[0]}
-        counters["paths"] = float(camera_paths + self._paths)
-        if self.techniques.splat:
+        counters["paths"] = float(self.camera.pixels * samples + self._paths)
+        if splats:
             # A splat is one of N / samples chances per camera path, and the layers' weight is the pass's samples.
-            splatted = np.asarray(splats, np.float64).reshape(self.camera.height, self.camera.width, 3)
-            splatted *= samples / self._paths
+            splatted = splats.sum(self.camera.height, self.camera.width) * (samples / self._paths)
             name = "splat" if self.settings.split_layers else "image"
             layers[name] = layers[name] + splatted if name in layers else splatted
         return layers, counters
@@ -204,54 +245,45 @@ class Bidirectional(ImageMethod):
         paths_per_sample = self._paths / self.samples_per_iteration
         return Mis(self.techniques, dr.opaque(mi.Float, eta), dr.opaque(mi.Float, paths_per_sample))
 
-    def _group(
-        self,
-        group: int,
-        iteration: int,
-        seed: int,
-        samples: int,
-        radius: float,
-        splats: Any,
-        counters: dict[str, float],
-    ) -> tuple[dict[str, Any], int, int]:
-        """One group's light paths, then its camera paths. Kernels are queued without waiting for one another, so that
-        Python traces the next while one runs. Returns (radiance by technique family, a lane a camera path; vertices
-        that wanted to be stored; room that there was)."""
-        first, end = (self._paths * g // self._groups for g in (group, group + 1))
-        paths = end - first
-        mis = self._mis(radius, paths)
-        max_edges = dr.opaque(mi.UInt32, self.max_edges())
-        common = (self.scene, self.lights, self.camera, mis, max_edges, self.settings.rr_depth)
-
-        capacity = math.ceil(self._vertices_per_path * paths * STORE_MARGIN) + 1024
-        vertices = LightVertices(capacity, paths, self._indexed, self.techniques.connection > 0) if self._stores else None
-        lanes = dr.arange(mi.UInt32, paths) + dr.opaque(mi.UInt32, first)
-        source = IndependentSource(lanes, seed, "light", iteration)
-        light_rays, light_bad = LightWalk(*common).trace(
-            paths, source, vertices, splats if self.techniques.splat else None
+    def _trace(self, run: _Run) -> tuple[dict[str, Any], dict[str, float]]:
+        """Light paths, then camera paths. Kernels are queued without waiting for one another, so that Python traces the
+        next while one runs. Returns radiance by technique family, a lane a camera path, and counters."""
+        paths = len(run.light)
+        mis = self._mis(run.radius, paths)
+        common = (
+            self.scene,
+            self.lights,
+            self.camera,
+            mis,
+            dr.opaque(mi.UInt32, self.max_edges()),
+            self.settings.rr_depth,
+            dr.opaque(mi.Float, self._dark),
         )
-        dr.schedule(light_rays, light_bad, splats)
+        connecting = self.techniques.connection > 0
+        vertices = LightVertices(run.capacity, paths, self._indexed, connecting) if self._stores else None
+        source = IndependentSource(run.light, run.seed, run.role + "light", run.iteration)
+        light_rays, light_bad = LightWalk(*common).trace(paths, source, vertices, run.splats)
+        dr.schedule(light_rays, light_bad)
+        if run.splats:
+            dr.schedule(run.splats.array)
         if vertices:
             vertices.launch()
         dr.eval()
 
-        first, end = (self.camera.pixels * samples * g // self._groups for g in (group, group + 1))
-        lanes = dr.arange(mi.UInt32, end - first) + dr.opaque(mi.UInt32, first)
-        cache = self._cache(vertices, paths, IndependentSource(lanes // PICK_BLOCK, seed, "connect", iteration))
-        gather = self._gather(vertices, paths, radius)
+        picks = IndependentSource(run.camera // PICK_BLOCK, run.seed, run.role + "connect", run.iteration)
+        cache, gather = self._cache(vertices, paths, picks), self._gather(vertices, paths, run.radius)
         walk = CameraWalk(*common, self.settings.split_layers, cache, gather)
-        radiance, rays = walk.trace(lanes // samples, IndependentSource(lanes, seed, "camera", iteration))
+        source = IndependentSource(run.camera, run.seed, run.role + "camera", run.iteration)
+        radiance, rays = walk.trace(run.pixel, source)
         bad = {}
         for name, value in radiance.items():
             radiance[name], bad[name] = keep_finite(value)
         dr.eval(radiance, rays, bad)  # the one launch of the camera pass
-
-        wanted = int(vertices.wanted[0]) if vertices else 0
-        if wanted <= capacity:
-            counters["rays"] += total(rays) + total(light_rays)
-            counters["nonfinite"] += total(light_bad) + sum(total(flags) for flags in bad.values())
-            counters["light_vertices"] += wanted
-        return radiance, wanted, capacity
+        return radiance, {
+            "rays": total(rays) + total(light_rays),
+            "light_vertices": float(vertices.wanted[0]) if vertices else 0.0,
+            "nonfinite": total(light_bad) + sum(total(flags) for flags in bad.values()),
+        }
 
     def _cache(self, vertices: LightVertices | None, paths: int, picks: IndependentSource) -> LightCache | None:
         """The stored vertices made ready for connecting."""

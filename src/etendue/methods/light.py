@@ -16,12 +16,11 @@ from typing import Any, ClassVar
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from etendue.core import setting
 from etendue.core.measurement import Array
 from etendue.core.samples import IndependentSource
-from etendue.transport import LightWalk, Mis, Techniques
+from etendue.transport import LightWalk, Mis, Splats, Techniques
 from etendue.transport import dimensions as dim
 
 from .base import ImageMethod, ImageSettings, total
@@ -50,25 +49,24 @@ class Light(ImageMethod):
         techniques = Techniques(emission=0, next_event=0, connection=0, splat=True, merge=False)
         mis = Mis(techniques, 0.0, dr.opaque(mi.Float, paths / samples))
         max_edges = dr.opaque(mi.UInt32, self.max_edges())
-        walk = LightWalk(self.scene, self.lights, self.camera, mis, max_edges, self.settings.rr_depth)
-        scattered = dr.zeros(mi.Float, 3 * self.camera.pixels)
+        walk = LightWalk(self.scene, self.lights, self.camera, mis, max_edges, self.settings.rr_depth, mi.Float(0.0))
+        scattered = Splats(self.camera.pixels)
         lanes = dr.arange(mi.UInt32, paths)
         rays, bad = walk.trace(paths, IndependentSource(lanes, seed, "light", iteration), None, scattered)
-        dr.eval(rays, bad, scattered)
+        dr.eval(rays, bad, scattered.array)
 
-        seen = dr.zeros(mi.Float, 3 * self.camera.pixels)
+        seen = Splats(self.camera.pixels)
         seen_rays = self._seen_directly(IndependentSource(lanes, seed, "visible light", iteration), paths, seen)
-        dr.eval(seen_rays, seen)
+        dr.eval(seen_rays, seen.array)
 
-        shape = (self.camera.height, self.camera.width, 3)
         layers = {
-            name: np.asarray(splats, np.float64).reshape(shape) * (samples / paths)
+            name: splats.sum(self.camera.height, self.camera.width) * (samples / paths)
             for name, splats in (("splat", scattered), ("emission", seen))
         }
         counters = {"rays": total(rays) + total(seen_rays), "paths": float(paths), "nonfinite": total(bad)}
         return layers, counters
 
-    def _seen_directly(self, source: Any, paths: int, splats: Any) -> Any:
+    def _seen_directly(self, source: Any, paths: int, splats: Splats) -> Any:
         """Join points of the lights themselves to the camera (s = 1, t = 1); returns rays a lane."""
         active = dr.full(mi.Bool, True, paths)
         light = self.lights.pick(source.next_1d(0, dim.LIGHT_PICK), active)
@@ -80,7 +78,9 @@ class Light(ImageMethod):
         si = dr.zeros(mi.SurfaceInteraction3f, paths)
         density = light.pick * light.area_density  # per area; per solid angle from the camera for the environment
         if self.lights.has_area:
-            si = mi.SurfaceInteraction3f(light.emitter.get_shape().sample_position(0.0, u, on_surface), dr.zeros(mi.Color0f))
+            si = mi.SurfaceInteraction3f(
+                light.emitter.get_shape().sample_position(0.0, u, on_surface), dr.zeros(mi.Color0f)
+            )
         if self.lights.has_infinite:
             eye = dr.zeros(mi.Interaction3f)
             eye.p = self.camera.origin
@@ -109,6 +109,5 @@ class Light(ImageMethod):
         active &= on_film & dr.all(dr.isfinite(contribution)) & dr.any(contribution != 0.0)
         rays = dr.select(active, mi.UInt32(1), mi.UInt32(0))
         active &= ~self.scene.ray_test(mi.Ray3f(joined.target, -joined.direction, reach, 0.0, mi.Color0f()), active)
-        for channel in range(3):
-            dr.scatter_reduce(dr.ReduceOp.Add, splats, contribution[channel], 3 * pixel + channel, active)
+        splats.add(pixel, contribution, active)
         return rays

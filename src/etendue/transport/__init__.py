@@ -1,6 +1,6 @@
 """The shared words of every path method: emission, camera, scattering with both densities, weights, stored vertices."""
 
-from .camera import Camera, CameraConnection
+from .camera import Camera, CameraConnection, Splats
 from .camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, sample_direct
 from .light_walk import LightWalk
@@ -17,6 +17,7 @@ from .scattering import (
     roulette,
     scatter_camera,
     scatter_light,
+    shadow_roulette,
 )
 from .vertices import LightVertex, LightVertices, Photons, needs_interaction
 
@@ -36,6 +37,7 @@ __all__ = [
     "Mis",
     "Photons",
     "Scattered",
+    "Splats",
     "Techniques",
     "emission_of_hit",
     "emit",
@@ -51,4 +53,5 @@ __all__ = [
     "sample_direct",
     "scatter_camera",
     "scatter_light",
+    "shadow_roulette",
 ]

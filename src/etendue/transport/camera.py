@@ -31,6 +31,22 @@ class CameraConnection:
         return self.importance * cos
 
 
+class Splats:
+    """An image that light paths add to, on the device: the sum over paths, four floats a pixel, one packet an addition."""
+
+    def __init__(self, pixels: int) -> None:
+        self.array = dr.zeros(mi.Float, 4 * pixels)
+
+    def add(self, pixel: Any, value: Any, active: Any) -> None:
+        """Add a colour to a pixel, in each active lane."""
+        packet = mi.Vector4f(value.x, value.y, value.z, 0.0)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet, pixel, active, mode=dr.ReduceMode.Expand)
+
+    def sum(self, height: int, width: int) -> Any:
+        """The image on the host, (height, width, 3) float64."""
+        return np.asarray(self.array, np.float64).reshape(height, width, 4)[..., :3]
+
+
 class Camera:
     """Primary rays and splats of one sensor, with its film's reconstruction filter."""
 

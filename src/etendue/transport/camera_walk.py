@@ -25,6 +25,7 @@ from .scattering import (
     is_smooth,
     roulette,
     scatter_camera,
+    shadow_roulette,
 )
 from .vertices import LightVertex, LightVertices, Photons
 
@@ -99,6 +100,7 @@ class CameraWalk:
     mis: Mis
     max_edges: Any  #: opaque UInt32
     rr_depth: int
+    dark: Any  #: opaque Float: radiance below which a contribution plays roulette before its shadow ray
     split_layers: bool  #: keep technique families apart
     cache: LightCache | None = None
     gather: Gather | None = None
@@ -133,8 +135,9 @@ class CameraWalk:
         return ("emission", *(name for name, on in used if on))
 
     def _add(self, s: _State, family: str, mask: Any, value: Any) -> None:
+        """Add a contribution, throughput included, to its layer."""
         layer = s.layers[family if self.split_layers else "image"]
-        layer[mask] += s.throughput * value
+        layer[mask] += value
 
     def _edge(self, s: _State, source: Any, aperture: Any) -> _State:
         """Trace one edge, join its end to the light side in every way, and scatter."""
@@ -169,14 +172,16 @@ class CameraWalk:
         directions = [(si.to_local(d.direction), d.active) for d in direct]
         directions += [(si.to_local(v.direction), v.active) for v in vertices]
         scattered, values = scatter_camera(bsdf, si, source, s.depth, s.active, directions)
-        for d, value in zip(direct, values, strict=False):
-            self._next_event(s, si, d, value)
-        for v, value in zip(vertices, values[len(direct) :], strict=True):
-            assert self.cache is not None
-            self._add(s, "connection", v.active, self._connection(s, si, v, value) * self.cache.factor)
-            s.rays += dr.select(v.active, mi.UInt32(1), mi.UInt32(0))
+        for index, d in enumerate(direct):
+            u = source.next_1d(s.depth, dim.NEXT_EVENT + 4 * index + 3)
+            self._next_event(s, si, d, values[index], u)
+        for index, v in enumerate(vertices):
+            u = source.next_1d(s.depth, dim.CONNECT + index)
+            value, rays = self._connection(s, si, v, values[len(direct) + index], u)
+            s.rays += rays
+            self._add(s, "connection", v.active, value)
         if self.cache is not None and self.cache.picks is None:
-            self._connect_pair(s, si, bsdf, smooth)
+            self._connect_pair(s, si, bsdf, source.next_1d(s.depth, dim.CONNECT), smooth)
 
         s.d_vcm, s.d_vc = self.mis.scatter_camera(
             s.depth, s.d_vcm, s.d_vc, scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
@@ -184,9 +189,7 @@ class CameraWalk:
         s.throughput *= scattered.weight
         s.eta *= scattered.eta
         s.ray = si.spawn_ray(scattered.direction)
-        alive, factor = roulette(
-            s.throughput, s.eta, s.depth, self.rr_depth, source.next_1d(s.depth, dim.ROULETTE)
-        )
+        alive, factor = roulette(s.throughput, s.eta, s.depth, self.rr_depth, source.next_1d(s.depth, dim.ROULETTE))
         s.throughput *= factor
         s.depth += 1
         s.active &= scattered.active & alive
@@ -197,9 +200,9 @@ class CameraWalk:
         on_light = s.active & is_emissive(self.scene, si)
         radiance, area_density, emission_density = emission_of_hit(self.lights, self.scene, si, on_light)
         weight = self.mis.emission_weight(s.depth, s.d_vcm, s.d_vc, area_density, emission_density)
-        self._add(s, "emission", on_light, radiance * weight)
+        self._add(s, "emission", on_light, s.throughput * radiance * weight)
 
-    def _next_event(self, s: _State, si: Any, direct: DirectSample, bsdf: Evaluated) -> None:
+    def _next_event(self, s: _State, si: Any, direct: DirectSample, bsdf: Evaluated, u: Any) -> None:
         """s = 1 [Georgiev 2012b, eq. 44, 45]."""
         weight = self.mis.next_event_weight(
             s.depth,
@@ -210,11 +213,11 @@ class CameraWalk:
             direct.pdf,
             direct.light_ratio * geometric_cos(si, direct.direction),
         )
-        contribution = bsdf.value * direct.radiance * (weight / self.mis.techniques.next_event)
-        lit = direct.active & dr.any(contribution != 0.0)
+        contribution = s.throughput * bsdf.value * direct.radiance * (weight / self.mis.techniques.next_event)
+        lit, factor = shadow_roulette(contribution, self.dark, u, direct.active)
         s.rays += dr.select(lit, mi.UInt32(1), mi.UInt32(0))
         lit &= ~self.scene.ray_test(si.spawn_ray_to(direct.target), lit)
-        self._add(s, "next_event", lit, contribution)
+        self._add(s, "next_event", lit, contribution * factor)
 
     def _pick_vertices(self, s: _State, si: Any, active: Any) -> list[_Joined]:
         """Light vertices drawn at random from the cache, joined to ``si``."""
@@ -230,21 +233,26 @@ class CameraWalk:
             joined.append(self._join(s, si, number, active))
         return joined
 
-    def _connect_pair(self, s: _State, si: Any, bsdf: Any, active: Any) -> None:
+    def _connect_pair(self, s: _State, si: Any, bsdf: Any, u: Any, active: Any) -> None:
         """Connect to every vertex of the light path that goes with this camera path."""
         assert self.cache is not None
         first, count = self.cache.vertices.path_vertices(s.lane % self.cache.paths, active)
 
-        def connect(j: Any, total: Any) -> tuple[Any, Any]:
+        def connect(j: Any, total: Any, rays: Any) -> tuple[Any, Any, Any]:
             joined = self._join(s, si, first + j, active)
             value = evaluate_camera_end(bsdf, si, si.to_local(joined.direction), joined.active)
-            return j + 1, total + self._connection(s, si, joined, value)
+            # Roulette of all of a path's connections by one number: each decision is right by itself.
+            value, ray = self._connection(s, si, joined, value, u)
+            return j + 1, total + value, rays + ray
 
         n = dr.width(s.depth)
-        _, total = dr.while_loop(
-            (dr.zeros(mi.UInt32, n), dr.zeros(mi.Color3f, n)), lambda j, _: active & (j < count), connect, label="connect"
+        _, total, rays = dr.while_loop(
+            (dr.zeros(mi.UInt32, n), dr.zeros(mi.Color3f, n), dr.zeros(mi.UInt32, n)),
+            lambda j, *_: active & (j < count),
+            connect,
+            label="connect",
         )
-        s.rays += dr.select(active, count, 0)
+        s.rays += rays
         self._add(s, "connection", active, total)
 
     def _join(self, s: _State, si: Any, number: Any, active: Any) -> _Joined:
@@ -256,8 +264,9 @@ class CameraWalk:
         active = active & (vertex.depth + s.depth + 1 <= self.max_edges) & (distance_squared > 0.0)
         return _Joined(vertex, offset * dr.rsqrt(distance_squared), dr.rcp(distance_squared), active)
 
-    def _connection(self, s: _State, si: Any, joined: _Joined, bsdf: Evaluated) -> Any:
-        """s >= 2, t >= 2: weighted contribution over the throughput [Georgiev 2012b, eq. 40, 41]."""
+    def _connection(self, s: _State, si: Any, joined: _Joined, bsdf: Evaluated, u: Any) -> tuple[Any, Any]:
+        """s >= 2, t >= 2: (weighted contribution, shadow rays) [Georgiev 2012b, eq. 40, 41]."""
+        assert self.cache is not None
         vertex = joined.vertex
         active = joined.active & dr.any(bsdf.value != 0.0)
         wo = vertex.si.to_local(-joined.direction)
@@ -272,10 +281,11 @@ class CameraWalk:
             light.reverse_pdf,
         )
         factor = weight * joined.inverse_square * cosine_ratio(vertex.si, joined.direction)
-        contribution = vertex.throughput * bsdf.value * light.value * factor
-        visible = active & dr.any(contribution != 0.0)
+        contribution = s.throughput * vertex.throughput * bsdf.value * light.value * (factor * self.cache.factor)
+        visible, factor = shadow_roulette(contribution, self.dark, u, active)
+        rays = dr.select(visible, mi.UInt32(1), mi.UInt32(0))
         visible &= ~self.scene.ray_test(si.spawn_ray_to(vertex.si.p), visible)
-        return dr.select(visible, contribution, 0.0)
+        return dr.select(visible, contribution * factor, 0.0), rays
 
     def _merge(self, s: _State, si: Any, bsdf: Any, active: Any) -> None:
         """s >= 2, t >= 2, no edge between them [Georgiev 2012b, eq. 38, 39]."""
@@ -287,9 +297,9 @@ class CameraWalk:
 
         def collect(i: Any, found: Any, near: Any) -> tuple[Any, Any, Any]:
             """Test one candidate, keep it if it is a neighbour."""
-            index, row = grid.candidate(query, i)
+            index = grid.candidate(query, i)
             position, light_depth = photons.position(index, active)
-            hit = grid.accepts(query, row, position) & (light_depth + s.depth <= self.max_edges)
+            hit = grid.accepts(query, position) & (light_depth + s.depth <= self.max_edges)
             near = [dr.select(hit & (found == k), index, kept) for k, kept in enumerate(near)]
             return i + 1, found + dr.select(hit, mi.UInt32(1), mi.UInt32(0)), near
 
@@ -314,7 +324,7 @@ class CameraWalk:
             batch,
             label="merge",
         )
-        self._add(s, "merge", active, total * self.gather.factor)
+        self._add(s, "merge", active, s.throughput * total * self.gather.factor)
 
     def _merged(self, s: _State, si: Any, bsdf: Any, photon: Any, active: Any) -> Any:
         """Weighted contribution of one photon."""

@@ -21,8 +21,12 @@ ROULETTE = 3
 SPLAT_APERTURE = 4  #: 2 numbers, light sub-paths only
 SPLAT_FILTER = 6  #: 2 numbers, light sub-paths only
 
-#: From here: 3 numbers (pick, point) for each next-event sample, then one for each connection.
+#: 1 number, light sub-paths only: roulette before a splat's shadow ray.
+SPLAT_SHADOW = 8
+
+# Camera sub-paths, from here: 4 numbers for each next-event sample (pick, point, roulette), then 1 for each connection
+# (roulette; the pick comes from a source that blocks of lanes share).
 NEXT_EVENT = 8
 NEXT_EVENT_MAX = 8
-CONNECT = NEXT_EVENT + 3 * NEXT_EVENT_MAX
-CONNECT_MAX = 32
+CONNECT = NEXT_EVENT + 4 * NEXT_EVENT_MAX
+CONNECT_MAX = 16

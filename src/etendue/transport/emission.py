@@ -68,12 +68,17 @@ def emit(lights: LightTable, source: SampleSource, active: Any) -> EmittedRay:
 
 
 def _emit_area(out: EmittedRay, light: Light, u_point: Any, u_direction: Any, mask: Any) -> None:
-    position = light.emitter.get_shape().sample_position(0.0, u_point, mask)
-    si = mi.SurfaceInteraction3f(position, dr.zeros(mi.Color0f))
     local = mi.warp.square_to_cosine_hemisphere(u_direction)
     cos = mi.Frame3f.cos_theta(local)
-    si.wi = local
-    radiance = light.emitter.eval(si, mask)
+
+    def emitted(emitter: Any, u: Any, wi: Any, mask: Any) -> tuple[Any, ...]:
+        si = _light_point(emitter, u, mask)
+        si.wi = wi
+        return si.p, si.n, emitter.eval(si, mask)
+
+    p, n, radiance = dr.dispatch(light.emitter, emitted, u_point, local, mask)
+    si = dr.zeros(mi.SurfaceInteraction3f)
+    si.p, si.n, si.sh_frame = p, n, mi.Frame3f(n)
     area_density = light.pick * light.area_density
     out.ray[mask] = si.spawn_ray(si.to_world(local))
     out.throughput[mask] = radiance * (dr.pi / area_density)
@@ -81,6 +86,14 @@ def _emit_area(out: EmittedRay, light: Light, u_point: Any, u_direction: Any, ma
     out.emission_density[mask] = area_density * cos * dr.inv_pi
     out.cos_light[mask] = cos
     out.active &= ~mask | (cos > 0.0)
+
+
+def _light_point(emitter: Any, u: Any, mask: Any) -> Any:
+    """A point uniform on an emitter's shape; a call is traced for every emitter there is, those without shape too."""
+    shape = emitter.get_shape()
+    if shape is None:
+        return dr.zeros(mi.SurfaceInteraction3f)
+    return mi.SurfaceInteraction3f(shape.sample_position(0.0, u, mask), dr.zeros(mi.Color0f))
 
 
 def _emit_delta(out: EmittedRay, light: Light, u_direction: Any, mask: Any) -> None:
@@ -113,9 +126,11 @@ def _emit_infinite(
     out.emission_density[usable] = direction_density * light.area_density
 
 
-def sample_direct(lights: LightTable, si: Any, source: SampleSource, vertex: Any, index: int, active: Any) -> DirectSample:
+def sample_direct(
+    lights: LightTable, si: Any, source: SampleSource, vertex: Any, index: int, active: Any
+) -> DirectSample:
     """Sample a light point for the surface point ``si``: the ``index``-th next-event sample of ``vertex``."""
-    component = dim.NEXT_EVENT + 3 * index
+    component = dim.NEXT_EVENT + 4 * index
     u_point = mi.Point2f(*source.next_2d(vertex, component + 1))
     light = lights.pick(source.next_1d(vertex, component), active)
     n = dr.width(u_point)
@@ -139,19 +154,21 @@ def sample_direct(lights: LightTable, si: Any, source: SampleSource, vertex: Any
 
 
 def _direct_area(out: DirectSample, light: Light, si: Any, u_point: Any, mask: Any) -> None:
-    position = light.emitter.get_shape().sample_position(si.time, u_point, mask)
-    offset = position.p - si.p
-    distance_squared = dr.squared_norm(offset)
-    direction = offset * dr.rsqrt(distance_squared)
-    at_light = mi.SurfaceInteraction3f(position, dr.zeros(mi.Color0f))
-    at_light.wi = at_light.to_local(-direction)
-    cos = mi.Frame3f.cos_theta(at_light.wi)
+    def lit(emitter: Any, p: Any, u: Any, mask: Any) -> tuple[Any, ...]:
+        at_light = _light_point(emitter, u, mask)
+        offset = at_light.p - p
+        distance_squared = dr.squared_norm(offset)
+        direction = offset * dr.rsqrt(distance_squared)
+        at_light.wi = at_light.to_local(-direction)
+        cos = mi.Frame3f.cos_theta(at_light.wi)
+        return at_light.p, direction, distance_squared, cos, emitter.eval(at_light, mask & (cos > 0.0))
+
+    target, direction, distance_squared, cos, radiance = dr.dispatch(light.emitter, lit, si.p, u_point, mask)
     mask = mask & (cos > 0.0)
-    area_density = light.pick * light.area_density
-    pdf = area_density * distance_squared / dr.select(mask, cos, 1.0)
+    pdf = light.pick * light.area_density * distance_squared / dr.select(mask, cos, 1.0)
     out.direction[mask] = direction
-    out.target[mask] = position.p
-    out.radiance[mask] = light.emitter.eval(at_light, mask) / pdf
+    out.target[mask] = target
+    out.radiance[mask] = radiance / pdf
     out.pdf[mask] = pdf
     out.light_ratio[mask] = dr.inv_pi * cos / distance_squared
 

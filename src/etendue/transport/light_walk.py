@@ -12,10 +12,10 @@ from etendue.core.samples import SampleSource
 from etendue.scene import LightTable
 
 from . import dimensions as dim
-from .camera import Camera, CameraConnection
+from .camera import Camera, CameraConnection, Splats
 from .emission import emit
 from .mis import Mis
-from .scattering import Evaluated, cosine_ratio, geometric_cos, is_smooth, roulette, scatter_light
+from .scattering import Evaluated, cosine_ratio, geometric_cos, is_smooth, roulette, scatter_light, shadow_roulette
 from .vertices import LightVertices
 
 
@@ -45,12 +45,13 @@ class LightWalk:
     mis: Mis
     max_edges: Any  #: opaque UInt32
     rr_depth: int
+    dark: Any  #: opaque Float: radiance below which a contribution plays roulette before its shadow ray
 
     def trace(
-        self, paths: int, source: SampleSource, vertices: LightVertices | None, splats: Any | None
+        self, paths: int, source: SampleSource, vertices: LightVertices | None, splats: Splats | None
     ) -> tuple[Any, Any]:
-        """Trace ``paths`` sub-paths. Stores into ``vertices`` and adds to ``splats`` (3 floats a pixel, the sum over
-        paths) where they are given. Returns (rays, non-finite splats) a lane, not yet evaluated."""
+        """Trace ``paths`` sub-paths. Stores into ``vertices`` and adds to ``splats`` where they are
+        given. Returns (rays, non-finite splats) a lane, not yet evaluated."""
         emitted = emit(self.lights, source, mi.Bool(True))
         d_vcm, d_vc = self.mis.start_light(
             emitted.area_density, emitted.emission_density, emitted.cos_light, emitted.is_delta
@@ -78,7 +79,7 @@ class LightWalk:
             vertices.close_paths(path, state.stored)
         return state.rays, state.nonfinite
 
-    def _edge(self, s: _State, path: Any, source: Any, vertices: LightVertices | None, splats: Any | None) -> _State:
+    def _edge(self, s: _State, path: Any, source: Any, vertices: LightVertices | None, splats: Splats | None) -> _State:
         """Trace one edge; splat, store and scatter at its end."""
         hit = self.scene.ray_intersect_preliminary(s.ray, active=s.active)
         si = hit.compute_surface_interaction(s.ray, active=s.active)
@@ -119,7 +120,7 @@ class LightWalk:
         return s
 
     def _splat(
-        self, s: _State, si: Any, joined: CameraConnection, bsdf: Evaluated, source: Any, splats: Any
+        self, s: _State, si: Any, joined: CameraConnection, bsdf: Evaluated, source: Any, splats: Splats
     ) -> None:
         """Join the vertex to the camera (t = 1) [Georgiev 2012b, eq. 46, 47]."""
         area_pdf = joined.area_pdf(geometric_cos(si, joined.direction))
@@ -127,11 +128,17 @@ class LightWalk:
         pixel, filter_weight, on_film = self.camera.splat_pixel(joined, source, s.depth)
         factor = joined.importance * weight * filter_weight * cosine_ratio(si, joined.direction)
         contribution = s.throughput * bsdf.value * factor
-        visible = joined.active & on_film & dr.any(contribution != 0.0)
+        # One splat is to its pixel's sum over paths what a camera path is to that over samples.
+        visible, factor = shadow_roulette(
+            contribution,
+            self.dark * self.mis.paths_per_sample,
+            source.next_1d(s.depth, dim.SPLAT_SHADOW),
+            joined.active & on_film,
+        )
+        contribution *= factor
         s.rays += dr.select(visible, mi.UInt32(1), mi.UInt32(0))
         visible &= ~self.scene.ray_test(si.spawn_ray_to(joined.target), visible)
         finite = dr.all(dr.isfinite(contribution))
         s.nonfinite += dr.select(visible & ~finite, mi.UInt32(1), mi.UInt32(0))
         visible &= finite
-        for channel in range(3):
-            dr.scatter_reduce(dr.ReduceOp.Add, splats, contribution[channel], 3 * pixel + channel, visible)
+        splats.add(pixel, contribution, visible)

@@ -146,9 +146,7 @@ class Mis:
             # Only what nothing else can make: seen directly, or through vertices that no other technique may cut.
             return dr.select((depth == 1) | ((d_vcm == 0.0) & (d_vc == 0.0)), 1.0, 0.0)
         own = self._count(t.emission)
-        others = (
-            self.power(area_density) * d_vcm * self._count(t.next_event) + self.power(emission_density) * d_vc
-        )
+        others = self.power(area_density) * d_vcm * self._count(t.next_event) + self.power(emission_density) * d_vc
         return dr.select(depth == 1, 1.0, own / (own + others))
 
     def next_event_weight(

@@ -151,3 +151,12 @@ def roulette(throughput: Any, eta: Any, depth: Any, first_depth: int, u: Any) ->
     survival = dr.minimum(dr.max(throughput) * dr.square(eta), 0.95)
     playing = depth >= first_depth
     return ~playing | (u < survival), dr.select(playing, dr.rcp(survival), 1.0)
+
+
+def shadow_roulette(contribution: Any, threshold: Any, u: Any, active: Any) -> tuple[Any, Any]:
+    """Decide before a shadow ray is cast whether its contribution is worth it: (goes on, factor on the contribution).
+
+    A contribution, complete with its weight, below ``threshold`` goes on with probability contribution / threshold.
+    """
+    survival = dr.minimum(dr.max(contribution) / threshold, 1.0)  # a threshold of 0 lets everything pass
+    return active & (survival > 0.0) & (u < survival), dr.rcp(survival)

@@ -62,7 +62,7 @@ class LightVertices:
         self.indexed = indexed
         self.connected = connected
         self._packets = _PACKETS if connected else _PHOTON_PACKETS
-        #: Vertices that the paths wanted to store, one number on the device; more than the capacity if it was too small.
+        #: Vertices that the paths wanted to store, one number on the device; may exceed the capacity.
         self.wanted = dr.zeros(mi.UInt32, 1)
         # One record a vertex, of packets: position, depth | index on path; throughput, d_vcm; world direction to the
         # light side, d_vc; two packets of the surface; BSDF and path.
@@ -213,7 +213,7 @@ class LightVertices:
 
 @dataclass
 class Photons:
-    """Vertices as merging sees them, sorted for a search. Positions lie apart: most candidates fail the distance test."""
+    """Vertices as merging sees them, sorted for a search. Positions lie apart: most candidates fail the test."""
 
     _position: Any
     _flux: Any
