@@ -1,0 +1,67 @@
+"""Short runs of methods and of Mitsuba's own path tracer, kept pass by pass so that their variance is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from etendue import methods
+from etendue.core import Measurement
+
+
+@dataclass
+class Run:
+    """Some passes of one method: their sum, and each pass's own picture, (passes, height, width, 3)."""
+
+    measurement: Measurement
+    images: np.ndarray
+
+    @property
+    def mean(self) -> np.ndarray:
+        return self.measurement.mean()
+
+
+def prepared(problem: Any, method: str, seed: int = 1, **settings: Any) -> Any:
+    """A method made ready for ``problem``."""
+    cls = methods.get(method)
+    result = cls(cls.Settings.from_mapping(settings))
+    result.prepare(problem, seed)
+    return result
+
+
+def run(
+    problem: Any, method: str, passes: int = 6, samples: int = 128, seed: int = 1, first: int = 0, **settings: Any
+) -> Run:
+    """``passes`` passes of ``samples`` camera paths per pixel, from iteration ``first`` on."""
+    return go(prepared(problem, method, seed, samples_per_pass=samples, **settings), passes, seed, first)
+
+
+def go(runner: Any, passes: int, seed: int = 1, first: int = 0) -> Run:
+    """Step a prepared method."""
+    total, images = None, []
+    for iteration in range(first, first + passes):
+        measurement = runner.step(iteration, seed)
+        images.append(measurement.mean())
+        total = measurement if total is None else total + measurement
+    assert total is not None
+    return Run(total, np.stack(images))
+
+
+def mitsuba_path(
+    problem: Any, passes: int = 6, samples: int = 128, seed: int = 1000, max_depth: int = -1
+) -> np.ndarray:
+    """Pictures of Mitsuba's own ``path``, one a seed: (passes, height, width, 3)."""
+    integrator = mi.load_dict({"type": "path", "max_depth": max_depth})
+    return mitsuba_images(problem, integrator, passes, samples, seed)
+
+
+def mitsuba_images(problem: Any, integrator: Any, passes: int, samples: int, seed: int) -> np.ndarray:
+    """Pictures of a Mitsuba integrator, one a seed."""
+    images = [
+        np.array(mi.render(problem.scene, sensor=problem.sensor, integrator=integrator, spp=samples, seed=seed + i))
+        for i in range(passes)
+    ]
+    return np.stack(images).astype(np.float64)

@@ -1,0 +1,271 @@
+"""Small scenes by rows: emitters x materials x sensors x filters. Every entry is built when asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from etendue.scene import Problem, load
+
+Dict = dict[str, Any]
+SIZE = (16, 12)
+
+
+def rgb(*value: float) -> Dict:
+    return {"type": "rgb", "value": list(value)}
+
+
+def diffuse(*value: float) -> Dict:
+    return {"type": "diffuse", "reflectance": rgb(*value)}
+
+
+def transform() -> Any:
+    return mi.ScalarTransform4f()
+
+
+def bitmap(pixels: np.ndarray, raw: bool = True) -> Dict:
+    return {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(pixels, np.float32)), "raw": raw}
+
+
+def mesh(
+    points: np.ndarray,
+    faces: np.ndarray,
+    bsdf: Dict,
+    normals: np.ndarray | None = None,
+    colours: np.ndarray | None = None,
+) -> Any:
+    """A mesh from arrays, with vertex normals and the attribute ``vertex_color`` where given."""
+    properties = mi.Properties()
+    properties["mesh_bsdf"] = mi.load_dict(bsdf)
+    result = mi.Mesh("mesh", len(points), len(faces), has_vertex_normals=normals is not None, props=properties)
+    parameters = mi.traverse(result)
+    parameters["vertex_positions"] = np.ascontiguousarray(points, np.float32).ravel()
+    parameters["faces"] = np.ascontiguousarray(faces, np.uint32).ravel()
+    if normals is not None:
+        parameters["vertex_normals"] = np.ascontiguousarray(normals, np.float32).ravel()
+    parameters.update()
+    if colours is not None:
+        result.add_attribute("vertex_color", 3, np.ascontiguousarray(colours, np.float32).ravel())
+    return result
+
+
+# ---------------------------------------------------------------------------------------------------- sensors
+
+SENSORS: dict[str, Dict] = {
+    "perspective": {"type": "perspective"},
+    "thinlens": {"type": "thinlens", "aperture_radius": 0.12, "focus_distance": 3.6},
+}
+FILTERS = ("box", "tent", "gaussian", "mitchell")
+
+
+def camera(
+    origin: Any = (0.0, 1.6, 4.2),
+    target: Any = (0.0, 0.45, 0.0),
+    fov: float = 36.0,
+    sensor: str = "perspective",
+    rfilter: str = "box",
+    size: tuple[int, int] = SIZE,
+) -> Dict:
+    film = {
+        "type": "hdrfilm",
+        "width": size[0],
+        "height": size[1],
+        "pixel_format": "rgb",
+        "component_format": "float32",
+        "rfilter": {"type": rfilter},
+    }
+    up = [0, 0, 1] if abs(origin[0] - target[0]) + abs(origin[2] - target[2]) < 1e-6 else [0, 1, 0]
+    look = transform().look_at(list(origin), list(target), up)
+    return SENSORS[sensor] | {"to_world": look, "fov": fov, "film": film, "sampler": {"type": "independent"}}
+
+
+# ---------------------------------------------------------------------------------------------------- emitters
+
+
+def _area(*radiance: float) -> Dict:
+    return {"type": "area", "radiance": rgb(*radiance)}
+
+
+def _down(y: float, scale: float) -> Any:
+    return transform().translate([0.1, y, -0.1]).rotate([1, 0, 0], 90).scale([scale, scale, 1.0])
+
+
+def _textured() -> Dict:
+    x, y = np.meshgrid(np.linspace(0, 1, 8), np.linspace(0, 1, 8))
+    pixels = np.stack([4 + 6 * x, 4 + 4 * y, 6 - 3 * x * y], -1)
+    light = {"type": "area", "radiance": bitmap(pixels)}
+    return {"light": {"type": "rectangle", "to_world": _down(2.2, 0.6), "emitter": light}}
+
+
+def _sky() -> Dict:
+    theta, phi = np.meshgrid((np.arange(8) + 0.5) / 8 * np.pi, (np.arange(16) + 0.5) / 16 * 2 * np.pi, indexing="ij")
+    base = 0.5 + 0.4 * np.cos(theta)
+    pixels = np.stack([base + 2.5 * np.exp(-((phi - 2) ** 2) - (theta - 0.8) ** 2), base, 1.3 * base], -1)
+    return {"light": {"type": "envmap", "bitmap": mi.Bitmap(pixels.astype(np.float32))}}
+
+
+def _spot() -> Dict:
+    look = transform().look_at([1.2, 2.6, 1.5], [0, 0, -0.2], [0, 1, 0])
+    spot = {"type": "spot", "to_world": look, "intensity": rgb(30, 25, 20), "cutoff_angle": 40.0, "beam_width": 20.0}
+    return {"light": spot}
+
+
+def _rectangle() -> Dict:
+    return {"light": {"type": "rectangle", "to_world": _down(2.2, 0.6), "emitter": _area(7, 6, 5)}}
+
+
+def _cube() -> Dict:
+    place = transform().translate([-1.3, 1.2, -0.6]).rotate([0, 1, 0], 25).scale([0.15, 0.35, 0.25])
+    return {"light": {"type": "cube", "to_world": place, "emitter": _area(9, 7, 4)}}
+
+
+def _point() -> Dict:
+    return {"light": {"type": "point", "position": [0.4, 1.9, 0.9], "intensity": rgb(6, 5, 4)}}
+
+
+#: Every kind of emitter, each the contents of a scene dictionary.
+EMITTERS: dict[str, Callable[[], Dict]] = {
+    "rectangle": _rectangle,
+    "mesh": _cube,
+    "disk": lambda: {"light": {"type": "disk", "to_world": _down(2.2, 0.65), "emitter": _area(5, 6, 7)}},
+    "sphere": lambda: {
+        "light": {"type": "sphere", "center": [1.2, 1.25, -0.5], "radius": 0.3, "emitter": _area(8, 7, 6)}
+    },
+    "textured": _textured,
+    "point": _point,
+    "spot": _spot,
+    "constant": lambda: {"light": {"type": "constant", "radiance": rgb(0.7, 0.8, 1.0)}},
+    "envmap": _sky,
+    "two": lambda: _rectangle() | {"other": {"type": "constant", "radiance": rgb(0.2, 0.3, 0.4)}},
+    "mixed": lambda: _cube() | {"other": _spot()["light"]},
+}
+#: Emitters that no ray can hit: what they send through a mirror or glass is out of reach of ``path``.
+DELTA_EMITTERS = ("point", "spot", "mixed")
+
+# ---------------------------------------------------------------------------------------------------- materials
+
+
+def _waves(amplitude: float) -> np.ndarray:
+    x, y = np.meshgrid(np.arange(32), np.arange(32))
+    return (amplitude * np.sin(x * 2 * np.pi / 16) * np.cos(y * 2 * np.pi / 8))[..., None]
+
+
+def _normals() -> np.ndarray:
+    x, y = np.meshgrid(np.arange(16), np.arange(16))
+    n = np.stack([0.4 * np.sin(x * 2 * np.pi / 8), 0.4 * np.cos(y * 2 * np.pi / 8), np.ones_like(x, float)], -1)
+    n /= np.linalg.norm(n, axis=-1, keepdims=True)
+    return 0.5 * n + 0.5
+
+
+def _pattern() -> np.ndarray:
+    x, y = np.meshgrid(np.arange(8), np.arange(8))
+    return np.stack([0.2 + 0.6 * ((x + y) % 2), 0.3 + 0.05 * x, 0.7 - 0.05 * y], -1)
+
+
+#: Every kind of material, by name.
+MATERIALS: dict[str, Callable[[], Dict]] = {
+    "diffuse": lambda: diffuse(0.6, 0.4, 0.2),
+    "roughconductor": lambda: {"type": "roughconductor", "material": "Au", "distribution": "ggx", "alpha": 0.3},
+    "anisotropic": lambda: {"type": "roughconductor", "material": "Al", "alpha_u": 0.15, "alpha_v": 0.45},
+    "conductor": lambda: {"type": "conductor", "material": "Cu"},
+    "roughdielectric": lambda: {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.35},
+    "dielectric": lambda: {"type": "dielectric"},
+    "plastic": lambda: {"type": "plastic", "diffuse_reflectance": rgb(0.2, 0.5, 0.3)},
+    "roughplastic": lambda: {"type": "roughplastic", "diffuse_reflectance": rgb(0.2, 0.3, 0.6), "alpha": 0.25},
+    "principled": lambda: {
+        "type": "principled",
+        "base_color": rgb(0.6, 0.2, 0.3),
+        "roughness": 0.4,
+        "metallic": 0.3,
+        "anisotropic": 0.4,
+        "sheen": 0.3,
+        "clearcoat": 0.5,
+        "clearcoat_gloss": 0.2,
+    },
+    "twosided": lambda: {"type": "twosided", "front": diffuse(0.7, 0.3, 0.3), "back": diffuse(0.3, 0.3, 0.7)},
+    "blendbsdf": lambda: {
+        "type": "blendbsdf",
+        "weight": 0.4,
+        "first": diffuse(0.5, 0.6, 0.2),
+        "second": {"type": "roughconductor", "material": "Cr", "alpha": 0.3},
+    },
+    "bumpmap": lambda: {"type": "bumpmap", "height": bitmap(_waves(0.04)), "nested": diffuse(0.6, 0.5, 0.5)},
+    "normalmap": lambda: {"type": "normalmap", "normals": bitmap(_normals()), "nested": diffuse(0.5, 0.6, 0.5)},
+    "textured": lambda: {"type": "diffuse", "reflectance": bitmap(_pattern())},
+    "vertexcolours": lambda: {"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": "vertex_color"}},
+}
+#: Six materials fit into one picture, so a scene of a group crosses an emitter with all of them.
+GROUPS: dict[str, tuple[str, ...]] = {
+    "rough": ("roughconductor", "anisotropic", "roughdielectric", "roughplastic", "principled", "twosided"),
+    "wrapped": ("blendbsdf", "bumpmap", "normalmap", "textured", "vertexcolours", "diffuse"),
+    "specular": ("conductor", "dielectric", "plastic"),
+}
+_PLACES = [(x, 0.302, z) for z in (0.45, -0.5) for x in (-0.9, 0.0, 0.9)]
+
+
+def thing(material: str, place: tuple[float, float, float]) -> Any:
+    """The object that shows a material: a ball; a tilted plate for two sides; a tent for colours of vertices."""
+    x, y, z = place
+    bsdf = MATERIALS[material]()
+    if material == "twosided":
+        to_world = transform().translate([x, y + 0.1, z]).rotate([0, 1, 0], 65).rotate([1, 0, 0], -20).scale(0.32)
+        return {"type": "rectangle", "to_world": to_world, "bsdf": bsdf}
+    if material == "vertexcolours":
+        corners = np.array(
+            [[-0.35, -0.3, 0.3], [0.35, -0.3, 0.3], [0.35, -0.3, -0.3], [-0.35, -0.3, -0.3], [0, 0.4, 0]]
+        )
+        faces = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+        colours = np.array([[0.8, 0.2, 0.2], [0.2, 0.8, 0.2], [0.2, 0.2, 0.8], [0.8, 0.8, 0.1], [0.7, 0.7, 0.7]])
+        return mesh(corners + np.array(place), faces, bsdf, colours=colours)
+    return {"type": "sphere", "center": list(place), "radius": 0.3, "bsdf": bsdf}
+
+
+def room(emitter: str, group: str | tuple[str, ...], **view: Any) -> Problem:
+    """A floor and a wall with a group's materials on show under one emitter."""
+    scene: Dict = {"type": "scene", "sensor": camera(**view)} | EMITTERS[emitter]()
+    scene["floor"] = {
+        "type": "rectangle",
+        "to_world": transform().rotate([1, 0, 0], -90).scale(2.0),
+        "bsdf": diffuse(0.5, 0.5, 0.45),
+    }
+    scene["wall"] = {
+        "type": "rectangle",
+        "to_world": transform().translate([0, 1.5, -1.3]).scale([2.0, 1.5, 1.0]),
+        "bsdf": diffuse(0.4, 0.5, 0.6),
+    }
+    names = GROUPS[group] if isinstance(group, str) else group
+    for name, place in zip(names, _PLACES, strict=False):
+        scene[name] = thing(name, place)
+    return load(scene)
+
+
+# ---------------------------------------------------------------------------------------------------- closed forms
+
+
+def furnace(shape: str, radiance: float, albedo: float, size: tuple[int, int] = (8, 8)) -> Problem:
+    """Inside a closed surface that emits ``radiance`` and reflects ``albedo``: L / (1 - albedo) everywhere."""
+    body: Dict = {"bsdf": diffuse(albedo, albedo, albedo), "emitter": _area(radiance, radiance, radiance)}
+    scene: Dict = {"type": "scene", "sensor": camera((0.2, 0.1, 0.3), (-0.5, 0.3, -0.4), 70.0, size=size)}
+    if shape == "sphere":
+        scene["body"] = {"type": "sphere", "radius": 1.0, "flip_normals": True} | body
+    else:
+        scene["body"] = {"type": "cube", "flip_normals": True} | body
+    return load(scene)
+
+
+def field(albedo: float, radiance: float, size: tuple[int, int] = (8, 8)) -> Problem:
+    """A plane under a uniform sky, seen from above: irradiance pi L everywhere, albedo L to the camera."""
+    scene: Dict = {
+        "type": "scene",
+        "sensor": camera((0.0, 2.0, 0.0), (0.0, 0.0, 0.0), 40.0, size=size),
+        "light": {"type": "constant", "radiance": rgb(radiance, radiance, radiance)},
+        "plane": {
+            "type": "rectangle",
+            "to_world": transform().rotate([1, 0, 0], -90).scale(2.0),
+            "bsdf": diffuse(albedo, albedo, albedo),
+        },
+    }
+    return load(scene)
