@@ -82,7 +82,7 @@ def cloud(kind: str, random: np.random.Generator, n: int = 600) -> np.ndarray:
         case "single":
             return np.array([[1.0, 2.0, 3.0]])
         case "far away":
-            return uniform + [300.0, -200.0, 100.0]
+            return uniform + np.array([300.0, -200.0, 100.0])
         case _:
             raise AssertionError(kind)
 

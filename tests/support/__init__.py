@@ -1,1 +1,1 @@
-"""What the test tables share: small scenes, short runs, and statistics that say whether two runs estimate one picture."""
+"""What the test tables share: small scenes, short runs, and statistics that compare two runs."""
