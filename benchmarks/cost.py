@@ -13,10 +13,16 @@ from .measuring import COST_SCENE, COST_SETTINGS, Record, interleaved, spread, v
 BARS = {"bpt": 2.8, "vcm": 4.0}
 BAR_SIZE = (512, 512)
 _MITSUBA = "Mitsuba path"
+#: Russian roulette as Mitsuba's ``path`` plays it by default, and no other.
+ROULETTE = {"rr_depth": 5, "shadow_roulette": 0.0}
 
 
 def measure(names: Sequence[str], size: tuple[int, int], rounds: int, warm_up: int, source: str = COST_SCENE) -> Record:
-    """Passes in turn: Mitsuba's ``path``, then each method, again and again."""
+    """Passes in turn: Mitsuba's ``path``, then each method, again and again.
+
+    Each method runs twice: with its own defaults where the settings of this benchmark do not speak, and with the
+    roulette of Mitsuba's ``path``.
+    """
     import drjit as dr
     import mitsuba as mi
 
@@ -31,11 +37,16 @@ def measure(names: Sequence[str], size: tuple[int, int], rounds: int, warm_up: i
         dr.sync_thread()
 
     tasks: dict[str, Callable[[int], Any]] = {_MITSUBA: mitsuba}
+    bars: dict[str, float | None] = {}
     for name in names:
         method = methods.get(name)
-        estimator = method(method.Settings(**COST_SETTINGS[name]))
-        estimator.prepare(problem, 0)
-        tasks[name] = lambda number, estimator=estimator: estimator.step(number, 0)
+        known = {row[0] for row in method.Settings.describe()}
+        alike = {key: value for key, value in ROULETTE.items() if key in known}
+        for label, extra in ((name, {}), (f"{name}, roulette as Mitsuba", alike)):
+            estimator = method(method.Settings(**(COST_SETTINGS[name] | extra)))
+            estimator.prepare(problem, 0)
+            tasks[label] = lambda number, estimator=estimator: estimator.step(number, 0)
+            bars[label] = BARS.get(name) if size == BAR_SIZE and source == COST_SCENE else None
     times = interleaved(tasks, rounds, warm_up)
 
     record = Record(
@@ -51,12 +62,13 @@ def measure(names: Sequence[str], size: tuple[int, int], rounds: int, warm_up: i
             f"{statistics.median(clock.cpu for clock in clocks):.3f}",
             spread(wall),
             spread(cpu),
-            verdict(statistics.median(wall), BARS.get(name) if size == BAR_SIZE and source == COST_SCENE else None),
+            verdict(statistics.median(wall), bars.get(name)),
         )
     record.notes += [
         f"median (min … max) of {rounds} rounds after {warm_up} to warm up; a ratio is that of two passes of one round",
         "one camera path per pixel, for bpt and vcm one light path, connection and light point; merge radius 0.003 of "
         "half the box's diagonal in every pass; a pass of ours ends with its sums on the host, in float64",
+        "roulette as Mitsuba: " + ", ".join(f"{key}={value:g}" for key, value in ROULETTE.items()),
         "cpu: all threads of the process; of no meaning under CUDA",
     ]
     return record
