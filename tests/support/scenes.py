@@ -264,7 +264,7 @@ def field(albedo: float, radiance: float, size: tuple[int, int] = (8, 8)) -> Pro
         "light": {"type": "constant", "radiance": rgb(radiance, radiance, radiance)},
         "plane": {
             "type": "rectangle",
-            "to_world": transform().rotate([1, 0, 0], -90).scale(2.0),
+            "to_world": transform().rotate([1, 0, 0], -90).scale(1.0),
             "bsdf": diffuse(albedo, albedo, albedo),
         },
     }

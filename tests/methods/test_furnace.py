@@ -1,0 +1,85 @@
+"""Closed forms: a furnace is L / (1 - albedo) in every pixel, a plane under a uniform sky is albedo L."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.running import run
+from support.scenes import field, furnace
+from support.statistics import assert_agree
+
+RADIANCE, ALBEDO = 0.8, 0.5
+#: One row an unbiased estimator: method, settings.
+UNBIASED = {
+    "path naive": ("path", {"mode": "naive"}),
+    "path next event": ("path", {"mode": "next_event"}),
+    "path mis": ("path", {"mode": "mis"}),
+    "path mis power": ("path", {"mode": "mis", "heuristic": "power"}),
+    "light": ("light", {}),
+    "light, more paths": ("light", {"light_paths": 2.5}),
+    "bpt cache": ("bpt", {}),
+    "bpt path": ("bpt", {"light_source": "path"}),
+    "bpt power": ("bpt", {"heuristic": "power"}),
+    "bpt path power": ("bpt", {"light_source": "path", "heuristic": "power"}),
+    "bpt counts": ("bpt", {"connections": 3, "next_events": 2}),
+    "bpt few light paths": ("bpt", {"light_paths": 0.3, "next_events": 0}),
+}
+#: Merging: the disc must be small against the sphere's curvature.
+MERGING = {
+    "vcm": ("vcm", {}),
+    "vcm path power": ("vcm", {"light_source": "path", "heuristic": "power"}),
+    "vcm late": ("vcm", {"merge_first": False, "eta_discount": 0.1}),
+    "vcm many light paths": ("vcm", {"light_paths": 2.0, "connections": 0}),
+    "bpm": ("bpm", {}),
+    "bpm late": ("bpm", {"merge_first": False}),
+}
+
+
+@pytest.mark.parametrize("name", UNBIASED)
+def test_inside_a_sphere(name):
+    method, settings = UNBIASED[name]
+    result = run(furnace("sphere", RADIANCE, ALBEDO), method, passes=6, samples=256, **settings)
+    assert_agree(result.images, RADIANCE / (1 - ALBEDO), name, block=1)
+
+
+@pytest.mark.parametrize("name", ["path mis", "light", "bpt cache", "bpt path power"])
+def test_inside_a_box(name):
+    method, settings = UNBIASED[name]
+    result = run(furnace("box", RADIANCE, 0.7), method, passes=6, samples=256, **settings)
+    assert_agree(result.images, RADIANCE / 0.3, name, block=1)
+
+
+@pytest.mark.parametrize("name", MERGING)
+def test_merging_inside_a_sphere(name):
+    method, settings = MERGING[name]
+    settings = {"radius": 0.01, "radius_unit": "absolute", "alpha": 1.0} | settings
+    result = run(furnace("sphere", RADIANCE, ALBEDO), method, passes=6, samples=256, **settings)
+    assert_agree(result.images, RADIANCE / (1 - ALBEDO), name, block=2)
+
+
+@pytest.mark.parametrize("name", [n for n in MERGING if "late" not in n])
+def test_merging_on_a_plane_of_constant_irradiance(name):
+    """However wide the disc, it sees one plane and one irradiance: no bias at all."""
+    method, settings = MERGING[name]
+    settings = {"radius": 0.15, "radius_unit": "absolute", "alpha": 1.0} | settings
+    result = run(field(0.5, 1.3), method, passes=6, samples=256, **settings)
+    assert_agree(result.images, 0.5 * 1.3, name, block=2)
+
+
+@pytest.mark.parametrize("albedo", [0.2, 0.8])
+@pytest.mark.parametrize("name", ["path mis", "bpt cache", "light"])
+def test_a_plane_under_a_uniform_sky(name, albedo):
+    method, settings = UNBIASED[name]
+    result = run(field(albedo, 1.3), method, passes=6, samples=512 if method == "light" else 128, **settings)
+    assert_agree(result.images, albedo * 1.3, name, block=2)
+
+
+def test_a_wrong_picture_is_told_apart():
+    """The statistics have teeth: two per cent off, or a tenth in one corner, is found."""
+    images = run(furnace("sphere", RADIANCE, ALBEDO), "path", passes=6, samples=256).images
+    with pytest.raises(AssertionError, match="z of the sum"):
+        assert_agree(images * 1.02, RADIANCE / (1 - ALBEDO), block=1)
+    corner = np.ones_like(images[:1])
+    corner[:, :2, :2] = 1.2
+    with pytest.raises(AssertionError, match="z of the sum"):
+        assert_agree(images * corner, RADIANCE / (1 - ALBEDO), block=1)
