@@ -1,0 +1,76 @@
+"""The benchmarks' own bookkeeping: who takes turns with whom, which rays are recorded, what is written down."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from etendue import methods, scene
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(autouse=True)
+def _benchmarks_importable(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+
+
+def module(name):
+    return importlib.import_module(f"benchmarks.{name}")
+
+
+def test_tasks_take_turns():
+    calls = []
+    tasks = {name: lambda number, name=name: calls.append((number, name)) for name in "ab"}
+    times = module("measuring").interleaved(tasks, rounds=2, warm_up=1)
+    assert calls == [(0, "a"), (0, "b"), (1, "a"), (1, "b"), (2, "a"), (2, "b")]
+    assert [len(clocks) for clocks in times.values()] == [2, 2]
+    assert all(clock.wall >= 0 and clock.cpu >= 0 for clocks in times.values() for clock in clocks)
+
+
+def test_settings_of_the_cost_benchmark_exist():
+    for name, settings in module("measuring").COST_SETTINGS.items():
+        methods.get(name).Settings(**settings)
+
+
+@pytest.mark.parametrize("name", ["path", "bpt", "vcm"])
+def test_every_ray_is_recorded(name):
+    """As many as the method counts; and a recorded ray starts in the scene and has a direction."""
+    import mitsuba as mi
+
+    problem = scene.load("cornell-glass", size=(24, 24))
+    method = methods.get(name)
+    estimator = method(method.Settings(**module("measuring").COST_SETTINGS[name]))
+    estimator.prepare(problem, 0)
+    before = mi.Scene.ray_intersect, mi.Scene.ray_test
+    closest, shadow = module("rays")._record(estimator)
+    assert (mi.Scene.ray_intersect, mi.Scene.ray_test) == before
+    counted = estimator.step(0, 0).counters["rays"]
+    assert closest.o.x.shape[0] + shadow.o.x.shape[0] == pytest.approx(counted, rel=1e-3)
+    for rays in (closest, shadow):
+        assert np.isfinite(np.asarray(rays.o)).all()
+        assert np.linalg.norm(np.asarray(rays.d), axis=0) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_a_record_is_appended(tmp_path, monkeypatch):
+    measuring = module("measuring")
+    monkeypatch.setattr(measuring, "RESULTS", tmp_path / "RESULTS.md")
+    monkeypatch.setattr(sys, "argv", ["benchmarks/__main__.py", "cost", "--size", "8x8"])
+    for number in range(2):
+        record = measuring.Record(f"Table {number}", ("", "a|b"))
+        record.add("vcm", "1.0")
+        record.notes.append("a note")
+        record.publish("llvm_ad_rgb", keep=True)
+    text = (tmp_path / "RESULTS.md").read_text("utf-8")
+    assert text.index("## Table 0") < text.index("## Table 1")
+    assert "| vcm | 1.0 |" in text and "a\\|b" in text and "- a note" in text
+    assert "python -m benchmarks cost --size 8x8" in text and "mitsuba" in text
+
+
+@pytest.mark.parametrize(("value", "words"), [(2.8, "reached"), (2.81, "missed")])
+def test_bars(value, words):
+    assert module("measuring").verdict(value, 2.8).endswith(words)

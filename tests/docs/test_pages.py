@@ -1,0 +1,107 @@
+"""The manual: generated tables are current, links lead somewhere, and every example in Python runs."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from pathlib import Path
+
+import mitsuba as mi
+import pytest
+
+import etendue
+from etendue import api, methods
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted(
+    [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(p for p in (ROOT / "benchmarks").glob("*.md"))],
+    key=str,
+)
+_LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
+_EXAMPLE = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_SCENE = """<scene version="3.0.0">
+    <integrator type="path"><integer name="max_depth" value="4"/></integrator>
+    <sensor type="perspective">
+        <transform name="to_world"><lookat origin="0,1,4" target="0,0.4,0" up="0,1,0"/></transform>
+        <sampler type="independent"><integer name="sample_count" value="2"/></sampler>
+        <film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="18"/></film>
+    </sensor>
+    <emitter type="constant"/>
+    <shape type="sphere"><bsdf type="dielectric"/></shape>
+    <shape type="rectangle">
+        <transform name="to_world"><rotate x="1" angle="-90"/><scale value="3"/><translate y="-1"/></transform>
+    </shape>
+</scene>
+"""
+
+
+def relative(page):
+    return str(page.relative_to(ROOT))
+
+
+def generator():
+    spec = importlib.util.spec_from_file_location("method_tables", ROOT / "tools" / "method_tables.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("name", sorted(methods.table()))
+def test_the_page_of_a_method_has_its_settings_and_papers(name):
+    page = ROOT / "docs" / "methods" / f"{name}.md"
+    assert page.is_file(), f"no page for method {name}"
+    text = page.read_text("utf-8")
+    assert text == generator().current(text, methods.get(name)), "run: python tools/method_tables.py"
+    for setting, *_ in methods.get(name).Settings.describe():
+        assert f"| `{setting}` |" in text
+
+
+@pytest.mark.parametrize(
+    ("bibtex", "text"), [(r"K{\v{r}}iv{\'a}nek", "Křivánek"), (r"Ji\v{r}\'{i}", "Jiří"), ("63--66", "63–66")]
+)
+def test_accents_of_bibtex(bibtex, text):
+    assert generator().plain(bibtex) == text
+
+
+@pytest.mark.parametrize("page", PAGES, ids=relative)
+def test_links_lead_somewhere(page):
+    for target in _LINK.findall(page.read_text("utf-8")):
+        if re.match(r"\w+:", target):
+            continue
+        path, _, anchor = target.partition("#")
+        file = page.parent / path if path else page
+        assert file.exists(), f"{relative(page)} links to {target}"
+        if anchor:
+            headings = re.findall(r"^#+ (.+)$", file.read_text("utf-8"), re.MULTILINE)
+            anchors = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+            assert anchor in anchors, f"{relative(page)} links to {target}"
+
+
+def short(function):
+    """A rendering function that takes little time, whatever it is asked for."""
+
+    def call(scene, *arguments, **named):
+        if "seconds" in named:
+            named["seconds"] = 0.2
+        if isinstance(scene, str):
+            named["size"] = (24, 18)
+        return function(scene, *arguments, **named)
+
+    return call
+
+
+EXAMPLES = [(page, n) for page in PAGES for n in range(len(_EXAMPLE.findall(page.read_text("utf-8"))))]
+
+
+@pytest.mark.parametrize(("page", "number"), EXAMPLES, ids=lambda v: relative(v) if isinstance(v, Path) else str(v))
+def test_examples_run(page, number, tmp_path, monkeypatch, variant):
+    for name in ("render", "start"):
+        monkeypatch.setattr(etendue, name, short(getattr(api, name)), raising=False)
+    monkeypatch.setattr(etendue, "resume", api.resume, raising=False)
+    monkeypatch.setattr(mi, "set_variant", lambda name: None)  # that of the session stays
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.xml").write_text(_SCENE)
+    if "picture.exr" in (code := _EXAMPLE.findall(page.read_text("utf-8"))[number]):
+        made = api.render("scene.xml", "path", samples=2, save="picture.exr")
+        made.save("reference.exr")
+    exec(compile(code, relative(page), "exec"), {"__name__": "example"})
