@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from etendue import methods as known
 from etendue.core import EtendueError, use_variant
 
 from . import cost as cost_of_a_pass
@@ -38,8 +39,13 @@ def _publish(variant: str, keep: bool, *records: Record) -> None:
         record.publish(variant, keep)
 
 
+def _words(text: str) -> list[str]:
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
 def _names(text: str) -> list[str]:
-    return [name.strip() for name in text.split(",") if name.strip()]
+    """Names of methods; raises the error of the first that does not exist."""
+    return [known.get(name).name for name in _words(text)]
 
 
 @app.command()
@@ -75,7 +81,7 @@ def memory(
 ) -> None:
     """Peak memory of a fresh process."""
     chosen = _begin(variant)
-    wanted = [parse_size(text) for text in _names(sizes)]
+    wanted = [parse_size(text) for text in _words(sizes)]
     limit = int(bound * 1e6) if bound else None
     _publish(chosen, record, fresh.memory(_names(methods), wanted, chosen, bound=limit))
 
@@ -112,7 +118,7 @@ def quality(
     """Error against a converged picture after a given time, for every method."""
     chosen = _begin(variant)
     settings = dict(text.partition("=")[::2] for text in define or [])
-    tables = quality_over_time.measure(_names(scenes), _names(methods), parse_size(size), time, seeds, settings)
+    tables = quality_over_time.measure(_words(scenes), _names(methods), parse_size(size), time, seeds, settings)
     _publish(chosen, record, *tables)
 
 

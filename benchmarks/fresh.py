@@ -33,6 +33,9 @@ def first_pass(
                     "passes": passes,
                 }
                 outcome = child("first-pass", options, {"DRJIT_CACHE_DIR": cache})
+                if not outcome:
+                    record.add(f"{name}, {state}", *["failed"] * 7)
+                    continue
                 later = sorted(outcome["passes"][1:])
                 total = outcome["prepare"] + outcome["passes"][0]
                 record.add(
@@ -75,6 +78,9 @@ def memory(
                 "memory": bound,
             }
             outcome = child("memory", options)
+            if not outcome:
+                record.add(name, f"{size[0]}x{size[1]}", *["failed"] * 4)
+                continue
             peak = outcome["peaks"][-1]
             bar = MEMORY_BARS.get(size) if name == "vcm" and bound is None else None
             record.add(

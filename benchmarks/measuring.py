@@ -95,13 +95,17 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def child(command: str, options: Mapping[str, Any], environment: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """Run ``benchmarks.child`` in a fresh process; the JSON object that it prints last."""
+    """Run ``benchmarks.child`` in a fresh process; the JSON object that it prints last.
+
+    If the process fails, what it wrote is printed and the object is empty: the other rows of a table are still made.
+    """
     arguments = [sys.executable, "-m", "benchmarks.child", command, json.dumps(dict(options))]
     run = subprocess.run(
         arguments, cwd=ROOT, env=os.environ | dict(environment or {}), capture_output=True, text=True, check=False
     )
     if run.returncode:
-        raise SystemExit(f"{shlex.join(arguments)} failed ({run.returncode}):\n{run.stderr}")
+        console.print(f"{shlex.join(arguments)} failed ({run.returncode}):\n{run.stderr}", markup=False)
+        return {}
     outcome: dict[str, Any] = json.loads(run.stdout.strip().splitlines()[-1])
     return outcome
 
