@@ -1,6 +1,14 @@
-"""étendue: global illumination for Mitsuba 3 scenes."""
+"""étendue: global illumination for Mitsuba 3 scenes.
+
+``import etendue`` registers the Mitsuba integrators ``vcm``, ``bpt``, ``bpm`` and ``light``; :func:`render` and
+:func:`start` render any scene with any method without them.
+"""
 
 from . import core as core  # first: it finds Dr.Jit an LLVM before anything imports Dr.Jit
 from . import plugins as plugins
+from .api import Rendering, Update, render, resume, start
+from .engine import Session
 
-plugins.register()  # 'vcm', 'bpt', 'bpm' and 'light' in every Mitsuba variant that is set, now or later
+plugins.register()  # in every Mitsuba variant that is set, now or later
+
+__all__ = ["Rendering", "Session", "Update", "render", "resume", "start"]

@@ -2,7 +2,7 @@
 
 Cells have side ``2 r``, so a ball of radius ``r`` touches two cells an axis. A cell's bucket is ``hash(y, z) + x``:
 neighbours along x are neighbours in the table, and a query reads four rows of two adjacent buckets, four ranges of the
-sorted points. Rows whose hashes collide share buckets; each bucket is read once. Built by counting sort [Green 2008; Georgiev 2012 uses the same structure].
+sorted points. Rows whose hashes collide share buckets; each bucket is read once. Built by counting sort [Green 2008].
 """
 
 from __future__ import annotations

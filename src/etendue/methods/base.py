@@ -11,9 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import Iterations, Measurement, Result, Settings, setting
-from etendue.core.measurement import Array
-from etendue.core.samples import IndependentSource
+from etendue.core import Array, IndependentSource, Iterations, Measurement, Result, Settings, setting
 from etendue.scene import LightTable, Problem
 from etendue.transport import Camera
 
@@ -100,7 +98,7 @@ class ImageMethod:
         return self.settings.max_depth if self.settings.max_depth >= 0 else 1 << 30
 
     def image(self, values: Any) -> Array:
-        """Per-lane colours or scalars, ``samples`` consecutive lanes a pixel, summed into a (height, width, c) image."""
+        """Colours or scalars, consecutive lanes a pixel, summed into a (height, width, channels) image."""
         width, height = self.problem.size
         lanes = dr.width(values)
         if lanes > height * width:

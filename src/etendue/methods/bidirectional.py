@@ -24,9 +24,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import logger, setting
-from etendue.core.measurement import Array
-from etendue.core.samples import IndependentSource
+from etendue.core import Array, IndependentSource, logger, setting
 from etendue.density import HashGrid
 from etendue.scene import Problem
 from etendue.transport import (
@@ -39,9 +37,9 @@ from etendue.transport import (
     Mis,
     Splats,
     Techniques,
+    dimensions,
     needs_interaction,
 )
-from etendue.transport.dimensions import CONNECT_MAX, NEXT_EVENT_MAX
 
 from .base import ImageMethod, ImageSettings, keep_finite, total
 
@@ -62,9 +60,14 @@ class BidirectionalSettings(ImageSettings):
     connecting: bool = setting(True, "connect vertices: emission hits, next event, connections, camera splats")
     merging: bool = setting(True, "merge camera vertices with light vertices around them")
     connections: int = setting(
-        1, "light vertices that each camera vertex is connected to (light_source=cache)", minimum=0, maximum=CONNECT_MAX
+        1,
+        "light vertices that each camera vertex is connected to (light_source=cache)",
+        minimum=0,
+        maximum=dimensions.CONNECT_MAX,
     )
-    next_events: int = setting(1, "light points drawn at each camera vertex", minimum=0, maximum=NEXT_EVENT_MAX)
+    next_events: int = setting(
+        1, "light points drawn at each camera vertex", minimum=0, maximum=dimensions.NEXT_EVENT_MAX
+    )
     light_source: str = setting(
         "cache",
         "connect to vertices drawn from all light paths (cache), or to all vertices of the path of the same number (path)",
@@ -114,6 +117,11 @@ def _part(count: int, index: int, parts: int) -> Any:
     """Lane numbers of one of ``parts`` nearly equal parts of ``count`` lanes."""
     first, end = count * index // parts, count * (index + 1) // parts
     return dr.arange(mi.UInt32, end - first) + dr.opaque(mi.UInt32, first)
+
+
+def _joined(colours: list[Any]) -> Any:
+    """Colours of several groups of lanes as one."""
+    return colours[0] if len(colours) == 1 else mi.Color3f(*(dr.concat([c[i] for c in colours]) for i in range(3)))
 
 
 class Bidirectional(ImageMethod):
@@ -230,7 +238,7 @@ class Bidirectional(ImageMethod):
             parts.append(radiance)
             counters = {name: value + counts[name] for name, value in counters.items()}
 
-        layers = {name: self.image(dr.concat([part[name] for part in parts])) for name in parts[0]}
+        layers = {name: self.image(_joined([part[name] for part in parts])) for name in parts[0]}
         counters["paths"] = float(self.camera.pixels * samples + self._paths)
         if splats:
             # A splat is one of N / samples chances per camera path, and the layers' weight is the pass's samples.

@@ -17,9 +17,7 @@ from typing import Any, ClassVar
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import setting
-from etendue.core.measurement import Array
-from etendue.core.samples import IndependentSource
+from etendue.core import Array, IndependentSource, setting
 from etendue.transport import LightWalk, Mis, Splats, Techniques
 from etendue.transport import dimensions as dim
 

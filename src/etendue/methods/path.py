@@ -19,9 +19,7 @@ from typing import Any, ClassVar
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import setting
-from etendue.core.measurement import Array
-from etendue.core.samples import IndependentSource
+from etendue.core import Array, IndependentSource, setting
 from etendue.transport import dimensions as dim
 from etendue.transport import (
     emission_of_hit,

@@ -1,5 +1,6 @@
 """The shared words of every path method: emission, camera, scattering with both densities, weights, stored vertices."""
 
+from . import dimensions
 from .camera import Camera, CameraConnection, Splats
 from .camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, sample_direct
@@ -39,9 +40,10 @@ __all__ = [
     "Scattered",
     "Splats",
     "Techniques",
+    "cosine_ratio",
+    "dimensions",
     "emission_of_hit",
     "emit",
-    "cosine_ratio",
     "evaluate_camera_end",
     "evaluate_light_end",
     "exchanged",

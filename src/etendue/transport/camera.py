@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core.samples import SampleSource
+from etendue.core import SampleSource
 from etendue.film import FilterSampler
 from etendue.scene import Problem
 

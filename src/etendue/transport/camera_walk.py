@@ -8,7 +8,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core.samples import SampleSource
+from etendue.core import SampleSource
 from etendue.density import HashGrid
 from etendue.scene import LightTable
 
@@ -28,7 +28,6 @@ from .scattering import (
     shadow_roulette,
 )
 from .vertices import LightVertex, LightVertices, Photons
-
 
 #: Neighbours that a merge collects before it evaluates them. Searching and evaluating in turns keeps the lanes of a
 #: packet together: one candidate in five is a neighbour, so evaluating each as it is found would leave most lanes idle.

@@ -8,7 +8,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core.samples import SampleSource
+from etendue.core import SampleSource
 from etendue.scene import LightTable
 
 from . import dimensions as dim

@@ -15,7 +15,6 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-
 #: Packets of four floats in a record: of a vertex that is connected to, and of one that is only merged with.
 _PACKETS = 6
 _PHOTON_PACKETS = 3
