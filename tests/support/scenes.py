@@ -193,7 +193,7 @@ MATERIALS: dict[str, Callable[[], Dict]] = {
         "second": {"type": "roughconductor", "material": "Cr", "alpha": 0.3},
     },
     "bumpmap": lambda: {"type": "bumpmap", "height": bitmap(_waves(0.04)), "nested": diffuse(0.6, 0.5, 0.5)},
-    "normalmap": lambda: {"type": "normalmap", "normals": bitmap(_normals()), "nested": diffuse(0.5, 0.6, 0.5)},
+    "normalmap": lambda: {"type": "normalmap", "normalmap": bitmap(_normals()), "nested": diffuse(0.5, 0.6, 0.5)},
     "textured": lambda: {"type": "diffuse", "reflectance": bitmap(_pattern())},
     "vertexcolours": lambda: {"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": "vertex_color"}},
 }

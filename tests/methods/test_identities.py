@@ -1,0 +1,247 @@
+"""Switches that must not matter, sums that must hold, and what a run is a function of."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from support import scenes
+from support.running import go, mitsuba_images, mitsuba_path, prepared, run
+from support.statistics import assert_agree, blocks, z_scores
+
+from etendue import methods
+from etendue.transport import Techniques
+
+#: Of the magnitude that scattered float additions in another order change a pixel.
+SAME = {"rtol": 1e-5, "atol": 1e-7}
+METHODS = {
+    "path": ("path", {}),
+    "light": ("light", {}),
+    "bpt cache": ("bpt", {}),
+    "bpt path": ("bpt", {"light_source": "path"}),
+    "bpm": ("bpm", {"radius": 0.02}),
+    "vcm": ("vcm", {"radius": 0.02}),
+    "vcm path": ("vcm", {"radius": 0.02, "light_source": "path"}),
+}
+#: Techniques in layers; path has one technique and one layer.
+LAYERED = [name for name in METHODS if name != "path"]
+
+
+@lru_cache(maxsize=1)
+def problem() -> Any:
+    """Every family of techniques has something to do here."""
+    return scenes.room("mixed", "rough", rfilter="gaussian")
+
+
+@pytest.mark.parametrize("settings", [{}, {"light_source": "path", "heuristic": "power"}, {"connections": 2}], ids=str)
+def test_vcm_without_merging_is_bpt(settings):
+    vcm = run(problem(), "vcm", passes=2, samples=4, merging=False, **settings).mean
+    bpt = run(problem(), "bpt", passes=2, samples=4, **settings).mean
+    np.testing.assert_allclose(vcm, bpt, **SAME)
+
+
+def test_vcm_without_connecting_is_bpm():
+    vcm = run(problem(), "vcm", passes=2, samples=4, radius=0.02, connecting=False).mean
+    bpm = run(problem(), "bpm", passes=2, samples=4, radius=0.02).mean
+    np.testing.assert_allclose(vcm, bpm, **SAME)
+
+
+def test_hits_and_next_event_alone_are_path():
+    """The bidirectional estimator with path tracing's two techniques, against ``path``: the same mean."""
+    scene = scenes.room("sphere", "rough")
+    runner = prepared(scene, "bpt", samples_per_pass=128, connections=0)
+    runner.techniques = Techniques(emission=1, next_event=1, connection=0, splat=False, merge=False)
+    assert_agree(go(runner, 6).images, run(scene, "path", passes=6, seed=9).images, "hits and next event")
+
+
+def test_splats_alone_are_light():
+    """With nothing but splats, against ``light`` less the lights seen directly."""
+    scene = scenes.room("sphere", "rough")
+    runner = prepared(scene, "bpt", samples_per_pass=256, connections=0, light_paths=2.0)
+    runner.techniques = Techniques(emission=0, next_event=0, connection=0, splat=True, merge=False)
+    splats = np.stack([runner.step(i, 1).mean("splat") for i in range(6)])
+    light = prepared(scene, "light", samples_per_pass=256, light_paths=2.0)
+    assert_agree(splats, np.stack([light.step(i, 5).mean("splat") for i in range(6)]), "splats", precision=0.03)
+
+
+@pytest.mark.parametrize("name", LAYERED)
+def test_layers_sum_to_the_image(name):
+    method, settings = METHODS[name]
+    measurement = run(problem(), method, passes=2, samples=4, **settings).measurement
+    layers = [layer for layer in measurement.sums if layer != "image"]
+    assert len(layers) >= 2
+    total = sum(measurement.mean(layer) for layer in layers)
+    np.testing.assert_allclose(total, measurement.mean(), **SAME)
+
+
+@pytest.mark.parametrize("name", ["bpt cache", "vcm", "bpm"])
+def test_layers_may_be_left_unsplit(name):
+    method, settings = METHODS[name]
+    split = run(problem(), method, passes=2, samples=4, **settings).mean
+    whole = run(problem(), method, passes=2, samples=4, split_layers=False, **settings)
+    assert list(whole.measurement.sums) == ["image"]
+    np.testing.assert_allclose(whole.mean, split, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_two_halves_add_to_one_run_in_any_order(name):
+    method, settings = METHODS[name]
+    runner = prepared(problem(), method, samples_per_pass=4, **settings)
+    whole = go(runner, 4).measurement
+    other = prepared(problem(), method, samples_per_pass=4, **settings)
+    last = other.step(3, 1) + other.step(2, 1)
+    halves = last + (other.step(1, 1) + other.step(0, 1))
+    assert set(halves.iterations) == set(whole.iterations)
+    for layer in whole.sums:
+        np.testing.assert_allclose(halves.mean(layer), whole.mean(layer), **SAME)
+    np.testing.assert_allclose(halves.variance_of_mean(), whole.variance_of_mean(), rtol=1e-3, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_seed_gives_one_picture(name):
+    method, settings = METHODS[name]
+    first = run(problem(), method, passes=2, samples=4, seed=3, **settings).mean
+    again = run(problem(), method, passes=2, samples=4, seed=3, **settings).mean
+    other = run(problem(), method, passes=2, samples=4, seed=4, **settings).mean
+    if method == "path":
+        np.testing.assert_array_equal(first, again)
+    np.testing.assert_allclose(first, again, **SAME)
+    assert np.abs(first - other).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_passes_differ(name):
+    method, settings = METHODS[name]
+    images = run(problem(), method, passes=2, samples=1, **settings).images
+    assert np.abs(images[0] - images[1]).max() > 1e-3
+
+
+@pytest.mark.parametrize("depth", range(5))
+def test_max_depth_counts_edges_as_mitsuba_does(depth):
+    """0 is black, 1 shows lights, 2 adds direct light, and so on."""
+    scene = scenes.room("sphere", "rough")
+    reference = mitsuba_path(scene, passes=6, samples=256, max_depth=depth)
+    for method, settings in (("path", {}), ("light", {"light_paths": 3.0}), ("bpt", {})):
+        images = run(scene, method, passes=6, max_depth=depth, **settings).images
+        if depth == 0:
+            assert not images.any()
+            assert not reference.any()
+        elif depth == 1 and method != "light":
+            np.testing.assert_allclose(images.mean(), reference.mean(), rtol=0.05)
+        else:
+            assert_agree(images, reference, (method, depth), precision=0.05)
+
+
+@pytest.mark.parametrize("depth", [pytest.param(1, marks=pytest.mark.slow), 2, pytest.param(3, marks=pytest.mark.slow)])
+def test_max_depth_of_merging(depth):
+    scene = scenes.room("sphere", "rough")
+    settings = {"radius": 0.02, "radius_unit": "absolute", "alpha": 1.0, "max_depth": depth}
+    bpm = run(scene, "bpm", passes=6, samples=64, **settings).images
+    vcm = run(scene, "vcm", passes=6, samples=64, **settings).images
+    reference = run(scene, "path", passes=6, samples=256, max_depth=depth).images
+    for images in (bpm, vcm):
+        np.testing.assert_allclose(images.mean(), reference.mean(), rtol=0.05)
+
+
+def test_first_hit_layers_are_those_of_mitsuba():
+    scene = scenes.room("rectangle", "rough")
+    layers = "albedo:albedo,n:sh_normal,d:depth"
+    reference = mitsuba_images(scene, mi.load_dict({"type": "aov", "aovs": layers}), passes=6, samples=128, seed=50)
+    for method in ("path", "bpt"):
+        runner = prepared(scene, method, samples_per_pass=64, aovs=True)
+        passes = [runner.step(i, 1) for i in range(6)]
+        for name, channels in (("albedo", slice(0, 3)), ("normal", slice(3, 6)), ("depth", slice(6, 7))):
+            images = np.stack([m.mean(name) for m in passes])
+            assert np.isfinite(images).all()
+            assert images.shape[1:] == (12, 16, channels.stop - channels.start)
+            # Signed values have means near zero: compare after a shift that keeps them away from it.
+            assert_agree(images + 2.0, reference[..., channels] + 2.0, (method, name))
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["bpt cache", "vcm", pytest.param("bpt path", marks=pytest.mark.slow), pytest.param("bpm", marks=pytest.mark.slow)],
+)
+def test_light_paths_in_groups_have_the_same_mean(name):
+    """A memory bound splits the light paths of a pass into groups; the estimate stays."""
+    method, settings = METHODS[name]
+    grouped, whole = scenes.room("sphere", "rough"), scenes.room("sphere", "rough")
+    grouped.memory = 3_000_000
+    settings = settings | {"radius": 0.02, "radius_unit": "absolute", "alpha": 1.0}
+    runner = prepared(grouped, method, samples_per_pass=64, **settings)
+    assert runner._groups > 1
+    assert_agree(go(runner, 6).images, run(whole, method, passes=6, samples=64, seed=2, **settings).images, name)
+
+
+def test_no_light_vertex_at_all():
+    """Light that meets nothing is stored nowhere: the picture is the lamp, and nothing fails."""
+    scene = scenes.load(
+        {
+            "type": "scene",
+            "sensor": scenes.camera(),
+            "light": {"type": "sphere", "center": [0, 0.5, 0], "radius": 0.4, "emitter": scenes._area(1, 2, 3)},
+        }
+    )
+    expected = run(scene, "path", passes=1).mean
+    assert expected.max() > 0.9
+    for method, settings in (("bpt", {}), ("bpt", {"light_source": "path"}), ("bpm", {}), ("vcm", {})):
+        image = run(scene, method, passes=1, **settings).mean
+        np.testing.assert_allclose(image.mean(), expected.mean(), rtol=0.05)
+
+
+def test_delta_lights_and_mirrors_alone_leave_black():
+    """A point light and a mirror: nothing to store, nothing to connect; black, without a NaN."""
+    scene = scenes.load(
+        {
+            "type": "scene",
+            "sensor": scenes.camera(),
+            "light": scenes.EMITTERS["point"]()["light"],
+            "ball": {"type": "sphere", "center": [0, 0.5, 0], "radius": 0.4, "bsdf": scenes.MATERIALS["conductor"]()},
+        }
+    )
+    for method in methods.table():
+        result = run(scene, method, passes=1, samples=4)
+        assert not result.mean.any()
+        assert result.measurement.counters["nonfinite"] == 0
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_nan_is_counted_and_not_written(name):
+    """A texel of NaN in a reflectance, let in past the check."""
+    pixels = np.full((8, 8, 3), 0.5)
+    pixels[4, 4] = np.nan
+    scene = {
+        "type": "scene",
+        "sensor": scenes.camera((0.0, 2.0, 0.0), (0.0, 0.0, 0.0), 40.0),
+        "floor": {
+            "type": "rectangle",
+            "to_world": scenes.transform().rotate([1, 0, 0], -90),
+            "bsdf": {"type": "diffuse", "reflectance": scenes.bitmap(pixels) | {"filter_type": "nearest"}},
+        },
+        "lamp": {"type": "point", "position": [0.3, 1.0, 0.2], "intensity": scenes.rgb(3, 3, 3)},
+    }
+    method, settings = METHODS[name]
+    result = run(scenes.load(scene, check=False), method, passes=2, samples=16, **settings)
+    assert result.measurement.counters["nonfinite"] > 0
+    assert np.isfinite(result.mean).all()
+    assert (result.mean[:2] > 0.0).all()
+
+
+@pytest.mark.parametrize("name", ["path", "bpt cache", "light"])
+def test_noise_falls_with_the_root_of_the_passes(name):
+    """Means of n passes scatter as n^(-1/2), and so do passes of n samples: no draw is used twice."""
+    method, settings = METHODS[name]
+    scene = scenes.room("sphere", "wrapped", size=(8, 8))
+    images = run(scene, method, passes=48, samples=16, **settings).images
+    counts = np.array([1, 2, 4, 8])
+    groups = [images.reshape(len(images) // n, n, *images.shape[1:]).mean(1) for n in counts]
+    rms = [np.sqrt(np.median(g.var(axis=0, ddof=1).mean(-1))) for g in groups]
+    slope = np.polyfit(np.log(counts), np.log(rms), 1)[0]
+    assert slope == pytest.approx(-0.5, abs=0.1)
+    larger = run(scene, method, passes=16, samples=256, seed=2, **settings).images
+    ratio = np.median(images.var(0, ddof=1).mean(-1)) / np.median(larger.var(0, ddof=1).mean(-1))
+    assert ratio == pytest.approx(16.0, rel=0.35)
+    assert abs(z_scores(blocks(images, 8), blocks(larger, 8))).max() < 4.5

@@ -1,0 +1,101 @@
+"""Merging is biased by its radius: the bias must go away with it. And the schedule by which the radius shrinks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support import scenes
+from support.running import prepared, run
+from support.statistics import blocks, z_scores
+
+from etendue import methods
+from etendue.core import OptionError
+
+RADII = (0.4, 0.2, 0.1)
+#: Weights that extrapolate a + b r + c r^2, measured at radii 4h, 2h and h, to r = 0.
+TO_ZERO = (1 / 3, -2.0, 8 / 3)
+
+
+def three_radii(problem, method, **settings):
+    """Extrapolated pictures, and the largest radius's, (passes, h, w, c)."""
+    images = [
+        run(problem, method, 8, 64, seed=10 + i, radius=r, radius_unit="absolute", alpha=1.0, **settings).images
+        for i, r in enumerate(RADII)
+    ]
+    return sum(w * image for w, image in zip(TO_ZERO, images, strict=True)), images[0]
+
+
+#: One row a merging method: name, method, settings, emitter.
+ROWS = {
+    "bpm": ("bpm", {}, "rectangle"),
+    "vcm": ("vcm", {}, "sphere"),
+    "vcm path power": ("vcm", {"light_source": "path", "heuristic": "power"}, "constant"),
+    "vcm late": ("vcm", {"merge_first": False}, "spot"),
+    "bpm late": ("bpm", {"merge_first": False}, "mesh"),
+    "vcm many light paths": ("vcm", {"light_paths": 3.0, "connections": 0}, "envmap"),
+    "vcm discounted": ("vcm", {"eta_discount": 0.2}, "two"),
+}
+FAST = ("bpm", "vcm")
+
+
+@pytest.mark.parametrize("name", [n if n in FAST else pytest.param(n, marks=pytest.mark.slow) for n in ROWS])
+def test_three_radii_extrapolate_to_path(name):
+    method, settings, emitter = ROWS[name]
+    problem = scenes.room(emitter, "rough", size=(12, 8))
+    reference = run(problem, "path", passes=8, samples=256).images
+    extrapolated, widest = three_radii(problem, method, **settings)
+    z = z_scores(extrapolated.mean(axis=(1, 2)), reference.mean(axis=(1, 2)))
+    assert np.abs(z).max() < 3.0, z
+    z = z_scores(blocks(extrapolated, 4), blocks(reference, 4))
+    assert np.sqrt((z**2).mean()) < 1.8, z
+    if name == "bpm":  # the test says something: there is a bias to take away
+        assert np.abs(z_scores(blocks(widest, 4), blocks(reference, 4))).max() > 4.0
+
+
+@pytest.mark.parametrize("alpha", [0.5, 2 / 3, 1.0])
+@pytest.mark.parametrize("method", ["bpm", "vcm"])
+def test_the_radius_schedule(method, alpha):
+    """r_i = r_1 i^((alpha - 1) / 2), i from 1; iterations count from 0."""
+    problem = scenes.field(0.5, 1.0)
+    runner = prepared(problem, method, samples_per_pass=1, alpha=alpha, radius=0.25, radius_unit="absolute")
+    for iteration in (0, 1, 2, 9, 99):
+        expected = 0.25 * (iteration + 1) ** ((alpha - 1) / 2)
+        assert runner.radius(iteration) == pytest.approx(expected, rel=1e-9)
+
+
+def test_radius_units():
+    """A plane 2 x 2 seen from height 2: half its diagonal is sqrt(2), a pixel is 4 tan(20 degrees) / 8 wide."""
+    problem = scenes.field(0.5, 1.0, size=(8, 8))
+    assert prepared(problem, "vcm", radius=0.1, radius_unit="absolute").radius(0) == pytest.approx(0.1)
+    assert prepared(problem, "vcm", radius=0.1, radius_unit="scene").radius(0) == pytest.approx(0.1 * 2**0.5, rel=1e-4)
+    pixel = 4.0 * np.tan(np.deg2rad(20.0)) / 8
+    assert prepared(problem, "vcm", radius=2.0, radius_unit="pixel").radius(0) == pytest.approx(2 * pixel, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"radius": 0},
+        {"radius": -0.1},
+        {"radius": "wide"},
+        {"radius": float("nan")},
+        {"alpha": 0},
+        {"alpha": 1.5},
+        {"radius_unit": "inch"},
+        {"eta_discount": 0},
+        {"eta_discount": 2},
+        {"light_paths": 0},
+        {"connections": -1},
+        {"next_events": 100},
+        {"max_depth": -2},
+        {"heuristic": "maximum"},
+        {"light_source": "cash"},
+        {"samples_per_pass": -1},
+        {"radiuss": 1},
+    ],
+    ids=str,
+)
+def test_bad_settings_are_refused(settings):
+    (name,) = settings
+    with pytest.raises(OptionError, match=name):
+        methods.get("vcm").Settings.from_mapping(settings)

@@ -1,0 +1,46 @@
+"""Scenes that nobody made for these tests: each renders with each method, without a NaN."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.running import run
+
+from etendue import methods
+from etendue.core import UnsupportedError
+from etendue.scene import bundled, load
+
+FAST = ("cornell-box", "cbox-spheres")
+PUBLIC = ("cornell-box", "cbox-spheres", "veach-bidir", "water-caustic")
+#: Switches that the methods' defaults leave alone.
+SWITCHES = {
+    "bpt path": ("bpt", {"light_source": "path"}),
+    "vcm pixel": ("vcm", {"radius": 2.0, "radius_unit": "pixel", "heuristic": "power", "merge_first": False}),
+    "vcm counts": ("vcm", {"connections": 3, "next_events": 2, "light_paths": 0.5}),
+}
+
+
+def render(problem, method, **settings):
+    result = run(problem, method, passes=2, samples=4, **settings)
+    assert result.measurement.counters["nonfinite"] == 0
+    assert np.isfinite(result.mean).all()
+    assert result.mean.mean() > 0.0
+
+
+@pytest.mark.parametrize("method", methods.table())
+@pytest.mark.parametrize("name", [n if n in FAST else pytest.param(n, marks=pytest.mark.slow) for n in PUBLIC])
+def test_public_scenes(name, method, scenes_dir):
+    render(load(scenes_dir / name / "scene.xml", size=(32, 32)), method)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("switch", SWITCHES)
+@pytest.mark.parametrize("name", bundled())
+def test_bundled_scenes_with_other_switches(name, switch):
+    method, settings = SWITCHES[switch]
+    render(load(name, size=(32, 32)), method, **settings)
+
+
+def test_the_soda_shoppe_is_refused_for_its_panes(scenes_dir):
+    with pytest.raises(UnsupportedError, match="thindielectric"):
+        load(scenes_dir / "soda-shoppe" / "scene.xml", size=(32, 32))
