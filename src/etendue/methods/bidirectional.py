@@ -70,13 +70,13 @@ class BidirectionalSettings(ImageSettings):
     )
     light_source: str = setting(
         "cache",
-        "connect to vertices drawn from all light paths (cache), or to all vertices of the path of the same number (path)",
+        "connect to vertices drawn from all light paths (cache), or to all of the path of the same number (path)",
         choices=("cache", "path"),
     )
     heuristic: str = setting("balance", "weights of the techniques", choices=("balance", "power"))
     merge_first: bool = setting(True, "merge at the first camera vertex too")
-    light_paths: float = setting(1.0, "light paths traced per camera path", above=0.0, maximum=64.0)
-    radius: float = setting(0.003, "first merge radius, in the unit of radius_unit", above=0.0)
+    light_paths: float = setting(0.5, "light paths traced per camera path", above=0.0, maximum=64.0)
+    radius: float = setting(0.006, "first merge radius, in the unit of radius_unit", above=0.0)
     radius_unit: str = setting(
         "scene",
         "unit of radius: half the diagonal of the scene's bounding box (scene), the median size of a pixel on what the "
@@ -85,14 +85,14 @@ class BidirectionalSettings(ImageSettings):
     )
     alpha: float = setting(0.75, "radius reduction: r_i = radius i^((alpha - 1) / 2)", above=0.0, maximum=1.0)
     eta_discount: float = setting(
-        1.0,
+        0.25,
         "factor on merging's sample count in the weights; below 1 trusts correlated merges less",
         above=0.0,
         maximum=1.0,
     )
     shadow_roulette: float = setting(
         0.1,
-        "contributions below this share of the picture's mean play roulette before their shadow ray is cast; 0: none do",
+        "contributions below this share of the picture's mean play roulette before their shadow ray; 0: none do",
         minimum=0.0,
     )
     split_layers: bool = setting(True, "keep a layer for each technique family")
@@ -177,8 +177,8 @@ class Bidirectional(ImageMethod):
         return float(np.median(1.0 / np.sqrt(density)))
 
     def _pilot(self, seed: int) -> None:
-        """Measure, by a small pass under seed roles of its own, how many vertices a light path stores and how bright the
-        picture is."""
+        """Measure how many vertices a light path stores and how bright the picture is, by a small pass under seed roles
+        of its own."""
         self._vertices_per_path, self._dark = 0.0, 0.0
         paths = min(_PILOT_PATHS, self._paths)
         samples = min(_PILOT_PATHS, self.camera.pixels)
@@ -191,7 +191,7 @@ class Bidirectional(ImageMethod):
         mean = sum(float(np.asarray(v, np.float64).mean()) for v in radiance.values())
         if splats:
             mean += float(np.asarray(splats.array, np.float64).sum()) / (3.0 * paths * self.camera.pixels)
-        # In coarse steps: the order of atomic additions must not move a threshold that random numbers are compared with.
+        # In coarse steps: the order of atomic additions must not move what random numbers are compared with.
         brightness = 2.0 ** (round(4.0 * math.log2(mean)) / 4.0) if mean > 0.0 else 0.0
         self._dark = self.settings.shadow_roulette * brightness
 
@@ -319,6 +319,12 @@ class BptSettings(BidirectionalSettings):
     """Settings of ``bpt``."""
 
     merging: bool = setting(False, "merge camera vertices with light vertices around them")
+    connections: int = setting(
+        2,
+        "light vertices that each camera vertex is connected to (light_source=cache)",
+        minimum=0,
+        maximum=dimensions.CONNECT_MAX,
+    )
 
 
 class Bpt(Bidirectional):
@@ -334,6 +340,7 @@ class BpmSettings(BidirectionalSettings):
     """Settings of ``bpm``."""
 
     connecting: bool = setting(False, "connect vertices: emission hits, next event, connections, camera splats")
+    light_paths: float = setting(1.0, "light paths traced per camera path", above=0.0, maximum=64.0)
 
 
 class Bpm(Bidirectional):

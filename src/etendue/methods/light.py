@@ -5,7 +5,7 @@ Estimator [Arvo 1986; Veach 1997, ch. 10], N light sub-paths of vertices y_0 (li
 .. math:: I = \frac{1}{N} \sum_{i=1}^{N} \sum_j \alpha_j f_s^*(y_j) \, G(y_j, z_0) \, W_e
 
 Emitters seen directly are made by points on their surface, joined to the camera as well. Good at caustics of small
-lights. Limits: whatever the camera sees through a mirror or smooth glass stays black, by design: no edge can be drawn to it.
+lights. Limits: what the camera sees through a mirror or smooth glass stays black: no edge can be drawn to it.
 Lights seen directly, the environment included, are found by joining their own points to the camera.
 """
 

@@ -27,12 +27,12 @@ class CameraConnection:
     active: Any
 
     def area_pdf(self, cos: Any) -> Any:
-        """Area density, at the surface, of a camera ray through a point uniform in its pixel; ``cos`` = \\|cos\\| there."""
+        """Area density, at the surface, of a camera ray uniform in its pixel; ``cos``: the absolute cosine there."""
         return self.importance * cos
 
 
 class Splats:
-    """An image that light paths add to, on the device: the sum over paths, four floats a pixel, one packet an addition."""
+    """An image that light paths add to, on the device: the sum over paths, a packet of four floats a pixel."""
 
     def __init__(self, pixels: int) -> None:
         self.array = dr.zeros(mi.Float, 4 * pixels)

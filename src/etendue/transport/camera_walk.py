@@ -56,7 +56,7 @@ class LightCache:
 
     With ``picks``: ``techniques.connection`` vertices drawn at random from all paths [Davidovic 2014]. The lanes of a
     block draw one number together and take consecutive vertices from there, so that they read memory together; each
-    vertex is as likely as any other for each lane. Without: every vertex of the light path with the camera path's number.
+    vertex is as likely as any other for each lane. Without: every vertex of the light path of the same number.
     """
 
     vertices: LightVertices
@@ -105,7 +105,7 @@ class CameraWalk:
     gather: Gather | None = None
 
     def trace(self, pixel: Any, source: SampleSource) -> tuple[dict[str, Any], Any]:
-        """One camera path for each entry of ``pixel``. Returns (layers of radiance, rays), a lane, not yet evaluated."""
+        """One camera path an entry of ``pixel``. Returns (layers of radiance, rays), a lane each, not yet evaluated."""
         lanes = dr.width(pixel)
         ray, weight, aperture = self.camera.primary(pixel, source)
         state = _State(

@@ -201,7 +201,7 @@ def is_emissive(scene: Any, si: Any) -> Any:
 def emission_of_hit(lights: LightTable, scene: Any, si: Any, active: Any) -> tuple[Any, Any, Any]:
     """What a ray that reached ``si`` sees of a light: (radiance, area density, emission density).
 
-    ``si`` may be a miss, where the environment is seen; its densities are those of the direction [Georgiev 2012b, eq. 43].
+    ``si`` may be a miss, where the environment is seen; its densities are those of the direction [Georgiev 2012b, 43].
     ``active`` marks the lanes whose ``si.emitter(scene)`` is not null.
     """
     emitter = si.emitter(scene)
