@@ -118,7 +118,8 @@ class CameraWalk:
             depth=dr.full(mi.UInt32, 1, lanes),
             rays=dr.zeros(mi.UInt32, lanes),
             lane=dr.arange(mi.UInt32, lanes),
-            layers={name: dr.zeros(mi.Color3f, lanes) for name in self.layer_names()},
+            # Not literal zeros: Dr.Jit would take a layer that no material adds to for a constant, then stumble over it.
+            layers={name: mi.Color3f(dr.opaque(mi.Float, 0.0)) for name in self.layer_names()},
         )
         (state,) = dr.while_loop(
             (state,), lambda s: s.active, lambda s: (self._edge(s, source, aperture),), label="camera walk"
