@@ -159,4 +159,5 @@ def shadow_roulette(contribution: Any, threshold: Any, u: Any, active: Any) -> t
     A contribution, complete with its weight, below ``threshold`` goes on with probability contribution / threshold.
     """
     survival = dr.minimum(dr.max(contribution) / threshold, 1.0)  # a threshold of 0 lets everything pass
-    return active & (survival > 0.0) & (u < survival), dr.rcp(survival)
+    # Compared so that NaN goes on: it shall be counted where contributions are summed, not vanish here.
+    return active & ~(survival <= 0.0) & ~(u >= survival), dr.rcp(survival)

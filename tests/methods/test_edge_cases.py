@@ -1,0 +1,50 @@
+"""Scenes at the edge of what a method expects, and the names the package promises."""
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import etendue
+from etendue import methods, scene
+
+CAMERA = {
+    "type": "perspective",
+    "fov": 50,
+    "to_world": None,
+    "film": {"type": "hdrfilm", "width": 16, "height": 12, "pixel_format": "rgb"},
+}
+
+
+def _scene(**elements):
+    sensor = CAMERA | {"to_world": mi.ScalarTransform4f().look_at([0, -4, 1.5], [0, 0, 0.7], [0, 0, 1])}
+    return scene.load({"type": "scene", "sensor": sensor, **elements})
+
+
+def _mean(problem, name, **settings):
+    cls = methods.get(name)
+    method = cls(cls.Settings(max_depth=6, samples_per_pass=16, **settings))
+    method.prepare(problem, 0)
+    return method.step(0, 0).mean()
+
+
+@pytest.mark.parametrize("name", ["path", "bpt", "bpm", "vcm"])
+def test_no_surface_to_store_a_vertex_on(name):
+    """Only a lamp: no light path ever hits a surface that can be connected to."""
+    problem = _scene(lamp={"type": "sphere", "emitter": {"type": "area", "radiance": 1.0}})
+    image = _mean(problem, name)
+    assert image[6, 8] == pytest.approx(1.0, abs=1e-5)
+    assert image[0, 0] == pytest.approx(0.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("name", ["path", "bpt", "bpm", "vcm"])
+@pytest.mark.parametrize("light_source", ["cache", "path"])
+def test_only_mirrors(name, light_source):
+    """A mirror in a white furnace: every pixel is 1, and no technique but emission contributes."""
+    settings = {} if name == "path" else {"light_source": light_source}
+    problem = _scene(sky={"type": "constant"}, ball={"type": "sphere", "bsdf": {"type": "conductor"}})
+    assert np.allclose(_mean(problem, name, **settings), 1.0, atol=1e-4)
+
+
+def test_public_names():
+    for name in ("render", "start", "resume", "Rendering", "Session", "Update"):
+        assert callable(getattr(etendue, name))
