@@ -58,8 +58,8 @@ def find(name: str, size: tuple[int, int]) -> Case | str:
     if (width, height) != (factor * size[0], factor * size[1]):
         return f"{name}: left out, its reference of {width}x{height} cannot be averaged to {size[0]}x{size[1]}"
     note = (
-        f"the author's picture, by Tungsten, {width}x{height} averaged in blocks of {factor}; rendered with a box filter "
-        "in place of the scene's, as averaging is one"
+        f"the author's picture, by Tungsten, {width}x{height} averaged in blocks of {factor}; "
+        "rendered with a box filter in place of the scene's, as averaging is one"
     )
     return Case(name, str(_box_filtered(folder)), film.block_average(picture, factor), note)
 

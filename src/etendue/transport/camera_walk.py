@@ -118,7 +118,7 @@ class CameraWalk:
             depth=dr.full(mi.UInt32, 1, lanes),
             rays=dr.zeros(mi.UInt32, lanes),
             lane=dr.arange(mi.UInt32, lanes),
-            # Not literal zeros: Dr.Jit would take a layer that no material adds to for a constant, then stumble over it.
+            # Not literal zeros: Dr.Jit takes a layer that no material adds to for a constant, then stumbles over it.
             layers={name: mi.Color3f(dr.opaque(mi.Float, 0.0)) for name in self.layer_names()},
         )
         (state,) = dr.while_loop(
