@@ -40,7 +40,7 @@ class Splats:
     def add(self, pixel: Any, value: Any, active: Any) -> None:
         """Add a colour to a pixel, in each active lane."""
         packet = mi.Vector4f(value.x, value.y, value.z, 0.0)
-        dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet, pixel, active, mode=dr.ReduceMode.Expand)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet, pixel, active)
 
     def sum(self, height: int, width: int) -> Any:
         """The image on the host, (height, width, 3) float64."""
