@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any
 
 import mitsuba as mi
@@ -30,7 +29,6 @@ METHODS = {
 LAYERED = [name for name in METHODS if name != "path"]
 
 
-@lru_cache(maxsize=1)
 def problem() -> Any:
     """Every family of techniques has something to do here."""
     return scenes.room("mixed", "rough", rfilter="gaussian")
