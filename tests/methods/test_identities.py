@@ -11,6 +11,7 @@ from support import scenes
 from support.running import go, mitsuba_images, mitsuba_path, prepared, run
 from support.statistics import assert_agree, blocks, z_scores
 
+from etendue import methods
 from etendue.transport import Techniques
 
 #: Of the magnitude that scattered float additions in another order change a pixel.
