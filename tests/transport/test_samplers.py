@@ -281,3 +281,32 @@ def test_a_mirror_keeps_the_flux():
         assert weight.max() < 1.001
         if material == "dielectric":
             np.testing.assert_allclose(weight, 1.0, rtol=1e-3)
+
+
+@pytest.mark.parametrize("material", SMOOTH)
+@pytest.mark.parametrize("end", ["camera", "light"])
+def test_the_mean_weight_of_scattering_is_the_integral(material, end):
+    """Mean weight of sampled directions against the value integrated over uniform ones: samples that a BSDF gives
+    up (below the horizon, by a wrong half vector) must not come back with a weight."""
+    _scene, si = balls(material)  # the interactions need the scene alive
+    bsdf, active = si.bsdf(), si.is_valid()
+    sampled, integrated = [], []
+    for repeat in range(12):
+        numbers = IndependentSource(dr.arange(mi.UInt32, dr.width(si)), 5, end, repeat)
+        local = mi.warp.square_to_uniform_sphere(mi.Point2f(*numbers.next_2d(2, 1)))
+        if end == "camera":
+            scattered, _ = scatter_camera(bsdf, si, numbers, mi.UInt32(1), active)
+            value = evaluate_camera_end(bsdf, si, local, active).value
+        else:
+            scattered, _ = scatter_light(bsdf, si, numbers, mi.UInt32(1), active)
+            value = evaluate_light_end(bsdf, si, local, active).value * cosine_ratio(si, si.to_world(local))
+        if material in ("bumpmap", "normalmap"):
+            # They reflect to the eye below the horizon that the sampler, and a closed object, keep it from.
+            value = dr.select(local.z * si.wi.z > 0.0, value, 0.0)
+        # Delta lobes (of plastic) have no value to integrate.
+        smooth = scattered.active & ~scattered.is_delta
+        sampled.append(np.array(dr.select(smooth, scattered.weight.y, 0.0), np.float64).mean())
+        integrated.append(np.array(dr.select(active, value.y * (4 * dr.pi), 0.0), np.float64).mean())
+    difference = np.array(sampled) - np.array(integrated)
+    assert np.mean(integrated) > 0.05
+    assert_mean(difference, 0.0, (material, end, np.mean(sampled), np.mean(integrated)), sigmas=6.0)
