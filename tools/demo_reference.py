@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -19,7 +20,7 @@ import etendue
 from etendue import film
 
 TARGET = Path(__file__).parents[1] / "src" / "etendue" / "scene" / "data" / "caustics.exr"
-SETTINGS = {
+SETTINGS: dict[str, Any] = {
     "light_paths": 1.0,
     "radius": 1.0,
     "radius_unit": "pixel",

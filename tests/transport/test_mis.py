@@ -142,7 +142,7 @@ class Paths:
             state = mis.scatter_light(*state, cos_out[j], forward[j], reverse[j], mi.Bool(self.is_specular(j)))
 
         camera: dict[int, Any] = {}
-        state = mis.start_camera(pixel)
+        state = mis.start_camera(pixel), mi.Float(0.0)
         for j in range(k - 1, 0, -1):
             state = camera[j] = mis.hit(*state, d2[j], cos_out[j])
             specular = mi.Bool(self.is_specular(j))

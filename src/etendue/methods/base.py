@@ -10,10 +10,14 @@ from typing import Any, ClassVar
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
-from etendue.core import Array, IndependentSource, Iterations, Measurement, Result, Settings, setting
+from etendue.core import IndependentSource, Iterations, Measurement, Result, Settings, setting
 from etendue.scene import LightTable, Problem
 from etendue.transport import Camera
+
+#: One pass's sums of a layer, (height, width, channels).
+Layer = NDArray[np.float32]
 
 #: Lanes that fill the machine: below, a pass wastes time; above, nothing is gained.
 FULL_LANES = 1 << 17
@@ -60,20 +64,20 @@ class ImageMethod:
         """One pass: :attr:`samples_per_iteration` camera paths per pixel."""
         samples = self.samples_per_iteration
         layers, counters = self.render_pass(iteration, seed, samples)
-        if "image" not in layers:
+        if "image" not in layers:  # in single precision as long as only one pass is in it: memory traffic counts here
             layers = {"image": functools.reduce(np.add, layers.values())} | layers
         if self.settings.aovs:
             layers |= self._first_hits(iteration, seed, samples)
-        value = layers["image"] / samples
+        value = layers["image"] * np.float32(1.0 / samples)
         return Measurement(
-            sums=layers,
+            sums={name: layer.astype(np.float64) for name, layer in layers.items()},
             weights=dict.fromkeys(layers, float(samples)),
             iterations=Iterations.single(iteration),
-            squares={"image": value * value},
+            squares={"image": np.square(value, dtype=np.float64)},
             counters=counters | {"samples": float(samples)},
         )
 
-    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Array], dict[str, float]]:
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """Sums over the pass's ``samples`` camera paths per pixel: layers (height, width, channels), and counters.
 
         The layers are the image, or the technique families that it is the sum of."""
@@ -97,15 +101,16 @@ class ImageMethod:
         """``max_depth`` as a number a kernel can compare with."""
         return self.settings.max_depth if self.settings.max_depth >= 0 else 1 << 30
 
-    def image(self, values: Any) -> Array:
+    def image(self, values: Any) -> Layer:
         """Colours or scalars, consecutive lanes a pixel, summed into a (height, width, channels) image."""
         width, height = self.problem.size
         lanes = dr.width(values)
         if lanes > height * width:
             values = dr.block_sum(values, lanes // (height * width))
-        return np.asarray(dr.ravel(values), dtype=np.float64).reshape(height, width, -1)
+        # A copy: the device reuses the memory of the raveled array at once.
+        return np.array(dr.ravel(values), np.float32).reshape(height, width, -1)
 
-    def _first_hits(self, iteration: int, seed: int, samples: int) -> dict[str, Array]:
+    def _first_hits(self, iteration: int, seed: int, samples: int) -> dict[str, Layer]:
         """Albedo, shading normal and distance of what the camera sees first; zeros where it sees nothing."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         source = IndependentSource(lanes, seed, "camera", iteration)

@@ -24,7 +24,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import Array, IndependentSource, logger, setting
+from etendue.core import IndependentSource, logger, setting
 from etendue.density import HashGrid
 from etendue.scene import Problem
 from etendue.transport import (
@@ -41,7 +41,7 @@ from etendue.transport import (
     needs_interaction,
 )
 
-from .base import ImageMethod, ImageSettings, keep_finite, total
+from .base import ImageMethod, ImageSettings, Layer, keep_finite, total
 
 #: Room for light vertices without a memory limit, in bytes, and the share of a limit that they may take.
 STORE_BYTES = 800e6
@@ -164,17 +164,17 @@ class Bidirectional(ImageMethod):
         return float(s.radius * self._pixel_footprint(seed))
 
     def _pixel_footprint(self, seed: int) -> float:
-        """Median, over what the camera sees first, of the side of a pixel there: sqrt(1 / (pixel density / d^2))."""
+        """Median, over what the camera sees first, of the side of a pixel there: sqrt(1 / importance)."""
         lanes = dr.arange(mi.UInt32, min(self.camera.pixels, 1 << 14))
         source = IndependentSource(lanes, seed, "pilot camera", 0)
         pixel = mi.UInt32(mi.Float(self.camera.pixels) * (mi.Float(lanes) + 0.5) / len(lanes))
         ray, _, aperture = self.camera.primary(dr.minimum(pixel, self.camera.pixels - 1), source)
         si = self.scene.ray_intersect(ray)
-        density = np.asarray(self.camera.pixel_density(si, aperture, si.is_valid()))
-        density = density[density > 0]
-        if not len(density):
+        importance = np.asarray(dr.select(si.is_valid(), self.camera.importance(si.p, aperture), 0.0))
+        importance = importance[importance > 0]
+        if not len(importance):
             return float(0.001 * np.linalg.norm(self._box[1] - self._box[0]))
-        return float(np.median(1.0 / np.sqrt(density)))
+        return float(np.median(1.0 / np.sqrt(importance)))
 
     def _pilot(self, seed: int) -> None:
         """Measure how many vertices a light path stores and how bright the picture is, by a small pass under seed roles
@@ -216,7 +216,7 @@ class Bidirectional(ImageMethod):
         """Merge radius of a pass, scene units [Georgiev 2012, eq. 10]; ``iteration`` counts from 0."""
         return float(self._first_radius * (iteration + 1) ** ((self.settings.alpha - 1.0) / 2.0))
 
-    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Array], dict[str, float]]:
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         radius = self.radius(iteration) if self.techniques.merge else 0.0
         splats = Splats(self.camera.pixels) if self.techniques.splat else None

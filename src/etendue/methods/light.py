@@ -17,11 +17,11 @@ from typing import Any, ClassVar
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import Array, IndependentSource, setting
+from etendue.core import IndependentSource, setting
 from etendue.transport import LightWalk, Mis, Splats, Techniques
 from etendue.transport import dimensions as dim
 
-from .base import ImageMethod, ImageSettings, total
+from .base import ImageMethod, ImageSettings, Layer, keep_finite, total
 
 #: Share of its length by which a shadow ray stops short of a light.
 _SHADOW_EPSILON = 1e-3
@@ -41,7 +41,7 @@ class Light(ImageMethod):
     Settings: ClassVar[type[ImageSettings]] = LightSettings
     citations: ClassVar[tuple[str, ...]] = ("Arvo1986", "Veach1997")
 
-    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Array], dict[str, float]]:
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         paths = max(1, round(self.settings.light_paths * self.camera.pixels * samples))
         techniques = Techniques(emission=0, next_event=0, connection=0, splat=True, merge=False)
@@ -54,18 +54,24 @@ class Light(ImageMethod):
         dr.eval(rays, bad, scattered.array)
 
         seen = Splats(self.camera.pixels)
-        seen_rays = self._seen_directly(IndependentSource(lanes, seed, "visible light", iteration), paths, seen)
-        dr.eval(seen_rays, seen.array)
+        seen_rays, seen_bad = self._seen_directly(
+            IndependentSource(lanes, seed, "visible light", iteration), paths, seen
+        )
+        dr.eval(seen_rays, seen_bad, seen.array)
 
         layers = {
             name: splats.sum(self.camera.height, self.camera.width) * (samples / paths)
             for name, splats in (("splat", scattered), ("emission", seen))
         }
-        counters = {"rays": total(rays) + total(seen_rays), "paths": float(paths), "nonfinite": total(bad)}
+        counters = {
+            "rays": total(rays) + total(seen_rays),
+            "paths": float(paths),
+            "nonfinite": total(bad) + total(seen_bad),
+        }
         return layers, counters
 
-    def _seen_directly(self, source: Any, paths: int, splats: Splats) -> Any:
-        """Join points of the lights themselves to the camera (s = 1, t = 1); returns rays a lane."""
+    def _seen_directly(self, source: Any, paths: int, splats: Splats) -> tuple[Any, Any]:
+        """Join points of the lights themselves to the camera (s = 1, t = 1); returns (rays, non-finite contributions) a lane."""
         active = dr.full(mi.Bool, True, paths)
         light = self.lights.pick(source.next_1d(0, dim.LIGHT_PICK), active)
         u = mi.Point2f(*source.next_2d(0, dim.LIGHT_POINT))
@@ -104,8 +110,10 @@ class Light(ImageMethod):
         radiance = light.emitter.eval(si, active)
         pixel, filter_weight, on_film = self.camera.splat_pixel(joined, source, 1)
         contribution = radiance * (joined.importance * cos * filter_weight / density)
-        active &= on_film & dr.all(dr.isfinite(contribution)) & dr.any(contribution != 0.0)
+        active &= on_film & ~dr.all(contribution == 0.0)
+        contribution, bad = keep_finite(contribution)
+        bad &= active
         rays = dr.select(active, mi.UInt32(1), mi.UInt32(0))
         active &= ~self.scene.ray_test(mi.Ray3f(joined.target, -joined.direction, reach, 0.0, mi.Color0f()), active)
         splats.add(pixel, contribution, active)
-        return rays
+        return rays, bad

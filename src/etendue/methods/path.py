@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import Array, IndependentSource, setting
+from etendue.core import IndependentSource, setting
 from etendue.transport import dimensions as dim
 from etendue.transport import (
     emission_of_hit,
@@ -30,7 +30,7 @@ from etendue.transport import (
     scatter_camera,
 )
 
-from .base import ImageMethod, ImageSettings, keep_finite, total
+from .base import ImageMethod, ImageSettings, Layer, keep_finite, total
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Path(ImageMethod):
     Settings: ClassVar[type[ImageSettings]] = PathSettings
     citations: ClassVar[tuple[str, ...]] = ("Kajiya1986", "Veach1997")
 
-    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Array], dict[str, float]]:
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         source = IndependentSource(lanes, seed, "camera", iteration)
@@ -110,7 +110,7 @@ class Path(ImageMethod):
             wo = si.to_local(direct.direction)
             scattered, (value,) = scatter_camera(bsdf, si, source, s.depth, s.active, [(wo, direct.active)])
             contribution = s.throughput * value.value * direct.radiance * self._direct_weight(direct, value.pdf)
-            lit = direct.active & dr.any(contribution != 0.0)
+            lit = direct.active & ~dr.all(contribution == 0.0)
             s.rays += dr.select(lit, mi.UInt32(1), mi.UInt32(0))
             lit &= ~self.scene.ray_test(si.spawn_ray_to(direct.target), lit)
             s.radiance[lit] += contribution

@@ -43,8 +43,8 @@ class Splats:
         dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet, pixel, active)
 
     def sum(self, height: int, width: int) -> Any:
-        """The image on the host, (height, width, 3) float64."""
-        return np.asarray(self.array, np.float64).reshape(height, width, 4)[..., :3]
+        """The image on the host, (height, width, 3) float32."""
+        return np.asarray(self.array).reshape(height, width, 4)[..., :3]
 
 
 class Camera:
@@ -57,7 +57,7 @@ class Camera:
         self.filter = FilterSampler(self.sensor.film().rfilter(), self.width, self.height)
         parameters = mi.traverse(self.sensor)
         self.near_clip = _scalar(parameters, "near_clip", 0.0)
-        #: A distance within the sensor's range at which the environment may be thought of as a point.
+        #: A distance within the sensor's range: of points on camera rays, and where the environment is joined to it.
         self.far = 0.5 * _scalar(parameters, "far_clip", 1e4)
         self.origin = mi.Point3f(self.sensor.world_transform().translation())
 
@@ -83,11 +83,20 @@ class Camera:
         usable = active & (ds.pdf > 0.0) & (importance > 0.0)
         return CameraConnection(ds.uv, ds.d, target, importance, usable)
 
-    def pixel_density(self, si: Any, aperture: Any, active: Any) -> Any:
-        """Solid-angle density over squared distance with which :meth:`primary` reaches ``si`` from a point uniform in
-        its pixel; 0 where the sensor cannot be joined. [Georgiev 2012b, eq. 31]"""
-        _, weight = self.sensor.sample_direction(si, aperture, active)
-        return weight[0] * self.pixels
+    def density(self, ray: Any, aperture: Any) -> tuple[Any, Any]:
+        """Solid-angle density of a camera ray uniform in its pixel, 0 where the sensor cannot be joined; and how far
+        from the aperture point the ray starts. [Georgiev 2012b, eq. 31]"""
+        probe = dr.zeros(mi.Interaction3f)
+        probe.p = ray.o + ray.d * self.far
+        ds, weight = self.sensor.sample_direction(probe, aperture)
+        lead = dr.norm(ray.o - ds.p)
+        return weight[0] * (self.pixels * dr.square(ds.dist)), lead
+
+    def importance(self, p: Any, aperture: Any) -> Any:
+        """What :attr:`CameraConnection.importance` is at the points ``p``."""
+        point = dr.zeros(mi.Interaction3f)
+        point.p = p
+        return self.sensor.sample_direction(point, aperture)[1][0] * self.pixels
 
     def splat_aperture(self, source: SampleSource, vertex: Any) -> Any:
         """Aperture sample of a splat."""

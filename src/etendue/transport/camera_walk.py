@@ -108,12 +108,14 @@ class CameraWalk:
         """One camera path an entry of ``pixel``. Returns (layers of radiance, rays), a lane each, not yet evaluated."""
         lanes = dr.width(pixel)
         ray, weight, aperture = self.camera.primary(pixel, source)
+        # The first edge is measured from the aperture, though its ray starts at the near plane.
+        density, lead = self.camera.density(ray, aperture)
         state = _State(
             active=dr.full(mi.Bool, True, lanes) & (self.max_edges > 0),
             ray=mi.Ray3f(ray),
             throughput=dr.full(mi.Color3f, 1.0, lanes),
             eta=dr.full(mi.Float, 1.0, lanes),
-            d_vcm=dr.zeros(mi.Float, lanes),
+            d_vcm=self.mis.start_camera(density),
             d_vc=dr.zeros(mi.Float, lanes),
             depth=dr.full(mi.UInt32, 1, lanes),
             rays=dr.zeros(mi.UInt32, lanes),
@@ -122,7 +124,7 @@ class CameraWalk:
             layers={name: mi.Color3f(dr.opaque(mi.Float, 0.0)) for name in self.layer_names()},
         )
         (state,) = dr.while_loop(
-            (state,), lambda s: s.active, lambda s: (self._edge(s, source, aperture),), label="camera walk"
+            (state,), lambda s: s.active, lambda s: (self._edge(s, source, lead),), label="camera walk"
         )
         return {name: radiance * weight for name, radiance in state.layers.items()}, state.rays
 
@@ -139,7 +141,7 @@ class CameraWalk:
         layer = s.layers[family if self.split_layers else "image"]
         layer[mask] += value
 
-    def _edge(self, s: _State, source: Any, aperture: Any) -> _State:
+    def _edge(self, s: _State, source: Any, lead: Any) -> _State:
         """Trace one edge, join its end to the light side in every way, and scatter."""
         techniques = self.mis.techniques
         si = self.scene.ray_intersect(s.ray, s.active)
@@ -148,11 +150,8 @@ class CameraWalk:
         # ---- Arrive: the environment is weighted before the densities become those of an area
         valid = si.is_valid()
         cos = geometric_cos(si, s.ray.d)
-        if techniques.splat:
-            first = s.active & valid & (s.depth == 1)
-            density = self.camera.pixel_density(si, aperture, first) * dr.square(si.t)
-            s.d_vcm[first] = self.mis.start_camera(density)[0]
-        d_vcm, d_vc = self.mis.hit(s.d_vcm, s.d_vc, dr.square(si.t), cos)
+        distance = dr.select(s.depth == 1, si.t + lead, si.t)
+        d_vcm, d_vc = self.mis.hit(s.d_vcm, s.d_vc, dr.square(distance), cos)
         s.d_vcm, s.d_vc = dr.select(valid, d_vcm, s.d_vcm), dr.select(valid, d_vc, s.d_vc)
         self._emission(s, si)
         s.active &= valid
@@ -268,7 +267,7 @@ class CameraWalk:
         """s >= 2, t >= 2: (weighted contribution, shadow rays) [Georgiev 2012b, eq. 40, 41]."""
         assert self.cache is not None
         vertex = joined.vertex
-        active = joined.active & dr.any(bsdf.value != 0.0)
+        active = joined.active & ~dr.all(bsdf.value == 0.0)
         wo = vertex.si.to_local(-joined.direction)
         light = evaluate_light_end(vertex.bsdf, vertex.si, wo, active)
         weight = self.mis.connection_weight(

@@ -63,7 +63,7 @@ def emit(lights: LightTable, source: SampleSource, active: Any) -> EmittedRay:
         _emit_delta(result, light, u_direction, active & light.is_delta)
     if lights.has_infinite:
         _emit_infinite(result, lights, light, u_point, u_direction, active & light.is_infinite)
-    result.active &= dr.any(result.throughput != 0.0)
+    result.active &= ~dr.all(result.throughput == 0.0)
     return result
 
 
@@ -149,7 +149,7 @@ def sample_direct(
         _direct_delta(result, light, si, u_point, active & light.is_delta)
     if lights.has_infinite:
         _direct_infinite(result, light, si, u_point, active & light.is_infinite)
-    result.active &= dr.any(result.radiance != 0.0)
+    result.active &= ~dr.all(result.radiance == 0.0)
     return result
 
 

@@ -81,16 +81,11 @@ class Mis:
 
     # ------------------------------------------------------------------ camera sub-path
 
-    def start_camera(self, pixel_density: Any) -> tuple[Any, Any]:
-        """(d_vcm, d_vc) of a camera ray; ``pixel_density`` is its solid-angle density for a point uniform in its pixel.
-
-        Zero density (a direction the sensor can't be splatted from) leaves the splat out [Georgiev 2012b, eq. 31].
-        """
-        zero = dr.zeros(type(pixel_density), dr.width(pixel_density))
-        if not self.techniques.splat:
-            return zero, zero
-        ok = pixel_density > 0.0
-        return dr.select(ok, self.power(self.paths_per_sample / dr.select(ok, pixel_density, 1.0)), 0.0), zero
+    def start_camera(self, pixel_density: Any) -> Any:
+        """d_vcm of a camera ray (its d_vc is 0); ``pixel_density`` is its solid-angle density for a point uniform in
+        its pixel. Zero density (a direction the sensor can't be splatted from) leaves the splat out [eq. 31]."""
+        ok = (pixel_density > 0.0) & self.techniques.splat
+        return dr.select(ok, self.power(self.paths_per_sample / dr.select(ok, pixel_density, 1.0)), 0.0)
 
     # ------------------------------------------------------------------ both
 
@@ -144,7 +139,10 @@ class Mis:
         t = self.techniques
         if not (t.connects and t.emission):
             # Only what nothing else can make: seen directly, or through vertices that no other technique may cut.
-            return dr.select((depth == 1) | ((d_vcm == 0.0) & (d_vc == 0.0)), 1.0, 0.0)
+            uncut = d_vc == 0.0
+            if t.connects:
+                uncut &= d_vcm == 0.0
+            return dr.select((depth == 1) | uncut, 1.0, 0.0)
         own = self._count(t.emission)
         others = self.power(area_density) * d_vcm * self._count(t.next_event) + self.power(emission_density) * d_vc
         return dr.select(depth == 1, 1.0, own / (own + others))

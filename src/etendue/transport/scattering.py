@@ -122,7 +122,7 @@ def _scatter(
 
     (wo, weight, pdf, reverse_pdf, eta, is_delta), evaluated = dr.dispatch(bsdf, ask, si, u, active, list(directions))
     direction = si.to_world(wo)
-    active = active & (pdf > 0.0) & dr.any(weight != 0.0)
+    active = active & (pdf > 0.0) & ~dr.all(weight == 0.0)
     scattered = Scattered(direction, weight, pdf, reverse_pdf, geometric_cos(si, direction), eta, is_delta, active)
     return scattered, [Evaluated(*e) for e in evaluated]
 
@@ -156,8 +156,10 @@ def roulette(throughput: Any, eta: Any, depth: Any, first_depth: int, u: Any) ->
 def shadow_roulette(contribution: Any, threshold: Any, u: Any, active: Any) -> tuple[Any, Any]:
     """Decide before a shadow ray is cast whether its contribution is worth it: (goes on, factor on the contribution).
 
-    A contribution, complete with its weight, below ``threshold`` goes on with probability contribution / threshold.
+    A contribution, complete with its weight, below ``threshold`` goes on with probability contribution / threshold. One
+    may be negative: filters have negative lobes. One that is NaN goes on, to be counted where contributions are summed
+    (hence ``~(x == 0)``, here and elsewhere: no comparison holds for NaN, ``!=`` included).
     """
-    survival = dr.minimum(dr.max(contribution) / threshold, 1.0)  # a threshold of 0 lets everything pass
-    # Compared so that NaN goes on: it shall be counted where contributions are summed, not vanish here.
-    return active & ~(survival <= 0.0) & ~(u >= survival), dr.rcp(survival)
+    size = dr.max(dr.abs(contribution))
+    survival = dr.select(size >= threshold, 1.0, size / threshold)
+    return active & ~(size == 0.0) & ~(u >= survival), dr.rcp(survival)
