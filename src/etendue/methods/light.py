@@ -71,7 +71,7 @@ class Light(ImageMethod):
         return layers, counters
 
     def _seen_directly(self, source: Any, paths: int, splats: Splats) -> tuple[Any, Any]:
-        """Join points of the lights themselves to the camera (s = 1, t = 1); returns (rays, non-finite contributions) a lane."""
+        """Join points of the lights themselves to the camera (s = 1, t = 1); (rays, non-finite values)."""
         active = dr.full(mi.Bool, True, paths)
         light = self.lights.pick(source.next_1d(0, dim.LIGHT_PICK), active)
         u = mi.Point2f(*source.next_2d(0, dim.LIGHT_POINT))
