@@ -194,6 +194,8 @@ MATERIALS: dict[str, Callable[[], Dict]] = {
     },
     "bumpmap": lambda: {"type": "bumpmap", "height": bitmap(_waves(0.04)), "nested": diffuse(0.6, 0.5, 0.5)},
     "normalmap": lambda: {"type": "normalmap", "normalmap": bitmap(_normals()), "nested": diffuse(0.5, 0.6, 0.5)},
+    "bumpmap unflipped": lambda: MATERIALS["bumpmap"]() | {"flip_invalid_normals": False},
+    "normalmap unflipped": lambda: MATERIALS["normalmap"]() | {"flip_invalid_normals": False},
     "textured": lambda: {"type": "diffuse", "reflectance": bitmap(_pattern())},
     "vertexcolours": lambda: {"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": "vertex_color"}},
 }

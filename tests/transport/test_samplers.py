@@ -288,7 +288,10 @@ def test_a_mirror_keeps_the_flux():
 def test_the_mean_weight_of_scattering_is_the_integral(material, end):
     """Mean weight of sampled directions against the value integrated over uniform ones: samples that a BSDF gives
     up (below the horizon, by a wrong half vector) must not come back with a weight."""
-    _scene, si = balls(material)  # the interactions need the scene alive
+    # A map that flips invalid normals has one frame for each side it is seen from, so what is sampled from the light
+    # side is not all that is seen from the eye side (docs/methods/light.md, limits).
+    flips = material in ("bumpmap", "normalmap") and end == "light"
+    _scene, si = balls(f"{material} unflipped" if flips else material)  # the interactions need the scene alive
     bsdf, active = si.bsdf(), si.is_valid()
     sampled, integrated = [], []
     for repeat in range(12):

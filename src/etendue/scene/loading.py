@@ -124,6 +124,7 @@ def _from_parser(
     import mitsuba as mi
 
     config = mi.parser.ParserConfig(mi.variant())
+    config.parallel = False  # a node that fails while others load in parallel can crash the process (Mitsuba 3.9.1)
     with _resolving(path), _mitsuba_errors(name):
         state = parse(config)
         mi.parser.transform_upgrade(config, state)

@@ -139,7 +139,10 @@ def _sample_light(bsdf: Any, si: Any, u: Any, active: Any) -> tuple[Any, ...]:
     bs, weight = bsdf.sample(mi.BSDFContext(mi.TransportMode.Importance), si, *u, active)
     is_delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
     value, reverse_pdf = bsdf.eval_pdf(mi.BSDFContext(), exchanged(si, bs.wo), si.wi, active & ~is_delta)
-    return bs.wo, dr.select(is_delta, weight, value * dr.rcp(bs.pdf)), bs.pdf, reverse_pdf, bs.eta, is_delta
+    # A sample that the BSDF itself rejects stays rejected, whatever the value in its direction.
+    taken = ~dr.all(weight == 0.0)
+    weight = dr.select(is_delta, weight, dr.select(taken, value * dr.rcp(bs.pdf), 0.0))
+    return bs.wo, weight, bs.pdf, reverse_pdf, bs.eta, is_delta
 
 
 def roulette(throughput: Any, eta: Any, depth: Any, first_depth: int, u: Any) -> tuple[Any, Any]:
