@@ -31,7 +31,7 @@ from etendue.transport import (
 
 N = 200_000
 #: Materials with a density to speak of.
-SMOOTH = [m for m in scenes.MATERIALS if m not in ("conductor", "dielectric")]
+SMOOTH = [m for m in scenes.MATERIALS if m not in ("conductor", "dielectric") and not m.endswith("unflipped")]
 
 
 def source(role: str, n: int = N) -> IndependentSource:
