@@ -62,7 +62,7 @@ def test_hits_and_next_event_alone_are_path():
 def test_splats_alone_are_light():
     """With nothing but splats, against ``light`` less the lights seen directly."""
     scene = scenes.room("sphere", "rough")
-    runner = prepared(scene, "bpt", samples_per_pass=256, connections=0, light_paths=2.0)
+    runner = prepared(scene, "bpt", samples_per_pass=256, connections=0, light_paths=2.0, split_layers=True)
     runner.techniques = Techniques(emission=0, next_event=0, connection=0, splat=True, merge=False)
     splats = np.stack([runner.step(i, 1).mean("splat") for i in range(6)])
     light = prepared(scene, "light", samples_per_pass=256, light_paths=2.0)
@@ -72,6 +72,8 @@ def test_splats_alone_are_light():
 @pytest.mark.parametrize("name", LAYERED)
 def test_layers_sum_to_the_image(name):
     method, settings = METHODS[name]
+    if method != "light":
+        settings = settings | {"split_layers": True}
     measurement = run(problem(), method, passes=2, samples=4, **settings).measurement
     layers = [layer for layer in measurement.sums if layer != "image"]
     assert len(layers) >= 2
@@ -83,7 +85,7 @@ def test_layers_sum_to_the_image(name):
 def test_layers_may_be_left_unsplit(name):
     method, settings = METHODS[name]
     settings = settings | {"shadow_roulette": 0.0}  # its threshold is measured, and differs a little
-    split = run(problem(), method, passes=2, samples=4, **settings).mean
+    split = run(problem(), method, passes=2, samples=4, split_layers=True, **settings).mean
     whole = run(problem(), method, passes=2, samples=4, split_layers=False, **settings)
     assert list(whole.measurement.sums) == ["image"]
     np.testing.assert_allclose(whole.mean, split, rtol=1e-4, atol=1e-6)

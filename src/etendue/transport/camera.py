@@ -15,6 +15,9 @@ from etendue.scene import Problem
 
 from . import dimensions as dim
 
+#: Most memory for a copy of the splatted image a thread.
+_EXPAND_BYTES = 64e6
+
 
 @dataclass
 class CameraConnection:
@@ -36,11 +39,14 @@ class Splats:
 
     def __init__(self, pixels: int) -> None:
         self.array = dr.zeros(mi.Float, 4 * pixels)
+        # On a CPU a copy a thread is faster than atomic additions, as long as there are few threads (ignored on a GPU).
+        small = 16 * pixels * dr.thread_count() <= _EXPAND_BYTES
+        self._mode = dr.ReduceMode.Expand if small else dr.ReduceMode.Auto
 
     def add(self, pixel: Any, value: Any, active: Any) -> None:
         """Add a colour to a pixel, in each active lane."""
         packet = mi.Vector4f(value.x, value.y, value.z, 0.0)
-        dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet, pixel, active)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet, pixel, active, mode=self._mode)
 
     def sum(self, height: int, width: int) -> Any:
         """The image on the host, (height, width, 3) float32."""
