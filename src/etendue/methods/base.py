@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -35,7 +36,7 @@ class ImageSettings(Settings):
     aovs: bool = setting(False, "add first-hit layers: albedo, normal, depth")
 
 
-class ImageMethod:
+class ImageMethod(ABC):
     """Base of the methods that render an image pass by pass. A subclass implements ``render_pass``."""
 
     name: ClassVar[str]
@@ -77,11 +78,11 @@ class ImageMethod:
             counters=counters | {"samples": float(samples)},
         )
 
+    @abstractmethod
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """Sums over the pass's ``samples`` camera paths per pixel: layers (height, width, channels), and counters.
 
         The layers are the image, or the technique families that it is the sum of."""
-        raise NotImplementedError
 
     def develop(self, measurement: Measurement) -> Result:
         """Mean over the passes, layer by layer."""
