@@ -93,7 +93,7 @@ class ImageMethod(ABC):
         """Nothing is carried from pass to pass."""
         return {}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
+    def restore(self, state: Mapping[str, Any]) -> None:  # noqa: B027 (a method without state need not override it)
         """Inverse of :meth:`state`."""
 
     # ------------------------------------------------------------------ helpers of the subclasses
