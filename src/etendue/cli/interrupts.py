@@ -39,8 +39,10 @@ class Interrupts:
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         if self.received is not None:
-            self._abort()
-            os._exit(128 + number)
+            try:
+                self._abort()
+            finally:  # whatever a message from within a signal handler may run into
+                os._exit(128 + number)
         self.received = number
         self._stop()
 

@@ -35,18 +35,24 @@ def follow(open_session: Callable[[], Session[Rendering]], console: Console, lab
     with ProgressView(console, label) as view:
         session = open_session()
 
-        def stop() -> None:
-            session.request_stop()
-            note(console, "stopping after this pass; again to abort at once", "yellow")
+        def announce() -> None:
+            # Not from the signal handler, which may have interrupted a write to the same stream.
+            nonlocal announced
+            if interrupts.received is not None and not announced:
+                announced = True
+                note(console, "stopping after this pass; again to abort at once", "yellow")
 
         def abort() -> None:
             view.close()
             note(console, "aborted", "red")
 
-        with Interrupts(stop, abort) as interrupts:
+        announced = False
+        with Interrupts(session.request_stop, abort) as interrupts:
             try:
                 while not session.wait(0.1):
+                    announce()
                     view.update(session.progress, session.prepared)
+                announce()
             except Cancelled:
                 if interrupts.received is None:
                     raise
