@@ -34,6 +34,7 @@ def follow(open_session: Callable[[], Session[Rendering]], console: Console, lab
     """Start a session and show its progress until it is over. Raises what the session raises."""
     with ProgressView(console, label) as view:
         session = open_session()
+        announced = False
 
         def announce() -> None:
             # Not from the signal handler, which may have interrupted a write to the same stream.
@@ -46,7 +47,6 @@ def follow(open_session: Callable[[], Session[Rendering]], console: Console, lab
             view.close()
             note(console, "aborted", "red")
 
-        announced = False
         with Interrupts(session.request_stop, abort) as interrupts:
             try:
                 while not session.wait(0.1):
