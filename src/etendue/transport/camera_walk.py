@@ -29,9 +29,10 @@ from .scattering import (
 )
 from .vertices import LightVertex, LightVertices, Photons
 
-#: Neighbours that a merge collects before it evaluates them. Searching and evaluating in turns keeps the lanes of a
-#: packet together: one candidate in five is a neighbour, so evaluating each as it is found would leave most lanes idle.
-_BATCH = 8
+#: Candidates that a merge tests, a bit each, before it evaluates those that are neighbours. Searching and evaluating in
+#: turns keeps the lanes of a packet together: one candidate in five is a neighbour, so evaluating each as it is found
+#: would leave most lanes idle.
+_BATCH = 32
 
 
 @dataclass
@@ -294,34 +295,26 @@ class CameraWalk:
         grid, photons = self.gather.grid, self.gather.photons
         query = grid.query(si.p, active)
 
-        def collect(i: Any, found: Any, near: Any) -> tuple[Any, Any, Any]:
-            """Test one candidate, keep it if it is a neighbour."""
-            index = grid.candidate(query, i)
-            position, light_depth = photons.position(index, active)
-            hit = grid.accepts(query, position) & (light_depth + s.depth <= self.max_edges)
-            near = [dr.select(hit & (found == k), index, kept) for k, kept in enumerate(near)]
-            return i + 1, found + dr.select(hit, mi.UInt32(1), mi.UInt32(0)), near
+        def batch(first: Any, total: Any) -> tuple[Any, Any]:
+            end = dr.minimum(first + _BATCH, query.total)
 
-        def batch(i: Any, total: Any, near: Any) -> tuple[Any, Any, Any]:
-            i, found, near = dr.while_loop(
-                (i, mi.UInt32(0), near),
-                lambda i, found, _: (i < query.total) & (found < _BATCH),
-                collect,
-                label="merge: search",
-            )
-            _, total = dr.while_loop(
-                (mi.UInt32(0), total),
-                lambda j, _: j < found,
-                lambda j, total: (j + 1, total + self._merged(s, si, bsdf, _choose(near, j), active)),
-                label="merge: evaluate",
-            )
-            return i, total, near
+            def test(i: Any, near: Any) -> tuple[Any, Any]:
+                """Test one candidate; a neighbour sets its bit."""
+                position, light_depth = photons.position(grid.candidate(query, i), active)
+                hit = grid.accepts(query, position) & (light_depth + s.depth <= self.max_edges)
+                return i + 1, near | dr.select(hit, mi.UInt32(1) << (i - first), 0)
 
-        _, total, _ = dr.while_loop(
-            (mi.UInt32(0), mi.Color3f(0.0), [mi.UInt32(0) for _ in range(_BATCH)]),
-            lambda i, *_: active & (i < query.total),
-            batch,
-            label="merge",
+            def evaluate(near: Any, total: Any) -> tuple[Any, Any]:
+                """Take the neighbour of the lowest bit."""
+                photon = grid.candidate(query, first + dr.tzcnt(near))
+                return near & (near - 1), total + self._merged(s, si, bsdf, photon, active)
+
+            _, near = dr.while_loop((mi.UInt32(first), mi.UInt32(0)), lambda i, _: i < end, test, label="merge: search")
+            _, total = dr.while_loop((near, total), lambda near, _: near != 0, evaluate, label="merge: evaluate")
+            return end, total
+
+        _, total = dr.while_loop(
+            (mi.UInt32(0), mi.Color3f(0.0)), lambda first, _: active & (first < query.total), batch, label="merge"
         )
         self._add(s, "merge", active, s.throughput * total * self.gather.factor)
 
@@ -334,10 +327,3 @@ class CameraWalk:
         cos = geometric_cos(si, direction)
         weight = self.mis.merge_weight(s.depth, (s.d_vcm, s.d_vc), (d_vcm, d_vc), bsdf.pdf, bsdf.reverse_pdf)
         return dr.select(cos > 0.0, throughput * bsdf.value * (weight / dr.select(cos > 0.0, cos, 1.0)), 0.0)
-
-
-def _choose(values: list[Any], index: Any) -> Any:
-    result = values[0]
-    for k, value in enumerate(values[1:], 1):
-        result = dr.select(index == k, value, result)
-    return result
