@@ -20,6 +20,9 @@ from etendue.core import SampleSource
 
 from . import dimensions as dim
 
+#: Cosine below which a direction lies in the surface.
+_GRAZING = 1e-6
+
 
 @dataclass
 class Scattered:
@@ -75,13 +78,19 @@ def evaluate_light_end(bsdf: Any, si: Any, wo: Any, active: Any) -> Evaluated:
 def _camera_end(bsdf: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any, Any]:
     value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, wo, active)
     reverse = bsdf.pdf(mi.BSDFContext(mi.TransportMode.Importance), exchanged(si, wo), si.wi, active)
-    return value, pdf, reverse
+    return _leaving(wo, value, pdf, reverse)
 
 
 def _light_end(bsdf: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any, Any]:
     value, reverse = bsdf.eval_pdf(mi.BSDFContext(), exchanged(si, wo), si.wi, active)
     pdf = bsdf.pdf(mi.BSDFContext(mi.TransportMode.Importance), si, wo, active)
-    return value, pdf, reverse
+    return _leaving(wo, value, pdf, reverse)
+
+
+def _leaving(wo: Any, value: Any, *densities: Any) -> tuple[Any, ...]:
+    """Nothing for directions in the surface: they carry nothing, and some materials answer 0 / 0 there."""
+    leaves = dr.abs(mi.Frame3f.cos_theta(wo)) > _GRAZING
+    return value & leaves, *(dr.select(leaves, pdf, 0.0) for pdf in densities)
 
 
 def cosine_ratio(si: Any, direction: Any) -> Any:
