@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -250,3 +251,43 @@ def test_noise_falls_with_the_root_of_the_passes(name):
     ratio = np.median(images.var(0, ddof=1).mean(-1)) / np.median(larger.var(0, ddof=1).mean(-1))
     assert ratio == pytest.approx(16.0, rel=0.35)
     assert abs(z_scores(blocks(images, 8), blocks(larger, 8))).max() < 4.5
+
+
+@pytest.mark.parametrize("name", ["bpt cache", "vcm path"])
+def test_a_pilot_that_guessed_too_low(name):
+    """The store overflows, and the pass is repeated with more room: the same picture."""
+    method, settings = METHODS[name]
+    runner = prepared(problem(), method, samples_per_pass=16, light_paths=1.0, **settings)
+    expected = runner.step(0, 1)
+    runner._vertices_per_path = 0.1
+    result = runner.step(0, 1)
+    assert result.counters["light_vertices"] == expected.counters["light_vertices"]
+    np.testing.assert_allclose(result.mean(), expected.mean(), **SAME)
+
+
+def test_another_seed_compiles_nothing():
+    scene = problem()
+    prepared(scene, "vcm", seed=1, samples_per_pass=4).step(0, 1)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        prepared(scene, "vcm", seed=2, samples_per_pass=4).step(0, 2)
+        kernels = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
+    assert kernels
+    assert all(kernel["cache_hit"] for kernel in kernels)
+
+
+@pytest.mark.parametrize(("near", "far"), [(1.0, 20.0), (2.5, 4.9)])
+def test_clipping_planes_do_not_matter(near, far):
+    """The same picture whatever the sensor's range, as long as everything seen lies in it."""
+    dictionary = {
+        "type": "scene",
+        "sky": {"type": "constant"},
+        "ball": {"type": "sphere", "radius": 0.6, "bsdf": scenes.diffuse(0.5, 0.4, 0.3)},
+        "sensor": scenes.camera((0.0, 0.0, 3.5), (0.0, 0.0, 0.0)),
+    }
+    plain = scenes.load(dictionary, size=scenes.SIZE)
+    near_and_far = dictionary | {"sensor": dictionary["sensor"] | {"near_clip": near, "far_clip": far}}
+    clipped = scenes.load(near_and_far, size=scenes.SIZE)
+    for method in ("light", "bpt"):
+        expected = run(plain, method, passes=6, samples=512)
+        assert_agree(run(clipped, method, passes=6, samples=512, seed=3).images, expected.images, method)

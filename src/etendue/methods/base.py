@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import IndependentSource, Iterations, Measurement, Result, Settings, setting
+from etendue.core import IndependentSource, Iterations, Measurement, OptionError, Result, Settings, setting
 from etendue.scene import LightTable, Problem
 from etendue.transport import Camera
 
@@ -22,6 +22,8 @@ Layer = NDArray[np.float32]
 
 #: Lanes that fill the machine: below, a pass wastes time; above, nothing is gained.
 FULL_LANES = 1 << 17
+#: An array of the device holds fewer than 2^32 numbers, and a lane has a colour.
+_MAX_LANES = 1 << 30
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,8 @@ class ImageMethod(ABC):
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """Build the tables that every pass shares."""
+        if problem.size[0] * problem.size[1] * self._samples(problem) >= _MAX_LANES:
+            raise OptionError("a pass has more camera paths than fit; lower samples_per_pass or the size")
         self.problem = problem
         self.scene = problem.scene
         self.camera = Camera(problem)
@@ -56,9 +60,12 @@ class ImageMethod(ABC):
     @property
     def samples_per_iteration(self) -> int:
         """Camera paths per pixel of one pass."""
+        return self._samples(self.problem)
+
+    def _samples(self, problem: Problem) -> int:
         if self.settings.samples_per_pass:
             return int(self.settings.samples_per_pass)
-        width, height = self.problem.size
+        width, height = problem.size
         return min(16, max(1, FULL_LANES // (width * height)))
 
     def step(self, iteration: int, seed: int) -> Measurement:
@@ -68,7 +75,9 @@ class ImageMethod(ABC):
         if "image" not in layers:  # in single precision as long as only one pass is in it: memory traffic counts here
             layers = {"image": functools.reduce(np.add, layers.values())} | layers
         if self.settings.aovs:
-            layers |= self._first_hits(iteration, seed, samples)
+            first, bad = self._first_hits(iteration, seed, samples)
+            layers |= first
+            counters["nonfinite"] += bad
         value = layers["image"] * np.float32(1.0 / samples)
         return Measurement(
             sums={name: layer.astype(np.float64) for name, layer in layers.items()},
@@ -111,17 +120,20 @@ class ImageMethod(ABC):
         # A copy: the device reuses the memory of the raveled array at once.
         return np.array(dr.ravel(values), np.float32).reshape(height, width, -1)
 
-    def _first_hits(self, iteration: int, seed: int, samples: int) -> dict[str, Layer]:
-        """Albedo, shading normal and distance of what the camera sees first; zeros where it sees nothing."""
+    def _first_hits(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], float]:
+        """Albedo, shading normal and distance of what the camera sees first, zeros where it sees nothing; and how many
+        values were not finite."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         source = IndependentSource(lanes, seed, "camera", iteration)
         ray, _, _ = self.camera.primary(lanes // samples, source)
         si = self.scene.ray_intersect(ray)
         hit = si.is_valid()
-        albedo = si.bsdf(ray).eval_diffuse_reflectance(si, hit) & hit
-        normal = dr.select(hit, si.sh_frame.n, 0.0)
+        albedo, bad_albedo = keep_finite(si.bsdf(ray).eval_diffuse_reflectance(si, hit) & hit)
+        normal, bad_normal = keep_finite(dr.select(hit, si.sh_frame.n, 0.0))
         depth = dr.select(hit, si.t, 0.0)
-        return {"albedo": self.image(albedo), "normal": self.image(normal), "depth": self.image(depth)}
+        dr.eval(albedo, normal, depth, bad_albedo, bad_normal)
+        layers = {"albedo": self.image(albedo), "normal": self.image(normal), "depth": self.image(depth)}
+        return layers, total(bad_albedo) + total(bad_normal)
 
 
 def keep_finite(value: Any) -> tuple[Any, Any]:

@@ -24,7 +24,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import IndependentSource, logger, setting
+from etendue.core import IndependentSource, OptionError, logger, setting
 from etendue.density import HashGrid
 from etendue.scene import Problem
 from etendue.transport import (
@@ -46,8 +46,9 @@ from .base import ImageMethod, ImageSettings, Layer, keep_finite, total
 #: Room for light vertices without a memory limit, in bytes, and the share of a limit that they may take.
 STORE_BYTES = 600e6
 STORE_SHARE = 0.4
-#: Room beyond what the pilot measured.
+#: Room beyond what the pilot measured: a factor, and vertices.
 STORE_MARGIN = 1.05
+_STORE_PAD = 1024
 #: Light and camera paths of the pilot pass.
 _PILOT_PATHS = 1 << 13
 
@@ -206,8 +207,12 @@ class Bidirectional(ImageMethod):
         """Into how many groups the light paths of a pass are split, so that their vertices fit into memory."""
         bytes_per_vertex = LightVertices.bytes_per_vertex(bool(self.techniques.connection), self.techniques.merge)
         needed = self._vertices_per_path * self._paths * STORE_MARGIN * bytes_per_vertex
+        pad = _STORE_PAD * bytes_per_vertex
         room = STORE_SHARE * memory if memory else STORE_BYTES
-        groups = max(1, math.ceil(needed / room))
+        if room < 4 * pad:
+            least = 4 * pad / STORE_SHARE / 1e6
+            raise OptionError(f"a memory limit of {memory / 1e6:.2g} MB is too small; give at least {least:.1f} MB")
+        groups = max(1, math.ceil(needed / (room - pad)))
         if groups > 1:
             logger.info("light vertices of a pass take %.0f MB: traced in %d groups", needed / 1e6, groups)
         return min(groups, self._paths)
@@ -224,19 +229,15 @@ class Bidirectional(ImageMethod):
         splats = Splats(self.camera.pixels) if self.techniques.splat else None
         parts: list[dict[str, Any]] = []
         counters = {"rays": 0.0, "light_vertices": 0.0, "nonfinite": 0.0}
-        while len(parts) < self._groups:
-            light, camera = (
-                _part(count, len(parts), self._groups) for count in (self._paths, self.camera.pixels * samples)
-            )
-            before = mi.Float(splats.array) if splats else None
-            capacity = math.ceil(self._vertices_per_path * len(light) * STORE_MARGIN) + 1024
+        for index in range(self._groups):
+            light, camera = (_part(n, index, self._groups) for n in (self._paths, self.camera.pixels * samples))
+            capacity = math.ceil(self._vertices_per_path * len(light) * STORE_MARGIN) + _STORE_PAD
             run = _Run("", iteration, seed, radius, light, camera, camera // samples, splats, capacity)
             radiance, counts = self._trace(run)
-            if counts["light_vertices"] > capacity:  # the pilot guessed too low: the same again with more room
+            if counts["light_vertices"] > capacity:  # the pilot guessed too low: the whole pass again, with more room
                 self._vertices_per_path = counts["light_vertices"] / len(light)
-                if splats:
-                    splats.array = before
-                continue
+                self._groups = self._count_groups(self.problem.memory)
+                return self.render_pass(iteration, seed, samples)
             parts.append(radiance)
             counters = {name: value + counts[name] for name, value in counters.items()}
 

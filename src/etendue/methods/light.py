@@ -6,7 +6,6 @@ Estimator [Arvo 1986; Veach 1997, ch. 10], N light sub-paths of vertices y_0 (li
 
 Emitters seen directly are made by points on their surface, joined to the camera as well. Good at caustics of small
 lights. Limits: what the camera sees through a mirror or smooth glass stays black: no edge can be drawn to it.
-Lights seen directly, the environment included, are found by joining their own points to the camera.
 """
 
 from __future__ import annotations
@@ -103,7 +102,7 @@ class Light(ImageMethod):
         if self.lights.has_infinite:
             # Its density is that of a direction: no cosine, the squared distance cancels, nothing lies behind it, and
             # its radiance is looked up by the world direction.
-            cos = dr.select(light.is_infinite, dr.square(distance), cos)
+            cos = dr.select(light.is_infinite, dr.square(joined.distance), cos)
             reach = dr.select(light.is_infinite, dr.inf, reach)
             si.wi = dr.select(light.is_infinite, joined.direction, si.wi)
         active = joined.active & (cos > 0.0)

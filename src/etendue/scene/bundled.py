@@ -29,7 +29,7 @@ class BundledScene:
 _DATA = Path(__file__).parent / "data"
 _CAUSTICS_NOTE = (
     "vcm with other settings than the picture on show (a smaller first radius of one pixel, weights without discount, "
-    "as many light as camera paths, another seed), 1000 s on two cores, by tools/demo_reference.py"
+    "as many light as camera paths, another seed), 1400 samples a pixel, by tools/demo_reference.py"
 )
 
 

@@ -70,6 +70,10 @@ def _check_sensor(sensor: Any) -> None:
     film = sensor.film()
     if plugin_name(film) != "hdrfilm":
         raise UnsupportedError(f"{describe(film, 'film')} is not supported; use 'hdrfilm'")
+    if film.sample_border():
+        raise UnsupportedError(
+            f"{describe(film, 'film')} samples its border, which is not supported; set sample_border to false"
+        )
     _check_values(sensor, name)
 
 
@@ -95,8 +99,14 @@ def _check_shape(shape: Any) -> None:
             if isinstance(node, mi.BSDF):
                 _check_bsdf(node, name)
             _check_values(node, f"{describe(node, 'material' if isinstance(node, mi.BSDF) else 'texture')} of {name}")
-    if shape.is_emitter() and not float(np.asarray(shape.surface_area()).ravel()[0]) > 0:
-        raise SceneError(f"{name} emits light but has no area; remove it or mend its geometry")
+    if shape.is_emitter():
+        if not float(np.asarray(shape.surface_area()).ravel()[0]) > 0:
+            raise SceneError(f"{name} emits light but has no area; remove it or mend its geometry")
+        if "vertex_normals" in values and not _is_faceted(values):
+            raise UnsupportedError(
+                f"{name} emits light and has normals that bend across its faces, which is not supported; set "
+                "face_normals to true on it"
+            )
 
 
 def _check_bsdf(bsdf: Any, shape: str) -> None:
@@ -161,6 +171,19 @@ def _check_mesh(mesh: Any, values: dict[str, Any], name: str) -> None:
         raise SceneError(
             f"{name} has a face ({face}) that names vertex {int(faces.max())} of {mesh.vertex_count()}; mend the mesh"
         )
+
+
+def _is_faceted(mesh: dict[str, Any]) -> bool:
+    """Whether a mesh's vertex normals are those of its faces, or opposite, to half a degree."""
+    normals = as_array(mesh["vertex_normals"]).reshape(-1, 3)
+    if not len(normals):
+        return True
+    corners = as_array(mesh["vertex_positions"]).reshape(-1, 3)[as_array(mesh["faces"]).reshape(-1, 3)]
+    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(flat, axis=1, keepdims=True)
+    flat = (flat / np.where(length > 0, length, 1.0))[:, None, :]
+    bent = np.einsum("fci,fki->fc", normals[as_array(mesh["faces"]).reshape(-1, 3)], flat)
+    return bool((np.abs(bent)[length[:, 0] > 0] > 0.99996).all())
 
 
 def _floats(value: Any) -> NDArray[np.floating[Any]] | None:

@@ -26,6 +26,7 @@ class CameraConnection:
     position: Any  #: film point in pixels
     direction: Any  #: world, from the surface to the sensor
     target: Any  #: end of the shadow ray: the near plane on the way to the aperture point
+    distance: Any  #: to the aperture point
     importance: Any  #: measurement contribution of one pixel per unit radiance, over squared distance
     active: Any
 
@@ -63,8 +64,11 @@ class Camera:
         self.filter = FilterSampler(self.sensor.film().rfilter(), self.width, self.height)
         parameters = mi.traverse(self.sensor)
         self.near_clip = _scalar(parameters, "near_clip", 0.0)
-        #: A distance within the sensor's range: of points on camera rays, and where the environment is joined to it.
-        self.far = 0.5 * _scalar(parameters, "far_clip", 1e4)
+        far_clip = _scalar(parameters, "far_clip", 1e4)
+        #: A distance within the sensor's range, where the environment is joined to it.
+        self.far = 0.5 * (self.near_clip + far_clip)
+        # From the near plane along any ray of the film, to a point before the far plane.
+        self._reach = 0.5 * (far_clip - self.near_clip)
         self.origin = mi.Point3f(self.sensor.world_transform().translation())
 
     def primary(self, pixel: Any, source: SampleSource) -> tuple[Any, Any, Any]:
@@ -87,13 +91,13 @@ class Camera:
         axial = dr.maximum(dr.dot(-ds.d, dr.normalize(ds.n)), 1e-6)
         target = ds.p - ds.d * (self.near_clip / axial)
         usable = active & (ds.pdf > 0.0) & (importance > 0.0)
-        return CameraConnection(ds.uv, ds.d, target, importance, usable)
+        return CameraConnection(ds.uv, ds.d, target, ds.dist, importance, usable)
 
     def density(self, ray: Any, aperture: Any) -> tuple[Any, Any]:
         """Solid-angle density of a camera ray uniform in its pixel, 0 where the sensor cannot be joined; and how far
         from the aperture point the ray starts. [Georgiev 2012b, eq. 31]"""
         probe = dr.zeros(mi.Interaction3f)
-        probe.p = ray.o + ray.d * self.far
+        probe.p = ray.o + ray.d * self._reach
         ds, weight = self.sensor.sample_direction(probe, aperture)
         lead = dr.norm(ray.o - ds.p)
         return weight[0] * (self.pixels * dr.square(ds.dist)), lead

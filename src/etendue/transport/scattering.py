@@ -131,7 +131,7 @@ def _scatter(
 
     (wo, weight, pdf, reverse_pdf, eta, is_delta), evaluated = dr.dispatch(bsdf, ask, si, u, active, list(directions))
     direction = si.to_world(wo)
-    active = active & (pdf > 0.0) & ~dr.all(weight == 0.0)
+    active = active & ~(pdf <= 0.0) & ~dr.all(weight == 0.0)  # NaN goes on, to be counted
     scattered = Scattered(direction, weight, pdf, reverse_pdf, geometric_cos(si, direction), eta, is_delta, active)
     return scattered, [Evaluated(*e) for e in evaluated]
 
@@ -162,7 +162,7 @@ def roulette(throughput: Any, eta: Any, depth: Any, first_depth: int, u: Any) ->
     """
     survival = dr.minimum(dr.max(throughput) * dr.square(eta), 0.95)
     playing = depth >= first_depth
-    return ~playing | (u < survival), dr.select(playing, dr.rcp(survival), 1.0)
+    return ~playing | ~(u >= survival), dr.select(playing, dr.rcp(survival), 1.0)
 
 
 def shadow_roulette(contribution: Any, threshold: Any, u: Any, active: Any) -> tuple[Any, Any]:

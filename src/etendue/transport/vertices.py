@@ -8,7 +8,6 @@ anisotropic materials, at twice the cost of reading.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,11 +23,11 @@ _BLOCK = 16
 
 def needs_interaction(scene: Any) -> bool:
     """Whether some material reads more of a surface than the framed layout keeps."""
-    description = str(scene)
-    if any(name in description for name in ("BumpMap", "NormalMap", "MeshAttribute", "anisotropic")):
+    materials = [shape.bsdf() for shape in scene.shapes()]
+    if any(mi.has_flag(bsdf.flags(), mi.BSDFFlags.Anisotropic) for bsdf in materials if bsdf is not None):
         return True
-    roughness = re.findall(r"alpha_u = (.*?),?\n\s*alpha_v = (.*?),?\n", description)
-    return any(u != v for u, v in roughness)
+    description = str(scene)
+    return any(name in description for name in ("BumpMap", "NormalMap", "MeshAttribute"))
 
 
 @dataclass
@@ -65,6 +64,7 @@ class LightVertices:
         self.wanted = dr.zeros(mi.UInt32, 1)
         # One record a vertex, of packets: position, depth | index on path; throughput, d_vcm; world direction to the
         # light side, d_vc; two packets of the surface; BSDF and path.
+        self._limit = dr.opaque(mi.UInt32, capacity)  # measured, so another seed has another: no constant of a kernel
         self._records = dr.empty(mi.Float, 4 * self._packets * capacity)
         padded = -(-paths // _BLOCK) * _BLOCK
         self._stored = dr.zeros(mi.UInt32, padded if connected else 1)  # vertices of each path
@@ -100,7 +100,7 @@ class LightVertices:
         A full store drops vertices but goes on counting, so that the caller sees ``wanted > capacity`` and repeats
         the pass with more room."""
         slot = dr.scatter_inc(self.wanted, mi.UInt32(0), active)
-        active = active & (slot < self.capacity)
+        active = active & (slot < self._limit)
         tag = _as_float(depth | (index << 16))
         direction = si.to_world(si.wi)
         self._put(0, mi.Vector4f(si.p.x, si.p.y, si.p.z, tag), slot, active)
@@ -131,11 +131,12 @@ class LightVertices:
     @property
     def count(self) -> Any:
         """Vertices held, one number on the device."""
-        return dr.minimum(self.wanted, self.capacity)
+        return dr.minimum(self.wanted, self._limit)
 
     def number(self, by_path: bool) -> None:
         """Number the vertices, repeatably: path after path (``by_path``), or block of paths after block and in it by
-        position on the path, so that neighbouring numbers are slots that lie together in memory."""
+        position on the path, so that neighbouring numbers are slots that lie together in memory. Numbers count what a
+        full store has dropped, so they may lie beyond it; such a pass is thrown away, but must touch nothing else."""
         self._start = dr.prefix_reduce(dr.ReduceOp.Add, self._stored, exclusive=True)
         slot = dr.arange(mi.UInt32, self.capacity)
         held = slot < self.count
@@ -151,12 +152,12 @@ class LightVertices:
                 number += dr.minimum(stored, index)
                 number += dr.select((first + lane < path) & (stored > index), mi.UInt32(1), mi.UInt32(0))
         self._order = dr.zeros(mi.UInt32, self.capacity)
-        dr.scatter(self._order, slot, number, held)
+        dr.scatter(self._order, slot, number, held & (number < self._limit))
         dr.eval(self._order, self._start)
 
     def slot(self, number: Any, active: Any) -> Any:
         """Slot of the vertex with this number."""
-        return dr.gather(mi.UInt32, self._order, number, active)
+        return dr.gather(mi.UInt32, self._order, number, active & (number < self._limit))
 
     def path_vertices(self, path: Any, active: Any) -> tuple[Any, Any]:
         """(first number, how many) of a path's vertices."""
