@@ -209,7 +209,7 @@ class Bidirectional(ImageMethod):
         needed = self._vertices_per_path * self._paths * STORE_MARGIN * bytes_per_vertex
         pad = _STORE_PAD * bytes_per_vertex
         room = STORE_SHARE * memory if memory else STORE_BYTES
-        if room < 4 * pad:
+        if memory and room < 4 * pad:
             least = 4 * pad / STORE_SHARE / 1e6
             raise OptionError(f"a memory limit of {memory / 1e6:.2g} MB is too small; give at least {least:.1f} MB")
         groups = max(1, math.ceil(needed / (room - pad)))
