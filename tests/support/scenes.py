@@ -57,6 +57,7 @@ def mesh(
 SENSORS: dict[str, Dict] = {
     "perspective": {"type": "perspective"},
     "thinlens": {"type": "thinlens", "aperture_radius": 0.12, "focus_distance": 3.6},
+    "orthographic": {"type": "orthographic"},
 }
 FILTERS = ("box", "tent", "gaussian", "mitchell")
 
@@ -79,7 +80,9 @@ def camera(
     }
     up = [0, 0, 1] if abs(origin[0] - target[0]) + abs(origin[2] - target[2]) < 1e-6 else [0, 1, 0]
     look = transform().look_at(list(origin), list(target), up)
-    return SENSORS[sensor] | {"to_world": look, "fov": fov, "film": film, "sampler": {"type": "independent"}}
+    # An orthographic film is two units wide: scaled to what the others see of the middle of the room.
+    view = {"to_world": look @ transform().scale([1.4, 1.4, 1.0])} if sensor == "orthographic" else {"fov": fov}
+    return {"to_world": look, "film": film, "sampler": {"type": "independent"}} | SENSORS[sensor] | view
 
 
 # ---------------------------------------------------------------------------------------------------- emitters
@@ -126,6 +129,24 @@ def _point() -> Dict:
     return {"light": {"type": "point", "position": [0.4, 1.9, 0.9], "intensity": rgb(6, 5, 4)}}
 
 
+def _projector() -> Dict:
+    look = transform().look_at([1.2, 2.6, 1.5], [0, 0, -0.2], [0, 1, 0])
+    pixels = np.stack([np.eye(6) * 3 + 0.5, np.full((6, 6), 1.0), np.tri(6) * 2], -1)
+    return {"light": {"type": "projector", "irradiance": bitmap(4 * pixels), "fov": 60, "to_world": look}}
+
+
+def _sunsky() -> Dict:
+    up = transform().rotate([1, 0, 0], -90)  # the sky's zenith is +z
+    sky = {
+        "type": "sunsky",
+        "sun_direction": [0.5, 0.3, 0.8],
+        "sun_aperture": 20.0,
+        "sun_scale": 0.02,
+        "sky_scale": 0.1,
+    }
+    return {"light": sky | {"to_world": up}}
+
+
 #: Every kind of emitter, each the contents of a scene dictionary.
 EMITTERS: dict[str, Callable[[], Dict]] = {
     "rectangle": _rectangle,
@@ -141,9 +162,23 @@ EMITTERS: dict[str, Callable[[], Dict]] = {
     "envmap": _sky,
     "two": lambda: _rectangle() | {"other": {"type": "constant", "radiance": rgb(0.2, 0.3, 0.4)}},
     "mixed": lambda: _cube() | {"other": _spot()["light"]},
+    "directional": lambda: {
+        "light": {"type": "directional", "direction": [-0.5, -1.0, -0.6], "irradiance": rgb(3, 2, 2)}
+    },
+    "projector": _projector,
+    "sunsky": _sunsky,
+    "cylinder": lambda: {
+        "light": {
+            "type": "cylinder",
+            "p0": [-1, 1.4, -0.6],
+            "p1": [0.8, 1.6, -0.7],
+            "radius": 0.1,
+            "emitter": _area(6, 5, 7),
+        }
+    },
 }
 #: Emitters that no ray can hit: what they send through a mirror or glass is out of reach of ``path``.
-DELTA_EMITTERS = ("point", "spot", "mixed")
+DELTA_EMITTERS = ("point", "spot", "mixed", "directional", "projector")
 
 # ---------------------------------------------------------------------------------------------------- materials
 
@@ -197,13 +232,24 @@ MATERIALS: dict[str, Callable[[], Dict]] = {
     "bumpmap unflipped": lambda: MATERIALS["bumpmap"]() | {"flip_invalid_normals": False},
     "normalmap unflipped": lambda: MATERIALS["normalmap"]() | {"flip_invalid_normals": False},
     "textured": lambda: {"type": "diffuse", "reflectance": bitmap(_pattern())},
+    "mask": lambda: {"type": "mask", "opacity": bitmap(_pattern()), "nested": diffuse(0.7, 0.5, 0.2)},
+    "cutout": lambda: {"type": "mask", "opacity": 0.6, "nested": {"type": "roughconductor", "alpha": 0.3}},
+    "pane": lambda: {"type": "thindielectric"},
+    "null": lambda: {"type": "null"},
+    "veil": lambda: {"type": "blendbsdf", "weight": 0.5, "a": diffuse(0.3, 0.6, 0.3), "b": {"type": "null"}},
+    "twosided mask": lambda: {
+        "type": "mask",
+        "opacity": 0.7,
+        "nested": {"type": "twosided", "front": diffuse(0.7, 0.3, 0.3), "back": diffuse(0.3, 0.3, 0.7)},
+    },
     "vertexcolours": lambda: {"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": "vertex_color"}},
 }
 #: Six materials fit into one picture, so a scene of a group crosses an emitter with all of them.
 GROUPS: dict[str, tuple[str, ...]] = {
     "rough": ("roughconductor", "anisotropic", "roughdielectric", "roughplastic", "principled", "twosided"),
     "wrapped": ("blendbsdf", "bumpmap", "normalmap", "textured", "vertexcolours", "diffuse"),
-    "specular": ("conductor", "dielectric", "plastic"),
+    "specular": ("conductor", "dielectric", "plastic", "pane"),
+    "transparent": ("mask", "cutout", "null", "veil", "twosided mask", "diffuse"),
 }
 _PLACES = [(x, 0.302, z) for z in (0.45, -0.5) for x in (-0.9, 0.0, 0.9)]
 
@@ -212,7 +258,7 @@ def thing(material: str, place: tuple[float, float, float]) -> Any:
     """The object that shows a material: a ball; a tilted plate for two sides; a tent for colours of vertices."""
     x, y, z = place
     bsdf = MATERIALS[material]()
-    if material == "twosided":
+    if "twosided" in material:
         to_world = transform().translate([x, y + 0.1, z]).rotate([0, 1, 0], 65).rotate([1, 0, 0], -20).scale(0.32)
         return {"type": "rectangle", "to_world": to_world, "bsdf": bsdf}
     if material == "vertexcolours":

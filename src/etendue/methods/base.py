@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from etendue.core import IndependentSource, Iterations, Measurement, OptionError, Result, Settings, setting
 from etendue.scene import LightTable, Problem
-from etendue.transport import Camera
+from etendue.transport import Camera, Visibility
 
 #: One pass's sums of a layer, (height, width, channels).
 Layer = NDArray[np.float32]
@@ -56,6 +56,7 @@ class ImageMethod(ABC):
         self.scene = problem.scene
         self.camera = Camera(problem)
         self.lights = LightTable(problem.scene)
+        self.visibility = Visibility(problem.scene)
 
     @property
     def samples_per_iteration(self) -> int:

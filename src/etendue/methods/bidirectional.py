@@ -141,11 +141,15 @@ class Bidirectional(ImageMethod):
             emission=int(s.connecting),
             next_event=s.next_events if s.connecting else 0,
             connection=(1 if s.light_source == "path" else s.connections) if s.connecting else 0,
-            splat=s.connecting,
+            splat=s.connecting and self.camera.can_splat,
             merge=s.merging,
             merge_first=s.merge_first,
             beta=2 if s.heuristic == "power" else 1,
         )
+        if s.connecting and not self.camera.can_splat:
+            logger.info(
+                "light paths cannot be joined to this sensor: what only they find is made by merging, or not at all"
+            )
         self._indexed = needs_interaction(problem.scene)
         box = problem.scene.bbox()
         self._box = np.asarray(box.min, float).ravel(), np.asarray(box.max, float).ravel()
@@ -167,17 +171,17 @@ class Bidirectional(ImageMethod):
         return float(s.radius * self._pixel_footprint(seed))
 
     def _pixel_footprint(self, seed: int) -> float:
-        """Median, over what the camera sees first, of the side of a pixel there: sqrt(1 / importance)."""
+        """Median, over what the camera sees first, of the side of a pixel there."""
         lanes = dr.arange(mi.UInt32, min(self.camera.pixels, 1 << 14))
         source = IndependentSource(lanes, seed, "pilot camera", 0)
         pixel = mi.UInt32(mi.Float(self.camera.pixels) * (mi.Float(lanes) + 0.5) / len(lanes))
         ray, _, aperture = self.camera.primary(dr.minimum(pixel, self.camera.pixels - 1), source)
         si = self.scene.ray_intersect(ray)
-        importance = np.asarray(dr.select(si.is_valid(), self.camera.importance(si.p, aperture), 0.0))
-        importance = importance[importance > 0]
-        if not len(importance):
+        side = np.asarray(dr.select(si.is_valid(), self.camera.footprint(si.p, aperture), dr.inf))
+        side = side[np.isfinite(side)]
+        if not len(side):
             return float(0.001 * np.linalg.norm(self._box[1] - self._box[0]))
-        return float(np.median(1.0 / np.sqrt(importance)))
+        return float(np.median(side))
 
     def _pilot(self, seed: int) -> None:
         """Measure how many vertices a light path stores and how bright the picture is, by a small pass under seed roles
@@ -262,7 +266,7 @@ class Bidirectional(ImageMethod):
         paths = len(run.light)
         mis = self._mis(run.radius, paths)
         common = (
-            self.scene,
+            self.visibility,
             self.lights,
             self.camera,
             mis,

@@ -16,8 +16,9 @@ from typing import Any, ClassVar
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import IndependentSource, setting
-from etendue.transport import LightWalk, Mis, Splats, Techniques
+from etendue.core import IndependentSource, UnsupportedError, setting
+from etendue.scene import Problem
+from etendue.transport import LightWalk, Mis, Splats, Techniques, point_on
 from etendue.transport import dimensions as dim
 
 from .base import ImageMethod, ImageSettings, Layer, keep_finite, total
@@ -40,13 +41,23 @@ class Light(ImageMethod):
     Settings: ClassVar[type[ImageSettings]] = LightSettings
     citations: ClassVar[tuple[str, ...]] = ("Arvo1986", "Veach1997")
 
+    def prepare(self, problem: Problem, seed: int) -> None:
+        """See :class:`ImageMethod`; raises :class:`UnsupportedError` for a sensor that nothing can be joined to."""
+        super().prepare(problem, seed)
+        if not self.camera.can_splat:
+            raise UnsupportedError(
+                "light paths cannot be joined to this sensor, so 'light' would render nothing; use another method"
+            )
+
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         paths = max(1, round(self.settings.light_paths * self.camera.pixels * samples))
         techniques = Techniques(emission=0, next_event=0, connection=0, splat=True, merge=False)
         mis = Mis(techniques, 0.0, dr.opaque(mi.Float, paths / samples))
         max_edges = dr.opaque(mi.UInt32, self.max_edges())
-        walk = LightWalk(self.scene, self.lights, self.camera, mis, max_edges, self.settings.rr_depth, mi.Float(0.0))
+        walk = LightWalk(
+            self.visibility, self.lights, self.camera, mis, max_edges, self.settings.rr_depth, mi.Float(0.0)
+        )
         scattered = Splats(self.camera.pixels)
         lanes = dr.arange(mi.UInt32, paths)
         rays, bad = walk.trace(paths, IndependentSource(lanes, seed, "light", iteration), None, scattered)
@@ -77,13 +88,10 @@ class Light(ImageMethod):
         aperture = self.camera.splat_aperture(source, 1)
         active &= ~light.is_delta & (self.max_edges() > 0)
 
-        on_surface = active & ~light.is_infinite
         si = dr.zeros(mi.SurfaceInteraction3f, paths)
         density = light.pick * light.area_density  # per area; per solid angle from the camera for the environment
         if self.lights.has_area:
-            si = mi.SurfaceInteraction3f(
-                light.emitter.get_shape().sample_position(0.0, u, on_surface), dr.zeros(mi.Color0f)
-            )
+            si.p, si.n, si.uv = point_on(light, u, active & light.is_area)
         if self.lights.has_infinite:
             eye = dr.zeros(mi.Interaction3f)
             eye.p = self.camera.origin
@@ -113,6 +121,7 @@ class Light(ImageMethod):
         contribution, bad = keep_finite(contribution)
         bad &= active
         rays = dr.select(active, mi.UInt32(1), mi.UInt32(0))
-        active &= ~self.scene.ray_test(mi.Ray3f(joined.target, -joined.direction, reach, 0.0, mi.Color0f()), active)
-        splats.add(pixel, contribution, active)
+        ray = mi.Ray3f(joined.target, -joined.direction, reach, 0.0, mi.Color0f())
+        active, share = self.visibility.along(ray, dr.opaque(mi.UInt32, self.max_edges() - 1), active)
+        splats.add(pixel, contribution * share, active)
         return rays, bad

@@ -53,6 +53,7 @@ class _State:
     radiance: Any
     eta: Any  #: product of the relative indices of refraction
     depth: Any  #: edges so far, the one being traced included
+    travelled: Any  #: length of the edge before the surfaces that it has crossed
     pdf: Any  #: density of the edge's direction; 0 after a delta scattering, which no light point competes with
     rays: Any
 
@@ -76,6 +77,7 @@ class Path(ImageMethod):
             radiance=mi.Color3f(0.0),
             eta=mi.Float(1.0),
             depth=mi.UInt32(1),
+            travelled=mi.Float(0.0),
             pdf=mi.Float(0.0),
             rays=mi.UInt32(0),
         )
@@ -97,7 +99,8 @@ class Path(ImageMethod):
         # ---- The edge ends on a light
         on_light = s.active & is_emissive(self.scene, si)
         radiance, area_density, _ = emission_of_hit(self.lights, self.scene, si, on_light)
-        solid_angle = dr.select(si.is_valid(), dr.square(si.t) / dr.abs(dr.dot(si.n, s.ray.d)), 1.0)
+        distance = s.travelled + si.t
+        solid_angle = dr.select(si.is_valid(), dr.square(distance) / dr.abs(dr.dot(si.n, s.ray.d)), 1.0)
         s.radiance[on_light] += s.throughput * radiance * self._hit_weight(s.pdf, area_density * solid_angle)
         s.active &= si.is_valid() & (s.depth < max_edges)
 
@@ -112,13 +115,19 @@ class Path(ImageMethod):
             contribution = s.throughput * value.value * direct.radiance * self._direct_weight(direct, value.pdf)
             lit = direct.active & ~dr.all(contribution == 0.0)
             s.rays += dr.select(lit, mi.UInt32(1), mi.UInt32(0))
-            lit &= ~self.scene.ray_test(si.spawn_ray_to(direct.target), lit)
-            s.radiance[lit] += contribution
+            spare = max_edges - (s.depth + 1)
+            lit, share = self.visibility.along(si.spawn_ray_to(direct.target), spare, lit)
+            s.radiance[lit] += contribution * share
 
         # ---- Scatter
         s.throughput *= scattered.weight
         s.eta *= scattered.eta
-        s.pdf = dr.select(scattered.is_delta, 0.0, scattered.pdf)
+        pdf = dr.select(scattered.is_delta, 0.0, scattered.pdf)
+        if self.visibility.transparent:  # a surface that was crossed is no vertex: the edge goes on
+            s.pdf = dr.select(scattered.is_null, s.pdf, pdf)
+            s.travelled = dr.select(scattered.is_null, distance, 0.0)
+        else:
+            s.pdf = pdf
         s.ray = si.spawn_ray(scattered.direction)
         alive, factor = roulette(
             s.throughput, s.eta, s.depth, self.settings.rr_depth, source.next_1d(s.depth, dim.ROULETTE)

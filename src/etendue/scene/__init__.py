@@ -3,8 +3,9 @@
 from .bundled import BundledScene, bundled
 from .capability import check
 from .fingerprint import fingerprint
+from .graph import materials
 from .lights import Light, LightTable
 from .loading import load
 from .problem import Problem
 
-__all__ = ["BundledScene", "Light", "LightTable", "Problem", "bundled", "check", "fingerprint", "load"]
+__all__ = ["BundledScene", "Light", "LightTable", "Problem", "bundled", "check", "fingerprint", "load", "materials"]

@@ -14,37 +14,32 @@ from etendue.core import SceneError, UnsupportedError, check_variant
 
 from .graph import as_array, below, contents, describe, plugin_name, shapes
 
-_SENSORS = ("perspective", "thinlens")
-_EMITTERS = ("area", "point", "spot", "constant", "envmap")
-#: Shapes besides meshes. Each has a ``sample_position`` that is uniform in area: Dr.Jit compiles that call for every
-#: shape of a scene, whether it emits or not, and fails on shapes that lack it.
-_SHAPES = ("rectangle", "disk", "sphere", "cylinder")
+_SENSORS = ("perspective", "thinlens", "orthographic")
+_EMITTERS = (
+    "area",
+    "point",
+    "spot",
+    "projector",
+    "directional",
+    "directionalarea",
+    "constant",
+    "envmap",
+    "sunsky",
+    "timed_sunsky",
+)
+#: Shapes besides meshes. Curves are left out: only rays from outside meet them, so a path is not the same both ways.
+_SHAPES = ("rectangle", "disk", "sphere", "cylinder", "sdfgrid", "instance", "shapegroup")
+#: Shapes that emit: points on them can be drawn uniformly by area.
+_LAMPS = ("rectangle", "disk", "sphere", "cylinder")
 
-_SENSOR_REMEDY = "use a 'perspective' or 'thinlens' sensor"
-_NULL_REMEDY = {
-    "mask": "model the cut-out as geometry, or remove the mask",
-    "null": "remove the shape or give it another material",
-    "thindielectric": "use 'dielectric' on a closed, thick pane, or remove the pane",
-    "hair": "use 'roughplastic' or 'principled'",
-}
-_SHAPE_REMEDY = {
-    "instance": "put transformed copies of the shape in its place",
-    "shapegroup": "put its shapes in the scene directly",
-}
-_EMITTER_REMEDY = {
-    "directional": "use a small bright 'area' disc far away, or an 'envmap' with a bright pixel",
-    "directionalarea": "use an 'area' or a 'spot' emitter",
-    "projector": "use a 'spot' emitter, or a textured 'area' emitter",
-    "sunsky": "bake it into an 'envmap'",
-    "timed_sunsky": "bake it into an 'envmap'",
-}
+_SENSOR_REMEDY = "use a 'perspective', 'thinlens' or 'orthographic' sensor"
 
 
 def check(scene: Any, sensor: Any) -> None:
     """Raise :class:`UnsupportedError` or :class:`SceneError` if ``scene`` cannot be rendered through ``sensor``.
 
-    Supported are perspective and thin-lens sensors; meshes, rectangles, discs, spheres and cylinders; area, point,
-    spot, constant and environment-map emitters; every RGB BSDF without a null component; textures.
+    Supported are perspective, thin-lens and orthographic sensors; every shape but curves and ellipsoids, emitting from
+    meshes, rectangles, discs, spheres and cylinders; every RGB emitter; every RGB BSDF; textures.
     Broken input (a NaN vertex or radiance, no emitter, an index beyond the vertices) is a :class:`SceneError`. Raises
     :class:`BackendError` under a Mitsuba variant that is not supported.
     """
@@ -87,8 +82,7 @@ def _check_shape(shape: Any) -> None:
         )
     values = dict(contents(shape).values)
     if not shape.is_mesh() and plugin_name(shape) not in _SHAPES:
-        remedy = _SHAPE_REMEDY.get(plugin_name(shape), "convert it to a mesh")
-        raise UnsupportedError(f"{name} is not supported; {remedy}")
+        raise UnsupportedError(f"{name} is not supported; convert it to a mesh")
     if "vertex_positions" in values:
         _check_mesh(shape, values, name)
     else:
@@ -96,10 +90,12 @@ def _check_shape(shape: Any) -> None:
     bsdf = shape.bsdf()
     if bsdf is not None:
         for node in below(bsdf):
-            if isinstance(node, mi.BSDF):
-                _check_bsdf(node, name)
             _check_values(node, f"{describe(node, 'material' if isinstance(node, mi.BSDF) else 'texture')} of {name}")
     if shape.is_emitter():
+        if not shape.is_mesh() and plugin_name(shape) not in _LAMPS:
+            raise UnsupportedError(
+                f"{name} emits light, which is not supported; use a mesh or one of: {', '.join(_LAMPS)}"
+            )
         if not float(np.asarray(shape.surface_area()).ravel()[0]) > 0:
             raise SceneError(f"{name} emits light but has no area; remove it or mend its geometry")
         if "vertex_normals" in values and not _is_faceted(values):
@@ -107,22 +103,6 @@ def _check_shape(shape: Any) -> None:
                 f"{name} emits light and has normals that bend across its faces, which is not supported; set "
                 "face_normals to true on it"
             )
-
-
-def _check_bsdf(bsdf: Any, shape: str) -> None:
-    import mitsuba as mi
-
-    if not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null):
-        return
-    # A wrapper inherits the flag from what it wraps: blame the innermost.
-    inner = [b for _, b in contents(bsdf).objects if isinstance(b, mi.BSDF)]
-    if plugin_name(bsdf) not in _NULL_REMEDY and any(mi.has_flag(b.flags(), mi.BSDFFlags.Null) for b in inner):
-        return
-    remedy = _NULL_REMEDY.get(plugin_name(bsdf), "use another material")
-    raise UnsupportedError(
-        f"{describe(bsdf, 'material')} on {shape} lets light pass unbent (a null component), which is not supported; "
-        f"{remedy}"
-    )
 
 
 def _check_emitter(emitter: Any) -> None:
@@ -133,19 +113,11 @@ def _check_emitter(emitter: Any) -> None:
     if shape is not None and mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface):
         name += f" on {describe(shape, 'shape')}"
     if kind not in _EMITTERS:
-        remedy = _EMITTER_REMEDY.get(kind, "use one of: " + ", ".join(_EMITTERS))
-        raise UnsupportedError(f"{name} is not supported; {remedy}")
+        raise UnsupportedError(f"{name} is not supported; use one of: {', '.join(_EMITTERS)}")
     if emitter.get_medium() is not None:
         raise UnsupportedError(f"{name} sits in a participating medium, which is not supported; remove the medium")
     for node in below(emitter):
         _check_values(node, name)
-    try:  # traced, not run: some textures have no way to emit light from them
-        emitter.sample_ray(0.0, 0.5, mi.Point2f(0.5), mi.Point2f(0.5))
-    except RuntimeError:
-        textures = [plugin_name(node) for node in below(emitter) if isinstance(node, mi.Texture)]
-        raise UnsupportedError(
-            f"{name} cannot emit light through a texture of type {', '.join(map(repr, textures[:1]))}; use a 'bitmap'"
-        ) from None
 
 
 def _check_values(item: Any, name: str) -> None:

@@ -124,6 +124,14 @@ def shapes(scene: Any) -> list[Any]:
     return found
 
 
+def materials(scene: Any) -> Iterator[Any]:
+    """Every material of a scene with all that it is made of: nested materials and textures."""
+    for shape in shapes(scene):
+        bsdf = shape.bsdf()
+        if bsdf is not None:
+            yield from below(bsdf)
+
+
 def plugin_name(item: Any) -> str:
     """The name by which a scene file asks for this object, such as ``roughconductor``."""
     own = getattr(item, "plugin_name", None)  # Python plugins may say it themselves

@@ -1,17 +1,21 @@
 """The light table: what every bidirectional technique must know of a scene's emitters and Mitsuba does not say.
 
 Mitsuba's emitters sample rays and directions but return no densities for emission, so densities are derived here from
-three kinds of emitter:
+four kinds of emitter:
 
 =========  ==================================  =========================================================
 kind       point density p_A (per area)        direction density p_w of an emitted ray (per solid angle)
 =========  ==================================  =========================================================
 area       1 / A, uniform over the shape       cos(theta) / pi
-delta      1, one point (point, spot)          uniform over the sphere or over the spot's cone
-infinite   1 / (pi R^2), disc of the scene     the emitter's own pdf_direction (constant, envmap)
+point      1, one point (point, spot,          uniform over the sphere, or over the cone that holds
+           projector)                          every ray
+infinite   1 / (pi R^2), disc of the scene     the emitter's own (constant, envmap, sunsky), or 1 for its
+                                               only direction (directional)
+beam       1 / A, uniform over the shape       1, along the normal (directionalarea)
 =========  ==================================  =========================================================
 
 Each density is multiplied by the probability of picking the emitter, which is proportional to its emitted power.
+A projector draws its rays by its texture and not uniformly; weights only need a density that all techniques share.
 """
 
 from __future__ import annotations
@@ -35,10 +39,13 @@ class Light:
 
     emitter: Any  #: EmitterPtr
     pick: Any  #: probability of having picked it
-    area_density: Any  #: 1/A of an area emitter, 1 of a delta emitter, 1/(pi R^2) of an infinite one
-    direction_density: Any  #: of a delta emitter, per solid angle; 0 for the others
-    is_delta: Any  #: point and spot: no ray can hit it
-    is_infinite: Any  #: constant and envmap
+    area_density: Any  #: 1/A of an area emitter or a beam, 1 of a point-like emitter, 1/(pi R^2) of an infinite one
+    direction_density: Any  #: of a point-like emitter, per solid angle; 0 for the others
+    is_delta: Any  #: no ray can hit it: point-like emitters, beams, and those with one direction
+    is_area: Any
+    is_point: Any
+    is_infinite: Any
+    is_beam: Any
 
 
 class LightTable:
@@ -53,9 +60,9 @@ class LightTable:
         self.centre, self.radius = sphere.center, float(np.asarray(sphere.radius).ravel()[0])
 
         rows = [_describe(e, self.radius) for e in emitters]
-        self.has_area = any(r.kind == "area" for r in rows)
-        self.has_delta = any(r.kind == "delta" for r in rows)
-        self.has_infinite = any(r.kind == "infinite" for r in rows)
+        self.has_area, self.has_point, self.has_infinite, self.has_beam = (
+            any(r.kind == kind for r in rows) for kind in _KINDS
+        )
         self.count = len(rows)
 
         power = np.array([r.power for r in rows])
@@ -72,6 +79,7 @@ class LightTable:
         self._area_density = mi.Float(np.array([r.area_density for r in rows], np.float32))
         self._direction_density = mi.Float(np.array([r.direction_density for r in rows], np.float32))
         self._kind = mi.UInt32(np.array([_KINDS.index(r.kind) for r in rows], np.uint32))
+        self._is_delta = mi.Bool(np.array([r.is_delta for r in rows]))
         self._cdf = mi.DiscreteDistribution(mi.Float(pick.astype(np.float32)))
         # A hit knows its emitter only as a pointer: registry numbers lead back to rows.
         ids = np.asarray(dr.reinterpret_array(mi.UInt32, self._emitters))
@@ -99,12 +107,15 @@ class LightTable:
             pick=dr.gather(mi.Float, self._pick, row, active),
             area_density=dr.gather(mi.Float, self._area_density, row, active),
             direction_density=dr.gather(mi.Float, self._direction_density, row, active),
-            is_delta=kind == _KINDS.index("delta"),
+            is_delta=dr.gather(mi.Bool, self._is_delta, row, active),
+            is_area=kind == _KINDS.index("area"),
+            is_point=kind == _KINDS.index("point"),
             is_infinite=kind == _KINDS.index("infinite"),
+            is_beam=kind == _KINDS.index("beam"),
         )
 
 
-_KINDS = ("area", "delta", "infinite")
+_KINDS = ("area", "point", "infinite", "beam")
 
 
 @dataclass
@@ -113,21 +124,24 @@ class _Row:
     kind: str
     power: float
     area_density: float
-    direction_density: float
+    direction_density: float = 0.0
+    is_delta: bool = False
 
 
 def _describe(emitter: Any, scene_radius: float) -> _Row:
     flags = emitter.flags()
     name = emitter.id() or emitter.class_name()
-    power = _power(emitter)
+    one_direction = mi.has_flag(flags, mi.EmitterFlags.DeltaDirection)
     if mi.has_flag(flags, mi.EmitterFlags.Infinite):
-        return _Row(name, "infinite", power, 1.0 / (np.pi * scene_radius**2), 0.0)
+        return _Row(name, "infinite", _power(emitter), 1.0 / (np.pi * scene_radius**2), is_delta=one_direction)
     if mi.has_flag(flags, mi.EmitterFlags.DeltaPosition):
-        return _Row(name, "delta", power, 1.0, _delta_direction_density(emitter))
+        return _Row(name, "point", _power(emitter), 1.0, _cone_density(emitter), is_delta=True)
     area = float(np.asarray(emitter.get_shape().surface_area()).ravel()[0])
     if not area > 0:
         raise SceneError(f"area emitter '{name}' sits on a shape without area; remove it or mend the shape")
-    return _Row(name, "area", power, 1.0 / area, 0.0)
+    if one_direction:
+        return _Row(name, "beam", _power(emitter), 1.0 / area, is_delta=True)
+    return _Row(name, "area", _diffuse_power(emitter, area), 1.0 / area)
 
 
 def _power(emitter: Any) -> float:
@@ -137,16 +151,31 @@ def _power(emitter: Any) -> float:
     return float(np.asarray(weight, dtype=np.float64).mean())
 
 
+def _diffuse_power(emitter: Any, area: float) -> float:
+    """The same from the radiance, as textures other than bitmaps cannot emit rays themselves."""
+    u = _weyl(_POWER_SAMPLES)
+    point = emitter.get_shape().sample_position(0.0, mi.Point2f(u[0], u[1]))
+    si = mi.SurfaceInteraction3f(point, dr.zeros(mi.Color0f))
+    si.wi = mi.Vector3f(0.0, 0.0, 1.0)
+    return float(np.pi * area * np.asarray(emitter.eval(si), dtype=np.float64).mean())
+
+
 def _weyl(n: int) -> list[Any]:
     """``n`` points of a four-dimensional Kronecker sequence."""
     i = np.arange(n) + 0.5
     return [mi.Float(np.mod(i * a, 1.0).astype(np.float32)) for a in (0.8566749, 0.7338919, 0.6287067, 0.5385973)]
 
 
-def _delta_direction_density(emitter: Any) -> float:
-    """Solid-angle density of the rays a point-like emitter emits: uniform over its cone, or over the sphere."""
-    params = mi.traverse(emitter)
-    if "cutoff_angle" in params:
-        cutoff = float(np.asarray(params["cutoff_angle"]).ravel()[0])
-        return 1.0 / (2.0 * np.pi * (1.0 - np.cos(np.deg2rad(cutoff))))
-    return 1.0 / (4.0 * np.pi)
+def _cone_density(emitter: Any) -> float:
+    """Solid-angle density of directions uniform over the cone that holds the rays of a point-like emitter."""
+    parameters = mi.traverse(emitter)
+    if "cutoff_angle" in parameters:
+        cosine = np.cos(np.deg2rad(float(np.asarray(parameters["cutoff_angle"]).ravel()[0])))
+    elif "irradiance" in parameters:
+        u = _weyl(_POWER_SAMPLES)
+        ray, _ = emitter.sample_ray(0.0, 0.5, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]))
+        axis = np.asarray(parameters["to_world"].matrix, np.float64).reshape(4, 4)[:3, 2]
+        cosine = float((axis / np.linalg.norm(axis) @ np.asarray(ray.d, np.float64)).min())
+    else:
+        cosine = -1.0
+    return float(1.0 / (2.0 * np.pi * max(1.0 - cosine, 1e-6)))

@@ -3,7 +3,7 @@
 from . import dimensions
 from .camera import Camera, CameraConnection, Splats
 from .camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
-from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, sample_direct
+from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
 from .light_walk import LightWalk
 from .mis import Mis, Techniques
 from .scattering import (
@@ -21,6 +21,7 @@ from .scattering import (
     shadow_roulette,
 )
 from .vertices import LightVertex, LightVertices, Photons, needs_interaction
+from .visibility import Visibility
 
 __all__ = [
     "PICK_BLOCK",
@@ -40,6 +41,7 @@ __all__ = [
     "Scattered",
     "Splats",
     "Techniques",
+    "Visibility",
     "cosine_ratio",
     "dimensions",
     "emission_of_hit",
@@ -51,6 +53,7 @@ __all__ = [
     "is_emissive",
     "is_smooth",
     "needs_interaction",
+    "point_on",
     "roulette",
     "sample_direct",
     "scatter_camera",

@@ -70,6 +70,8 @@ class Camera:
         # From the near plane along any ray of the film, to a point before the far plane.
         self._reach = 0.5 * (far_clip - self.near_clip)
         self.origin = mi.Point3f(self.sensor.world_transform().translation())
+        #: Whether surface points can be joined to the sensor; not to an orthographic one, whose rays are parallel.
+        self.can_splat = _joins(self.sensor)
 
     def primary(self, pixel: Any, source: SampleSource) -> tuple[Any, Any, Any]:
         """A camera ray through ``pixel`` (index y * width + x): (ray, weight, aperture sample)."""
@@ -96,17 +98,25 @@ class Camera:
     def density(self, ray: Any, aperture: Any) -> tuple[Any, Any]:
         """Solid-angle density of a camera ray uniform in its pixel, 0 where the sensor cannot be joined; and how far
         from the aperture point the ray starts. [Georgiev 2012b, eq. 31]"""
+        if not self.can_splat:
+            return mi.Float(0.0), mi.Float(0.0)
         probe = dr.zeros(mi.Interaction3f)
         probe.p = ray.o + ray.d * self._reach
         ds, weight = self.sensor.sample_direction(probe, aperture)
         lead = dr.norm(ray.o - ds.p)
         return weight[0] * (self.pixels * dr.square(ds.dist)), lead
 
-    def importance(self, p: Any, aperture: Any) -> Any:
-        """What :attr:`CameraConnection.importance` is at the points ``p``."""
+    def footprint(self, p: Any, aperture: Any) -> Any:
+        """Side of a pixel, facing the sensor, at the points ``p`` that camera rays have reached; scene units."""
+        if not self.can_splat:
+            corner, x, y = (
+                self.sensor.sample_ray(0.0, 0.5, mi.Point2f(u, v), mi.Point2f(0.5))[0].o
+                for u, v in ((0.5, 0.5), (0.5 + 1.0 / self.width, 0.5), (0.5, 0.5 + 1.0 / self.height))
+            )
+            return dr.sqrt(dr.norm(x - corner) * dr.norm(y - corner))
         point = dr.zeros(mi.Interaction3f)
         point.p = p
-        return self.sensor.sample_direction(point, aperture)[1][0] * self.pixels
+        return dr.rsqrt(self.sensor.sample_direction(point, aperture)[1][0] * self.pixels)
 
     def splat_aperture(self, source: SampleSource, vertex: Any) -> Any:
         """Aperture sample of a splat."""
@@ -118,6 +128,14 @@ class Camera:
         """Pixel that a splat goes to: (index, filter weight, on film)."""
         u = (0.5, 0.5) if self.filter.is_box else source.next_2d(vertex, dim.SPLAT_FILTER)
         return self.filter.splat(connection.position.x, connection.position.y, *u)
+
+
+def _joins(sensor: Any) -> bool:
+    try:
+        sensor.sample_direction(dr.zeros(mi.Interaction3f), mi.Point2f(0.5))
+    except (RuntimeError, NotImplementedError):
+        return False
+    return True
 
 
 def _scalar(parameters: Any, name: str, default: float) -> float:

@@ -28,6 +28,7 @@ from .scattering import (
     shadow_roulette,
 )
 from .vertices import LightVertex, LightVertices, Photons
+from .visibility import Visibility
 
 #: Candidates that a merge tests, a bit each, before it evaluates those that are neighbours. Searching and evaluating in
 #: turns keeps the lanes of a packet together: one candidate in five is a neighbour, so evaluating each as it is found
@@ -45,7 +46,9 @@ class _State:
     eta: Any
     d_vcm: Any
     d_vc: Any
-    depth: Any
+    depth: Any  #: edges so far, the one being traced included
+    vertex: Any  #: the same without the surfaces that were crossed; used where a scene has such
+    travelled: Any  #: length of the edge before this ray's origin
     rays: Any
     lane: Any  #: number of the camera path; does not change
     layers: dict[str, Any]  #: technique family -> radiance
@@ -94,7 +97,7 @@ class Gather:
 class CameraWalk:
     """What a camera pass needs; :meth:`trace` runs it as one kernel."""
 
-    scene: Any
+    visibility: Visibility
     lights: LightTable
     camera: Camera
     mis: Mis
@@ -119,14 +122,14 @@ class CameraWalk:
             d_vcm=self.mis.start_camera(density),
             d_vc=dr.zeros(mi.Float, lanes),
             depth=dr.full(mi.UInt32, 1, lanes),
+            vertex=mi.UInt32(1),
+            travelled=lead,
             rays=dr.zeros(mi.UInt32, lanes),
             lane=dr.arange(mi.UInt32, lanes),
             # Not literal zeros: Dr.Jit takes a layer that no material adds to for a constant, then stumbles over it.
             layers={name: mi.Color3f(dr.opaque(mi.Float, 0.0)) for name in self.layer_names()},
         )
-        (state,) = dr.while_loop(
-            (state,), lambda s: s.active, lambda s: (self._edge(s, source, lead),), label="camera walk"
-        )
+        (state,) = dr.while_loop((state,), lambda s: s.active, lambda s: (self._edge(s, source),), label="camera walk")
         return {name: radiance * weight for name, radiance in state.layers.items()}, state.rays
 
     def layer_names(self) -> tuple[str, ...]:
@@ -142,17 +145,18 @@ class CameraWalk:
         layer = s.layers[family if self.split_layers else "image"]
         layer[mask] += value
 
-    def _edge(self, s: _State, source: Any, lead: Any) -> _State:
+    def _edge(self, s: _State, source: Any) -> _State:
         """Trace one edge, join its end to the light side in every way, and scatter."""
         techniques = self.mis.techniques
-        si = self.scene.ray_intersect(s.ray, s.active)
+        si = self.visibility.scene.ray_intersect(s.ray, s.active)
         s.rays += 1
 
         # ---- Arrive: the environment is weighted before the densities become those of an area
         valid = si.is_valid()
         cos = geometric_cos(si, s.ray.d)
-        distance = dr.select(s.depth == 1, si.t + lead, si.t)
-        d_vcm, d_vc = self.mis.hit(s.d_vcm, s.d_vc, dr.square(distance), cos)
+        distance = s.travelled + si.t
+        on_edge = s.d_vcm, s.d_vc
+        d_vcm, d_vc = self.mis.hit(*on_edge, dr.square(distance), cos)
         s.d_vcm, s.d_vc = dr.select(valid, d_vcm, s.d_vcm), dr.select(valid, d_vc, s.d_vc)
         self._emission(s, si)
         s.active &= valid
@@ -184,8 +188,20 @@ class CameraWalk:
             self._connect_pair(s, si, bsdf, source.next_1d(s.depth, dim.CONNECT), smooth)
 
         s.d_vcm, s.d_vc = self.mis.scatter_camera(
-            s.depth, s.d_vcm, s.d_vc, scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
+            self._vertex(s),
+            s.d_vcm,
+            s.d_vc,
+            scattered.cos,
+            scattered.pdf,
+            scattered.reverse_pdf,
+            scattered.is_delta,
         )
+        s.travelled = mi.Float(0.0)
+        if self.visibility.transparent:  # a surface that was crossed is no vertex: the edge goes on
+            crossed = scattered.is_null
+            s.d_vcm, s.d_vc = dr.select(crossed, on_edge[0], s.d_vcm), dr.select(crossed, on_edge[1], s.d_vc)
+            s.travelled = dr.select(crossed, distance, 0.0)
+            s.vertex += dr.select(crossed, mi.UInt32(0), mi.UInt32(1))
         s.throughput *= scattered.weight
         s.eta *= scattered.eta
         s.ray = si.spawn_ray(scattered.direction)
@@ -195,17 +211,22 @@ class CameraWalk:
         s.active &= scattered.active & alive
         return s
 
+    def _vertex(self, s: _State) -> Any:
+        """Number of the vertex at the end of the edge, the sensor being 0."""
+        return s.vertex if self.visibility.transparent else s.depth
+
     def _emission(self, s: _State, si: Any) -> None:
         """s = 0 [Georgiev 2012b, eq. 43]."""
-        on_light = s.active & is_emissive(self.scene, si)
-        radiance, area_density, emission_density = emission_of_hit(self.lights, self.scene, si, on_light)
-        weight = self.mis.emission_weight(s.depth, s.d_vcm, s.d_vc, area_density, emission_density)
+        scene = self.visibility.scene
+        on_light = s.active & is_emissive(scene, si)
+        radiance, area_density, emission_density = emission_of_hit(self.lights, scene, si, on_light)
+        weight = self.mis.emission_weight(self._vertex(s), s.d_vcm, s.d_vc, area_density, emission_density)
         self._add(s, "emission", on_light, s.throughput * radiance * weight)
 
     def _next_event(self, s: _State, si: Any, direct: DirectSample, bsdf: Evaluated, u: Any) -> None:
         """s = 1 [Georgiev 2012b, eq. 44, 45]."""
         weight = self.mis.next_event_weight(
-            s.depth,
+            self._vertex(s),
             s.d_vcm,
             s.d_vc,
             dr.select(direct.is_delta, 0.0, bsdf.pdf),
@@ -216,8 +237,9 @@ class CameraWalk:
         contribution = s.throughput * bsdf.value * direct.radiance * (weight / self.mis.techniques.next_event)
         lit, factor = shadow_roulette(contribution, self.dark, u, direct.active)
         s.rays += dr.select(lit, mi.UInt32(1), mi.UInt32(0))
-        lit &= ~self.scene.ray_test(si.spawn_ray_to(direct.target), lit)
-        self._add(s, "next_event", lit, contribution * factor)
+        spare = self.max_edges - (s.depth + 1)
+        lit, share = self.visibility.along(si.spawn_ray_to(direct.target), spare, lit)
+        self._add(s, "next_event", lit, contribution * factor * share)
 
     def _pick_vertices(self, s: _State, si: Any, active: Any) -> list[_Joined]:
         """Light vertices drawn at random from the cache, joined to ``si``."""
@@ -272,7 +294,7 @@ class CameraWalk:
         wo = vertex.si.to_local(-joined.direction)
         light = evaluate_light_end(vertex.bsdf, vertex.si, wo, active)
         weight = self.mis.connection_weight(
-            s.depth,
+            self._vertex(s),
             (s.d_vcm, s.d_vc),
             (vertex.d_vcm, vertex.d_vc),
             bsdf.pdf * geometric_cos(vertex.si, joined.direction) * joined.inverse_square,
@@ -284,14 +306,15 @@ class CameraWalk:
         contribution = s.throughput * vertex.throughput * bsdf.value * light.value * (factor * self.cache.factor)
         visible, factor = shadow_roulette(contribution, self.dark, u, active)
         rays = dr.select(visible, mi.UInt32(1), mi.UInt32(0))
-        visible &= ~self.scene.ray_test(si.spawn_ray_to(vertex.si.p), visible)
-        return dr.select(visible, contribution * factor, 0.0), rays
+        spare = self.max_edges - (vertex.depth + s.depth + 1)
+        visible, share = self.visibility.along(si.spawn_ray_to(vertex.si.p), spare, visible)
+        return dr.select(visible, contribution * factor * share, 0.0), rays
 
     def _merge(self, s: _State, si: Any, bsdf: Any, active: Any) -> None:
         """s >= 2, t >= 2, no edge between them [Georgiev 2012b, eq. 38, 39]."""
         assert self.gather is not None
         if not self.mis.techniques.merge_first:
-            active = active & (s.depth > 1)
+            active = active & (self._vertex(s) > 1)
         grid, photons = self.gather.grid, self.gather.photons
         query = grid.query(si.p, active)
 
@@ -325,5 +348,5 @@ class CameraWalk:
         bsdf = evaluate_camera_end(bsdf, si, si.to_local(direction), active)
         # eval carries the shading cosine; a photon's flux per area already holds the geometric one.
         cos = geometric_cos(si, direction)
-        weight = self.mis.merge_weight(s.depth, (s.d_vcm, s.d_vc), (d_vcm, d_vc), bsdf.pdf, bsdf.reverse_pdf)
+        weight = self.mis.merge_weight(self._vertex(s), (s.d_vcm, s.d_vc), (d_vcm, d_vc), bsdf.pdf, bsdf.reverse_pdf)
         return dr.select(cos > 0.0, throughput * bsdf.value * (weight / dr.select(cos > 0.0, cos, 1.0)), 0.0)

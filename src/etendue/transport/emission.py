@@ -58,11 +58,13 @@ def emit(lights: LightTable, source: SampleSource, active: Any) -> EmittedRay:
         active=mi.Bool(active),
     )
     if lights.has_area:
-        _emit_area(result, light, u_point, u_direction, active & ~light.is_delta & ~light.is_infinite)
-    if lights.has_delta:
-        _emit_delta(result, light, u_direction, active & light.is_delta)
+        _emit_area(result, light, u_point, u_direction, active & light.is_area)
+    if lights.has_point:
+        _emit_point(result, light, u_direction, active & light.is_point)
     if lights.has_infinite:
         _emit_infinite(result, lights, light, u_point, u_direction, active & light.is_infinite)
+    if lights.has_beam:
+        _emit_beam(result, light, u_point, active & light.is_beam)
     result.active &= ~dr.all(result.throughput == 0.0)
     return result
 
@@ -88,6 +90,16 @@ def _emit_area(out: EmittedRay, light: Light, u_point: Any, u_direction: Any, ma
     out.active &= ~mask | (cos > 0.0)
 
 
+def point_on(light: Light, u: Any, mask: Any) -> tuple[Any, Any, Any]:
+    """A point uniform on the shape of an area light: (position, normal, texture coordinates)."""
+
+    def point(emitter: Any, u: Any, mask: Any) -> tuple[Any, Any, Any]:
+        si = _light_point(emitter, u, mask)
+        return si.p, si.n, si.uv
+
+    return dr.dispatch(light.emitter, point, u, mask)
+
+
 def _light_point(emitter: Any, u: Any, mask: Any) -> Any:
     """A point uniform on an emitter's shape; a call is traced for every emitter there is, those without shape too."""
     shape = emitter.get_shape()
@@ -96,16 +108,21 @@ def _light_point(emitter: Any, u: Any, mask: Any) -> Any:
     return mi.SurfaceInteraction3f(shape.sample_position(0.0, u, mask), dr.zeros(mi.Color0f))
 
 
-def _emit_delta(out: EmittedRay, light: Light, u_direction: Any, mask: Any) -> None:
-    # The spot takes its direction from the first pair of numbers, the point light from the second.
-    ray, _ = light.emitter.sample_ray(0.0, 0.5, u_direction, u_direction, mask)
-    probe = dr.zeros(mi.Interaction3f)
-    probe.p = ray.o + ray.d  # at unit distance, so that irradiance is intensity
-    _, intensity = light.emitter.sample_direction(probe, u_direction, mask)
+def _emit_point(out: EmittedRay, light: Light, u_direction: Any, mask: Any) -> None:
+    # The spot takes its direction from the first pair of numbers, the others from the second.
+    ray, weight = light.emitter.sample_ray(0.0, 0.5, u_direction, u_direction, mask)
     out.ray[mask] = ray
-    out.throughput[mask] = intensity / (light.pick * light.direction_density)
+    out.throughput[mask] = weight / light.pick
     out.area_density[mask] = light.pick
     out.emission_density[mask] = light.pick * light.direction_density
+
+
+def _emit_beam(out: EmittedRay, light: Light, u_point: Any, mask: Any) -> None:
+    ray, weight = light.emitter.sample_ray(0.0, 0.5, u_point, u_point, mask)
+    out.ray[mask] = ray
+    out.throughput[mask] = weight / light.pick
+    out.area_density[mask] = 0.0  # next event cannot choose the point that shines on another
+    out.emission_density[mask] = light.pick * light.area_density
 
 
 def _emit_infinite(
@@ -144,9 +161,9 @@ def sample_direct(
         active=mi.Bool(active),
     )
     if lights.has_area:
-        _direct_area(result, light, si, u_point, active & ~light.is_delta & ~light.is_infinite)
-    if lights.has_delta:
-        _direct_delta(result, light, si, u_point, active & light.is_delta)
+        _direct_area(result, light, si, u_point, active & light.is_area)
+    if lights.has_point:
+        _direct_point(result, light, si, u_point, active & light.is_point)
     if lights.has_infinite:
         _direct_infinite(result, light, si, u_point, active & light.is_infinite)
     result.active &= ~dr.all(result.radiance == 0.0)
@@ -173,7 +190,7 @@ def _direct_area(out: DirectSample, light: Light, si: Any, u_point: Any, mask: A
     out.light_ratio[mask] = dr.inv_pi * cos / distance_squared
 
 
-def _direct_delta(out: DirectSample, light: Light, si: Any, u_point: Any, mask: Any) -> None:
+def _direct_point(out: DirectSample, light: Light, si: Any, u_point: Any, mask: Any) -> None:
     ds, weight = light.emitter.sample_direction(si, u_point, mask)
     distance_squared = dr.square(ds.dist)
     out.direction[mask] = ds.d

@@ -17,6 +17,7 @@ from .emission import emit
 from .mis import Mis
 from .scattering import Evaluated, cosine_ratio, geometric_cos, is_smooth, roulette, scatter_light, shadow_roulette
 from .vertices import LightVertices
+from .visibility import Visibility
 
 
 @dataclass
@@ -31,6 +32,7 @@ class _State:
     depth: Any  #: edges so far, the one being traced included
     stored: Any  #: vertices stored so far
     from_infinity: Any  #: the edge being traced leaves an infinite light
+    travelled: Any  #: length of the edge before the surfaces that it has crossed
     rays: Any
     nonfinite: Any
 
@@ -39,7 +41,7 @@ class _State:
 class LightWalk:
     """What a light pass needs; :meth:`trace` runs it as one kernel."""
 
-    scene: Any
+    visibility: Visibility
     lights: LightTable
     camera: Camera
     mis: Mis
@@ -66,6 +68,7 @@ class LightWalk:
             depth=dr.full(mi.UInt32, 1, paths),
             stored=dr.zeros(mi.UInt32, paths),
             from_infinity=emitted.is_infinite,
+            travelled=mi.Float(0.0),
             rays=dr.zeros(mi.UInt32, paths),
             nonfinite=dr.zeros(mi.UInt32, paths),
         )
@@ -81,16 +84,17 @@ class LightWalk:
 
     def _edge(self, s: _State, path: Any, source: Any, vertices: LightVertices | None, splats: Splats | None) -> _State:
         """Trace one edge; splat, store and scatter at its end."""
-        hit = self.scene.ray_intersect_preliminary(s.ray, active=s.active)
+        hit = self.visibility.scene.ray_intersect_preliminary(s.ray, active=s.active)
         si = hit.compute_surface_interaction(s.ray, active=s.active)
         s.rays += 1
         s.active &= si.is_valid()
 
-        distance_squared = dr.square(si.t)
+        distance = s.travelled + si.t
+        distance_squared = dr.square(distance)
         if self.lights.has_infinite:
             distance_squared = dr.select(s.from_infinity, 1.0, distance_squared)
-            s.from_infinity = mi.Bool(False)
-        s.d_vcm, s.d_vc = self.mis.hit(s.d_vcm, s.d_vc, distance_squared, geometric_cos(si, s.ray.d))
+        on_edge = s.d_vcm, s.d_vc
+        s.d_vcm, s.d_vc = self.mis.hit(*on_edge, distance_squared, geometric_cos(si, s.ray.d))
 
         bsdf = si.bsdf(s.ray)
         smooth = s.active & is_smooth(bsdf)
@@ -109,6 +113,13 @@ class LightWalk:
         s.d_vcm, s.d_vc = self.mis.scatter_light(
             s.d_vcm, s.d_vc, scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
         )
+        if self.visibility.transparent:
+            crossed = scattered.is_null
+            s.d_vcm, s.d_vc = dr.select(crossed, on_edge[0], s.d_vcm), dr.select(crossed, on_edge[1], s.d_vc)
+            s.travelled = dr.select(crossed, distance, 0.0)
+            s.from_infinity &= crossed
+        else:
+            s.from_infinity = mi.Bool(False)
         s.throughput *= scattered.weight
         s.ray = si.spawn_ray(scattered.direction)
         alive, factor = roulette(
@@ -137,7 +148,9 @@ class LightWalk:
         )
         contribution *= factor
         s.rays += dr.select(visible, mi.UInt32(1), mi.UInt32(0))
-        visible &= ~self.scene.ray_test(si.spawn_ray_to(joined.target), visible)
+        spare = self.max_edges - (s.depth + 1)
+        visible, share = self.visibility.along(si.spawn_ray_to(joined.target), spare, visible)
+        contribution *= share
         finite = dr.all(dr.isfinite(contribution))
         s.nonfinite += dr.select(visible & ~finite, mi.UInt32(1), mi.UInt32(0))
         visible &= finite

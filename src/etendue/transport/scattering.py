@@ -35,6 +35,7 @@ class Scattered:
     cos: Any  #: |cos| of the direction and the geometric normal
     eta: Any  #: relative index of refraction along the way
     is_delta: Any
+    is_null: Any  #: went straight on through a null component
     active: Any
 
 
@@ -129,10 +130,13 @@ def _scatter(
     def ask(self: Any, si: Any, u: Any, active: Any, directions: list[tuple[Any, Any]]) -> Any:
         return sample(self, si, u, active), [evaluate(self, si, wo, mask) for wo, mask in directions]
 
-    (wo, weight, pdf, reverse_pdf, eta, is_delta), evaluated = dr.dispatch(bsdf, ask, si, u, active, list(directions))
+    sampled, evaluated = dr.dispatch(bsdf, ask, si, u, active, list(directions))
+    wo, weight, pdf, reverse_pdf, eta, lobe = sampled
+    is_delta, is_null = mi.has_flag(lobe, mi.BSDFFlags.Delta), mi.has_flag(lobe, mi.BSDFFlags.Null)
     direction = si.to_world(wo)
     active = active & ~(pdf <= 0.0) & ~dr.all(weight == 0.0)  # NaN goes on, to be counted
-    scattered = Scattered(direction, weight, pdf, reverse_pdf, geometric_cos(si, direction), eta, is_delta, active)
+    cos = geometric_cos(si, direction)
+    scattered = Scattered(direction, weight, pdf, reverse_pdf, cos, eta, is_delta, is_null, active)
     return scattered, [Evaluated(*e) for e in evaluated]
 
 
@@ -141,7 +145,7 @@ def _sample_camera(bsdf: Any, si: Any, u: Any, active: Any) -> tuple[Any, ...]:
     is_delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
     context = mi.BSDFContext(mi.TransportMode.Importance)
     reverse_pdf = bsdf.pdf(context, exchanged(si, bs.wo), si.wi, active & ~is_delta)
-    return bs.wo, weight, bs.pdf, reverse_pdf, bs.eta, is_delta
+    return bs.wo, weight, bs.pdf, reverse_pdf, bs.eta, bs.sampled_type
 
 
 def _sample_light(bsdf: Any, si: Any, u: Any, active: Any) -> tuple[Any, ...]:
@@ -151,7 +155,7 @@ def _sample_light(bsdf: Any, si: Any, u: Any, active: Any) -> tuple[Any, ...]:
     # A sample that the BSDF itself rejects stays rejected, whatever the value in its direction.
     taken = ~dr.all(weight == 0.0)
     weight = dr.select(is_delta, weight, dr.select(taken, value * dr.rcp(bs.pdf), 0.0))
-    return bs.wo, weight, bs.pdf, reverse_pdf, bs.eta, is_delta
+    return bs.wo, weight, bs.pdf, reverse_pdf, bs.eta, bs.sampled_type
 
 
 def roulette(throughput: Any, eta: Any, depth: Any, first_depth: int, u: Any) -> tuple[Any, Any]:

@@ -14,6 +14,8 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from etendue.scene import materials
+
 #: Packets of four floats in a record: of a vertex that is connected to, and of one that is only merged with.
 _PACKETS = 6
 _PHOTON_PACKETS = 3
@@ -21,13 +23,17 @@ _PHOTON_PACKETS = 3
 _BLOCK = 16
 
 
+#: Materials and textures that look at more than normals and texture coordinates, without a flag that says so.
+_READ_MORE = ("BumpMap", "NormalMap", "MeshAttribute")
+
+
 def needs_interaction(scene: Any) -> bool:
     """Whether some material reads more of a surface than the framed layout keeps."""
-    materials = [shape.bsdf() for shape in scene.shapes()]
-    if any(mi.has_flag(bsdf.flags(), mi.BSDFFlags.Anisotropic) for bsdf in materials if bsdf is not None):
-        return True
-    description = str(scene)
-    return any(name in description for name in ("BumpMap", "NormalMap", "MeshAttribute"))
+    return any(
+        node.class_name() in _READ_MORE
+        or (isinstance(node, mi.BSDF) and mi.has_flag(node.flags(), mi.BSDFFlags.Anisotropic))
+        for node in materials(scene)
+    )
 
 
 @dataclass

@@ -1,0 +1,46 @@
+"""Shadow rays, and what lets them pass: materials with a null component do not block, they attenuate.
+
+A surface that light may cross unbent (``mask``, ``null``, ``thindielectric``) is no vertex of a path where the path
+crosses it: the edge goes on behind it. Walks, next event, connections and splats all treat it so, and therefore agree
+on what a path is. Each crossing counts as an edge of ``max_depth``, as in Mitsuba. The probability of crossing is left
+out of every density, like Russian roulette: weights stay the same whichever technique makes the path.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.scene import materials
+
+
+class Visibility:
+    """Joins points of one scene. ``transparent``: some material lets light through unbent, so walks must know."""
+
+    def __init__(self, scene: Any) -> None:
+        self.scene = scene
+        self.transparent = any(
+            mi.has_flag(node.flags(), mi.BSDFFlags.Null) for node in materials(scene) if isinstance(node, mi.BSDF)
+        )
+
+    def along(self, ray: Any, spare: Any, active: Any) -> tuple[Any, Any]:
+        """Whether the end of ``ray`` is seen, and the share of light that gets through (1.0 where nothing is
+        transparent); ``spare``: how many surfaces may be crossed."""
+        if not self.transparent:
+            return active & ~self.scene.ray_test(ray, active), 1.0
+
+        def cross(active: Any, ray: Any, share: Any, spare: Any) -> tuple[Any, Any, Any, Any]:
+            si = self.scene.ray_intersect(ray, active)
+            active = active & si.is_valid()
+            passed = share * si.bsdf(ray).eval_null_transmission(si, active)
+            share = dr.select(active, dr.select(spare > 0, passed, 0.0), share)
+            onward = si.spawn_ray(ray.d)
+            onward.maxt = ray.maxt - si.t
+            active = active & (dr.max(share) > 0.0) & (onward.maxt > 0.0)
+            return active, dr.select(active, onward, ray), share, spare - 1
+
+        start = mi.Bool(active), mi.Ray3f(ray), mi.Color3f(1.0), mi.UInt32(spare)
+        _, _, share, _ = dr.while_loop(start, lambda active, *_: active, cross, label="transmittance")
+        return active & (dr.max(share) > 0.0), share
