@@ -1,10 +1,11 @@
-"""Scenes: loading, the capability check, fingerprints, bundled scenes and the light table."""
+"""Scenes: loading, the capability check, fingerprints, bundled scenes, the light table, Mitsuba plugins of our own."""
 
 from .bundled import BundledScene, bundled
 from .capability import check
 from .fingerprint import fingerprint
 from .lights import Light, LightTable
 from .loading import load
+from .plugins import register
 from .problem import Problem
 
-__all__ = ["BundledScene", "Light", "LightTable", "Problem", "bundled", "check", "fingerprint", "load"]
+__all__ = ["BundledScene", "Light", "LightTable", "Problem", "bundled", "check", "fingerprint", "load", "register"]

@@ -14,13 +14,13 @@ from etendue.core import SceneError, UnsupportedError, check_variant
 
 from .graph import as_array, below, contents, describe, plugin_name, shapes
 
-_SENSORS = ("perspective", "thinlens")
+_SENSORS = ("perspective", "thinlens", "spherical")
 _EMITTERS = ("area", "point", "spot", "constant", "envmap")
 #: Shapes besides meshes. Each has a ``sample_position`` that is uniform in area: Dr.Jit compiles that call for every
 #: shape of a scene, whether it emits or not, and fails on shapes that lack it.
 _SHAPES = ("rectangle", "disk", "sphere", "cylinder")
 
-_SENSOR_REMEDY = "use a 'perspective' or 'thinlens' sensor"
+_SENSOR_REMEDY = "use a 'perspective', 'thinlens' or 'spherical' sensor"
 _NULL_REMEDY = {
     "mask": "model the cut-out as geometry, or remove the mask",
     "null": "remove the shape or give it another material",
@@ -43,8 +43,8 @@ _EMITTER_REMEDY = {
 def check(scene: Any, sensor: Any) -> None:
     """Raise :class:`UnsupportedError` or :class:`SceneError` if ``scene`` cannot be rendered through ``sensor``.
 
-    Supported are perspective and thin-lens sensors; meshes, rectangles, discs, spheres and cylinders; area, point,
-    spot, constant and environment-map emitters; every RGB BSDF without a null component; textures.
+    Supported are perspective, thin-lens and spherical sensors; meshes, rectangles, discs, spheres and cylinders; area,
+    point, spot, constant and environment-map emitters; every RGB BSDF without a null component; textures.
     Broken input (a NaN vertex or radiance, no emitter, an index beyond the vertices) is a :class:`SceneError`. Raises
     :class:`BackendError` under a Mitsuba variant that is not supported.
     """
