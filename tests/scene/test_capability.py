@@ -49,6 +49,8 @@ MATERIALS = {
     "bumpmap": lambda: {"type": "bumpmap", "arbitrary": bitmap(), "inner": {"type": "roughplastic"}},
     "normalmap": lambda: {"type": "normalmap", "normalmap": bitmap(), "inner": DIFFUSE},
     "blend": lambda: {"type": "blendbsdf", "weight": 0.5, "a": DIFFUSE, "b": {"type": "conductor"}},
+    "phong": lambda: {"type": "twosided", "inner": {"type": "phong"}},
+    "ward": lambda: {"type": "bumpmap", "arbitrary": bitmap(), "inner": {"type": "ward"}},
 }
 
 
@@ -78,6 +80,10 @@ def test_emitters_that_are_rendered(name):
 
 def test_thin_lens():
     load(scene(camera={"type": "thinlens", "aperture_radius": 0.1, "focus_distance": 2.0}))
+
+
+def test_spherical():
+    load(scene(camera={"type": "spherical"}))
 
 
 NULL = "null component"

@@ -165,6 +165,7 @@ def _pattern() -> np.ndarray:
     return np.stack([0.2 + 0.6 * ((x + y) % 2), 0.3 + 0.05 * x, 0.7 - 0.05 * y], -1)
 
 
+_SLOPES = {"alpha_u": 0.15, "alpha_v": 0.35}
 #: Every kind of material, by name.
 MATERIALS: dict[str, Callable[[], Dict]] = {
     "diffuse": lambda: diffuse(0.6, 0.4, 0.2),
@@ -185,6 +186,8 @@ MATERIALS: dict[str, Callable[[], Dict]] = {
         "clearcoat": 0.5,
         "clearcoat_gloss": 0.2,
     },
+    "phong": lambda: {"type": "phong", "specular_reflectance": rgb(0.5, 0.3, 0.6), "exponent": 20.0},
+    "ward": lambda: {"type": "ward", "diffuse_reflectance": rgb(0.2, 0.3, 0.5), "specular_reflectance": 0.5} | _SLOPES,
     "twosided": lambda: {"type": "twosided", "front": diffuse(0.7, 0.3, 0.3), "back": diffuse(0.3, 0.3, 0.7)},
     "blendbsdf": lambda: {
         "type": "blendbsdf",

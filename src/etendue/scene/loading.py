@@ -181,7 +181,9 @@ def _mitsuba_errors(name: str) -> Any:
     except SceneError:
         raise
     except (RuntimeError, ValueError, TypeError, KeyError) as error:
-        text = re.sub(r"\[\w+\.(cpp|h|inl):\d+\]\s*", "", str(error))
+        # A plugin written in Python fails with its traceback: only the message in its last line is for people.
+        text = re.sub(r"Traceback \(most recent call last\):\n(?:\s+.*\n)*(?:\w+\.)*\w+: ", "", str(error))
+        text = re.sub(r"\[\w+\.(cpp|h|inl):\d+\]\s*", "", text)
         text = re.sub(r"\s+", " ", text).strip().rstrip(".")
         if "unused parameters" in text:
             raise OptionError(f"{name} has no such $variable: {text.split(':', 1)[-1].strip(' -')}") from error

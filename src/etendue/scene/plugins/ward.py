@@ -5,8 +5,9 @@
 
 with (t_h, p_h) the half vector in the frame of the surface and a_u, a_v the RMS slopes along its tangents [Ward 1992].
 Towards grazing incidence that lobe reflects more than it receives, without bound. So no cosine under the root is taken
-below min(a^3 / 4, 1/20), ``a`` the larger slope: the model is exact but for directions that close to the surface (87
-degrees for a = 0.6, 89.9 for a = 0.2), stays reciprocal, and reflects less than k_s for every slope.
+below min(a^3 / 4, 1/20), ``a`` the larger slope: the model is exact but for directions that close to the surface
+(within 0.1 degrees of it for a = 0.2, 3 for a = 0.6), stays reciprocal, and reflects less than k_s for every slope.
+The bound follows from the lobe's albedo near grazing, at most 0.36 sqrt(a^3 / cos_i).
 
 Parameters: ``diffuse_reflectance`` (0.5), ``specular_reflectance`` (0.2), colours or textures, scaled down in a channel
 whose sum exceeds 1; ``alpha`` (0.1), or ``alpha_u`` and ``alpha_v``, numbers above 0; the model is meant for values up
