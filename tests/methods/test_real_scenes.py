@@ -7,11 +7,10 @@ import pytest
 from support.running import run
 
 from etendue import methods
-from etendue.core import UnsupportedError
 from etendue.scene import bundled, load
 
 FAST = ("cornell-box", "cbox-spheres")
-PUBLIC = ("cornell-box", "cbox-spheres", "veach-bidir", "water-caustic")
+PUBLIC = ("cornell-box", "cbox-spheres", "veach-bidir", "water-caustic", "soda-shoppe")
 #: Switches that the methods' defaults leave alone.
 SWITCHES = {
     "bpt path": ("bpt", {"light_source": "path"}),
@@ -39,8 +38,3 @@ def test_public_scenes(name, method, scenes_dir):
 def test_bundled_scenes_with_other_switches(name, switch):
     method, settings = SWITCHES[switch]
     render(load(name, size=(32, 32)), method, **settings)
-
-
-def test_the_soda_shoppe_is_refused_for_its_panes(scenes_dir):
-    with pytest.raises(UnsupportedError, match="thindielectric"):
-        load(scenes_dir / "soda-shoppe" / "scene.xml", size=(32, 32))

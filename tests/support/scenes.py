@@ -58,6 +58,7 @@ SENSORS: dict[str, Dict] = {
     "perspective": {"type": "perspective"},
     "thinlens": {"type": "thinlens", "aperture_radius": 0.12, "focus_distance": 3.6},
     "orthographic": {"type": "orthographic"},
+    "spherical": {"type": "spherical"},
 }
 FILTERS = ("box", "tent", "gaussian", "mitchell")
 
@@ -81,7 +82,8 @@ def camera(
     up = [0, 0, 1] if abs(origin[0] - target[0]) + abs(origin[2] - target[2]) < 1e-6 else [0, 1, 0]
     look = transform().look_at(list(origin), list(target), up)
     # An orthographic film is two units wide: scaled to what the others see of the middle of the room.
-    view = {"to_world": look @ transform().scale([1.4, 1.4, 1.0])} if sensor == "orthographic" else {"fov": fov}
+    views: dict[str, Dict] = {"orthographic": {"to_world": look @ transform().scale([1.4, 1.4, 1.0])}, "spherical": {}}
+    view = views.get(sensor, {"fov": fov})
     return {"to_world": look, "film": film, "sampler": {"type": "independent"}} | SENSORS[sensor] | view
 
 
@@ -166,6 +168,13 @@ EMITTERS: dict[str, Callable[[], Dict]] = {
         "light": {"type": "directional", "direction": [-0.5, -1.0, -0.6], "irradiance": rgb(3, 2, 2)}
     },
     "projector": _projector,
+    "focused": lambda: {
+        "light": {
+            "type": "rectangle",
+            "to_world": _down(2.2, 0.5),
+            "emitter": {"type": "focusarea", "radiance": rgb(7, 6, 5), "exponent": 4.0},
+        }
+    },
     "sunsky": _sunsky,
     "cylinder": lambda: {
         "light": {
@@ -200,6 +209,7 @@ def _pattern() -> np.ndarray:
     return np.stack([0.2 + 0.6 * ((x + y) % 2), 0.3 + 0.05 * x, 0.7 - 0.05 * y], -1)
 
 
+_SLOPES = {"alpha_u": 0.15, "alpha_v": 0.35}
 #: Every kind of material, by name.
 MATERIALS: dict[str, Callable[[], Dict]] = {
     "diffuse": lambda: diffuse(0.6, 0.4, 0.2),
@@ -220,6 +230,8 @@ MATERIALS: dict[str, Callable[[], Dict]] = {
         "clearcoat": 0.5,
         "clearcoat_gloss": 0.2,
     },
+    "phong": lambda: {"type": "phong", "specular_reflectance": rgb(0.5, 0.3, 0.6), "exponent": 20.0},
+    "ward": lambda: {"type": "ward", "diffuse_reflectance": rgb(0.2, 0.3, 0.5), "specular_reflectance": 0.5} | _SLOPES,
     "twosided": lambda: {"type": "twosided", "front": diffuse(0.7, 0.3, 0.3), "back": diffuse(0.3, 0.3, 0.7)},
     "blendbsdf": lambda: {
         "type": "blendbsdf",
@@ -247,9 +259,9 @@ MATERIALS: dict[str, Callable[[], Dict]] = {
 #: Six materials fit into one picture, so a scene of a group crosses an emitter with all of them.
 GROUPS: dict[str, tuple[str, ...]] = {
     "rough": ("roughconductor", "anisotropic", "roughdielectric", "roughplastic", "principled", "twosided"),
-    "wrapped": ("blendbsdf", "bumpmap", "normalmap", "textured", "vertexcolours", "diffuse"),
+    "wrapped": ("blendbsdf", "bumpmap", "normalmap", "textured", "vertexcolours", "ward"),
     "specular": ("conductor", "dielectric", "plastic", "pane"),
-    "transparent": ("mask", "cutout", "null", "veil", "twosided mask", "diffuse"),
+    "transparent": ("mask", "cutout", "null", "veil", "twosided mask", "phong"),
 }
 _PLACES = [(x, 0.302, z) for z in (0.45, -0.5) for x in (-0.9, 0.0, 0.9)]
 

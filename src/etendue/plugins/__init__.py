@@ -1,4 +1,4 @@
-"""Registration of étendue's methods with Mitsuba, under every variant that is set, now or later."""
+"""Registration of étendue's methods and plugins with Mitsuba, under every variant that is set, now or later."""
 
 from .registration import register
 

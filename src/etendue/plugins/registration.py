@@ -1,10 +1,10 @@
-"""Makes the methods plugins of Mitsuba: once a variant is set, and again whenever it changes."""
+"""Makes the methods and the rooms' plugins known to Mitsuba: once a variant is set, and again when it changes."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from etendue import methods
+from etendue import methods, scene
 from etendue.core import logger
 
 from .integrator import integrator_class
@@ -14,7 +14,8 @@ _MITSUBAS_OWN = ("path",)
 
 
 def register() -> None:
-    """Make ``vcm``, ``bpt``, ``bpm`` and ``light`` known to ``mi.load_dict``, ``mi.load_file`` and ``mi.render``.
+    """Make ``vcm``, ``bpt``, ``bpm`` and ``light`` known to ``mi.load_dict``, ``mi.load_file`` and ``mi.render``, and
+    the materials, emitters and sensors of :func:`etendue.scene.register`.
 
     May be called before or after ``mi.set_variant`` and any number of times. Under variants that are not supported the
     plugins are known as well, and raise one clear error when one is asked for.
@@ -33,6 +34,7 @@ def _register(old: str | None, new: str | None) -> None:
     for name, method in methods.table().items():
         if name not in _MITSUBAS_OWN:
             mi.register_integrator(name, _constructor(method))
+    scene.register()
     logger.debug("registered with Mitsuba under %s", new)
 
 

@@ -1,4 +1,4 @@
-"""Scenes: loading, the capability check, fingerprints, bundled scenes and the light table."""
+"""Scenes: loading, the capability check, fingerprints, bundled scenes, the light table, Mitsuba plugins of our own."""
 
 from .bundled import BundledScene, bundled
 from .capability import check
@@ -6,6 +6,18 @@ from .fingerprint import fingerprint
 from .graph import materials
 from .lights import Light, LightTable
 from .loading import load
+from .plugins import register
 from .problem import Problem
 
-__all__ = ["BundledScene", "Light", "LightTable", "Problem", "bundled", "check", "fingerprint", "load", "materials"]
+__all__ = [
+    "BundledScene",
+    "Light",
+    "LightTable",
+    "Problem",
+    "bundled",
+    "check",
+    "fingerprint",
+    "load",
+    "materials",
+    "register",
+]

@@ -14,9 +14,10 @@ from etendue.core import SceneError, UnsupportedError, check_variant
 
 from .graph import as_array, below, contents, describe, plugin_name, shapes
 
-_SENSORS = ("perspective", "thinlens", "orthographic")
+_SENSORS = ("perspective", "thinlens", "orthographic", "spherical")
 _EMITTERS = (
     "area",
+    "focusarea",
     "point",
     "spot",
     "projector",
@@ -32,14 +33,14 @@ _SHAPES = ("rectangle", "disk", "sphere", "cylinder", "sdfgrid", "instance", "sh
 #: Shapes that emit: points on them can be drawn uniformly by area.
 _LAMPS = ("rectangle", "disk", "sphere", "cylinder")
 
-_SENSOR_REMEDY = "use a 'perspective', 'thinlens' or 'orthographic' sensor"
+_SENSOR_REMEDY = "use a 'perspective', 'thinlens', 'orthographic' or 'spherical' sensor"
 
 
 def check(scene: Any, sensor: Any) -> None:
     """Raise :class:`UnsupportedError` or :class:`SceneError` if ``scene`` cannot be rendered through ``sensor``.
 
-    Supported are perspective, thin-lens and orthographic sensors; every shape but curves and ellipsoids, emitting from
-    meshes, rectangles, discs, spheres and cylinders; every RGB emitter; every RGB BSDF; textures.
+    Supported are perspective, thin-lens, orthographic and spherical sensors; every shape but curves and ellipsoids,
+    emitting from meshes, rectangles, discs, spheres and cylinders; every RGB emitter; every RGB BSDF; textures.
     Broken input (a NaN vertex or radiance, no emitter, an index beyond the vertices) is a :class:`SceneError`. Raises
     :class:`BackendError` under a Mitsuba variant that is not supported.
     """

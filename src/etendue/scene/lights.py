@@ -3,16 +3,16 @@
 Mitsuba's emitters sample rays and directions but return no densities for emission, so densities are derived here from
 four kinds of emitter:
 
-=========  ==================================  =========================================================
+=========  ==================================  ====================================================================
 kind       point density p_A (per area)        direction density p_w of an emitted ray (per solid angle)
-=========  ==================================  =========================================================
-area       1 / A, uniform over the shape       cos(theta) / pi
+=========  ==================================  ====================================================================
+area       1 / A, uniform over the shape       cos(theta) / pi; focusarea: (n+2) / (2 pi) cos(theta)^(n+1)
 point      1, one point (point, spot,          uniform over the sphere, or over the cone that holds
            projector)                          every ray
 infinite   1 / (pi R^2), disc of the scene     the emitter's own (constant, envmap, sunsky), or 1 for its
                                                only direction (directional)
 beam       1 / A, uniform over the shape       1, along the normal (directionalarea)
-=========  ==================================  =========================================================
+=========  ==================================  ====================================================================
 
 Each density is multiplied by the probability of picking the emitter, which is proportional to its emitted power.
 A projector draws its rays by its texture and not uniformly; weights only need a density that all techniques share.
@@ -28,6 +28,9 @@ import mitsuba as mi
 import numpy as np
 
 from etendue.core import SceneError
+
+from .graph import plugin_name
+from .plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
 
 #: Rays drawn from each emitter to estimate its power.
 _POWER_SAMPLES = 256
@@ -46,6 +49,19 @@ class Light:
     is_point: Any
     is_infinite: Any
     is_beam: Any
+    exponent: Any  #: focus of an area emitter around its normal; None where no light of the scene has one
+
+    def direction_pdf(self, cos: Any) -> Any:
+        """Solid-angle density with which an area emitter's ray leaves at ``cos`` to the normal."""
+        if self.exponent is None:
+            return cos * dr.inv_pi
+        return square_to_cosine_power_pdf(cos, self.exponent + 1.0)
+
+    def direction(self, u: Any) -> Any:
+        """A direction of that density around the z axis."""
+        if self.exponent is None:
+            return mi.warp.square_to_cosine_hemisphere(u)
+        return square_to_cosine_power(u, self.exponent + 1.0)
 
 
 class LightTable:
@@ -79,6 +95,8 @@ class LightTable:
         self._area_density = mi.Float(np.array([r.area_density for r in rows], np.float32))
         self._direction_density = mi.Float(np.array([r.direction_density for r in rows], np.float32))
         self._kind = mi.UInt32(np.array([_KINDS.index(r.kind) for r in rows], np.uint32))
+        focused = any(r.exponent for r in rows)
+        self._exponent = mi.Float(np.array([r.exponent for r in rows], np.float32)) if focused else None
         self._is_delta = mi.Bool(np.array([r.is_delta for r in rows]))
         self._cdf = mi.DiscreteDistribution(mi.Float(pick.astype(np.float32)))
         # A hit knows its emitter only as a pointer: registry numbers lead back to rows.
@@ -112,6 +130,7 @@ class LightTable:
             is_point=kind == _KINDS.index("point"),
             is_infinite=kind == _KINDS.index("infinite"),
             is_beam=kind == _KINDS.index("beam"),
+            exponent=None if self._exponent is None else dr.gather(mi.Float, self._exponent, row, active),
         )
 
 
@@ -126,6 +145,7 @@ class _Row:
     area_density: float
     direction_density: float = 0.0
     is_delta: bool = False
+    exponent: float = 0.0
 
 
 def _describe(emitter: Any, scene_radius: float) -> _Row:
@@ -141,7 +161,9 @@ def _describe(emitter: Any, scene_radius: float) -> _Row:
         raise SceneError(f"area emitter '{name}' sits on a shape without area; remove it or mend the shape")
     if one_direction:
         return _Row(name, "beam", _power(emitter), 1.0 / area, is_delta=True)
-    return _Row(name, "area", _diffuse_power(emitter, area), 1.0 / area)
+    exponent = float(np.asarray(emitter.exponent).ravel()[0]) if plugin_name(emitter) == "focusarea" else 0.0
+    power = _power(emitter) if exponent else _diffuse_power(emitter, area)
+    return _Row(name, "area", power, 1.0 / area, exponent=exponent)
 
 
 def _power(emitter: Any) -> float:

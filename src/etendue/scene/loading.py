@@ -181,7 +181,9 @@ def _mitsuba_errors(name: str) -> Any:
     except SceneError:
         raise
     except (RuntimeError, ValueError, TypeError, KeyError) as error:
-        text = re.sub(r"\[\w+\.(cpp|h|inl):\d+\]\s*", "", str(error))
+        # A plugin written in Python fails with its traceback: only the message in its last line is for people.
+        text = re.sub(r"Traceback \(most recent call last\):\n(?:\s+.*\n)*(?:\w+\.)*\w+: ", "", str(error))
+        text = re.sub(r"\[\w+\.(cpp|h|inl):\d+\]\s*", "", text)
         text = re.sub(r"\s+", " ", text).strip().rstrip(".")
         if "unused parameters" in text:
             raise OptionError(f"{name} has no such $variable: {text.split(':', 1)[-1].strip(' -')}") from error
@@ -231,14 +233,14 @@ def _sensor(scene: Any, index: int, name: str) -> Any:
 
 
 def _resized_sensor(sensor: Any, size: Size) -> Any:
-    """A copy of a perspective or thin-lens sensor with a film of another size.
+    """A copy of a perspective, thin-lens or spherical sensor with a film of another size.
 
     Changing the film through ``mi.traverse`` would alter the user's scene and leave the sensor with its old resolution.
     """
     import mitsuba as mi
 
     kind = plugin_name(sensor)
-    if kind not in ("perspective", "thinlens"):
+    if kind not in ("perspective", "thinlens", "spherical"):
         raise OptionError(
             f"a '{kind}' sensor of a loaded scene cannot be given another size; load the scene at that size"
         )
@@ -248,14 +250,16 @@ def _resized_sensor(sensor: Any, size: Size) -> Any:
     x, y, width, height = scaled_window(window, old, size)
     values = dict(contents(sensor).values)
     matrix = np.asarray(values.pop("to_world").matrix, dtype=np.float64).reshape(4, 4)
-    plain = {k: float(np.asarray(v).ravel()[0]) for k, v in values.items() if k not in ("x_fov", "shutter_open_time")}
+    plain: dict[str, Any] = {
+        k: float(np.asarray(v).ravel()[0]) for k, v in values.items() if k not in ("x_fov", "shutter_open_time")
+    }
     plain["shutter_close"] = plain.get("shutter_open", 0.0) + float(values["shutter_open_time"])
+    if "x_fov" in values:
+        plain |= {"fov": float(np.asarray(values["x_fov"]).ravel()[0]), "fov_axis": "x"}
     pixel_format = re.search(r"pixel_format = (\w+)", str(film))
     return mi.load_dict(
         {
             "type": kind,
-            "fov": float(np.asarray(values["x_fov"]).ravel()[0]),
-            "fov_axis": "x",
             "to_world": mi.ScalarTransform4f(matrix),
             "sampler": sensor.sampler().clone(),
             "film": {

@@ -63,7 +63,7 @@ def resize(state: Any, size: Size) -> None:
                 for key, value in zip(_CROP, scaled_window(window, old, size), strict=True):
                     props[key] = value
             props["width"], props["height"] = size
-        elif node.type == mi.ObjectType.Sensor and not _has_film(node, state):
+        elif _is_sensor(node) and not _has_film(node, state):
             node.props["film"] = mi.load_dict({"type": "hdrfilm", "width": size[0], "height": size[1]})
 
 
@@ -153,6 +153,14 @@ def _children(node: Any, wanted: Any, state: Any) -> list[tuple[str, Any]]:
             if child.type == wanted:
                 found.append((key, child))
     return found
+
+
+def _is_sensor(node: Any) -> bool:
+    import mitsuba as mi
+
+    # A Python plugin in a dictionary has no type before it is built.
+    unknown = node.type == mi.ObjectType.Unknown and node.props.plugin_name() == "spherical"
+    return unknown or node.type == mi.ObjectType.Sensor
 
 
 def _has_film(sensor: Any, state: Any) -> bool:

@@ -70,8 +70,9 @@ def emit(lights: LightTable, source: SampleSource, active: Any) -> EmittedRay:
 
 
 def _emit_area(out: EmittedRay, light: Light, u_point: Any, u_direction: Any, mask: Any) -> None:
-    local = mi.warp.square_to_cosine_hemisphere(u_direction)
+    local = light.direction(u_direction)
     cos = mi.Frame3f.cos_theta(local)
+    direction_pdf = light.direction_pdf(cos)
 
     def emitted(emitter: Any, u: Any, wi: Any, mask: Any) -> tuple[Any, ...]:
         si = _light_point(emitter, u, mask)
@@ -83,9 +84,9 @@ def _emit_area(out: EmittedRay, light: Light, u_point: Any, u_direction: Any, ma
     si.p, si.n, si.sh_frame = p, n, mi.Frame3f(n)
     area_density = light.pick * light.area_density
     out.ray[mask] = si.spawn_ray(si.to_world(local))
-    out.throughput[mask] = radiance * (dr.pi / area_density)
+    out.throughput[mask] = radiance * (cos / (area_density * direction_pdf))
     out.area_density[mask] = area_density
-    out.emission_density[mask] = area_density * cos * dr.inv_pi
+    out.emission_density[mask] = area_density * direction_pdf
     out.cos_light[mask] = cos
     out.active &= ~mask | (cos > 0.0)
 
@@ -187,7 +188,7 @@ def _direct_area(out: DirectSample, light: Light, si: Any, u_point: Any, mask: A
     out.target[mask] = target
     out.radiance[mask] = radiance / pdf
     out.pdf[mask] = pdf
-    out.light_ratio[mask] = dr.inv_pi * cos / distance_squared
+    out.light_ratio[mask] = light.direction_pdf(cos) / distance_squared
 
 
 def _direct_point(out: DirectSample, light: Light, si: Any, u_point: Any, mask: Any) -> None:
@@ -226,7 +227,7 @@ def emission_of_hit(lights: LightTable, scene: Any, si: Any, active: Any) -> tup
     radiance = emitter.eval(si, active)
     point_density = light.pick * light.area_density
     area_density = point_density
-    emission_density = point_density * dr.maximum(mi.Frame3f.cos_theta(si.wi), 0.0) * dr.inv_pi
+    emission_density = point_density * light.direction_pdf(dr.maximum(mi.Frame3f.cos_theta(si.wi), 0.0))
     if lights.has_infinite:
         infinite = active & light.is_infinite
         ds = dr.zeros(mi.DirectionSample3f)

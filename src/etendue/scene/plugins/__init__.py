@@ -1,0 +1,54 @@
+"""étendue's own Mitsuba plugins: BSDFs ``phong`` and ``ward``, emitter ``focusarea``, sensor ``spherical``.
+
+Mitsuba 3.9.1 has no plugin of these names. Each class is made when a plugin is first asked for under a variant, since
+its base class is Mitsuba's of that variant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+from etendue.core import check_variant
+
+from .focusarea import make_focusarea
+from .phong import PhongLobe
+from .reflection import make_reflection
+from .spherical import make_spherical
+from .ward import WardLobe
+
+__all__ = ["register"]
+
+_BSDFS = {"phong": lambda: make_reflection(PhongLobe), "ward": lambda: make_reflection(WardLobe)}
+_EMITTERS = {"focusarea": make_focusarea}
+_SENSORS = {"spherical": make_spherical}
+
+
+def register() -> None:
+    """Make the plugins known to Mitsuba under the variant that is set; harmless when repeated.
+
+    Under variants that are not supported the names are known as well, and asking for one raises
+    :class:`BackendError`.
+    """
+    import mitsuba as mi
+
+    tables = ((mi.register_bsdf, _BSDFS), (mi.register_emitter, _EMITTERS), (mi.register_sensor, _SENSORS))
+    for announce, table in tables:
+        for name, make in table.items():
+            announce(name, _constructor(make))
+
+
+def _constructor(make: Callable[[], type]) -> Callable[[Any], Any]:
+    def construct(props: Any) -> Any:
+        import mitsuba as mi
+
+        check_variant(mi.variant())
+        return _class(make, mi.variant())(props)
+
+    return construct
+
+
+@lru_cache(maxsize=64)
+def _class(make: Callable[[], type], variant: str) -> type:
+    return make()

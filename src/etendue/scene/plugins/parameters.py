@@ -1,0 +1,42 @@
+"""Scalar parameters of the plugins, checked when they are read and when a user changes them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.core import OptionError
+
+
+def number(props: Any, key: str, default: float) -> Any:
+    """The plugin parameter ``key`` as a float on the device. Raises :class:`OptionError` for anything but a number."""
+    value = props.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise OptionError(f"'{props.plugin_name()}': '{key}' is a number, not a {type(value).__name__}; give one value")
+    return mi.Float(float(value))
+
+
+def check_range(owner: str, key: str, value: Any, low: float, strict: bool = False) -> None:
+    """Raise :class:`OptionError` unless ``value`` is one finite number of at least (``strict``: above) ``low``."""
+    array = np.asarray(value, dtype=np.float64).ravel()
+    fits = array.size == 1 and np.isfinite(array[0]) and (array[0] > low if strict else array[0] >= low)
+    if not fits:
+        bound = f"above {low:g}" if strict else f"at least {low:g}"
+        raise OptionError(f"'{owner}': '{key}' is {np.array2string(array)}; it must be one number {bound}")
+
+
+def settle(*values: Any) -> None:
+    """Keep values that may change out of the kernels' code, so that a change recompiles nothing."""
+    dr.make_opaque(*values)
+
+
+def block(name: str, **rows: Any) -> str:
+    """The text of a plugin as Mitsuba prints its own."""
+    lines = []
+    for key, value in rows.items():
+        text = str(value).replace("\n", "\n  ")
+        lines.append(f"  {key} = {text}")
+    return f"{name}[\n" + ",\n".join(lines) + "\n]"
