@@ -113,7 +113,7 @@ BAD = [
     ("resume ''", 4, "checkpoint"),
     ("render cornell-box -o a.jpg", 2, ".exr or .png"),
     ("render cornell-box --checkpoint missing/c", 5, "no folder 'missing'"),
-    ("compare cornell-box -o file", 5, "'file' is a file, and a folder is wanted"),
+    ("compare cornell-box -o file", 5, "cannot make the folder 'file': that is a file"),
     ("compare cornell-box -o file/folder", 5, "cannot make the folder"),
     # the command line itself
     ("rendr cornell-box", 2, "render"),

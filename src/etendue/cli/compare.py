@@ -66,14 +66,11 @@ class Comparison:
         return 0
 
     def _make_folder(self) -> None:
-        if self.output.exists() and not self.output.is_dir():
-            raise OutputError(f"'{self.output}' is a file, and a folder is wanted; give another name")
         try:
             self.output.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise OutputError(
-                f"cannot make the folder '{self.output}': {error.strerror}; choose another place"
-            ) from error
+            reason = "that is a file" if self.output.exists() else error.strerror
+            raise OutputError(f"cannot make the folder '{self.output}': {reason}; choose another place") from error
         check_writable(self.output / _PAGE)
 
     def _render(self, task: Task, entries: list[display.Entry], console: Console) -> int:

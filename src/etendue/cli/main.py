@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from etendue.core import EtendueError, logger
+from etendue.core import EtendueError, OptionError, logger
 
 from . import options as opt
 from .console import ConsoleHandler, error_console, note, print_error, say
@@ -121,7 +121,6 @@ def render(
     Ctrl-C stops after the current pass and writes the picture and the checkpoint.
     """
     from etendue.api import Outputs, choose_method
-    from etendue.core import OptionError
     from etendue.engine import Budget, Job, Task
 
     from .rendering import choose_device, default_name, render_to_files
