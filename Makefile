@@ -33,8 +33,8 @@ test: lint ## lint, and the tests that a change must pass (minutes)
 test-all: lint ## lint, and every test this machine can run
 	$(PYTEST)
 
-bench: .venv/stamp-dev ## cost and quality of every method against Mitsuba's path
-	$(BIN)/python -m benchmarks
+bench: .venv/stamp-dev ## cost and quality of every method against Mitsuba's path (BENCH=--record keeps the tables)
+	$(BIN)/python -m benchmarks $(BENCH)
 
 clean: ## remove the environment and every generated file
 	rm -rf .venv build dist demo-output .pytest_cache .mypy_cache .ruff_cache

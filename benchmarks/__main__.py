@@ -7,13 +7,14 @@ from typing import Annotated
 import typer
 
 from etendue import methods as known
+from etendue.cli.options import parse_pairs, parse_size
 from etendue.core import EtendueError, use_variant
 
 from . import cost as cost_of_a_pass
 from . import fresh
 from . import quality as quality_over_time
 from . import rays as ray_casting
-from .measuring import Record, console, machine, parse_size, software
+from .measuring import Record, console, machine, software
 
 app = typer.Typer(
     help="Speed, memory and quality of the methods. Run on an idle machine; without a command all are run (an hour).",
@@ -117,7 +118,7 @@ def quality(
 ) -> None:
     """Error against a converged picture after a given time, for every method."""
     chosen = _begin(variant)
-    settings = dict(text.partition("=")[::2] for text in define or [])
+    settings = parse_pairs(define, "-D")
     tables = quality_over_time.measure(_words(scenes), _names(methods), parse_size(size), time, seeds, settings)
     _publish(chosen, record, *tables)
 

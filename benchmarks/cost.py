@@ -40,8 +40,7 @@ def measure(names: Sequence[str], size: tuple[int, int], rounds: int, warm_up: i
     bars: dict[str, float | None] = {}
     for name in names:
         method = methods.get(name)
-        known = {row[0] for row in method.Settings.describe()}
-        alike = {key: value for key, value in ROULETTE.items() if key in known}
+        alike = {key: value for key, value in ROULETTE.items() if key in method.Settings.names()}
         for label, extra in ((name, {}), (f"{name}, roulette as Mitsuba", alike)):
             estimator = method(method.Settings(**(COST_SETTINGS[name] | extra)))
             estimator.prepare(problem, 0)

@@ -86,14 +86,6 @@ def verdict(value: float, bar: float | None) -> str:
     return f"≤ {bar:g}: {'reached' if value <= bar else 'missed'}"
 
 
-def parse_size(text: str) -> tuple[int, int]:
-    """Width and height from ``640x480``."""
-    match = re.fullmatch(r"(\d+)[x×](\d+)", text.strip())
-    if match is None:
-        raise SystemExit(f"a size is WIDTHxHEIGHT, as 512x512, not '{text}'")
-    return int(match[1]), int(match[2])
-
-
 def child(command: str, options: Mapping[str, Any], environment: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Run ``benchmarks.child`` in a fresh process; the JSON object that it prints last.
 

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from etendue import film, methods
+from etendue import film
 from etendue.api import render
+from etendue.cli.options import settings_by_method
 from etendue.scene import bundled
 
 from .measuring import PUBLIC_SCENES, Record, console, verdict
@@ -48,10 +49,9 @@ def find(name: str, size: tuple[int, int]) -> Case | str:
     path = folder / "TungstenRender.exr"
     if not path.is_file():  # there is a Cornell box on both sides; the public one has a picture
         scene = bundled().get(name)
-        own = getattr(scene, "reference", None)
-        if own is None:
+        if scene is None or scene.reference is None:
             return f"{name}: left out, there is no reference picture of it here"
-        return Case(name, name, film.read_image(own), getattr(scene, "reference_note", "") or Path(own).name)
+        return Case(name, name, film.read_image(scene.reference), scene.reference_note)
     picture = film.read_image(path)
     height, width = picture.shape[:2]
     factor = width // size[0]
@@ -98,11 +98,12 @@ def measure(
 
 
 def _scene(case: Case, names: Sequence[str], seconds: float, seeds: int, settings: Mapping[str, str]) -> Record:
+    own = settings_by_method(names, settings)
     outcomes: dict[str, list[dict[str, float]]] = {name: [] for name in names}
     for seed in range(seeds):
         for name in names:
             console.print(f"{case.name}, {name}, seed {seed}, {seconds:g} s", style="dim")
-            outcomes[name].append(_run(case, name, seconds, seed, settings))
+            outcomes[name].append(_run(case, name, seconds, seed, own[name]))
     record = Record(
         f"Quality, {case.name}, {case.size[0]}x{case.size[1]}, {seconds:g} s",
         ("", "relMSE", "without worst 0.1 %", "relMSE x s", "brightness", "spp", "passes", "Mrays/s", "bar"),
@@ -132,14 +133,8 @@ def _scene(case: Case, names: Sequence[str], seconds: float, seeds: int, setting
     return record
 
 
-def _run(case: Case, name: str, seconds: float, seed: int, settings: Mapping[str, str]) -> dict[str, float]:
-    known = {row[0] for row in methods.get(name).Settings.describe()}
-    own = {
-        key.removeprefix(f"{name}."): value
-        for key, value in settings.items()
-        if key in known or key.startswith(f"{name}.")
-    }
-    rendering = render(case.source, name, seconds=seconds, size=case.size, seed=seed, **own)
+def _run(case: Case, name: str, seconds: float, seed: int, settings: Mapping[str, Any]) -> dict[str, float]:
+    rendering = render(case.source, name, seconds=seconds, size=case.size, seed=seed, **settings)
     facts = rendering.metadata
     return {
         "error": film.relative_mse(rendering.image, case.reference),

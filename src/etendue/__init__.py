@@ -7,8 +7,31 @@
 from . import core as core  # first: it finds Dr.Jit an LLVM before anything imports Dr.Jit
 from . import plugins as plugins
 from .api import Rendering, Update, render, resume, start
+from .core import (
+    BackendError,
+    CheckpointError,
+    EtendueError,
+    OptionError,
+    OutputError,
+    SceneError,
+    UnsupportedError,
+)
 from .engine import Session
 
 plugins.register()  # in every Mitsuba variant that is set, now or later
 
-__all__ = ["Rendering", "Session", "Update", "render", "resume", "start"]
+__all__ = [
+    "BackendError",
+    "CheckpointError",
+    "EtendueError",
+    "OptionError",
+    "OutputError",
+    "Rendering",
+    "SceneError",
+    "Session",
+    "UnsupportedError",
+    "Update",
+    "render",
+    "resume",
+    "start",
+]

@@ -13,7 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import OptionError, OutputError, Progress, Result, use_variant
+from etendue.core import (
+    OptionError,
+    OutputError,
+    Progress,
+    Result,
+    logger,
+    use_variant,
+    warn_of_nonfinite,
+)
 from etendue.engine import (
     Budget,
     Checkpoint,
@@ -23,26 +31,26 @@ from etendue.engine import (
     RunResult,
     Session,
     Task,
+    check_period,
     check_writable,
-    warn_of_nonfinite,
 )
 
 PathLike = str | os.PathLike[str]
 Image = NDArray[np.float32]
 
 
-@dataclass
+@dataclass(repr=False)
 class Rendering:
     """A picture, what it is made of, and how it was made.
 
-    ``layers`` are float32 arrays (height, width, channels), linear RGB: ``image``, the technique families that it is
-    the sum of, and first-hit layers if they were asked for. ``metadata`` has method, settings, seed, versions, passes,
-    samples, seconds, rays and more.
+    ``layers`` are float32 arrays (height, width, channels), linear RGB: ``image``; with the setting ``split_layers``
+    the technique families that it is the sum of; with ``aovs`` first-hit layers. ``metadata`` has method, settings,
+    seed, versions, passes, samples, seconds, rays and more.
     """
 
     layers: dict[str, Image]
     metadata: dict[str, Any]
-    _checkpoint: Callable[[], Checkpoint] = field(repr=False)
+    _checkpoint: Callable[[], Checkpoint]
 
     @property
     def image(self) -> Image:
@@ -59,6 +67,10 @@ class Rendering:
     def save_checkpoint(self, path: PathLike) -> None:
         """Write all that :func:`resume` needs. Raises :class:`OutputError` if it cannot be written."""
         self._checkpoint().write(Path(path))
+
+    def __repr__(self) -> str:
+        m, (height, width) = self.metadata, self.image.shape[:2]
+        return f"<etendue.Rendering {m['method']} {width}x{height}, {m['samples']} spp, {m['seconds']:.1f} s>"
 
 
 @dataclass(frozen=True)
@@ -82,7 +94,7 @@ Callback = Callable[[Update], object]
 
 def render(
     scene: Any,
-    method: str = "vcm",
+    method: str | None = None,
     *,
     seconds: float | None = None,
     samples: int | None = None,
@@ -101,6 +113,9 @@ def render(
 ) -> Rendering:
     """Render ``scene`` by ``method`` and return the picture with its layers and metadata.
 
+    Without a method it is the integrator that the scene names, if that is one of étendue's other than ``path`` (which
+    every scene file for Mitsuba names), else ``vcm``.
+
     ``scene`` is the path of a Mitsuba XML file, a scene dictionary, a loaded ``mi.Scene`` or the name of a bundled
     scene. ``seconds``, ``samples`` (camera paths per pixel) and ``error`` (relative noise) limit the run, the first
     one reached ends it; without any the scene's own sample count does. ``settings`` are those of the method (see
@@ -114,16 +129,16 @@ def render(
     Raises :class:`OptionError`, :class:`SceneError`, :class:`OutputError`, :class:`BackendError`, each before the first
     pass where that is possible, and :class:`engine.RunError` if a later pass fails.
     """
-    task, outputs = _prepare(
-        scene, method, seconds, samples, error, size, sensor, seed, parameters, memory, save, checkpoint, settings
-    )
+    budget, outputs = Budget(seconds, samples, None, error), Outputs.of(save, checkpoint, save_every)
     use_variant(variant)
-    return _drive(Job.open(task), outputs, callback, save_every)
+    chosen = choose_method(method, scene, parameters)
+    task = Task(scene, chosen, _named(settings), seed, budget, size, sensor, parameters, memory)
+    return _run(Job.open(task), outputs, callback)
 
 
 def start(
     scene: Any,
-    method: str = "vcm",
+    method: str | None = None,
     *,
     seconds: float | None = None,
     samples: int | None = None,
@@ -134,22 +149,23 @@ def start(
     parameters: Mapping[str, Any] | None = None,
     memory: int | None = None,
     variant: str | None = None,
+    callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
     checkpoint: PathLike | None = None,
     save_every: float | None = None,
     **settings: Any,
 ) -> Session[Rendering]:
-    """As :func:`render`, but return at once: the scene is loaded and rendered in a thread.
+    """As :func:`render`, but return at once: a thread loads the scene, renders it and calls ``callback``.
 
     The session has the picture so far in ``image`` and its state in ``progress``; ``cancel()`` stops after the current
     pass and returns when that has happened; ``wait()`` and ``result`` raise what went wrong. Options and budgets are
     checked before this returns.
     """
-    task, outputs = _prepare(
-        scene, method, seconds, samples, error, size, sensor, seed, parameters, memory, save, checkpoint, settings
-    )
+    budget, outputs = Budget(seconds, samples, None, error), Outputs.of(save, checkpoint, save_every)
     use_variant(variant)
-    return start_job(lambda: Job.open(task), outputs, save_every)
+    chosen = choose_method(method, scene, parameters)
+    task = Task(scene, chosen, _named(settings), seed, budget, size, sensor, parameters, memory)
+    return start_job(lambda: Job.open(task), outputs, callback)
 
 
 def resume(
@@ -174,10 +190,39 @@ def resume(
 
     budget = Budget(seconds, samples, None, error)
     saved = Checkpoint.read(checkpoint)
-    outputs = Outputs.of(save, checkpoint)
+    outputs = Outputs.of(save, checkpoint, save_every)
     use_variant(variant)
     job = Job.resume(saved, methods.get(saved.method), budget=budget or None, scene=scene)
-    return _drive(job, outputs, callback, save_every)
+    return _run(job, outputs, callback)
+
+
+def choose_method(
+    name: str | None, scene: Any, parameters: Mapping[str, Any] | None, tell: Callable[[str], object] = logger.info
+) -> type[Any]:
+    """The class of the method ``name``; without a name that of the scene's integrator (not ``path``), else ``vcm``.
+
+    ``tell`` is given a line if the scene's integrator is passed over.
+    Raises :class:`OptionError` for an unknown name, and what the parsing of the scene raises.
+    """
+    from etendue import methods
+    from etendue.scene import integrator_of
+
+    if name is not None:
+        return methods.get(name)
+    named = integrator_of(scene, parameters)
+    if named in methods.table() and named != "path":
+        return methods.get(named)
+    if named:
+        tell(f"the scene names the integrator '{named}'; as no method was asked for, vcm renders it")
+    return methods.get("vcm")
+
+
+def _named(settings: Mapping[str, Any]) -> Mapping[str, Any]:
+    """``settings``, unless one is a budget by the name that it has elsewhere."""
+    for elsewhere, here in (("spp", "samples"), ("time", "seconds")):
+        if elsewhere in settings:
+            raise OptionError(f"there is no argument '{elsewhere}'; did you mean '{here}'?")
+    return settings
 
 
 @dataclass(frozen=True)
@@ -186,26 +231,45 @@ class Outputs:
 
     pictures: tuple[Path, ...] = ()
     checkpoint: Path | None = None
+    save_every: float | None = None  #: seconds between intermediate saves, ``None`` for none
 
     @classmethod
-    def of(cls, pictures: PathLike | Sequence[PathLike], checkpoint: PathLike | None = None) -> Outputs:
-        """Raises :class:`OptionError` for an unknown suffix, :class:`OutputError` for a place that is not writable."""
+    def of(
+        cls,
+        pictures: PathLike | Sequence[PathLike],
+        checkpoint: PathLike | None = None,
+        save_every: float | None = None,
+    ) -> Outputs:
+        """Raises :class:`OptionError` for an unknown suffix, a file that is named twice or a time that is not above 0,
+        :class:`OutputError` for a place that is not writable."""
         listed = [pictures] if isinstance(pictures, (str, os.PathLike)) else list(pictures)
-        outputs = cls(tuple(Path(p) for p in listed), Path(checkpoint) if checkpoint is not None else None)
+        check_period(save_every)
+        outputs = cls(tuple(map(Path, listed)), Path(checkpoint) if checkpoint is not None else None, save_every)
         for path in outputs.pictures:
             _check_suffix(path)
-        for path in (*outputs.pictures, *([outputs.checkpoint] if outputs.checkpoint else [])):
+        places = [path.resolve() for path in outputs.files]
+        for path in outputs.files:
+            if places.count(path.resolve()) > 1:
+                raise OptionError(f"'{path}' is named for two outputs; give each a name of its own")
             check_writable(path)
         return outputs
 
-    def __bool__(self) -> bool:
-        return bool(self.pictures) or self.checkpoint is not None
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Pictures, then the checkpoint."""
+        return self.pictures if self.checkpoint is None else (*self.pictures, self.checkpoint)
+
+    def saving(self, job: Job) -> dict[str, Any]:
+        """Options of a :class:`Runner` of ``job`` that write the files from time to time."""
+        if self.save_every is None or not self.files:
+            return {}
+        return {"on_save": lambda run: self.write(job, run), "save_every": self.save_every}
 
     def write(self, job: Job, run: RunResult) -> Rendering:
         """Develop ``run`` and write every file. One that fails does not keep the others from being written.
 
-        Raises the first :class:`OutputError` when all have been tried; a picture whose place has failed at the end of
-        a run is then in the system's folder for temporary files, if that takes it.
+        Raises :class:`OutputError` with every failure when all have been tried; a picture whose place has failed at the
+        end of a run is then in the system's folder for temporary files, if that takes it.
         """
         result = job.result(run)
         errors: list[str] = []
@@ -221,7 +285,7 @@ class Outputs:
             except OutputError as error:
                 errors.append(str(error))
         if errors:
-            raise OutputError(errors[0])
+            raise OutputError("; ".join(errors))
         return Rendering(result.layers, result.metadata, lambda: job.checkpoint(run))
 
 
@@ -246,92 +310,48 @@ def save_result(path: PathLike, result: Result) -> None:
         display.write_png(path, display.tonemap(result.image, "auto"))
 
 
-def start_job(
-    open_job: Callable[[], Job],
-    outputs: Outputs,
-    save_every: float | None = None,
-    watch: Callable[[Update], None] | None = None,
-) -> Session[Rendering]:
+def start_job(open_job: Callable[[], Job], outputs: Outputs, callback: Callback | None = None) -> Session[Rendering]:
     """A session that opens a job in its thread, runs it and writes ``outputs``, also when a pass fails.
 
-    ``watch`` is called in that thread after each pass.
+    ``callback`` is called in that thread after each pass.
     """
     jobs: list[Job] = []
 
-    def build(cancel: Any) -> Runner:
+    def build(stop: threading.Event) -> Runner:
         jobs.append(open_job())
-        runner = jobs[0].runner(**_saving(jobs[0], outputs, save_every), cancel=cancel)
-        if watch is not None:
-            runner.on_progress = lambda progress: watch(Update(progress, runner))
-        return runner
+        return _runner(jobs[0], outputs, callback, stop)
 
-    def finish(run: RunResult) -> Rendering:
-        if run.stopped_by != "failure":
-            warn_of_nonfinite(run)
-        return outputs.write(jobs[0], run)
-
-    return Session(build, finish)
+    return Session(build, lambda run: _finish(jobs[0], outputs, run))
 
 
-def _prepare(
-    scene: Any,
-    method: str,
-    seconds: float | None,
-    samples: int | None,
-    error: float | None,
-    size: tuple[int, int] | None,
-    sensor: int,
-    seed: int,
-    parameters: Mapping[str, Any] | None,
-    memory: int | None,
-    save: PathLike | Sequence[PathLike],
-    checkpoint: PathLike | None,
-    settings: Mapping[str, Any],
-) -> tuple[Task, Outputs]:
-    from etendue import methods
-
-    task = Task(
-        scene=scene,
-        method=methods.get(method),
-        settings=settings,
-        seed=seed,
-        budget=Budget(seconds, samples, None, error),
-        size=size,
-        sensor=sensor,
-        parameters=parameters,
-        memory=memory,
-    )
-    return task, Outputs.of(save, checkpoint)
-
-
-def _saving(job: Job, outputs: Outputs, save_every: float | None) -> dict[str, Any]:
-    if save_every is None or not outputs:
-        return {}
-    return {"on_save": lambda run: outputs.write(job, run), "save_every": save_every}
-
-
-def _drive(job: Job, outputs: Outputs, callback: Callback | None, save_every: float | None) -> Rendering:
+def _run(job: Job, outputs: Outputs, callback: Callback | None) -> Rendering:
     """Run in this thread, so that the callback may do what it likes (plot, raise)."""
-    stop = threading.Event()
-
-    def after_pass(progress: Progress) -> None:
-        assert callback is not None
-        if callback(Update(progress, runner)) is False:
-            stop.set()
-
-    runner = job.runner(**_saving(job, outputs, save_every), cancel=stop)
-    if callback is not None:
-        runner.on_progress = after_pass
+    runner = _runner(job, outputs, callback, threading.Event())
     try:
         run = runner.run()
     except RunError as failure:
-        outputs.write(job, failure.run)
+        _finish(job, outputs, failure.run)
         raise
     except KeyboardInterrupt:
         if (done := runner.interrupted()) is not None:
-            outputs.write(job, done)
+            _finish(job, outputs, done)
         raise
-    warn_of_nonfinite(run)
+    return _finish(job, outputs, run)
+
+
+def _runner(job: Job, outputs: Outputs, callback: Callback | None, stop: threading.Event) -> Runner:
+    runner = job.runner(**outputs.saving(job), cancel=stop)
+
+    def after_pass(progress: Progress) -> None:
+        if callback is not None and callback(Update(progress, runner)) is False:
+            stop.set()
+
+    runner.on_progress = after_pass
+    return runner
+
+
+def _finish(job: Job, outputs: Outputs, run: RunResult) -> Rendering:
+    warn_of_nonfinite(run.measurement)
     return outputs.write(job, run)
 
 

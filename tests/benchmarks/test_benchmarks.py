@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import sys
+import types
 from pathlib import Path
 
 import numpy as np
@@ -74,3 +75,20 @@ def test_a_record_is_appended(tmp_path, monkeypatch):
 @pytest.mark.parametrize(("value", "words"), [(2.8, "reached"), (2.81, "missed")])
 def test_bars(value, words):
     assert module("measuring").verdict(value, 2.8).endswith(words)
+
+
+def test_settings_of_quality_are_those_of_the_command_line(monkeypatch):
+    """``METHOD.NAME`` is for one method, and a name that no method has is an error, not left out."""
+    quality = module("quality")
+    given = []
+    picture = np.ones((4, 4, 3), np.float32)
+
+    def render(source, name, **options):
+        given.append((name, {k: v for k, v in options.items() if k not in ("seconds", "size", "seed")}))
+        facts = {"seconds": 1.0, "samples": 1, "passes": 1, "rays": 1.0}
+        return types.SimpleNamespace(image=picture, metadata=facts)
+
+    monkeypatch.setattr(quality, "render", render)
+    monkeypatch.setattr(quality, "find", lambda name, size: quality.Case(name, name, picture, "a note"))
+    quality.measure(["x"], ["path", "vcm"], (4, 4), 1.0, 1, {"vcm.radius": "1", "radius": "3", "max_dept": "2"})
+    assert given == [("path", {"max_dept": "2"}), ("vcm", {"radius": "1"})]

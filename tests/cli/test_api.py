@@ -10,9 +10,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from etendue import api, film
+from etendue import api, film, methods
 from etendue.core import CheckpointError, OptionError, OutputError, SceneError
-from etendue.engine import RunError
+from etendue.engine import Budget, Job, RunError, RunResult, Task
 
 SMALL = {"size": (16, 12), "samples_per_pass": 2}
 
@@ -22,6 +22,7 @@ def test_render_returns_image_layers_and_metadata(tmp_path):
     assert rendering.image.shape == (12, 16, 3)
     assert rendering.image.dtype == np.float32
     assert np.isfinite(rendering.image).all()
+    assert re.fullmatch(r"<etendue.Rendering path 16x12, 6 spp, \d+\.\d s>", repr(rendering))
     assert rendering.image.mean() > 0.01
     m = rendering.metadata
     assert (m["method"], m["seed"], m["passes"], m["samples"]) == ("path", 3, 3, 6)
@@ -66,11 +67,27 @@ def test_without_a_budget_the_scene_decides():
 def test_the_scenes_own_integrator_gives_settings_that_were_not_given(caplog):
     scene = mi.cornell_box()
     scene["sensor"]["film"].update({"width": 8, "height": 8})
-    scene["integrator"] = {"type": "path", "max_depth": 5, "rr_depth": 3, "hide_emitters": True}
+    scene["integrator"] = {"type": "path", "max_depth": 5, "rr_depth": 3, "strength": 2.0}
     settings = api.render(scene, "path", samples=1, rr_depth=2).metadata["settings"]
     assert (settings["max_depth"], settings["rr_depth"]) == (5, 2)
-    assert "'hide_emitters' of the scene's integrator 'path' is not known" in caplog.text
+    assert "'strength' of the scene's integrator 'path' is not known" in caplog.text
     assert api.render(scene, "light", samples=1).metadata["settings"]["rr_depth"] != 3
+
+
+@pytest.mark.parametrize(
+    ("named", "method"), [("bpt", "bpt"), ("light", "light"), ("path", "vcm"), ("volpath", "vcm"), (None, "vcm")]
+)
+def test_without_a_method_the_scenes_integrator_is_taken(named, method, caplog):
+    caplog.set_level("INFO")
+    scene = mi.cornell_box()
+    scene["sensor"]["film"].update({"width": 8, "height": 8})
+    del scene["integrator"]
+    if named is not None:
+        scene["integrator"] = {"type": named, "max_depth": 3}
+    metadata = api.render(scene, samples=1).metadata
+    assert metadata["method"] == method
+    assert metadata["settings"]["max_depth"] == (-1 if named is None else 3)
+    assert (f"the scene names the integrator '{named}'" in caplog.text) == (named in ("path", "volpath"))
 
 
 def test_samples_of_a_pass_add_up_to_the_budget():
@@ -129,6 +146,15 @@ def test_a_place_that_vanishes_costs_no_picture(tmp_path, caplog):
     rescued.parent.rmdir()
 
 
+def test_every_place_that_fails_is_named(tmp_path):
+    outputs = api.Outputs((tmp_path / "no" / "a.exr",), tmp_path / "none" / "b")
+    job = Job.open(
+        Task("cornell-box", methods.get("path"), {"samples_per_pass": 2}, budget=Budget(samples=2), size=(8, 8))
+    )
+    with pytest.raises(OutputError, match=r"a\.exr.*; .*none"):
+        outputs.write(job, RunResult(job.method, job.method.step(0, 0), 1.0, "running"))
+
+
 @pytest.mark.parametrize(("method", "tolerance"), [("path", 0.0), ("light", 1e-5), ("bpt", 1e-5), ("vcm", 1e-5)])
 def test_a_resumed_render_is_an_uninterrupted_one(method, tolerance, tmp_path):
     whole = api.render("cornell-glass", method, samples=8, **SMALL)
@@ -165,6 +191,12 @@ def test_session():
     assert session.result.metadata["passes"] >= 2
 
 
+def test_a_session_calls_back():
+    with api.start("cornell-box", "path", samples=100, callback=lambda update: False, **SMALL) as session:
+        session.wait()
+    assert session.result.metadata["passes"] == 1
+
+
 def test_session_reports_a_bad_scene_where_one_waits():
     session = api.start("cornell-bax", "path", samples=1)
     with pytest.raises(SceneError, match="did you mean 'cornell-box'"):
@@ -180,7 +212,18 @@ def test_session_reports_a_bad_scene_where_one_waits():
         ({"samples": 0}, OptionError, "at least 1"),
         ({"seed": -1}, OptionError, "a seed is"),
         ({"seed": 0.5}, OptionError, "a seed is"),
+        ({"sensor": "a"}, OptionError, "a sensor is a whole number"),
+        ({"memory": "1G"}, OptionError, "a memory bound is a whole number of bytes of at least 16777216"),
+        ({"memory": 1}, OptionError, "a memory bound is"),
+        ({"method": 5}, OptionError, "no method '5'"),
+        ({"spp": 1}, OptionError, "did you mean 'samples'"),
+        ({"time": 1}, OptionError, "did you mean 'seconds'"),
+        ({"samples_per_pass": 10**8}, OptionError, "at most 4096"),
+        ({"save_every": -1}, OptionError, "time between saves"),
+        ({"save_every": "1m"}, OptionError, "time between saves"),
         ({"save": "a.tiff"}, OptionError, "as .exr or .png"),
+        ({"save": ["a.exr", "./a.exr"]}, OptionError, "named for two outputs"),
+        ({"save": "a.exr", "checkpoint": "a.exr"}, OptionError, "'a.exr' is named for two outputs"),
         ({"save": "/no/such/folder/a.exr"}, OutputError, "no folder"),
         ({"checkpoint": "/no/such/folder/a"}, OutputError, "no folder"),
     ],

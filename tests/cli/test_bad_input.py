@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from pathlib import Path
 
 import pytest
@@ -62,7 +63,7 @@ BAD = [
     ("render texture.xml", 3, "no.png"),
     ("render nan.xml", 3, "nan"),
     ("render inf.xml", 3, "inf"),
-    ("render variable.xml", 3, "$r"),
+    ("render variable.xml", 3, "-P r=VALUE"),
     ("render plugin.xml", 3, "spere"),
     ("render cornell-box -P a=1", 2, "parameters"),
     ("render cornell-box --sensor 3", 2, "no sensor 3"),
@@ -74,6 +75,10 @@ BAD = [
     ("render cornell-box -m path -D mode=naiv", 2, "naive, next_event, mis"),
     ("render cornell-box -m path -D mode", 2, "-D wants name=value, not 'mode'"),
     ("render cornell-box -m path -D aovs=1 -D aovs=0", 2, "names 'aovs' twice"),
+    ("render cornell-box --max-depth 3 -D max_depth=4", 2, "say the same; give one of them"),
+    ("render cornell-box --aovs -D aovs=0", 2, "say the same; give one of them"),
+    ("compare cornell-box --max-depth 3 -D max_depth=4", 2, "say the same; give one of them"),
+    ("render cornell-box -D samples_per_pass=100000000", 2, "at most 4096"),
     ("render cornell-box --max-depth -2", 2, "max_depth"),
     # budgets
     ("render cornell-box --time 0", 2, "(--time) must be a number above 0"),
@@ -87,20 +92,29 @@ BAD = [
     # other options
     ("render cornell-box --size 0x5", 2, "--size wants WIDTHxHEIGHT"),
     ("render cornell-box --size 640", 2, "--size wants WIDTHxHEIGHT"),
+    ("render cornell-box --size 99999x99999", 2, "at most 2^30 pixels"),
+    ("render cornell-box --memory 1", 2, "of at least 16777216"),
     ("render cornell-box --memory much", 2, "--memory wants a size"),
     ("render cornell-box --memory 0G", 2, "--memory wants a size"),
     ("render cornell-box --save-every never", 2, "--save-every wants a time"),
     ("render cornell-box --save-every=-1", 2, "--save-every"),
     ("render cornell-box --seed -1", 2, "a seed is"),
     ("render cornell-box --threads 0", 2, "threads"),
+    ("render cornell-box --threads 100000", 2, "from 1 to 1024"),
     ("render cornell-box --variant scalar_rgb", 6, "variant 'scalar_rgb' is not supported"),
     ("render cornell-box --checkpoint c --no-checkpoint", 2, "exclude each other"),
     # outputs, found before anything is rendered
     ("render cornell-box -o missing/a.exr", 5, "no folder 'missing'"),
     ("render cornell-box -o file/a.exr", 5, "'file' is a file"),
+    ("render cornell-box -o a.exr -o a.exr", 2, "'a.exr' is named for two outputs; give each a name of its own"),
+    ("render cornell-box -o a.exr --checkpoint ./a.exr", 2, "'a.exr' is named for two outputs"),
+    ("render cornell-box -o ''", 2, ".exr or .png"),
+    ("render cornell-box --checkpoint ''", 5, "it is a folder"),
+    ("resume ''", 4, "checkpoint"),
     ("render cornell-box -o a.jpg", 2, ".exr or .png"),
     ("render cornell-box --checkpoint missing/c", 5, "no folder 'missing'"),
-    ("compare cornell-box -o file", 5, "file"),
+    ("compare cornell-box -o file", 5, "cannot make the folder 'file': that is a file"),
+    ("compare cornell-box -o file/folder", 5, "cannot make the folder"),
     # the command line itself
     ("rendr cornell-box", 2, "render"),
     ("render", 2, "SCENE"),
@@ -116,13 +130,15 @@ BAD = [
     ("methods vmc", 2, "did you mean 'vcm'"),
     ("cite vmc", 2, "did you mean 'vcm'"),
     ("demo --time 0", 2, "(--time)"),
+    ("compare cornell-box --variant scalar_rgb", 6, "variant 'scalar_rgb' is not supported"),
+    ("demo --variant scalar_rgb", 6, "variant 'scalar_rgb' is not supported"),
 ]
 
 
 @pytest.mark.parametrize(("command", "status", "message"), BAD, ids=[command for command, *_ in BAD])
 def test_bad_input(command, status, message, folder, capsys):
     before = sorted(os.listdir(folder))
-    assert main(command.split()) == status
+    assert main(shlex.split(command)) == status
     out, err = capsys.readouterr()
     lines = err.splitlines()
     assert lines[-1].startswith("error: ")
@@ -140,8 +156,9 @@ def test_a_folder_without_permission(folder, capsys):
     assert "choose a place you may write to" in capsys.readouterr().err
 
 
-def test_debug_shows_the_traceback(folder, capsys):
-    assert main(["render", "no-sensor.xml", "--debug"]) == 3
+@pytest.mark.parametrize("command", ["render no-sensor.xml --debug", "--debug render no-sensor.xml"])
+def test_debug_shows_the_traceback(command, folder, capsys):
+    assert main(command.split()) == 3
     err = capsys.readouterr().err
     assert "Traceback" in err
     assert err.splitlines()[-1].startswith("error: ")

@@ -36,7 +36,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_render_writes_picture_and_checkpoint_with_metadata(folder, capsys):
     assert run("render cornell-box -m path --size 16x12 --spp 4 --seed 9 -o a.exr -o a.png --aovs -D rr_depth=3") == 0
     out, err = capsys.readouterr()
-    assert out == "a.exr, a.png, a.checkpoint\n"
+    assert out == "a.exr\na.png\na.checkpoint\n"
     assert "path: 1 pass, 4 spp" in err
     result = film.read_exr("a.exr")
     assert result.image.shape == (12, 16, 3)
@@ -65,6 +65,32 @@ def test_resume_goes_on(folder, capsys):
     assert "budget is used up" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("before", "after"), [("exr png", "exr png"), ("png", "png"), ("", "exr")])
+def test_resume_updates_the_pictures_beside_the_checkpoint(before, after, folder, capsys):
+    assert run("render cornell-box -m path --size 8x8 --spp 1 -D samples_per_pass=1 --checkpoint a -o b.exr") == 0
+    os.rename("a", "a.checkpoint")
+    for suffix in before.split():
+        Path(f"a.{suffix}").write_bytes(b"stale")
+    capsys.readouterr()
+    assert run("resume a.checkpoint --spp 2") == 0
+    assert capsys.readouterr().out.split() == [*(f"a.{suffix}" for suffix in after.split()), "a.checkpoint"]
+    assert {p.name for p in folder.iterdir()} == {"b.exr", "a.checkpoint", *(f"a.{s}" for s in after.split())}
+    assert all(Path(f"a.{suffix}").stat().st_size > 5 for suffix in after.split())
+
+
+def test_without_a_method_the_scene_decides(folder, capsys):
+    scene = '<scene version="3.0.0"><integrator type="NAME"><float name="radius" value="0.01"/></integrator>'
+    scene += '<emitter type="constant"/><shape type="sphere"/><sensor type="perspective"/></scene>'
+    for name, method in (("bpm", "bpm"), ("volpath", "vcm")):
+        Path("a.xml").write_text(scene.replace("NAME", name))
+        assert run("render a.xml --size 8x8 --spp 1 --no-checkpoint") == 0
+        out, err = capsys.readouterr()
+        assert out == f"a-{method}.exr\n"
+        assert ("the scene names the integrator" in err) == (name == "volpath")
+        settings = film.read_exr(f"a-{method}.exr").metadata["settings"]
+        assert (settings["radius"] == 0.01) == (name == "bpm")
+
+
 def test_compare_writes_pictures_and_a_page(folder, capsys):
     api.render("cornell-box", "path", samples=16, size=(16, 16), save="reference.exr")
     command = (
@@ -77,6 +103,27 @@ def test_compare_writes_pictures_and_a_page(folder, capsys):
     page = Path("out/index.html").read_text("utf-8")
     assert "relMSE" in page
     assert "naive" in page
+
+
+def test_settings_of_one_method_win_over_those_of_all():
+    for settings in ({"vcm.radius": "1", "radius": "3"}, {"radius": "3", "vcm.radius": "1"}):
+        assert options.settings_by_method(["path", "vcm", "bpm"], settings) == {
+            "path": {},
+            "vcm": {"radius": "1"},
+            "bpm": {"radius": "3"},
+        }
+
+
+def test_compare_keeps_what_is_finished_if_a_later_method_fails(folder, capsys, monkeypatch):
+    def fail(self, iteration, seed):
+        raise RuntimeError("out of memory")
+
+    monkeypatch.setattr(methods.get("bpt"), "step", fail)
+    assert run("compare cornell-box -m path -m bpt --size 8x8 --spp 1 -o out") == 70
+    out, err = capsys.readouterr()
+    assert out == f"{Path('out/index.html')}\n"
+    assert "out of memory" in err
+    assert sorted(os.listdir("out")) == ["index.html", "path.exr", "path.png"]
 
 
 def test_compare_refuses_a_reference_of_another_size_before_rendering(folder, capsys):
@@ -154,7 +201,7 @@ def test_a_failing_pass_is_one_line_and_its_predecessors_are_written(folder, cap
     monkeypatch.setattr(methods.get("path"), "step", failing)
     assert run("render cornell-box -m path --size 8x8 --spp 9 -D samples_per_pass=1 -o a.exr") == 1
     out, err = capsys.readouterr()
-    assert out == "a.exr, a.checkpoint\n"
+    assert out == "a.exr\na.checkpoint\n"
     assert err.splitlines() == ["error: RuntimeError: out of memory (after 2 passes, which are kept)"]
     assert film.read_exr("a.exr").metadata["passes"] == 2
     monkeypatch.undo()
@@ -207,7 +254,7 @@ def test_a_signal_stops_at_the_next_pass_and_the_rest_can_follow(number, folder)
     process.send_signal(number)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 128 + number
-    assert out == "a.exr, a.checkpoint\n"
+    assert out == "a.exr\na.checkpoint\n"
     assert "stopping after this pass" in err
     assert "Traceback" not in err
     early = film.read_exr("a.exr").metadata

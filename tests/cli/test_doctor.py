@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import io
 import os
 import subprocess
 import sys
 
+import pytest
 from rich.console import Console
 
-from etendue.cli.doctor import Check, _kernel, diagnose, render
+from etendue.cli.doctor import Check, _kernel, _package, diagnose, render
 from etendue.core import llvm
 
 RUN = """
@@ -43,6 +45,18 @@ def test_a_kernel_that_aborts_does_not_abort_the_doctor(monkeypatch):
     assert check.status == "fail"
     assert check.finding == "killed by signal 6: LLVM ERROR: x"
     assert check.remedy
+
+
+@pytest.mark.parametrize(
+    ("name", "remedy"),
+    [("etendue", "PATH-TO-THE-CHECKOUT"), ("mitsuba", "mitsuba==3.9.1"), ("OpenEXR", "OpenEXR")],
+)
+def test_what_is_missing_is_installed_from_where_it_is(name, remedy, monkeypatch):
+    def version(name):
+        raise importlib.metadata.PackageNotFoundError
+
+    monkeypatch.setattr(importlib.metadata, "version", version)
+    assert _package(name) == Check(name, "fail", "not installed", f"pip install {remedy}")
 
 
 def test_findings_and_remedies_are_printed():

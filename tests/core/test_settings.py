@@ -112,6 +112,7 @@ def test_replace_checks_again_and_settings_are_frozen():
 
 def test_describe_lists_every_option():
     assert Example.describe()[0] == ("max_depth", "int", -1, "longest path")
+    assert Example.names() == tuple(row[0] for row in Example.describe())
     assert [row[1] for row in Example.describe()] == ["int", "float", "float", "balance|power", "bool"]
 
 

@@ -1,9 +1,10 @@
-"""The manual: generated tables are current, links lead somewhere, and every example in Python runs."""
+"""The manual: generated tables are current, links lead somewhere, every example runs, in Python and of the shell."""
 
 from __future__ import annotations
 
 import importlib.util
 import re
+import shlex
 from pathlib import Path
 
 import mitsuba as mi
@@ -11,6 +12,8 @@ import pytest
 
 import etendue
 from etendue import api, methods
+from etendue.cli import compare, doctor, rendering
+from etendue.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted(
@@ -19,12 +22,14 @@ PAGES = sorted(
 )
 _LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 _EXAMPLE = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_COMMAND = re.compile(r"^(?: {4})?(etendue .+)$", re.MULTILINE)  # indented, or in a fenced block
 _SCENE = """<scene version="3.0.0">
+    <default name="res" value="24"/>
     <integrator type="path"><integer name="max_depth" value="4"/></integrator>
     <sensor type="perspective">
         <transform name="to_world"><lookat origin="0,1,4" target="0,0.4,0" up="0,1,0"/></transform>
         <sampler type="independent"><integer name="sample_count" value="2"/></sampler>
-        <film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="18"/></film>
+        <film type="hdrfilm"><integer name="width" value="$res"/><integer name="height" value="18"/></film>
     </sensor>
     <emitter type="constant"/>
     <shape type="sphere"><bsdf type="dielectric"/></shape>
@@ -105,3 +110,33 @@ def test_examples_run(page, number, tmp_path, monkeypatch, variant):
         made = api.render("scene.xml", "path", samples=2, save="picture.exr")
         made.save("reference.exr")
     exec(compile(code, relative(page), "exec"), {"__name__": "example"})
+
+
+COMMANDS = sorted({command for page in PAGES for command in _COMMAND.findall(page.read_text("utf-8"))})
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, variant):
+    """The files that the examples of the shell name."""
+    path = tmp_path_factory.mktemp("shell")
+    (path / "scene.xml").write_text(_SCENE)
+    api.render(path / "scene.xml", "path", save=path / "converged.exr", checkpoint=path / "picture.checkpoint")
+    return path
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_commands_are_understood(command, folder, monkeypatch, capsys):
+    """All is read and checked; nothing is rendered."""
+    begun = []
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(rendering, "choose_device", lambda variant, threads: None)
+    monkeypatch.setattr(rendering, "render_to_files", lambda *arguments: begun.append(arguments) or 0)
+    monkeypatch.setattr(compare.Comparison, "run", lambda *arguments: begun.append(arguments) or 0)
+    monkeypatch.setattr(doctor, "run_doctor", lambda *arguments: begun.append(arguments) or 0)
+    words = shlex.split(command, comments=True)[1:]
+    assert main(words) == 0, capsys.readouterr().err
+    assert begun or capsys.readouterr().out
+
+
+def test_there_are_commands_of_every_kind():
+    assert {"render", "resume", "compare", "methods", "doctor"} <= {command.split()[1] for command in COMMANDS}

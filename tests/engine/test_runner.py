@@ -9,6 +9,7 @@ import pytest
 
 from etendue.core import OptionError, OutputError
 from etendue.engine import Budget, Cancelled, RunError, Runner, run
+from etendue.engine.runner import LEAST_PASSES_FOR_ERROR
 
 
 @pytest.mark.parametrize(
@@ -83,9 +84,27 @@ def test_error_budget_stops_at_the_noise_that_was_asked_for(noise):
     assert 30 < result.passes < 80
 
 
-def test_error_budget_needs_two_passes(noise):
+def test_error_budget_is_not_believed_before_sixteen_passes(noise):
     result = run(noise, seed=1, budget=Budget(error=1e9))
-    assert result.passes == 2
+    assert (result.passes, result.stopped_by) == (LEAST_PASSES_FOR_ERROR, "error")
+    assert run(noise, seed=1, budget=Budget(error=1e9, iterations=3)).stopped_by == "samples"
+
+
+def test_passes_that_found_no_light_do_not_end_a_run(noise):
+    """As ``path`` on caustics: the first passes agree on black, which is no picture without noise."""
+    step = noise.step
+
+    def late(iteration, seed):
+        measured = step(iteration, seed)
+        if iteration < 8:
+            measured.sums["image"] *= 0
+            measured.squares["image"] *= 0
+        return measured
+
+    noise.step = late
+    result = run(noise, seed=1, budget=Budget(error=0.02, iterations=2000))
+    assert result.passes > LEAST_PASSES_FOR_ERROR
+    assert result.measurement.relative_error() <= 0.02
 
 
 def test_accumulation_is_the_sum_of_the_passes(noise):

@@ -112,6 +112,14 @@ def test_the_context_manager_stops_the_run(slow_noise):
     assert session.result.passes >= 1
 
 
+def test_the_context_manager_hides_no_error(noise):
+    def build(cancel):
+        raise SceneError("the scene has no sensor")
+
+    with pytest.raises(SceneError, match="no sensor"), Session(build, lambda run: run):
+        pass
+
+
 def test_flags_of_the_creating_thread_hold(noise):
     import drjit as dr
 

@@ -100,6 +100,20 @@ def test_samples_share_the_budget(spp, most, passes, total):
     assert (-(-spp // samples), -(-spp // samples) * samples) == (passes, total)
 
 
+def test_contributions_that_are_not_finite_are_reported(monkeypatch, caplog):
+    method = methods.get("bpt")
+    step = method.step
+
+    def tainted(self, iteration, seed):
+        measured = step(self, iteration, seed)
+        measured.counters["nonfinite"] = 2.0
+        return measured
+
+    monkeypatch.setattr(method, "step", tainted)
+    mi.render(mi.load_dict(box({"type": "bpt", "max_depth": 2, "samples_per_pass": 1}, size=8)), spp=3)
+    assert "6 contributions were not finite" in caplog.text
+
+
 def test_given_samples_per_pass_are_kept(monkeypatch):
     counted = count_samples(monkeypatch, "vcm")
     mi.render(mi.load_dict(box({"type": "vcm", "max_depth": 2, "samples_per_pass": 3})), spp=6)

@@ -4,8 +4,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from etendue.core import OptionError, SceneError
-from etendue.scene import bundled, load
+from etendue.core import OptionError, SceneError, UnsupportedError
+from etendue.scene import bundled, integrator_of, load
 
 SENSOR = '<sensor type="perspective"><film type="hdrfilm"/></sensor>'
 LIGHT = '<emitter type="constant"/><shape type="sphere"/>'
@@ -57,6 +57,33 @@ def test_a_scene_written_for_another_integrator_loads(tmp_path, integrator):
         }
     )
     assert (problem.integrator, problem.max_depth, problem.integrator_options) == (integrator, 7, {"strength": 2.5})
+
+
+def test_the_integrator_is_known_without_building_the_scene(tmp_path):
+    path = xml(tmp_path, '<integrator type="bpt"/><shape type="ply"><string name="filename" value="no.ply"/></shape>')
+    assert integrator_of(path) == "bpt"
+    scene = mi.cornell_box()
+    assert integrator_of(scene) == integrator_of(mi.load_dict(scene)) == integrator_of("cornell-box") == "path"
+    del scene["integrator"]
+    assert integrator_of(scene) == ""
+
+
+def test_hidden_emitters_are_refused():
+    scene = mi.cornell_box()
+    for hidden in (False, True):
+        scene["integrator"] = {"type": "path", "hide_emitters": hidden}
+        for source in (scene, mi.load_dict(scene)):
+            if hidden:
+                with pytest.raises(UnsupportedError, match=r"integrator 'path' of .* has 'hide_emitters'"):
+                    load(source)
+                assert load(source, check=False).integrator == "path"
+            else:
+                assert load(source).integrator_options == {}
+
+
+def test_an_undefined_variable_is_named(tmp_path):
+    with pytest.raises(SceneError, match=r"give it a value \(-P depth=VALUE, or `parameters`\)"):
+        load(xml(tmp_path, '<integrator type="path"><integer name="max_depth" value="$depth"/></integrator>'))
 
 
 def test_a_wrapped_integrator_is_found(tmp_path):
@@ -253,6 +280,7 @@ def arguments():
     yield ".", {}, SceneError, "is a folder"
     yield __file__, {}, SceneError, "not a Mitsuba scene file"
     yield "cornell-box", {"size": (0, 5)}, OptionError, "at least one pixel"
+    yield "cornell-box", {"size": (99999, 99999)}, OptionError, "at most 2\\^30 pixels"
     yield "cornell-box", {"size": "big"}, OptionError, "width, height"
     yield "cornell-box", {"memory": 0}, OptionError, "above zero"
     yield "cornell-box", {"sensor": -1}, OptionError, "no sensor -1"

@@ -79,6 +79,8 @@ def camera(
         "component_format": "float32",
         "rfilter": {"type": rfilter},
     }
+    if sensor == "spherical":  # in the middle of it: from afar, a lamp is a fraction of a pixel
+        origin = (0.2, 1.0, 1.0)
     up = [0, 0, 1] if abs(origin[0] - target[0]) + abs(origin[2] - target[2]) < 1e-6 else [0, 1, 0]
     look = transform().look_at(list(origin), list(target), up)
     # An orthographic film is two units wide: scaled to what the others see of the middle of the room.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from etendue.engine import Budget, Job, Task, check_writable
 from etendue.scene import bundled
 
 from .console import note, say
+from .options import settings_by_method
 from .rendering import follow, summary
 
 Image = NDArray[np.float32]
@@ -27,92 +28,70 @@ _HISTORY_RATIO = 1.25
 _PAGE = "index.html"
 
 
+def tasks(scene: str, names: Sequence[str], settings: Mapping[str, Any], **common: Any) -> list[Task]:
+    """The same task for each method of ``names``; ``settings`` as for :func:`settings_by_method`."""
+    if len(set(names)) < len(names):
+        raise OptionError(f"each method once, not {', '.join(names)}")
+    return [Task(scene, methods.get(n), own, **common) for n, own in settings_by_method(names, settings).items()]
+
+
 @dataclass
 class Comparison:
-    """What to compare, and where the outcome goes. :meth:`check` finds what is wrong before anything is rendered."""
+    """What to compare, and where the outcome goes."""
 
-    scene: str
-    methods: list[str]
+    tasks: list[Task]
     output: Path
-    budget: Budget
-    settings: Mapping[str, str] = field(default_factory=dict)
     reference: Path | None = None
     reference_note: str = ""
     title: str = ""
     subtitle: str = ""
-    seed: int = 0
-    size: tuple[int, int] | None = None
-    sensor: int = 0
-    parameters: Mapping[str, str] | None = None
-    memory: int | None = None
-    _tasks: list[Task] = field(default_factory=list, init=False)
     _reference: Image | None = field(default=None, init=False)
 
-    def check(self) -> None:
-        """Raise the errors of options, reference and output folder; makes the folder."""
-        if len(set(self.methods)) < len(self.methods):
-            raise OptionError(f"each method once, not {', '.join(self.methods)}")
-        settings = self._settings_by_method()
-        self._tasks = [
-            Task(
-                scene=self.scene,
-                method=methods.get(name),
-                settings=settings[name],
-                seed=self.seed,
-                budget=self.budget,
-                size=self.size,
-                sensor=self.sensor,
-                parameters=self.parameters,
-                memory=self.memory,
-            )
-            for name in self.methods
-        ]
+    def run(self, console: Console) -> int:
+        """Render one after the other, write the page of what there is and print its path. Returns the exit status.
+
+        Raises the errors of reference and output folder before anything is rendered.
+        """
         if self.reference is not None:
             self._reference = film.read_image(self.reference)
+        self._make_folder()
+        entries: list[display.Entry] = []
+        try:
+            for task in self.tasks:
+                if exit_code := self._render(task, entries, console):
+                    return exit_code
+        finally:
+            if entries:
+                self._write(entries)
+        return 0
+
+    def _make_folder(self) -> None:
         try:
             self.output.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise OutputError(
-                f"cannot make the folder '{self.output}': {error.strerror}; choose another place"
-            ) from error
+            reason = "that is a file" if self.output.exists() else error.strerror
+            raise OutputError(f"cannot make the folder '{self.output}': {reason}; choose another place") from error
         check_writable(self.output / _PAGE)
 
-    def run(self, console: Console) -> int:
-        """Render one after the other, write the page and print its path. Returns the exit status."""
-        entries: list[display.Entry] = []
-        exit_code = 0
-        for task in self._tasks:
-            outputs = Outputs.of([self.output / f"{task.method.name}.exr"])
-            history = _History()
+    def _render(self, task: Task, entries: list[display.Entry], console: Console) -> int:
+        """Render ``task`` and append its picture to ``entries``. Returns the exit status."""
+        name = task.method.name
+        outputs = Outputs.of([self.output / f"{name}.exr"])
+        history = _History()
 
-            def open_job(task: Task = task) -> Job:
-                job = Job.open(task)
-                self._check_size(job.problem.size)
-                return job
+        def open_job() -> Job:
+            job = Job.open(task)
+            self._check_size(job.problem.size)
+            return job
 
-            watch = history.record if self._reference is not None else None
-            outcome = follow(
-                lambda open_job=open_job, outputs=outputs, watch=watch: start_job(open_job, outputs, watch=watch),  # type: ignore[misc]
-                console,
-                task.method.name,
-            )
-            exit_code = outcome.exit_code
-            if outcome.rendering is not None:
-                note(console, summary(outcome.rendering))
-                entries.append(
-                    display.Entry(
-                        task.method.name,
-                        outcome.rendering.image,
-                        outcome.rendering.metadata,
-                        history.errors(self._reference),
-                        {k: v for k, v in outcome.rendering.layers.items() if k != "image"},
-                    )
-                )
-            if exit_code:
-                break
-        if entries:
-            self._write(entries)
-        return exit_code
+        watch = history.record if self._reference is not None else None
+        outcome = follow(lambda: start_job(open_job, outputs, watch), console, name)
+        if outcome.rendering is not None:
+            note(console, summary(outcome.rendering))
+            layers = {k: v for k, v in outcome.rendering.layers.items() if k != "image"}
+            errors = history.errors(self._reference)
+            entries.append(display.Entry(name, outcome.rendering.image, outcome.rendering.metadata, errors, layers))
+        return outcome.exit_code
 
     def _write(self, entries: list[display.Entry]) -> None:
         """Pictures at one exposure, so that they can be compared, and the page."""
@@ -124,7 +103,7 @@ class Comparison:
             page,
             entries,
             self._reference,
-            title=self.title or f"{Path(self.scene).name}: {', '.join(e.name for e in entries)}",
+            title=self.title or f"{Path(self.tasks[0].scene).name}: {', '.join(e.name for e in entries)}",
             subtitle=self.subtitle,
             reference_note=self.reference_note or (str(self.reference) if self.reference else ""),
             exposure=exposure,
@@ -139,20 +118,6 @@ class Comparison:
                 raise OptionError(
                     f"the reference is {width}x{height}, the picture {size[0]}x{size[1]}; use --size {width}x{height}"
                 )
-
-    def _settings_by_method(self) -> dict[str, dict[str, Any]]:
-        """``name`` goes to every method that has it, ``method.name`` to one."""
-        result: dict[str, dict[str, Any]] = {name: {} for name in self.methods}
-        known = {name: {row[0] for row in methods.get(name).Settings.describe()} for name in self.methods}
-        for key, value in self.settings.items():
-            owner, dot, setting = key.rpartition(".")
-            if dot and owner not in result:
-                raise OptionError(f"-D {key}: '{owner}' is not compared here; there are: {', '.join(result)}")
-            takers = [owner] if dot else [name for name in self.methods if key in known[name]]
-            # A name that nobody has goes to the first, whose settings then say what is meant.
-            for name in takers or self.methods[:1]:
-                result[name][setting if dot else key] = value
-        return result
 
 
 class _History:
@@ -172,18 +137,14 @@ class _History:
         return [(elapsed, film.relative_mse(picture, reference)) for elapsed, picture in self._pictures]
 
 
-def demonstration(output: Path, seconds: float, size: tuple[int, int] | None) -> Comparison:
+def demonstration(output: Path, seconds: float | None, size: tuple[int, int] | None) -> Comparison:
     """The bundled scene for demonstration, by ``path`` and ``vcm``. Its reference fits its own size only."""
     scene = next(iter(bundled().values()))
-    reference = getattr(scene, "reference", None) if size is None else None
     return Comparison(
-        scene=scene.name,
-        methods=["path", "vcm"],
-        output=output,
-        budget=Budget(seconds=seconds),
-        reference=reference,
-        reference_note=getattr(scene, "reference_note", ""),
+        tasks(scene.name, ["path", "vcm"], {}, budget=Budget(seconds=seconds), size=size),
+        output,
+        reference=scene.reference if size is None else None,
+        reference_note=scene.reference_note,
         title=f"étendue: {scene.name}",
         subtitle=scene.description,
-        size=size,
     )

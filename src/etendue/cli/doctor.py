@@ -99,7 +99,8 @@ def _package(name: str) -> Check:
     try:
         version = importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
-        return Check(name, "fail", "not installed", f"pip install {name}=={TESTED.get(name, '')}".rstrip("="))
+        wanted = "PATH-TO-THE-CHECKOUT" if name == "etendue" else f"{name}=={TESTED.get(name, '')}".rstrip("=")
+        return Check(name, "fail", "not installed", f"pip install {wanted}")
     tested = TESTED.get(name, version)
     if version != tested:
         remedy = f"étendue is tested with {tested}: pip install {name}=={tested}"

@@ -14,10 +14,10 @@ from typing import Annotated
 
 import typer
 
-from etendue.core import EtendueError, logger
+from etendue.core import EtendueError, OptionError, logger
 
 from . import options as opt
-from .console import ConsoleHandler, error_console, print_error, say
+from .console import ConsoleHandler, error_console, note, print_error, say
 
 app = typer.Typer(
     name="etendue",
@@ -76,6 +76,7 @@ def root(
     version: Annotated[
         bool, typer.Option("--version", help="Show versions and exit.", callback=_show_version, is_eager=True)
     ] = False,
+    debug: opt.Debug = False,
 ) -> None:
     """Options of the command itself."""
 
@@ -83,17 +84,20 @@ def root(
 @app.command()
 def render(
     scene: opt.Scene,
-    method: Annotated[str, typer.Option("--method", "-m", help="See `etendue methods`.", metavar="NAME")] = "vcm",
-    output: Annotated[
-        list[Path] | None,
+    method: Annotated[
+        str | None,
         typer.Option(
-            "-o", "--output", help="Picture: .exr (all layers, metadata) or .png; repeatable.", metavar="FILE"
+            "--method",
+            "-m",
+            help="See `etendue methods`; by default the scene's integrator if it is one of them but path, else vcm.",
+            metavar="NAME",
         ),
     ] = None,
+    output: opt.Output = None,
     time: opt.Time = None,
     spp: opt.Spp = None,
     error: opt.Error = None,
-    size: opt.Size = None,
+    size: opt.PictureSize = None,
     sensor: opt.Sensor = 0,
     seed: opt.Seed = 0,
     variant: opt.Variant = None,
@@ -103,7 +107,7 @@ def render(
     threads: opt.Threads = None,
     memory: opt.Memory = None,
     aovs: opt.Aovs = False,
-    save_every: opt.SaveEvery = "60",
+    save_every: opt.SaveEvery = 60.0,
     checkpoint: Annotated[
         Path | None,
         typer.Option(help="Checkpoint for `etendue resume`; by default beside the first picture.", metavar="FILE"),
@@ -116,82 +120,64 @@ def render(
     Stops at the first of --time, --spp and --error that is reached; without any, at the scene's own sample count.
     Ctrl-C stops after the current pass and writes the picture and the checkpoint.
     """
-    from etendue import methods
-    from etendue.api import Outputs
-    from etendue.core import OptionError
+    from etendue.api import Outputs, choose_method
     from etendue.engine import Budget, Job, Task
 
     from .rendering import choose_device, default_name, render_to_files
 
-    given: dict[str, object] = {}
-    if max_depth is not None:
-        given["max_depth"] = max_depth
-    if aovs:
-        given["aovs"] = True
-    task = Task(
-        scene=scene,
-        method=methods.get(method),
-        settings=given | opt.parse_pairs(define, "-D"),
-        seed=seed,
-        budget=Budget(opt.parse_time(time) if time is not None else None, spp, None, error),
-        size=opt.parse_size(size),
-        sensor=sensor,
-        parameters=opt.parse_pairs(param, "-P"),
-        memory=opt.parse_memory(memory),
-    )
-    every = opt.parse_time(save_every, "--save-every")
-    if every < 0:
-        raise OptionError(f"--save-every wants a time of at least 0, not '{save_every}'")
-    pictures = output or [Path(f"{default_name(scene)}-{method}.exr")]
     if no_checkpoint and checkpoint is not None:
         raise OptionError("--checkpoint and --no-checkpoint exclude each other; give one of them")
-    saved = None if no_checkpoint else checkpoint or pictures[0].with_suffix(".checkpoint")
-    outputs = Outputs.of(pictures, saved)
+    budget, settings = Budget(time, spp, None, error), opt.settings(define, max_depth, aovs)
+    parameters = opt.parse_pairs(param, "-P")
     choose_device(variant, threads)
+    notes: list[str] = []  # shown when all is checked
+    chosen = choose_method(method, scene, parameters, notes.append)
+    task = Task(scene, chosen, settings, seed, budget, size, sensor, parameters, memory)
+    pictures = output or [Path(f"{default_name(scene)}-{chosen.name}.exr")]
+    beside = pictures[0].parent / f"{pictures[0].stem}.checkpoint"
+    outputs = Outputs.of(pictures, None if no_checkpoint else checkpoint or beside, save_every)
 
-    return render_to_files(lambda: Job.open(task), outputs, every or None, method)
+    def open_job() -> Job:
+        job = Job.open(task)
+        for text in notes:
+            note(error_console(), text)
+        return job
+
+    return render_to_files(open_job, outputs, chosen.name)
 
 
 @app.command()
 def resume(
     checkpoint: Annotated[Path, typer.Argument(help="File that `etendue render` wrote.", metavar="CHECKPOINT")],
-    output: Annotated[
-        list[Path] | None,
-        typer.Option("-o", "--output", help="Picture; by default the .exr beside the checkpoint.", metavar="FILE"),
-    ] = None,
+    output: opt.Output = None,
     scene: Annotated[str | None, typer.Option(help="Where the scene is now, if it has moved.", metavar="SCENE")] = None,
     time: opt.Time = None,
     spp: opt.Spp = None,
     error: opt.Error = None,
     variant: opt.Variant = None,
     threads: opt.Threads = None,
-    save_every: opt.SaveEvery = "60",
+    save_every: opt.SaveEvery = 60.0,
     debug: opt.Debug = False,
 ) -> int:
     """Go on with an interrupted or finished render; the checkpoint is updated.
 
     --time counts from now, --spp and --error speak of the whole picture. Without them the interrupted budget is
-    used up.
+    used up. Without -o the pictures of that name beside the checkpoint are updated, .exr and .png, or an .exr made.
     """
     from etendue import methods
     from etendue.api import Outputs
-    from etendue.core import OptionError
     from etendue.engine import Budget, Checkpoint, Job
 
     from .rendering import choose_device, render_to_files
 
-    budget = Budget(opt.parse_time(time) if time is not None else None, spp, None, error)
-    every = opt.parse_time(save_every, "--save-every")
-    if every < 0:
-        raise OptionError(f"--save-every wants a time of at least 0, not '{save_every}'")
+    budget = Budget(time, spp, None, error)
     saved = Checkpoint.read(checkpoint)
     method = methods.get(saved.method)
-    outputs = Outputs.of(output or [checkpoint.with_suffix(".exr")], checkpoint)
+    beside = [checkpoint.with_suffix(suffix) for suffix in (".exr", ".png")]
+    outputs = Outputs.of(output or [p for p in beside if p.exists()] or beside[:1], checkpoint, save_every)
     choose_device(variant, threads)
 
-    return render_to_files(
-        lambda: Job.resume(saved, method, budget=budget or None, scene=scene), outputs, every or None, saved.method
-    )
+    return render_to_files(lambda: Job.resume(saved, method, budget=budget or None, scene=scene), outputs, saved.method)
 
 
 @app.command()
@@ -200,25 +186,18 @@ def compare(
     method: Annotated[
         list[str] | None, typer.Option("--method", "-m", help="A method; give it twice or more.", metavar="NAME")
     ] = None,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="Folder for pictures and page; made if needed.", metavar="DIR")
-    ] = Path("comparison"),
+    output: opt.Folder = Path("comparison"),
     reference: Annotated[
         Path | None, typer.Option(help="A converged picture to measure the error against.", metavar="FILE")
     ] = None,
     time: opt.Time = None,
     spp: opt.Spp = None,
     error: opt.Error = None,
-    size: opt.Size = None,
+    size: opt.PictureSize = None,
     sensor: opt.Sensor = 0,
     seed: opt.Seed = 0,
     variant: opt.Variant = None,
-    define: Annotated[
-        list[str] | None,
-        typer.Option(
-            "-D", "--set", help="A setting for every method that has it, or METHOD.NAME=VALUE.", metavar="NAME=VALUE"
-        ),
-    ] = None,
+    define: opt.Define = None,
     param: opt.Param = None,
     max_depth: opt.MaxDepth = None,
     threads: opt.Threads = None,
@@ -231,35 +210,30 @@ def compare(
     """
     from etendue.engine import Budget
 
-    from .compare import Comparison
+    from .compare import Comparison, tasks
     from .rendering import choose_device
 
-    budget = Budget(opt.parse_time(time) if time is not None else None, spp, None, error)
-    comparison = Comparison(
-        scene=scene,
-        methods=method or ["path", "vcm"],
-        output=output,
-        budget=budget or Budget(seconds=60),
-        settings=opt.parse_pairs(define, "-D") | ({} if max_depth is None else {"max_depth": str(max_depth)}),
-        reference=reference,
+    budget = Budget(time, spp, None, error) or Budget(seconds=60)
+    wanted = tasks(
+        scene,
+        method or ["path", "vcm"],
+        opt.settings(define, max_depth),
         seed=seed,
-        size=opt.parse_size(size),
+        budget=budget,
+        size=size,
         sensor=sensor,
         parameters=opt.parse_pairs(param, "-P"),
-        memory=opt.parse_memory(memory),
+        memory=memory,
     )
-    comparison.check()
     choose_device(variant, threads)
-    return comparison.run(error_console())
+    return Comparison(wanted, output, reference).run(error_console())
 
 
 @app.command()
 def demo(
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="Folder for pictures and page; made if needed.", metavar="DIR")
-    ] = Path("demo-output"),
-    time: Annotated[str, typer.Option("--time", "-t", help="Time for each method.", metavar="TIME")] = "45",
-    size: opt.Size = None,
+    output: opt.Folder = Path("demo-output"),
+    time: opt.Time = 45.0,
+    size: opt.PictureSize = None,
     variant: opt.Variant = None,
     threads: opt.Threads = None,
     debug: opt.Debug = False,
@@ -268,9 +242,8 @@ def demo(
     from .compare import demonstration
     from .rendering import choose_device
 
-    comparison = demonstration(output, opt.parse_time(time), opt.parse_size(size))
+    comparison = demonstration(output, time, size)
     choose_device(variant, threads)
-    comparison.check()
     return comparison.run(error_console())
 
 

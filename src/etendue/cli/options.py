@@ -1,9 +1,11 @@
-"""What the commands take: option types with their help, and the reading of values that people type."""
+"""What the commands take: the reading of values that people type, and option types with their help."""
 
 from __future__ import annotations
 
 import re
-from typing import Annotated
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
@@ -12,55 +14,20 @@ from etendue.core import OptionError
 _TIME = re.compile(r"^(?:(?P<h>[\d.]+)h)?(?:(?P<m>[\d.]+)m(?:in)?)?(?:(?P<s>-?[\d.]+(?:e[+-]?\d+)?)s?)?$")
 _MEMORY = re.compile(r"^(?P<number>[\d.]+)\s*(?P<unit>[kmgt]?)i?b?$", re.IGNORECASE)
 
-Scene = Annotated[
-    str, typer.Argument(help="Mitsuba XML file, or a bundled scene (see `etendue scenes`).", metavar="SCENE")
-]
-Time = Annotated[
-    str | None,
-    typer.Option("--time", "-t", help="Stop after this time: seconds, or 90s, 5m, 1h30m.", metavar="TIME"),
-]
-Spp = Annotated[int | None, typer.Option("--spp", help="Stop at this many camera paths per pixel.", metavar="N")]
-Error = Annotated[
-    float | None,
-    typer.Option("--error", help="Stop at this relative noise (mean of variance / (mean² + 0.01)).", metavar="X"),
-]
-Size = Annotated[str | None, typer.Option("--size", help="Size of the picture.", metavar="WxH")]
-Sensor = Annotated[int, typer.Option("--sensor", help="Which of the scene's sensors, counted from 0.", metavar="I")]
-Seed = Annotated[int, typer.Option("--seed", help="The same seed gives the same picture.", metavar="N")]
-Variant = Annotated[
-    str | None,
-    typer.Option("--variant", help="Mitsuba variant; by default CUDA where usable, else LLVM.", metavar="NAME"),
-]
-Define = Annotated[
-    list[str] | None,
-    typer.Option(
-        "-D", "--set", help="A setting of the method, repeatable; see `etendue methods NAME`.", metavar="NAME=VALUE"
-    ),
-]
-Param = Annotated[
-    list[str] | None,
-    typer.Option("-P", "--param", help="Value of a $variable of the scene's XML, repeatable.", metavar="NAME=VALUE"),
-]
-MaxDepth = Annotated[
-    int | None,
-    typer.Option("--max-depth", help="Longest path in edges, -1 for unlimited; by default the scene's.", metavar="N"),
-]
-Threads = Annotated[int | None, typer.Option("--threads", help="CPU threads to use.", metavar="N")]
-SaveEvery = Annotated[
-    str, typer.Option("--save-every", help="Time between intermediate saves; 0 for none.", metavar="TIME")
-]
-Memory = Annotated[
-    str | None, typer.Option("--memory", help="Bound on what a method stores, as 512M or 2G.", metavar="BYTES")
-]
-Aovs = Annotated[bool, typer.Option("--aovs", help="Add first-hit layers: albedo, normal, depth.")]
-Debug = Annotated[bool, typer.Option("--debug", help="Log what happens, and show tracebacks of errors.")]
+
+class Size(NamedTuple):
+    """Of a picture, in pixels. A class of its own, as typer takes two words for a plain tuple."""
+
+    width: int
+    height: int
 
 
-def parse_time(text: str, option: str = "--time") -> float:
+def parse_time(text: str | float, option: str = "--time") -> float:
     """Seconds from ``90``, ``1.5m``, ``1h30m``. Raises :class:`OptionError`."""
-    match = _TIME.match(text.strip().lower())
+    text = str(text).strip()  # typer passes defaults through here, too
+    match = _TIME.match(text.lower())
     try:
-        if match is None or not text.strip():
+        if match is None or not text:
             raise ValueError
         hours, minutes, seconds = (float(match[unit] or 0) for unit in "hms")
     except ValueError:
@@ -68,20 +35,24 @@ def parse_time(text: str, option: str = "--time") -> float:
     return 3600 * hours + 60 * minutes + seconds
 
 
-def parse_size(text: str | None) -> tuple[int, int] | None:
+def parse_period(text: str | float) -> float | None:
+    """As :func:`parse_time`; ``None`` from ``0``."""
+    seconds = parse_time(text, "--save-every")
+    if seconds < 0:
+        raise OptionError(f"--save-every wants a time of at least 0, not '{text}'")
+    return seconds or None
+
+
+def parse_size(text: str) -> Size:
     """Width and height from ``640x480``. Raises :class:`OptionError`."""
-    if text is None:
-        return None
     match = re.match(r"^\s*(\d+)\s*[x×,]\s*(\d+)\s*$", text.lower())
     if match is None or "0" in (match[1].lstrip("0") or "0", match[2].lstrip("0") or "0"):
         raise OptionError(f"--size wants WIDTHxHEIGHT in pixels, as 640x480, not '{text}'")
-    return int(match[1]), int(match[2])
+    return Size(int(match[1]), int(match[2]))
 
 
-def parse_memory(text: str | None) -> int | None:
+def parse_memory(text: str) -> int:
     """Bytes from ``2G`` (2³⁰ each), ``512M``, ``100000000``. Raises :class:`OptionError`."""
-    if text is None:
-        return None
     match = _MEMORY.match(text.strip())
     try:
         if match is None:
@@ -106,3 +77,101 @@ def parse_pairs(pairs: list[str] | None, option: str) -> dict[str, str]:
             raise OptionError(f"{option} names '{name}' twice; give it once")
         values[name] = value.strip()
     return values
+
+
+def settings(define: list[str] | None, max_depth: int | None, aovs: bool = False) -> dict[str, Any]:
+    """What -D, --max-depth and --aovs say. Raises :class:`OptionError` if two of them say the same."""
+    pairs = parse_pairs(define, "-D")
+    short = ({} if max_depth is None else {"max_depth": max_depth}) | ({"aovs": True} if aovs else {})
+    for name in short.keys() & pairs.keys():
+        raise OptionError(f"--{name.replace('_', '-')} and -D {name} say the same; give one of them")
+    return short | pairs
+
+
+def settings_by_method(names: Sequence[str], settings: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Settings for each of several methods: ``name`` is for all that have it, ``method.name`` for one and wins.
+
+    Raises :class:`OptionError` for a method that is not among ``names``. A setting that nobody has is given to the
+    first method, whose settings then say what is meant.
+    """
+    from etendue import methods
+
+    known = {name: methods.get(name).Settings.names() for name in names}
+    result: dict[str, dict[str, Any]] = {name: {} for name in names}
+    for key in sorted(settings, key=lambda key: "." in key):
+        owner, dot, setting = key.rpartition(".")
+        if dot and owner not in result:
+            raise OptionError(f"-D {key}: '{owner}' is not compared here; there are: {', '.join(names)}")
+        takers = [owner] if dot else [name for name in names if key in known[name]]
+        for name in takers or names[:1]:
+            result[name][setting] = settings[key]
+    return result
+
+
+Scene = Annotated[
+    str, typer.Argument(help="Mitsuba XML file, or a bundled scene (see `etendue scenes`).", metavar="SCENE")
+]
+Time = Annotated[
+    float | None,
+    typer.Option(
+        "--time",
+        "-t",
+        help="Stop after this time: seconds, or 90s, 5m, 1h30m; of each method, where several are rendered.",
+        parser=parse_time,
+        metavar="TIME",
+    ),
+]
+Spp = Annotated[int | None, typer.Option("--spp", help="Stop at this many camera paths per pixel.", metavar="N")]
+Error = Annotated[
+    float | None,
+    typer.Option("--error", help="Stop at this relative noise (mean of variance / (mean² + 0.01)).", metavar="X"),
+]
+PictureSize = Annotated[
+    Size | None, typer.Option("--size", help="Size of the picture.", parser=parse_size, metavar="WxH")
+]
+Sensor = Annotated[int, typer.Option("--sensor", help="Which of the scene's sensors, counted from 0.", metavar="I")]
+Seed = Annotated[int, typer.Option("--seed", help="The same seed gives the same picture.", metavar="N")]
+Variant = Annotated[
+    str | None,
+    typer.Option("--variant", help="Mitsuba variant; by default CUDA where usable, else LLVM.", metavar="NAME"),
+]
+Define = Annotated[
+    list[str] | None,
+    typer.Option(
+        "-D",
+        "--set",
+        help="A setting, repeatable (see `etendue methods NAME`); in `compare` for every method that has it, or "
+        "METHOD.NAME=VALUE.",
+        metavar="NAME=VALUE",
+    ),
+]
+Param = Annotated[
+    list[str] | None,
+    typer.Option("-P", "--param", help="Value of a $variable of the scene's XML, repeatable.", metavar="NAME=VALUE"),
+]
+MaxDepth = Annotated[
+    int | None,
+    typer.Option("--max-depth", help="Longest path in edges, -1 for unlimited; by default the scene's.", metavar="N"),
+]
+Threads = Annotated[int | None, typer.Option("--threads", help="CPU threads to use.", metavar="N")]
+SaveEvery = Annotated[
+    float | None,
+    typer.Option(
+        "--save-every", help="Time between intermediate saves; 0 for none.", parser=parse_period, metavar="TIME"
+    ),
+]
+Memory = Annotated[
+    int | None,
+    typer.Option(
+        "--memory", help="Bound on what a method stores, as 512M or 2G.", parser=parse_memory, metavar="BYTES"
+    ),
+]
+Output = Annotated[
+    list[Path] | None,
+    typer.Option("-o", "--output", help="Picture: .exr (all layers, metadata) or .png; repeatable.", metavar="FILE"),
+]
+Folder = Annotated[
+    Path, typer.Option("-o", "--output", help="Folder for pictures and page; made if needed.", metavar="DIR")
+]
+Aovs = Annotated[bool, typer.Option("--aovs", help="Add first-hit layers: albedo, normal, depth.")]
+Debug = Annotated[bool, typer.Option("--debug", help="Log what happens, and show tracebacks of errors.")]

@@ -61,17 +61,18 @@ def follow(open_session: Callable[[], Session[Rendering]], console: Console, lab
     return Outcome(session.result, interrupts.exit_code)
 
 
-def render_to_files(open_job: Callable[[], Job], outputs: Outputs, save_every: float | None, label: str) -> int:
-    """Render, write ``outputs`` and name them on standard output. Returns the exit status."""
+def render_to_files(open_job: Callable[[], Job], outputs: Outputs, label: str) -> int:
+    """Render, write ``outputs`` and name them on standard output, one a line. Returns the exit status."""
     console = error_console()
+    files = "\n".join(map(str, outputs.files))
     try:
-        outcome = follow(lambda: start_job(open_job, outputs, save_every), console, label)
+        outcome = follow(lambda: start_job(open_job, outputs), console, label)
     except RunError:
-        say(list_outputs(outputs))  # the passes before the failure are in them
+        say(files)  # the passes before the failure are in them
         raise
     if outcome.rendering is not None:
         note(console, summary(outcome.rendering))
-        say(list_outputs(outputs))
+        say(files)
     return outcome.exit_code
 
 
@@ -92,8 +93,3 @@ def default_name(scene: str) -> str:
     path = Path(scene)
     stem = path.absolute().parent.name if path.stem == "scene" else path.stem
     return stem or "render"
-
-
-def list_outputs(outputs: Outputs) -> str:
-    """The files, separated by commas."""
-    return ", ".join(str(p) for p in (*outputs.pictures, *([outputs.checkpoint] if outputs.checkpoint else [])))

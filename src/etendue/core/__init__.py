@@ -10,9 +10,10 @@ from .errors import (
     OutputError,
     SceneError,
     UnsupportedError,
+    suggest,
 )
 from .log import logger
-from .measurement import RELATIVE_EPSILON, Array, Iterations, Measurement
+from .measurement import RELATIVE_EPSILON, Array, Iterations, Measurement, warn_of_nonfinite
 from .method import Method, Result
 from .progress import Progress, format_rate, format_seconds
 from .samples import COMPONENTS_PER_VERTEX, IndependentSource, SampleSource, hash_mix, seed_key, to_unit_float
@@ -49,6 +50,8 @@ __all__ = [
     "seed_key",
     "set_threads",
     "setting",
+    "suggest",
     "to_unit_float",
     "use_variant",
+    "warn_of_nonfinite",
 ]

@@ -162,13 +162,14 @@ def use_variant(requested: str | None = None) -> str:
 
 
 def set_threads(count: Any) -> None:
-    """Number of CPU threads that Dr.Jit uses; ``None`` leaves it alone. Raises :class:`OptionError` below 1."""
+    """Number of CPU threads that Dr.Jit uses; ``None`` leaves it alone. Raises :class:`OptionError` if it is not 1 to
+    1024."""
     import drjit as dr
 
     if count is None:
         return
-    if not isinstance(count, int) or isinstance(count, bool) or count < 1:
-        raise OptionError(f"the number of threads must be a whole number of at least 1, not {count!r}")
+    if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= 1024:
+        raise OptionError(f"the number of threads must be a whole number from 1 to 1024, not {count!r}")
     dr.set_thread_count(count)
 
 

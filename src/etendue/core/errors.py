@@ -6,6 +6,9 @@ line and exits with :attr:`EtendueError.exit_code`; anything else is a bug and k
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 
 class EtendueError(Exception):
     """Base of every error raised on purpose. ``str(error)`` is one line fit for a user."""
@@ -45,3 +48,11 @@ class BackendError(EtendueError):
     """Mitsuba, Dr.Jit, LLVM or CUDA is missing or unusable; says what to install."""
 
     exit_code = 6
+
+
+def suggest(name: object, known: Iterable[str], otherwise: str = "there are") -> str:
+    """For a name that is not ``known``: ``did you mean '...'?``, or all that are known after ``otherwise``."""
+    names = list(known)
+    # Two letters of three, swapped, are 0.67 alike; what is less alike seldom was meant.
+    close = difflib.get_close_matches(str(name), names, n=1, cutoff=0.65)
+    return f"did you mean '{close[0]}'?" if close else f"{otherwise}: {', '.join(names)}"

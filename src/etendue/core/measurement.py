@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import EtendueError
+from .log import logger
 
 Array = NDArray[np.float64]
 
@@ -151,3 +152,14 @@ class Measurement:
         """
         mean = self.mean(name)
         return float(np.mean(self.variance_of_mean(name) / (mean * mean + RELATIVE_EPSILON)))
+
+
+def warn_of_nonfinite(measurement: Measurement) -> None:
+    """Log how many contributions were left out of the picture because they were NaN or infinite."""
+    count = measurement.counters.get("nonfinite", 0.0)
+    if count > 0:
+        logger.warning(
+            "%d contributions were not finite (NaN or infinite) and were left out of the picture; "
+            "look for extreme values in the scene's materials and lights",
+            int(count),
+        )

@@ -15,7 +15,7 @@ from .settings import Settings as AnySettings
 @dataclass
 class Result:
     """A developed measurement: layers of shape (height, width, channels), float32. ``layers["image"]`` is the picture;
-    the other layers are the technique families it is the sum of, and the first-hit layers if they were asked for."""
+    the other layers, if they were asked for, are the technique families it is the sum of and first-hit layers."""
 
     layers: dict[str, NDArray[np.float32]]
     metadata: dict[str, Any] = field(default_factory=dict)

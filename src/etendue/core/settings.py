@@ -12,13 +12,12 @@ and the command line, the Mitsuba plugin, the checkpoint and the manual page all
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import json
 import math
 from collections.abc import Mapping
 from typing import Any, Self, get_type_hints
 
-from .errors import OptionError
+from .errors import OptionError, suggest
 
 
 def setting(
@@ -59,13 +58,16 @@ class Settings:
 
         Raises :class:`OptionError` on a name that does not exist, with the nearest one that does.
         """
-        known = [f.name for f in dataclasses.fields(cls)]
         for name in values:
-            if name not in known:
-                close = difflib.get_close_matches(name, known, n=1)
-                hint = f"did you mean '{close[0]}'?" if close else f"it has: {', '.join(known)}"
+            if name not in cls.names():
+                hint = suggest(name, cls.names(), "it has")
                 raise OptionError(f"{owner or cls.__name__} has no option '{name}'; {hint}")
         return cls(**values)
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """The names of all settings, in the order of their declaration."""
+        return tuple(field.name for field in dataclasses.fields(cls))
 
     def replace(self, **changes: Any) -> Self:
         """A copy with some values changed, checked again."""

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import OptionError
+from etendue.core import OptionError, suggest
 
 Array = NDArray[np.float64]
 
@@ -66,9 +65,7 @@ def tonemap(image: ArrayLike, exposure: float | str = 0.0, curve: str = "srgb") 
     curve or exposure.
     """
     if curve not in CURVES:
-        close = difflib.get_close_matches(curve, CURVES, n=1)
-        hint = f"did you mean '{close[0]}'?" if close else f"there are: {', '.join(CURVES)}"
-        raise OptionError(f"no tone curve '{curve}'; {hint}")
+        raise OptionError(f"no tone curve '{curve}'; {suggest(curve, CURVES)}")
     if isinstance(exposure, str):
         if exposure != "auto":
             raise OptionError(f"exposure is a number of stops or 'auto', not '{exposure}'")

@@ -3,8 +3,8 @@
 from .budget import Budget
 from .checkpoint import Checkpoint
 from .files import check_writable
-from .job import Job, Task, versions, warn_of_nonfinite
-from .runner import Cancelled, RunError, Runner, RunResult, run
+from .job import Job, Task, versions
+from .runner import Cancelled, RunError, Runner, RunResult, check_period, run
 from .session import Session
 
 __all__ = [
@@ -17,8 +17,8 @@ __all__ = [
     "Runner",
     "Session",
     "Task",
+    "check_period",
     "check_writable",
     "run",
     "versions",
-    "warn_of_nonfinite",
 ]

@@ -28,6 +28,9 @@ from .budget import Budget
 from .checkpoint import Checkpoint
 from .runner import Runner, RunResult
 
+#: Bytes below which a memory bound would have a method do nothing but start over: 16 MB.
+LEAST_MEMORY = 16 << 20
+
 
 @dataclass(frozen=True)
 class Task:
@@ -48,8 +51,13 @@ class Task:
     memory: int | None = None
 
     def __post_init__(self) -> None:
-        if isinstance(self.seed, bool) or not isinstance(self.seed, int) or self.seed < 0:
-            raise OptionError(f"a seed is a whole number of at least 0, not {self.seed!r}")
+        for what, value, least in (
+            ("a seed is a whole number", self.seed, 0),
+            ("a sensor is a whole number", self.sensor, 0),
+            ("a memory bound is a whole number of bytes", self.memory, LEAST_MEMORY),
+        ):
+            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
+                raise OptionError(f"{what} of at least {least}, not {value!r}")
         self.method.Settings.from_mapping(self.settings, owner=f"method '{self.method.name}'")
 
     def place(self) -> dict[str, Any]:
@@ -197,23 +205,12 @@ def versions() -> dict[str, str]:
     return {"etendue": own, "mitsuba": mi.__version__, "drjit": dr.__version__, "variant": mi.variant() or ""}
 
 
-def warn_of_nonfinite(run: RunResult) -> None:
-    """Log how many contributions were left out of the picture because they were NaN or infinite."""
-    count = run.measurement.counters.get("nonfinite", 0.0)
-    if count > 0:
-        logger.warning(
-            "%d contributions were not finite (NaN or infinite) and were left out of the picture; "
-            "look for extreme values in the scene's materials and lights",
-            int(count),
-        )
-
-
 def _settings(task: Task, problem: Problem) -> Settings:
     """The given settings over those that the scene's integrator names over the defaults."""
-    known = {name for name, *_ in task.method.Settings.describe()}
+    known = task.method.Settings.names()
     from_scene: dict[str, Any] = {"max_depth": problem.max_depth}
     if problem.integrator == task.method.name:
-        unknown = sorted(problem.integrator_options.keys() - known)
+        unknown = sorted(problem.integrator_options.keys() - set(known))
         if unknown:
             logger.warning(
                 "option '%s' of the scene's integrator '%s' is not known here and is ignored",

@@ -21,6 +21,16 @@ StoppedBy = Literal["seconds", "samples", "error", "cancel", "failure", "running
 SAVE_SHARE = 0.1
 #: Passes between two estimates of the noise, as a share of the passes done: cheap, and the same in every run.
 ERROR_CADENCE = 0.05
+#: Passes before an estimate of the noise may end a run. With fewer it is itself noise, and where light is found rarely
+#: the first passes may all miss it and agree on a picture that is too dark.
+LEAST_PASSES_FOR_ERROR = 16
+
+
+def check_period(save_every: float | None) -> None:
+    """Raise :class:`OptionError` if ``save_every`` is no time between intermediate saves."""
+    number = isinstance(save_every, (int, float)) and not isinstance(save_every, bool)
+    if save_every is not None and not (number and math.isfinite(save_every) and save_every > 0):
+        raise OptionError(f"the time between saves (--save-every) must be above 0 seconds, not {save_every!r}")
 
 
 class CancelEvent(Protocol):
@@ -85,8 +95,7 @@ class Runner:
         cancel: CancelEvent | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        if save_every is not None and not (math.isfinite(save_every) and save_every > 0):
-            raise OptionError(f"the time between saves must be above 0 seconds, not {save_every}")
+        check_period(save_every)
         if not budget and cancel is None:
             raise OptionError("a run needs a budget: seconds, samples, passes or error")
         self.method = method
@@ -195,7 +204,8 @@ class Runner:
         allowed = self.budget.passes(self.method.samples_per_iteration)
         if allowed is not None and passes >= allowed:
             return "samples"
-        if self.budget.error is not None and self._error is not None and self._error <= self.budget.error:
+        reached = self.budget.error is not None and self._error is not None and self._error <= self.budget.error
+        if reached and passes >= LEAST_PASSES_FOR_ERROR:
             return "error"
         if self.budget.seconds is not None and self._done > 0:
             elapsed = self._clock() - self._begin
@@ -238,8 +248,9 @@ class Runner:
             left.append(max(0, allowed - passes) * per_pass)
             shares.append(passes / allowed)
         if self.budget.error is not None and self._error:
-            left.append(max(0.0, self._error / self.budget.error - 1.0) * passes * per_pass)
-            shares.append(self.budget.error / self._error)
+            needed = max(passes * self._error / self.budget.error, LEAST_PASSES_FOR_ERROR)
+            left.append(max(0.0, needed - passes) * per_pass)
+            shares.append(passes / needed)
         return Progress(
             passes=passes,
             samples=passes * self.method.samples_per_iteration,

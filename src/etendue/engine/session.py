@@ -12,9 +12,9 @@ from typing import Any, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import EtendueError, Progress, logger
+from etendue.core import Progress, logger
 
-from .runner import CancelEvent, RunError, Runner, RunResult
+from .runner import Cancelled, RunError, Runner, RunResult
 
 T = TypeVar("T")
 
@@ -26,10 +26,10 @@ class Session(Generic[T]):
     turns what was measured into :attr:`result`. Dr.Jit's flags belong to a thread: those of the creating thread are
     copied. The variant of Mitsuba is global and must not be changed while a session runs.
 
-    As a context manager a session is cancelled at the end of the block, and waited for.
+    As a context manager a session is cancelled at the end of the block, and waited for; what the run raised is raised.
     """
 
-    def __init__(self, build: Callable[[CancelEvent], Runner], finish: Callable[[RunResult], T]) -> None:
+    def __init__(self, build: Callable[[threading.Event], Runner], finish: Callable[[RunResult], T]) -> None:
         self._build = build
         self._finish = finish
         self._stop = threading.Event()
@@ -119,7 +119,7 @@ class Session(Generic[T]):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.cancel()
-        if error is None and self._error is not None and not isinstance(self._error, EtendueError):
+        if error is None and self._error is not None and not isinstance(self._error, Cancelled):
             raise self._error
 
     def __repr__(self) -> str:

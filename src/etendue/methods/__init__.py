@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import difflib
-
-from etendue.core import OptionError
+from etendue.core import OptionError, suggest
 
 from .base import ImageMethod, ImageSettings
 from .bidirectional import Bidirectional, Bpm, Bpt, Vcm
@@ -23,9 +21,7 @@ def get(name: str) -> type[ImageMethod]:
     """The class of a method. Raises :class:`OptionError` with the nearest name if there is none."""
     if name in _METHODS:
         return _METHODS[name]
-    close = difflib.get_close_matches(name, _METHODS, n=1)
-    hint = f"did you mean '{close[0]}'?" if close else f"there are: {', '.join(_METHODS)}"
-    raise OptionError(f"no method '{name}'; {hint}")
+    raise OptionError(f"no method '{name}'; {suggest(name, _METHODS)}")
 
 
 __all__ = ["Bidirectional", "Bpm", "Bpt", "ImageMethod", "ImageSettings", "Light", "Path", "Vcm", "get", "table"]

@@ -33,7 +33,7 @@ class ImageSettings(Settings):
     max_depth: int = setting(-1, "longest path in edges, 1 shows lights only; -1 is unlimited", minimum=-1)
     rr_depth: int = setting(5, "path edges after which Russian roulette by throughput begins", minimum=1)
     samples_per_pass: int = setting(
-        0, "camera paths per pixel that one pass traces; 0 chooses enough to fill the machine", minimum=0
+        0, "camera paths per pixel that one pass traces; 0 chooses enough to fill the machine", minimum=0, maximum=4096
     )
     aovs: bool = setting(False, "add first-hit layers: albedo, normal, depth")
 

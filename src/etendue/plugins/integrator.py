@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import EtendueError, Measurement, OptionError, UnsupportedError, check_variant
+from etendue.core import EtendueError, Measurement, OptionError, UnsupportedError, check_variant, warn_of_nonfinite
 from etendue.scene import Problem, check
 
 #: First-hit layers and the names of their channels in a film, as Mitsuba's 'aov' integrator calls them.
@@ -39,8 +39,7 @@ def _integrator_class(method: Any, variant: str) -> type:
         """Runs the method's passes until ``spp`` camera paths per pixel are traced."""
 
         def __init__(self, props: Any) -> None:
-            names = [name for name, *_ in method.Settings.describe()]
-            given = {name: props[name] for name in names if name in props}
+            given = {name: props[name] for name in method.Settings.names() if name in props}
             if props.get("hide_emitters", False):
                 raise UnsupportedError(f"{method.name} has no 'hide_emitters'; remove it, or hide the emitter's shape")
             self.plugin_name = method.name
@@ -79,6 +78,7 @@ def _integrator_class(method: Any, variant: str) -> type:
             )
             with dr.suspend_grad():
                 measurement = self._measure(problem, int(np.asarray(seed).ravel()[0]))
+                warn_of_nonfinite(measurement[1])
                 layers = measurement[0].develop(measurement[1]).layers
                 _fill(film, problem, layers, self.aov_names())
                 if not develop:

@@ -5,7 +5,7 @@ from .capability import check
 from .fingerprint import fingerprint
 from .graph import materials
 from .lights import Light, LightTable
-from .loading import load
+from .loading import integrator_of, load
 from .plugins import register
 from .problem import Problem
 
@@ -17,6 +17,7 @@ __all__ = [
     "bundled",
     "check",
     "fingerprint",
+    "integrator_of",
     "load",
     "materials",
     "register",

@@ -6,16 +6,15 @@ built and an integrator that does not exist here can be left out: the caller cho
 
 from __future__ import annotations
 
-import difflib
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from etendue.core import OptionError, SceneError, use_variant
+from etendue.core import OptionError, SceneError, UnsupportedError, suggest, use_variant
 
 from .bundled import bundled
 from .capability import check as check_scene
@@ -31,6 +30,9 @@ from .parsing import (
     texture_details,
 )
 from .problem import Problem
+
+#: An array of the device has fewer than 2^32 entries, and a film four channels to a pixel.
+MOST_PIXELS = 1 << 30
 
 
 def load(
@@ -54,48 +56,47 @@ def load(
     Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for what cannot be read or is broken,
     :class:`UnsupportedError` for what cannot be rendered, :class:`OptionError` for arguments out of range.
     """
-    import mitsuba as mi
 
     use_variant()
     if size is not None:
         size = _checked_size(size)
     if memory is not None and memory <= 0:
         raise OptionError(f"a memory bound must be above zero bytes, not {memory}")
-    is_scene = type(source).__name__ == "Scene" and hasattr(source, "sensors")
-    no_variables = OptionError("parameters replace $variables of an XML file; this scene is none")
-    if parameters and (is_scene or isinstance(source, Mapping)):
-        raise no_variables
-    if is_scene:
-        return _from_scene(source, size, sensor, memory, check)
-    if isinstance(source, Mapping):
-        dictionary = dict(source)
-        return _from_parser(lambda c: mi.parser.parse_dict(c, dictionary), "<dict>", None, size, sensor, memory, check)
-    path, build = _find(str(source))
-    if build is not None:
-        if parameters:
-            raise no_variables
-        built = build()
-        return _from_parser(lambda c: mi.parser.parse_dict(c, built), str(source), None, size, sensor, memory, check)
-    values = {str(k): str(v) for k, v in (parameters or {}).items()}
-    return _from_parser(
-        lambda c: mi.parser.parse_file(c, str(path), **values), str(source), path, size, sensor, memory, check
-    )
+    if not _is_loaded(source):
+        return _from_parser(*_parse(source, parameters), size, sensor, memory, check)
+    if parameters:
+        raise OptionError(_NO_VARIABLES)
+    return _from_scene(source, size, sensor, memory, check)
 
 
-def _find(name: str) -> tuple[Path, Callable[[], dict[str, Any]] | None]:
-    """A file, or the builder of a bundled scene; a file wins."""
+def integrator_of(source: Any, parameters: Mapping[str, Any] | None = None) -> str:
+    """Plugin name of the integrator that a scene names, "" if it names none. ``source`` is parsed, but not built.
+
+    Sets a Mitsuba variant if none is set. Errors as :func:`load`, as far as parsing finds them.
+    """
+    use_variant()
+    if not _is_loaded(source):
+        return take_integrator(_parse(source, parameters)[-1])[0]
+    return "" if source.integrator() is None else built_integrator(source.integrator())[0]
+
+
+def _is_loaded(source: Any) -> bool:
+    return type(source).__name__ == "Scene" and hasattr(source, "sensors")
+
+
+def _find(name: str) -> Path | dict[str, Any]:
+    """A file, or the dictionary of a bundled scene; a file wins."""
     path = Path(name)
     scenes = bundled()
     if path.is_file():
         if path.suffix.lower() not in (".xml", ""):
             raise SceneError(f"'{name}' is not a Mitsuba scene file; give an .xml file or a bundled scene")
-        return path, None
+        return path
     if path.is_dir():
         raise SceneError(f"'{name}' is a folder; name the scene file in it, such as {path / 'scene.xml'}")
     if name in scenes:
-        return path, scenes[name].build
-    close = difflib.get_close_matches(name, scenes, n=1)
-    hint = f"did you mean '{close[0]}'?" if close else f"bundled scenes: {', '.join(scenes)}"
+        return scenes[name].build()
+    hint = suggest(name, scenes, "bundled scenes")
     raise SceneError(f"there is no scene file '{name}', and no bundled scene of that name; {hint}")
 
 
@@ -106,16 +107,45 @@ def _checked_size(size: Any) -> Size:
         raise OptionError(f"a size is (width, height) in pixels, not {size!r}") from None
     if width < 1 or height < 1:
         raise OptionError(f"a picture needs at least one pixel a side, not {width}x{height}")
+    if width * height > MOST_PIXELS:
+        raise OptionError(f"{width}x{height} is too large a picture; it has at most 2^30 pixels, as 32768x32768")
     return width, height
 
 
 # -- XML and dictionaries --------------------------------------------------------------------------------------------
 
 
+_NO_VARIABLES = "parameters replace $variables of an XML file; this scene is none"
+
+
+def _parse(source: Any, parameters: Mapping[str, Any] | None) -> tuple[str, Path | None, Any, Any]:
+    """Name of a scene, its file, and Mitsuba's configuration and state once it is parsed."""
+    import mitsuba as mi
+
+    name = "<dict>" if isinstance(source, Mapping) else str(source)
+    described = dict(source) if isinstance(source, Mapping) else _find(name)
+    path = described if isinstance(described, Path) else None
+    if path is None and parameters:
+        raise OptionError(_NO_VARIABLES)
+    config = mi.parser.ParserConfig(mi.variant())
+    config.parallel = False  # a node that fails while others load in parallel can crash the process (Mitsuba 3.9.1)
+    with _resolving(path), _mitsuba_errors(name):
+        if path is None:
+            state = mi.parser.parse_dict(config, described)
+        else:
+            state = mi.parser.parse_file(config, str(path), **{str(k): str(v) for k, v in (parameters or {}).items()})
+        mi.parser.transform_upgrade(config, state)
+        mi.parser.transform_resolve(config, state)
+    if state.root.type != mi.ObjectType.Scene:
+        raise SceneError(f"{name} describes a '{state.root.props.plugin_name()}', not a scene")
+    return name, path, config, state
+
+
 def _from_parser(
-    parse: Callable[[Any], Any],
     name: str,
     path: Path | None,
+    config: Any,
+    state: Any,
     size: Size | None,
     sensor: int,
     memory: int | None,
@@ -123,14 +153,7 @@ def _from_parser(
 ) -> Problem:
     import mitsuba as mi
 
-    config = mi.parser.ParserConfig(mi.variant())
-    config.parallel = False  # a node that fails while others load in parallel can crash the process (Mitsuba 3.9.1)
     with _resolving(path), _mitsuba_errors(name):
-        state = parse(config)
-        mi.parser.transform_upgrade(config, state)
-        mi.parser.transform_resolve(config, state)
-        if state.root.type != mi.ObjectType.Scene:
-            raise SceneError(f"{name} describes a '{state.root.props.plugin_name()}', not a scene")
         integrator, depth, options = take_integrator(state)
         if size is not None:
             resize(state, size)
@@ -154,7 +177,7 @@ def _from_parser(
     if not integrator and scene.integrator() is not None:
         # Mitsuba's parser knows the kind of a Python plugin only once it is built.
         integrator, depth, options = built_integrator(scene.integrator())
-    return _problem(scene, chosen, integrator, depth, options, name, memory, details)
+    return _problem(scene, chosen, integrator, depth, options, name, memory, details, check)
 
 
 @contextmanager
@@ -191,8 +214,9 @@ def _mitsuba_errors(name: str) -> Any:
 
 
 def _remedy(text: str) -> str:
+    if variable := re.search(r"undefined parameter: \$(\w+)", text):
+        return f"give it a value (-P {variable[1]}=VALUE, or `parameters`), or add a <default> to the file"
     for pattern, remedy in (
-        ("undefined parameter", "give it a value with parameters, or add a <default> to the file"),
         ("unresolved reference", "correct the reference"),
         ("not found!|No such file|does not exist", "correct the name, or put the file there"),
         ("unreferenced propert", "correct or remove it"),
@@ -220,7 +244,7 @@ def _from_scene(scene: Any, size: Size | None, sensor: int, memory: int | None, 
         check_scene(scene, chosen)
     integrator = scene.integrator()
     name, depth, options = ("", -1, {}) if integrator is None else built_integrator(integrator)
-    return _problem(scene, chosen, name, depth, options, "<scene>", memory, "")
+    return _problem(scene, chosen, name, depth, options, "<scene>", memory, "", check)
 
 
 def _sensor(scene: Any, index: int, name: str) -> Any:
@@ -289,10 +313,16 @@ def _problem(
     name: str,
     memory: int | None,
     details: str,
+    check: bool,
 ) -> Problem:
     width, height = (int(v) for v in sensor.film().crop_size())
-    if width < 1 or height < 1:
-        raise SceneError(f"the film of {name} has {width}x{height} pixels; it needs at least one a side")
+    if not 1 <= width * height <= MOST_PIXELS:
+        raise SceneError(f"the film of {name} has {width}x{height} pixels; it has at least one and at most 2^30")
+    if options.pop("hide_emitters", False) and check:
+        raise UnsupportedError(
+            f"integrator '{integrator}' of {name} has 'hide_emitters', which is not supported; remove it, or hide the "
+            "emitter's shape"
+        )
     return Problem(
         scene=scene,
         sensor=sensor,

@@ -47,7 +47,8 @@ def built_integrator(integrator: Any) -> tuple[str, int, dict[str, Any]]:
         return name, int(plain.pop("max_depth", -1)), plain
     found = re.search(r"max_depth = (-?\d+)", str(integrator))
     depth = int(found.group(1)) if found else -1
-    return name, depth if depth < 2**31 else -1, {}
+    options = {"hide_emitters": True} if getattr(integrator, "hide_emitters", False) else {}
+    return name, depth if depth < 2**31 else -1, options
 
 
 def resize(state: Any, size: Size) -> None:
