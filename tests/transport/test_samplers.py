@@ -31,7 +31,9 @@ from etendue.transport import (
 
 N = 200_000
 #: Materials with a density to speak of.
-SMOOTH = [m for m in scenes.MATERIALS if m not in ("conductor", "dielectric") and not m.endswith("unflipped")]
+SMOOTH = [
+    m for m in scenes.MATERIALS if m not in ("conductor", "dielectric", "pane", "null") and not m.endswith("unflipped")
+]
 
 
 def source(role: str, n: int = N) -> IndependentSource:
@@ -242,7 +244,7 @@ def test_scattering_gives_both_densities(material):
         np.testing.assert_allclose(np.array(scattered.cos)[smooth], cos[smooth], rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize("material", scenes.MATERIALS)
+@pytest.mark.parametrize("material", [m for m in scenes.MATERIALS if m not in ("pane", "null")])
 def test_both_ends_evaluate_one_function(material):
     """f(eye, light) |cos light| from the eye's side, and from the light's side the same function, exchanged."""
     _scene, si = balls(material)  # the interactions need the scene alive

@@ -122,6 +122,6 @@ class Light(ImageMethod):
         bad &= active
         rays = dr.select(active, mi.UInt32(1), mi.UInt32(0))
         ray = mi.Ray3f(joined.target, -joined.direction, reach, 0.0, mi.Color0f())
-        active, share = self.visibility.along(ray, dr.opaque(mi.UInt32, self.max_edges() - 1), active)
+        active, share = self.visibility.along(ray, dr.opaque(mi.UInt32, max(self.max_edges() - 1, 0)), active)
         splats.add(pixel, contribution * share, active)
         return rays, bad
