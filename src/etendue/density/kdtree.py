@@ -59,6 +59,17 @@ class KdTree:
     count: number of points in the tree.
     order: UInt32 of ``count`` lanes, the index in ``points`` of the point at each place. The caller gathers whatever
         payload a search shall read by it.
+
+    Both searches may be called in a kernel, inside loops too; building evaluates. The mean of the 50 nearest values::
+
+        tree = KdTree(points)
+        values = dr.gather(mi.Float, values, tree.order)
+        squared = tree.kth_distance_squared(si.p, 50, radius * radius, active)
+        add = lambda place, _, state: (state[0] + 1, state[1] + dr.gather(mi.Float, values, place))
+        number, total = tree.within(si.p, squared, (mi.UInt32(0), mi.Float(0)), add, active)
+
+    The payload must be evaluated before a symbolic loop gathers from it. A search costs what it touches: many points at
+    one place, or many at nearly the distance of the k-th (a query in the centre of a sphere), are all compared.
     """
 
     def __init__(self, points: Any, active: Any = True) -> None:
