@@ -1,4 +1,4 @@
-"""``python -m benchmarks [cost|first-pass|memory|rays|quality]``; without a name, all of them."""
+"""``python -m benchmarks [cost|first-pass|memory|rays|quality|knn]``; without a name, all of them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from etendue.cli.options import parse_pairs, parse_size
 from etendue.core import EtendueError, use_variant
 
 from . import cost as cost_of_a_pass
-from . import fresh
+from . import fresh, neighbours
 from . import quality as quality_over_time
 from . import rays as ray_casting
 from .measuring import Record, console, machine, software
@@ -123,6 +123,23 @@ def quality(
     _publish(chosen, record, *tables)
 
 
+@app.command()
+def knn(
+    points: Annotated[int, typer.Option(min=1, help="Points in the tree.")] = 1_000_000,
+    k: Annotated[int, typer.Option("-k", min=1, help="Neighbours of a query.")] = 50,
+    size: Size = "512x512",
+    rounds: Rounds = 7,
+    warm_up: WarmUp = 1,
+    variant: Variant = None,
+    record: Keep = False,
+) -> None:
+    """Build a kd-tree and find k nearest neighbours, beside scipy's cKDTree."""
+    chosen = _begin(variant)
+    if k > points:
+        raise SystemExit(f"-k {k} is more than there are points ({points})")
+    _publish(chosen, record, neighbours.measure(points, k, parse_size(size), rounds, warm_up))
+
+
 @app.callback(invoke_without_command=True)
 def everything(context: typer.Context, variant: Variant = None, record: Keep = False) -> None:
     """Run every benchmark in turn."""
@@ -132,6 +149,7 @@ def everything(context: typer.Context, variant: Variant = None, record: Keep = F
         memory(variant=variant, record=record)
         rays(variant=variant, record=record)
         quality(variant=variant, record=record)
+        knn(variant=variant, record=record)
 
 
 if __name__ == "__main__":

@@ -92,3 +92,15 @@ def test_settings_of_quality_are_those_of_the_command_line(monkeypatch):
     monkeypatch.setattr(quality, "find", lambda name, size: quality.Case(name, name, picture, "a note"))
     quality.measure(["x"], ["path", "vcm"], (4, 4), 1.0, 1, {"vcm.radius": "1", "radius": "3", "max_dept": "2"})
     assert given == [("path", {"max_dept": "2"}), ("vcm", {"radius": "1"})]
+
+
+def test_neighbours_are_compared_on_surfaces():
+    """The k-th distances of both trees agree, or this raises; and both clocks are in the table."""
+    neighbours = module("neighbours")
+    for points in (neighbours.photons(500), neighbours.seen(20, 20)):
+        wall = np.isclose(np.abs(points).max(axis=1), 1.0, atol=1e-5)
+        sphere = np.isclose(np.linalg.norm(points - [0.3, -0.65, 0.2], axis=1), 0.35, atol=1e-5)
+        assert (wall | sphere).all() and wall.any() and sphere.any()
+    record = neighbours.measure(2000, 20, (16, 16), rounds=2, warm_up=1)
+    assert [row[0] for row in record.rows] == ["build", "k-th distance and visit", "all"]
+    assert all(float(row[1]) > 0 for row in record.rows)

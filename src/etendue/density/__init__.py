@@ -1,5 +1,6 @@
 """Density estimation: neighbour search on device arrays. Surfaces and lights are unknown here."""
 
 from .hashgrid import HashGrid, Query
+from .kdtree import KdTree
 
-__all__ = ["HashGrid", "Query"]
+__all__ = ["HashGrid", "KdTree", "Query"]

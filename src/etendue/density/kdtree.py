@@ -1,0 +1,382 @@
+"""A kd-tree over points on device arrays: range search and the distance of the k-th neighbour, in symbolic kernels.
+
+Built level by level: the points of a node are sorted along the longest side of their box and cut into two halves
+[Bentley 1975], all nodes of a level by one sort. The tree is complete and implicit: node ``i`` has the children ``2 i``
+and ``2 i + 1``, a leaf holds 16 points, and every node stores the box of its points. Which node comes next is
+arithmetic on ``i``, so a search needs neither recursion nor a stack.
+
+The k-th distance is found by counting: a heap would need memory for each lane. One search counts the points below
+several thresholds, the next divides the interval that holds the k-th distance, and when few points are left in it, a
+last search reads the answer off. All searches compare the same rounded squared distances, so the answer is exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+_LEAF = 16
+#: Thresholds at which one search counts.
+_THRESHOLDS = 8
+#: Distances that the last search keeps in order.
+_KEPT = 8
+#: A first threshold below the k-th distance costs a search, one far above it makes the first search slower.
+_MARGIN = 1.1
+#: A sort key holds the number of a node above a position along an axis, in single precision at best.
+_KEY_BITS = 32
+_AXIS_BITS = 24
+#: Below the squared distance of an empty place, which is infinite.
+_LARGEST = 3.4e38
+_UNKNOWN = 0xFFFFFFFF
+
+
+@dataclass
+class _Interval:
+    """Squared distances that may be that of the k-th neighbour: above ``lower``, at most ``upper``."""
+
+    lower: Any
+    below: Any  #: number of points up to ``lower``
+    upper: Any
+    total: Any  #: number of points up to ``upper``, or ``_UNKNOWN``
+    turn: Any
+    wide: Any  #: whether another division is needed
+
+
+class KdTree:
+    """Points in the order of a kd-tree, and a box for each node.
+
+    Parameters
+    ----------
+    points: Point3f, one lane a point. Points that are not finite are left out.
+    active: mask of the points to insert.
+
+    Attributes
+    ----------
+    count: number of points in the tree.
+    order: UInt32 of ``count`` lanes, the index in ``points`` of the point at each place. The caller gathers whatever
+        payload a search shall read by it.
+
+    Both searches may be called in a kernel, inside loops too; building evaluates. The mean of the 50 nearest values::
+
+        tree = KdTree(points)
+        values = dr.gather(mi.Float, values, tree.order)
+        squared = tree.kth_distance_squared(si.p, 50, radius * radius, active)
+        add = lambda place, _, state: (state[0] + 1, state[1] + dr.gather(mi.Float, values, place))
+        number, total = tree.within(si.p, squared, (mi.UInt32(0), mi.Float(0)), add, active)
+
+    The payload must be evaluated before a symbolic loop gathers from it. A search costs what it touches: many points at
+    one place, or many at nearly the distance of the k-th (a query in the centre of a sphere), are all compared.
+    """
+
+    def __init__(self, points: Any, active: Any = True) -> None:
+        width = dr.width(points)
+        chosen = dr.compress(dr.full(mi.Bool, True, width) & active & dr.all(dr.isfinite(points))) if width else []
+        self.count = len(chosen)
+        self._count = dr.opaque(mi.UInt32, self.count)
+        leaves = 1 << max(-(-self.count // _LEAF) - 1, 0).bit_length()
+        self._first_leaf = dr.opaque(mi.UInt32, leaves)
+        place = dr.arange(mi.UInt32, leaves * _LEAF)
+        # Empty places are at infinity and come after all others, here and in every sort.
+        filled = place < self._count
+        index = dr.gather(mi.UInt32, chosen, place, filled) if self.count else place
+        sides = [dr.full(mi.Float, dr.inf, leaves * _LEAF) for _ in range(3)]
+        if self.count:
+            sides = [dr.select(filled, dr.gather(mi.Float, side, index, filled), dr.inf) for side in points]
+        index, sides = _sorted_into_halves(index, sides)
+        self.order = dr.gather(mi.UInt32, index, dr.arange(mi.UInt32, self.count))
+        self._points = dr.zeros(mi.Float, 4 * leaves * _LEAF)
+        self._boxes = dr.zeros(mi.Float, 16 * leaves)
+        dr.scatter(self._points, mi.Vector4f(*sides, 0.0), place)
+        dr.eval(self.order, self._points, self._boxes)
+        self._build_boxes(sides, leaves)
+
+    def within(
+        self,
+        point: Any,
+        radius_squared: Any,
+        state: Any,
+        visit: Callable[[Any, Any, Any], Any],
+        active: Any = True,
+    ) -> Any:
+        """Visit every point whose squared distance from ``point`` is at most ``radius_squared``.
+
+        Parameters
+        ----------
+        point: Point3f, a query per lane. Points are found in no particular order.
+        radius_squared: per lane, scene units squared.
+        state: arrays, or a tuple or other container of them that a Dr.Jit loop takes.
+        visit: ``visit(place, distance_squared, state)`` returns the next state, which has the types of ``state``. It is
+            traced once; ``place`` is the place of the point in ``order``.
+        active: mask; the other lanes get ``state`` back.
+        """
+        radius_squared = dr.minimum(radius_squared, _LARGEST)
+
+        def leaf(first: Any, found: Any, state: Any) -> Any:
+            near = mi.UInt32(0)
+            for i in range(_LEAF):
+                inside = found & (self.distance_squared(first + i, point, found) <= radius_squared)
+                near |= dr.select(inside, mi.UInt32(1 << i), 0)
+
+            def one(near: Any, state: Any) -> tuple[Any, Any]:
+                """Take the neighbour of the lowest bit."""
+                place = first + dr.tzcnt(near)
+                return near & (near - 1), visit(place, self.distance_squared(place, point), state)
+
+            return dr.while_loop((near, state), lambda near, _: near != 0, one, label="kd-tree: neighbours")[1]
+
+        return self._search(point, radius_squared, active, state, leaf)
+
+    def kth_distance_squared(self, point: Any, k: Any, limit: Any, active: Any = True) -> Any:
+        """Squared distance from ``point`` to its ``k``-th nearest point, exact, or ``limit`` if there are fewer below.
+
+        Points at equal distances count each, so a range search with the result visits at least ``k`` points, more if
+        several are at the k-th distance, and fewer where ``limit`` was reached first.
+
+        Parameters
+        ----------
+        point: Point3f, a query per lane.
+        k: a host number or UInt32 per lane, at least 1.
+        limit: squared maximum radius, a host number or per lane; infinity is allowed.
+        active: mask; the other lanes get ``limit``, as do those whose point is not finite.
+        """
+        k, limit = mi.UInt32(k), mi.Float(limit)
+        active = mi.Bool(active) & (k <= self._count) & (limit >= 0.0) & dr.all(dr.isfinite(point))
+
+        def divide(interval: _Interval) -> tuple[_Interval]:
+            return (self._divided(interval, point, k, limit),)
+
+        start = _Interval(
+            lower=mi.Float(-1.0),  # a distance of zero is above it
+            below=mi.UInt32(0),
+            upper=dr.minimum(self._first_guess(point, k, active), limit),
+            total=mi.UInt32(_UNKNOWN),
+            turn=mi.UInt32(0),
+            wide=mi.Bool(active),
+        )
+        (last,) = dr.while_loop((start,), lambda interval: interval.wide, divide, label="kd-tree: k-th distance")
+
+        found = active & (last.total != _UNKNOWN)
+        few = found & (last.total - last.below <= _KEPT)
+        smallest = self._smallest_above(last.lower, point, last.upper, few)
+        result = dr.select(found, last.upper, limit)
+        for number, value in enumerate(smallest, start=1):
+            result = dr.select(few & (k - last.below == number), value, result)
+        return result
+
+    def distance_squared(self, place: Any, point: Any, active: Any = True) -> Any:
+        """Squared distance of ``point`` from the point at ``place``: what all searches compare, to the last bit."""
+        position = dr.gather(mi.Vector4f, self._points, place, active)
+        return _squared_norm(position.x - point.x, position.y - point.y, position.z - point.z)
+
+    # Traversal
+
+    def _search(self, point: Any, radius_squared: Any, active: Any, state: Any, leaf: Callable[..., Any]) -> Any:
+        """``state = leaf(first place, found, state)`` for every leaf whose box the ball touches."""
+
+        def descend(node: Any, _: Any) -> tuple[Any, Any]:
+            touched = self._box_distance_squared(node, point) <= radius_squared
+            found = touched & (node >= self._first_leaf)
+            node = dr.select(found, node, dr.select(touched, 2 * node, _behind(node)))
+            return node, ~found & (node != 0)
+
+        def advance(node: Any, state: Any) -> tuple[Any, Any]:
+            """Go to the next leaf, so that all lanes are at one when its points are compared."""
+            node, _ = dr.while_loop((mi.UInt32(node), node != 0), lambda _, go: go, descend, label="kd-tree: descend")
+            found = node != 0
+            state = leaf((node - self._first_leaf) * _LEAF, found, state)
+            return dr.select(found, _behind(node), 0), state
+
+        root = dr.select(mi.Bool(active) & (self._count > 0), mi.UInt32(1), 0)
+        return dr.while_loop((root, state), lambda node, _: node != 0, advance, label="kd-tree: search")[1]
+
+    def _box_distance_squared(self, node: Any, point: Any) -> Any:
+        """Rounding is monotonic, so this is never above the ``distance_squared`` of a point in the box."""
+        lower, upper = self._box(node)
+        outside = dr.maximum(dr.maximum(lower - point, point - upper), 0.0)
+        return _squared_norm(*outside)
+
+    # The k-th distance
+
+    def _divided(self, interval: _Interval, point: Any, k: Any, limit: Any) -> _Interval:
+        """The part of ``interval`` that holds the k-th distance, or the interval behind it."""
+        thresholds = _thresholds(interval)
+
+        def count(first: Any, found: Any, counts: Any) -> Any:
+            counts = list(counts)
+            for i in range(_LEAF):
+                distance = dr.select(found, self.distance_squared(first + i, point, found), dr.inf)
+                for j, threshold in enumerate(thresholds):
+                    counts[j] = counts[j] + dr.select(distance <= threshold, mi.UInt32(1), 0)
+            return tuple(counts)
+
+        reach = dr.minimum(interval.upper, _LARGEST)
+        counts = self._search(point, reach, interval.wide, tuple(mi.UInt32(0) for _ in thresholds), count)
+
+        # With too few points up to the last threshold, go on behind it; on a surface their number grows in proportion.
+        growth = dr.clip(1.5 * mi.Float(k) / mi.Float(dr.maximum(counts[-1], 1)), 2.0, 16.0)
+        lower, below, upper = thresholds[-1], counts[-1], dr.minimum(thresholds[-1] * growth, limit)
+        total = mi.UInt32(_UNKNOWN)
+        for j in reversed(range(_THRESHOLDS)):
+            reached = counts[j] >= k
+            before = (thresholds[j - 1], counts[j - 1]) if j else (interval.lower, interval.below)
+            lower, below = dr.select(reached, before[0], lower), dr.select(reached, before[1], below)
+            upper, total = dr.select(reached, thresholds[j], upper), dr.select(reached, counts[j], total)
+
+        unknown = total == _UNKNOWN
+        # Two neighbouring numbers: all points in between are at one distance, that of the upper one.
+        adjacent = _bits(upper) - _bits(dr.maximum(lower, 0.0)) <= dr.select(lower < 0.0, mi.UInt32(0), 1)
+        wide = dr.select(unknown, interval.upper < limit, (total - below > _KEPT) & ~adjacent)
+        return _Interval(lower, below, upper, total, interval.turn + 1, interval.wide & wide)
+
+    def _smallest_above(self, lower: Any, point: Any, upper: Any, active: Any) -> tuple[Any, ...]:
+        """The ``_KEPT`` smallest squared distances above ``lower``, ascending, if no more are up to ``upper``."""
+
+        def keep(first: Any, found: Any, kept: Any) -> Any:
+            kept = list(kept)
+            for i in range(_LEAF):
+                value = self.distance_squared(first + i, point, found)
+                value = dr.select(found & (value > lower), value, dr.inf)
+                for j in range(_KEPT):
+                    kept[j], value = dr.minimum(kept[j], value), dr.maximum(kept[j], value)
+            return tuple(kept)
+
+        nothing = tuple(mi.Float(dr.inf) for _ in range(_KEPT))
+        kept: tuple[Any, ...] = self._search(point, dr.minimum(upper, _LARGEST), active, nothing, keep)
+        return kept
+
+    def _first_guess(self, point: Any, k: Any, active: Any) -> Any:
+        """A squared distance near that of the k-th neighbour, from the smallest node of ``k`` points or more here."""
+
+        def descend(node: Any, places: Any) -> tuple[Any, Any]:
+            near = [self._box_distance_squared(child, point) for child in (2 * node, 2 * node + 1)]
+            far = [self._farthest_squared(child, point) for child in (2 * node, 2 * node + 1)]
+            # Of two boxes around the point the tighter: the other may reach from one surface to another.
+            second = (near[1] < near[0]) | ((near[1] == near[0]) & (far[1] < far[0]))
+            return 2 * node + dr.select(second, mi.UInt32(1), 0), places >> 1
+
+        node, places = dr.while_loop(
+            (dr.select(active, mi.UInt32(1), 0), self._first_leaf * _LEAF),
+            lambda node, places: (node != 0) & (node < self._first_leaf) & (places >= 2 * k),
+            descend,
+            label="kd-tree: guess",
+        )
+        side = self._extent(node)
+        share = mi.Float(k) / mi.Float(places)
+        # Points on a surface through the box cover a disc; on a line, the second term.
+        disc = share * (side.x * side.y + side.y * side.z + side.z * side.x) * dr.inv_pi
+        segment = dr.square(0.5 * share) * dr.squared_norm(side)
+        guess = self._box_distance_squared(node, point) + _MARGIN * dr.maximum(disc, segment)
+        return dr.maximum(guess, dr.maximum(1e-12 * dr.squared_norm(self._extent(mi.UInt32(1))), 1e-36))
+
+    def _farthest_squared(self, node: Any, point: Any) -> Any:
+        lower, upper = self._box(node)
+        return dr.squared_norm(dr.maximum(point - lower, upper - point))
+
+    # Boxes
+
+    def _build_boxes(self, sides: Sequence[Any], leaves: int) -> None:
+        """From the leaves to the root; an empty node has its corners reversed, at infinity."""
+        lower = mi.Point3f(*(_lowest(side, _LEAF) for side in sides))
+        upper = mi.Point3f(*(_highest(side, _LEAF) for side in sides))
+        self._put_box(dr.arange(mi.UInt32, leaves) + self._first_leaf, lower, upper)
+        while leaves > 1:
+            leaves //= 2
+            dr.eval(self._boxes)  # a level is read before the next is written
+            node = dr.arange(mi.UInt32, leaves) + dr.opaque(mi.UInt32, leaves)
+            left, right = self._box(2 * node), self._box(2 * node + 1)
+            self._put_box(node, dr.minimum(left[0], right[0]), dr.maximum(left[1], right[1]))
+        dr.eval(self._boxes)
+
+    def _put_box(self, node: Any, lower: Any, upper: Any) -> None:
+        dr.scatter(self._boxes, mi.Vector4f(*lower, 0.0), 2 * node)
+        dr.scatter(self._boxes, mi.Vector4f(*upper, 0.0), 2 * node + 1)
+
+    def _box(self, node: Any) -> tuple[Any, Any]:
+        lower = dr.gather(mi.Vector4f, self._boxes, 2 * node)
+        upper = dr.gather(mi.Vector4f, self._boxes, 2 * node + 1)
+        return mi.Point3f(lower.x, lower.y, lower.z), mi.Point3f(upper.x, upper.y, upper.z)
+
+    def _extent(self, node: Any) -> Any:
+        lower, upper = self._box(node)
+        return upper - lower
+
+
+def _thresholds(interval: _Interval) -> list[Any]:
+    """Ascending, the last one the upper end: evenly spaced, or every other turn their bit patterns are.
+
+    The first divides quickly where points are spread evenly, the second ends within eleven of its turns in any case.
+    """
+    lower = dr.maximum(interval.lower, 0.0)
+    difference = _bits(interval.upper) - _bits(lower)
+    step, rest = difference // _THRESHOLDS, difference % _THRESHOLDS
+    thresholds = []
+    for j in range(1, _THRESHOLDS):
+        even = dr.minimum(dr.fma(interval.upper - lower, j / _THRESHOLDS, lower), interval.upper)
+        bits = _bits(lower) + step * j + rest * j // _THRESHOLDS
+        thresholds.append(dr.select(interval.turn % 2 == 0, even, dr.reinterpret_array(mi.Float, bits)))
+    return [*thresholds, interval.upper]
+
+
+def _bits(value: Any) -> Any:
+    """The bit pattern of a number that is not negative; it grows with the number."""
+    return dr.reinterpret_array(mi.UInt32, value)
+
+
+def _squared_norm(x: Any, y: Any, z: Any) -> Any:
+    """Always the same three roundings, whatever a compiler would like to fuse."""
+    return dr.fma(x, x, dr.fma(y, y, z * z))
+
+
+def _behind(node: Any) -> Any:
+    """The node after ``node`` and all below it, in depth-first order; 0 after the last."""
+    node = node + 1
+    node = node >> dr.tzcnt(node)
+    return dr.select(node == 1, 0, node)
+
+
+def _lowest(side: Any, block: int) -> Any:
+    return dr.block_reduce(dr.ReduceOp.Min, side, block)
+
+
+def _highest(side: Any, block: int) -> Any:
+    """Without empty places."""
+    return dr.block_reduce(dr.ReduceOp.Max, dr.select(side == dr.inf, -dr.inf, side), block)
+
+
+def _sorted_into_halves(index: Any, sides: list[Any]) -> tuple[Any, list[Any]]:
+    """Reorder, so that every aligned block of a leaf's size times a power of two is a node of the kd-tree.
+
+    A level is one sort by the number of the node and the position along the axis that this node is cut at. The position
+    is rounded to the bits that are left: a cut need not be exact, since the boxes are taken from the points afterwards.
+    """
+    places = dr.width(index)
+    block, depth = places, 0
+    while block > _LEAF:
+        lower = [_lowest(side, block) for side in sides]
+        extent = [_highest(side, block) - a for side, a in zip(sides, lower, strict=True)]
+        axis = dr.select(extent[1] > extent[0], mi.UInt32(1), 0)
+        axis = dr.select(extent[2] > dr.maximum(extent[0], extent[1]), 2, axis)
+        bits = min(_AXIS_BITS, _KEY_BITS - depth)
+        steps, shift = dr.opaque(mi.Float, float(1 << bits)), dr.opaque(mi.UInt32, bits)
+        origin, scale = _along(axis, lower), steps / _along(axis, extent)
+        dr.eval(axis, origin, scale)
+
+        node = dr.arange(mi.UInt32, places) // dr.opaque(mi.UInt32, block)
+        position = _along(dr.gather(mi.UInt32, axis, node), sides) - dr.gather(mi.Float, origin, node)
+        position = position * dr.gather(mi.Float, scale, node)
+        # Not a number where a box has no extent or an empty place is compared with another.
+        position = dr.select(position < steps - 1.0, mi.UInt32(position), mi.UInt32(steps - 1.0))
+        permutation = dr.argsort((node << shift) | position)
+        index = dr.gather(mi.UInt32, index, permutation)
+        sides = [dr.gather(mi.Float, side, permutation) for side in sides]
+        dr.eval(index, sides)
+        block, depth = block // 2, depth + 1
+    return index, sides
+
+
+def _along(axis: Any, values: Sequence[Any]) -> Any:
+    return dr.select(axis == 0, values[0], dr.select(axis == 1, values[1], values[2]))
