@@ -8,9 +8,20 @@ import sys
 from pathlib import Path
 
 import drjit as dr
+import mitsuba as mi
+import numpy as np
 import pytest
 
-from etendue.core import BackendError, OptionError, backend, choose_variant, llvm, set_threads, use_variant
+from etendue.core import (
+    BackendError,
+    OptionError,
+    backend,
+    choose_variant,
+    llvm,
+    on_device,
+    set_threads,
+    use_variant,
+)
 
 MISSING = str(Path("/nowhere/libLLVM.so.19.1"))
 
@@ -207,3 +218,13 @@ import etendue
     error = python(code).stderr.strip().splitlines()[-1]
     assert "BackendError: Dr.Jit or Mitsuba cannot be loaded (libatomic.so.1" in error
     assert "sudo apt-get install -y libatomic1" in error
+
+
+def test_device_arrays_do_not_borrow_host_memory():
+    """The alignment of borrowed memory would be compiled into kernels."""
+    bytes_ = np.zeros(4 * 8 + 1, np.uint8)
+    values = bytes_[1:].view(np.float32)
+    array = on_device(mi.Float, values)
+    values[:] = 5.0
+    assert np.asarray(array).tolist() == [0.0] * 8
+    assert not np.shares_memory(np.asarray(array), values)

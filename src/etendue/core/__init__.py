@@ -1,6 +1,6 @@
 """Ground floor: what every room shares and that knows nothing of rendering."""
 
-from .backend import check_llvm, check_variant, choose_variant, set_threads, use_variant
+from .backend import check_llvm, check_variant, choose_variant, on_device, set_threads, use_variant
 from .citations import bibliography, bibtex
 from .errors import (
     BackendError,
@@ -47,6 +47,7 @@ __all__ = [
     "format_seconds",
     "hash_mix",
     "logger",
+    "on_device",
     "seed_key",
     "set_threads",
     "setting",

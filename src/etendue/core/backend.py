@@ -12,6 +12,8 @@ import os
 import sys
 from typing import Any
 
+import numpy as np
+
 from . import llvm
 from .errors import BackendError, OptionError
 from .log import logger
@@ -171,6 +173,15 @@ def set_threads(count: Any) -> None:
     if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= 1024:
         raise OptionError(f"the number of threads must be a whole number from 1 to 1024, not {count!r}")
     dr.set_thread_count(count)
+
+
+def on_device(array_type: Any, values: Any) -> Any:
+    """Host numbers as a device array with memory of its own.
+
+    From a NumPy array Dr.Jit would borrow the memory, and whether that happens to be aligned is compiled into every
+    kernel that reads it: another process would not find the kernel in the cache.
+    """
+    return array_type(np.asarray(values).ravel().tolist())
 
 
 # Dr.Jit takes its LLVM the moment it is imported, and this is the first module of étendue that Python runs

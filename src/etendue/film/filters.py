@@ -24,7 +24,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import OptionError
+from etendue.core import OptionError, on_device
 
 #: Bins of the table per pixel: a filter of radius 1 has this many on either side.
 BINS_PER_PIXEL = 1024
@@ -82,10 +82,10 @@ class _Axis:
         self.candidates = table.candidates
         integral, magnitude = table.integrals(size)
         cumulative = np.concatenate([[0.0], np.cumsum(np.abs(table.values))]) / BINS_PER_PIXEL
-        self.cumulative = _device(cumulative)
-        self.values = _device(table.values)
-        self.inverse_integral = _device(1.0 / integral)
-        self.camera_weight = _device(magnitude / integral)
+        self.cumulative = on_device(mi.Float, cumulative)
+        self.values = on_device(mi.Float, table.values)
+        self.inverse_integral = on_device(mi.Float, 1.0 / integral)
+        self.camera_weight = on_device(mi.Float, magnitude / integral)
 
     def camera(self, pixel: Any, u: Any) -> tuple[Any, Any]:
         """Position drawn from ``|f|`` around ``pixel`` on the film, and its signed weight."""
@@ -183,7 +183,3 @@ class FilterSampler:
         valid = valid_x & valid_y
         index = dr.select(valid, row * self.width + column, 0)
         return index, dr.select(valid, weight_x * weight_y, 0.0), valid
-
-
-def _device(values: NDArray[np.float64]) -> Any:
-    return mi.Float(values.astype(np.float32))

@@ -27,7 +27,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import SceneError
+from etendue.core import SceneError, on_device
 
 from .graph import plugin_name
 from .plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
@@ -91,19 +91,19 @@ class LightTable:
         pick = power / power.sum()
 
         self._emitters = scene.emitters_dr()
-        self._pick = mi.Float(pick.astype(np.float32))
-        self._area_density = mi.Float(np.array([r.area_density for r in rows], np.float32))
-        self._direction_density = mi.Float(np.array([r.direction_density for r in rows], np.float32))
-        self._kind = mi.UInt32(np.array([_KINDS.index(r.kind) for r in rows], np.uint32))
+        self._pick = on_device(mi.Float, pick)
+        self._area_density = on_device(mi.Float, [r.area_density for r in rows])
+        self._direction_density = on_device(mi.Float, [r.direction_density for r in rows])
+        self._kind = on_device(mi.UInt32, [_KINDS.index(r.kind) for r in rows])
         focused = any(r.exponent for r in rows)
-        self._exponent = mi.Float(np.array([r.exponent for r in rows], np.float32)) if focused else None
-        self._is_delta = mi.Bool(np.array([r.is_delta for r in rows]))
-        self._cdf = mi.DiscreteDistribution(mi.Float(pick.astype(np.float32)))
+        self._exponent = on_device(mi.Float, [r.exponent for r in rows]) if focused else None
+        self._is_delta = on_device(mi.Bool, [r.is_delta for r in rows])
+        self._cdf = mi.DiscreteDistribution(on_device(mi.Float, pick))
         # A hit knows its emitter only as a pointer: registry numbers lead back to rows.
         ids = np.asarray(dr.reinterpret_array(mi.UInt32, self._emitters))
         row_of = np.zeros(int(ids.max()) + 1, np.uint32)
         row_of[ids] = np.arange(len(rows))
-        self._row_of = mi.UInt32(row_of)
+        self._row_of = on_device(mi.UInt32, row_of)
 
     def pick(self, u: Any, active: Any = True) -> Light:
         """Pick an emitter with probability proportional to its power."""
