@@ -41,6 +41,7 @@ from etendue.transport import (
     needs_interaction,
 )
 
+from . import radius as radii
 from .base import ImageMethod, ImageSettings, Layer, keep_finite, total
 
 #: Room for light vertices without a memory limit, in bytes, and the share of a limit that they may take.
@@ -78,12 +79,7 @@ class BidirectionalSettings(ImageSettings):
     merge_first: bool = setting(True, "merge at the first camera vertex too")
     light_paths: float = setting(0.5, "light paths traced per camera path", above=0.0, maximum=64.0)
     radius: float = setting(0.006, "first merge radius, in the unit of radius_unit", above=0.0)
-    radius_unit: str = setting(
-        "scene",
-        "unit of radius: half the diagonal of the scene's bounding box (scene), the median size of a pixel on what the "
-        "camera sees first (pixel), or scene units (absolute)",
-        choices=("scene", "pixel", "absolute"),
-    )
+    radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
     alpha: float = setting(0.75, "radius reduction: r_i = radius i^((alpha - 1) / 2)", above=0.0, maximum=1.0)
     eta_discount: float = setting(
         0.25,
@@ -154,34 +150,11 @@ class Bidirectional(ImageMethod):
         box = problem.scene.bbox()
         self._box = np.asarray(box.min, float).ravel(), np.asarray(box.max, float).ravel()
         self._paths = max(1, round(s.light_paths * self.camera.pixels * self.samples_per_iteration))
-        self._first_radius = self._absolute_radius(seed) if s.merging else 0.0
+        self._first_radius = radii.absolute_radius(self, s.radius, s.radius_unit, seed) if s.merging else 0.0
         self._pilot(seed)
         self._groups = self._count_groups(problem.memory)
 
     # ------------------------------------------------------------------ pilots
-
-    def _absolute_radius(self, seed: int) -> float:
-        """The first merge radius in scene units."""
-        s = self.settings
-        match s.radius_unit:
-            case "absolute":
-                return float(s.radius)
-            case "scene":
-                return float(s.radius * 0.5 * np.linalg.norm(self._box[1] - self._box[0]))
-        return float(s.radius * self._pixel_footprint(seed))
-
-    def _pixel_footprint(self, seed: int) -> float:
-        """Median, over what the camera sees first, of the side of a pixel there."""
-        lanes = dr.arange(mi.UInt32, min(self.camera.pixels, 1 << 14))
-        source = IndependentSource(lanes, seed, "pilot camera", 0)
-        pixel = mi.UInt32(mi.Float(self.camera.pixels) * (mi.Float(lanes) + 0.5) / len(lanes))
-        ray, _, aperture = self.camera.primary(dr.minimum(pixel, self.camera.pixels - 1), source)
-        si = self.scene.ray_intersect(ray)
-        side = np.asarray(dr.select(si.is_valid(), self.camera.footprint(si.p, aperture), dr.inf))
-        side = side[np.isfinite(side)]
-        if not len(side):
-            return float(0.001 * np.linalg.norm(self._box[1] - self._box[0]))
-        return float(np.median(side))
 
     def _pilot(self, seed: int) -> None:
         """Measure how many vertices a light path stores and how bright the picture is, by a small pass under seed roles
@@ -315,7 +288,7 @@ class Bidirectional(ImageMethod):
         """The stored vertices made ready for merging."""
         if not vertices or not self.techniques.merge:
             return None
-        positions, held = vertices.positions()
+        positions, _, held = vertices.positions()
         grid = HashGrid(positions, radius, *self._box, held)
         factor = dr.opaque(mi.Float, 1.0 / (np.pi * radius * radius * paths))
         return Gather(grid, vertices.sorted_by(grid.destination), factor)

@@ -20,7 +20,7 @@ from .scattering import (
     scatter_light,
     shadow_roulette,
 )
-from .vertices import LightVertex, LightVertices, Photons, needs_interaction
+from .vertices import Kind, LightVertex, LightVertices, Photons, needs_interaction
 from .visibility import Visibility
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
     "EmittedRay",
     "Evaluated",
     "Gather",
+    "Kind",
     "LightCache",
     "LightVertex",
     "LightVertices",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,11 +30,6 @@ from .scattering import (
 )
 from .vertices import LightVertex, LightVertices, Photons
 from .visibility import Visibility
-
-#: Candidates that a merge tests, a bit each, before it evaluates those that are neighbours. Searching and evaluating in
-#: turns keeps the lanes of a packet together: one candidate in five is a neighbour, so evaluating each as it is found
-#: would leave most lanes idle.
-_BATCH = 32
 
 
 @dataclass
@@ -91,6 +87,23 @@ class Gather:
     grid: HashGrid
     photons: Photons
     factor: Any
+
+    def around(
+        self,
+        point: Any,
+        edges: Any,
+        visit: Callable[[Any, Any], Any],
+        state: Any,
+        active: Any,
+        radius_squared: Any = None,
+    ) -> Any:
+        """Visit the photons around ``point`` that have at most ``edges`` edges behind them; see ``HashGrid.within``."""
+
+        def read(photon: Any) -> tuple[Any, Any]:
+            position, depth = self.photons.position(photon, active)
+            return position, depth <= edges
+
+        return self.grid.within(point, read, visit, state, active, radius_squared)
 
 
 @dataclass
@@ -315,29 +328,12 @@ class CameraWalk:
         assert self.gather is not None
         if not self.mis.techniques.merge_first:
             active = active & (self._vertex(s) > 1)
-        grid, photons = self.gather.grid, self.gather.photons
-        query = grid.query(si.p, active)
-
-        def batch(first: Any, total: Any) -> tuple[Any, Any]:
-            end = dr.minimum(first + _BATCH, query.total)
-
-            def test(i: Any, near: Any) -> tuple[Any, Any]:
-                """Test one candidate; a neighbour sets its bit."""
-                position, light_depth = photons.position(grid.candidate(query, i), active)
-                hit = grid.accepts(query, position) & (light_depth + s.depth <= self.max_edges)
-                return i + 1, near | dr.select(hit, mi.UInt32(1) << (i - first), 0)
-
-            def evaluate(near: Any, total: Any) -> tuple[Any, Any]:
-                """Take the neighbour of the lowest bit."""
-                photon = grid.candidate(query, first + dr.tzcnt(near))
-                return near & (near - 1), total + self._merged(s, si, bsdf, photon, active)
-
-            _, near = dr.while_loop((mi.UInt32(first), mi.UInt32(0)), lambda i, _: i < end, test, label="merge: search")
-            _, total = dr.while_loop((near, total), lambda near, _: near != 0, evaluate, label="merge: evaluate")
-            return end, total
-
-        _, total = dr.while_loop(
-            (mi.UInt32(0), mi.Color3f(0.0)), lambda first, _: active & (first < query.total), batch, label="merge"
+        total = self.gather.around(
+            si.p,
+            self.max_edges - s.depth,
+            lambda photon, total: total + self._merged(s, si, bsdf, photon, active),
+            mi.Color3f(0.0),
+            active,
         )
         self._add(s, "merge", active, s.throughput * total * self.gather.factor)
 

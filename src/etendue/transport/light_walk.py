@@ -16,7 +16,7 @@ from .camera import Camera, CameraConnection, Splats
 from .emission import emit
 from .mis import Mis
 from .scattering import Evaluated, cosine_ratio, geometric_cos, is_smooth, roulette, scatter_light, shadow_roulette
-from .vertices import LightVertices
+from .vertices import Kind, LightVertices
 from .visibility import Visibility
 
 
@@ -30,6 +30,7 @@ class _State:
     d_vcm: Any
     d_vc: Any
     depth: Any  #: edges so far, the one being traced included
+    vertex: Any  #: the same without the surfaces that were crossed; used where a scene has such
     stored: Any  #: vertices stored so far
     from_infinity: Any  #: the edge being traced leaves an infinite light
     travelled: Any  #: length of the edge before the surfaces that it has crossed
@@ -66,6 +67,7 @@ class LightWalk:
             d_vcm=d_vcm,
             d_vc=d_vc,
             depth=dr.full(mi.UInt32, 1, paths),
+            vertex=mi.UInt32(1),
             stored=dr.zeros(mi.UInt32, paths),
             from_infinity=emitted.is_infinite,
             travelled=mi.Float(0.0),
@@ -99,7 +101,9 @@ class LightWalk:
         bsdf = si.bsdf(s.ray)
         smooth = s.active & is_smooth(bsdf)
         if vertices is not None:
-            vertices.append(path, s.stored, s.depth, hit, si, bsdf, s.throughput, (s.d_vcm, s.d_vc), smooth)
+            number = s.vertex if self.visibility.transparent else s.depth
+            kind = dr.select(number == 1, mi.UInt32(Kind.DIRECT), dr.select(s.stored == 0, mi.UInt32(Kind.CAUSTIC), 0))
+            vertices.append(path, s.stored, s.depth, hit, si, bsdf, s.throughput, (s.d_vcm, s.d_vc), kind, smooth)
             s.stored += dr.select(smooth, mi.UInt32(1), mi.UInt32(0))
         # Going on takes an edge, and using the vertex it leads to at least one more.
         s.active &= s.depth + 1 < self.max_edges
@@ -117,6 +121,7 @@ class LightWalk:
             crossed = scattered.is_null
             s.d_vcm, s.d_vc = dr.select(crossed, on_edge[0], s.d_vcm), dr.select(crossed, on_edge[1], s.d_vc)
             s.travelled = dr.select(crossed, distance, 0.0)
+            s.vertex += dr.select(crossed, mi.UInt32(0), mi.UInt32(1))
             s.from_infinity &= crossed
         else:
             s.from_infinity = mi.Bool(False)

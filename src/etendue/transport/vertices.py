@@ -8,6 +8,7 @@ anisotropic materials, at twice the cost of reading.
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,6 +35,14 @@ def needs_interaction(scene: Any) -> bool:
         or (isinstance(node, mi.BSDF) and mi.has_flag(node.flags(), mi.BSDFFlags.Anisotropic))
         for node in materials(scene)
     )
+
+
+class Kind(enum.IntEnum):
+    """What brought light to a vertex, in Heckbert's notation [Heckbert 1990]."""
+
+    INDIRECT = 0  #: L...D...D
+    DIRECT = 1  #: LD
+    CAUSTIC = 2  #: LS+D
 
 
 @dataclass
@@ -98,16 +107,17 @@ class LightVertices:
         bsdf: Any,
         throughput: Any,
         mis: tuple[Any, Any],
+        kind: Any,
         active: Any,
     ) -> None:
         """Store one vertex per active lane, inside the walk; ``hit`` is the preliminary intersection,
-        ``index`` counts the vertices that the path has stored.
+        ``index`` counts the vertices that the path has stored, ``kind`` is one of :class:`Kind`.
 
         A full store drops vertices but goes on counting, so that the caller sees ``wanted > capacity`` and repeats
         the pass with more room."""
         slot = dr.scatter_inc(self.wanted, mi.UInt32(0), active)
         active = active & (slot < self._limit)
-        tag = _as_float(depth | (index << 16))
+        tag = _as_float(depth | (index << 16) | (kind << 30))
         direction = si.to_world(si.wi)
         self._put(0, mi.Vector4f(si.p.x, si.p.y, si.p.z, tag), slot, active)
         self._put(1, mi.Vector4f(throughput.x, throughput.y, throughput.z, mis[0]), slot, active)
@@ -147,7 +157,7 @@ class LightVertices:
         slot = dr.arange(mi.UInt32, self.capacity)
         held = slot < self.count
         path = _as_uint(self._get(_PACKETS - 1, slot, held).y)
-        index = _as_uint(self._get(0, slot, held).w) >> 16
+        index = (_as_uint(self._get(0, slot, held).w) >> 16) & 0x3FFF
         if by_path:
             number = dr.gather(mi.UInt32, self._start, path, held) + index
         else:
@@ -197,17 +207,17 @@ class LightVertices:
         pi.instance = dr.reinterpret_array(mi.ShapePtr, _as_uint(second.x))
         return pi.compute_surface_interaction(mi.Ray3f(p + world, -world), active=active)
 
-    def positions(self) -> tuple[Any, Any]:
-        """(positions, mask of the slots that hold a vertex), one lane a slot."""
+    def positions(self) -> tuple[Any, Any, Any]:
+        """(positions, :class:`Kind`, mask of the slots that hold a vertex), one lane a slot."""
         slot = dr.arange(mi.UInt32, self.capacity)
         held = slot < self.count
         p = self._get(0, slot, held)
-        return mi.Point3f(p.x, p.y, p.z), held
+        return mi.Point3f(p.x, p.y, p.z), _as_uint(p.w) >> 30, held
 
-    def sorted_by(self, destination: Any) -> Photons:
-        """The packets that merging reads, in the order that a search structure gives."""
+    def sorted_by(self, destination: Any, active: Any = True) -> Photons:
+        """The packets that merging reads, in the order that a search structure gives to the ``active`` slots."""
         slot = dr.arange(mi.UInt32, self.capacity)
-        held = slot < self.count
+        held = (slot < self.count) & active
         position = dr.empty(mi.Float, 4 * self.capacity)
         flux = dr.empty(mi.Float, 8 * self.capacity)
         dr.scatter(position, self._get(0, slot, held), destination, held)
