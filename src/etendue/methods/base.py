@@ -13,7 +13,17 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import IndependentSource, Iterations, Measurement, OptionError, Result, Settings, setting
+from etendue.core import (
+    IndependentSource,
+    Iterations,
+    Measurement,
+    OptionError,
+    Result,
+    SampleSource,
+    Settings,
+    setting,
+)
+from etendue.points import OwenSobolSource
 from etendue.scene import LightTable, Problem
 from etendue.transport import Camera, Visibility
 
@@ -34,6 +44,12 @@ class ImageSettings(Settings):
     rr_depth: int = setting(5, "path edges after which Russian roulette by throughput begins", minimum=1)
     samples_per_pass: int = setting(
         0, "camera paths per pixel that one pass traces; 0 chooses enough to fill the machine", minimum=0, maximum=4096
+    )
+    sampler: str = setting(
+        "owen",
+        "random numbers: Owen-scrambled Sobol' points, even over the samples of a pixel and over the light paths of a "
+        "pass (owen), or independent ones",
+        choices=("owen", "independent"),
     )
     aovs: bool = setting(False, "add first-hit layers: albedo, normal, depth")
 
@@ -112,6 +128,21 @@ class ImageMethod(ABC):
         """``max_depth`` as a number a kernel can compare with."""
         return self.settings.max_depth if self.settings.max_depth >= 0 else 1 << 30
 
+    def camera_numbers(self, lanes: Any, samples: int, seed: int, iteration: int, role: str = "camera") -> SampleSource:
+        """Random numbers of the camera paths ``lanes``, ``samples`` consecutive ones a pixel."""
+        if self.settings.sampler == "independent":
+            return IndependentSource(lanes, seed, role, iteration)
+        pixel = lanes // samples
+        first = dr.opaque(mi.UInt32, (iteration * samples) & 0xFFFFFFFF)
+        return OwenSobolSource(pixel, first + (lanes - pixel * samples), seed, role)
+
+    def light_numbers(self, lanes: Any, paths: int, seed: int, iteration: int, role: str = "light") -> SampleSource:
+        """Random numbers of the light paths ``lanes`` of the ``paths`` that a pass traces."""
+        if self.settings.sampler == "independent":
+            return IndependentSource(lanes, seed, role, iteration)
+        first = dr.opaque(mi.UInt32, (iteration * paths) & 0xFFFFFFFF)
+        return OwenSobolSource(dr.zeros(mi.UInt32), first + lanes, seed, role)
+
     def image(self, values: Any) -> Layer:
         """Colours or scalars, consecutive lanes a pixel, summed into a (height, width, channels) image."""
         width, height = self.problem.size
@@ -125,7 +156,7 @@ class ImageMethod(ABC):
         """Albedo, shading normal and distance of what the camera sees first, zeros where it sees nothing; and how many
         values were not finite."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
-        source = IndependentSource(lanes, seed, "camera", iteration)
+        source = self.camera_numbers(lanes, samples, seed, iteration)
         ray, _, _ = self.camera.primary(lanes // samples, source)
         si = self.scene.ray_intersect(ray)
         hit = si.is_valid()

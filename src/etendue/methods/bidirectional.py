@@ -108,6 +108,7 @@ class _Run:
     light: Any  #: numbers of the light paths, one lane each
     camera: Any  #: numbers of the camera paths
     pixel: Any  #: their pixels
+    samples: int  #: of a pixel
     splats: Splats | None
     capacity: int  #: of the vertex store
 
@@ -165,7 +166,9 @@ class Bidirectional(ImageMethod):
         splats = Splats(self.camera.pixels) if self.techniques.splat else None
         lanes = dr.arange(mi.UInt32, samples)
         pixel = dr.minimum(mi.UInt32((mi.Float(lanes) + 0.5) * (self.camera.pixels / samples)), self.camera.pixels - 1)
-        run = _Run("pilot ", 0, seed, self._first_radius, dr.arange(mi.UInt32, paths), lanes, pixel, splats, 64 * paths)
+        run = _Run(
+            "pilot ", 0, seed, self._first_radius, dr.arange(mi.UInt32, paths), lanes, pixel, 1, splats, 64 * paths
+        )
         radiance, counters = self._trace(run)
         self._vertices_per_path = counters["light_vertices"] / paths
         mean = sum(float(np.asarray(v, np.float64).mean()) for v in radiance.values())
@@ -209,7 +212,7 @@ class Bidirectional(ImageMethod):
         for index in range(self._groups):
             light, camera = (_part(n, index, self._groups) for n in (self._paths, self.camera.pixels * samples))
             capacity = math.ceil(self._vertices_per_path * len(light) * STORE_MARGIN) + _STORE_PAD
-            run = _Run("", iteration, seed, radius, light, camera, camera // samples, splats, capacity)
+            run = _Run("", iteration, seed, radius, light, camera, camera // samples, samples, splats, capacity)
             radiance, counts = self._trace(run)
             if counts["light_vertices"] > capacity:  # the pilot guessed too low: the whole pass again, with more room
                 self._vertices_per_path = counts["light_vertices"] / len(light)
@@ -249,7 +252,7 @@ class Bidirectional(ImageMethod):
         )
         connecting = self.techniques.connection > 0
         vertices = LightVertices(run.capacity, paths, self._indexed, connecting) if self._stores else None
-        source = IndependentSource(run.light, run.seed, run.role + "light", run.iteration)
+        source = self.light_numbers(run.light, self._paths, run.seed, run.iteration, run.role + "light")
         light_rays, light_bad = LightWalk(*common).trace(paths, source, vertices, run.splats)
         dr.schedule(light_rays, light_bad)
         if run.splats:
@@ -261,7 +264,7 @@ class Bidirectional(ImageMethod):
         picks = IndependentSource(run.camera // PICK_BLOCK, run.seed, run.role + "connect", run.iteration)
         cache, gather = self._cache(vertices, paths, picks), self._gather(vertices, paths, run.radius)
         walk = CameraWalk(*common, self.settings.split_layers, cache, gather)
-        source = IndependentSource(run.camera, run.seed, run.role + "camera", run.iteration)
+        source = self.camera_numbers(run.camera, run.samples, run.seed, run.iteration, run.role + "camera")
         radiance, rays = walk.trace(run.pixel, source)
         bad = {}
         for name, value in radiance.items():

@@ -21,7 +21,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import IndependentSource, SampleSource, logger, setting
+from etendue.core import SampleSource, logger, setting
 from etendue.density import KERNELS
 from etendue.scene import Problem
 from etendue.transport import (
@@ -109,7 +109,14 @@ class _Chosen:
 
     def next_2d(self, vertex: Any, component: int) -> tuple[Any, Any]:
         """See :class:`SampleSource`."""
-        return self.next_1d(vertex, component), self.next_1d(vertex, component + 1)
+        here, there = self._where.next_2d(vertex, component), self._elsewhere.next_2d(vertex, component)
+        return tuple(dr.select(self._condition, a, b) for a, b in zip(here, there, strict=True))
+
+    def decide(self, vertex: Any, component: int) -> Any:
+        """See :class:`SampleSource`."""
+        return dr.select(
+            self._condition, self._where.decide(vertex, component), self._elsewhere.decide(vertex, component)
+        )
 
 
 class PhotonMapping(ImageMethod):
@@ -156,7 +163,7 @@ class PhotonMapping(ImageMethod):
             self.visibility, self.lights, self.camera, mis, self._edges, self.settings.rr_depth, mi.Float(0.0)
         )
         vertices = LightVertices(capacity, paths, indexed=False, connected=False)
-        source = IndependentSource(dr.arange(mi.UInt32, paths), seed, role + "light", iteration)
+        source = self.light_numbers(dr.arange(mi.UInt32, paths), paths, seed, iteration, role + "light")
         rays, _ = walk.trace(paths, source, vertices, None)
         dr.schedule(rays)
         vertices.launch()
@@ -209,8 +216,8 @@ class PhotonMapping(ImageMethod):
     def _trace(self, role: str, iteration: int, seed: int, samples: int) -> tuple[_State, Any]:
         """Camera paths: (last state, weight of the camera ray), not yet evaluated."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
-        fresh = IndependentSource(lanes, seed, role + "camera", iteration)
-        fixed = IndependentSource(lanes, seed, role + "camera", 0) if self.fixed_points else fresh
+        fresh = self.camera_numbers(lanes, samples, seed, iteration, role + "camera")
+        fixed = self.camera_numbers(lanes, samples, seed, 0, role + "camera") if self.fixed_points else fresh
         ray, weight, _ = self.camera.primary(lanes // samples, fixed)
         state = _State(
             active=dr.full(mi.Bool, True, len(lanes)) & (self._edges > 0),
@@ -275,7 +282,7 @@ class PhotonMapping(ImageMethod):
         s.throughput *= scattered.weight
         s.eta *= scattered.eta
         s.ray = si.spawn_ray(scattered.direction)
-        u = source.next_1d(s.depth, dim.ROULETTE)
+        u = source.decide(s.depth, dim.ROULETTE)
         alive, factor = roulette(s.throughput, s.eta, s.depth, self.settings.rr_depth, u)
         s.throughput *= factor
         s.active &= alive

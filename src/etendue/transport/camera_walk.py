@@ -190,15 +190,15 @@ class CameraWalk:
         directions += [(si.to_local(v.direction), v.active) for v in vertices]
         scattered, values = scatter_camera(bsdf, si, source, s.depth, s.active, directions)
         for index, d in enumerate(direct):
-            u = source.next_1d(s.depth, dim.NEXT_EVENT + 4 * index + 3)
+            u = source.decide(s.depth, dim.NEXT_EVENT + 4 * index + 3)
             self._next_event(s, si, d, values[index], u)
         for index, v in enumerate(vertices):
-            u = source.next_1d(s.depth, dim.CONNECT + index)
+            u = source.decide(s.depth, dim.CONNECT + index)
             value, rays = self._connection(s, si, v, values[len(direct) + index], u)
             s.rays += rays
             self._add(s, "connection", v.active, value)
         if self.cache is not None and self.cache.picks is None:
-            self._connect_pair(s, si, bsdf, source.next_1d(s.depth, dim.CONNECT), smooth)
+            self._connect_pair(s, si, bsdf, source.decide(s.depth, dim.CONNECT), smooth)
 
         s.d_vcm, s.d_vc = self.mis.scatter_camera(
             self._vertex(s),
@@ -218,7 +218,7 @@ class CameraWalk:
         s.throughput *= scattered.weight
         s.eta *= scattered.eta
         s.ray = si.spawn_ray(scattered.direction)
-        alive, factor = roulette(s.throughput, s.eta, s.depth, self.rr_depth, source.next_1d(s.depth, dim.ROULETTE))
+        alive, factor = roulette(s.throughput, s.eta, s.depth, self.rr_depth, source.decide(s.depth, dim.ROULETTE))
         s.throughput *= factor
         s.depth += 1
         s.active &= scattered.active & alive

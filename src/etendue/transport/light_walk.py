@@ -128,7 +128,7 @@ class LightWalk:
         s.throughput *= scattered.weight
         s.ray = si.spawn_ray(scattered.direction)
         alive, factor = roulette(
-            s.throughput / self.lights.total_power, 1.0, s.depth, self.rr_depth, source.next_1d(s.depth, dim.ROULETTE)
+            s.throughput / self.lights.total_power, 1.0, s.depth, self.rr_depth, source.decide(s.depth, dim.ROULETTE)
         )
         s.throughput *= factor
         s.depth += 1
@@ -148,7 +148,7 @@ class LightWalk:
         visible, factor = shadow_roulette(
             contribution,
             self.dark * self.mis.paths_per_sample,
-            source.next_1d(s.depth, dim.SPLAT_SHADOW),
+            source.decide(s.depth, dim.SPLAT_SHADOW),
             joined.active & on_film,
         )
         contribution *= factor
