@@ -291,3 +291,26 @@ def test_clipping_planes_do_not_matter(near, far):
     for method in ("light", "bpt"):
         expected = run(plain, method, passes=6, samples=512)
         assert_agree(run(clipped, method, passes=6, samples=512, seed=3).images, expected.images, method)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_even_points_have_the_same_mean(name):
+    """Owen-scrambled points against independent numbers. A seed each: the passes of one are not independent."""
+    method, settings = METHODS[name]
+    scene = problem()
+    images = []
+    for seed in range(6):
+        images.append(run(scene, method, 1, 128, seed=seed, sampler="owen", **settings).mean)
+    plain = run(scene, method, 6, 128, seed=50, **settings)
+    assert_agree(np.stack(images), plain.images, name, precision=0.03)
+
+
+def test_even_points_are_less_noisy():
+    """Direct light of a big lamp: half the variance, and less."""
+    scene = scenes.room("rectangle", ("diffuse",))
+
+    def variance(sampler):
+        images = [run(scene, "path", 1, 16, seed=s, sampler=sampler, max_depth=2).mean for s in range(8)]
+        return np.stack(images).var(axis=0, ddof=1).mean()
+
+    assert variance("owen") < 0.5 * variance("independent")

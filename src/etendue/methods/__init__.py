@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from etendue.core import OptionError, suggest
 
+from .auto import Auto
 from .base import ImageMethod, ImageSettings
 from .bidirectional import Bidirectional, Bpm, Bpt, Vcm
 from .light import Light
@@ -11,7 +12,7 @@ from .path import Path
 from .photon_map import Pm
 from .progressive import Ppm, Sppm
 
-_METHODS: dict[str, type[ImageMethod]] = {cls.name: cls for cls in (Path, Light, Pm, Ppm, Sppm, Bpt, Bpm, Vcm)}
+_METHODS: dict[str, type[ImageMethod]] = {cls.name: cls for cls in (Auto, Path, Light, Pm, Ppm, Sppm, Bpt, Bpm, Vcm)}
 
 
 def table() -> dict[str, type[ImageMethod]]:
@@ -27,6 +28,7 @@ def get(name: str) -> type[ImageMethod]:
 
 
 __all__ = [
+    "Auto",
     "Bidirectional",
     "Bpm",
     "Bpt",

@@ -5,7 +5,7 @@ from .capability import check
 from .fingerprint import fingerprint
 from .graph import materials
 from .lights import Light, LightTable
-from .loading import integrator_of, load
+from .loading import integrator_of, load, resized
 from .plugins import register
 from .problem import Problem
 
@@ -21,4 +21,5 @@ __all__ = [
     "load",
     "materials",
     "register",
+    "resized",
 ]

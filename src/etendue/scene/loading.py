@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -256,15 +257,24 @@ def _sensor(scene: Any, index: int, name: str) -> Any:
     return sensors[index]
 
 
+def resized(problem: Problem, size: Size) -> Problem:
+    """The same view of the same scene on a film whose window has (width, height) ``size``; nothing is loaded again."""
+    film = [int(v) for v in problem.sensor.film().size()]
+    whole = tuple(max(1, round(f * s / w)) for f, s, w in zip(film, size, problem.size, strict=True))
+    sensor = _resized_sensor(problem.sensor, (whole[0], whole[1]))
+    width, height = (int(v) for v in sensor.film().crop_size())
+    return replace(problem, sensor=sensor, size=(width, height))
+
+
 def _resized_sensor(sensor: Any, size: Size) -> Any:
-    """A copy of a perspective, thin-lens or spherical sensor with a film of another size.
+    """A copy of a sensor with a film of another size.
 
     Changing the film through ``mi.traverse`` would alter the user's scene and leave the sensor with its old resolution.
     """
     import mitsuba as mi
 
     kind = plugin_name(sensor)
-    if kind not in ("perspective", "thinlens", "spherical"):
+    if kind not in ("perspective", "thinlens", "orthographic", "spherical"):
         raise OptionError(
             f"a '{kind}' sensor of a loaded scene cannot be given another size; load the scene at that size"
         )
