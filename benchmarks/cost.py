@@ -66,8 +66,8 @@ def measure(names: Sequence[str], size: tuple[int, int], rounds: int, warm_up: i
     record.notes += [
         f"median (min … max) of {rounds} rounds after {warm_up} to warm up; a ratio is that of two passes of one round",
         "one camera path per pixel; for bpt and vcm one light path, connection and light point, for sppm as many light "
-        "paths; merge and first gather radius 0.003 of half the box's diagonal (not shrinking for vcm); a pass of ours ends "
-        "with its sums on the host, in float64",
+        "paths; merge and first gather radius 0.003 of half the box's diagonal (constant for vcm); a pass of ours "
+        "ends with its sums on the host, in float64",
         "roulette as Mitsuba: " + ", ".join(f"{key}={value:g}" for key, value in ROULETTE.items()),
         "cpu: all threads of the process; of no meaning under CUDA",
     ]
