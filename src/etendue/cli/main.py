@@ -181,6 +181,43 @@ def resume(
 
 
 @app.command()
+def run(
+    file: Annotated[Path, typer.Argument(help="Run file in TOML, see docs/run-files.md.", metavar="FILE")],
+    check: Annotated[bool, typer.Option("--check", help="Only check the file and all that it names.")] = False,
+    debug: opt.Debug = False,
+) -> int:
+    """Render what a run file says: scene, camera, method, budget, saves at given times, error against a reference.
+
+    Ctrl-C stops after the current pass and writes the pictures and the checkpoint.
+    """
+    from etendue.engine import Job
+
+    from .records import Recorder
+    from .rendering import choose_device, render_to_files
+    from .run_file import RunFile
+
+    wanted = RunFile.read(file)
+    choose_device(wanted.variant, wanted.threads)
+    notes: list[str] = []  # shown when all is checked
+    task = wanted.task(notes.append)
+    console = error_console()
+    recorder = Recorder(wanted, lambda text: note(console, text))
+
+    def open_job() -> Job:
+        job = Job.open(task)
+        recorder.check(job)
+        for text in notes:
+            note(console, text)
+        return job
+
+    if check:
+        say(f"{file} is in order: {wanted.describe(open_job())}")
+        return 0
+    with recorder:
+        return render_to_files(open_job, recorder, task.method.name)
+
+
+@app.command()
 def compare(
     scene: opt.Scene,
     method: Annotated[

@@ -1,6 +1,7 @@
 """Scenes: loading, the capability check, fingerprints, bundled scenes, the light table, Mitsuba plugins of our own."""
 
 from .bundled import BundledScene, bundled
+from .camera import Camera
 from .capability import check
 from .fingerprint import fingerprint
 from .graph import materials
@@ -11,6 +12,7 @@ from .problem import Problem
 
 __all__ = [
     "BundledScene",
+    "Camera",
     "Light",
     "LightTable",
     "Problem",
