@@ -132,6 +132,33 @@ def test_the_camera_and_the_variables_reach_the_scene(folder):
     assert (row["samples"], row["relmse"], row["luminance_rmse"]) == ("2", "", "")
 
 
+def test_periodic_saves_and_warnings_are_in_the_log(folder, capsys, monkeypatch):
+    step = methods.get("path").step
+
+    def tainted(self, iteration, seed):
+        measured = step(self, iteration, seed)
+        measured.counters["nonfinite"] = 1.0
+        time.sleep(0.02)
+        return measured
+
+    monkeypatch.setattr(methods.get("path"), "step", tainted)
+    Path("a.toml").write_text(
+        BOX + "settings = {samples_per_pass = 1}\n[budget]\nsamples = 20\n[autosave]\nevery = 0.1\n"
+        "[output]\ncheckpoint = false\n"
+    )
+    assert main(["run", "a.toml"]) == 0
+    assert sorted(os.listdir(folder)) == ["a.csv", "a.exr", "a.log", "a.toml"]
+    log = Path("a.log").read_text("utf-8")
+    assert "  save: " in log
+    assert "WARNING: 20 contributions were not finite" in log
+    err = capsys.readouterr().err
+    assert "save: " not in err
+    assert "end (samples): 20 passes" in err
+    passes = [int(row["passes"]) for row in table("a.csv")]
+    assert passes == sorted(set(passes))
+    assert len(passes) > 1
+
+
 def test_a_run_that_ends_before_an_autosave_says_so(folder):
     Path("a.toml").write_text(BOX + "[budget]\nsamples = 2\n[autosave]\ntimes = [500]\n")
     assert main(["run", "a.toml"]) == 0
