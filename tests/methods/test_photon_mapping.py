@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support import scenes
 from support.running import go, prepared, run
-from support.statistics import assert_agree, z_scores
+from support.statistics import assert_agree, assert_mean, z_scores
 
 from etendue import methods
 from etendue.core import CheckpointError, IndependentSource, OptionError
@@ -76,7 +76,8 @@ def test_the_picture_is_tau_over_r_squared(kernel):
         position, _, held = shot.vertices.positions()
         slots = mi.UInt32(np.flatnonzero(np.array(held)).astype(np.uint32))
         everything = mi.UInt32(np.arange(shot.capacity, dtype=np.uint32))
-        flux = np.array(shot.vertices.sorted_by(everything).flux(slots, True)[0])[0]
+        flux, direction, _, _ = shot.vertices.sorted_by(everything).flux(slots, True)
+        flux = np.where(np.array(direction)[1] > 0.0, np.array(flux)[0], 0.0)  # the other side is lit, and counted, too
         photons = np.array(position).T[np.array(held)]
         picture += runner.step(iteration, 1).mean()[..., 0] / 3
 
@@ -128,7 +129,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(method, per_pass, tmp_path):
     if method != "pm":  # and it would not, had it begun with the first radius again
         assert job.method.state()["radius_squared"].min() < 0.8 * job.method.state()["radius_squared"].max()
         job.method.prepare(job.problem, 4)
-        anew = read.measurement + job.method.step(2, 4) + job.method.step(3, 4)
+        anew = Checkpoint.read(tmp_path / "a.checkpoint").measurement + job.method.step(2, 4) + job.method.step(3, 4)
         assert np.abs(anew.mean() - whole.measurement.mean()).max() > 1e-3
 
 
@@ -171,8 +172,9 @@ def test_max_depth_counts_edges_as_path_does(name, depth):
     problem = scene(**scenes.EMITTERS["rectangle"](), ball=scenes.thing("dielectric", (0.0, 0.302, 0.0)))
     images = run(problem, method, passes=6, samples=64, max_depth=depth, **settings).images
     reference = run(problem, "path", passes=6, samples=256, max_depth=depth).images
-    if depth == 0:
+    if depth < 2:  # the lamp faces away from the eye
         assert not images.any()
+        assert not reference.any()
     else:
         near(images[..., :1], reference[..., :1], 0.03, (name, depth))
 
@@ -184,7 +186,7 @@ def test_a_veil_before_the_lamp_is_no_vertex(name):
     sheet = scenes.transform().translate([0.1, 1.6, -0.1]).rotate([1, 0, 0], 90).scale(1.5)
     veil = {"type": "rectangle", "to_world": sheet, "bsdf": scenes.MATERIALS["veil"]()}
     problem = scene(**scenes.EMITTERS["rectangle"](), veil=veil)
-    images = run(problem, method, passes=6, samples=64, **settings).images
+    images = run(problem, method, passes=6, samples=128, **settings).images
     near(images, run(problem, "path", passes=6, samples=256).images, 0.02, name)
 
 
@@ -197,16 +199,16 @@ def test_light_that_a_coated_surface_mirrors_is_a_caustic(name):
     problem = scene(
         lamp={"type": "point", "position": [-0.6, 1.0, 0.0], "intensity": scenes.rgb(1, 1, 1)},
         # Keeps the lamp's direct light off what the camera sees.
-        shade=scenes_disk([-0.6, 0.5, 0.0], [-0.6, -1.0, 0.0], 0.9),
-        mirror=scenes_disk([0.2, 1.4, 0.0], [0.2, 0.0, 0.0], 1.2) | {"bsdf": {"type": "twosided", "a": coat}},
+        shade=disk([-0.6, 0.5, 0.0], [-0.6, -1.0, 0.0], 0.9),
+        mirror=disk([0.2, 1.4, 0.0], [0.2, 0.0, 0.0], 1.2) | {"bsdf": {"type": "twosided", "a": coat}},
     )
-    images = run(problem, method, passes=6, samples=64, **settings).images
+    images = run(problem, method, passes=6, samples=128, **settings).images
     reference = run(problem, "bpt", passes=6, samples=256).images
     assert reference.mean() > 1e-3
     near(images[..., :1], reference[..., :1], 0.03, name)
 
 
-def scenes_disk(at: list[float], towards: list[float], radius: float) -> dict[str, Any]:
+def disk(at: list[float], towards: list[float], radius: float) -> dict[str, Any]:
     up = [1, 0, 0] if at[0] == towards[0] else [0, 0, 1]
     place = scenes.transform().look_at(at, towards, up).scale([radius, radius, 1.0])
     return {"type": "disk", "to_world": place, "bsdf": scenes.diffuse(0, 0, 0)}
@@ -219,22 +221,23 @@ def test_a_beam_is_found_by_its_photons(name):
     beam = {"type": "directionalarea", "radiance": scenes.rgb(2, 2, 2)}
     lamp = {"type": "rectangle", "to_world": scenes._down(2.2, 3.0), "emitter": beam}
     images = run(scene(lamp=lamp, floor=floor(0.8, 0.8, 0.8)), method, passes=6, samples=64, **settings).images
-    np.testing.assert_allclose(images[:, 6:, 4:12].mean(), 0.8 * 2.0 / np.pi, rtol=0.02)
+    assert_mean(images[:, 6:, 4:12].mean(axis=(1, 2, 3)), 0.8 * 2.0 / np.pi, name)
 
 
 def caustic_in_a_mirror(bulb: bool) -> Any:
     """A floor under a point light, seen only in a mirror; the light may be the centre of a glass ball.
 
     From the centre every ray leaves the ball unbent, and what is reflected inside comes back: all the light gets out,
-    evenly. So the two pictures are the same, but only without the ball can next event make them.
+    evenly. So the two pictures are the same, but only without the ball can next event make them. The light is behind
+    the mirror, which therefore throws none of it on the floor.
     """
     elements = {
-        "lamp": {"type": "point", "position": [0.0, 1.2, 0.6], "intensity": scenes.rgb(1, 2, 3)},
-        "mirror": scenes_disk([0.0, 1.6, 3.0], [0.0, 0.9, 2.0], 0.8) | {"bsdf": {"type": "conductor"}},
-        "sensor": scenes.camera((0.0, 2.0, 0.4), (0.0, 1.6, 3.0), fov=20.0),
+        "lamp": {"type": "point", "position": [0.0, 1.2, 1.6], "intensity": scenes.rgb(1, 2, 3)},
+        "mirror": disk([0.0, 1.6, 0.8], [0.0, 0.9, -0.2], 0.5) | {"bsdf": {"type": "conductor"}},
+        "sensor": scenes.camera((0.0, 2.0, -1.8), (0.0, 1.6, 0.8), fov=16.0),
     }
     if bulb:
-        ball = {"type": "sphere", "center": [0.0, 1.2, 0.6], "radius": 0.1, "bsdf": {"type": "dielectric"}}
+        ball = {"type": "sphere", "center": [0.0, 1.2, 1.6], "radius": 0.1, "bsdf": {"type": "dielectric"}}
         elements["bulb"] = ball
     return scene(**elements)
 
@@ -245,7 +248,7 @@ def test_the_caustic_of_a_point_light_in_a_mirror():
     for method in ("path", "bpt"):
         assert not run(problem, method, passes=2, samples=64).images.any()
     small = {"radius": 0.06, "radius_unit": "absolute", "alpha": 1.0}
-    rows = {"pm": {"neighbours": 20}, "sppm": small, "ppm": small, "vcm": small}
+    rows = {"pm": {"neighbours": 20}, "sppm": small, "ppm": small, "vcm": small | {"light_paths": 2.0}}
     images = {name: run(problem, name, passes=6, samples=64, **settings).images for name, settings in rows.items()}
     reference = run(caustic_in_a_mirror(bulb=False), "path", passes=6, samples=64).images
     assert reference.mean() > 0.05
@@ -269,7 +272,7 @@ def test_photons_beyond_memory_are_refused_or_fewer():
     assert few_images.measurement.counters["photons"] / 6 * 128 < 0.4 * problem.memory
     problem.memory = None
     all_images = run(problem, "sppm", passes=6, samples=64, seed=2, **settings)
-    assert all_images.measurement.counters["photons"] > 3 * few_images.measurement.counters["photons"]
+    assert all_images.measurement.counters["photons"] > 1.5 * few_images.measurement.counters["photons"]
     assert_agree(few_images.images, all_images.images, "fewer light paths")
 
 
