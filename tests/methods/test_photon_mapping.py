@@ -108,6 +108,30 @@ def test_ppm_looks_at_the_same_points_in_each_pass():
     assert np.abs(fixed[0] - other[0]).max() > 0.01
 
 
+def test_ppm_has_several_points_in_a_pixel():
+    problem = scenes.field(0.5, 1.0, size=(400, 400))
+    assert prepared(problem, "sppm").samples_per_iteration == 1
+    assert prepared(problem, "ppm").samples_per_iteration == 4
+    assert prepared(problem, "ppm", samples_per_pass=1).samples_per_iteration == 1
+
+
+@pytest.mark.parametrize("method", ["ppm", "sppm"])
+def test_the_first_radius_holds_as_many_photons_as_asked_for(method):
+    """On a plane, k photons of density n lie within r^2 = k / (pi n); where the most allowed is less, it is that."""
+    settings = {"light_paths": 20.0, "radius": 0.7, "radius_unit": "absolute", "direct": "photons"}
+    runner = prepared(scenes.field(0.5, 1.3), method, samples_per_pass=16, neighbours=30, **settings)
+    squared = runner.state()["radius_squared"]
+    density = runner.step(0, 1).counters["photons"] / 4.0
+    assert_mean(squared * np.pi * density / 30, 1.0, sigmas=9.0)  # near points have the same neighbours
+    assert squared.std() > 0.1 * squared.mean()
+    np.testing.assert_allclose(runner.state()["count"], 30 * runner.settings.alpha, rtol=0.04)
+    small = prepared(
+        scenes.field(0.5, 1.3), method, samples_per_pass=16, neighbours=30, **settings | {"radius": 0.05}
+    ).state()["radius_squared"]
+    np.testing.assert_allclose(small.max(), 0.05**2, rtol=1e-6)
+    np.testing.assert_allclose(small, np.minimum(squared, 0.05**2), rtol=1e-3)
+
+
 @pytest.mark.parametrize(("method", "per_pass"), [("sppm", 2), ("ppm", 1), ("pm", 2)])
 def test_a_resumed_run_equals_an_uninterrupted_one(method, per_pass, tmp_path):
     cls = methods.get(method)
