@@ -25,9 +25,14 @@ METHODS = {
     "bpm": ("bpm", {"radius": 0.02}),
     "vcm": ("vcm", {"radius": 0.02}),
     "vcm path": ("vcm", {"radius": 0.02, "light_source": "path"}),
+    "pm": ("pm", {"photons": 20_000}),
+    "ppm": ("ppm", {"radius": 0.05}),
+    "sppm": ("sppm", {"radius": 0.05}),
 }
-#: Techniques in layers; path has one technique and one layer.
-LAYERED = [name for name in METHODS if name != "path"]
+#: Techniques in layers; the others have one layer.
+LAYERED = [name for name in METHODS if name not in ("path", "pm", "ppm", "sppm")]
+#: Each pass is a function of its number alone; a progressive one of those before it too.
+INDEPENDENT = [name for name in METHODS if name not in ("ppm", "sppm")]
 
 
 def problem() -> Any:
@@ -92,7 +97,7 @@ def test_layers_may_be_left_unsplit(name):
     np.testing.assert_allclose(whole.mean, split, rtol=1e-4, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", INDEPENDENT)
 def test_two_halves_add_to_one_run_in_any_order(name):
     method, settings = METHODS[name]
     runner = prepared(problem(), method, samples_per_pass=4, **settings)
@@ -265,12 +270,13 @@ def test_a_pilot_that_guessed_too_low(name):
     np.testing.assert_allclose(result.mean(), expected.mean(), **SAME)
 
 
-def test_another_seed_compiles_nothing():
+@pytest.mark.parametrize("method", ["vcm", "pm", "sppm"])
+def test_another_seed_compiles_nothing(method):
     scene = problem()
-    prepared(scene, "vcm", seed=1, samples_per_pass=4).step(0, 1)
+    prepared(scene, method, seed=1, samples_per_pass=4).step(0, 1)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
-        prepared(scene, "vcm", seed=2, samples_per_pass=4).step(0, 2)
+        prepared(scene, method, seed=2, samples_per_pass=4).step(0, 2)
         kernels = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
     assert kernels
     assert all(kernel["cache_hit"] for kernel in kernels)

@@ -22,7 +22,10 @@ from etendue.transport import Kind, Photons
 
 from . import radius as radii
 from .base import ImageSettings
-from .photon_mapping import PhotonMapping, PhotonSettings, Shot
+from .photon_mapping import PhotonMapping, PhotonSettings, Shot, memory_for, photons_that_fit
+
+#: Light paths for each photon asked for, at most: where next to nothing is stored, more paths do not help.
+_MOST_PATHS_PER_PHOTON = 20
 
 
 @dataclass(frozen=True)
@@ -30,7 +33,7 @@ class PmSettings(PhotonSettings):
     """Settings of ``pm``."""
 
     photons: int = setting(200_000, "photons that a pass stores, about", minimum=1)
-    neighbours: int = setting(50, "nearest photons that an estimate is made from", minimum=1, maximum=1000)
+    neighbours: int = setting(50, "nearest photons that an estimate is made from", minimum=2, maximum=1000)
     radius: float = setting(0.1, "largest radius to look for them in, in the unit of radius_unit", above=0.0)
     radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
     final_gather: bool = setting(False, "look up indirect light one bounce after what the camera sees")
@@ -56,6 +59,10 @@ class Pm(PhotonMapping):
         self.final_gather = self.settings.final_gather
         if self.final_gather and self.settings.direct != "next_event":
             raise OptionError("final_gather=true finds direct light by next event; leave out direct=photons")
+        fit = photons_that_fit(problem)
+        if self.settings.photons > fit:
+            needed = memory_for(self.settings.photons) / 1e6
+            raise OptionError(f"photons={self.settings.photons} need a memory limit of {needed:.0f} MB; {fit} fit now")
         super().prepare(problem, seed)
         largest = radii.absolute_radius(self, self.settings.radius, self.settings.radius_unit, seed)
         self._limit = dr.opaque(mi.Float, largest * largest)
@@ -63,7 +70,7 @@ class Pm(PhotonMapping):
 
     def light_paths(self) -> int:
         """As many as store the photons that were asked for."""
-        return max(1, round(self.settings.photons / max(self.photons_per_path, 1e-3)))
+        return max(1, round(self.settings.photons / max(self.photons_per_path, 1.0 / _MOST_PATHS_PER_PHOTON)))
 
     def build(self, shot: Shot, iteration: int, seed: int) -> None:
         """The two maps."""

@@ -54,6 +54,17 @@ _PILOT_PATHS = 1 << 13
 _BYTES_PER_PHOTON = 48 + 48 + 32
 
 
+def photons_that_fit(problem: Problem) -> int:
+    """Photons of a pass that memory has room for."""
+    room = _STORE_SHARE * problem.memory if problem.memory else _STORE_BYTES
+    return max(1, int(room / (_STORE_MARGIN * _BYTES_PER_PHOTON)))
+
+
+def memory_for(photons: int) -> float:
+    """The limit, in bytes, under which :func:`photons_that_fit` is ``photons``."""
+    return photons * _STORE_MARGIN * _BYTES_PER_PHOTON / _STORE_SHARE
+
+
 @dataclass(frozen=True)
 class PhotonSettings(ImageSettings):
     """Settings of every photon mapping method."""
@@ -132,7 +143,10 @@ class PhotonMapping(ImageMethod):
         super().prepare(problem, seed)
         self._edges = dr.opaque(mi.UInt32, self.max_edges())
         pilot = self._shoot("pilot ", 0, seed, _PILOT_PATHS, 64 * _PILOT_PATHS)
+        #: What the number of light paths follows: the same in every pass, and in a run that is resumed.
         self.photons_per_path = float(pilot.vertices.wanted[0]) / _PILOT_PATHS
+        self._stored_per_path = self.photons_per_path  # what the room for them follows; grows where it was too little
+        self._light_paths = self._fitting(self.light_paths())
 
     @abstractmethod
     def light_paths(self) -> int:
@@ -151,10 +165,12 @@ class PhotonMapping(ImageMethod):
 
     # ------------------------------------------------------------------ photons
 
-    def _room(self) -> int:
-        """Photons that fit into memory."""
-        memory = self.problem.memory
-        return max(1, int((_STORE_SHARE * memory if memory else _STORE_BYTES) / _BYTES_PER_PHOTON))
+    def _fitting(self, wanted: int) -> int:
+        """As many light paths, or fewer if their photons would not fit into memory."""
+        paths = min(wanted, max(1, int(photons_that_fit(self.problem) / max(self.photons_per_path, 1e-6))))
+        if paths < wanted:
+            logger.info("%d instead of %d light paths a pass: their photons fill the memory", paths, wanted)
+        return paths
 
     def _shoot(self, role: str, iteration: int, seed: int, paths: int, capacity: int) -> Shot:
         """Trace light paths and store their vertices; not yet looked at, so that nothing waits."""
@@ -171,17 +187,14 @@ class PhotonMapping(ImageMethod):
 
     def shoot(self, iteration: int, seed: int) -> Shot:
         """The photons of a pass, all of them."""
-        wanted = self.light_paths()
-        paths = min(wanted, max(1, int(self._room() / max(self.photons_per_path * _STORE_MARGIN, 1e-6))))
-        if paths < wanted:
-            logger.info("%d instead of %d light paths a pass: their photons fill the memory", paths, wanted)
+        paths = self._light_paths
         while True:
-            capacity = math.ceil(self.photons_per_path * paths * _STORE_MARGIN) + _STORE_PAD
+            capacity = math.ceil(self._stored_per_path * paths * _STORE_MARGIN) + _STORE_PAD
             shot = self._shoot("", iteration, seed, paths, capacity)
             stored = int(shot.vertices.wanted[0])
             if stored <= capacity:
                 return shot
-            self.photons_per_path = stored / paths
+            self._stored_per_path = stored / paths
 
     def estimate(self, si: Any, bsdf: Any, photons: Photons, photon: Any, limit: Any, active: Any) -> Any:
         """Reflected radiance that one photon stands for, times ``N pi r^2``; ``limit``: r^2."""
@@ -275,7 +288,9 @@ class PhotonMapping(ImageMethod):
 
         rough = ~scattered.is_delta
         specular_on = scattered.is_delta if self.final_gather else scattered.is_null | (scattered.is_delta & ~s.beyond)
-        s.active &= scattered.active & (specular_on | (rough & ~s.beyond))
+        # A direction of the smooth component is for the light at its end, or for the gathering there.
+        rough_on = ~s.beyond & (self.settings.direct == "next_event")
+        s.active &= scattered.active & (specular_on | (rough & rough_on))
         s.pdf = dr.select(scattered.is_null, s.pdf, dr.select(rough, scattered.pdf, 0.0))
         s.travelled = dr.select(scattered.is_null, distance, 0.0)
         s.beyond |= rough

@@ -24,13 +24,18 @@ import mitsuba as mi
 import numpy as np
 
 from etendue.core import CheckpointError, setting
-from etendue.density import HashGrid
+from etendue.density import HashGrid, KdTree
 from etendue.scene import Problem
 from etendue.transport import Gather, Kind
 
 from . import radius as radii
 from .base import ImageSettings
 from .photon_mapping import PhotonMapping, PhotonSettings, Shot
+
+#: Smallest first radius over the largest, squared.
+_LEAST_SHARE = 1e-6
+#: Points that ``ppm`` looks at in a pixel, at least: what they miss of an edge is missed for ever.
+_LEAST_POINTS = 4
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,12 @@ class SppmSettings(PhotonSettings):
     light_paths: float = setting(1.0, "light paths traced per camera path", above=0.0, maximum=64.0)
     radius: float = setting(0.006, "first gather radius, in the unit of radius_unit", above=0.0)
     radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
+    neighbours: int = setting(
+        0,
+        "photons of the first pass that a path's first radius shall hold, where radius is as wide; 0: it is radius",
+        minimum=0,
+        maximum=1000,
+    )
     alpha: float = setting(2.0 / 3.0, "share of the photons found that is kept in N", above=0.0, maximum=1.0)
 
 
@@ -51,7 +62,7 @@ class Sppm(PhotonMapping):
     citations: ClassVar[tuple[str, ...]] = ("Hachisuka2009", "Hachisuka2008", "Jensen1996")
 
     def prepare(self, problem: Problem, seed: int) -> None:
-        """The same radius for every path to begin with."""
+        """The first radii: the same for every path, or found by the nearest photons."""
         super().prepare(problem, seed)
         first = radii.absolute_radius(self, self.settings.radius, self.settings.radius_unit, seed)
         lanes = self.camera.pixels * self.samples_per_iteration
@@ -59,6 +70,28 @@ class Sppm(PhotonMapping):
         self._count = dr.zeros(mi.Float, lanes)
         box = problem.scene.bbox()
         self._box = np.asarray(box.min, float).ravel(), np.asarray(box.max, float).ravel()
+        self._tree: KdTree | None = None
+        if self.settings.neighbours:
+            self._begin_with_nearest(first * first, seed)
+
+    def _begin_with_nearest(self, limit: float, seed: int) -> None:
+        """First radii that hold as many photons as asked for, of those of the first pass, around the points that it
+        will look at; ``limit``: the largest, squared."""
+        positions, held = self._wanted(self.shoot(0, seed))
+        self._tree, self._limit = KdTree(positions, held), dr.opaque(mi.Float, limit)
+        state, _ = self._trace("", 0, seed, self.samples_per_iteration)
+        squared = dr.reinterpret_array(mi.Float, state.found)
+        # Photons may lie on one spot: a radius of zero would never find another.
+        squared = dr.select(state.first, self._limit, dr.maximum(squared, _LEAST_SHARE * self._limit))
+        dr.eval(squared)
+        self._radius_squared, self._tree = squared, None
+
+    def _wanted(self, shot: Shot) -> tuple[Any, Any]:
+        """(positions, which of them are gathered), one lane a slot."""
+        positions, kind, held = shot.vertices.positions()
+        if self.settings.direct == "next_event":
+            held &= kind != mi.UInt32(Kind.DIRECT)
+        return positions, held
 
     def light_paths(self) -> int:
         """See :class:`PhotonMapping`."""
@@ -66,9 +99,7 @@ class Sppm(PhotonMapping):
 
     def build(self, shot: Shot, iteration: int, seed: int) -> None:
         """Sort the photons into a grid for the largest radius there is."""
-        positions, kind, held = shot.vertices.positions()
-        if self.settings.direct == "next_event":
-            held &= kind != mi.UInt32(Kind.DIRECT)
+        positions, held = self._wanted(shot)
         largest = float(np.sqrt(np.asarray(self._radius_squared).max()))
         grid = HashGrid(positions, largest, *self._box, held)
         self._gather = Gather(grid, shot.vertices.sorted_by(grid.destination, held), None)
@@ -76,6 +107,9 @@ class Sppm(PhotonMapping):
 
     def gather(self, si: Any, bsdf: Any, s: Any, active: Any) -> tuple[Any, Any]:
         """See :class:`PhotonMapping`."""
+        if self._tree is not None:  # only the distance is asked for; it goes where the number of photons goes
+            squared = self._tree.kth_distance_squared(si.p, self.settings.neighbours, self._limit, active)
+            return mi.Color3f(0.0), dr.reinterpret_array(mi.UInt32, squared)
         limit = dr.gather(mi.Float, self._radius_squared, s.lane, active)
 
         def visit(photon: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
@@ -112,3 +146,6 @@ class Ppm(Sppm):
     name: ClassVar[str] = "ppm"
     citations: ClassVar[tuple[str, ...]] = ("Hachisuka2008", "Jensen1996")
     fixed_points = True
+
+    def _samples(self, problem: Problem) -> int:
+        return int(self.settings.samples_per_pass) or max(_LEAST_POINTS, super()._samples(problem))

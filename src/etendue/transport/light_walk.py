@@ -30,8 +30,8 @@ class _State:
     d_vcm: Any
     d_vc: Any
     depth: Any  #: edges so far, the one being traced included
-    vertex: Any  #: the same without the surfaces that were crossed; used where a scene has such
     stored: Any  #: vertices stored so far
+    kind: Any  #: the :class:`Kind` of the vertex that the edge leads to
     from_infinity: Any  #: the edge being traced leaves an infinite light
     travelled: Any  #: length of the edge before the surfaces that it has crossed
     rays: Any
@@ -67,8 +67,9 @@ class LightWalk:
             d_vcm=d_vcm,
             d_vc=d_vc,
             depth=dr.full(mi.UInt32, 1, paths),
-            vertex=mi.UInt32(1),
             stored=dr.zeros(mi.UInt32, paths),
+            # A beam is out of reach for next event, so what it shines on counts as a caustic.
+            kind=dr.select(emitted.area_density > 0.0, mi.UInt32(Kind.DIRECT), mi.UInt32(Kind.CAUSTIC)),
             from_infinity=emitted.is_infinite,
             travelled=mi.Float(0.0),
             rays=dr.zeros(mi.UInt32, paths),
@@ -101,9 +102,7 @@ class LightWalk:
         bsdf = si.bsdf(s.ray)
         smooth = s.active & is_smooth(bsdf)
         if vertices is not None:
-            number = s.vertex if self.visibility.transparent else s.depth
-            kind = dr.select(number == 1, mi.UInt32(Kind.DIRECT), dr.select(s.stored == 0, mi.UInt32(Kind.CAUSTIC), 0))
-            vertices.append(path, s.stored, s.depth, hit, si, bsdf, s.throughput, (s.d_vcm, s.d_vc), kind, smooth)
+            vertices.append(path, s.stored, s.depth, hit, si, bsdf, s.throughput, (s.d_vcm, s.d_vc), s.kind, smooth)
             s.stored += dr.select(smooth, mi.UInt32(1), mi.UInt32(0))
         # Going on takes an edge, and using the vertex it leads to at least one more.
         s.active &= s.depth + 1 < self.max_edges
@@ -117,11 +116,13 @@ class LightWalk:
         s.d_vcm, s.d_vc = self.mis.scatter_light(
             s.d_vcm, s.d_vc, scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
         )
+        through = dr.select(s.kind == mi.UInt32(Kind.INDIRECT), s.kind, mi.UInt32(Kind.CAUSTIC))
+        kind = dr.select(scattered.is_delta, through, mi.UInt32(Kind.INDIRECT))
+        s.kind = dr.select(scattered.is_null, s.kind, kind)
         if self.visibility.transparent:
             crossed = scattered.is_null
             s.d_vcm, s.d_vc = dr.select(crossed, on_edge[0], s.d_vcm), dr.select(crossed, on_edge[1], s.d_vc)
             s.travelled = dr.select(crossed, distance, 0.0)
-            s.vertex += dr.select(crossed, mi.UInt32(0), mi.UInt32(1))
             s.from_infinity &= crossed
         else:
             s.from_infinity = mi.Bool(False)
