@@ -40,7 +40,6 @@ COST_SETTINGS: dict[str, dict[str, Any]] = {
     "bpt": _BIDIRECTIONAL,
     "bpm": _BIDIRECTIONAL | {"radius": 0.003, "radius_unit": "scene", "alpha": 1.0},
     "vcm": _BIDIRECTIONAL | {"radius": 0.003, "radius_unit": "scene", "alpha": 1.0},
-    "sppm": _PASS | {"light_paths": 1.0, "radius": 0.003, "radius_unit": "scene"},
 }
 
 console = Console(highlight=False)

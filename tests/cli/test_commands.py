@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import resource
 import shlex
 import signal
 import subprocess
@@ -303,11 +304,13 @@ def test_a_killed_render_leaves_its_last_intermediate_save(folder):
 
 
 def test_help_is_immediate():
+    """In processor time of the child: what a loaded machine adds is not ours."""
     seconds = []
     for _ in range(3):
-        began = time.monotonic()
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
         done = subprocess.run([*COMMAND, "--help"], capture_output=True, text=True, timeout=60)
-        seconds.append(time.monotonic() - began)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        seconds.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
         assert "render" in done.stdout
     assert min(seconds) < 1.0
 
