@@ -107,6 +107,8 @@ def render(
     threads: opt.Threads = None,
     memory: opt.Memory = None,
     aovs: opt.Aovs = False,
+    pyramid: opt.Pyramid = False,
+    pyramid_depth: opt.PyramidDepth = None,
     save_every: opt.SaveEvery = 60.0,
     checkpoint: Annotated[
         Path | None,
@@ -127,7 +129,7 @@ def render(
 
     if no_checkpoint and checkpoint is not None:
         raise OptionError("--checkpoint and --no-checkpoint exclude each other; give one of them")
-    budget, settings = Budget(time, spp, None, error), opt.settings(define, max_depth, aovs)
+    budget, settings = Budget(time, spp, None, error), opt.settings(define, max_depth, aovs, pyramid, pyramid_depth)
     parameters = opt.parse_pairs(param, "-P")
     choose_device(variant, threads)
     notes: list[str] = []  # shown when all is checked
@@ -239,6 +241,8 @@ def compare(
     max_depth: opt.MaxDepth = None,
     threads: opt.Threads = None,
     memory: opt.Memory = None,
+    pyramid: opt.Pyramid = False,
+    pyramid_depth: opt.PyramidDepth = None,
     debug: opt.Debug = False,
 ) -> int:
     """Render a scene by several methods for the same time, and write a page that compares them.
@@ -254,7 +258,7 @@ def compare(
     wanted = tasks(
         scene,
         method or ["path", "vcm"],
-        opt.settings(define, max_depth),
+        opt.settings(define, max_depth, False, pyramid, pyramid_depth),
         seed=seed,
         budget=budget,
         size=size,

@@ -13,11 +13,14 @@ from .errors import (
 from .exr import layer_path, read_exr, read_image, write_exr, write_layers
 from .filters import FilterSampler
 from .output import replacing, write_bytes
+from .pyramid import LONGER, Technique
 
 __all__ = [
+    "LONGER",
     "LUMINANCE",
     "ErrorHistory",
     "FilterSampler",
+    "Technique",
     "block_average",
     "layer_path",
     "luminance_rmse",

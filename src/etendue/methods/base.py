@@ -89,8 +89,7 @@ class ImageMethod(ABC):
         """One pass: :attr:`samples_per_iteration` camera paths per pixel."""
         samples = self.samples_per_iteration
         layers, counters = self.render_pass(iteration, seed, samples)
-        if "image" not in layers:  # in single precision as long as only one pass is in it: memory traffic counts here
-            layers = {"image": functools.reduce(np.add, layers.values())} | layers
+        layers = with_image(layers)
         if self.settings.aovs:
             first, bad = self._first_hits(iteration, seed, samples)
             layers |= first
@@ -108,7 +107,7 @@ class ImageMethod(ABC):
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """Sums over the pass's ``samples`` camera paths per pixel: layers (height, width, channels), and counters.
 
-        The layers are the image, or the technique families that it is the sum of."""
+        The layers are the technique families that the image is the sum of; or the image, and any others."""
 
     def develop(self, measurement: Measurement) -> Result:
         """Mean over the passes, layer by layer."""
@@ -172,6 +171,14 @@ def keep_finite(value: Any) -> tuple[Any, Any]:
     """``value`` with non-finite lanes set to zero, and their mask: they are counted, never written to a picture."""
     good = dr.all(dr.isfinite(value))
     return dr.select(good, value, 0.0), ~good
+
+
+def with_image(layers: dict[str, Layer]) -> dict[str, Layer]:
+    """``layers`` with the image, their sum, where it is not among them."""
+    if "image" in layers:
+        return layers
+    # In single precision as long as only one pass is in it: memory traffic counts here.
+    return {"image": functools.reduce(np.add, layers.values())} | layers
 
 
 def total(values: Any) -> float:

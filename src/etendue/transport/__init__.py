@@ -6,6 +6,7 @@ from .camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
 from .light_walk import LightWalk
 from .mis import Mis, Techniques
+from .pyramid import PYRAMID_MAX, Pyramid
 from .scattering import (
     Evaluated,
     Scattered,
@@ -25,6 +26,7 @@ from .visibility import Visibility
 
 __all__ = [
     "PICK_BLOCK",
+    "PYRAMID_MAX",
     "Camera",
     "CameraConnection",
     "CameraWalk",
@@ -39,6 +41,7 @@ __all__ = [
     "LightWalk",
     "Mis",
     "Photons",
+    "Pyramid",
     "Scattered",
     "Splats",
     "Techniques",

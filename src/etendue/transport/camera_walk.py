@@ -17,6 +17,7 @@ from . import dimensions as dim
 from .camera import Camera
 from .emission import DirectSample, emission_of_hit, is_emissive, sample_direct
 from .mis import Mis
+from .pyramid import Pyramid
 from .scattering import (
     Evaluated,
     cosine_ratio,
@@ -120,11 +121,13 @@ class CameraWalk:
     split_layers: bool  #: keep technique families apart
     cache: LightCache | None = None
     gather: Gather | None = None
+    pyramid: Pyramid | None = None  #: gets contributions technique by technique
 
     def trace(self, pixel: Any, source: SampleSource) -> tuple[dict[str, Any], Any]:
         """One camera path an entry of ``pixel``. Returns (layers of radiance, rays), a lane each, not yet evaluated."""
         lanes = dr.width(pixel)
         ray, weight, aperture = self.camera.primary(pixel, source)
+        self._pixel, self._weight = pixel, weight  # for the pyramid, which is filled on the way
         # The first edge is measured from the aperture, though its ray starts at the near plane.
         density, lead = self.camera.density(ray, aperture)
         state = _State(
@@ -157,6 +160,17 @@ class CameraWalk:
         """Add a contribution, throughput included, to its layer."""
         layer = s.layers[family if self.split_layers else "image"]
         layer[mask] += value
+
+    def _tell(self, s: _State, lights: Any, weighted: Any, alone: Any, active: Any, merged: bool = False) -> None:
+        """Add a contribution to the pyramid: with its weight, and without. ``lights``: vertices of the light
+        sub-path."""
+        assert self.pyramid is not None
+        t = self._vertex(s) + 1
+        self.pyramid.add(merged, lights, t, self._pixel, weighted * self._weight, alone * self._weight, active)
+
+    def _asked(self, lit: Any, alone: Any, active: Any) -> Any:
+        """Which shadow rays are cast: those of ``lit``; for a pyramid all that may carry light without a weight."""
+        return lit if self.pyramid is None else active & ~dr.all(alone == 0.0)
 
     def _edge(self, s: _State, source: Any) -> _State:
         """Trace one edge, join its end to the light side in every way, and scatter."""
@@ -235,6 +249,9 @@ class CameraWalk:
         radiance, area_density, emission_density = emission_of_hit(self.lights, scene, si, on_light)
         weight = self.mis.emission_weight(self._vertex(s), s.d_vcm, s.d_vc, area_density, emission_density)
         self._add(s, "emission", on_light, s.throughput * radiance * weight)
+        if self.pyramid is not None:
+            alone = s.throughput * radiance
+            self._tell(s, mi.UInt32(0), alone * weight, alone, on_light)
 
     def _next_event(self, s: _State, si: Any, direct: DirectSample, bsdf: Evaluated, u: Any) -> None:
         """s = 1 [Georgiev 2012b, eq. 44, 45]."""
@@ -247,12 +264,19 @@ class CameraWalk:
             direct.pdf,
             direct.light_ratio * geometric_cos(si, direct.direction),
         )
-        contribution = s.throughput * bsdf.value * direct.radiance * (weight / self.mis.techniques.next_event)
+        count = self.mis.techniques.next_event
+        alone = s.throughput * bsdf.value * direct.radiance
+        contribution = alone * (weight / count)
         lit, factor = shadow_roulette(contribution, self.dark, u, direct.active)
-        s.rays += dr.select(lit, mi.UInt32(1), mi.UInt32(0))
+        asked = self._asked(lit, alone, direct.active)
+        s.rays += dr.select(asked, mi.UInt32(1), mi.UInt32(0))
         spare = self.max_edges - (s.depth + 1)
-        lit, share = self.visibility.along(si.spawn_ray_to(direct.target), spare, lit)
-        self._add(s, "next_event", lit, contribution * factor * share)
+        seen, share = self.visibility.along(si.spawn_ray_to(direct.target), spare, asked)
+        value = contribution * factor * share
+        if self.pyramid is not None:
+            value = dr.select(lit, value, 0.0)
+            self._tell(s, mi.UInt32(1), value, alone * (share / count), seen)
+        self._add(s, "next_event", seen, value)
 
     def _pick_vertices(self, s: _State, si: Any, active: Any) -> list[_Joined]:
         """Light vertices drawn at random from the cache, joined to ``si``."""
@@ -315,13 +339,19 @@ class CameraWalk:
             bsdf.reverse_pdf,
             light.reverse_pdf,
         )
-        factor = weight * joined.inverse_square * cosine_ratio(vertex.si, joined.direction)
-        contribution = s.throughput * vertex.throughput * bsdf.value * light.value * (factor * self.cache.factor)
-        visible, factor = shadow_roulette(contribution, self.dark, u, active)
-        rays = dr.select(visible, mi.UInt32(1), mi.UInt32(0))
+        geometry = joined.inverse_square * cosine_ratio(vertex.si, joined.direction) * self.cache.factor
+        alone = s.throughput * vertex.throughput * bsdf.value * light.value
+        contribution = alone * (weight * geometry)
+        lit, factor = shadow_roulette(contribution, self.dark, u, active)
+        asked = self._asked(lit, alone, active)
+        rays = dr.select(asked, mi.UInt32(1), mi.UInt32(0))
         spare = self.max_edges - (vertex.depth + s.depth + 1)
-        visible, share = self.visibility.along(si.spawn_ray_to(vertex.si.p), spare, visible)
-        return dr.select(visible, contribution * factor * share, 0.0), rays
+        seen, share = self.visibility.along(si.spawn_ray_to(vertex.si.p), spare, asked)
+        value = contribution * factor * share
+        if self.pyramid is not None:
+            value = dr.select(lit, value, 0.0)
+            self._tell(s, vertex.number + 1, value, alone * (geometry * share), seen)
+        return dr.select(seen, value, 0.0), rays
 
     def _merge(self, s: _State, si: Any, bsdf: Any, active: Any) -> None:
         """s >= 2, t >= 2, no edge between them [Georgiev 2012b, eq. 38, 39]."""
@@ -345,4 +375,10 @@ class CameraWalk:
         # eval carries the shading cosine; a photon's flux per area already holds the geometric one.
         cos = geometric_cos(si, direction)
         weight = self.mis.merge_weight(self._vertex(s), (s.d_vcm, s.d_vc), (d_vcm, d_vc), bsdf.pdf, bsdf.reverse_pdf)
-        return dr.select(cos > 0.0, throughput * bsdf.value * (weight / dr.select(cos > 0.0, cos, 1.0)), 0.0)
+        value = throughput * bsdf.value
+        scale = dr.rcp(dr.select(cos > 0.0, cos, 1.0))
+        if self.pyramid is not None:
+            alone = value * s.throughput * (scale * self.gather.factor)
+            lights = self.gather.photons.number(photon, active) + 1
+            self._tell(s, lights, alone * weight, alone, active & (cos > 0.0), merged=True)
+        return dr.select(cos > 0.0, value * (weight * scale), 0.0)

@@ -15,6 +15,7 @@ from . import dimensions as dim
 from .camera import Camera, CameraConnection, Splats
 from .emission import emit
 from .mis import Mis
+from .pyramid import Pyramid
 from .scattering import Evaluated, cosine_ratio, geometric_cos, is_smooth, roulette, scatter_light, shadow_roulette
 from .vertices import Kind, LightVertices
 from .visibility import Visibility
@@ -49,6 +50,7 @@ class LightWalk:
     max_edges: Any  #: opaque UInt32
     rr_depth: int
     dark: Any  #: opaque Float: radiance below which a contribution plays roulette before its shadow ray
+    pyramid: Pyramid | None = None  #: gets splats technique by technique
 
     def trace(
         self, paths: int, source: SampleSource, vertices: LightVertices | None, splats: Splats | None
@@ -102,7 +104,8 @@ class LightWalk:
         bsdf = si.bsdf(s.ray)
         smooth = s.active & is_smooth(bsdf)
         if vertices is not None:
-            vertices.append(path, s.stored, s.depth, hit, si, bsdf, s.throughput, (s.d_vcm, s.d_vc), s.kind, smooth)
+            mis, number = (s.d_vcm, s.d_vc), self._vertex(s)
+            vertices.append(path, s.stored, s.depth, hit, si, bsdf, s.throughput, mis, s.kind, smooth, number)
             s.stored += dr.select(smooth, mi.UInt32(1), mi.UInt32(0))
         # Going on takes an edge, and using the vertex it leads to at least one more.
         s.active &= s.depth + 1 < self.max_edges
@@ -136,6 +139,10 @@ class LightWalk:
         s.active &= scattered.active & alive
         return s
 
+    def _vertex(self, s: _State) -> Any:
+        """Number of the vertex at the end of the edge, the light point being 0."""
+        return s.vertex if self.visibility.transparent else s.depth
+
     def _splat(
         self, s: _State, si: Any, joined: CameraConnection, bsdf: Evaluated, source: Any, splats: Splats
     ) -> None:
@@ -146,17 +153,27 @@ class LightWalk:
         factor = joined.importance * weight * filter_weight * cosine_ratio(si, joined.direction)
         contribution = s.throughput * bsdf.value * factor
         # One splat is to its pixel's sum over paths what a camera path is to that over samples.
-        visible, factor = shadow_roulette(
+        lit, roulette_factor = shadow_roulette(
             contribution,
             self.dark * self.mis.paths_per_sample,
             source.decide(s.depth, dim.SPLAT_SHADOW),
             joined.active & on_film,
         )
-        contribution *= factor
-        s.rays += dr.select(visible, mi.UInt32(1), mi.UInt32(0))
+        contribution *= roulette_factor
+        asked = lit
+        alone = s.throughput * bsdf.value * (joined.importance * filter_weight * cosine_ratio(si, joined.direction))
+        if self.pyramid is not None:  # a technique by itself wants every ray that may carry light
+            asked = joined.active & on_film & ~dr.all(alone == 0.0)
+        s.rays += dr.select(asked, mi.UInt32(1), mi.UInt32(0))
         spare = self.max_edges - (s.depth + 1)
-        visible, share = self.visibility.along(si.spawn_ray_to(joined.target), spare, visible)
+        seen, share = self.visibility.along(si.spawn_ray_to(joined.target), spare, asked)
+        visible = seen
         contribution *= share
+        if self.pyramid is not None:
+            visible = seen & lit
+            scale = dr.rcp(self.mis.paths_per_sample)
+            weighted = dr.select(visible, contribution * scale, 0.0)
+            self.pyramid.add(False, self._vertex(s) + 1, mi.UInt32(1), pixel, weighted, alone * (share * scale), seen)
         finite = dr.all(dr.isfinite(contribution))
         s.nonfinite += dr.select(visible & ~finite, mi.UInt32(1), mi.UInt32(0))
         visible &= finite

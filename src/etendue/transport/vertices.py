@@ -20,6 +20,9 @@ from etendue.scene import materials
 #: Packets of four floats in a record: of a vertex that is connected to, and of one that is only merged with.
 _PACKETS = 6
 _PHOTON_PACKETS = 3
+#: Of the sixteen bits of a depth, those that are left to it where the vertex number takes four.
+_DEPTH_BITS = 12
+_DEPTH_MASK = (1 << _DEPTH_BITS) - 1
 #: Paths that are numbered together, position by position.
 _BLOCK = 16
 
@@ -55,6 +58,7 @@ class LightVertex:
     d_vcm: Any
     d_vc: Any
     depth: Any  #: edges from the light
+    number: Any  #: the same without the surfaces that were crossed, where these are counted
 
 
 class LightVertices:
@@ -68,12 +72,15 @@ class LightVertices:
     ----------
     indexed: the layout that recomputes surface interactions (see above).
     connected: vertices will be connected to; if not, only what merging reads is kept.
+    numbered: keep also which vertex of its path each is, the light point being 0, up to 15. Without, its depth stands
+        for that: the two differ where surfaces are crossed unbent.
     """
 
-    def __init__(self, capacity: int, paths: int, indexed: bool, connected: bool) -> None:
+    def __init__(self, capacity: int, paths: int, indexed: bool, connected: bool, numbered: bool = False) -> None:
         self.capacity = capacity
         self.indexed = indexed
         self.connected = connected
+        self.numbered = numbered
         self._packets = _PACKETS if connected else _PHOTON_PACKETS
         #: Vertices that the paths wanted to store, one number on the device; may exceed the capacity.
         self.wanted = dr.zeros(mi.UInt32, 1)
@@ -109,14 +116,18 @@ class LightVertices:
         mis: tuple[Any, Any],
         kind: Any,
         active: Any,
+        number: Any = 0,
     ) -> None:
         """Store one vertex per active lane, inside the walk; ``hit`` is the preliminary intersection,
-        ``index`` counts the vertices that the path has stored, ``kind`` is one of :class:`Kind`.
+        ``index`` counts the vertices that the path has stored, ``kind`` is one of :class:`Kind`, ``number`` counts the
+        path's vertices and is kept if the store is ``numbered``.
 
         A full store drops vertices but goes on counting, so that the caller sees ``wanted > capacity`` and repeats
         the pass with more room."""
         slot = dr.scatter_inc(self.wanted, mi.UInt32(0), active)
         active = active & (slot < self._limit)
+        if self.numbered:
+            depth = dr.minimum(depth, _DEPTH_MASK) | (dr.minimum(number, 15) << _DEPTH_BITS)
         tag = _as_float(depth | (index << 16) | (kind << 30))
         direction = si.to_world(si.wi)
         self._put(0, mi.Vector4f(si.p.x, si.p.y, si.p.z, tag), slot, active)
@@ -193,7 +204,8 @@ class LightVertices:
             throughput=mi.Color3f(throughput.x, throughput.y, throughput.z),
             d_vcm=throughput.w,
             d_vc=direction.w,
-            depth=_as_uint(position.w) & 0xFFFF,
+            depth=_depth(position.w, self.numbered),
+            number=_number(position.w, self.numbered),
         )
 
     def _recompute(self, p: Any, world: Any, first: Any, second: Any, active: Any) -> Any:
@@ -224,7 +236,7 @@ class LightVertices:
         dr.scatter(flux, self._get(1, slot, held), 2 * destination, held)
         dr.scatter(flux, self._get(2, slot, held), 2 * destination + 1, held)
         dr.eval(position, flux)
-        return Photons(position, flux)
+        return Photons(position, flux, self.numbered)
 
 
 @dataclass
@@ -233,11 +245,16 @@ class Photons:
 
     _position: Any
     _flux: Any
+    _numbered: bool = False
 
     def position(self, index: Any, active: Any) -> tuple[Any, Any]:
         """(position, depth)."""
         p = dr.gather(mi.Vector4f, self._position, index, active)
-        return mi.Point3f(p.x, p.y, p.z), _as_uint(p.w) & 0xFFFF
+        return mi.Point3f(p.x, p.y, p.z), _depth(p.w, self._numbered)
+
+    def number(self, index: Any, active: Any) -> Any:
+        """See :class:`LightVertex`."""
+        return _number(dr.gather(mi.Float, self._position, 4 * index + 3, active), self._numbered)
 
     def flux(self, index: Any, active: Any) -> tuple[Any, Any, Any, Any]:
         """(throughput, world direction to the light side, d_vcm, d_vc)."""
@@ -262,6 +279,14 @@ def _as_float(bits: Any) -> Any:
 
 def _as_uint(value: Any) -> Any:
     return dr.reinterpret_array(mi.UInt32, value)
+
+
+def _depth(tag: Any, numbered: bool) -> Any:
+    return _as_uint(tag) & (_DEPTH_MASK if numbered else 0xFFFF)
+
+
+def _number(tag: Any, numbered: bool) -> Any:
+    return (_as_uint(tag) >> _DEPTH_BITS) & 15 if numbered else _as_uint(tag) & 0xFFFF
 
 
 def _pointer(pointer: Any) -> Any:
