@@ -40,11 +40,11 @@ def pyramid_block(name: str, image: Image, layers: Mapping[str, Image], exposure
         }
         if not pictures:
             continue
-        tables = ""
+        tables, most = "", max(t.s for t in pictures)
         for merged, heading in ((False, "Sub-paths joined by an edge"), (True, "Sub-paths merged at a vertex")):
             chosen = {t: layer for t, layer in pictures.items() if t.merged == merged}
             if chosen:
-                tables += _triangle(f"{heading}, {title.partition(':')[0]}", name, chosen, whole, exposure, curve)
+                tables += _triangle(f"{heading}, {title.partition(':')[0]}", name, chosen, most, whole, exposure, curve)
         if weighted and LONGER in layers:
             alt = f"longer paths of {name}, weighted"
             longer = figure(_small(layers[LONGER], exposure, curve), alt, "longer paths", _share(layers[LONGER], whole))
@@ -54,10 +54,10 @@ def pyramid_block(name: str, image: Image, layers: Mapping[str, Image], exposure
 
 
 def _triangle(
-    heading: str, name: str, pictures: Mapping[Technique, Image], whole: float, exposure: float, curve: str
+    heading: str, name: str, pictures: Mapping[Technique, Image], most: int, whole: float, exposure: float, curve: str
 ) -> str:
-    """A table of the techniques of one kind."""
-    columns = range(min(t.s for t in pictures), max(t.s for t in pictures) + 1)
+    """A table of the techniques of one kind, with columns up to s = ``most``."""
+    columns = range(most + 1)
     head = "".join(f'<th scope="col">s = {s}</th>' for s in columns)
     rows = []
     for edges in sorted({t.edges for t in pictures}):

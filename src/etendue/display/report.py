@@ -214,8 +214,8 @@ def _pyramid_section(entries: Sequence[Entry], exposure: float, curve: str) -> s
     if not blocks:
         return ""
     return (
-        "<section><h2>Technique pyramid</h2><p class=soft>A path of s vertices from the light and t from the camera, by "
-        "its length and by s, all at one exposure. Per cent are of the picture's mean; the weighted pictures add up to "
+        "<section><h2>Technique pyramid</h2><p class=soft>Paths of s vertices from the light and t from the camera, by "
+        "length and by s, all at one exposure. Per cent are of the picture's mean; the weighted pictures add up to "
         f"it.</p>{blocks}</section>"
     )
 

@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import on_device
+from etendue.core import OptionError, on_device
 from etendue.film import LONGER, Technique
 
 from .mis import Techniques
@@ -48,8 +48,13 @@ class Pyramid:
 
     @staticmethod
     def bytes(techniques: Techniques, depth: int, pixels: int) -> int:
-        """Memory that a rendering with such a pyramid takes for it."""
-        return _BYTES * pixels * (2 * len(in_pyramid(techniques, depth)) + 1)
+        """Memory that a rendering with such a pyramid takes for it.
+
+        Raises :class:`OptionError` if an array of the device cannot hold it, whatever the memory."""
+        layers = 2 * len(in_pyramid(techniques, depth)) + 1
+        if 4 * pixels * layers >= 1 << 32:
+            raise OptionError(f"a technique pyramid has {layers} layers, too many for {pixels} pixels; lower the size")
+        return _BYTES * pixels * layers
 
     def add(self, merged: bool, s: Any, t: Any, pixel: Any, weighted: Any, alone: Any, active: Any) -> None:
         """Add a path's contribution: ``weighted`` as to the picture, ``alone`` without its weight. What is not finite
