@@ -34,6 +34,16 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+def test_a_pyramid_in_the_file_and_on_the_page(folder, capsys):
+    assert run("compare cornell-box -m bpt -m path --size 16x12 --spp 2 --pyramid-depth 2 -o out") == 0
+    layers = film.read_exr("out/bpt.exr").layers
+    parts = ("s0_t2", "s0_t3", "s1_t2", "s2_t1", "longer")
+    assert set(layers) == {"image", *parts} | {f"{name}_unweighted" for name in parts if name != "longer"}
+    np.testing.assert_allclose(sum(layers[name] for name in parts), layers["image"], rtol=1e-5, atol=1e-6)
+    assert list(film.read_exr("out/path.exr").layers) == ["image"]
+    assert "Technique pyramid" in Path("out/index.html").read_text("utf-8")
+
+
 def test_render_writes_picture_and_checkpoint_with_metadata(folder, capsys):
     assert run("render cornell-box -m path --size 16x12 --spp 4 --seed 9 -o a.exr -o a.png --aovs -D rr_depth=3") == 0
     out, err = capsys.readouterr()

@@ -27,14 +27,14 @@ def still(sheets: bool = False) -> Any:
     surfaces that nobody sees between them."""
     scene: scenes.Dict = {
         "type": "scene",
-        "sensor": scenes.camera(),
+        "sensor": scenes.camera((0.0, 1.2, 5.0), (0.0, 1.2, 0.0), 40.0),
         "floor": {
             "type": "rectangle",
             "to_world": scenes.transform().rotate([1, 0, 0], -90).scale(1.5),
             "bsdf": scenes.diffuse(0.6, 0.5, 0.4),
         },
         "ball": {"type": "sphere", "center": [0, 0.8, 0], "radius": 0.5, "bsdf": scenes.diffuse(0.7, 0.7, 0.7)},
-        "light": {"type": "rectangle", "to_world": scenes._down(2.5, 0.7), "emitter": scenes._area(4, 4, 4)},
+        "light": {"type": "sphere", "center": [0.6, 2.3, 0.4], "radius": 0.4, "emitter": scenes._area(4, 4, 4)},
     }
     if sheets:
         for name, place in (
@@ -69,7 +69,7 @@ def test_the_weighted_layers_sum_to_the_image(name):
 
 def test_the_sum_with_crossed_surfaces_groups_and_families():
     """Light paths in groups, technique families beside the techniques, materials that light passes unbent."""
-    problem = scenes.room("sphere", ("mask", "thindielectric", "conductor"))
+    problem = scenes.room("sphere", ("mask", "cutout", "conductor"))
     settings = {"radius": 0.02, "split_layers": True, "pyramid": True, "pyramid_depth": 3}
     runner = prepared(problem, "vcm", samples_per_pass=4, **settings)
     runner._groups = 3
@@ -108,7 +108,7 @@ def test_merges_alone_agree_with_next_event_and_vanish_with_the_radius():
     """Consistent: each alone finds all light of its length; its weight falls with the disc's area."""
     shares = []
     for radius in (0.04, 0.01):
-        settings = {"radius": radius, "radius_unit": "absolute", "alpha": 1.0, "eta_discount": 1.0, "pyramid_depth": 3}
+        settings = {"radius": radius, "radius_unit": "absolute", "alpha": 1.0, "eta_discount": 0.01, "pyramid_depth": 3}
         found = layers(still(), "vcm", light_paths=2.0, **settings)
         for edges, precision in ((2, 0.03), (3, 0.06)):
             direct = found[Technique(False, 1, edges).layer(weighted=False)].mean()
@@ -118,8 +118,8 @@ def test_merges_alone_agree_with_next_event_and_vanish_with_the_radius():
         weighted = [name for name in found if name.startswith("m") and "unweighted" not in name]
         assert len(weighted) == 3
         shares.append(sum(found[name].mean() for name in weighted) / found["image"].mean())
-    assert shares[0] > 0.01
-    assert 8.0 < shares[0] / shares[1] < 17.0  # the areas differ by 16
+    assert shares[0] > 1e-3
+    assert 12.0 < shares[0] / shares[1] < 17.0  # the areas differ by 16
 
 
 def test_crossed_surfaces_are_no_vertices():
