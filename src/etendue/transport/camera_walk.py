@@ -339,9 +339,9 @@ class CameraWalk:
             bsdf.reverse_pdf,
             light.reverse_pdf,
         )
-        geometry = joined.inverse_square * cosine_ratio(vertex.si, joined.direction) * self.cache.factor
+        factor = weight * joined.inverse_square * cosine_ratio(vertex.si, joined.direction)
         alone = s.throughput * vertex.throughput * bsdf.value * light.value
-        contribution = alone * (weight * geometry)
+        contribution = alone * (factor * self.cache.factor)
         lit, factor = shadow_roulette(contribution, self.dark, u, active)
         asked = self._asked(lit, alone, active)
         rays = dr.select(asked, mi.UInt32(1), mi.UInt32(0))
@@ -350,6 +350,7 @@ class CameraWalk:
         value = contribution * factor * share
         if self.pyramid is not None:
             value = dr.select(lit, value, 0.0)
+            geometry = joined.inverse_square * cosine_ratio(vertex.si, joined.direction) * self.cache.factor
             self._tell(s, vertex.number + 1, value, alone * (geometry * share), seen)
         return dr.select(seen, value, 0.0), rays
 
@@ -375,10 +376,9 @@ class CameraWalk:
         # eval carries the shading cosine; a photon's flux per area already holds the geometric one.
         cos = geometric_cos(si, direction)
         weight = self.mis.merge_weight(self._vertex(s), (s.d_vcm, s.d_vc), (d_vcm, d_vc), bsdf.pdf, bsdf.reverse_pdf)
-        value = throughput * bsdf.value
-        scale = dr.rcp(dr.select(cos > 0.0, cos, 1.0))
+        value, divisor = throughput * bsdf.value, dr.select(cos > 0.0, cos, 1.0)
         if self.pyramid is not None:
-            alone = value * s.throughput * (scale * self.gather.factor)
+            alone = value * s.throughput * (self.gather.factor / divisor)
             lights = self.gather.photons.number(photon, active) + 1
             self._tell(s, lights, alone * weight, alone, active & (cos > 0.0), merged=True)
-        return dr.select(cos > 0.0, value * (weight * scale), 0.0)
+        return dr.select(cos > 0.0, value * (weight / divisor), 0.0)
