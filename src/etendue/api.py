@@ -44,8 +44,8 @@ class Rendering:
     """A picture, what it is made of, and how it was made.
 
     ``layers`` are float32 arrays (height, width, channels), linear RGB: ``image``; with the setting ``split_layers``
-    the technique families that it is the sum of; with ``aovs`` first-hit layers. ``metadata`` has method, settings,
-    seed, versions, passes, samples, seconds, rays and more.
+    the technique families that it is the sum of; with ``pyramid`` the techniques (``film.Technique`` reads their
+    names); with ``aovs`` first-hit layers. ``metadata`` has method, settings, seed, versions, passes, samples, seconds, rays and more.
     """
 
     layers: dict[str, Image]
