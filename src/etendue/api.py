@@ -45,7 +45,8 @@ class Rendering:
 
     ``layers`` are float32 arrays (height, width, channels), linear RGB: ``image``; with the setting ``split_layers``
     the technique families that it is the sum of; with ``pyramid`` the techniques (``film.Technique`` reads their
-    names); with ``aovs`` first-hit layers. ``metadata`` has method, settings, seed, versions, passes, samples, seconds, rays and more.
+    names); with ``aovs`` first-hit layers. ``metadata`` has method, settings,
+    seed, versions, passes, samples, seconds, rays and more.
     """
 
     layers: dict[str, Image]

@@ -31,6 +31,7 @@ class _State:
     d_vcm: Any
     d_vc: Any
     depth: Any  #: edges so far, the one being traced included
+    vertex: Any  #: the same without the surfaces that were crossed; counted for a pyramid where a scene has such
     stored: Any  #: vertices stored so far
     kind: Any  #: the :class:`Kind` of the vertex that the edge leads to
     from_infinity: Any  #: the edge being traced leaves an infinite light
@@ -69,6 +70,7 @@ class LightWalk:
             d_vcm=d_vcm,
             d_vc=d_vc,
             depth=dr.full(mi.UInt32, 1, paths),
+            vertex=mi.UInt32(1),
             stored=dr.zeros(mi.UInt32, paths),
             # A beam is out of reach for next event, so what it shines on counts as a caustic.
             kind=dr.select(emitted.area_density > 0.0, mi.UInt32(Kind.DIRECT), mi.UInt32(Kind.CAUSTIC)),
@@ -127,6 +129,8 @@ class LightWalk:
             s.d_vcm, s.d_vc = dr.select(crossed, on_edge[0], s.d_vcm), dr.select(crossed, on_edge[1], s.d_vc)
             s.travelled = dr.select(crossed, distance, 0.0)
             s.from_infinity &= crossed
+            if self.pyramid is not None:
+                s.vertex += dr.select(crossed, mi.UInt32(0), mi.UInt32(1))
         else:
             s.from_infinity = mi.Bool(False)
         s.throughput *= scattered.weight
@@ -140,7 +144,7 @@ class LightWalk:
         return s
 
     def _vertex(self, s: _State) -> Any:
-        """Number of the vertex at the end of the edge, the light point being 0."""
+        """Number of the vertex at the end of the edge, the light point being 0; asked for by a pyramid alone."""
         return s.vertex if self.visibility.transparent else s.depth
 
     def _splat(
