@@ -51,7 +51,7 @@ def _names(text: str) -> list[str]:
 
 @app.command()
 def cost(
-    methods: Methods = "path,bpt,vcm",
+    methods: Methods = "path,bpt,vcm,sppm",
     size: Size = "512x512",
     rounds: Rounds = 11,
     warm_up: WarmUp = 2,
@@ -106,7 +106,7 @@ def quality(
     scenes: Annotated[str, typer.Option(help="Names, separated by commas.", metavar="NAMES")] = ",".join(
         (quality_over_time.DEMO, *quality_over_time.PUBLIC)
     ),
-    methods: Methods = "path,light,bpt,bpm,vcm",
+    methods: Methods = "auto,path,light,sppm,bpt,bpm,vcm",
     size: Size = "512x512",
     time: Annotated[float, typer.Option(help="Seconds for each picture.")] = 60.0,
     seeds: Annotated[int, typer.Option(min=1, help="Pictures of each; the median counts.")] = 1,

@@ -10,7 +10,7 @@ from etendue import methods, scene
 
 from .measuring import COST_SCENE, COST_SETTINGS, Record, interleaved, spread, verdict
 
-BARS = {"bpt": 2.8, "vcm": 4.0}
+BARS = {"bpt": 2.8, "vcm": 4.0, "sppm": 3.0}
 BAR_SIZE = (512, 512)
 _MITSUBA = "Mitsuba path"
 #: Russian roulette as Mitsuba's ``path`` plays it by default, and no other.
@@ -65,8 +65,9 @@ def measure(names: Sequence[str], size: tuple[int, int], rounds: int, warm_up: i
         )
     record.notes += [
         f"median (min … max) of {rounds} rounds after {warm_up} to warm up; a ratio is that of two passes of one round",
-        "one camera path per pixel, for bpt and vcm one light path, connection and light point; merge radius 0.003 of "
-        "half the box's diagonal in every pass; a pass of ours ends with its sums on the host, in float64",
+        "one camera path per pixel; for bpt and vcm one light path, connection and light point, for sppm as many light "
+        "paths; merge and first gather radius 0.003 of half the box's diagonal (constant for vcm); a pass of ours "
+        "ends with its sums on the host, in float64",
         "roulette as Mitsuba: " + ", ".join(f"{key}={value:g}" for key, value in ROULETTE.items()),
         "cpu: all threads of the process; of no meaning under CUDA",
     ]

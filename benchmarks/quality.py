@@ -22,7 +22,13 @@ from etendue.scene import bundled
 from .measuring import PUBLIC_SCENES, Record, console, verdict
 
 #: relMSE after 60 s at 512x512.
-BARS = {("veach-bidir", "bpt"): 0.010, ("veach-bidir", "vcm"): 0.030, ("water-caustic", "vcm"): 0.009}
+BARS = {
+    ("veach-bidir", "auto"): 0.006,
+    ("veach-bidir", "bpt"): 0.010,
+    ("veach-bidir", "vcm"): 0.030,
+    ("water-caustic", "vcm"): 0.006,
+    ("water-caustic", "sppm"): 0.03,
+}
 BAR_SECONDS, BAR_SIZE = 60.0, (512, 512)
 PUBLIC = ("veach-bidir", "water-caustic", "cornell-box")
 DEMO = "caustics"

@@ -1,7 +1,7 @@
 """étendue: global illumination for Mitsuba 3 scenes.
 
-``import etendue`` registers the Mitsuba integrators ``vcm``, ``bpt``, ``bpm`` and ``light``; :func:`render` and
-:func:`start` render any scene with any method without them.
+``import etendue`` registers the Mitsuba integrators of all methods but ``path``; :func:`render` and :func:`start`
+render any scene with any method without them.
 """
 
 from . import core as core  # first: it finds Dr.Jit an LLVM before anything imports Dr.Jit

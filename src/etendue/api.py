@@ -8,7 +8,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +44,8 @@ class Rendering:
     """A picture, what it is made of, and how it was made.
 
     ``layers`` are float32 arrays (height, width, channels), linear RGB: ``image``; with the setting ``split_layers``
-    the technique families that it is the sum of; with ``aovs`` first-hit layers. ``metadata`` has method, settings,
+    the technique families that it is the sum of; with ``pyramid`` the techniques (``film.Technique`` reads their
+    names); with ``aovs`` first-hit layers. ``metadata`` has method, settings,
     seed, versions, passes, samples, seconds, rays and more.
     """
 
@@ -225,6 +226,23 @@ def _named(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     return settings
 
 
+class Writer(Protocol):
+    """What keeps a run: told how often and, at the end, that it is to write. :class:`Outputs` is one."""
+
+    @property
+    def files(self) -> Sequence[Path]:
+        """What is written, or has been."""
+        ...
+
+    def saving(self, job: Job) -> dict[str, Any]:
+        """Options of a :class:`Runner` of ``job`` that write from time to time."""
+        ...
+
+    def write(self, job: Job, run: RunResult) -> Rendering:
+        """Write the outcome of a run."""
+        ...
+
+
 @dataclass(frozen=True)
 class Outputs:
     """Files that a run writes. Construction by :meth:`of` checks that they can be written."""
@@ -232,6 +250,7 @@ class Outputs:
     pictures: tuple[Path, ...] = ()
     checkpoint: Path | None = None
     save_every: float | None = None  #: seconds between intermediate saves, ``None`` for none
+    separate: bool = False  #: each layer of an ``.exr`` in a file of its own
 
     @classmethod
     def of(
@@ -239,12 +258,15 @@ class Outputs:
         pictures: PathLike | Sequence[PathLike],
         checkpoint: PathLike | None = None,
         save_every: float | None = None,
+        separate: bool = False,
     ) -> Outputs:
         """Raises :class:`OptionError` for an unknown suffix, a file that is named twice or a time that is not above 0,
         :class:`OutputError` for a place that is not writable."""
         listed = [pictures] if isinstance(pictures, (str, os.PathLike)) else list(pictures)
         check_period(save_every)
-        outputs = cls(tuple(map(Path, listed)), Path(checkpoint) if checkpoint is not None else None, save_every)
+        outputs = cls(
+            tuple(map(Path, listed)), Path(checkpoint) if checkpoint is not None else None, save_every, separate
+        )
         for path in outputs.pictures:
             _check_suffix(path)
         places = [path.resolve() for path in outputs.files]
@@ -275,7 +297,7 @@ class Outputs:
         errors: list[str] = []
         for path in self.pictures:
             try:
-                save_result(path, result)
+                save_result(path, result, self.separate)
             except OutputError as error:
                 rescued = _rescue(path, result) if run.stopped_by != "running" else None
                 errors.append(f"{error}; the picture is in '{rescued}' instead" if rescued else str(error))
@@ -299,18 +321,20 @@ def _rescue(path: Path, result: Result) -> Path | None:
     return place
 
 
-def save_result(path: PathLike, result: Result) -> None:
-    """Write a result as ``.exr`` (layers and metadata) or ``.png`` (tone-mapped)."""
+def save_result(path: PathLike, result: Result, separate: bool = False) -> None:
+    """Write a result as ``.exr`` (layers and metadata; ``separate``: a file each) or ``.png`` (tone-mapped)."""
     from etendue import display, film
 
     path = Path(path)
-    if _check_suffix(path) == ".exr":
+    if _check_suffix(path) == ".exr" and separate:
+        film.write_layers(path, result)
+    elif path.suffix.lower() == ".exr":
         film.write_exr(path, result)
     else:
         display.write_png(path, display.tonemap(result.image, "auto"))
 
 
-def start_job(open_job: Callable[[], Job], outputs: Outputs, callback: Callback | None = None) -> Session[Rendering]:
+def start_job(open_job: Callable[[], Job], outputs: Writer, callback: Callback | None = None) -> Session[Rendering]:
     """A session that opens a job in its thread, runs it and writes ``outputs``, also when a pass fails.
 
     ``callback`` is called in that thread after each pass.
@@ -339,7 +363,7 @@ def _run(job: Job, outputs: Outputs, callback: Callback | None) -> Rendering:
     return _finish(job, outputs, run)
 
 
-def _runner(job: Job, outputs: Outputs, callback: Callback | None, stop: threading.Event) -> Runner:
+def _runner(job: Job, outputs: Writer, callback: Callback | None, stop: threading.Event) -> Runner:
     runner = job.runner(**outputs.saving(job), cancel=stop)
 
     def after_pass(progress: Progress) -> None:
@@ -350,7 +374,7 @@ def _runner(job: Job, outputs: Outputs, callback: Callback | None, stop: threadi
     return runner
 
 
-def _finish(job: Job, outputs: Outputs, run: RunResult) -> Rendering:
+def _finish(job: Job, outputs: Writer, run: RunResult) -> Rendering:
     warn_of_nonfinite(run.measurement)
     return outputs.write(job, run)
 

@@ -31,17 +31,24 @@ def found(
     original = np.full(len(points), -1)
     original[destination] = np.arange(len(points))[mask]
     by_place = device(points[original])
-    total = np.array(grid.query(device(queries), mi.Bool(True)).total)
-    # One lane a pair of query and candidate.
-    owner = np.repeat(np.arange(len(queries)), total)
-    number = np.arange(total.sum()) - np.repeat(np.cumsum(total) - total, total)
-    result: list[list[int]] = [[] for _ in queries]
-    if len(owner):
-        query = grid.query(device(queries[owner]), mi.Bool(True))
-        place = grid.candidate(query, mi.UInt32(number))
-        accepted = np.array(grid.accepts(query, dr.gather(mi.Point3f, by_place, place)))
-        for q, point in zip(owner[accepted], original[np.array(place)[accepted]], strict=True):
-            result[q].append(int(point))
+    pairs = dr.zeros(mi.UInt32, len(points) * len(queries))  # how often each query visits each point
+    lane = dr.arange(mi.UInt32, len(queries))
+
+    def visit(place: Any, visits: Any) -> Any:
+        dr.scatter_reduce(dr.ReduceOp.Add, pairs, mi.UInt32(1), lane * len(points) + place)
+        return visits + 1
+
+    visits = grid.within(
+        device(queries),
+        lambda place: (dr.gather(mi.Point3f, by_place, place), mi.Bool(True)),
+        visit,
+        dr.zeros(mi.UInt32, len(queries)),
+        mi.Bool(True),
+    )
+    dr.eval(visits, pairs)
+    counts = np.array(pairs).reshape(len(queries), len(points))
+    assert (counts.sum(1) == np.array(visits)).all()
+    result = [np.repeat(original, row).tolist() for row in counts]
     return result
 
 

@@ -224,3 +224,26 @@ def test_script_runs_in_a_browser(comparison, tmp_path):
     expected = tonemap(entries[0].image, auto_exposure(reference) + 2.0)[7, 9].astype(int)
     shown = np.array([int(v) for v in re.search(r'data-pixel="([\d ]+)"', dom).group(1).split()])
     assert np.abs(shown[:3] - expected).max() <= 3 and shown[3] == 255
+
+
+def test_a_pyramid_is_a_triangle_of_its_own(comparison):
+    entries, reference = comparison
+    level = np.float32(0.25)
+    names = ("s0_t2", "s0_t3", "s1_t2", "s2_t1", "m2_t2")
+    for name in (*names, *(f"{name}_unweighted" for name in names), "longer"):
+        entries[1].layers[name] = np.full((24, 32, 3), level)
+    entries[1].image[:] = 4 * level
+    page = render_report(entries, reference)
+    checker = Checker(page)
+    assert "Technique pyramid" in checker.text
+    tables = re.findall(r'<table class="pyramid">.*?</table>', page, re.DOTALL)
+    assert len(tables) == 4  # joined and merged, weighted and unweighted
+    for joined, merged in (tables[:2], tables[2:]):
+        rows = re.findall(r'<tr><th scope="row">(.*?)</th>(.*?)</tr>', joined)
+        cells = [re.findall(r"t = (\d+)</strong> · 25 %|<td></td>", row) for _, row in rows]
+        assert [name for name, _ in rows] == ["1 edge", "2 edges"]
+        assert cells == [["2", "", ""], ["3", "2", "1"]]
+        assert re.findall(r"t = (\d+)</strong>|<td></td>", merged[merged.index("<tbody>") :]) == ["", "", "2"]
+    layers = page[page.index("<h2>Layers</h2>") :]
+    assert "emission" in layers and "s1_t2" not in layers and "longer" not in layers
+    assert "Technique pyramid" not in render_report(entries[:1], reference)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import importlib.util
 import re
 import shlex
+import shutil
 from pathlib import Path
 
 import mitsuba as mi
 import pytest
+from support.run_files import example
 
 import etendue
 from etendue import api, methods
@@ -121,6 +123,8 @@ def folder(tmp_path_factory, variant):
     path = tmp_path_factory.mktemp("shell")
     (path / "scene.xml").write_text(_SCENE)
     api.render(path / "scene.xml", "path", save=path / "converged.exr", checkpoint=path / "picture.checkpoint")
+    (path / "experiment.toml").write_text(example((24, 18), "20, 60"))
+    shutil.copy(path / "converged.exr", path / "reference.exr")
     return path
 
 
@@ -139,4 +143,4 @@ def test_commands_are_understood(command, folder, monkeypatch, capsys):
 
 
 def test_there_are_commands_of_every_kind():
-    assert {"render", "resume", "compare", "methods", "doctor"} <= {command.split()[1] for command in COMMANDS}
+    assert {"render", "resume", "run", "compare", "methods", "doctor"} <= {command.split()[1] for command in COMMANDS}

@@ -165,6 +165,41 @@ def test_slow_saves_become_rare(timed):
     assert saves == [1, 21, 41]  # two seconds of saving for twenty of rendering
 
 
+def test_saves_at_given_times_follow_the_pass_that_reaches_them(timed):
+    method, clock = timed([2.5, 1.0])
+    saves = []
+    budget = Budget(seconds=10.0)
+    runner = Runner(
+        method,
+        seed=0,
+        budget=budget,
+        on_save=lambda run: saves.append((run.elapsed, run.save_times)),
+        save_at=[1.0, 2.0, 5.0, 9.8, 11.0],
+        clock=clock,
+    )
+    result = runner.run()
+    assert saves == [(2.5, (1.0, 2.0)), (5.5, (5.0,))]
+    # No pass was begun that would have ended at 10.5; the save beyond the budget is not due.
+    assert (result.elapsed, result.stopped_by, result.save_times) == (9.5, "seconds", (9.8,))
+
+
+def test_a_save_in_time_stands_for_a_periodic_one_too(timed):
+    method, clock = timed([1.0])
+    saves = []
+
+    def save(run):
+        saves.append((run.passes, run.save_times))
+
+    Runner(method, seed=0, budget=Budget(iterations=8), on_save=save, save_every=3, save_at=[4], clock=clock).run()
+    assert saves == [(3, ()), (4, (4,)), (7, ())]
+
+
+@pytest.mark.parametrize("save_at", [[0.0], [2.0, 1.0], [1.0, 1.0], [float("nan")], [float("inf")], ["1"]])
+def test_times_of_saves_are_checked(noise, save_at):
+    with pytest.raises(OptionError, match="times of saves"):
+        Runner(noise, seed=0, budget=Budget(iterations=1), on_save=print, save_at=save_at)
+
+
 @pytest.mark.parametrize("save_every", [0.0, -1.0, float("nan")])
 def test_time_between_saves_is_checked(noise, save_every):
     with pytest.raises(OptionError, match="time between saves"):

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from etendue.core import OptionError
-from etendue.film import ErrorHistory, block_average, relative_bias, relative_mse, relative_squared_error, rmse
+from etendue.film import (
+    ErrorHistory,
+    block_average,
+    luminance_rmse,
+    relative_bias,
+    relative_mse,
+    relative_squared_error,
+    rmse,
+)
 
 
 def test_relative_mse_of_a_constant_factor():
@@ -63,6 +71,16 @@ def test_sizes_must_match():
 def test_bias_has_a_sign():
     reference = np.random.default_rng(1).random((8, 8, 3))
     assert relative_bias(0.9 * reference, reference) == pytest.approx(-0.1)
+
+
+def test_rms_of_luminance_weighs_channels_before_squaring():
+    reference = np.full((2, 2, 3), 0.5)
+    image = reference + np.array([1.0, -0.2126 / 0.7152, 0.0])  # another colour of the same luminance
+    assert luminance_rmse(image, reference) == pytest.approx(0.0, abs=1e-12)
+    image[0, 0] = 0.9
+    image[0, 1] = np.nan
+    assert luminance_rmse(image, reference) == pytest.approx(0.4 / np.sqrt(3))
+    assert np.isnan(luminance_rmse(np.full((2, 2, 3), np.inf), reference))
 
 
 def test_block_average():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from etendue.core import OutputError, Result, SceneError
-from etendue.film import read_exr, read_image, replacing, write_exr
+from etendue.film import layer_path, read_exr, read_image, replacing, write_exr, write_layers
 
 SCENES = Path(__file__).parents[2].parent / "shared" / "scenes"
 
@@ -43,6 +43,20 @@ def test_round_trip(tmp_path):
         assert back.layers[name].dtype == np.float32
         np.testing.assert_array_equal(back.layers[name], layer)
     assert back.metadata == result.metadata
+
+
+def test_a_file_for_each_layer_shows_it_as_its_picture(tmp_path):
+    result = make_result()
+    write_layers(tmp_path / "a-0.5s.exr", result)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        *(f"a-0.5s-{name}.exr" for name in ("depth", "emission", "merge", "normal")),
+        "a-0.5s.exr",
+    ]
+    for name, layer in result.layers.items():
+        back = read_exr(layer_path(tmp_path / "a-0.5s.exr", name))
+        assert list(back.layers) == ["image"]
+        np.testing.assert_array_equal(back.image, layer)
+        assert back.metadata == {**result.metadata, "layer": name}
 
 
 def test_other_programs_see_the_picture_and_the_layers(tmp_path):

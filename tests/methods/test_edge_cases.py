@@ -27,7 +27,7 @@ def _mean(problem, name, **settings):
     return method.step(0, 0).mean()
 
 
-@pytest.mark.parametrize("name", ["path", "bpt", "bpm", "vcm"])
+@pytest.mark.parametrize("name", ["path", "pm", "ppm", "sppm", "bpt", "bpm", "vcm"])
 def test_no_surface_to_store_a_vertex_on(name):
     """Only a lamp: no light path ever hits a surface that can be connected to."""
     problem = _scene(lamp={"type": "sphere", "emitter": {"type": "area", "radiance": 1.0}})
@@ -36,11 +36,14 @@ def test_no_surface_to_store_a_vertex_on(name):
     assert image[0, 0] == pytest.approx(0.0, abs=1e-5)
 
 
-@pytest.mark.parametrize("name", ["path", "bpt", "bpm", "vcm"])
-@pytest.mark.parametrize("light_source", ["cache", "path"])
-def test_only_mirrors(name, light_source):
+BIDIRECTIONAL = [(name, {"light_source": source}) for name in ("bpt", "bpm", "vcm") for source in ("cache", "path")]
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"), [("path", {}), ("pm", {"final_gather": True}), ("ppm", {}), ("sppm", {}), *BIDIRECTIONAL]
+)
+def test_only_mirrors(name, settings):
     """A mirror in a white furnace: every pixel is 1, and no technique but emission contributes."""
-    settings = {} if name == "path" else {"light_source": light_source}
     problem = _scene(sky={"type": "constant"}, ball={"type": "sphere", "bsdf": {"type": "conductor"}})
     assert np.allclose(_mean(problem, name, **settings), 1.0, atol=1e-4)
 

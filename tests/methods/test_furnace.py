@@ -32,6 +32,19 @@ MERGING = {
     "vcm many light paths": ("vcm", {"light_paths": 2.0, "connections": 0}),
     "bpm": ("bpm", {}),
     "bpm late": ("bpm", {"merge_first": False}),
+    "sppm": ("sppm", {}),
+    "sppm photons": ("sppm", {"direct": "photons"}),
+    "sppm cone": ("sppm", {"direct": "photons", "kernel": "cone", "alpha": 0.7}),
+    "sppm biweight": ("sppm", {"direct": "photons", "kernel": "biweight", "light_paths": 2.0}),
+    "ppm": ("ppm", {"direct": "photons", "kernel": "epanechnikov", "alpha": 0.5}),
+}
+#: The nearest photons: as many of them as stay in a small disc.
+NEAREST = {
+    "pm": {},
+    "pm photons": {"direct": "photons"},
+    "pm few neighbours": {"direct": "photons", "neighbours": 5},
+    "pm epanechnikov": {"direct": "photons", "neighbours": 12, "kernel": "epanechnikov"},
+    "pm final gather": {"final_gather": True},
 }
 
 
@@ -63,6 +76,21 @@ def test_merging_on_a_plane_of_constant_irradiance(name):
     method, settings = MERGING[name]
     settings = {"radius": 0.15, "radius_unit": "absolute", "alpha": 1.0} | settings
     result = run(field(0.5, 1.3), method, passes=6, samples=256, **settings)
+    assert_agree(result.images, 0.5 * 1.3, name, block=2)
+
+
+@pytest.mark.parametrize("name", NEAREST)
+def test_nearest_photons_inside_a_sphere(name):
+    settings = {"photons": 200_000, "neighbours": 12} | NEAREST[name]
+    result = run(furnace("sphere", RADIANCE, ALBEDO), "pm", passes=6, samples=256, **settings)
+    assert_agree(result.images, RADIANCE / (1 - ALBEDO), name, block=2)
+
+
+@pytest.mark.parametrize("name", NEAREST)
+def test_nearest_photons_on_a_plane_of_constant_irradiance(name):
+    """The k-th photon ends the disc: counted in full it would make five neighbours a quarter too bright."""
+    settings = {"photons": 30_000} | NEAREST[name]
+    result = run(field(0.5, 1.3), "pm", passes=6, samples=256, **settings)
     assert_agree(result.images, 0.5 * 1.3, name, block=2)
 
 

@@ -25,9 +25,14 @@ METHODS = {
     "bpm": ("bpm", {"radius": 0.02}),
     "vcm": ("vcm", {"radius": 0.02}),
     "vcm path": ("vcm", {"radius": 0.02, "light_source": "path"}),
+    "pm": ("pm", {"photons": 20_000}),
+    "ppm": ("ppm", {"radius": 0.05}),
+    "sppm": ("sppm", {"radius": 0.05}),
 }
-#: Techniques in layers; path has one technique and one layer.
-LAYERED = [name for name in METHODS if name != "path"]
+#: Techniques in layers; the others have one layer.
+LAYERED = [name for name in METHODS if name not in ("path", "pm", "ppm", "sppm")]
+#: Each pass is a function of its number alone; a progressive one of those before it too.
+INDEPENDENT = [name for name in METHODS if name not in ("ppm", "sppm")]
 
 
 def problem() -> Any:
@@ -92,7 +97,7 @@ def test_layers_may_be_left_unsplit(name):
     np.testing.assert_allclose(whole.mean, split, rtol=1e-4, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", INDEPENDENT)
 def test_two_halves_add_to_one_run_in_any_order(name):
     method, settings = METHODS[name]
     runner = prepared(problem(), method, samples_per_pass=4, **settings)
@@ -265,12 +270,13 @@ def test_a_pilot_that_guessed_too_low(name):
     np.testing.assert_allclose(result.mean(), expected.mean(), **SAME)
 
 
-def test_another_seed_compiles_nothing():
+@pytest.mark.parametrize("method", ["vcm", "pm", "sppm"])
+def test_another_seed_compiles_nothing(method):
     scene = problem()
-    prepared(scene, "vcm", seed=1, samples_per_pass=4).step(0, 1)
+    prepared(scene, method, seed=1, samples_per_pass=4).step(0, 1)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
-        prepared(scene, "vcm", seed=2, samples_per_pass=4).step(0, 2)
+        prepared(scene, method, seed=2, samples_per_pass=4).step(0, 2)
         kernels = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
     assert kernels
     assert all(kernel["cache_hit"] for kernel in kernels)
@@ -291,3 +297,26 @@ def test_clipping_planes_do_not_matter(near, far):
     for method in ("light", "bpt"):
         expected = run(plain, method, passes=6, samples=512)
         assert_agree(run(clipped, method, passes=6, samples=512, seed=3).images, expected.images, method)
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_even_points_have_the_same_mean(name):
+    """Owen-scrambled points against independent numbers. A seed each: the passes of one are not independent."""
+    method, settings = METHODS[name]
+    scene = problem()
+    images = []
+    for seed in range(6):
+        images.append(run(scene, method, 1, 128, seed=seed, sampler="owen", **settings).mean)
+    plain = run(scene, method, 6, 128, seed=50, **settings)
+    assert_agree(np.stack(images), plain.images, name, precision=0.03)
+
+
+def test_even_points_are_less_noisy():
+    """Direct light of a big lamp: half the variance, and less."""
+    scene = scenes.room("rectangle", ("diffuse",))
+
+    def variance(sampler):
+        images = [run(scene, "path", 1, 16, seed=s, sampler=sampler, max_depth=2).mean for s in range(8)]
+        return np.stack(images).var(axis=0, ddof=1).mean()
+
+    assert variance("owen") < 0.5 * variance("independent")

@@ -34,8 +34,12 @@ ROWS = {
     "bpm late": ("bpm", {"merge_first": False}, "mesh"),
     "vcm many light paths": ("vcm", {"light_paths": 3.0, "connections": 0}, "envmap"),
     "vcm discounted": ("vcm", {"eta_discount": 0.2}, "two"),
+    "sppm": ("sppm", {}, "sphere"),
+    "sppm photons": ("sppm", {"direct": "photons", "light_paths": 2.0}, "rectangle"),
+    "sppm cone": ("sppm", {"direct": "photons", "kernel": "cone"}, "spot"),
+    "sppm sky": ("sppm", {"kernel": "biweight"}, "envmap"),
 }
-FAST = ("bpm", "vcm")
+FAST = ("bpm", "vcm", "sppm photons")
 
 
 @pytest.mark.parametrize("name", [n if n in FAST else pytest.param(n, marks=pytest.mark.slow) for n in ROWS])
@@ -99,3 +103,26 @@ def test_bad_settings_are_refused(settings):
     (name,) = settings
     with pytest.raises(OptionError, match=name):
         methods.get("vcm").Settings.from_mapping(settings)
+
+
+@pytest.mark.parametrize(
+    ("method", "settings"),
+    [
+        ("sppm", {"radius": 0}),
+        ("sppm", {"alpha": 0}),
+        ("sppm", {"alpha": 1.01}),
+        ("ppm", {"light_paths": 0}),
+        ("ppm", {"kernel": "box"}),
+        ("ppm", {"direct": "both"}),
+        ("pm", {"radius": -1}),
+        ("pm", {"photons": 0}),
+        ("pm", {"photons": 1.5}),
+        ("pm", {"neighbours": 1}),
+        ("pm", {"alpha": 0.5}),
+    ],
+    ids=str,
+)
+def test_bad_settings_of_photon_mapping_are_refused(method, settings):
+    (name,) = settings
+    with pytest.raises(OptionError, match=name):
+        methods.get(method).Settings.from_mapping(settings)

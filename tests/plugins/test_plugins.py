@@ -38,7 +38,8 @@ def reference(registered):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_plugin_renders_what_mitsuba_does(name, reference):
-    scene = mi.load_dict(box({"type": name, "max_depth": 4}))
+    points = {"samples_per_pass": 128} if name == "ppm" else {}  # it keeps the lamp's edge as its points saw it
+    scene = mi.load_dict(box({"type": name, "max_depth": 4} | points))
     picture = mi.render(scene, spp=128, seed=7)
     assert isinstance(picture, mi.TensorXf) and picture.shape == reference.shape
     mine, theirs = np.array(picture), reference

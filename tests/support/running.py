@@ -25,8 +25,10 @@ class Run:
 
 
 def prepared(problem: Any, method: str, seed: int = 1, **settings: Any) -> Any:
-    """A method made ready for ``problem``."""
+    """A method made ready for ``problem``; with independent numbers unless asked otherwise, as the passes of an even
+    sequence are not independent of each other, which the tests of agreement need."""
     cls = methods.get(method)
+    settings = {"sampler": "independent"} | settings
     result = cls(cls.Settings.from_mapping(settings))
     result.prepare(problem, seed)
     return result

@@ -1,1 +1,1 @@
-"""The command line: `etendue render`, `compare`, `resume`, `demo`, `methods`, `scenes`, `doctor`, `cite`."""
+"""The command line: `etendue render`, `run`, `compare`, `resume`, `demo`, `methods`, `scenes`, `doctor`, `cite`."""

@@ -13,13 +13,13 @@ from rich.console import Console
 
 from etendue import display, film, methods
 from etendue.api import Outputs, Update, start_job
-from etendue.core import OptionError, OutputError
+from etendue.core import OptionError
 from etendue.engine import Budget, Job, Task, check_writable
 from etendue.scene import bundled
 
 from .console import note, say
 from .options import settings_by_method
-from .rendering import follow, summary
+from .rendering import check_reference, follow, make_folder, summary
 
 Image = NDArray[np.float32]
 
@@ -54,7 +54,8 @@ class Comparison:
         """
         if self.reference is not None:
             self._reference = film.read_image(self.reference)
-        self._make_folder()
+        make_folder(self.output)
+        check_writable(self.output / _PAGE)
         entries: list[display.Entry] = []
         try:
             for task in self.tasks:
@@ -65,14 +66,6 @@ class Comparison:
                 self._write(entries)
         return 0
 
-    def _make_folder(self) -> None:
-        try:
-            self.output.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            reason = "that is a file" if self.output.exists() else error.strerror
-            raise OutputError(f"cannot make the folder '{self.output}': {reason}; choose another place") from error
-        check_writable(self.output / _PAGE)
-
     def _render(self, task: Task, entries: list[display.Entry], console: Console) -> int:
         """Render ``task`` and append its picture to ``entries``. Returns the exit status."""
         name = task.method.name
@@ -81,7 +74,7 @@ class Comparison:
 
         def open_job() -> Job:
             job = Job.open(task)
-            self._check_size(job.problem.size)
+            check_reference(self._reference, job.problem.size, "--size {}x{}")
             return job
 
         watch = history.record if self._reference is not None else None
@@ -109,15 +102,6 @@ class Comparison:
             exposure=exposure,
         )
         say(str(page))
-
-    def _check_size(self, size: tuple[int, int]) -> None:
-        """Before the first pass: a reference of another size would only be noticed at the end."""
-        if self._reference is not None:
-            height, width = self._reference.shape[:2]
-            if size != (width, height):
-                raise OptionError(
-                    f"the reference is {width}x{height}, the picture {size[0]}x{size[1]}; use --size {width}x{height}"
-                )
 
 
 class _History:

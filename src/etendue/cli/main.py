@@ -107,6 +107,8 @@ def render(
     threads: opt.Threads = None,
     memory: opt.Memory = None,
     aovs: opt.Aovs = False,
+    pyramid: opt.Pyramid = False,
+    pyramid_depth: opt.PyramidDepth = None,
     save_every: opt.SaveEvery = 60.0,
     checkpoint: Annotated[
         Path | None,
@@ -127,7 +129,7 @@ def render(
 
     if no_checkpoint and checkpoint is not None:
         raise OptionError("--checkpoint and --no-checkpoint exclude each other; give one of them")
-    budget, settings = Budget(time, spp, None, error), opt.settings(define, max_depth, aovs)
+    budget, settings = Budget(time, spp, None, error), opt.settings(define, max_depth, aovs, pyramid, pyramid_depth)
     parameters = opt.parse_pairs(param, "-P")
     choose_device(variant, threads)
     notes: list[str] = []  # shown when all is checked
@@ -181,6 +183,43 @@ def resume(
 
 
 @app.command()
+def run(
+    file: Annotated[Path, typer.Argument(help="Run file in TOML, see docs/run-files.md.", metavar="FILE")],
+    check: Annotated[bool, typer.Option("--check", help="Only check the file and all that it names.")] = False,
+    debug: opt.Debug = False,
+) -> int:
+    """Render what a run file says: scene, camera, method, budget, saves at given times, error against a reference.
+
+    Ctrl-C stops after the current pass and writes the pictures and the checkpoint.
+    """
+    from etendue.engine import Job
+
+    from .records import Recorder
+    from .rendering import choose_device, render_to_files
+    from .run_file import RunFile
+
+    wanted = RunFile.read(file)
+    choose_device(wanted.variant, wanted.threads)
+    notes: list[str] = []  # shown when all is checked
+    task = wanted.task(notes.append)
+    console = error_console()
+    recorder = Recorder(wanted, lambda text: note(console, text))
+
+    def open_job() -> Job:
+        job = Job.open(task)
+        recorder.check(job)
+        for text in notes:
+            note(console, text)
+        return job
+
+    if check:
+        say(f"{file} is in order: {wanted.describe(open_job())}")
+        return 0
+    with recorder:
+        return render_to_files(open_job, recorder, task.method.name)
+
+
+@app.command()
 def compare(
     scene: opt.Scene,
     method: Annotated[
@@ -202,6 +241,8 @@ def compare(
     max_depth: opt.MaxDepth = None,
     threads: opt.Threads = None,
     memory: opt.Memory = None,
+    pyramid: opt.Pyramid = False,
+    pyramid_depth: opt.PyramidDepth = None,
     debug: opt.Debug = False,
 ) -> int:
     """Render a scene by several methods for the same time, and write a page that compares them.
@@ -217,7 +258,7 @@ def compare(
     wanted = tasks(
         scene,
         method or ["path", "vcm"],
-        opt.settings(define, max_depth),
+        opt.settings(define, max_depth, False, pyramid, pyramid_depth),
         seed=seed,
         budget=budget,
         size=size,

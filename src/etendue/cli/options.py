@@ -79,10 +79,24 @@ def parse_pairs(pairs: list[str] | None, option: str) -> dict[str, str]:
     return values
 
 
-def settings(define: list[str] | None, max_depth: int | None, aovs: bool = False) -> dict[str, Any]:
-    """What -D, --max-depth and --aovs say. Raises :class:`OptionError` if two of them say the same."""
+def settings(
+    define: list[str] | None,
+    max_depth: int | None,
+    aovs: bool = False,
+    pyramid: bool = False,
+    pyramid_depth: int | None = None,
+) -> dict[str, Any]:
+    """What -D and the options that stand for settings say; a depth of the pyramid asks for one.
+
+    Raises :class:`OptionError` if two of them say the same."""
     pairs = parse_pairs(define, "-D")
-    short = ({} if max_depth is None else {"max_depth": max_depth}) | ({"aovs": True} if aovs else {})
+    said = {
+        "max_depth": max_depth,
+        "aovs": aovs or None,
+        "pyramid": pyramid or pyramid_depth is not None or None,
+        "pyramid_depth": pyramid_depth,
+    }
+    short = {name: value for name, value in said.items() if value is not None}
     for name in short.keys() & pairs.keys():
         raise OptionError(f"--{name.replace('_', '-')} and -D {name} say the same; give one of them")
     return short | pairs
@@ -174,4 +188,11 @@ Folder = Annotated[
     Path, typer.Option("-o", "--output", help="Folder for pictures and page; made if needed.", metavar="DIR")
 ]
 Aovs = Annotated[bool, typer.Option("--aovs", help="Add first-hit layers: albedo, normal, depth.")]
+Pyramid = Annotated[
+    bool, typer.Option("--pyramid", help="Add a layer for each technique (s, t), weighted and unweighted.")
+]
+PyramidDepth = Annotated[
+    int | None,
+    typer.Option("--pyramid-depth", help="The same, with this many edges of the longest paths; 5.", metavar="N"),
+]
 Debug = Annotated[bool, typer.Option("--debug", help="Log what happens, and show tracebacks of errors.")]

@@ -6,10 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 
-from etendue.api import Outputs, Rendering, start_job
-from etendue.core import format_rate, format_seconds, set_threads, use_variant
+from etendue.api import Rendering, Writer, start_job
+from etendue.core import OptionError, OutputError, format_rate, format_seconds, set_threads, use_variant
 from etendue.engine import Cancelled, Job, RunError, Session
 
 from .console import ProgressView, error_console, note, say
@@ -61,19 +63,22 @@ def follow(open_session: Callable[[], Session[Rendering]], console: Console, lab
     return Outcome(session.result, interrupts.exit_code)
 
 
-def render_to_files(open_job: Callable[[], Job], outputs: Outputs, label: str) -> int:
+def render_to_files(open_job: Callable[[], Job], outputs: Writer, label: str) -> int:
     """Render, write ``outputs`` and name them on standard output, one a line. Returns the exit status."""
     console = error_console()
-    files = "\n".join(map(str, outputs.files))
     try:
         outcome = follow(lambda: start_job(open_job, outputs), console, label)
     except RunError:
-        say(files)  # the passes before the failure are in them
+        _name_files(outputs)  # the passes before the failure are in them
         raise
     if outcome.rendering is not None:
         note(console, summary(outcome.rendering))
-        say(files)
+        _name_files(outputs)
     return outcome.exit_code
+
+
+def _name_files(outputs: Writer) -> None:
+    say("\n".join(map(str, outputs.files)))
 
 
 def summary(rendering: Rendering) -> str:
@@ -86,6 +91,27 @@ def summary(rendering: Rendering) -> str:
     if m["relative_error"] is not None:
         parts.append(f"noise {m['relative_error']:.2g}")
     return f"{m['method']}: {', '.join(parts)}"
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for outputs where it is missing. Raises :class:`OutputError`."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        reason = "that is a file" if folder.exists() else error.strerror
+        raise OutputError(f"cannot make the folder '{folder}': {reason}; choose another place") from error
+
+
+def check_reference(reference: NDArray[np.float32] | None, size: tuple[int, int], remedy: str) -> None:
+    """Before the first pass: a reference of another size than the picture would only be noticed at the end.
+
+    ``remedy`` is how to ask for a size, with ``{}`` for width and height. Raises :class:`OptionError`.
+    """
+    if reference is not None and reference.shape[1::-1] != size:
+        height, width = reference.shape[:2]
+        raise OptionError(
+            f"the reference is {width}x{height}, the picture {size[0]}x{size[1]}; use {remedy.format(width, height)}"
+        )
 
 
 def default_name(scene: str) -> str:

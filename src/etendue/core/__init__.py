@@ -14,6 +14,7 @@ from .errors import (
 )
 from .log import logger
 from .measurement import RELATIVE_EPSILON, Array, Iterations, Measurement, warn_of_nonfinite
+from .memory import free_memory
 from .method import Method, Result
 from .progress import Progress, format_rate, format_seconds
 from .samples import COMPONENTS_PER_VERTEX, IndependentSource, SampleSource, hash_mix, seed_key, to_unit_float
@@ -45,6 +46,7 @@ __all__ = [
     "choose_variant",
     "format_rate",
     "format_seconds",
+    "free_memory",
     "hash_mix",
     "logger",
     "on_device",

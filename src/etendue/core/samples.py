@@ -26,6 +26,10 @@ class SampleSource(Protocol):
         """Two numbers, for components ``component`` and ``component + 1``."""
         ...
 
+    def decide(self, vertex: Any, component: int) -> Any:
+        """One number for a yes or no, such as roulette, that would gain nothing from being even among others."""
+        ...
+
 
 def seed_key(seed: int, role: str, iteration: int) -> tuple[int, int]:
     """Two 32-bit words from (seed, role, iteration), by TEA over the three; the host half of every draw."""
@@ -95,3 +99,7 @@ class IndependentSource:
     def next_2d(self, vertex: Any, component: int) -> tuple[Any, Any]:
         """See :class:`SampleSource`."""
         return self.next_1d(vertex, component), self.next_1d(vertex, component + 1)
+
+    def decide(self, vertex: Any, component: int) -> Any:
+        """See :class:`SampleSource`."""
+        return self.next_1d(vertex, component)

@@ -7,6 +7,7 @@ sorted points. Rows whose hashes collide share buckets; each bucket is read once
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,13 +16,16 @@ import mitsuba as mi
 
 #: Cells along x at most; a finer grid than this gets wider cells, which costs time and nothing else.
 _MAX_CELLS_X = 1 << 22
+#: Candidates that are tested, a bit each, before those that are neighbours are visited. Searching and visiting in turns
+#: keeps the lanes of a packet together: one candidate in five is a neighbour, so visiting each as it is found would
+#: leave most lanes idle.
+_BATCH = 32
 
 
 @dataclass
 class Query:
     """Candidates of one query point per lane: ``total`` of them in up to four ranges."""
 
-    point: Any
     total: Any
     _first: list[Any]  #: sorted index of candidate 0 as seen from range k
     _end: list[Any]  #: number of candidates in ranges 0..k
@@ -74,7 +78,7 @@ class HashGrid:
         """Prepare the search around ``point``: lanes that are not active find nothing."""
         x, y, z = self._cell(point, 0.5)
         rows = [self._row(v, w) + mi.UInt32(x) for v, w in ((y, z), (y + 1, z), (y, z + 1), (y + 1, z + 1))]
-        q = Query(point, mi.UInt32(0), [], [])
+        q = Query(mi.UInt32(0), [], [])
         for k, row in enumerate(rows):
             begin, end = mi.UInt32(row), row + 2
             for earlier in rows[:k]:  # a bucket that an earlier row reads is left to it
@@ -95,6 +99,45 @@ class HashGrid:
         high = dr.select(i < query._end[2], query._first[2], query._first[3])
         return i + dr.select(i < query._end[1], low, high)
 
-    def accepts(self, query: Query, position: Any) -> Any:
-        """Whether the candidate at ``position`` is within the radius."""
-        return dr.squared_norm(position - query.point) <= self._radius_squared
+    def within(
+        self,
+        point: Any,
+        read: Callable[[Any], tuple[Any, Any]],
+        visit: Callable[[Any, Any], Any],
+        state: Any,
+        active: Any,
+        radius_squared: Any = None,
+    ) -> Any:
+        """Visit every point within the radius around ``point``, inside a kernel; returns the last state.
+
+        Parameters
+        ----------
+        point: Point3f, a query a lane.
+        read: ``read(place) -> (position, wanted)`` of a sorted point; one that is not wanted is not visited.
+        visit: ``visit(place, state)`` returns the next state. Traced once.
+        state: what a Dr.Jit loop takes.
+        radius_squared: a smaller radius of each lane, squared; by default that of the grid.
+        """
+        query = self.query(point, active)
+        limit = self._radius_squared if radius_squared is None else radius_squared
+
+        def batch(first: Any, state: Any) -> tuple[Any, Any]:
+            end = dr.minimum(first + _BATCH, query.total)
+
+            def test(i: Any, near: Any) -> tuple[Any, Any]:
+                """Test one candidate; a neighbour sets its bit."""
+                position, wanted = read(self.candidate(query, i))
+                hit = wanted & (dr.squared_norm(position - point) <= limit)
+                return i + 1, near | dr.select(hit, mi.UInt32(1) << (i - first), 0)
+
+            def take(near: Any, state: Any) -> tuple[Any, Any]:
+                """Visit the neighbour of the lowest bit."""
+                return near & (near - 1), visit(self.candidate(query, first + dr.tzcnt(near)), state)
+
+            _, near = dr.while_loop((mi.UInt32(first), mi.UInt32(0)), lambda i, _: i < end, test, label="grid: search")
+            _, state = dr.while_loop((near, state), lambda near, _: near != 0, take, label="grid: visit")
+            return end, state
+
+        return dr.while_loop(
+            (mi.UInt32(0), state), lambda first, _: active & (first < query.total), batch, label="grid"
+        )[1]

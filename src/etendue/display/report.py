@@ -23,8 +23,9 @@ from etendue.core import OptionError
 from etendue.film import relative_bias, relative_mse, relative_squared_error, write_bytes
 
 from .colours import css_gradient, false_colour
+from .figures import figure
 from .plots import Series, convergence_plot
-from .png import encode_png
+from .pyramid import in_pyramid, pyramid_block
 from .tables import Column, comparison_table, flatten, number_text, run_table, time_text
 from .tonemap import auto_exposure, tonemap
 
@@ -103,6 +104,7 @@ def render_report(
         _pictures_section(entries, pictures, reference_note, exposure, curve),
         _errors_section(entries, reference),
         _plot_section(entries),
+        _pyramid_section(entries, exposure, curve),
         _layers_section(entries, exposure, curve),
         _settings_section(entries),
         _run_section(entries),
@@ -153,7 +155,7 @@ def _pictures_section(
         if bad:
             facts.append(f"{bad} pixel{'s' if bad != 1 else ''} not finite")
         alt = f"picture by {name}" if index < len(entries) else "reference picture"
-        figures.append(_figure(tonemap(image, exposure, curve), alt, name, " · ".join(facts), index))
+        figures.append(figure(tonemap(image, exposure, curve), alt, name, " · ".join(facts), index))
     heading = "Side by side" if len(pictures) > 1 else "Picture"
     return f'<section><h2>{heading}</h2><div class="figures">{"".join(figures)}</div></section>'
 
@@ -184,7 +186,7 @@ def _errors_section(entries: Sequence[Entry], reference: Image | None) -> str:
     for entry in entries:
         error = relative_squared_error(entry.image, reference)
         caption = f"relMSE {number_text(relative_mse(entry.image, reference))}"
-        maps.append(_figure(false_colour(error, *_ERROR_RANGE), f"error map of {entry.name}", entry.name, caption))
+        maps.append(figure(false_colour(error, *_ERROR_RANGE), f"error map of {entry.name}", entry.name, caption))
     ticks = "".join(f"<span>{value:g}</span>" for value in np.geomspace(*_ERROR_RANGE, 4))
     return (
         f"<section><h2>Error against the reference</h2>{table}"
@@ -207,13 +209,24 @@ def _plot_section(entries: Sequence[Entry]) -> str:
     return f"<section><h2>Error over time</h2>{wide}{narrow}</section>"
 
 
+def _pyramid_section(entries: Sequence[Entry], exposure: float, curve: str) -> str:
+    blocks = "".join(pyramid_block(e.name, e.image, e.layers, exposure, curve) for e in entries)
+    if not blocks:
+        return ""
+    return (
+        "<section><h2>Technique pyramid</h2><p class=soft>Paths of s vertices from the light and t from the camera, by "
+        "length and by s, all at one exposure. Per cent are of the picture's mean; the weighted pictures add up to "
+        f"it.</p>{blocks}</section>"
+    )
+
+
 def _layers_section(entries: Sequence[Entry], exposure: float, curve: str) -> str:
     blocks = []
     for entry in entries:
         figures = [
-            _figure(_layer_pixels(name, layer, exposure, curve), f"layer {name} of {entry.name}", name, "")
+            figure(_layer_pixels(name, layer, exposure, curve), f"layer {name} of {entry.name}", name, "")
             for name, layer in entry.layers.items()
-            if name != "image" and layer.ndim == 3 and layer.shape[2] == 3
+            if name != "image" and not in_pyramid(name) and layer.ndim == 3 and layer.shape[2] == 3
         ]
         if figures:
             blocks.append(
@@ -244,16 +257,6 @@ def _run_section(entries: Sequence[Entry]) -> str:
     names = [e.name for e in entries]
     parts = [("Runs", run_table(names, facts)), ("Versions", run_table(names, versions))]
     return "".join(f"<section><h2>{heading}</h2>{table}</section>" for heading, table in parts if table)
-
-
-def _figure(pixels: NDArray[np.uint8], alt: str, name: str, caption: str, index: int | None = None) -> str:
-    source = "data:image/png;base64," + base64.b64encode(encode_png(pixels)).decode()
-    height, width = pixels.shape[:2]
-    mark = "" if index is None else f' data-picture="{index}"'
-    return (
-        f'<figure><img src="{source}" width="{width}" height="{height}" alt="{escape(alt)}"{mark}>'
-        f"<figcaption><strong>{escape(name)}</strong>{escape(f' · {caption}') if caption else ''}</figcaption></figure>"
-    )
 
 
 def _script_data(pictures: list[tuple[str, Image]], exposure: float, curve: str) -> str:

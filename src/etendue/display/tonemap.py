@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import OptionError, suggest
+from etendue.film import LUMINANCE
 
 Array = NDArray[np.float64]
 
-#: Luminance of linear sRGB primaries (ITU-R BT.709).
-LUMINANCE: Final = (0.2126, 0.7152, 0.0722)
 #: The grey that the log-average luminance is brought to [Reinhard 2002, eq. 2].
 MIDDLE_GREY: Final = 0.18
 

@@ -4,7 +4,7 @@ from .budget import Budget
 from .checkpoint import Checkpoint
 from .files import check_writable
 from .job import Job, Task, versions
-from .runner import Cancelled, RunError, Runner, RunResult, check_period, run
+from .runner import Cancelled, RunError, Runner, RunResult, check_period, check_save_times, run
 from .session import Session
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "Session",
     "Task",
     "check_period",
+    "check_save_times",
     "check_writable",
     "run",
     "versions",

@@ -22,7 +22,7 @@ from etendue.core import (
     Settings,
     logger,
 )
-from etendue.scene import Problem, load
+from etendue.scene import Camera, Problem, load
 
 from .budget import Budget
 from .checkpoint import Checkpoint
@@ -49,6 +49,7 @@ class Task:
     sensor: int = 0
     parameters: Mapping[str, Any] | None = None
     memory: int | None = None
+    camera: Camera | None = None
 
     def __post_init__(self) -> None:
         for what, value, least in (
@@ -71,6 +72,8 @@ class Task:
                 place[name] = value
         if self.parameters:
             place["parameters"] = {k: str(v) for k, v in self.parameters.items()}
+        if self.camera is not None:
+            place["camera"] = self.camera.to_dict()
         return place
 
 
@@ -97,7 +100,14 @@ class Job:
     @classmethod
     def open(cls, task: Task) -> Job:
         """Load the scene and prepare the method. A Mitsuba variant must be set."""
-        problem = load(task.scene, size=task.size, sensor=task.sensor, parameters=task.parameters, memory=task.memory)
+        problem = load(
+            task.scene,
+            size=task.size,
+            sensor=task.sensor,
+            parameters=task.parameters,
+            memory=task.memory,
+            camera=task.camera,
+        )
         budget = task.budget or Budget(samples=max(1, problem.spp))
         method = task.method(_settings(task, problem))
         method.prepare(problem, task.seed)
@@ -120,9 +130,11 @@ class Job:
             raise CheckpointError("the checkpoint was made from a scene in memory; give the scene to resume it with")
         settings = method.Settings.from_json(checkpoint.settings)
         budget = budget or _rest(checkpoint)
-        wanted = {k: place[k] for k in ("size", "sensor", "parameters", "memory") if k in place}
+        wanted: dict[str, Any] = {k: place[k] for k in ("size", "sensor", "parameters", "memory") if k in place}
         if "size" in wanted:
             wanted["size"] = tuple(wanted["size"])
+        if "camera" in place:
+            wanted["camera"] = Camera(**place["camera"])
         try:
             problem = load(source, **wanted)
         except SceneError as error:

@@ -6,7 +6,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -33,6 +33,16 @@ def check_period(save_every: float | None) -> None:
         raise OptionError(f"the time between saves (--save-every) must be above 0 seconds, not {save_every!r}")
 
 
+def check_save_times(save_at: Sequence[float]) -> None:
+    """Raise :class:`OptionError` unless ``save_at`` are times above 0 seconds, each later than the one before."""
+    before = 0.0
+    for time_ in save_at:
+        number = isinstance(time_, (int, float)) and not isinstance(time_, bool) and math.isfinite(time_)
+        if not number or time_ <= before:
+            raise OptionError(f"the times of saves must be above 0 seconds and grow; {time_!r} after {before:g} is not")
+        before = time_
+
+
 class CancelEvent(Protocol):
     """What the loop asks between passes; a ``threading.Event`` is one."""
 
@@ -50,6 +60,8 @@ class RunResult:
     #: Seconds since the first pass of this run began; ``measurement.counters["seconds"]`` also has earlier runs.
     elapsed: float
     stopped_by: StoppedBy
+    #: The times of ``save_at`` that a save is for; a pass may have passed several of them.
+    save_times: tuple[float, ...] = ()
 
     @property
     def passes(self) -> int:
@@ -92,10 +104,12 @@ class Runner:
         on_progress: Callable[[Progress], None] | None = None,
         on_save: Callable[[RunResult], None] | None = None,
         save_every: float | None = None,
+        save_at: Sequence[float] = (),
         cancel: CancelEvent | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         check_period(save_every)
+        check_save_times(save_at)
         if not budget and cancel is None:
             raise OptionError("a run needs a budget: seconds, samples, passes or error")
         self.method = method
@@ -106,6 +120,7 @@ class Runner:
         self.on_progress = on_progress
         self._on_save = on_save
         self._save_every = save_every
+        self._save_at = deque(save_at)  # those to come
         self._cancel = cancel
         self._clock = clock
         self._lock = threading.Lock()
@@ -153,15 +168,26 @@ class Runner:
                 run = self._result("failure")
                 message = str(error) if isinstance(error, EtendueError) else f"{type(error).__name__}: {error}"
                 raise RunError(f"{_one_line(message)} (after {run.passes} passes, which are kept)", run) from error
-            if self._on_save is not None and self._save_every is not None:
+            if self._on_save is not None:
                 now = self._clock()
-                if now - saved >= self._save_every:
-                    cost = self._save()
-                    # A slow disk makes saves rarer, never the rendering slow.
-                    saved = self._clock() + max(0.0, cost / SAVE_SHARE - self._save_every)
+                times = self._passed_save_times(now - self._begin)
+                period = math.inf if self._save_every is None else self._save_every
+                if times or now - saved >= period:
+                    cost = self._save(times)
+                    # A slow disk makes periodic saves rarer, never the rendering slow.
+                    saved = self._clock() + max(0.0, cost / SAVE_SHARE - period)
         if self._measurement is None:
             raise Cancelled("stopped before the first pass was done; there is no picture")
-        return self._result(reason)
+        # The pass that would have reached the end of the time was not begun: what there is stands for that time.
+        seconds = self.budget.seconds if reason == "seconds" else None
+        return self._result(reason, self._passed_save_times(seconds) if seconds is not None else ())
+
+    def _passed_save_times(self, elapsed: float) -> tuple[float, ...]:
+        """The times of ``save_at`` up to ``elapsed``; each is given once."""
+        passed = []
+        while self._save_at and self._save_at[0] <= elapsed:
+            passed.append(self._save_at.popleft())
+        return tuple(passed)
 
     def _pass(self) -> None:
         iteration = self._measurement.iterations.next_iteration() if self._measurement is not None else 0
@@ -181,19 +207,19 @@ class Runner:
         self._update_error(len(self._measurement.iterations))
         self.progress = self._describe()
 
-    def _save(self) -> float:
+    def _save(self, times: tuple[float, ...]) -> float:
         """An intermediate save; its failure is reported and costs no work. Returns the seconds it took."""
         assert self._on_save is not None
         begin = self._clock()
         try:
-            self._on_save(self._result("running"))
+            self._on_save(self._result("running", times))
         except EtendueError as error:
             logger.warning("intermediate save failed, rendering goes on: %s", error)
         return self._clock() - begin
 
-    def _result(self, reason: StoppedBy) -> RunResult:
+    def _result(self, reason: StoppedBy, times: tuple[float, ...] = ()) -> RunResult:
         assert self._measurement is not None
-        return RunResult(self.method, self._measurement, self._clock() - self._begin, reason)
+        return RunResult(self.method, self._measurement, self._clock() - self._begin, reason, times)
 
     # ------------------------------------------------------------------ predictions
 
@@ -271,13 +297,15 @@ def run(
     on_progress: Callable[[Progress], None] | None = None,
     on_save: Callable[[RunResult], None] | None = None,
     save_every: float | None = None,
+    save_at: Sequence[float] = (),
     cancel: CancelEvent | None = None,
 ) -> RunResult:
     """Run a prepared ``method`` until ``budget`` is used up.
 
     ``start`` continues an earlier run: its measurement is taken over (added to in place), the first pass is the one
-    after its last. ``on_progress`` is called after each pass, ``on_save`` every ``save_every`` seconds with what there
-    is so far; an :class:`EtendueError` from it is logged and the run goes on. ``cancel`` is looked at between passes.
+    after its last. ``on_progress`` is called after each pass, ``on_save`` with what there is so far every
+    ``save_every`` seconds and after the passes that reach the seconds of ``save_at``; an :class:`EtendueError` from it
+    is logged and the run goes on. ``cancel`` is looked at between passes.
     Errors as :meth:`Runner.run`.
     """
     runner = Runner(
@@ -288,6 +316,7 @@ def run(
         on_progress=on_progress,
         on_save=on_save,
         save_every=save_every,
+        save_at=save_at,
         cancel=cancel,
     )
     return runner.run()

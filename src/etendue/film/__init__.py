@@ -1,21 +1,29 @@
 """Film: reconstruction filters, error measures, multi-layer OpenEXR."""
 
 from .errors import (
+    LUMINANCE,
     ErrorHistory,
     block_average,
+    luminance_rmse,
     relative_bias,
     relative_mse,
     relative_squared_error,
     rmse,
 )
-from .exr import read_exr, read_image, write_exr
+from .exr import layer_path, read_exr, read_image, write_exr, write_layers
 from .filters import FilterSampler
 from .output import replacing, write_bytes
+from .pyramid import LONGER, Technique
 
 __all__ = [
+    "LONGER",
+    "LUMINANCE",
     "ErrorHistory",
     "FilterSampler",
+    "Technique",
     "block_average",
+    "layer_path",
+    "luminance_rmse",
     "read_exr",
     "read_image",
     "relative_bias",
@@ -25,4 +33,5 @@ __all__ = [
     "rmse",
     "write_bytes",
     "write_exr",
+    "write_layers",
 ]

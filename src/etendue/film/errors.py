@@ -8,12 +8,17 @@ quoted without the worst pixels (``trim``).
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import RELATIVE_EPSILON, OptionError
 
 Array = NDArray[np.float64]
+
+#: Luminance of linear sRGB primaries (ITU-R BT.709).
+LUMINANCE: Final = (0.2126, 0.7152, 0.0722)
 
 
 def relative_squared_error(image: ArrayLike, reference: ArrayLike) -> Array:
@@ -48,6 +53,14 @@ def rmse(image: ArrayLike, reference: ArrayLike) -> float:
     x, ref = _pair(image, reference)
     finite = _finite(x, ref)
     return float(np.sqrt(((x[finite] - ref[finite]) ** 2).mean())) if finite.any() else float("nan")
+
+
+def luminance_rmse(image: ArrayLike, reference: ArrayLike) -> float:
+    """Root of the mean squared difference of luminance over finite pixels of two RGB images. NaN if there are none."""
+    x, ref = _pair(image, reference)
+    finite = _finite(x, ref)
+    difference = (x[finite] - ref[finite]) @ np.array(LUMINANCE)
+    return float(np.sqrt((difference**2).mean())) if finite.any() else float("nan")
 
 
 def relative_bias(image: ArrayLike, reference: ArrayLike) -> float:

@@ -63,6 +63,22 @@ def write_exr(path: str | os.PathLike[str], result: Result) -> None:
             raise OutputError(f"cannot write '{path}': {' '.join(str(error).split())}") from None
 
 
+def write_layers(path: str | os.PathLike[str], result: Result) -> None:
+    """Write each layer of ``result`` to its :func:`layer_path`, as the R, G, B (or Y) of that file, with the metadata.
+
+    The metadata ``layer`` says which it is. Errors as :func:`write_exr`.
+    """
+    for name, layer in result.layers.items():
+        write_exr(layer_path(path, name), Result({"image": layer}, {**result.metadata, "layer": name}))
+
+
+def layer_path(path: str | os.PathLike[str], layer: str) -> Path:
+    """File of a layer that is not written together with the others: ``path`` itself for ``image``, else
+    ``name-LAYER.exr`` for ``name.exr``."""
+    path = Path(path)
+    return path if layer == "image" else path.with_name(f"{path.stem}-{layer}{path.suffix}")
+
+
 def read_exr(path: str | os.PathLike[str]) -> Result:
     """Read a file of :func:`write_exr`, or any scan-line OpenEXR file, as layers (height, width, channels), float32.
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from etendue.core import OptionError, suggest
 
+from .auto import Auto
 from .base import ImageMethod, ImageSettings
 from .bidirectional import Bidirectional, Bpm, Bpt, Vcm
 from .light import Light
 from .path import Path
+from .photon_map import Pm
+from .progressive import Ppm, Sppm
 
-_METHODS: dict[str, type[ImageMethod]] = {cls.name: cls for cls in (Path, Light, Bpt, Bpm, Vcm)}
+_METHODS: dict[str, type[ImageMethod]] = {cls.name: cls for cls in (Auto, Path, Light, Pm, Ppm, Sppm, Bpt, Bpm, Vcm)}
 
 
 def table() -> dict[str, type[ImageMethod]]:
@@ -24,4 +27,19 @@ def get(name: str) -> type[ImageMethod]:
     raise OptionError(f"no method '{name}'; {suggest(name, _METHODS)}")
 
 
-__all__ = ["Bidirectional", "Bpm", "Bpt", "ImageMethod", "ImageSettings", "Light", "Path", "Vcm", "get", "table"]
+__all__ = [
+    "Auto",
+    "Bidirectional",
+    "Bpm",
+    "Bpt",
+    "ImageMethod",
+    "ImageSettings",
+    "Light",
+    "Path",
+    "Pm",
+    "Ppm",
+    "Sppm",
+    "Vcm",
+    "get",
+    "table",
+]

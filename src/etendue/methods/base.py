@@ -13,7 +13,17 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import IndependentSource, Iterations, Measurement, OptionError, Result, Settings, setting
+from etendue.core import (
+    IndependentSource,
+    Iterations,
+    Measurement,
+    OptionError,
+    Result,
+    SampleSource,
+    Settings,
+    setting,
+)
+from etendue.points import OwenSobolSource
 from etendue.scene import LightTable, Problem
 from etendue.transport import Camera, Visibility
 
@@ -34,6 +44,12 @@ class ImageSettings(Settings):
     rr_depth: int = setting(5, "path edges after which Russian roulette by throughput begins", minimum=1)
     samples_per_pass: int = setting(
         0, "camera paths per pixel that one pass traces; 0 chooses enough to fill the machine", minimum=0, maximum=4096
+    )
+    sampler: str = setting(
+        "owen",
+        "random numbers: Owen-scrambled Sobol' points, even over the samples of a pixel and over the light paths of a "
+        "pass (owen), or independent ones",
+        choices=("owen", "independent"),
     )
     aovs: bool = setting(False, "add first-hit layers: albedo, normal, depth")
 
@@ -73,8 +89,7 @@ class ImageMethod(ABC):
         """One pass: :attr:`samples_per_iteration` camera paths per pixel."""
         samples = self.samples_per_iteration
         layers, counters = self.render_pass(iteration, seed, samples)
-        if "image" not in layers:  # in single precision as long as only one pass is in it: memory traffic counts here
-            layers = {"image": functools.reduce(np.add, layers.values())} | layers
+        layers = with_image(layers)
         if self.settings.aovs:
             first, bad = self._first_hits(iteration, seed, samples)
             layers |= first
@@ -92,7 +107,7 @@ class ImageMethod(ABC):
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """Sums over the pass's ``samples`` camera paths per pixel: layers (height, width, channels), and counters.
 
-        The layers are the image, or the technique families that it is the sum of."""
+        The layers are the technique families that the image is the sum of; or the image, and any others."""
 
     def develop(self, measurement: Measurement) -> Result:
         """Mean over the passes, layer by layer."""
@@ -112,6 +127,21 @@ class ImageMethod(ABC):
         """``max_depth`` as a number a kernel can compare with."""
         return self.settings.max_depth if self.settings.max_depth >= 0 else 1 << 30
 
+    def camera_numbers(self, lanes: Any, samples: int, seed: int, iteration: int, role: str = "camera") -> SampleSource:
+        """Random numbers of the camera paths ``lanes``, ``samples`` consecutive ones a pixel."""
+        if self.settings.sampler == "independent":
+            return IndependentSource(lanes, seed, role, iteration)
+        pixel = lanes // samples
+        first = dr.opaque(mi.UInt32, (iteration * samples) & 0xFFFFFFFF)
+        return OwenSobolSource(pixel, first + (lanes - pixel * samples), seed, role)
+
+    def light_numbers(self, lanes: Any, paths: int, seed: int, iteration: int, role: str = "light") -> SampleSource:
+        """Random numbers of the light paths ``lanes`` of the ``paths`` that a pass traces."""
+        if self.settings.sampler == "independent":
+            return IndependentSource(lanes, seed, role, iteration)
+        first = dr.opaque(mi.UInt32, (iteration * paths) & 0xFFFFFFFF)
+        return OwenSobolSource(dr.zeros(mi.UInt32), first + lanes, seed, role)
+
     def image(self, values: Any) -> Layer:
         """Colours or scalars, consecutive lanes a pixel, summed into a (height, width, channels) image."""
         width, height = self.problem.size
@@ -125,7 +155,7 @@ class ImageMethod(ABC):
         """Albedo, shading normal and distance of what the camera sees first, zeros where it sees nothing; and how many
         values were not finite."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
-        source = IndependentSource(lanes, seed, "camera", iteration)
+        source = self.camera_numbers(lanes, samples, seed, iteration)
         ray, _, _ = self.camera.primary(lanes // samples, source)
         si = self.scene.ray_intersect(ray)
         hit = si.is_valid()
@@ -141,6 +171,14 @@ def keep_finite(value: Any) -> tuple[Any, Any]:
     """``value`` with non-finite lanes set to zero, and their mask: they are counted, never written to a picture."""
     good = dr.all(dr.isfinite(value))
     return dr.select(good, value, 0.0), ~good
+
+
+def with_image(layers: dict[str, Layer]) -> dict[str, Layer]:
+    """``layers`` with the image, their sum, where it is not among them."""
+    if "image" in layers:
+        return layers
+    # In single precision as long as only one pass is in it: memory traffic counts here.
+    return {"image": functools.reduce(np.add, layers.values())} | layers
 
 
 def total(values: Any) -> float:

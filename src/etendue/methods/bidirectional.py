@@ -24,24 +24,27 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import IndependentSource, OptionError, logger, setting
+from etendue.core import IndependentSource, OptionError, free_memory, logger, setting
 from etendue.density import HashGrid
 from etendue.scene import Problem
 from etendue.transport import (
     PICK_BLOCK,
+    PYRAMID_MAX,
     CameraWalk,
     Gather,
     LightCache,
     LightVertices,
     LightWalk,
     Mis,
+    Pyramid,
     Splats,
     Techniques,
     dimensions,
     needs_interaction,
 )
 
-from .base import ImageMethod, ImageSettings, Layer, keep_finite, total
+from . import radius as radii
+from .base import ImageMethod, ImageSettings, Layer, keep_finite, total, with_image
 
 #: Room for light vertices without a memory limit, in bytes, and the share of a limit that they may take.
 STORE_BYTES = 600e6
@@ -78,12 +81,7 @@ class BidirectionalSettings(ImageSettings):
     merge_first: bool = setting(True, "merge at the first camera vertex too")
     light_paths: float = setting(0.5, "light paths traced per camera path", above=0.0, maximum=64.0)
     radius: float = setting(0.006, "first merge radius, in the unit of radius_unit", above=0.0)
-    radius_unit: str = setting(
-        "scene",
-        "unit of radius: half the diagonal of the scene's bounding box (scene), the median size of a pixel on what the "
-        "camera sees first (pixel), or scene units (absolute)",
-        choices=("scene", "pixel", "absolute"),
-    )
+    radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
     alpha: float = setting(0.75, "radius reduction: r_i = radius i^((alpha - 1) / 2)", above=0.0, maximum=1.0)
     eta_discount: float = setting(
         0.25,
@@ -99,6 +97,10 @@ class BidirectionalSettings(ImageSettings):
     split_layers: bool = setting(
         False, "keep a layer for each technique family, beside their sum; costs some 5 % of the time"
     )
+    pyramid: bool = setting(False, "keep a layer for each technique, (s, t), weighted and unweighted")
+    pyramid_depth: int = setting(
+        5, "edges of the longest paths that the pyramid shows by technique", minimum=1, maximum=PYRAMID_MAX
+    )
 
 
 @dataclass
@@ -112,7 +114,9 @@ class _Run:
     light: Any  #: numbers of the light paths, one lane each
     camera: Any  #: numbers of the camera paths
     pixel: Any  #: their pixels
+    samples: int  #: of a pixel
     splats: Splats | None
+    pyramid: Pyramid | None
     capacity: int  #: of the vertex store
 
 
@@ -150,38 +154,31 @@ class Bidirectional(ImageMethod):
             logger.info(
                 "light paths cannot be joined to this sensor: what only they find is made by merging, or not at all"
             )
+        self._check_pyramid(problem.memory)
         self._indexed = needs_interaction(problem.scene)
         box = problem.scene.bbox()
         self._box = np.asarray(box.min, float).ravel(), np.asarray(box.max, float).ravel()
         self._paths = max(1, round(s.light_paths * self.camera.pixels * self.samples_per_iteration))
-        self._first_radius = self._absolute_radius(seed) if s.merging else 0.0
+        self._first_radius = radii.absolute_radius(self, s.radius, s.radius_unit, seed) if s.merging else 0.0
         self._pilot(seed)
         self._groups = self._count_groups(problem.memory)
 
+    def _check_pyramid(self, memory: int | None) -> None:
+        """Raises :class:`OptionError` if the layers of a pyramid do not fit into memory beside the light vertices."""
+        if not self.settings.pyramid:
+            return
+        depth, camera = self.settings.pyramid_depth, self.camera
+        needed = Pyramid.bytes(self.techniques, depth, camera.pixels)
+        what = f"a technique pyramid of depth {depth} at {camera.width}x{camera.height} takes {needed / 1e6:.0f} MB"
+        how = "lower pyramid_depth or the size"
+        if memory is not None and needed > (1.0 - STORE_SHARE) * memory:
+            least = needed / (1.0 - STORE_SHARE) / 1e6
+            raise OptionError(f"{what}, too much for a limit of {memory / 1e6:.0f} MB; {how}, or give {least:.0f} MB")
+        free = free_memory()
+        if free is not None and needed > free:
+            raise OptionError(f"{what}, and {free / 1e6:.0f} MB are free; {how}")
+
     # ------------------------------------------------------------------ pilots
-
-    def _absolute_radius(self, seed: int) -> float:
-        """The first merge radius in scene units."""
-        s = self.settings
-        match s.radius_unit:
-            case "absolute":
-                return float(s.radius)
-            case "scene":
-                return float(s.radius * 0.5 * np.linalg.norm(self._box[1] - self._box[0]))
-        return float(s.radius * self._pixel_footprint(seed))
-
-    def _pixel_footprint(self, seed: int) -> float:
-        """Median, over what the camera sees first, of the side of a pixel there."""
-        lanes = dr.arange(mi.UInt32, min(self.camera.pixels, 1 << 14))
-        source = IndependentSource(lanes, seed, "pilot camera", 0)
-        pixel = mi.UInt32(mi.Float(self.camera.pixels) * (mi.Float(lanes) + 0.5) / len(lanes))
-        ray, _, aperture = self.camera.primary(dr.minimum(pixel, self.camera.pixels - 1), source)
-        si = self.scene.ray_intersect(ray)
-        side = np.asarray(dr.select(si.is_valid(), self.camera.footprint(si.p, aperture), dr.inf))
-        side = side[np.isfinite(side)]
-        if not len(side):
-            return float(0.001 * np.linalg.norm(self._box[1] - self._box[0]))
-        return float(np.median(side))
 
     def _pilot(self, seed: int) -> None:
         """Measure how many vertices a light path stores and how bright the picture is, by a small pass under seed roles
@@ -192,7 +189,8 @@ class Bidirectional(ImageMethod):
         splats = Splats(self.camera.pixels) if self.techniques.splat else None
         lanes = dr.arange(mi.UInt32, samples)
         pixel = dr.minimum(mi.UInt32((mi.Float(lanes) + 0.5) * (self.camera.pixels / samples)), self.camera.pixels - 1)
-        run = _Run("pilot ", 0, seed, self._first_radius, dr.arange(mi.UInt32, paths), lanes, pixel, splats, 64 * paths)
+        light = dr.arange(mi.UInt32, paths)
+        run = _Run("pilot ", 0, seed, self._first_radius, light, lanes, pixel, 1, splats, None, 64 * paths)
         radiance, counters = self._trace(run)
         self._vertices_per_path = counters["light_vertices"] / paths
         mean = sum(float(np.asarray(v, np.float64).mean()) for v in radiance.values())
@@ -231,12 +229,15 @@ class Bidirectional(ImageMethod):
         """See :class:`ImageMethod`."""
         radius = self.radius(iteration) if self.techniques.merge else 0.0
         splats = Splats(self.camera.pixels) if self.techniques.splat else None
+        s = self.settings
+        pyramid = Pyramid(self.techniques, s.pyramid_depth, self.camera.pixels) if s.pyramid else None
         parts: list[dict[str, Any]] = []
         counters = {"rays": 0.0, "light_vertices": 0.0, "nonfinite": 0.0}
         for index in range(self._groups):
             light, camera = (_part(n, index, self._groups) for n in (self._paths, self.camera.pixels * samples))
             capacity = math.ceil(self._vertices_per_path * len(light) * STORE_MARGIN) + _STORE_PAD
-            run = _Run("", iteration, seed, radius, light, camera, camera // samples, splats, capacity)
+            pixel = camera // samples
+            run = _Run("", iteration, seed, radius, light, camera, pixel, samples, splats, pyramid, capacity)
             radiance, counts = self._trace(run)
             if counts["light_vertices"] > capacity:  # the pilot guessed too low: the whole pass again, with more room
                 self._vertices_per_path = counts["light_vertices"] / len(light)
@@ -250,8 +251,10 @@ class Bidirectional(ImageMethod):
         if splats:
             # A splat is one of N / samples chances per camera path, and the layers' weight is the pass's samples.
             splatted = splats.sum(self.camera.height, self.camera.width) * (samples / self._paths)
-            name = "splat" if self.settings.split_layers else "image"
+            name = "splat" if s.split_layers else "image"
             layers[name] = layers[name] + splatted if name in layers else splatted
+        if pyramid:
+            layers = with_image(layers) | pyramid.layers(self.camera.height, self.camera.width)
         return layers, counters
 
     def _mis(self, radius: float, paths: int) -> Mis:
@@ -275,24 +278,28 @@ class Bidirectional(ImageMethod):
             dr.opaque(mi.Float, self._dark),
         )
         connecting = self.techniques.connection > 0
-        vertices = LightVertices(run.capacity, paths, self._indexed, connecting) if self._stores else None
-        source = IndependentSource(run.light, run.seed, run.role + "light", run.iteration)
-        light_rays, light_bad = LightWalk(*common).trace(paths, source, vertices, run.splats)
+        numbered = run.pyramid is not None and self.visibility.transparent
+        vertices = LightVertices(run.capacity, paths, self._indexed, connecting, numbered) if self._stores else None
+        source = self.light_numbers(run.light, self._paths, run.seed, run.iteration, run.role + "light")
+        light_rays, light_bad = LightWalk(*common, run.pyramid).trace(paths, source, vertices, run.splats)
         dr.schedule(light_rays, light_bad)
-        if run.splats:
-            dr.schedule(run.splats.array)
+        for film in (run.splats, run.pyramid):
+            if film:
+                dr.schedule(film.array)
         if vertices:
             vertices.launch()
         dr.eval()
 
         picks = IndependentSource(run.camera // PICK_BLOCK, run.seed, run.role + "connect", run.iteration)
         cache, gather = self._cache(vertices, paths, picks), self._gather(vertices, paths, run.radius)
-        walk = CameraWalk(*common, self.settings.split_layers, cache, gather)
-        source = IndependentSource(run.camera, run.seed, run.role + "camera", run.iteration)
+        walk = CameraWalk(*common, self.settings.split_layers, cache, gather, run.pyramid)
+        source = self.camera_numbers(run.camera, run.samples, run.seed, run.iteration, run.role + "camera")
         radiance, rays = walk.trace(run.pixel, source)
         bad = {}
         for name, value in radiance.items():
             radiance[name], bad[name] = keep_finite(value)
+        if run.pyramid:
+            dr.schedule(run.pyramid.array)
         dr.eval(radiance, rays, bad)  # the one launch of the camera pass
         return radiance, {
             "rays": total(rays) + total(light_rays),
@@ -315,7 +322,7 @@ class Bidirectional(ImageMethod):
         """The stored vertices made ready for merging."""
         if not vertices or not self.techniques.merge:
             return None
-        positions, held = vertices.positions()
+        positions, _, held = vertices.positions()
         grid = HashGrid(positions, radius, *self._box, held)
         factor = dr.opaque(mi.Float, 1.0 / (np.pi * radius * radius * paths))
         return Gather(grid, vertices.sorted_by(grid.destination), factor)

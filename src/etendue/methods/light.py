@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import IndependentSource, UnsupportedError, setting
+from etendue.core import UnsupportedError, setting
 from etendue.scene import Problem
 from etendue.transport import LightWalk, Mis, Splats, Techniques, point_on
 from etendue.transport import dimensions as dim
@@ -60,13 +60,12 @@ class Light(ImageMethod):
         )
         scattered = Splats(self.camera.pixels)
         lanes = dr.arange(mi.UInt32, paths)
-        rays, bad = walk.trace(paths, IndependentSource(lanes, seed, "light", iteration), None, scattered)
+        rays, bad = walk.trace(paths, self.light_numbers(lanes, paths, seed, iteration), None, scattered)
         dr.eval(rays, bad, scattered.array)
 
         seen = Splats(self.camera.pixels)
-        seen_rays, seen_bad = self._seen_directly(
-            IndependentSource(lanes, seed, "visible light", iteration), paths, seen
-        )
+        source = self.light_numbers(lanes, paths, seed, iteration, "visible light")
+        seen_rays, seen_bad = self._seen_directly(source, paths, seen)
         dr.eval(seen_rays, seen_bad, seen.array)
 
         layers = {

@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import IndependentSource, setting
+from etendue.core import setting
 from etendue.transport import dimensions as dim
 from etendue.transport import (
     emission_of_hit,
@@ -68,7 +68,7 @@ class Path(ImageMethod):
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
-        source = IndependentSource(lanes, seed, "camera", iteration)
+        source = self.camera_numbers(lanes, samples, seed, iteration)
         ray, weight, _ = self.camera.primary(lanes // samples, source)
         state = _State(
             active=mi.Bool(True),
@@ -130,7 +130,7 @@ class Path(ImageMethod):
             s.pdf = pdf
         s.ray = si.spawn_ray(scattered.direction)
         alive, factor = roulette(
-            s.throughput, s.eta, s.depth, self.settings.rr_depth, source.next_1d(s.depth, dim.ROULETTE)
+            s.throughput, s.eta, s.depth, self.settings.rr_depth, source.decide(s.depth, dim.ROULETTE)
         )
         s.throughput *= factor
         s.depth += 1

@@ -14,8 +14,8 @@ _MITSUBAS_OWN = ("path",)
 
 
 def register() -> None:
-    """Make ``vcm``, ``bpt``, ``bpm`` and ``light`` known to ``mi.load_dict``, ``mi.load_file`` and ``mi.render``, and
-    the materials, emitters and sensors of :func:`etendue.scene.register`.
+    """Make all methods but ``path`` known to ``mi.load_dict``, ``mi.load_file`` and ``mi.render``, and the
+    materials, emitters and sensors of :func:`etendue.scene.register`.
 
     May be called before or after ``mi.set_variant`` and any number of times. Under variants that are not supported the
     plugins are known as well, and raise one clear error when one is asked for.

@@ -1,16 +1,18 @@
 """Scenes: loading, the capability check, fingerprints, bundled scenes, the light table, Mitsuba plugins of our own."""
 
 from .bundled import BundledScene, bundled
+from .camera import Camera
 from .capability import check
 from .fingerprint import fingerprint
 from .graph import materials
 from .lights import Light, LightTable
-from .loading import integrator_of, load
+from .loading import integrator_of, load, resized
 from .plugins import register
 from .problem import Problem
 
 __all__ = [
     "BundledScene",
+    "Camera",
     "Light",
     "LightTable",
     "Problem",
@@ -21,4 +23,5 @@ __all__ = [
     "load",
     "materials",
     "register",
+    "resized",
 ]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 from etendue.core import OptionError, SceneError, UnsupportedError, suggest, use_variant
 
 from .bundled import bundled
+from .camera import Camera, check_movable
 from .capability import check as check_scene
 from .graph import contents, plugin_name
 from .parsing import (
@@ -42,6 +44,7 @@ def load(
     sensor: int = 0,
     parameters: Mapping[str, Any] | None = None,
     memory: int | None = None,
+    camera: Camera | None = None,
     check: bool = True,
 ) -> Problem:
     """Load a scene and return the problem of seeing it through one of its sensors.
@@ -50,8 +53,9 @@ def load(
     ``mi.Scene``. ``size`` (width, height) replaces the film's size, and a crop window keeps its proportions; field of
     view and ``fov_axis`` mean what they would mean had the file named that size (a loaded scene has forgotten its
     ``fov_axis``: its horizontal field of view is kept). A loaded scene is not changed. ``sensor`` is an index into the
-    scene's sensors. ``parameters`` gives values to ``$variables`` of an XML file. The scene's integrator is reported,
-    not built. Without ``check`` unsupported elements are let through.
+    scene's sensors; ``camera`` puts it elsewhere, unless the scene is a loaded one. ``parameters`` gives values to
+    ``$variables`` of an XML file. The scene's integrator is reported, not built. Without ``check`` unsupported elements
+    are let through.
 
     Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for what cannot be read or is broken,
     :class:`UnsupportedError` for what cannot be rendered, :class:`OptionError` for arguments out of range.
@@ -63,9 +67,11 @@ def load(
     if memory is not None and memory <= 0:
         raise OptionError(f"a memory bound must be above zero bytes, not {memory}")
     if not _is_loaded(source):
-        return _from_parser(*_parse(source, parameters), size, sensor, memory, check)
+        return _from_parser(*_parse(source, parameters), size, sensor, memory, camera, check)
     if parameters:
         raise OptionError(_NO_VARIABLES)
+    if camera is not None:
+        raise OptionError("the camera of a loaded scene cannot be moved; load the scene with that camera")
     return _from_scene(source, size, sensor, memory, check)
 
 
@@ -149,6 +155,7 @@ def _from_parser(
     size: Size | None,
     sensor: int,
     memory: int | None,
+    camera: Camera | None,
     check: bool,
 ) -> Problem:
     import mitsuba as mi
@@ -157,6 +164,8 @@ def _from_parser(
         integrator, depth, options = take_integrator(state)
         if size is not None:
             resize(state, size)
+        if camera is not None:
+            camera.move_sensors(state)
         check_films(state, name)
         details = texture_details(state)
         mi.parser.transform_merge_equivalent(config, state)
@@ -165,6 +174,8 @@ def _from_parser(
         scene = mi.parser.instantiate(config, state)
 
     chosen = _sensor(scene, sensor, name)
+    if camera is not None:
+        check_movable(chosen, name)
     if check:
         try:
             check_scene(scene, chosen)
@@ -256,15 +267,24 @@ def _sensor(scene: Any, index: int, name: str) -> Any:
     return sensors[index]
 
 
+def resized(problem: Problem, size: Size) -> Problem:
+    """The same view of the same scene on a film whose window has (width, height) ``size``; nothing is loaded again."""
+    film = [int(v) for v in problem.sensor.film().size()]
+    whole = tuple(max(1, round(f * s / w)) for f, s, w in zip(film, size, problem.size, strict=True))
+    sensor = _resized_sensor(problem.sensor, (whole[0], whole[1]))
+    width, height = (int(v) for v in sensor.film().crop_size())
+    return replace(problem, sensor=sensor, size=(width, height))
+
+
 def _resized_sensor(sensor: Any, size: Size) -> Any:
-    """A copy of a perspective, thin-lens or spherical sensor with a film of another size.
+    """A copy of a sensor with a film of another size.
 
     Changing the film through ``mi.traverse`` would alter the user's scene and leave the sensor with its old resolution.
     """
     import mitsuba as mi
 
     kind = plugin_name(sensor)
-    if kind not in ("perspective", "thinlens", "spherical"):
+    if kind not in ("perspective", "thinlens", "orthographic", "spherical"):
         raise OptionError(
             f"a '{kind}' sensor of a loaded scene cannot be given another size; load the scene at that size"
         )

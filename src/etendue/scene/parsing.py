@@ -20,7 +20,7 @@ def take_integrator(state: Any) -> tuple[str, int, dict[str, Any]]:
     import mitsuba as mi
 
     root = state.root
-    for key, value in _read(root.props).items():
+    for key, value in read_properties(root.props).items():
         if isinstance(value, mi.Integrator):  # a dictionary may hold a built one
             del root.props[key]
             return built_integrator(value)
@@ -33,7 +33,7 @@ def take_integrator(state: Any) -> tuple[str, int, dict[str, Any]]:
         del root.props[key]
         while inner := _children(node, mi.ObjectType.Integrator, state):
             node = inner[0][1]  # 'aov' and 'moment' wrap the integrator that counts
-        plain = {k: v for k, v in _read(node.props).items() if isinstance(v, (bool, int, float, str))}
+        plain = {k: v for k, v in read_properties(node.props).items() if isinstance(v, (bool, int, float, str))}
         return node.props.plugin_name(), int(plain.pop("max_depth", -1)), plain
     return "", -1, {}
 
@@ -57,7 +57,7 @@ def resize(state: Any, size: Size) -> None:
 
     for node in state.nodes:
         if node.type == mi.ObjectType.Film:
-            props, values = node.props, _read(node.props)
+            props, values = node.props, read_properties(node.props)
             old = int(values.get("width", 768)), int(values.get("height", 576))
             if any(k in values for k in _CROP):
                 window = [int(values.get(k, d)) for k, d in zip(_CROP, (0, 0, *old), strict=True)]
@@ -86,7 +86,7 @@ def check_films(state: Any, name: str) -> None:
 
     for node in state.nodes:
         if node.type == mi.ObjectType.Film:
-            values = _read(node.props)
+            values = read_properties(node.props)
             for key in ("width", "height", "crop_width", "crop_height"):
                 if key in values and int(values[key]) < 1:
                     raise SceneError(f"{name}: the film's {key} is {values[key]}; it must be at least 1")
@@ -99,7 +99,7 @@ def texture_details(state: Any) -> str:
     rows = []
     for node in state.nodes:
         if node.type == mi.ObjectType.Texture:
-            values = sorted(_read(node.props).items())
+            values = sorted(read_properties(node.props).items())
             texts = [f"{k}={v}" for k, v in values if isinstance(v, str) and k != "filename"]
             rows += [f"{node.props.plugin_name()}:{','.join(texts)}"] if texts else []
     return "\n".join(sorted(rows))
@@ -116,7 +116,7 @@ def merge_meshes(state: Any) -> None:
     root = state.root.props
     keys = []
     for key, node in _children(state.root, mi.ObjectType.Shape, state):
-        own = _read(node.props).values()
+        own = read_properties(node.props).values()
         types = [state.nodes[v.index()].type for v in own if isinstance(v, mi.Properties.ResolvedReference)]
         if node.props.plugin_name() in _MESH_PLUGINS and not {mi.ObjectType.Emitter, mi.ObjectType.Sensor} & set(types):
             keys.append(key)
@@ -133,7 +133,7 @@ def merge_meshes(state: Any) -> None:
     state.root.props["_etendue_merged"] = mi.Properties.ResolvedReference(index)
 
 
-def _read(props: Any) -> dict[str, Any]:
+def read_properties(props: Any) -> dict[str, Any]:
     """The properties of a node. Reading marks them as used, and Mitsuba reports misspelt ones as unused: unmark."""
     values = {}
     for key in props.keys():  # noqa: SIM118
@@ -148,7 +148,7 @@ def _children(node: Any, wanted: Any, state: Any) -> list[tuple[str, Any]]:
     import mitsuba as mi
 
     found = []
-    for key, value in _read(node.props).items():
+    for key, value in read_properties(node.props).items():
         if isinstance(value, mi.Properties.ResolvedReference):
             child = state.nodes[value.index()]
             if child.type == wanted:
@@ -167,5 +167,5 @@ def _is_sensor(node: Any) -> bool:
 def _has_film(sensor: Any, state: Any) -> bool:
     import mitsuba as mi
 
-    built = any(isinstance(v, mi.Film) for v in _read(sensor.props).values())
+    built = any(isinstance(v, mi.Film) for v in read_properties(sensor.props).values())
     return built or bool(_children(sensor, mi.ObjectType.Film, state))

@@ -6,6 +6,7 @@ from .camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
 from .light_walk import LightWalk
 from .mis import Mis, Techniques
+from .pyramid import PYRAMID_MAX, Pyramid
 from .scattering import (
     Evaluated,
     Scattered,
@@ -20,11 +21,12 @@ from .scattering import (
     scatter_light,
     shadow_roulette,
 )
-from .vertices import LightVertex, LightVertices, Photons, needs_interaction
+from .vertices import Kind, LightVertex, LightVertices, Photons, needs_interaction
 from .visibility import Visibility
 
 __all__ = [
     "PICK_BLOCK",
+    "PYRAMID_MAX",
     "Camera",
     "CameraConnection",
     "CameraWalk",
@@ -32,12 +34,14 @@ __all__ = [
     "EmittedRay",
     "Evaluated",
     "Gather",
+    "Kind",
     "LightCache",
     "LightVertex",
     "LightVertices",
     "LightWalk",
     "Mis",
     "Photons",
+    "Pyramid",
     "Scattered",
     "Splats",
     "Techniques",

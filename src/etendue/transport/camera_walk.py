@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +17,7 @@ from . import dimensions as dim
 from .camera import Camera
 from .emission import DirectSample, emission_of_hit, is_emissive, sample_direct
 from .mis import Mis
+from .pyramid import Pyramid
 from .scattering import (
     Evaluated,
     cosine_ratio,
@@ -29,11 +31,6 @@ from .scattering import (
 )
 from .vertices import LightVertex, LightVertices, Photons
 from .visibility import Visibility
-
-#: Candidates that a merge tests, a bit each, before it evaluates those that are neighbours. Searching and evaluating in
-#: turns keeps the lanes of a packet together: one candidate in five is a neighbour, so evaluating each as it is found
-#: would leave most lanes idle.
-_BATCH = 32
 
 
 @dataclass
@@ -92,6 +89,23 @@ class Gather:
     photons: Photons
     factor: Any
 
+    def around(
+        self,
+        point: Any,
+        edges: Any,
+        visit: Callable[[Any, Any], Any],
+        state: Any,
+        active: Any,
+        radius_squared: Any = None,
+    ) -> Any:
+        """Visit the photons around ``point`` that have at most ``edges`` edges behind them; see ``HashGrid.within``."""
+
+        def read(photon: Any) -> tuple[Any, Any]:
+            position, depth = self.photons.position(photon, active)
+            return position, depth <= edges
+
+        return self.grid.within(point, read, visit, state, active, radius_squared)
+
 
 @dataclass
 class CameraWalk:
@@ -107,11 +121,13 @@ class CameraWalk:
     split_layers: bool  #: keep technique families apart
     cache: LightCache | None = None
     gather: Gather | None = None
+    pyramid: Pyramid | None = None  #: gets contributions technique by technique
 
     def trace(self, pixel: Any, source: SampleSource) -> tuple[dict[str, Any], Any]:
         """One camera path an entry of ``pixel``. Returns (layers of radiance, rays), a lane each, not yet evaluated."""
         lanes = dr.width(pixel)
         ray, weight, aperture = self.camera.primary(pixel, source)
+        self._pixel, self._weight = pixel, weight  # for the pyramid, which is filled on the way
         # The first edge is measured from the aperture, though its ray starts at the near plane.
         density, lead = self.camera.density(ray, aperture)
         state = _State(
@@ -145,6 +161,17 @@ class CameraWalk:
         layer = s.layers[family if self.split_layers else "image"]
         layer[mask] += value
 
+    def _tell(self, s: _State, lights: Any, weighted: Any, alone: Any, active: Any, merged: bool = False) -> None:
+        """Add a contribution to the pyramid: with its weight, and without. ``lights``: vertices of the light
+        sub-path."""
+        assert self.pyramid is not None
+        t = self._vertex(s) + 1
+        self.pyramid.add(merged, lights, t, self._pixel, weighted * self._weight, alone * self._weight, active)
+
+    def _asked(self, lit: Any, alone: Any, active: Any) -> Any:
+        """Which shadow rays are cast: those of ``lit``; for a pyramid all that may carry light without a weight."""
+        return lit if self.pyramid is None else active & ~dr.all(alone == 0.0)
+
     def _edge(self, s: _State, source: Any) -> _State:
         """Trace one edge, join its end to the light side in every way, and scatter."""
         techniques = self.mis.techniques
@@ -177,15 +204,15 @@ class CameraWalk:
         directions += [(si.to_local(v.direction), v.active) for v in vertices]
         scattered, values = scatter_camera(bsdf, si, source, s.depth, s.active, directions)
         for index, d in enumerate(direct):
-            u = source.next_1d(s.depth, dim.NEXT_EVENT + 4 * index + 3)
+            u = source.decide(s.depth, dim.NEXT_EVENT + 4 * index + 3)
             self._next_event(s, si, d, values[index], u)
         for index, v in enumerate(vertices):
-            u = source.next_1d(s.depth, dim.CONNECT + index)
+            u = source.decide(s.depth, dim.CONNECT + index)
             value, rays = self._connection(s, si, v, values[len(direct) + index], u)
             s.rays += rays
             self._add(s, "connection", v.active, value)
         if self.cache is not None and self.cache.picks is None:
-            self._connect_pair(s, si, bsdf, source.next_1d(s.depth, dim.CONNECT), smooth)
+            self._connect_pair(s, si, bsdf, source.decide(s.depth, dim.CONNECT), smooth)
 
         s.d_vcm, s.d_vc = self.mis.scatter_camera(
             self._vertex(s),
@@ -205,7 +232,7 @@ class CameraWalk:
         s.throughput *= scattered.weight
         s.eta *= scattered.eta
         s.ray = si.spawn_ray(scattered.direction)
-        alive, factor = roulette(s.throughput, s.eta, s.depth, self.rr_depth, source.next_1d(s.depth, dim.ROULETTE))
+        alive, factor = roulette(s.throughput, s.eta, s.depth, self.rr_depth, source.decide(s.depth, dim.ROULETTE))
         s.throughput *= factor
         s.depth += 1
         s.active &= scattered.active & alive
@@ -222,6 +249,9 @@ class CameraWalk:
         radiance, area_density, emission_density = emission_of_hit(self.lights, scene, si, on_light)
         weight = self.mis.emission_weight(self._vertex(s), s.d_vcm, s.d_vc, area_density, emission_density)
         self._add(s, "emission", on_light, s.throughput * radiance * weight)
+        if self.pyramid is not None:
+            alone = s.throughput * radiance
+            self._tell(s, mi.UInt32(0), alone * weight, alone, on_light)
 
     def _next_event(self, s: _State, si: Any, direct: DirectSample, bsdf: Evaluated, u: Any) -> None:
         """s = 1 [Georgiev 2012b, eq. 44, 45]."""
@@ -234,12 +264,19 @@ class CameraWalk:
             direct.pdf,
             direct.light_ratio * geometric_cos(si, direct.direction),
         )
-        contribution = s.throughput * bsdf.value * direct.radiance * (weight / self.mis.techniques.next_event)
+        count = self.mis.techniques.next_event
+        alone = s.throughput * bsdf.value * direct.radiance
+        contribution = alone * (weight / count)
         lit, factor = shadow_roulette(contribution, self.dark, u, direct.active)
-        s.rays += dr.select(lit, mi.UInt32(1), mi.UInt32(0))
+        asked = self._asked(lit, alone, direct.active)
+        s.rays += dr.select(asked, mi.UInt32(1), mi.UInt32(0))
         spare = self.max_edges - (s.depth + 1)
-        lit, share = self.visibility.along(si.spawn_ray_to(direct.target), spare, lit)
-        self._add(s, "next_event", lit, contribution * factor * share)
+        seen, share = self.visibility.along(si.spawn_ray_to(direct.target), spare, asked)
+        value = contribution * factor * share
+        if self.pyramid is not None:
+            value = dr.select(lit, value, 0.0)
+            self._tell(s, mi.UInt32(1), value, alone * (share / count), seen)
+        self._add(s, "next_event", seen, value)
 
     def _pick_vertices(self, s: _State, si: Any, active: Any) -> list[_Joined]:
         """Light vertices drawn at random from the cache, joined to ``si``."""
@@ -303,41 +340,31 @@ class CameraWalk:
             light.reverse_pdf,
         )
         factor = weight * joined.inverse_square * cosine_ratio(vertex.si, joined.direction)
-        contribution = s.throughput * vertex.throughput * bsdf.value * light.value * (factor * self.cache.factor)
-        visible, factor = shadow_roulette(contribution, self.dark, u, active)
-        rays = dr.select(visible, mi.UInt32(1), mi.UInt32(0))
+        alone = s.throughput * vertex.throughput * bsdf.value * light.value
+        contribution = alone * (factor * self.cache.factor)
+        lit, factor = shadow_roulette(contribution, self.dark, u, active)
+        asked = self._asked(lit, alone, active)
+        rays = dr.select(asked, mi.UInt32(1), mi.UInt32(0))
         spare = self.max_edges - (vertex.depth + s.depth + 1)
-        visible, share = self.visibility.along(si.spawn_ray_to(vertex.si.p), spare, visible)
-        return dr.select(visible, contribution * factor * share, 0.0), rays
+        seen, share = self.visibility.along(si.spawn_ray_to(vertex.si.p), spare, asked)
+        value = contribution * factor * share
+        if self.pyramid is not None:
+            value = dr.select(lit, value, 0.0)
+            geometry = joined.inverse_square * cosine_ratio(vertex.si, joined.direction) * self.cache.factor
+            self._tell(s, vertex.number + 1, value, alone * (geometry * share), seen)
+        return dr.select(seen, value, 0.0), rays
 
     def _merge(self, s: _State, si: Any, bsdf: Any, active: Any) -> None:
         """s >= 2, t >= 2, no edge between them [Georgiev 2012b, eq. 38, 39]."""
         assert self.gather is not None
         if not self.mis.techniques.merge_first:
             active = active & (self._vertex(s) > 1)
-        grid, photons = self.gather.grid, self.gather.photons
-        query = grid.query(si.p, active)
-
-        def batch(first: Any, total: Any) -> tuple[Any, Any]:
-            end = dr.minimum(first + _BATCH, query.total)
-
-            def test(i: Any, near: Any) -> tuple[Any, Any]:
-                """Test one candidate; a neighbour sets its bit."""
-                position, light_depth = photons.position(grid.candidate(query, i), active)
-                hit = grid.accepts(query, position) & (light_depth + s.depth <= self.max_edges)
-                return i + 1, near | dr.select(hit, mi.UInt32(1) << (i - first), 0)
-
-            def evaluate(near: Any, total: Any) -> tuple[Any, Any]:
-                """Take the neighbour of the lowest bit."""
-                photon = grid.candidate(query, first + dr.tzcnt(near))
-                return near & (near - 1), total + self._merged(s, si, bsdf, photon, active)
-
-            _, near = dr.while_loop((mi.UInt32(first), mi.UInt32(0)), lambda i, _: i < end, test, label="merge: search")
-            _, total = dr.while_loop((near, total), lambda near, _: near != 0, evaluate, label="merge: evaluate")
-            return end, total
-
-        _, total = dr.while_loop(
-            (mi.UInt32(0), mi.Color3f(0.0)), lambda first, _: active & (first < query.total), batch, label="merge"
+        total = self.gather.around(
+            si.p,
+            self.max_edges - s.depth,
+            lambda photon, total: total + self._merged(s, si, bsdf, photon, active),
+            mi.Color3f(0.0),
+            active,
         )
         self._add(s, "merge", active, s.throughput * total * self.gather.factor)
 
@@ -349,4 +376,9 @@ class CameraWalk:
         # eval carries the shading cosine; a photon's flux per area already holds the geometric one.
         cos = geometric_cos(si, direction)
         weight = self.mis.merge_weight(self._vertex(s), (s.d_vcm, s.d_vc), (d_vcm, d_vc), bsdf.pdf, bsdf.reverse_pdf)
-        return dr.select(cos > 0.0, throughput * bsdf.value * (weight / dr.select(cos > 0.0, cos, 1.0)), 0.0)
+        value, divisor = throughput * bsdf.value, dr.select(cos > 0.0, cos, 1.0)
+        if self.pyramid is not None:
+            alone = value * s.throughput * (self.gather.factor / divisor)
+            lights = self.gather.photons.number(photon, active) + 1
+            self._tell(s, lights, alone * weight, alone, active & (cos > 0.0), merged=True)
+        return dr.select(cos > 0.0, value * (weight / divisor), 0.0)

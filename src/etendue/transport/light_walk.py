@@ -15,8 +15,9 @@ from . import dimensions as dim
 from .camera import Camera, CameraConnection, Splats
 from .emission import emit
 from .mis import Mis
+from .pyramid import Pyramid
 from .scattering import Evaluated, cosine_ratio, geometric_cos, is_smooth, roulette, scatter_light, shadow_roulette
-from .vertices import LightVertices
+from .vertices import Kind, LightVertices
 from .visibility import Visibility
 
 
@@ -30,7 +31,9 @@ class _State:
     d_vcm: Any
     d_vc: Any
     depth: Any  #: edges so far, the one being traced included
+    vertex: Any  #: the same without the surfaces that were crossed; counted for a pyramid where a scene has such
     stored: Any  #: vertices stored so far
+    kind: Any  #: the :class:`Kind` of the vertex that the edge leads to
     from_infinity: Any  #: the edge being traced leaves an infinite light
     travelled: Any  #: length of the edge before the surfaces that it has crossed
     rays: Any
@@ -48,6 +51,7 @@ class LightWalk:
     max_edges: Any  #: opaque UInt32
     rr_depth: int
     dark: Any  #: opaque Float: radiance below which a contribution plays roulette before its shadow ray
+    pyramid: Pyramid | None = None  #: gets splats technique by technique
 
     def trace(
         self, paths: int, source: SampleSource, vertices: LightVertices | None, splats: Splats | None
@@ -66,7 +70,10 @@ class LightWalk:
             d_vcm=d_vcm,
             d_vc=d_vc,
             depth=dr.full(mi.UInt32, 1, paths),
+            vertex=mi.UInt32(1),
             stored=dr.zeros(mi.UInt32, paths),
+            # A beam is out of reach for next event, so what it shines on counts as a caustic.
+            kind=dr.select(emitted.area_density > 0.0, mi.UInt32(Kind.DIRECT), mi.UInt32(Kind.CAUSTIC)),
             from_infinity=emitted.is_infinite,
             travelled=mi.Float(0.0),
             rays=dr.zeros(mi.UInt32, paths),
@@ -99,7 +106,8 @@ class LightWalk:
         bsdf = si.bsdf(s.ray)
         smooth = s.active & is_smooth(bsdf)
         if vertices is not None:
-            vertices.append(path, s.stored, s.depth, hit, si, bsdf, s.throughput, (s.d_vcm, s.d_vc), smooth)
+            mis, number = (s.d_vcm, s.d_vc), self._vertex(s)
+            vertices.append(path, s.stored, s.depth, hit, si, bsdf, s.throughput, mis, s.kind, smooth, number)
             s.stored += dr.select(smooth, mi.UInt32(1), mi.UInt32(0))
         # Going on takes an edge, and using the vertex it leads to at least one more.
         s.active &= s.depth + 1 < self.max_edges
@@ -113,22 +121,31 @@ class LightWalk:
         s.d_vcm, s.d_vc = self.mis.scatter_light(
             s.d_vcm, s.d_vc, scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
         )
+        through = dr.select(s.kind == mi.UInt32(Kind.INDIRECT), s.kind, mi.UInt32(Kind.CAUSTIC))
+        kind = dr.select(scattered.is_delta, through, mi.UInt32(Kind.INDIRECT))
+        s.kind = dr.select(scattered.is_null, s.kind, kind)
         if self.visibility.transparent:
             crossed = scattered.is_null
             s.d_vcm, s.d_vc = dr.select(crossed, on_edge[0], s.d_vcm), dr.select(crossed, on_edge[1], s.d_vc)
             s.travelled = dr.select(crossed, distance, 0.0)
             s.from_infinity &= crossed
+            if self.pyramid is not None:
+                s.vertex += dr.select(crossed, mi.UInt32(0), mi.UInt32(1))
         else:
             s.from_infinity = mi.Bool(False)
         s.throughput *= scattered.weight
         s.ray = si.spawn_ray(scattered.direction)
         alive, factor = roulette(
-            s.throughput / self.lights.total_power, 1.0, s.depth, self.rr_depth, source.next_1d(s.depth, dim.ROULETTE)
+            s.throughput / self.lights.total_power, 1.0, s.depth, self.rr_depth, source.decide(s.depth, dim.ROULETTE)
         )
         s.throughput *= factor
         s.depth += 1
         s.active &= scattered.active & alive
         return s
+
+    def _vertex(self, s: _State) -> Any:
+        """Number of the vertex at the end of the edge, the light point being 0; asked for by a pyramid alone."""
+        return s.vertex if self.visibility.transparent else s.depth
 
     def _splat(
         self, s: _State, si: Any, joined: CameraConnection, bsdf: Evaluated, source: Any, splats: Splats
@@ -140,17 +157,27 @@ class LightWalk:
         factor = joined.importance * weight * filter_weight * cosine_ratio(si, joined.direction)
         contribution = s.throughput * bsdf.value * factor
         # One splat is to its pixel's sum over paths what a camera path is to that over samples.
-        visible, factor = shadow_roulette(
+        lit, roulette_factor = shadow_roulette(
             contribution,
             self.dark * self.mis.paths_per_sample,
-            source.next_1d(s.depth, dim.SPLAT_SHADOW),
+            source.decide(s.depth, dim.SPLAT_SHADOW),
             joined.active & on_film,
         )
-        contribution *= factor
-        s.rays += dr.select(visible, mi.UInt32(1), mi.UInt32(0))
+        contribution *= roulette_factor
+        asked = lit
+        alone = s.throughput * bsdf.value * (joined.importance * filter_weight * cosine_ratio(si, joined.direction))
+        if self.pyramid is not None:  # a technique by itself wants every ray that may carry light
+            asked = joined.active & on_film & ~dr.all(alone == 0.0)
+        s.rays += dr.select(asked, mi.UInt32(1), mi.UInt32(0))
         spare = self.max_edges - (s.depth + 1)
-        visible, share = self.visibility.along(si.spawn_ray_to(joined.target), spare, visible)
+        seen, share = self.visibility.along(si.spawn_ray_to(joined.target), spare, asked)
+        visible = seen
         contribution *= share
+        if self.pyramid is not None:
+            visible = seen & lit
+            scale = dr.rcp(self.mis.paths_per_sample)
+            weighted = dr.select(visible, contribution * scale, 0.0)
+            self.pyramid.add(False, self._vertex(s) + 1, mi.UInt32(1), pixel, weighted, alone * (share * scale), seen)
         finite = dr.all(dr.isfinite(contribution))
         s.nonfinite += dr.select(visible & ~finite, mi.UInt32(1), mi.UInt32(0))
         visible &= finite

@@ -8,6 +8,7 @@ anisotropic materials, at twice the cost of reading.
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,9 @@ from etendue.scene import materials
 #: Packets of four floats in a record: of a vertex that is connected to, and of one that is only merged with.
 _PACKETS = 6
 _PHOTON_PACKETS = 3
+#: Of the sixteen bits of a depth, those that are left to it where the vertex number takes four.
+_DEPTH_BITS = 12
+_DEPTH_MASK = (1 << _DEPTH_BITS) - 1
 #: Paths that are numbered together, position by position.
 _BLOCK = 16
 
@@ -36,6 +40,14 @@ def needs_interaction(scene: Any) -> bool:
     )
 
 
+class Kind(enum.IntEnum):
+    """What brought light to a vertex, in Heckbert's notation [Heckbert 1990]."""
+
+    INDIRECT = 0  #: L...D...D
+    DIRECT = 1  #: LD
+    CAUSTIC = 2  #: LS+D
+
+
 @dataclass
 class LightVertex:
     """Vertices read back, one lane each."""
@@ -46,6 +58,7 @@ class LightVertex:
     d_vcm: Any
     d_vc: Any
     depth: Any  #: edges from the light
+    number: Any  #: the same without the surfaces that were crossed, where these are counted
 
 
 class LightVertices:
@@ -59,12 +72,15 @@ class LightVertices:
     ----------
     indexed: the layout that recomputes surface interactions (see above).
     connected: vertices will be connected to; if not, only what merging reads is kept.
+    numbered: keep also which vertex of its path each is, the light point being 0, up to 15. Without, its depth stands
+        for that: the two differ where surfaces are crossed unbent.
     """
 
-    def __init__(self, capacity: int, paths: int, indexed: bool, connected: bool) -> None:
+    def __init__(self, capacity: int, paths: int, indexed: bool, connected: bool, numbered: bool = False) -> None:
         self.capacity = capacity
         self.indexed = indexed
         self.connected = connected
+        self.numbered = numbered
         self._packets = _PACKETS if connected else _PHOTON_PACKETS
         #: Vertices that the paths wanted to store, one number on the device; may exceed the capacity.
         self.wanted = dr.zeros(mi.UInt32, 1)
@@ -98,16 +114,21 @@ class LightVertices:
         bsdf: Any,
         throughput: Any,
         mis: tuple[Any, Any],
+        kind: Any,
         active: Any,
+        number: Any = 0,
     ) -> None:
         """Store one vertex per active lane, inside the walk; ``hit`` is the preliminary intersection,
-        ``index`` counts the vertices that the path has stored.
+        ``index`` counts the vertices that the path has stored, ``kind`` is one of :class:`Kind`, ``number`` counts the
+        path's vertices and is kept if the store is ``numbered``.
 
         A full store drops vertices but goes on counting, so that the caller sees ``wanted > capacity`` and repeats
         the pass with more room."""
         slot = dr.scatter_inc(self.wanted, mi.UInt32(0), active)
         active = active & (slot < self._limit)
-        tag = _as_float(depth | (index << 16))
+        if self.numbered:
+            depth = dr.minimum(depth, _DEPTH_MASK) | (dr.minimum(number, 15) << _DEPTH_BITS)
+        tag = _as_float(depth | (index << 16) | (kind << 30))
         direction = si.to_world(si.wi)
         self._put(0, mi.Vector4f(si.p.x, si.p.y, si.p.z, tag), slot, active)
         self._put(1, mi.Vector4f(throughput.x, throughput.y, throughput.z, mis[0]), slot, active)
@@ -147,7 +168,7 @@ class LightVertices:
         slot = dr.arange(mi.UInt32, self.capacity)
         held = slot < self.count
         path = _as_uint(self._get(_PACKETS - 1, slot, held).y)
-        index = _as_uint(self._get(0, slot, held).w) >> 16
+        index = (_as_uint(self._get(0, slot, held).w) >> 16) & 0x3FFF
         if by_path:
             number = dr.gather(mi.UInt32, self._start, path, held) + index
         else:
@@ -183,7 +204,8 @@ class LightVertices:
             throughput=mi.Color3f(throughput.x, throughput.y, throughput.z),
             d_vcm=throughput.w,
             d_vc=direction.w,
-            depth=_as_uint(position.w) & 0xFFFF,
+            depth=_depth(position.w, self.numbered),
+            number=_number(position.w, self.numbered),
         )
 
     def _recompute(self, p: Any, world: Any, first: Any, second: Any, active: Any) -> Any:
@@ -197,24 +219,24 @@ class LightVertices:
         pi.instance = dr.reinterpret_array(mi.ShapePtr, _as_uint(second.x))
         return pi.compute_surface_interaction(mi.Ray3f(p + world, -world), active=active)
 
-    def positions(self) -> tuple[Any, Any]:
-        """(positions, mask of the slots that hold a vertex), one lane a slot."""
+    def positions(self) -> tuple[Any, Any, Any]:
+        """(positions, :class:`Kind`, mask of the slots that hold a vertex), one lane a slot."""
         slot = dr.arange(mi.UInt32, self.capacity)
         held = slot < self.count
         p = self._get(0, slot, held)
-        return mi.Point3f(p.x, p.y, p.z), held
+        return mi.Point3f(p.x, p.y, p.z), _as_uint(p.w) >> 30, held
 
-    def sorted_by(self, destination: Any) -> Photons:
-        """The packets that merging reads, in the order that a search structure gives."""
+    def sorted_by(self, destination: Any, active: Any = True) -> Photons:
+        """The packets that merging reads, in the order that a search structure gives to the ``active`` slots."""
         slot = dr.arange(mi.UInt32, self.capacity)
-        held = slot < self.count
+        held = (slot < self.count) & active
         position = dr.empty(mi.Float, 4 * self.capacity)
         flux = dr.empty(mi.Float, 8 * self.capacity)
         dr.scatter(position, self._get(0, slot, held), destination, held)
         dr.scatter(flux, self._get(1, slot, held), 2 * destination, held)
         dr.scatter(flux, self._get(2, slot, held), 2 * destination + 1, held)
         dr.eval(position, flux)
-        return Photons(position, flux)
+        return Photons(position, flux, self.numbered)
 
 
 @dataclass
@@ -223,11 +245,16 @@ class Photons:
 
     _position: Any
     _flux: Any
+    _numbered: bool = False
 
     def position(self, index: Any, active: Any) -> tuple[Any, Any]:
         """(position, depth)."""
         p = dr.gather(mi.Vector4f, self._position, index, active)
-        return mi.Point3f(p.x, p.y, p.z), _as_uint(p.w) & 0xFFFF
+        return mi.Point3f(p.x, p.y, p.z), _depth(p.w, self._numbered)
+
+    def number(self, index: Any, active: Any) -> Any:
+        """See :class:`LightVertex`."""
+        return _number(dr.gather(mi.Float, self._position, 4 * index + 3, active), self._numbered)
 
     def flux(self, index: Any, active: Any) -> tuple[Any, Any, Any, Any]:
         """(throughput, world direction to the light side, d_vcm, d_vc)."""
@@ -252,6 +279,14 @@ def _as_float(bits: Any) -> Any:
 
 def _as_uint(value: Any) -> Any:
     return dr.reinterpret_array(mi.UInt32, value)
+
+
+def _depth(tag: Any, numbered: bool) -> Any:
+    return _as_uint(tag) & (_DEPTH_MASK if numbered else 0xFFFF)
+
+
+def _number(tag: Any, numbered: bool) -> Any:
+    return (_as_uint(tag) >> _DEPTH_BITS) & 15 if numbered else _as_uint(tag) & 0xFFFF
 
 
 def _pointer(pointer: Any) -> Any:

@@ -1,0 +1,201 @@
+"""What a run file keeps of a run: pictures at given times, a log, and the error over time as a table."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from datetime import datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue import film
+from etendue.api import Outputs, Rendering
+from etendue.core import OutputError, logger
+from etendue.engine import Job, RunResult, versions
+
+from .rendering import check_reference, make_folder
+from .run_file import RunFile
+
+#: Of the table: when, what was done, how wrong the picture is. Numbers only; empty where there is none.
+COLUMNS = (
+    "seconds",
+    "rendering_seconds",
+    "autosave",
+    "passes",
+    "samples",
+    "rays",
+    "noise",
+    "relmse",
+    "relmse_trimmed",
+    "luminance_rmse",
+)
+
+
+class Recorder:
+    """Writes the files of a run; an ``api.Writer``. As a context it makes the folder, and keeps warnings in the log.
+
+    A save at a given time goes to files of its own, the others replace ``name.exr``. ``tell`` is given the line of the
+    log of every save but the periodic ones. The time that saves take is part of a run's seconds.
+    """
+
+    def __init__(self, run: RunFile, tell: Callable[[str], object]) -> None:
+        self._run = run
+        self._tell = tell
+        self._reference: NDArray[np.float32] | None = film.read_image(run.reference) if run.reference else None
+        self._log: TextIO | None = None
+        self._table: TextIO | None = None
+        self._handler: logging.Handler | None = None
+        self._missing = list(run.save_at)
+        self._written: dict[Path, None] = {}  # in the order of their first writing
+
+    @property
+    def files(self) -> Sequence[Path]:
+        """Files that were written."""
+        return list(self._written)
+
+    def check(self, job: Job) -> None:
+        """Raise :class:`OptionError` if the picture cannot be compared with the reference."""
+        check_reference(self._reference, job.problem.size, "size = [{}, {}] in [scene]")
+
+    def __enter__(self) -> Self:
+        make_folder(self._run.folder)
+        self._outputs(self._run.name)  # checks that it may be written
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is not None and self._log is not None:
+            self._line(self._log, f"error: {error}")
+        if self._handler is not None:
+            logger.removeHandler(self._handler)
+        for file in (self._log, self._table):
+            if file is not None:
+                file.close()
+
+    def saving(self, job: Job) -> dict[str, Any]:
+        """See ``api.Writer``. Begins log and table."""
+        self._begin(job)
+        return {
+            "on_save": lambda run: self._save(job, run),
+            "save_every": self._run.save_every,
+            "save_at": self._run.save_at,
+        }
+
+    def write(self, job: Job, run: RunResult) -> Rendering:
+        """The end of a run: the autosaves that it stands for, then the pictures without a time in their name."""
+        if run.save_times:
+            self._save(job, run)
+        rendering = self._keep(job, run, self._outputs(self._run.name), None, f"end ({run.stopped_by})")
+        if self._missing:
+            self._line(self._log, f"the run ended before its autosave at {_times(self._missing)} s")
+        return rendering
+
+    def _save(self, job: Job, run: RunResult) -> None:
+        for time in run.save_times:
+            self._missing.remove(time)
+            self._keep(job, run, self._outputs(f"{self._run.name}-{_seconds(time)}s"), time, f"autosave {time:g} s")
+        if not run.save_times:
+            self._keep(job, run, self._outputs(self._run.name), None, "save")
+
+    def _outputs(self, name: str) -> Outputs:
+        """Pictures of that name, and the one checkpoint."""
+        run = self._run
+        suffixes = ("exr", "png") if run.png else ("exr",)
+        checkpoint = run.folder / f"{run.name}.checkpoint" if run.checkpoint else None
+        pictures = [run.folder / f"{name}.{suffix}" for suffix in suffixes]
+        return Outputs.of(pictures, checkpoint, separate=run.layers == "separate")
+
+    def _keep(self, job: Job, run: RunResult, outputs: Outputs, time: float | None, what: str) -> Rendering:
+        """Write ``outputs``, a line of the log and a row of the table."""
+        rendering = outputs.write(job, run)
+        for path in outputs.files:
+            layers = rendering.layers if outputs.separate and path.suffix == ".exr" else ("image",)
+            self._written.update(dict.fromkeys(film.layer_path(path, layer) for layer in layers))
+        row = self._row(run, rendering, time)
+        self._line(self._table, ",".join("" if row[name] is None else f"{row[name]:.10g}" for name in COLUMNS))
+        line = f"{what}: {_words(row, self._run.trim)} -> {outputs.pictures[0].name}"
+        self._line(self._log, f"{row['seconds']:.2f} s  {line}")
+        if what != "save":
+            self._tell(line)
+        return rendering
+
+    def _row(self, run: RunResult, rendering: Rendering, time: float | None) -> dict[str, Any]:
+        m, image = rendering.metadata, rendering.image
+        row: dict[str, Any] = dict.fromkeys(COLUMNS)
+        row |= {
+            "seconds": round(run.elapsed, 3),
+            "rendering_seconds": m["seconds"],
+            "autosave": time,
+            "passes": m["passes"],
+            "samples": m["samples"],
+            "rays": int(m["rays"]),
+            "noise": m["relative_error"],
+        }
+        if self._reference is not None:
+            row |= {
+                "relmse": film.relative_mse(image, self._reference),
+                "relmse_trimmed": film.relative_mse(image, self._reference, self._run.trim),
+                "luminance_rmse": film.luminance_rmse(image, self._reference),
+            }
+        return row
+
+    def _begin(self, job: Job) -> None:
+        made, date = versions(), datetime.now().astimezone().strftime("%Y-%m-%d %H:%M:%S %z")
+        head = [
+            f"étendue {made['etendue']}, Mitsuba {made['mitsuba']}, Dr.Jit {made['drjit']}, {made['variant']}; {date}",
+            f"{self._run.path.absolute()}: {self._run.describe(job)}",
+            f"seed {job.seed}, settings {job.method.settings.to_json()}, fingerprint {job.problem.fingerprint}",
+        ]
+        self._log, self._table = (self._open(suffix) for suffix in ("log", "csv"))
+        for line in head:
+            self._line(self._log, line)
+        self._line(self._table, ",".join(COLUMNS))
+        self._handler = logging.StreamHandler(self._log)
+        self._handler.setLevel(logging.WARNING)
+        self._handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
+        logger.addHandler(self._handler)
+
+    def _open(self, suffix: str) -> TextIO:
+        path = self._run.folder / f"{self._run.name}.{suffix}"
+        try:
+            file = open(path, "w", encoding="utf-8")  # noqa: SIM115 (closed at the end of the run)
+        except OSError as error:
+            raise OutputError(f"cannot write '{path}': {error.strerror}; choose another folder") from error
+        self._written[path] = None
+        return file
+
+    @staticmethod
+    def _line(file: TextIO | None, text: str) -> None:
+        """Write a line that a killed process leaves behind."""
+        assert file is not None
+        try:
+            file.write(f"{text}\n")
+            file.flush()
+        except OSError as error:
+            raise OutputError(f"cannot write '{file.name}': {error.strerror}; make room there") from error
+
+
+def _words(row: dict[str, Any], trim: float) -> str:
+    """A row of the table for people."""
+    passes = f"{row['passes']} pass{'' if row['passes'] == 1 else 'es'}"
+    parts = [passes, f"{row['samples']} spp", f"{row['rays']:.3g} rays"]
+    if row["noise"] is not None:
+        parts.append(f"noise {row['noise']:.3g}")
+    if row["relmse"] is not None:
+        parts.append(f"relMSE {row['relmse']:.4g} ({row['relmse_trimmed']:.4g} without the worst {100 * trim:g} %)")
+        parts.append(f"RMS of luminance {row['luminance_rmse']:.4g}")
+    return ", ".join(parts)
+
+
+def _seconds(time: float) -> str:
+    """For file names: no more digits than needed, and no exponent."""
+    return f"{time:.6f}".rstrip("0").rstrip(".")
+
+
+def _times(times: Sequence[float]) -> str:
+    return " ".join(f"{t:g}" for t in times)

@@ -1,0 +1,316 @@
+r"""What photon mapping, progressive and stochastic progressive photon mapping share.
+
+A pass traces photons from the lights, stores them at every vertex that is not specular, and follows each camera path
+through mirrors and glass to the first surfaces with a smooth material. There the light that arrives directly is found
+by next event, weighted against one more edge in the BSDF's direction, and the rest by density estimation
+[Jensen 1996; Hachisuka 2008]:
+
+.. math:: L(x, \omega) = \frac{1}{N} \sum_j \frac{K(d_j^2 / r^2)}{\pi r^2} f_s(x, \omega_j, \omega) \, \Phi_j
+
+over the photons j within the distance r, N light paths traced. A material with a smooth and a specular component is
+gathered at, and the path goes on where the specular one is sampled.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core import SampleSource, logger, setting
+from etendue.density import KERNELS
+from etendue.scene import Problem
+from etendue.transport import (
+    LightVertices,
+    LightWalk,
+    Mis,
+    Photons,
+    Techniques,
+    emission_of_hit,
+    geometric_cos,
+    is_emissive,
+    is_smooth,
+    roulette,
+    sample_direct,
+    scatter_camera,
+)
+from etendue.transport import dimensions as dim
+
+from .base import ImageMethod, ImageSettings, Layer, keep_finite, total
+
+#: Room for photons without a memory limit, in bytes, and the share of a limit that they may take.
+_STORE_BYTES = 600e6
+_STORE_SHARE = 0.4
+#: Room beyond what the pilot measured: a factor, and photons.
+_STORE_MARGIN = 1.05
+_STORE_PAD = 1024
+#: Light paths of the pilot.
+_PILOT_PATHS = 1 << 13
+#: Device memory of a photon: its record, the sorted copy, and the search structure.
+_BYTES_PER_PHOTON = 48 + 48 + 32
+
+
+def photons_that_fit(problem: Problem) -> int:
+    """Photons of a pass that memory has room for."""
+    room = _STORE_SHARE * problem.memory if problem.memory else _STORE_BYTES
+    return max(1, int(room / (_STORE_MARGIN * _BYTES_PER_PHOTON)))
+
+
+def memory_for(photons: int) -> float:
+    """The limit, in bytes, under which :func:`photons_that_fit` is ``photons``."""
+    return photons * _STORE_MARGIN * _BYTES_PER_PHOTON / _STORE_SHARE
+
+
+@dataclass(frozen=True)
+class PhotonSettings(ImageSettings):
+    """Settings of every photon mapping method."""
+
+    direct: str = setting(
+        "next_event",
+        "light that reaches what the camera sees without a bounce: by next event and hits, or from photons too",
+        choices=("next_event", "photons"),
+    )
+    kernel: str = setting("uniform", "weight of a photon over the disc it is gathered from", choices=tuple(KERNELS))
+
+
+@dataclass
+class Shot:
+    """The photons of a pass."""
+
+    vertices: LightVertices
+    paths: int  #: N
+    rays: float
+    capacity: int
+
+
+@dataclass
+class _State:
+    """Loop state, one lane a camera path."""
+
+    active: Any
+    ray: Any
+    throughput: Any
+    eta: Any  #: product of the relative indices of refraction
+    radiance: Any
+    depth: Any  #: edges so far, the one being traced included
+    travelled: Any  #: length of the edge before the surfaces that it has crossed
+    pdf: Any  #: density of the edge's direction if it left a smooth material, else 0
+    beyond: Any  #: the path has been scattered by a smooth material
+    found: Any  #: photons that were found where the path first gathered; see ``first``
+    first: Any  #: nothing was gathered yet
+    rays: Any
+    lane: Any
+
+
+class _Chosen:
+    """One source of numbers or another, lane by lane."""
+
+    def __init__(self, condition: Any, where: SampleSource, elsewhere: SampleSource) -> None:
+        self._condition, self._where, self._elsewhere = condition, where, elsewhere
+
+    def next_1d(self, vertex: Any, component: int) -> Any:
+        """See :class:`SampleSource`."""
+        return dr.select(
+            self._condition, self._where.next_1d(vertex, component), self._elsewhere.next_1d(vertex, component)
+        )
+
+    def next_2d(self, vertex: Any, component: int) -> tuple[Any, Any]:
+        """See :class:`SampleSource`."""
+        here, there = self._where.next_2d(vertex, component), self._elsewhere.next_2d(vertex, component)
+        return tuple(dr.select(self._condition, a, b) for a, b in zip(here, there, strict=True))
+
+    def decide(self, vertex: Any, component: int) -> Any:
+        """See :class:`SampleSource`."""
+        return dr.select(
+            self._condition, self._where.decide(vertex, component), self._elsewhere.decide(vertex, component)
+        )
+
+
+class PhotonMapping(ImageMethod):
+    """Base of the photon mapping methods. A subclass says how photons are gathered."""
+
+    #: Whether every pass looks at the same points of the same surfaces.
+    fixed_points = False
+    #: Whether a path is followed for one more bounce, to gather there.
+    final_gather = False
+
+    def prepare(self, problem: Problem, seed: int) -> None:
+        """Tables, and a pilot that measures how many photons a light path stores."""
+        super().prepare(problem, seed)
+        self._edges = dr.opaque(mi.UInt32, self.max_edges())
+        pilot = self._shoot("pilot ", 0, seed, _PILOT_PATHS, 64 * _PILOT_PATHS)
+        #: What the number of light paths follows: the same in every pass, and in a run that is resumed.
+        self.photons_per_path = float(pilot.vertices.wanted[0]) / _PILOT_PATHS
+        self._stored_per_path = self.photons_per_path  # what the room for them follows; grows where it was too little
+        self._light_paths = self._fitting(self.light_paths())
+
+    @abstractmethod
+    def light_paths(self) -> int:
+        """Light paths that a pass shall trace."""
+
+    @abstractmethod
+    def build(self, shot: Shot, iteration: int, seed: int) -> None:
+        """Make the photons ready for :meth:`gather`."""
+
+    @abstractmethod
+    def gather(self, si: Any, bsdf: Any, s: Any, active: Any) -> tuple[Any, Any]:
+        """(reflected radiance, photons found) at ``si``; ``s`` is the camera path's loop state."""
+
+    def finish(self, found: Any) -> None:
+        """Called after a pass with the number of photons that each path found where it first gathered."""
+
+    # ------------------------------------------------------------------ photons
+
+    def _fitting(self, wanted: int) -> int:
+        """As many light paths, or fewer if their photons would not fit into memory."""
+        paths = min(wanted, max(1, int(photons_that_fit(self.problem) / max(self.photons_per_path, 1e-6))))
+        if paths < wanted:
+            logger.info("%d instead of %d light paths a pass: their photons fill the memory", paths, wanted)
+        return paths
+
+    def _shoot(self, role: str, iteration: int, seed: int, paths: int, capacity: int) -> Shot:
+        """Trace light paths and store their vertices; not yet looked at, so that nothing waits."""
+        mis = Mis(Techniques(emission=0, next_event=0, connection=0, splat=False), 0.0, mi.Float(1.0))
+        walk = LightWalk(
+            self.visibility, self.lights, self.camera, mis, self._edges, self.settings.rr_depth, mi.Float(0.0)
+        )
+        vertices = LightVertices(capacity, paths, indexed=False, connected=False)
+        source = self.light_numbers(dr.arange(mi.UInt32, paths), paths, seed, iteration, role + "light")
+        rays, _ = walk.trace(paths, source, vertices, None)
+        dr.schedule(rays)
+        vertices.launch()
+        return Shot(vertices, paths, total(rays), capacity)
+
+    def shoot(self, iteration: int, seed: int) -> Shot:
+        """The photons of a pass, all of them."""
+        paths = self._light_paths
+        while True:
+            capacity = math.ceil(self._stored_per_path * paths * _STORE_MARGIN) + _STORE_PAD
+            shot = self._shoot("", iteration, seed, paths, capacity)
+            stored = int(shot.vertices.wanted[0])
+            if stored <= capacity:
+                return shot
+            self._stored_per_path = stored / paths
+
+    def estimate(self, si: Any, bsdf: Any, photons: Photons, photon: Any, limit: Any, active: Any) -> Any:
+        """Reflected radiance that one photon stands for, times ``N pi r^2``; ``limit``: r^2."""
+        flux, direction, _, _ = photons.flux(photon, active)
+        value = bsdf.eval(mi.BSDFContext(), si, si.to_local(direction), active)
+        cos = geometric_cos(si, direction)
+        weight = dr.select(cos > 0.0, dr.rcp(dr.select(cos > 0.0, cos, 1.0)), 0.0)
+        if self.settings.kernel != "uniform":
+            position, _ = photons.position(photon, active)
+            share = dr.squared_norm(position - si.p) / limit
+            weight *= KERNELS[self.settings.kernel](dr.minimum(share, 1.0))
+        return flux * value * weight
+
+    # ------------------------------------------------------------------ camera paths
+
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
+        """See :class:`ImageMethod`."""
+        shot = self.shoot(iteration, seed)
+        self.build(shot, iteration, seed)
+        state, weight = self._trace("", iteration, seed, samples)
+        radiance, bad = keep_finite(state.radiance * weight)
+        dr.eval(radiance, state.rays, state.found, bad)
+        self.finish(state.found)
+        counters = {
+            "rays": total(state.rays) + shot.rays,
+            "paths": float(len(radiance[0]) + shot.paths),
+            "photons": float(shot.vertices.wanted[0]),
+            "nonfinite": total(bad),
+        }
+        return {"image": self.image(radiance)}, counters
+
+    def _trace(self, role: str, iteration: int, seed: int, samples: int) -> tuple[_State, Any]:
+        """Camera paths: (last state, weight of the camera ray), not yet evaluated."""
+        lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
+        fresh = self.camera_numbers(lanes, samples, seed, iteration, role + "camera")
+        fixed = self.camera_numbers(lanes, samples, seed, 0, role + "camera") if self.fixed_points else fresh
+        ray, weight, _ = self.camera.primary(lanes // samples, fixed)
+        state = _State(
+            active=dr.full(mi.Bool, True, len(lanes)) & (self._edges > 0),
+            ray=mi.Ray3f(ray),
+            throughput=mi.Color3f(1.0),
+            eta=mi.Float(1.0),
+            radiance=mi.Color3f(dr.opaque(mi.Float, 0.0)),
+            depth=mi.UInt32(1),
+            travelled=mi.Float(0.0),
+            pdf=mi.Float(0.0),
+            beyond=mi.Bool(False),
+            found=mi.UInt32(0),
+            first=mi.Bool(True),
+            rays=mi.UInt32(0),
+            lane=mi.UInt32(lanes),
+        )
+        (state,) = dr.while_loop(
+            (state,), lambda s: s.active, lambda s: (self._edge(s, fresh, fixed),), label="photon gathering"
+        )
+        return state, weight
+
+    def _edge(self, s: _State, fresh: SampleSource, fixed: SampleSource) -> _State:
+        """Trace one edge; gather at its end, and scatter."""
+        si = self.scene.ray_intersect(s.ray, s.active)
+        s.rays += 1
+        distance = s.travelled + si.t
+        self._emission(s, si, distance)
+        # The edge after a smooth material was for the emission at its end, and leads on only to gather there.
+        going = s.active & si.is_valid() & (s.depth < self._edges)
+        if not self.final_gather and not self.visibility.transparent:
+            going &= ~s.beyond
+        s.active = going
+
+        bsdf = si.bsdf(s.ray)
+        smooth = s.active & is_smooth(bsdf)
+        here = smooth if self.final_gather else smooth & ~s.beyond
+        reflected, found = self.gather(si, bsdf, s, here)
+        s.radiance[here] += s.throughput * reflected
+        s.found = dr.select(here & s.first, found, s.found)
+        s.first &= ~here
+
+        source: SampleSource = _Chosen(smooth, fresh, fixed) if self.fixed_points else fresh
+        if self.settings.direct == "next_event":
+            direct = sample_direct(self.lights, si, source, s.depth, 0, smooth & ~s.beyond)
+            wo = si.to_local(direct.direction)
+            scattered, (value,) = scatter_camera(bsdf, si, source, s.depth, s.active, [(wo, direct.active)])
+            weight = dr.select(direct.is_delta, 1.0, dr.rcp(1.0 + value.pdf / direct.pdf))
+            contribution = s.throughput * value.value * direct.radiance * weight
+            lit = direct.active & ~dr.all(contribution == 0.0)
+            s.rays += dr.select(lit, mi.UInt32(1), mi.UInt32(0))
+            lit, share = self.visibility.along(si.spawn_ray_to(direct.target), self._edges - (s.depth + 1), lit)
+            s.radiance[lit] += contribution * share
+        else:
+            scattered, _ = scatter_camera(bsdf, si, source, s.depth, s.active)
+
+        rough = ~scattered.is_delta
+        specular_on = scattered.is_delta if self.final_gather else scattered.is_null | (scattered.is_delta & ~s.beyond)
+        # A direction of the smooth component is for the light at its end, or for the gathering there.
+        rough_on = ~s.beyond & (self.settings.direct == "next_event")
+        s.active &= scattered.active & (specular_on | (rough & rough_on))
+        s.pdf = dr.select(scattered.is_null, s.pdf, dr.select(rough, scattered.pdf, 0.0))
+        s.travelled = dr.select(scattered.is_null, distance, 0.0)
+        s.beyond |= rough
+        s.throughput *= scattered.weight
+        s.eta *= scattered.eta
+        s.ray = si.spawn_ray(scattered.direction)
+        u = source.decide(s.depth, dim.ROULETTE)
+        alive, factor = roulette(s.throughput, s.eta, s.depth, self.settings.rr_depth, u)
+        s.throughput *= factor
+        s.active &= alive
+        s.depth += 1
+        return s
+
+    def _emission(self, s: _State, si: Any, distance: Any) -> None:
+        """Light that the edge ends on: all of it from the camera through specular surfaces, its share against next
+        event after a smooth one; what comes through more surfaces after that is in the photons."""
+        on_light = s.active & is_emissive(self.scene, si)
+        radiance, area_density, _ = emission_of_hit(self.lights, self.scene, si, on_light)
+        cos = geometric_cos(si, s.ray.d)
+        direct_pdf = dr.select(si.is_valid(), area_density * dr.square(distance) / cos, area_density)
+        shared = dr.rcp(1.0 + direct_pdf / s.pdf) if self.settings.direct == "next_event" else mi.Float(0.0)
+        weight = dr.select(s.beyond, dr.select(s.pdf > 0.0, shared, 0.0), 1.0)
+        s.radiance[on_light & (weight > 0.0)] += s.throughput * radiance * weight

@@ -1,0 +1,151 @@
+r"""Progressive and stochastic progressive photon mapping.
+
+Each camera path has statistics of its own: R, the radius it gathers in, and N, the photons it has counted. A pass that
+finds M photons changes them to [Hachisuka 2008, eq. 6 to 11]
+
+.. math:: N' = N + \alpha M, \qquad R'^2 = R^2 \frac{N + \alpha M}{N + M}
+
+and the flux :math:`\tau` that was found so far by the same factor as :math:`R^2`, so that :math:`\tau / R^2` is a sum
+over passes: a pass adds :math:`\tau_M / (\pi R^2 N_e)` to the picture, and R and N are all that is carried on.
+
+``sppm`` looks at new points in each pass [Hachisuka 2009], so depth of field, glossy reflection and antialiasing
+converge too. ``ppm`` looks at the same points in each pass; they are found again by the same random numbers rather than
+stored, a ray each instead of some 200 bytes each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.core import CheckpointError, setting
+from etendue.density import HashGrid, KdTree
+from etendue.scene import Problem
+from etendue.transport import Gather, Kind
+
+from . import radius as radii
+from .base import ImageSettings
+from .photon_mapping import PhotonMapping, PhotonSettings, Shot
+
+#: Smallest first radius over the largest, squared.
+_LEAST_SHARE = 1e-6
+#: Points that ``ppm`` looks at in a pixel, at least: what they miss of an edge is missed for ever.
+_LEAST_POINTS = 4
+
+
+@dataclass(frozen=True)
+class SppmSettings(PhotonSettings):
+    """Settings of ``ppm`` and ``sppm``."""
+
+    light_paths: float = setting(1.0, "light paths traced per camera path", above=0.0, maximum=64.0)
+    radius: float = setting(0.006, "first gather radius, in the unit of radius_unit", above=0.0)
+    radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
+    neighbours: int = setting(
+        0,
+        "photons of the first pass that a path's first radius shall hold, where radius is as wide; 0: it is radius",
+        minimum=0,
+        maximum=1000,
+    )
+    alpha: float = setting(2.0 / 3.0, "share of the photons found that is kept in N", above=0.0, maximum=1.0)
+
+
+class Sppm(PhotonMapping):
+    """Stochastic progressive photon mapping: new points in each pass, a radius for each camera path."""
+
+    name: ClassVar[str] = "sppm"
+    Settings: ClassVar[type[ImageSettings]] = SppmSettings
+    citations: ClassVar[tuple[str, ...]] = ("Hachisuka2009", "Hachisuka2008", "Jensen1996")
+
+    def prepare(self, problem: Problem, seed: int) -> None:
+        """The first radii: the same for every path, or found by the nearest photons."""
+        super().prepare(problem, seed)
+        first = radii.absolute_radius(self, self.settings.radius, self.settings.radius_unit, seed)
+        lanes = self.camera.pixels * self.samples_per_iteration
+        self._radius_squared = dr.full(mi.Float, first * first, lanes)
+        self._count = dr.zeros(mi.Float, lanes)
+        box = problem.scene.bbox()
+        self._box = np.asarray(box.min, float).ravel(), np.asarray(box.max, float).ravel()
+        self._tree: KdTree | None = None
+        if self.settings.neighbours:
+            self._begin_with_nearest(first * first, seed)
+
+    def _begin_with_nearest(self, limit: float, seed: int) -> None:
+        """First radii that hold as many photons as asked for, of those of the first pass, around the points that it
+        will look at; ``limit``: the largest, squared."""
+        positions, held = self._wanted(self.shoot(0, seed))
+        self._tree, self._limit = KdTree(positions, held), dr.opaque(mi.Float, limit)
+        state, _ = self._trace("", 0, seed, self.samples_per_iteration)
+        squared = dr.reinterpret_array(mi.Float, state.found)
+        # Photons may lie on one spot: a radius of zero would never find another.
+        squared = dr.select(state.first, self._limit, dr.maximum(squared, _LEAST_SHARE * self._limit))
+        dr.eval(squared)
+        self._radius_squared, self._tree = squared, None
+
+    def _wanted(self, shot: Shot) -> tuple[Any, Any]:
+        """(positions, which of them are gathered), one lane a slot."""
+        positions, kind, held = shot.vertices.positions()
+        if self.settings.direct == "next_event":
+            held &= kind != mi.UInt32(Kind.DIRECT)
+        return positions, held
+
+    def light_paths(self) -> int:
+        """See :class:`PhotonMapping`."""
+        return max(1, round(self.settings.light_paths * self.camera.pixels * self.samples_per_iteration))
+
+    def build(self, shot: Shot, iteration: int, seed: int) -> None:
+        """Sort the photons into a grid for the largest radius there is."""
+        positions, held = self._wanted(shot)
+        largest = float(np.sqrt(np.asarray(self._radius_squared).max()))
+        grid = HashGrid(positions, largest, *self._box, held)
+        self._gather = Gather(grid, shot.vertices.sorted_by(grid.destination, held), None)
+        self._paths = dr.opaque(mi.Float, shot.paths)
+
+    def gather(self, si: Any, bsdf: Any, s: Any, active: Any) -> tuple[Any, Any]:
+        """See :class:`PhotonMapping`."""
+        if self._tree is not None:  # only the distance is asked for; it goes where the number of photons goes
+            squared = self._tree.kth_distance_squared(si.p, self.settings.neighbours, self._limit, active)
+            return mi.Color3f(0.0), dr.reinterpret_array(mi.UInt32, squared)
+        limit = dr.gather(mi.Float, self._radius_squared, s.lane, active)
+
+        def visit(photon: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
+            flux, found = state
+            return flux + self.estimate(si, bsdf, self._gather.photons, photon, limit, active), found + 1
+
+        start = (mi.Color3f(0.0), mi.UInt32(0))
+        flux, found = self._gather.around(si.p, self._edges - s.depth, visit, start, active, limit)
+        return flux / (dr.pi * limit * self._paths), found
+
+    def finish(self, found: Any) -> None:
+        """Shrink the radii [Hachisuka 2008, eq. 6, 8]."""
+        count = self._count + self.settings.alpha * found
+        all_found = self._count + found
+        self._radius_squared *= dr.select(all_found > 0.0, count / all_found, 1.0)
+        self._count = count
+        dr.eval(self._radius_squared, self._count)
+
+    def state(self) -> Mapping[str, Any]:
+        """R^2 and N of every camera path."""
+        return {"radius_squared": np.array(self._radius_squared), "count": np.array(self._count)}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Inverse of :meth:`state`."""
+        radius_squared, count = np.asarray(state["radius_squared"]), np.asarray(state["count"])
+        if radius_squared.shape != (len(self._count),) or count.shape != radius_squared.shape:
+            raise CheckpointError("the checkpoint's photon statistics are of another size; start anew")
+        self._radius_squared, self._count = mi.Float(radius_squared), mi.Float(count)
+
+
+class Ppm(Sppm):
+    """Progressive photon mapping: the same points in each pass."""
+
+    name: ClassVar[str] = "ppm"
+    citations: ClassVar[tuple[str, ...]] = ("Hachisuka2008", "Jensen1996")
+    fixed_points = True
+
+    def _samples(self, problem: Problem) -> int:
+        return int(self.settings.samples_per_pass) or max(_LEAST_POINTS, super()._samples(problem))

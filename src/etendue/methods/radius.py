@@ -1,0 +1,47 @@
+"""Radii of merging and gathering, in units that a user can think in."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.core import IndependentSource
+
+from .base import ImageMethod
+
+#: Names of the units; ``absolute_radius`` knows what they are.
+UNITS = ("scene", "pixel", "absolute")
+UNIT_DOC = (
+    "unit of radius: half the diagonal of the scene's bounding box (scene), the median size of a pixel on what the "
+    "camera sees first (pixel), or scene units (absolute)"
+)
+
+
+def half_diagonal(method: ImageMethod) -> float:
+    """Half the diagonal of the bounding box of a prepared method's scene."""
+    box = method.scene.bbox()
+    return 0.5 * float(np.linalg.norm(np.asarray(box.max, float).ravel() - np.asarray(box.min, float).ravel()))
+
+
+def absolute_radius(method: ImageMethod, radius: float, unit: str, seed: int) -> float:
+    """``radius`` of a prepared method in scene units."""
+    match unit:
+        case "absolute":
+            return float(radius)
+        case "scene":
+            return float(radius * half_diagonal(method))
+    return float(radius * _pixel_footprint(method, seed))
+
+
+def _pixel_footprint(method: ImageMethod, seed: int) -> float:
+    """Median, over what the camera sees first, of the side of a pixel there."""
+    camera = method.camera
+    lanes = dr.arange(mi.UInt32, min(camera.pixels, 1 << 14))
+    source = IndependentSource(lanes, seed, "pilot camera", 0)
+    pixel = mi.UInt32(mi.Float(camera.pixels) * (mi.Float(lanes) + 0.5) / len(lanes))
+    ray, _, aperture = camera.primary(dr.minimum(pixel, camera.pixels - 1), source)
+    si = method.scene.ray_intersect(ray)
+    side = np.asarray(dr.select(si.is_valid(), camera.footprint(si.p, aperture), dr.inf))
+    side = side[np.isfinite(side)]
+    return float(np.median(side)) if len(side) else 0.002 * half_diagonal(method)

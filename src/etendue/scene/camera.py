@@ -1,0 +1,94 @@
+"""A camera that replaces the place and the field of view of a scene's own."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from etendue.core import OptionError
+
+from .graph import plugin_name
+from .parsing import read_properties
+
+#: Sensors that have a place, a direction and a field of view.
+MOVABLE = ("perspective", "thinlens")
+
+Point = tuple[float, float, float]
+
+
+@dataclasses.dataclass(frozen=True)
+class Camera:
+    """Where a perspective or thin-lens sensor stands and looks, in world space, and what it sees.
+
+    ``origin`` and ``target`` come together or not at all; without them the place is that of the scene. ``up`` is the
+    direction that is up in the picture. ``fov`` is the vertical field of view of the whole film in degrees; without it
+    the scene's is kept. Raises :class:`OptionError` for what is no camera.
+    """
+
+    origin: Sequence[float] | None = None
+    target: Sequence[float] | None = None
+    up: Sequence[float] = (0.0, 1.0, 0.0)
+    fov: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("origin", "target", "up"):
+            if (value := getattr(self, name)) is not None:
+                object.__setattr__(self, name, _point(name, value))
+        if (self.origin is None) != (self.target is None):
+            raise OptionError("a camera's origin and target belong together; give both, or none to keep the scene's")
+        if self.origin is not None and self.target is not None:
+            view = np.subtract(self.target, self.origin)
+            if not view.any():
+                raise OptionError(f"the camera's target is its origin, {list(self.origin)}; move one of them")
+            up = np.asarray(self.up)
+            if np.linalg.norm(np.cross(view, up)) <= 1e-6 * np.linalg.norm(view) * np.linalg.norm(up):
+                raise OptionError(f"the camera's up, {list(self.up)}, is zero or along its view; choose another one")
+        fov = self.fov
+        if fov is not None and not (_is_number(fov) and 0.0 < fov < 180.0):
+            raise OptionError(f"a camera's fov is an angle between 0 and 180 degrees, not {fov!r}")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Arguments that make an equal camera, ready for JSON."""
+        return {k: v for k, v in dataclasses.asdict(self).items() if v is not None}
+
+    def move_sensors(self, state: Any) -> None:
+        """Change every sensor of a parsed scene that can be moved: only the one that is looked through matters."""
+        import mitsuba as mi
+
+        for node in state.nodes:
+            props = node.props
+            if node.type != mi.ObjectType.Sensor or props.plugin_name() not in MOVABLE:
+                continue
+            if self.origin is not None and self.target is not None:
+                place = mi.ScalarTransform4f().look_at(list(self.origin), list(self.target), list(self.up))
+                props["to_world"] = place
+            if self.fov is not None:
+                if "focal_length" in read_properties(props):
+                    del props["focal_length"]
+                props["fov"] = float(self.fov)
+                props["fov_axis"] = "y"
+
+
+def check_movable(sensor: Any, name: str) -> None:
+    """Raise :class:`OptionError` if a camera cannot replace the place of ``sensor`` of the scene ``name``."""
+    kind = plugin_name(sensor)
+    if kind not in MOVABLE:
+        raise OptionError(
+            f"the sensor of {name} is '{kind}'; a camera is for {' and '.join(MOVABLE)} ones: leave it out"
+        )
+
+
+def _point(name: str, value: Any) -> Point:
+    numbers = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else []
+    if len(numbers) != 3 or not all(map(_is_number, numbers)):
+        raise OptionError(f"a camera's {name} is three numbers, as [0, 1, 4], not {value!r}")
+    x, y, z = map(float, numbers)
+    return x, y, z
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

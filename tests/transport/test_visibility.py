@@ -1,0 +1,43 @@
+"""Shadow rays end where they were aimed, whatever they cross on the way."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from support import scenes
+
+from etendue.transport import Visibility
+
+
+@pytest.mark.parametrize("sheets", [0, 1, 3])
+def test_points_of_a_ball_are_seen_through_sheets(sheets):
+    """From below, points of a ball that face away by up to 89 degrees; sheets cross it and hang below it."""
+    scene = {"type": "scene", "sensor": scenes.camera(), "sky": {"type": "constant"}, "ball": {"type": "sphere"}}
+    for index in range(sheets):
+        place = scenes.transform().translate([0.0, 0.3 - 0.7 * index, 0.0]).rotate([1, 0, 0], 80.0).scale(9.0)
+        scene[f"sheet{index}"] = {"type": "rectangle", "to_world": place, "bsdf": {"type": "null"}}
+    visibility = Visibility(scenes.load(scene).scene)
+    assert visibility.transparent == (sheets > 0)
+
+    rng = np.random.default_rng(3)
+    ends = rng.standard_normal((20000, 3))
+    ends /= np.linalg.norm(ends, axis=1, keepdims=True)
+    starts = np.array([0.0, -3.0, 0.0]) + rng.uniform(-0.5, 0.5, ends.shape)
+    way = ends - starts
+    distance = np.linalg.norm(way, axis=1)
+    facing = -(way * ends).sum(1) / distance > np.cos(np.radians(89.0))
+    at = in_space(starts[facing])
+    ray = at.spawn_ray_to(mi.Point3f(*ends[facing].T.astype(np.float32)))
+    seen, share = visibility.along(ray, mi.UInt32(8), mi.Bool(True))
+    assert facing.sum() > 5000
+    assert np.asarray(seen).mean() > 0.999
+    assert np.asarray(share).min() == 1.0
+
+
+def in_space(points: np.ndarray) -> mi.Interaction3f:
+    """Points in free space."""
+    at = dr.zeros(mi.Interaction3f)
+    at.p = mi.Point3f(*points.T.astype(np.float32))
+    return at
