@@ -44,16 +44,19 @@ from etendue.transport import (
 )
 
 from . import radius as radii
-from .base import ImageMethod, ImageSettings, Layer, keep_finite, total, with_image
-
-#: Room for light vertices without a memory limit, in bytes, and the share of a limit that they may take.
-STORE_BYTES = 600e6
-STORE_SHARE = 0.4
-#: Room beyond what the pilot measured: a factor, and vertices.
-STORE_MARGIN = 1.05
-_STORE_PAD = 1024
-#: Light and camera paths of the pilot pass.
-_PILOT_PATHS = 1 << 13
+from .base import (
+    PILOT_PATHS,
+    STORE_BYTES,
+    STORE_MARGIN,
+    STORE_PAD,
+    STORE_SHARE,
+    ImageMethod,
+    ImageSettings,
+    Layer,
+    keep_finite,
+    total,
+    with_image,
+)
 
 
 @dataclass(frozen=True)
@@ -184,8 +187,8 @@ class Bidirectional(ImageMethod):
         """Measure how many vertices a light path stores and how bright the picture is, by a small pass under seed roles
         of its own."""
         self._vertices_per_path, self._dark = 0.0, 0.0
-        paths = min(_PILOT_PATHS, self._paths)
-        samples = min(_PILOT_PATHS, self.camera.pixels)
+        paths = min(PILOT_PATHS, self._paths)
+        samples = min(PILOT_PATHS, self.camera.pixels)
         splats = Splats(self.camera.pixels) if self.techniques.splat else None
         lanes = dr.arange(mi.UInt32, samples)
         pixel = dr.minimum(mi.UInt32((mi.Float(lanes) + 0.5) * (self.camera.pixels / samples)), self.camera.pixels - 1)
@@ -209,7 +212,7 @@ class Bidirectional(ImageMethod):
         """Into how many groups the light paths of a pass are split, so that their vertices fit into memory."""
         bytes_per_vertex = LightVertices.bytes_per_vertex(bool(self.techniques.connection), self.techniques.merge)
         needed = self._vertices_per_path * self._paths * STORE_MARGIN * bytes_per_vertex
-        pad = _STORE_PAD * bytes_per_vertex
+        pad = STORE_PAD * bytes_per_vertex
         room = STORE_SHARE * memory if memory else STORE_BYTES
         if memory and room < 4 * pad:
             least = 4 * pad / STORE_SHARE / 1e6
@@ -235,7 +238,7 @@ class Bidirectional(ImageMethod):
         counters = {"rays": 0.0, "light_vertices": 0.0, "nonfinite": 0.0}
         for index in range(self._groups):
             light, camera = (_part(n, index, self._groups) for n in (self._paths, self.camera.pixels * samples))
-            capacity = math.ceil(self._vertices_per_path * len(light) * STORE_MARGIN) + _STORE_PAD
+            capacity = math.ceil(self._vertices_per_path * len(light) * STORE_MARGIN) + STORE_PAD
             pixel = camera // samples
             run = _Run("", iteration, seed, radius, light, camera, pixel, samples, splats, pyramid, capacity)
             radiance, counts = self._trace(run)

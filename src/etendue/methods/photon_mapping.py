@@ -40,29 +40,32 @@ from etendue.transport import (
 )
 from etendue.transport import dimensions as dim
 
-from .base import ImageMethod, ImageSettings, Layer, keep_finite, total
+from .base import (
+    PILOT_PATHS,
+    STORE_BYTES,
+    STORE_MARGIN,
+    STORE_PAD,
+    STORE_SHARE,
+    ImageMethod,
+    ImageSettings,
+    Layer,
+    keep_finite,
+    total,
+)
 
-#: Room for photons without a memory limit, in bytes, and the share of a limit that they may take.
-_STORE_BYTES = 600e6
-_STORE_SHARE = 0.4
-#: Room beyond what the pilot measured: a factor, and photons.
-_STORE_MARGIN = 1.05
-_STORE_PAD = 1024
-#: Light paths of the pilot.
-_PILOT_PATHS = 1 << 13
 #: Device memory of a photon: its record, the sorted copy, and the search structure.
 _BYTES_PER_PHOTON = 48 + 48 + 32
 
 
 def photons_that_fit(problem: Problem) -> int:
     """Photons of a pass that memory has room for."""
-    room = _STORE_SHARE * problem.memory if problem.memory else _STORE_BYTES
-    return max(1, int(room / (_STORE_MARGIN * _BYTES_PER_PHOTON)))
+    room = STORE_SHARE * problem.memory if problem.memory else STORE_BYTES
+    return max(1, int(room / (STORE_MARGIN * _BYTES_PER_PHOTON)))
 
 
 def memory_for(photons: int) -> float:
     """The limit, in bytes, under which :func:`photons_that_fit` is ``photons``."""
-    return photons * _STORE_MARGIN * _BYTES_PER_PHOTON / _STORE_SHARE
+    return photons * STORE_MARGIN * _BYTES_PER_PHOTON / STORE_SHARE
 
 
 @dataclass(frozen=True)
@@ -142,9 +145,9 @@ class PhotonMapping(ImageMethod):
         """Tables, and a pilot that measures how many photons a light path stores."""
         super().prepare(problem, seed)
         self._edges = dr.opaque(mi.UInt32, self.max_edges())
-        pilot = self._shoot("pilot ", 0, seed, _PILOT_PATHS, 64 * _PILOT_PATHS)
+        pilot = self._shoot("pilot ", 0, seed, PILOT_PATHS, 64 * PILOT_PATHS)
         #: What the number of light paths follows: the same in every pass, and in a run that is resumed.
-        self.photons_per_path = float(pilot.vertices.wanted[0]) / _PILOT_PATHS
+        self.photons_per_path = float(pilot.vertices.wanted[0]) / PILOT_PATHS
         self._stored_per_path = self.photons_per_path  # what the room for them follows; grows where it was too little
         self._light_paths = self._fitting(self.light_paths())
 
@@ -189,7 +192,7 @@ class PhotonMapping(ImageMethod):
         """The photons of a pass, all of them."""
         paths = self._light_paths
         while True:
-            capacity = math.ceil(self._stored_per_path * paths * _STORE_MARGIN) + _STORE_PAD
+            capacity = math.ceil(self._stored_per_path * paths * STORE_MARGIN) + STORE_PAD
             shot = self._shoot("", iteration, seed, paths, capacity)
             stored = int(shot.vertices.wanted[0])
             if stored <= capacity:
