@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from support import scenes
-from support.running import prepared, run
-from support.statistics import blocks, z_scores
+from support.running import go, prepared, run
+from support.statistics import assert_agree, blocks, z_scores
 
 from etendue import methods
 from etendue.core import OptionError
@@ -54,6 +54,52 @@ def test_three_radii_extrapolate_to_path(name):
     assert np.sqrt((z**2).mean()) < 1.8, z
     if name == "bpm":  # the test says something: there is a bias to take away
         assert np.abs(z_scores(blocks(widest, 4), blocks(reference, 4))).max() > 4.0
+
+
+#: One row a way to use several radii: method and settings.
+SEVERAL = {
+    "vcm": ("vcm", {}),
+    "vcm layers": ("vcm", {"split_layers": True, "merge_first": False, "heuristic": "power"}),
+    "vcm path": ("vcm", {"light_source": "path", "connections": 2}),
+    "bpm": ("bpm", {}),
+}
+
+
+@pytest.mark.parametrize("name", SEVERAL)
+def test_several_radii_in_one_run_are_as_many_runs(name):
+    """The same paths, so the same pictures up to rounding; roulette before shadow rays would decide by all radii."""
+    method, settings = SEVERAL[name]
+    settings = settings | {"radius_unit": "absolute", "shadow_roulette": 0.0, "samples_per_pass": 4}
+    problem = scenes.room("mixed", "rough")
+    together = go(prepared(problem, method, radius=0.2, radii="0.5, 2", **settings), 2)
+    for layer, radius in (("image", 0.2), ("radius_0.5", 0.1), ("radius_2", 0.4)):
+        alone = go(prepared(problem, method, radius=radius, **settings), 2).mean
+        np.testing.assert_allclose(together.measurement.mean(layer), alone, rtol=2e-4, atol=1e-5, err_msg=layer)
+    if "split_layers" in settings:
+        parts = [together.measurement.mean(n) for n in ("emission", "next_event", "connection", "merge", "splat")]
+        np.testing.assert_allclose(np.sum(parts, axis=0), together.mean, rtol=1e-4, atol=1e-6)
+
+
+def test_several_radii_with_roulette_before_shadow_rays():
+    """Roulette that all radii share is right for each: the same mean as without."""
+    problem = scenes.room("mixed", "rough", size=(12, 8))
+    settings = {"radius": 0.1, "radius_unit": "absolute", "radii": "3", "alpha": 1.0, "samples_per_pass": 64}
+    runs = []
+    for level, seed in ((0.0, 1), (1.0, 2)):
+        runner = prepared(problem, "vcm", seed, shadow_roulette=level, **settings)
+        runs.append(np.stack([runner.step(i, seed).mean("radius_3") for i in range(8)]))
+    assert_agree(runs[1], runs[0], "roulette")
+
+
+@pytest.mark.parametrize("text", ["x", "0.5,", "0", "-1", "1", "2,2", "2,2.0", "inf", "nan", "2,3,4,5,6"])
+def test_bad_radii(text):
+    with pytest.raises(OptionError, match="radii"):
+        methods.get("vcm").Settings(radii=text)
+
+
+def test_radii_without_merging():
+    with pytest.raises(OptionError, match="merging"):
+        methods.get("bpt").Settings(radii="2")
 
 
 @pytest.mark.parametrize("alpha", [0.5, 2 / 3, 1.0])

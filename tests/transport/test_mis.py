@@ -125,10 +125,13 @@ class Paths:
 
     # ---- the same through the recursion
 
-    def computed(self, keys: Iterable[Key], t: Techniques, eta: float, light_paths: float) -> dict[Key, np.ndarray]:
-        """The weights of the techniques ``keys``, as the walks and joints would compute them."""
+    def computed(
+        self, keys: Iterable[Key], t: Techniques, eta: float, light_paths: float, more: Iterable[float] = ()
+    ) -> dict[Key, np.ndarray]:
+        """The weights of the techniques ``keys``, as the walks and joints would compute them; those of ``eta``, with
+        ``more`` radii in the same walk."""
         k = self.k
-        mis = Mis(t, mi.Float(eta), mi.Float(light_paths))
+        mis = Mis(t, [mi.Float(value) for value in (*more, eta)], mi.Float(light_paths))
         delta = mi.Bool(self.light == "delta")
         d2, cos_in, cos_out = (_floats(v) for v in (self.d2, self.cos_in, self.cos_out))
         forward, reverse = _floats(self.forward), _floats(self.reverse)
@@ -142,7 +145,7 @@ class Paths:
             state = mis.scatter_light(*state, cos_out[j], forward[j], reverse[j], mi.Bool(self.is_specular(j)))
 
         camera: dict[int, Any] = {}
-        state = mis.start_camera(pixel), mi.Float(0.0)
+        state = mis.start_camera(pixel)
         for j in range(k - 1, 0, -1):
             state = camera[j] = mis.hit(*state, d2[j], cos_out[j])
             specular = mi.Bool(self.is_specular(j))
@@ -173,7 +176,7 @@ class Paths:
                     weight = mis.splat_weight(*light[j], reverse[j], pixel * cos_out[j] / d2[j])
                 case _:
                     weight = mis.merge_weight(depth(k, j), camera[j], light[j], reverse[j], forward[j])
-            weights[family, j] = weight
+            weights[family, j] = weight[-1]
         dr.eval(weights)
         return {key: np.broadcast_to(np.array(w, np.float64), self.lanes) for key, w in weights.items()}
 
@@ -187,10 +190,10 @@ def _floats(values: Any) -> list[Any]:
     return [mi.Float(np.asarray(v, np.float32)) for v in values]
 
 
-def check(paths: Paths, t: Techniques, eta: float = 0.3, light_paths: float = 12.0) -> int:
+def check(paths: Paths, t: Techniques, eta: float = 0.3, light_paths: float = 12.0, more: Iterable[float] = ()) -> int:
     """Every weight, and their sum. Returns how many weights there were."""
     expected = paths.expected(t, eta, light_paths)
-    computed = paths.computed(expected, t, eta, light_paths)
+    computed = paths.computed(expected, t, eta, light_paths, more)
     count, total = 0, np.zeros(paths.lanes)
     for key, weight in expected.items():
         own = weight > 0.0
@@ -244,6 +247,15 @@ def test_weights_are_those_of_the_definition(name, light, beta):
 def test_any_radius_and_number_of_light_paths(eta, light_paths, beta):
     for light in LIGHTS:
         assert check(Paths(4, light, seed=5), Techniques(connection=2, beta=beta), eta, light_paths) > 0
+
+
+@pytest.mark.parametrize("beta", [1, 2])
+@pytest.mark.parametrize("light", LIGHTS)
+@pytest.mark.parametrize("name", [name for name, t in TABLE.items() if t.merge])
+def test_several_radii_in_one_walk(name, light, beta):
+    """The recursion without a radius, filled in last, gives the same weights."""
+    techniques = dataclasses.replace(TABLE[name], beta=beta)
+    assert sum(check(Paths(k, light), techniques, more=(2.0, 0.01)) for k in (2, 3, 4)) > 0
 
 
 @pytest.mark.parametrize("light", LIGHTS)

@@ -85,6 +85,10 @@ class BidirectionalSettings(ImageSettings):
     light_paths: float = setting(0.5, "light paths traced per camera path", above=0.0, maximum=64.0)
     radius: float = setting(0.006, "first merge radius, in the unit of radius_unit", above=0.0)
     radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
+    radii: str = setting(
+        "",
+        "further merge radii in the same run, as factors of radius such as 0.5,2: each gives a layer, radius_0.5",
+    )
     alpha: float = setting(0.75, "radius reduction: r_i = radius i^((alpha - 1) / 2)", above=0.0, maximum=1.0)
     eta_discount: float = setting(
         0.25,
@@ -104,6 +108,11 @@ class BidirectionalSettings(ImageSettings):
     pyramid_depth: int = setting(
         5, "edges of the longest paths that the pyramid shows by technique", minimum=1, maximum=PYRAMID_MAX
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if radii.factors(self.radii) and not self.merging:
+            raise OptionError(f"option 'radii' is about merging, which is off; leave it out, not '{self.radii}'")
 
 
 @dataclass
@@ -157,6 +166,7 @@ class Bidirectional(ImageMethod):
             logger.info(
                 "light paths cannot be joined to this sensor: what only they find is made by merging, or not at all"
             )
+        self._factors = (1.0, *radii.factors(s.radii))
         self._check_pyramid(problem.memory)
         self._indexed = needs_interaction(problem.scene)
         box = problem.scene.bbox()
@@ -189,19 +199,29 @@ class Bidirectional(ImageMethod):
         self._vertices_per_path, self._dark = 0.0, 0.0
         paths = min(PILOT_PATHS, self._paths)
         samples = min(PILOT_PATHS, self.camera.pixels)
-        splats = Splats(self.camera.pixels) if self.techniques.splat else None
+        splats = self._splats()
         lanes = dr.arange(mi.UInt32, samples)
         pixel = dr.minimum(mi.UInt32((mi.Float(lanes) + 0.5) * (self.camera.pixels / samples)), self.camera.pixels - 1)
         light = dr.arange(mi.UInt32, paths)
         run = _Run("pilot ", 0, seed, self._first_radius, light, lanes, pixel, 1, splats, None, 64 * paths)
         radiance, counters = self._trace(run)
         self._vertices_per_path = counters["light_vertices"] / paths
-        mean = sum(float(np.asarray(v, np.float64).mean()) for v in radiance.values())
+        own = [value for name, value in radiance.items() if name not in self._more_radii]
+        mean = sum(float(np.asarray(v, np.float64).mean()) for v in own)
         if splats:
-            mean += float(np.asarray(splats.array, np.float64).sum()) / (3.0 * paths * self.camera.pixels)
+            splatted = splats.sums(self.camera.height, self.camera.width)[0]
+            mean += float(splatted.mean(dtype=np.float64)) * self.camera.pixels / paths
         # In coarse steps: the order of atomic additions must not move what random numbers are compared with.
         brightness = 2.0 ** (round(4.0 * math.log2(mean)) / 4.0) if mean > 0.0 else 0.0
         self._dark = self.settings.shadow_roulette * brightness
+
+    @property
+    def _more_radii(self) -> tuple[str, ...]:
+        """Layers of the radii after the first."""
+        return tuple(radii.layer(factor) for factor in self._factors[1:])
+
+    def _splats(self) -> Splats | None:
+        return Splats(self.camera.pixels, len(self._factors)) if self.techniques.splat else None
 
     @property
     def _stores(self) -> bool:
@@ -210,7 +230,9 @@ class Bidirectional(ImageMethod):
 
     def _count_groups(self, memory: int | None) -> int:
         """Into how many groups the light paths of a pass are split, so that their vertices fit into memory."""
-        bytes_per_vertex = LightVertices.bytes_per_vertex(bool(self.techniques.connection), self.techniques.merge)
+        bytes_per_vertex = LightVertices.bytes_per_vertex(
+            bool(self.techniques.connection), self.techniques.merge, bool(self._more_radii)
+        )
         needed = self._vertices_per_path * self._paths * STORE_MARGIN * bytes_per_vertex
         pad = STORE_PAD * bytes_per_vertex
         room = STORE_SHARE * memory if memory else STORE_BYTES
@@ -231,7 +253,7 @@ class Bidirectional(ImageMethod):
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         radius = self.radius(iteration) if self.techniques.merge else 0.0
-        splats = Splats(self.camera.pixels) if self.techniques.splat else None
+        splats = self._splats()
         s = self.settings
         pyramid = Pyramid(self.techniques, s.pyramid_depth, self.camera.pixels) if s.pyramid else None
         parts: list[dict[str, Any]] = []
@@ -253,18 +275,20 @@ class Bidirectional(ImageMethod):
         counters["paths"] = float(self.camera.pixels * samples + self._paths)
         if splats:
             # A splat is one of N / samples chances per camera path, and the layers' weight is the pass's samples.
-            splatted = splats.sum(self.camera.height, self.camera.width) * (samples / self._paths)
-            name = "splat" if s.split_layers else "image"
-            layers[name] = layers[name] + splatted if name in layers else splatted
+            splatted = splats.sums(self.camera.height, self.camera.width) * (samples / self._paths)
+            names = ("splat" if s.split_layers else "image", *self._more_radii)
+            for name, image in zip(names, splatted, strict=True):
+                layers[name] = layers[name] + image if name in layers else image
+        more = {name: layers.pop(name) for name in self._more_radii}
         if pyramid:
-            layers = with_image(layers) | pyramid.layers(self.camera.height, self.camera.width)
-        return layers, counters
+            more |= pyramid.layers(self.camera.height, self.camera.width)
+        return with_image(layers) | more, counters
 
     def _mis(self, radius: float, paths: int) -> Mis:
         """Weights of a pass that merges with ``paths`` light paths."""
-        eta = np.pi * radius * radius * paths * self.settings.eta_discount
-        paths_per_sample = self._paths / self.samples_per_iteration
-        return Mis(self.techniques, dr.opaque(mi.Float, eta), dr.opaque(mi.Float, paths_per_sample))
+        area = np.pi * radius * radius * paths * self.settings.eta_discount
+        etas = [dr.opaque(mi.Float, area * factor**2) for factor in self._factors]
+        return Mis(self.techniques, etas, dr.opaque(mi.Float, self._paths / self.samples_per_iteration))
 
     def _trace(self, run: _Run) -> tuple[dict[str, Any], dict[str, float]]:
         """Light paths, then camera paths. Kernels are queued without waiting for one another, so that Python traces the
@@ -282,7 +306,9 @@ class Bidirectional(ImageMethod):
         )
         connecting = self.techniques.connection > 0
         numbered = run.pyramid is not None and self.visibility.transparent
-        vertices = LightVertices(run.capacity, paths, self._indexed, connecting, numbered) if self._stores else None
+        vertices = None
+        if self._stores:
+            vertices = LightVertices(run.capacity, paths, self._indexed, connecting, numbered, mis.radius_free)
         source = self.light_numbers(run.light, self._paths, run.seed, run.iteration, run.role + "light")
         light_rays, light_bad = LightWalk(*common, run.pyramid).trace(paths, source, vertices, run.splats)
         dr.schedule(light_rays, light_bad)
@@ -295,7 +321,7 @@ class Bidirectional(ImageMethod):
 
         picks = IndependentSource(run.camera // PICK_BLOCK, run.seed, run.role + "connect", run.iteration)
         cache, gather = self._cache(vertices, paths, picks), self._gather(vertices, paths, run.radius)
-        walk = CameraWalk(*common, self.settings.split_layers, cache, gather, run.pyramid)
+        walk = CameraWalk(*common, self.settings.split_layers, cache, gather, run.pyramid, self._more_radii)
         source = self.camera_numbers(run.camera, run.samples, run.seed, run.iteration, run.role + "camera")
         radiance, rays = walk.trace(run.pixel, source)
         bad = {}
@@ -326,9 +352,11 @@ class Bidirectional(ImageMethod):
         if not vertices or not self.techniques.merge:
             return None
         positions, _, held = vertices.positions()
-        grid = HashGrid(positions, radius, *self._box, held)
-        factor = dr.opaque(mi.Float, 1.0 / (np.pi * radius * radius * paths))
-        return Gather(grid, vertices.sorted_by(grid.destination), factor)
+        grid = HashGrid(positions, radius * max(self._factors), *self._box, held)
+        squares = [(radius * factor) ** 2 for factor in self._factors]
+        factors = [dr.opaque(mi.Float, 1.0 / (np.pi * square * paths)) for square in squares]
+        limits = [dr.opaque(mi.Float, square) for square in squares] if self._more_radii else []
+        return Gather(grid, vertices.sorted_by(grid.destination), factors, limits)
 
 
 @dataclass(frozen=True)

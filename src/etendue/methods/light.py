@@ -53,7 +53,7 @@ class Light(ImageMethod):
         """See :class:`ImageMethod`."""
         paths = max(1, round(self.settings.light_paths * self.camera.pixels * samples))
         techniques = Techniques(emission=0, next_event=0, connection=0, splat=True, merge=False)
-        mis = Mis(techniques, 0.0, dr.opaque(mi.Float, paths / samples))
+        mis = Mis(techniques, [0.0], dr.opaque(mi.Float, paths / samples))
         max_edges = dr.opaque(mi.UInt32, self.max_edges())
         walk = LightWalk(
             self.visibility, self.lights, self.camera, mis, max_edges, self.settings.rr_depth, mi.Float(0.0)
@@ -69,7 +69,7 @@ class Light(ImageMethod):
         dr.eval(seen_rays, seen_bad, seen.array)
 
         layers = {
-            name: splats.sum(self.camera.height, self.camera.width) * (samples / paths)
+            name: splats.sums(self.camera.height, self.camera.width)[0] * (samples / paths)
             for name, splats in (("splat", scattered), ("emission", seen))
         }
         counters = {
@@ -122,5 +122,5 @@ class Light(ImageMethod):
         rays = dr.select(active, mi.UInt32(1), mi.UInt32(0))
         ray = mi.Ray3f(joined.target, -joined.direction, reach, 0.0, mi.Color0f())
         active, share = self.visibility.along(ray, dr.opaque(mi.UInt32, max(self.max_edges() - 1, 0)), active)
-        splats.add(pixel, contribution * share, active)
+        splats.add(pixel, [contribution * share], active)
         return rays, bad

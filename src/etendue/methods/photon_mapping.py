@@ -177,7 +177,7 @@ class PhotonMapping(ImageMethod):
 
     def _shoot(self, role: str, iteration: int, seed: int, paths: int, capacity: int) -> Shot:
         """Trace light paths and store their vertices; not yet looked at, so that nothing waits."""
-        mis = Mis(Techniques(emission=0, next_event=0, connection=0, splat=False), 0.0, mi.Float(1.0))
+        mis = Mis(Techniques(emission=0, next_event=0, connection=0, splat=False), [0.0], mi.Float(1.0))
         walk = LightWalk(
             self.visibility, self.lights, self.camera, mis, self._edges, self.settings.rr_depth, mi.Float(0.0)
         )

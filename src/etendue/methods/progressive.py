@@ -102,7 +102,7 @@ class Sppm(PhotonMapping):
         positions, held = self._wanted(shot)
         largest = float(np.sqrt(np.asarray(self._radius_squared).max()))
         grid = HashGrid(positions, largest, *self._box, held)
-        self._gather = Gather(grid, shot.vertices.sorted_by(grid.destination, held), None)
+        self._gather = Gather(grid, shot.vertices.sorted_by(grid.destination, held), ())
         self._paths = dr.opaque(mi.Float, shot.paths)
 
     def gather(self, si: Any, bsdf: Any, s: Any, active: Any) -> tuple[Any, Any]:

@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import IndependentSource
+from etendue.core import IndependentSource, OptionError
 
 from .base import ImageMethod
 
@@ -16,6 +16,29 @@ UNIT_DOC = (
     "unit of radius: half the diagonal of the scene's bounding box (scene), the median size of a pixel on what the "
     "camera sees first (pixel), or scene units (absolute)"
 )
+#: Further radii of one run at most: each takes registers, and four bytes a vertex and pixel more.
+MORE_RADII = 4
+
+
+def factors(text: str) -> tuple[float, ...]:
+    """Further radii of a run as factors of its own, from a text such as ``0.5,2``. Raises :class:`OptionError`."""
+    words = [word.strip() for word in text.split(",")] if text.strip() else []
+    try:
+        values = tuple(float(word) for word in words)
+    except ValueError:
+        raise OptionError(f"option 'radii' wants factors of the radius such as 0.5,2, not '{text}'") from None
+    if not all(0.0 < value < float("inf") and value != 1.0 for value in values):
+        raise OptionError(f"option 'radii' wants factors of the radius above 0 and other than 1, not '{text}'")
+    if len({layer(value) for value in values}) < len(values):
+        raise OptionError(f"option 'radii' names a factor twice: '{text}'")
+    if len(values) > MORE_RADII:
+        raise OptionError(f"option 'radii' takes at most {MORE_RADII} factors, not {len(values)}")
+    return values
+
+
+def layer(factor: float) -> str:
+    """Name of the picture of a further radius."""
+    return f"radius_{factor:g}"
 
 
 def half_diagonal(method: ImageMethod) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,22 +37,24 @@ class CameraConnection:
 
 
 class Splats:
-    """An image that light paths add to, on the device: the sum over paths, a packet of four floats a pixel."""
+    """Images that light paths add to, on the device: sums over paths, a packet of four floats a pixel."""
 
-    def __init__(self, pixels: int) -> None:
-        self.array = dr.zeros(mi.Float, 4 * pixels)
+    def __init__(self, pixels: int, images: int = 1) -> None:
+        self._pixels = pixels
+        self.array = dr.zeros(mi.Float, 4 * pixels * images)
         # On a CPU a copy a thread is faster than atomic additions, as long as there are few threads (ignored on a GPU).
-        small = 16 * pixels * dr.thread_count() <= _EXPAND_BYTES
+        small = 16 * pixels * images * dr.thread_count() <= _EXPAND_BYTES
         self._mode = dr.ReduceMode.Expand if small else dr.ReduceMode.Auto
 
-    def add(self, pixel: Any, value: Any, active: Any) -> None:
-        """Add a colour to a pixel, in each active lane."""
-        packet = mi.Vector4f(value.x, value.y, value.z, 0.0)
-        dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet, pixel, active, mode=self._mode)
+    def add(self, pixel: Any, values: Sequence[Any], active: Any) -> None:
+        """Add a colour to a pixel of each image, in each active lane."""
+        for image, value in enumerate(values):
+            packet, place = mi.Vector4f(value.x, value.y, value.z, 0.0), pixel + image * self._pixels
+            dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet, place, active, mode=self._mode)
 
-    def sum(self, height: int, width: int) -> Any:
-        """The image on the host, (height, width, 3) float32."""
-        return np.asarray(self.array).reshape(height, width, 4)[..., :3]
+    def sums(self, height: int, width: int) -> Any:
+        """The images on the host, (images, height, width, 3) float32."""
+        return np.asarray(self.array).reshape(-1, height, width, 4)[..., :3]
 
 
 class Camera:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -83,11 +83,15 @@ class _Joined:
 
 @dataclass
 class Gather:
-    """The stored light vertices as merging uses them: sorted by a grid; ``factor`` = 1 / (n_VM pi r^2)."""
+    """The stored light vertices as merging uses them: sorted by a grid for the largest radius.
+
+    Of each radius ``factors`` holds 1 / (n_VM pi r^2), and ``squares`` r^2 where there are several.
+    """
 
     grid: HashGrid
     photons: Photons
-    factor: Any
+    factors: Sequence[Any]
+    squares: Sequence[Any] = ()
 
     def around(
         self,
@@ -121,7 +125,8 @@ class CameraWalk:
     split_layers: bool  #: keep technique families apart
     cache: LightCache | None = None
     gather: Gather | None = None
-    pyramid: Pyramid | None = None  #: gets contributions technique by technique
+    pyramid: Pyramid | None = None  #: gets contributions technique by technique, of the first radius
+    more_radii: tuple[str, ...] = ()  #: layers of the pictures of the merging radii after the first
 
     def trace(self, pixel: Any, source: SampleSource) -> tuple[dict[str, Any], Any]:
         """One camera path an entry of ``pixel``. Returns (layers of radiance, rays), a lane each, not yet evaluated."""
@@ -130,36 +135,37 @@ class CameraWalk:
         self._pixel, self._weight = pixel, weight  # for the pyramid, which is filled on the way
         # The first edge is measured from the aperture, though its ray starts at the near plane.
         density, lead = self.camera.density(ray, aperture)
+        d_vcm, d_vc = self.mis.start_camera(density)
         state = _State(
             active=dr.full(mi.Bool, True, lanes) & (self.max_edges > 0),
             ray=mi.Ray3f(ray),
             throughput=dr.full(mi.Color3f, 1.0, lanes),
             eta=dr.full(mi.Float, 1.0, lanes),
-            d_vcm=self.mis.start_camera(density),
-            d_vc=dr.zeros(mi.Float, lanes),
+            d_vcm=d_vcm,
+            d_vc=d_vc,
             depth=dr.full(mi.UInt32, 1, lanes),
             vertex=mi.UInt32(1),
             travelled=lead,
             rays=dr.zeros(mi.UInt32, lanes),
             lane=dr.arange(mi.UInt32, lanes),
             # Not literal zeros: Dr.Jit takes a layer that no material adds to for a constant, then stumbles over it.
-            layers={name: mi.Color3f(dr.opaque(mi.Float, 0.0)) for name in self.layer_names()},
+            layers={name: mi.Color3f(dr.opaque(mi.Float, 0.0)) for name in (*self.layer_names(), *self.more_radii)},
         )
         (state,) = dr.while_loop((state,), lambda s: s.active, lambda s: (self._edge(s, source),), label="camera walk")
         return {name: radiance * weight for name, radiance in state.layers.items()}, state.rays
 
     def layer_names(self) -> tuple[str, ...]:
-        """Technique families that a camera pass adds to."""
+        """What the picture is the sum of: technique families, or the picture itself."""
         if not self.split_layers:
             return ("image",)
         t = self.mis.techniques
         used = (("next_event", t.next_event), ("connection", t.connection), ("merge", t.merge))
         return ("emission", *(name for name, on in used if on))
 
-    def _add(self, s: _State, family: str, mask: Any, value: Any) -> None:
-        """Add a contribution, throughput included, to its layer."""
-        layer = s.layers[family if self.split_layers else "image"]
-        layer[mask] += value
+    def _add(self, s: _State, family: str, mask: Any, values: Sequence[Any]) -> None:
+        """Add a contribution, throughput included, to its layer; one a radius."""
+        for name, value in zip((family if self.split_layers else "image", *self.more_radii), values, strict=True):
+            s.layers[name][mask] += value
 
     def _tell(self, s: _State, lights: Any, weighted: Any, alone: Any, active: Any, merged: bool = False) -> None:
         """Add a contribution to the pyramid: with its weight, and without. ``lights``: vertices of the light
@@ -208,9 +214,9 @@ class CameraWalk:
             self._next_event(s, si, d, values[index], u)
         for index, v in enumerate(vertices):
             u = source.decide(s.depth, dim.CONNECT + index)
-            value, rays = self._connection(s, si, v, values[len(direct) + index], u)
+            joined, rays = self._connection(s, si, v, values[len(direct) + index], u)
             s.rays += rays
-            self._add(s, "connection", v.active, value)
+            self._add(s, "connection", v.active, joined)
         if self.cache is not None and self.cache.picks is None:
             self._connect_pair(s, si, bsdf, source.decide(s.depth, dim.CONNECT), smooth)
 
@@ -247,15 +253,16 @@ class CameraWalk:
         scene = self.visibility.scene
         on_light = s.active & is_emissive(scene, si)
         radiance, area_density, emission_density = emission_of_hit(self.lights, scene, si, on_light)
-        weight = self.mis.emission_weight(self._vertex(s), s.d_vcm, s.d_vc, area_density, emission_density)
-        self._add(s, "emission", on_light, s.throughput * radiance * weight)
+        weights = self.mis.emission_weight(self._vertex(s), s.d_vcm, s.d_vc, area_density, emission_density)
+        alone = s.throughput * radiance
+        values = [alone * weight for weight in weights]
+        self._add(s, "emission", on_light, values)
         if self.pyramid is not None:
-            alone = s.throughput * radiance
-            self._tell(s, mi.UInt32(0), alone * weight, alone, on_light)
+            self._tell(s, mi.UInt32(0), values[0], alone, on_light)
 
     def _next_event(self, s: _State, si: Any, direct: DirectSample, bsdf: Evaluated, u: Any) -> None:
         """s = 1 [Georgiev 2012b, eq. 44, 45]."""
-        weight = self.mis.next_event_weight(
+        weights = self.mis.next_event_weight(
             self._vertex(s),
             s.d_vcm,
             s.d_vc,
@@ -266,17 +273,17 @@ class CameraWalk:
         )
         count = self.mis.techniques.next_event
         alone = s.throughput * bsdf.value * direct.radiance
-        contribution = alone * (weight / count)
-        lit, factor = shadow_roulette(contribution, self.dark, u, direct.active)
+        contributions = [alone * (weight / count) for weight in weights]
+        lit, factor = shadow_roulette(contributions, self.dark, u, direct.active)
         asked = self._asked(lit, alone, direct.active)
         s.rays += dr.select(asked, mi.UInt32(1), mi.UInt32(0))
         spare = self.max_edges - (s.depth + 1)
         seen, share = self.visibility.along(si.spawn_ray_to(direct.target), spare, asked)
-        value = contribution * factor * share
+        values = [contribution * (factor * share) for contribution in contributions]
         if self.pyramid is not None:
-            value = dr.select(lit, value, 0.0)
-            self._tell(s, mi.UInt32(1), value, alone * (share / count), seen)
-        self._add(s, "next_event", seen, value)
+            values = [dr.select(lit, value, 0.0) for value in values]
+            self._tell(s, mi.UInt32(1), values[0], alone * (share / count), seen)
+        self._add(s, "next_event", seen, values)
 
     def _pick_vertices(self, s: _State, si: Any, active: Any) -> list[_Joined]:
         """Light vertices drawn at random from the cache, joined to ``si``."""
@@ -297,22 +304,26 @@ class CameraWalk:
         assert self.cache is not None
         first, count = self.cache.vertices.path_vertices(s.lane % self.cache.paths, active)
 
-        def connect(j: Any, total: Any, rays: Any) -> tuple[Any, Any, Any]:
+        def connect(j: Any, totals: Any, rays: Any) -> tuple[Any, Any, Any]:
             joined = self._join(s, si, first + j, active)
             value = evaluate_camera_end(bsdf, si, si.to_local(joined.direction), joined.active)
             # Roulette of all of a path's connections by one number: each decision is right by itself.
-            value, ray = self._connection(s, si, joined, value, u)
-            return j + 1, total + value, rays + ray
+            values, ray = self._connection(s, si, joined, value, u)
+            return j + 1, [total + value for total, value in zip(totals, values, strict=True)], rays + ray
 
         n = dr.width(s.depth)
-        _, total, rays = dr.while_loop(
-            (dr.zeros(mi.UInt32, n), dr.zeros(mi.Color3f, n), dr.zeros(mi.UInt32, n)),
+        _, totals, rays = dr.while_loop(
+            (dr.zeros(mi.UInt32, n), self._blank(n), dr.zeros(mi.UInt32, n)),
             lambda j, *_: active & (j < count),
             connect,
             label="connect",
         )
         s.rays += rays
-        self._add(s, "connection", active, total)
+        self._add(s, "connection", active, totals)
+
+    def _blank(self, lanes: int) -> list[Any]:
+        """Black, once a radius."""
+        return [dr.zeros(mi.Color3f, lanes) for _ in range(1 + len(self.more_radii))]
 
     def _join(self, s: _State, si: Any, number: Any, active: Any) -> _Joined:
         """The edge between ``si`` and light vertex ``number``."""
@@ -323,14 +334,14 @@ class CameraWalk:
         active = active & (vertex.depth + s.depth + 1 <= self.max_edges) & (distance_squared > 0.0)
         return _Joined(vertex, offset * dr.rsqrt(distance_squared), dr.rcp(distance_squared), active)
 
-    def _connection(self, s: _State, si: Any, joined: _Joined, bsdf: Evaluated, u: Any) -> tuple[Any, Any]:
-        """s >= 2, t >= 2: (weighted contribution, shadow rays) [Georgiev 2012b, eq. 40, 41]."""
+    def _connection(self, s: _State, si: Any, joined: _Joined, bsdf: Evaluated, u: Any) -> tuple[list[Any], Any]:
+        """s >= 2, t >= 2: (weighted contribution by radius, shadow rays) [Georgiev 2012b, eq. 40, 41]."""
         assert self.cache is not None
         vertex = joined.vertex
         active = joined.active & ~dr.all(bsdf.value == 0.0)
         wo = vertex.si.to_local(-joined.direction)
         light = evaluate_light_end(vertex.bsdf, vertex.si, wo, active)
-        weight = self.mis.connection_weight(
+        weights = self.mis.connection_weight(
             self._vertex(s),
             (s.d_vcm, s.d_vc),
             (vertex.d_vcm, vertex.d_vc),
@@ -339,46 +350,50 @@ class CameraWalk:
             bsdf.reverse_pdf,
             light.reverse_pdf,
         )
-        factor = weight * joined.inverse_square * cosine_ratio(vertex.si, joined.direction)
         alone = s.throughput * vertex.throughput * bsdf.value * light.value
-        contribution = alone * (factor * self.cache.factor)
-        lit, factor = shadow_roulette(contribution, self.dark, u, active)
+        alone *= joined.inverse_square * cosine_ratio(vertex.si, joined.direction) * self.cache.factor
+        contributions = [alone * weight for weight in weights]
+        lit, factor = shadow_roulette(contributions, self.dark, u, active)
         asked = self._asked(lit, alone, active)
         rays = dr.select(asked, mi.UInt32(1), mi.UInt32(0))
         spare = self.max_edges - (vertex.depth + s.depth + 1)
         seen, share = self.visibility.along(si.spawn_ray_to(vertex.si.p), spare, asked)
-        value = contribution * factor * share
+        values = [contribution * (factor * share) for contribution in contributions]
         if self.pyramid is not None:
-            value = dr.select(lit, value, 0.0)
-            geometry = joined.inverse_square * cosine_ratio(vertex.si, joined.direction) * self.cache.factor
-            self._tell(s, vertex.number + 1, value, alone * (geometry * share), seen)
-        return dr.select(seen, value, 0.0), rays
+            values = [dr.select(lit, value, 0.0) for value in values]
+            self._tell(s, vertex.number + 1, values[0], alone * share, seen)
+        return [dr.select(seen, value, 0.0) for value in values], rays
 
     def _merge(self, s: _State, si: Any, bsdf: Any, active: Any) -> None:
         """s >= 2, t >= 2, no edge between them [Georgiev 2012b, eq. 38, 39]."""
         assert self.gather is not None
         if not self.mis.techniques.merge_first:
             active = active & (self._vertex(s) > 1)
-        total = self.gather.around(
-            si.p,
-            self.max_edges - s.depth,
-            lambda photon, total: total + self._merged(s, si, bsdf, photon, active),
-            mi.Color3f(0.0),
-            active,
-        )
-        self._add(s, "merge", active, s.throughput * total * self.gather.factor)
 
-    def _merged(self, s: _State, si: Any, bsdf: Any, photon: Any, active: Any) -> Any:
-        """Weighted contribution of one photon."""
+        def visit(photon: Any, totals: list[Any]) -> list[Any]:
+            values = self._merged(s, si, bsdf, photon, active)
+            return [total + value for total, value in zip(totals, values, strict=True)]
+
+        totals = self.gather.around(si.p, self.max_edges - s.depth, visit, self._blank(1), active)
+        factors = self.gather.factors
+        values = [s.throughput * total * factor for total, factor in zip(totals, factors, strict=True)]
+        self._add(s, "merge", active, values)
+
+    def _merged(self, s: _State, si: Any, bsdf: Any, photon: Any, active: Any) -> list[Any]:
+        """Weighted contribution of one photon, by radius."""
         assert self.gather is not None
         throughput, direction, d_vcm, d_vc = self.gather.photons.flux(photon, active)
         bsdf = evaluate_camera_end(bsdf, si, si.to_local(direction), active)
         # eval carries the shading cosine; a photon's flux per area already holds the geometric one.
         cos = geometric_cos(si, direction)
-        weight = self.mis.merge_weight(self._vertex(s), (s.d_vcm, s.d_vc), (d_vcm, d_vc), bsdf.pdf, bsdf.reverse_pdf)
+        weights = self.mis.merge_weight(self._vertex(s), (s.d_vcm, s.d_vc), (d_vcm, d_vc), bsdf.pdf, bsdf.reverse_pdf)
         value, divisor = throughput * bsdf.value, dr.select(cos > 0.0, cos, 1.0)
+        inside = [cos > 0.0] * len(weights)
+        if self.gather.squares:
+            distance_squared = dr.squared_norm(self.gather.photons.position(photon, active)[0] - si.p)
+            inside = [ok & (distance_squared <= square) for ok, square in zip(inside, self.gather.squares, strict=True)]
         if self.pyramid is not None:
-            alone = value * s.throughput * (self.gather.factor / divisor)
+            alone = value * s.throughput * (self.gather.factors[0] / divisor)
             lights = self.gather.photons.number(photon, active) + 1
-            self._tell(s, lights, alone * weight, alone, active & (cos > 0.0), merged=True)
-        return dr.select(cos > 0.0, value * (weight / divisor), 0.0)
+            self._tell(s, lights, alone * weights[0], alone, active & inside[0], merged=True)
+        return [dr.select(ok, value * (w / divisor), 0.0) for ok, w in zip(inside, weights, strict=True)]

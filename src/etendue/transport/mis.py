@@ -14,14 +14,19 @@ Sample counts enter where a technique enters, so any set of techniques, each wit
 one: a count of zero removes the technique, from the estimator and from the weights alike. Cosines in here are those of
 the geometric normal. Russian roulette is left out of every density; that costs no bias, as the weights of a path stay
 the same whichever technique makes it.
+
+With several merging radii at once the pair is a triple: d_vc is linear in eta_vm, so its two coefficients are carried
+instead (:class:`RadiusFree`), and a weight is a number for each radius.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
+import mitsuba as mi
 
 
 @dataclass(frozen=True)
@@ -42,21 +47,48 @@ class Techniques:
         return bool(self.next_event or self.connection or self.splat)
 
 
+@dataclass
+class RadiusFree:
+    """``a + b eta`` of an eta that is filled in last. A product or sum with a number has this on its left."""
+
+    a: Any
+    b: Any
+
+    def __add__(self, other: Any) -> RadiusFree:
+        if isinstance(other, RadiusFree):
+            return RadiusFree(self.a + other.a, self.b + other.b)
+        return RadiusFree(self.a + other, self.b)
+
+    def __mul__(self, factor: Any) -> RadiusFree:
+        return RadiusFree(self.a * factor, self.b * factor)
+
+    def at(self, eta: Any) -> Any:
+        """Its value."""
+        return self.a + self.b * eta
+
+
 class Mis:
-    """The recursion and the weights for one set of techniques.
+    """The recursion and the weights for one set of techniques. Every weight is a list: one a merging radius.
 
     Parameters
     ----------
     techniques: the sample counts.
-    eta_vm: merging's sample count times the acceptance area, n_VM pi r^2 [Georgiev 2012b, eq. 20]; may be an opaque
-        scalar, as it shrinks from pass to pass. Ignored if merging is off.
+    eta_vm: merging's sample count times the acceptance area, n_VM pi r^2 [Georgiev 2012b, eq. 20], of each radius; may
+        be opaque scalars, as they shrink from pass to pass. Ignored if merging is off.
     paths_per_sample: light sub-paths per camera path of one pixel, n_LP (a splat reaches every pixel).
     """
 
-    def __init__(self, techniques: Techniques, eta_vm: Any, paths_per_sample: Any) -> None:
+    def __init__(self, techniques: Techniques, eta_vm: Sequence[Any], paths_per_sample: Any) -> None:
         self.techniques = techniques
-        self.eta_vm = self.power(eta_vm) if techniques.merge else 0.0
         self.paths_per_sample = paths_per_sample
+        self._etas = [self.power(eta) for eta in eta_vm] if techniques.merge else [0.0]
+        #: What the recursion adds where a sub-path may merge.
+        self._eta: Any = RadiusFree(0.0, 1.0) if self.radius_free else self._etas[0]
+
+    @property
+    def radius_free(self) -> bool:
+        """Whether d_vc is a :class:`RadiusFree`, there being several radii, or a number."""
+        return len(self._etas) > 1
 
     def power(self, x: Any) -> Any:
         """``x^beta``."""
@@ -64,6 +96,13 @@ class Mis:
 
     def _count(self, n: int) -> float:
         return float(n**self.techniques.beta)
+
+    def _start(self, d_vc: Any) -> Any:
+        return RadiusFree(d_vc, dr.zeros(mi.Float, dr.width(d_vc))) if self.radius_free else d_vc
+
+    def _at_radii(self, value: Any) -> list[Any]:
+        """A sum of the recursion, for each radius."""
+        return [value.at(eta) for eta in self._etas] if isinstance(value, RadiusFree) else [value] * len(self._etas)
 
     # ------------------------------------------------------------------ light sub-path
 
@@ -77,15 +116,16 @@ class Mis:
         d_vcm = self.power(area_density / emission_density) * self._count(t.next_event)
         emission = self._count(t.emission) if t.connects else 0.0
         d_vc = dr.select(is_delta, 0.0, self.power(cos_light / emission_density) * emission)
-        return d_vcm, d_vc
+        return d_vcm, self._start(d_vc)
 
     # ------------------------------------------------------------------ camera sub-path
 
-    def start_camera(self, pixel_density: Any) -> Any:
-        """d_vcm of a camera ray (its d_vc is 0); ``pixel_density`` is its solid-angle density for a point uniform in
-        its pixel. Zero density (a direction the sensor can't be splatted from) leaves the splat out [eq. 31]."""
+    def start_camera(self, pixel_density: Any) -> tuple[Any, Any]:
+        """(d_vcm, d_vc) of a camera ray; ``pixel_density`` is its solid-angle density for a point uniform in its pixel.
+        Zero density (a direction the sensor can't be splatted from) leaves the splat out [eq. 31]."""
         ok = (pixel_density > 0.0) & self.techniques.splat
-        return dr.select(ok, self.power(self.paths_per_sample / dr.select(ok, pixel_density, 1.0)), 0.0)
+        d_vcm = dr.select(ok, self.power(self.paths_per_sample / dr.select(ok, pixel_density, 1.0)), 0.0)
+        return d_vcm, self._start(dr.zeros(mi.Float, dr.width(d_vcm)))
 
     # ------------------------------------------------------------------ both
 
@@ -104,18 +144,17 @@ class Mis:
         """``eta_vm`` where camera vertex ``depth`` may merge, else 0."""
         t = self.techniques
         if t.merge and not t.merge_first:
-            return dr.select(depth == 1, 0.0, self.eta_vm)
-        return self.eta_vm
+            return self._eta * dr.select(depth == 1, 0.0, 1.0)
+        return self._eta
 
     def _sum(self, eta: Any, d_vcm: Any, reverse_pdf: Any, d_vc: Any) -> Any:
         """Techniques that cut the sub-path at its end vertex or before, over the density of reaching it."""
-        if self.techniques.connects:
-            return eta + d_vcm + self.power(reverse_pdf) * d_vc
-        return eta + self.power(reverse_pdf) * d_vc
+        before = d_vc * self.power(reverse_pdf)
+        return before + d_vcm + eta if self.techniques.connects else before + eta
 
     def scatter_light(self, d_vcm: Any, d_vc: Any, cos: Any, pdf: Any, reverse_pdf: Any, is_delta: Any) -> Any:
         """(d_vcm, d_vc) after scattering at a light vertex [Georgiev 2012b, eq. 34, 35; delta: 53, 54]."""
-        total = self._sum(self.eta_vm, d_vcm, reverse_pdf, d_vc)
+        total = self._sum(self._eta, d_vcm, reverse_pdf, d_vc)
         return self._scatter(total, d_vc, cos, pdf, is_delta, self._count(self.techniques.connection))
 
     def scatter_camera(
@@ -129,27 +168,28 @@ class Mis:
         cos, inverse_pdf = self.power(cos), self.power(dr.rcp(pdf))
         return (
             dr.select(is_delta, 0.0, inverse_pdf * count),
-            dr.select(is_delta, cos * d_vc, cos * inverse_pdf * total),
+            dr.select(is_delta, d_vc * cos, total * (cos * inverse_pdf)),
         )
 
-    # ------------------------------------------------------------------ weights
+    # ------------------------------------------------------------------ weights, one a radius
 
-    def emission_weight(self, depth: Any, d_vcm: Any, d_vc: Any, area_density: Any, emission_density: Any) -> Any:
+    def emission_weight(self, depth: Any, d_vcm: Any, d_vc: Any, area_density: Any, emission_density: Any) -> list[Any]:
         """The camera sub-path hit a light at its vertex ``depth`` [Georgiev 2012b, eq. 43]."""
         t = self.techniques
         if not (t.connects and t.emission):
             # Only what nothing else can make: seen directly, or through vertices that no other technique may cut.
-            uncut = d_vc == 0.0
+            uncut = (d_vc.a == 0.0) & (d_vc.b == 0.0) if self.radius_free else d_vc == 0.0
             if t.connects:
                 uncut &= d_vcm == 0.0
-            return dr.select((depth == 1) | uncut, 1.0, 0.0)
+            return self._at_radii(dr.select((depth == 1) | uncut, 1.0, 0.0))
         own = self._count(t.emission)
-        others = self.power(area_density) * d_vcm * self._count(t.next_event) + self.power(emission_density) * d_vc
-        return dr.select(depth == 1, 1.0, own / (own + others))
+        by_next_event = self.power(area_density) * d_vcm * self._count(t.next_event)
+        others = self._at_radii(d_vc * self.power(emission_density) + by_next_event)
+        return [dr.select(depth == 1, 1.0, own / (own + other)) for other in others]
 
     def next_event_weight(
         self, depth: Any, d_vcm: Any, d_vc: Any, bsdf_pdf: Any, reverse_pdf: Any, direct_pdf: Any, light_ratio: Any
-    ) -> Any:
+    ) -> list[Any]:
         """A camera vertex joined to a light point [Georgiev 2012b, eq. 44, 45].
 
         ``bsdf_pdf``: of scattering towards the light (0 for a light that no ray hits); ``direct_pdf``: solid-angle
@@ -158,10 +198,9 @@ class Mis:
         """
         own = self._count(self.techniques.next_event)
         hit = self.power(bsdf_pdf / direct_pdf) * self._count(self.techniques.emission)
-        camera = self.power(light_ratio) * self._sum(
-            self.merge_area(depth), self.joined(depth, d_vcm), reverse_pdf, d_vc
-        )
-        return own / (own + hit + camera)
+        camera = self._sum(self.merge_area(depth), self.joined(depth, d_vcm), reverse_pdf, d_vc)
+        others = camera * self.power(light_ratio) + hit
+        return [own / (own + other) for other in self._at_radii(others)]
 
     def connection_weight(
         self,
@@ -172,29 +211,28 @@ class Mis:
         area_pdf_to_camera: Any,
         reverse_pdf_camera: Any,
         reverse_pdf_light: Any,
-    ) -> Any:
+    ) -> list[Any]:
         """Two inner vertices joined; ``camera`` and ``light`` are their (d_vcm, d_vc) [Georgiev 2012b, eq. 40, 41]."""
         own = self._count(self.techniques.connection)
-        w_light = self.power(area_pdf_to_light) * self._sum(self.eta_vm, light[0], reverse_pdf_light, light[1])
-        w_camera = self.power(area_pdf_to_camera) * self._sum(
-            self.merge_area(depth), self.joined(depth, camera[0]), reverse_pdf_camera, camera[1]
-        )
-        return own / (own + w_light + w_camera)
+        by_light = self._sum(self._eta, light[0], reverse_pdf_light, light[1])
+        by_camera = self._sum(self.merge_area(depth), self.joined(depth, camera[0]), reverse_pdf_camera, camera[1])
+        others = by_light * self.power(area_pdf_to_light) + by_camera * self.power(area_pdf_to_camera)
+        return [own / (own + other) for other in self._at_radii(others)]
 
-    def splat_weight(self, d_vcm: Any, d_vc: Any, reverse_pdf: Any, camera_area_pdf: Any) -> Any:
+    def splat_weight(self, d_vcm: Any, d_vc: Any, reverse_pdf: Any, camera_area_pdf: Any) -> list[Any]:
         """A light vertex joined to the camera; ``camera_area_pdf``: area density with which the pixel's camera ray
         reaches it [Georgiev 2012b, eq. 46, 47]."""
-        eta = self.eta_vm if self.techniques.merge_first else 0.0
-        others = self._sum(eta, d_vcm, reverse_pdf, d_vc)
-        return dr.rcp(1.0 + self.power(camera_area_pdf / self.paths_per_sample) * others)
+        eta = self._eta if self.techniques.merge_first else 0.0
+        others = self._sum(eta, d_vcm, reverse_pdf, d_vc) * self.power(camera_area_pdf / self.paths_per_sample)
+        return [dr.rcp(1.0 + other) for other in self._at_radii(others)]
 
     def merge_weight(
         self, depth: Any, camera: tuple[Any, Any], light: tuple[Any, Any], pdf: Any, reverse_pdf: Any
-    ) -> Any:
+    ) -> list[Any]:
         """A light vertex merged into a camera vertex [Georgiev 2012b, eq. 38, 39].
 
         ``pdf``: of the camera vertex's BSDF towards where the light came from; ``reverse_pdf``: the other way.
         """
-        w_light = self._sum(0.0, light[0], pdf, light[1])
-        w_camera = self._sum(0.0, self.joined(depth, camera[0]), reverse_pdf, camera[1])
-        return dr.rcp(1.0 + (w_light + w_camera) / self.eta_vm)
+        by_light = self._sum(0.0, light[0], pdf, light[1])
+        others = by_light + self._sum(0.0, self.joined(depth, camera[0]), reverse_pdf, camera[1])
+        return [dr.rcp(1.0 + other / eta) for other, eta in zip(self._at_radii(others), self._etas, strict=True)]

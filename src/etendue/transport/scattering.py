@@ -9,6 +9,7 @@ the exchanged call returns the reverse density that the weights want anyway.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -170,13 +171,14 @@ def roulette(throughput: Any, eta: Any, depth: Any, first_depth: int, u: Any) ->
     return ~playing | ~(u >= survival), dr.select(playing, dr.rcp(survival), 1.0)
 
 
-def shadow_roulette(contribution: Any, threshold: Any, u: Any, active: Any) -> tuple[Any, Any]:
+def shadow_roulette(contributions: Sequence[Any], threshold: Any, u: Any, active: Any) -> tuple[Any, Any]:
     """Decide before a shadow ray is cast whether its contribution is worth it: (goes on, factor on the contribution).
+    Of several that share the ray the largest decides.
 
     A contribution, complete with its weight, below ``threshold`` goes on with probability contribution / threshold. One
     may be negative: filters have negative lobes. One that is NaN goes on, to be counted where contributions are summed
     (hence ``~(x == 0)``, here and elsewhere: no comparison holds for NaN, ``!=`` included).
     """
-    size = dr.max(dr.abs(contribution))
+    size = functools.reduce(dr.maximum, (dr.max(dr.abs(contribution)) for contribution in contributions))
     survival = dr.select(size >= threshold, 1.0, size / threshold)
     return active & ~(size == 0.0) & ~(u >= survival), dr.rcp(survival)

@@ -17,6 +17,8 @@ import mitsuba as mi
 
 from etendue.scene import materials
 
+from .mis import RadiusFree
+
 #: Packets of four floats in a record: of a vertex that is connected to, and of one that is only merged with.
 _PACKETS = 6
 _PHOTON_PACKETS = 3
@@ -56,7 +58,7 @@ class LightVertex:
     bsdf: Any
     throughput: Any
     d_vcm: Any
-    d_vc: Any
+    d_vc: Any  #: a number, or a :class:`RadiusFree`
     depth: Any  #: edges from the light
     number: Any  #: the same without the surfaces that were crossed, where these are counted
 
@@ -72,11 +74,20 @@ class LightVertices:
     ----------
     indexed: the layout that recomputes surface interactions (see above).
     connected: vertices will be connected to; if not, only what merging reads is kept.
+    radius_free: d_vc comes as a :class:`RadiusFree`, of two numbers.
     numbered: keep also which vertex of its path each is, the light point being 0, up to 15. Without, its depth stands
         for that: the two differ where surfaces are crossed unbent.
     """
 
-    def __init__(self, capacity: int, paths: int, indexed: bool, connected: bool, numbered: bool = False) -> None:
+    def __init__(
+        self,
+        capacity: int,
+        paths: int,
+        indexed: bool,
+        connected: bool,
+        numbered: bool = False,
+        radius_free: bool = False,
+    ) -> None:
         self.capacity = capacity
         self.indexed = indexed
         self.connected = connected
@@ -88,15 +99,17 @@ class LightVertices:
         # light side, d_vc; two packets of the surface; BSDF and path.
         self._limit = dr.opaque(mi.UInt32, capacity)  # measured, so another seed has another: no constant of a kernel
         self._records = dr.empty(mi.Float, 4 * self._packets * capacity)
+        self._slopes = dr.empty(mi.Float, capacity) if radius_free else None  # the second number of d_vc
         padded = -(-paths // _BLOCK) * _BLOCK
         self._stored = dr.zeros(mi.UInt32, padded if connected else 1)  # vertices of each path
         self._order: Any = None
         self._start: Any = None
 
     @staticmethod
-    def bytes_per_vertex(connected: bool, merged: bool) -> int:
+    def bytes_per_vertex(connected: bool, merged: bool, radius_free: bool = False) -> int:
         """Device memory that a stored vertex takes, the copy and the grid of merging included."""
-        return 16 * (_PACKETS if connected else _PHOTON_PACKETS) + (4 if connected else 0) + (48 + 24 if merged else 0)
+        bytes_ = 16 * (_PACKETS if connected else _PHOTON_PACKETS) + (4 if connected else 0)
+        return bytes_ + (48 + 24 if merged else 0) + (8 if radius_free else 0)
 
     def _put(self, packet: int, value: Any, slot: Any, active: Any) -> None:
         dr.scatter(self._records, value, slot * self._packets + packet, active)
@@ -132,7 +145,11 @@ class LightVertices:
         direction = si.to_world(si.wi)
         self._put(0, mi.Vector4f(si.p.x, si.p.y, si.p.z, tag), slot, active)
         self._put(1, mi.Vector4f(throughput.x, throughput.y, throughput.z, mis[0]), slot, active)
-        self._put(2, mi.Vector4f(direction.x, direction.y, direction.z, mis[1]), slot, active)
+        d_vc = mis[1]
+        if self._slopes is not None:
+            dr.scatter(self._slopes, d_vc.b, slot, active)
+            d_vc = d_vc.a
+        self._put(2, mi.Vector4f(direction.x, direction.y, direction.z, d_vc), slot, active)
         if not self.connected:
             return
         if self.indexed:
@@ -153,7 +170,7 @@ class LightVertices:
 
     def launch(self) -> None:
         """Start the walk's kernel, with whatever else is scheduled."""
-        dr.eval(self.wanted, self._records, self._stored)
+        dr.eval(self.wanted, self._records, self._stored, self._slopes)
 
     @property
     def count(self) -> Any:
@@ -203,7 +220,7 @@ class LightVertices:
             bsdf=bsdf,
             throughput=mi.Color3f(throughput.x, throughput.y, throughput.z),
             d_vcm=throughput.w,
-            d_vc=direction.w,
+            d_vc=_d_vc(direction.w, self._slopes, slot, active),
             depth=_depth(position.w, self.numbered),
             number=_number(position.w, self.numbered),
         )
@@ -235,8 +252,12 @@ class LightVertices:
         dr.scatter(position, self._get(0, slot, held), destination, held)
         dr.scatter(flux, self._get(1, slot, held), 2 * destination, held)
         dr.scatter(flux, self._get(2, slot, held), 2 * destination + 1, held)
-        dr.eval(position, flux)
-        return Photons(position, flux, self.numbered)
+        slopes = None
+        if self._slopes is not None:
+            slopes = dr.empty(mi.Float, self.capacity)
+            dr.scatter(slopes, dr.gather(mi.Float, self._slopes, slot, held), destination, held)
+        dr.eval(position, flux, slopes)
+        return Photons(position, flux, slopes, self.numbered)
 
 
 @dataclass
@@ -245,7 +266,8 @@ class Photons:
 
     _position: Any
     _flux: Any
-    _numbered: bool = False
+    _slopes: Any
+    _numbered: bool
 
     def position(self, index: Any, active: Any) -> tuple[Any, Any]:
         """(position, depth)."""
@@ -260,7 +282,7 @@ class Photons:
         """(throughput, world direction to the light side, d_vcm, d_vc)."""
         t = dr.gather(mi.Vector4f, self._flux, 2 * index, active)
         d = dr.gather(mi.Vector4f, self._flux, 2 * index + 1, active)
-        return mi.Color3f(t.x, t.y, t.z), mi.Vector3f(d.x, d.y, d.z), t.w, d.w
+        return mi.Color3f(t.x, t.y, t.z), mi.Vector3f(d.x, d.y, d.z), t.w, _d_vc(d.w, self._slopes, index, active)
 
 
 def _framed(p: Any, first: Any, second: Any) -> Any:
@@ -271,6 +293,10 @@ def _framed(p: Any, first: Any, second: Any) -> Any:
     si.n = mi.Normal3f(second.x, second.y, second.z)
     si.uv = mi.Point2f(first.w, second.w)
     return si
+
+
+def _d_vc(value: Any, slopes: Any, index: Any, active: Any) -> Any:
+    return value if slopes is None else RadiusFree(value, dr.gather(mi.Float, slopes, index, active))
 
 
 def _as_float(bits: Any) -> Any:
