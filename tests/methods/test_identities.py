@@ -320,3 +320,11 @@ def test_even_points_are_less_noisy():
         return np.stack(images).var(axis=0, ddof=1).mean()
 
     assert variance("owen") < 0.5 * variance("independent")
+
+
+@pytest.mark.parametrize("name", ["bpt", "vcm", "bpm"])
+def test_the_pilot_knows_the_brightness(name):
+    """Roulette before shadow rays is relative to the picture's mean, splats included."""
+    runner = prepared(problem(), name, samples_per_pass=64, radius=0.02, shadow_roulette=0.5)
+    mean = float(go(runner, 2).mean.mean())
+    assert runner._dark == pytest.approx(0.5 * mean, rel=0.3)

@@ -210,7 +210,7 @@ class Bidirectional(ImageMethod):
         mean = sum(float(np.asarray(v, np.float64).mean()) for v in own)
         if splats:
             splatted = splats.sums(self.camera.height, self.camera.width)[0]
-            mean += float(splatted.mean(dtype=np.float64)) * self.camera.pixels / paths
+            mean += float(splatted.mean(dtype=np.float64)) / paths
         # In coarse steps: the order of atomic additions must not move what random numbers are compared with.
         brightness = 2.0 ** (round(4.0 * math.log2(mean)) / 4.0) if mean > 0.0 else 0.0
         self._dark = self.settings.shadow_roulette * brightness
