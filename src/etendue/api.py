@@ -32,8 +32,8 @@ from etendue.engine import (
     Session,
     Task,
     check_period,
-    check_writable,
 )
+from etendue.film import check_writable
 
 PathLike = str | os.PathLike[str]
 Image = NDArray[np.float32]

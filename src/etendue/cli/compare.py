@@ -14,7 +14,7 @@ from rich.console import Console
 from etendue import display, film, methods
 from etendue.api import Outputs, Update, start_job
 from etendue.core import OptionError
-from etendue.engine import Budget, Job, Task, check_writable
+from etendue.engine import Budget, Job, Task
 from etendue.scene import bundled
 
 from .console import note, say
@@ -55,7 +55,7 @@ class Comparison:
         if self.reference is not None:
             self._reference = film.read_image(self.reference)
         make_folder(self.output)
-        check_writable(self.output / _PAGE)
+        film.check_writable(self.output / _PAGE)
         entries: list[display.Entry] = []
         try:
             for task in self.tasks:

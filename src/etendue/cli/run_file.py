@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from etendue.core import OptionError, OutputError, SceneError, suggest
-from etendue.engine import Budget, Job, Task, check_period, check_save_times, check_writable
+from etendue.engine import Budget, Job, Task, check_period, check_save_times
+from etendue.film import check_writable
 from etendue.scene import Camera, bundled
 
 from .options import parse_memory

@@ -2,7 +2,6 @@
 
 from .budget import Budget
 from .checkpoint import Checkpoint
-from .files import check_writable
 from .job import Job, Task, versions
 from .runner import Cancelled, RunError, Runner, RunResult, check_period, check_save_times, run
 from .session import Session
@@ -19,7 +18,6 @@ __all__ = [
     "Task",
     "check_period",
     "check_save_times",
-    "check_writable",
     "run",
     "versions",
 ]

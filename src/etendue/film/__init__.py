@@ -12,7 +12,7 @@ from .errors import (
 )
 from .exr import layer_path, read_exr, read_image, write_exr, write_layers
 from .filters import FilterSampler
-from .output import replacing, write_bytes
+from .output import check_writable, replacing, write_bytes
 from .pyramid import LONGER, Technique
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "FilterSampler",
     "Technique",
     "block_average",
+    "check_writable",
     "layer_path",
     "luminance_rmse",
     "read_exr",
