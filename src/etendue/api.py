@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import tempfile
 import threading
@@ -18,6 +19,7 @@ from etendue.core import (
     OutputError,
     Progress,
     Result,
+    describe,
     logger,
     use_variant,
     warn_of_nonfinite,
@@ -288,37 +290,64 @@ class Outputs:
         return {"on_save": lambda run: self.write(job, run), "save_every": self.save_every}
 
     def write(self, job: Job, run: RunResult) -> Rendering:
-        """Develop ``run`` and write every file. One that fails does not keep the others from being written.
+        """Write the checkpoint, develop ``run`` and write every picture. One that fails does not keep the others from
+        being written, whatever the reason.
 
-        Raises :class:`OutputError` with every failure when all have been tried; a picture whose place has failed at the
-        end of a run is then in the system's folder for temporary files, if that takes it.
+        Raises :class:`OutputError` with every failure when all have been tried. At the end of a run what has failed is
+        then in the system's folder for temporary files, if that takes it: a picture, as arrays (``.npz``) if it is the
+        writing that fails; the checkpoint; and a checkpoint, asked for or not, if the picture cannot be developed.
         """
-        result = job.result(run)
-        errors: list[str] = []
-        for path in self.pictures:
+        ending = run.stopped_by != "running"
+        failures: list[str] = []
+
+        def attempt(path: Path, what: str, write: _Write, plainly: _Write | None = None) -> None:
             try:
-                save_result(path, result, self.separate)
-            except OutputError as error:
-                rescued = _rescue(path, result) if run.stopped_by != "running" else None
-                errors.append(f"{error}; the picture is in '{rescued}' instead" if rescued else str(error))
-        if self.checkpoint is not None:
-            try:
-                job.checkpoint(run).write(self.checkpoint)
-            except OutputError as error:
-                errors.append(str(error))
-        if errors:
-            raise OutputError("; ".join(errors))
+                write(path)
+            except Exception as error:
+                failure = str(error) if isinstance(error, OutputError) else f"cannot write '{path}': {describe(error)}"
+                failures.append(failure + (_rescue(path.name, what, write, plainly) if ending else ""))
+
+        def write_checkpoint(path: Path) -> None:
+            job.checkpoint(run).write(path)
+
+        if self.checkpoint is not None:  # first, as it holds all that was measured
+            attempt(self.checkpoint, "checkpoint", write_checkpoint)
+        try:
+            result = job.result(run)
+        except Exception as error:
+            failures.append(f"cannot develop the picture: {describe(error)}")
+            if ending and self.checkpoint is None:
+                failures[-1] += _rescue("render.checkpoint", "checkpoint", write_checkpoint)
+            raise OutputError("; ".join(failures)) from error
+        for picture in self.pictures:
+            attempt(
+                picture,
+                "picture",
+                lambda path: save_result(path, result, self.separate),
+                lambda path: _write_arrays(path, result.layers),
+            )
+        if failures:
+            raise OutputError("; ".join(failures))
         return Rendering(result.layers, result.metadata, lambda: job.checkpoint(run))
 
 
-def _rescue(path: Path, result: Result) -> Path | None:
-    """Write ``result`` to a new file in the folder for temporary files; where, or ``None`` if that fails too."""
-    try:
-        place = Path(tempfile.mkdtemp(prefix="etendue-")) / path.name
-        save_result(place, result)
-    except (OSError, OutputError):
-        return None
-    return place
+_Write = Callable[[Path], None]
+
+
+def _rescue(name: str, what: str, write: _Write, plainly: _Write | None = None) -> str:
+    """Write to the folder for temporary files, ``plainly`` if need be; in words where it is, "" if all has failed."""
+    for suffix, way in (("", write), (".npz", plainly)):
+        with contextlib.suppress(Exception):
+            if way is not None:
+                place = Path(tempfile.mkdtemp(prefix="etendue-")) / (name + suffix)
+                way(place)
+                return f"; the {what} is in '{place}' instead"
+    return ""
+
+
+def _write_arrays(path: Path, layers: Mapping[str, Image]) -> None:
+    with path.open("wb") as file:
+        np.savez(file, **layers)  # type: ignore[arg-type]
 
 
 def save_result(path: PathLike, result: Result, separate: bool = False) -> None:
@@ -354,13 +383,21 @@ def _run(job: Job, outputs: Outputs, callback: Callback | None) -> Rendering:
     try:
         run = runner.run()
     except RunError as failure:
-        _finish(job, outputs, failure.run)
+        _keep(job, outputs, failure.run)
         raise
     except KeyboardInterrupt:
         if (done := runner.interrupted()) is not None:
-            _finish(job, outputs, done)
+            _keep(job, outputs, done)
         raise
     return _finish(job, outputs, run)
+
+
+def _keep(job: Job, outputs: Outputs, run: RunResult) -> None:
+    """Write what there is before an error; that error is what the caller should hear of."""
+    try:
+        _finish(job, outputs, run)
+    except Exception as error:
+        logger.warning("what was rendered could not be saved: %s", describe(error))
 
 
 def _runner(job: Job, outputs: Writer, callback: Callback | None, stop: threading.Event) -> Runner:

@@ -139,18 +139,28 @@ def test_progress_speaks_of_time_rate_noise_and_share(timed):
     assert "pass 5, 5 spp, 10.0s" in str(seen[-1])
 
 
-def test_saves_come_in_time_and_their_failure_costs_nothing(timed, caplog):
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (OutputError("cannot write 'x': no space; free some"), "cannot write 'x': no space; free some"),
+        (OSError(28, "No space left on device"), "OSError: [Errno 28] No space left on device"),
+        (MemoryError(), "MemoryError"),
+        (RuntimeError("a fault\n  of the writer"), "RuntimeError: a fault of the writer"),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_saves_come_in_time_and_their_failure_costs_nothing(timed, caplog, error, words):
     method, clock = timed([1.0])
     saves = []
 
     def save(run):
         saves.append((run.passes, run.stopped_by))
-        raise OutputError("cannot write 'x': no space; free some")
+        raise error
 
     result = Runner(method, seed=0, budget=Budget(iterations=9), on_save=save, save_every=3.0, clock=clock).run()
     assert saves == [(3, "running"), (6, "running"), (9, "running")]
     assert result.passes == 9
-    assert "intermediate save failed, rendering goes on: cannot write 'x'" in caplog.text
+    assert caplog.messages == [f"intermediate save failed, rendering goes on: {words}"] * 3
 
 
 def test_slow_saves_become_rare(timed):

@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from etendue.core import EtendueError, OptionError, logger
+from etendue.core import EtendueError, OptionError, describe, logger
 
 from . import options as opt
 from .console import ConsoleHandler, error_console, note, print_error, say
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if debug:
             traceback.print_exc()
-        print_error(f"{type(error).__name__}: {error} (unexpected; --debug shows where, please report it)")
+        print_error(f"{describe(error)} (unexpected; --debug shows where, please report it)")
         return 70
     finally:
         logger.removeHandler(handler)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from etendue import film
 from etendue.api import Outputs, Rendering
-from etendue.core import OutputError, logger
+from etendue.core import OutputError, describe, logger
 from etendue.engine import Job, RunResult, versions
 
 from .rendering import check_reference, make_folder
@@ -70,7 +70,7 @@ class Recorder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if error is not None and self._log is not None:
-            self._line(self._log, f"error: {error}")
+            self._line(self._log, f"error: {describe(error)}")
         if self._handler is not None:
             logger.removeHandler(self._handler)
         for file in (self._log, self._table):

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from etendue.core import EtendueError, Measurement, Method, OptionError, Progress, Result, logger
+from etendue.core import EtendueError, Measurement, Method, OptionError, Progress, Result, describe, logger
 
 from .budget import Budget
 
@@ -166,8 +166,7 @@ class Runner:
                 if self._measurement is None:
                     raise
                 run = self._result("failure")
-                message = str(error) if isinstance(error, EtendueError) else f"{type(error).__name__}: {error}"
-                raise RunError(f"{_one_line(message)} (after {run.passes} passes, which are kept)", run) from error
+                raise RunError(f"{describe(error)} (after {run.passes} passes, which are kept)", run) from error
             if self._on_save is not None:
                 now = self._clock()
                 times = self._passed_save_times(now - self._begin)
@@ -208,13 +207,13 @@ class Runner:
         self.progress = self._describe()
 
     def _save(self, times: tuple[float, ...]) -> float:
-        """An intermediate save; its failure is reported and costs no work. Returns the seconds it took."""
+        """An intermediate save; its failure, whatever it is, is reported and costs no work. Returns its seconds."""
         assert self._on_save is not None
         begin = self._clock()
         try:
             self._on_save(self._result("running", times))
-        except EtendueError as error:
-            logger.warning("intermediate save failed, rendering goes on: %s", error)
+        except Exception as error:
+            logger.warning("intermediate save failed, rendering goes on: %s", describe(error))
         return self._clock() - begin
 
     def _result(self, reason: StoppedBy, times: tuple[float, ...] = ()) -> RunResult:
@@ -304,8 +303,8 @@ def run(
 
     ``start`` continues an earlier run: its measurement is taken over (added to in place), the first pass is the one
     after its last. ``on_progress`` is called after each pass, ``on_save`` with what there is so far every
-    ``save_every`` seconds and after the passes that reach the seconds of ``save_at``; an :class:`EtendueError` from it
-    is logged and the run goes on. ``cancel`` is looked at between passes.
+    ``save_every`` seconds and after the passes that reach the seconds of ``save_at``; an exception from it is
+    logged and the run goes on. ``cancel`` is looked at between passes.
     Errors as :meth:`Runner.run`.
     """
     runner = Runner(
@@ -320,7 +319,3 @@ def run(
         cancel=cancel,
     )
     return runner.run()
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
