@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 from etendue.core import CheckpointError, OutputError
-from etendue.engine import Budget, Checkpoint, run
+from etendue.engine import Budget, Checkpoint, Runner
 
 
 @pytest.fixture
 def checkpoint(noise):
     noise.prepare(None, 5)
-    result = run(noise, seed=5, budget=Budget(iterations=3))
+    result = Runner(noise, seed=5, budget=Budget(iterations=3)).run()
     return Checkpoint(
         measurement=result.measurement,
         method="noise",
@@ -58,8 +58,8 @@ def test_round_trip(checkpoint, tmp_path):
 def test_a_resumed_run_is_bit_equal_to_an_uninterrupted_one(noise, checkpoint, tmp_path):
     checkpoint.write(tmp_path / "a.checkpoint")
     read = Checkpoint.read(tmp_path / "a.checkpoint")
-    resumed = run(noise, seed=read.seed, budget=Budget(iterations=8), start=read.measurement)
-    whole = run(noise, seed=5, budget=Budget(iterations=8))
+    resumed = Runner(noise, seed=read.seed, budget=Budget(iterations=8), start=read.measurement).run()
+    whole = Runner(noise, seed=5, budget=Budget(iterations=8)).run()
     for name in whole.measurement.sums:
         assert np.array_equal(resumed.measurement.sums[name], whole.measurement.sums[name])
     assert np.array_equal(resumed.measurement.squares["image"], whole.measurement.squares["image"])

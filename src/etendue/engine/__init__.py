@@ -3,7 +3,7 @@
 from .budget import Budget
 from .checkpoint import Checkpoint
 from .job import Job, Task, versions
-from .runner import Cancelled, RunError, Runner, RunResult, check_period, check_save_times, run
+from .runner import Cancelled, RunError, Runner, RunResult, check_period, check_save_times
 from .session import Session
 
 __all__ = [
@@ -18,6 +18,5 @@ __all__ = [
     "Task",
     "check_period",
     "check_save_times",
-    "run",
     "versions",
 ]

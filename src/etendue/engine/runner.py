@@ -92,7 +92,13 @@ class Cancelled(EtendueError):
 
 
 class Runner:
-    """One run of a prepared method. :meth:`run` blocks; the other members may be used from other threads meanwhile."""
+    """One run of a prepared method. :meth:`run` blocks; the other members may be used from other threads meanwhile.
+
+    ``start`` continues an earlier run: its measurement is taken over (added to in place), the first pass is the one
+    after its last. ``on_progress`` is called after each pass, ``on_save`` with what there is so far every
+    ``save_every`` seconds and after the passes that reach the seconds of ``save_at``; an exception from it is logged
+    and the run goes on. ``cancel`` is looked at between passes.
+    """
 
     def __init__(
         self,
@@ -285,37 +291,3 @@ class Runner:
             relative_error=self._error,
             fraction=min(1.0, max(shares)) if shares else None,
         )
-
-
-def run(
-    method: Method,
-    *,
-    seed: int,
-    budget: Budget,
-    start: Measurement | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
-    on_save: Callable[[RunResult], None] | None = None,
-    save_every: float | None = None,
-    save_at: Sequence[float] = (),
-    cancel: CancelEvent | None = None,
-) -> RunResult:
-    """Run a prepared ``method`` until ``budget`` is used up.
-
-    ``start`` continues an earlier run: its measurement is taken over (added to in place), the first pass is the one
-    after its last. ``on_progress`` is called after each pass, ``on_save`` with what there is so far every
-    ``save_every`` seconds and after the passes that reach the seconds of ``save_at``; an exception from it is
-    logged and the run goes on. ``cancel`` is looked at between passes.
-    Errors as :meth:`Runner.run`.
-    """
-    runner = Runner(
-        method,
-        seed=seed,
-        budget=budget,
-        start=start,
-        on_progress=on_progress,
-        on_save=on_save,
-        save_every=save_every,
-        save_at=save_at,
-        cancel=cancel,
-    )
-    return runner.run()
