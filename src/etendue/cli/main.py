@@ -124,6 +124,7 @@ def render(
     """
     from etendue.api import Outputs, choose_method
     from etendue.engine import Budget, Job, Task
+    from etendue.scene import locate
 
     from .rendering import choose_device, default_name, render_to_files
 
@@ -133,9 +134,10 @@ def render(
     parameters = opt.parse_pairs(param, "-P")
     choose_device(variant, threads)
     notes: list[str] = []  # shown when all is checked
-    chosen = choose_method(method, scene, parameters, notes.append)
-    task = Task(scene, chosen, settings, seed, budget, size, sensor, parameters, memory)
-    pictures = output or [Path(f"{default_name(scene)}-{chosen.name}.exr")]
+    found = locate(scene, notes.append)
+    chosen = choose_method(method, found, parameters, notes.append)
+    task = Task(found, chosen, settings, seed, budget, size, sensor, parameters, memory)
+    pictures = output or [Path(f"{default_name(found)}-{chosen.name}.exr")]
     beside = pictures[0].parent / f"{pictures[0].stem}.checkpoint"
     outputs = Outputs.of(pictures, None if no_checkpoint else checkpoint or beside, save_every)
 
@@ -250,13 +252,15 @@ def compare(
     By default `path` and `vcm`, 60 seconds each.
     """
     from etendue.engine import Budget
+    from etendue.scene import locate
 
     from .compare import Comparison, tasks
     from .rendering import choose_device
 
     budget = Budget(time, spp, None, error) or Budget(seconds=60)
+    notes: list[str] = []
     wanted = tasks(
-        scene,
+        locate(scene, notes.append),
         method or ["path", "vcm"],
         opt.settings(define, max_depth, False, pyramid, pyramid_depth),
         seed=seed,
@@ -267,7 +271,10 @@ def compare(
         memory=memory,
     )
     choose_device(variant, threads)
-    return Comparison(wanted, output, reference).run(error_console())
+    console = error_console()
+    for text in notes:
+        note(console, text)
+    return Comparison(wanted, output, reference).run(console)
 
 
 @app.command()

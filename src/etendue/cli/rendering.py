@@ -13,6 +13,7 @@ from rich.console import Console
 from etendue.api import Rendering, Writer, start_job
 from etendue.core import OptionError, OutputError, format_rate, format_seconds, set_threads, use_variant
 from etendue.engine import Cancelled, Job, RunError, Session
+from etendue.scene import BundledScene
 
 from .console import ProgressView, error_console, note, say
 from .interrupts import Interrupts
@@ -114,8 +115,8 @@ def check_reference(reference: NDArray[np.float32] | None, size: tuple[int, int]
         )
 
 
-def default_name(scene: str) -> str:
+def default_name(scene: Path | BundledScene) -> str:
     """A name for outputs: that of the scene file, or of its folder if the file is called as all of them are."""
-    path = Path(scene)
+    path = Path(str(scene))
     stem = path.absolute().parent.name if path.stem == "scene" else path.stem
     return stem or "render"

@@ -22,7 +22,7 @@ from etendue.core import (
     Settings,
     logger,
 )
-from etendue.scene import Camera, Problem, load
+from etendue.scene import BundledScene, Camera, Problem, bundled_scene, load, locate
 
 from .budget import Budget
 from .checkpoint import Checkpoint
@@ -62,11 +62,16 @@ class Task:
         self.method.Settings.from_mapping(self.settings, owner=f"method '{self.method.name}'")
 
     def place(self) -> dict[str, Any]:
-        """How to find the scene again: arguments of ``scene.load`` as plain values; no source if it lay in memory."""
+        """How to find the scene again: arguments of ``scene.load`` as plain values, the scene as ``source``, a file, or
+        ``bundled``, a name; neither if it lay in memory."""
         place: dict[str, Any] = {"sensor": self.sensor}
-        if isinstance(self.scene, (str, os.PathLike)):
-            path = Path(self.scene)
-            place["source"] = str(path.absolute()) if path.exists() else str(path)
+        scene = self.scene
+        if isinstance(scene, (str, os.PathLike)):
+            scene = locate(scene, logger.debug)
+        if isinstance(scene, Path):
+            place["source"] = str(scene.absolute())
+        elif isinstance(scene, BundledScene):
+            place["bundled"] = scene.name
         for name in ("size", "memory"):
             if (value := getattr(self, name)) is not None:
                 place[name] = value
@@ -124,9 +129,8 @@ class Job:
         Without it, the saved budget is used up. ``scene`` is where the scene is now, if not where it was. Raises
         :class:`CheckpointError` if the scene is another one or the saved budget is spent.
         """
-        place = dict(checkpoint.scene)
-        source = scene if scene is not None else place.pop("source", None)
-        if source is None:
+        place = checkpoint.scene
+        if scene is None and not {"source", "bundled"} & place.keys():
             raise CheckpointError("the checkpoint was made from a scene in memory; give the scene to resume it with")
         settings = method.Settings.from_json(checkpoint.settings)
         budget = budget or _rest(checkpoint)
@@ -136,6 +140,7 @@ class Job:
         if "camera" in place:
             wanted["camera"] = Camera(**place["camera"])
         try:
+            source = scene if scene is not None else place.get("source") or bundled_scene(place["bundled"])
             problem = load(source, **wanted)
         except SceneError as error:
             raise CheckpointError(f"the scene of the checkpoint cannot be loaded: {error}") from error
