@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from etendue import methods, plugins
-from etendue.core import OptionError, UnsupportedError
-from etendue.plugins.integrator import fitting_samples
+from etendue.core import UnsupportedError
 from etendue.scene import load
 
 NAMES = [name for name in methods.table() if name != "path"]
@@ -89,16 +88,6 @@ def count_samples(monkeypatch, name):
 
     monkeypatch.setattr(method, "step", counting)
     return counted
-
-
-@pytest.mark.parametrize(("spp", "most", "passes", "total"), [
-    (1, 16, 1, 1), (7, 16, 1, 7), (16, 16, 1, 16), (20, 16, 2, 20), (64, 16, 4, 64), (17, 16, 2, 18), (37, 4, 10, 40),
-    (5, 1, 5, 5),
-])  # fmt: skip
-def test_samples_share_the_budget(spp, most, passes, total):
-    samples = fitting_samples(spp, most)
-    assert samples <= most
-    assert (-(-spp // samples), -(-spp // samples) * samples) == (passes, total)
 
 
 def test_contributions_that_are_not_finite_are_reported(monkeypatch, caplog):
@@ -256,11 +245,6 @@ def test_cancel_stops_after_the_pass(monkeypatch):
 def test_timeout():
     integrator = mi.load_dict({"type": "bpt", "max_depth": 2, "samples_per_pass": 1, "timeout": 0.2})
     assert mi.render(mi.load_dict(box("path", size=8)), integrator=integrator, spp=100000).shape == (8, 8, 3)
-
-
-def test_no_samples():
-    with pytest.raises(OptionError, match="at least one sample"):
-        fitting_samples(0, 4)
 
 
 BEFORE = "import etendue, mitsuba as mi; mi.set_variant(V)"

@@ -2,6 +2,7 @@
 
 from .budget import Budget
 from .checkpoint import Checkpoint
+from .fitting import fit_samples
 from .job import Job, Task, versions
 from .runner import Cancelled, RunError, Runner, RunResult, check_period, check_save_times
 from .session import Session
@@ -18,5 +19,6 @@ __all__ = [
     "Task",
     "check_period",
     "check_save_times",
+    "fit_samples",
     "versions",
 ]

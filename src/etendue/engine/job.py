@@ -26,6 +26,7 @@ from etendue.scene import BundledScene, Camera, Problem, bundled_scene, load, lo
 
 from .budget import Budget
 from .checkpoint import Checkpoint
+from .fitting import fit_samples
 from .runner import Runner, RunResult
 
 #: Bytes below which a memory bound would have a method do nothing but start over: 16 MB.
@@ -114,9 +115,10 @@ class Job:
             camera=task.camera,
         )
         budget = task.budget or Budget(samples=max(1, problem.spp))
-        method = task.method(_settings(task, problem))
+        method: Method = task.method(_settings(task, problem))
         method.prepare(problem, task.seed)
-        method = _fit_samples(method, budget, problem, task.seed)
+        if budget.samples is not None:
+            method = fit_samples(method, budget.samples, problem, task.seed)
         return cls(problem, method, seed=task.seed, budget=budget, place=task.place())
 
     @classmethod
@@ -237,18 +239,6 @@ def _settings(task: Task, problem: Problem) -> Settings:
         from_scene |= problem.integrator_options
     values = {k: v for k, v in from_scene.items() if k in known} | dict(task.settings)
     return task.method.Settings.from_mapping(values, owner=f"method '{task.method.name}'")
-
-
-def _fit_samples(method: Method, budget: Budget, problem: Problem, seed: int) -> Method:
-    """Where a method chose the samples of a pass itself, choose so that the passes add up to the budget's samples."""
-    chosen = method.samples_per_iteration
-    if budget.samples is None or budget.samples % chosen == 0 or getattr(method.settings, "samples_per_pass", 1) != 0:
-        return method
-    passes = -(-budget.samples // chosen)
-    kind: Any = type(method)
-    fitted: Method = kind(method.settings.replace(samples_per_pass=-(-budget.samples // passes)))
-    fitted.prepare(problem, seed)
-    return fitted
 
 
 def _rest(checkpoint: Checkpoint) -> Budget:

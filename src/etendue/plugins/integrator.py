@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import EtendueError, Measurement, OptionError, UnsupportedError, check_variant, warn_of_nonfinite
+from etendue.core import EtendueError, Measurement, UnsupportedError, check_variant, warn_of_nonfinite
+from etendue.engine import fit_samples
 from etendue.scene import Problem, check
 
 #: First-hit layers and the names of their channels in a film, as Mitsuba's 'aov' integrator calls them.
@@ -93,10 +94,7 @@ def _integrator_class(method: Any, variant: str) -> type:
             """Prepare the method and run its passes; the method and what it measured."""
             runner = method(self.settings)
             runner.prepare(problem, seed)
-            samples = fitting_samples(problem.spp, runner.samples_per_iteration)
-            if samples != runner.samples_per_iteration and not self.settings.samples_per_pass:
-                runner = method(self.settings.replace(samples_per_pass=samples))
-                runner.prepare(problem, seed)
+            runner = fit_samples(runner, problem.spp, problem, seed)
             passes = -(-problem.spp // runner.samples_per_iteration)
             start = time.perf_counter()
             total = runner.step(0, seed)
@@ -149,18 +147,6 @@ def _no_gradients(name: str) -> EtendueError:
         f"'{name}' computes pictures, not gradients; differentiate with Mitsuba's own 'prb' integrator, or detach the "
         "scene parameters"
     )
-
-
-def fitting_samples(spp: int, most: int) -> int:
-    """Camera paths per pixel and pass, at most ``most``, that share ``spp`` without rest where that costs little.
-
-    The largest divisor of ``spp`` if it fills at least half of a pass; otherwise passes of equal size that together
-    exceed ``spp`` by less than one path each.
-    """
-    if spp < 1:
-        raise OptionError(f"a rendering needs at least one sample per pixel, not {spp}")
-    divisor = max(n for n in range(1, min(spp, most) + 1) if spp % n == 0)
-    return divisor if 2 * divisor >= min(spp, most) else -(-spp // -(-spp // most))
 
 
 def _fill(film: Any, problem: Problem, layers: dict[str, NDArray[np.float32]], aovs: list[str]) -> None:
