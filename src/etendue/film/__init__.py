@@ -2,7 +2,6 @@
 
 from .errors import (
     LUMINANCE,
-    ErrorHistory,
     block_average,
     luminance_rmse,
     relative_bias,
@@ -18,7 +17,6 @@ from .pyramid import LONGER, Technique
 __all__ = [
     "LONGER",
     "LUMINANCE",
-    "ErrorHistory",
     "FilterSampler",
     "Technique",
     "block_average",
