@@ -173,6 +173,7 @@ def start(
 
 def resume(
     checkpoint: PathLike,
+    method: str | None = None,
     *,
     scene: Any = None,
     seconds: float | None = None,
@@ -182,12 +183,14 @@ def resume(
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
     save_every: float | None = None,
+    **settings: Any,
 ) -> Rendering:
     """Go on with a checkpoint, and update it.
 
     The result is that of a run that was never interrupted. ``seconds`` count from now, ``samples`` and ``error`` speak
     of the whole picture; without a budget the interrupted one is used up. ``scene`` is needed if the scene lay in
-    memory or has moved. Raises :class:`CheckpointError` if the file is damaged or the scene is another one.
+    memory or has moved. ``method`` and ``settings`` need not be given; they cannot be changed. Raises
+    :class:`CheckpointError` if the file is damaged, or scene, method or settings are other ones.
     """
     from etendue import methods
 
@@ -195,7 +198,9 @@ def resume(
     saved = Checkpoint.read(checkpoint)
     outputs = Outputs.of(save, checkpoint, save_every)
     use_variant(variant)
-    job = Job.resume(saved, methods.get(saved.method), budget=budget or None, scene=scene)
+    kind = methods.get(method if method is not None else saved.method)
+    saved.settings_of(kind, _named(settings))
+    job = Job.resume(saved, kind, budget=budget or None, scene=scene)
     return _run(job, outputs, callback)
 
 

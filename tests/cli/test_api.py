@@ -306,3 +306,10 @@ def test_resume_refuses_a_changed_scene_and_a_spent_budget(tmp_path):
     moved.write_text(text.replace("RADIUS", "1"))
     assert api.resume(checkpoint, samples=4, scene=moved).metadata["passes"] == 4
     assert api.resume(checkpoint, samples=5).metadata["passes"] == 5  # it remembers where the scene is now
+    with pytest.raises(CheckpointError, match="made by method 'path', not 'light'"):
+        api.resume(checkpoint, "light", samples=6)
+    with pytest.raises(CheckpointError, match="samples_per_pass was 1, is 2"):
+        api.resume(checkpoint, samples=6, samples_per_pass=2)
+    with pytest.raises(OptionError, match="did you mean 'samples'"):
+        api.resume(checkpoint, spp=6)
+    assert api.resume(checkpoint, "path", samples=6, samples_per_pass=1).metadata["passes"] == 6

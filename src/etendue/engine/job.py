@@ -95,6 +95,8 @@ class Job:
         budget: Budget,
         place: Mapping[str, Any],
         start: Measurement | None = None,
+        earlier: float = 0.0,
+        notes: Mapping[str, Any] | None = None,
     ) -> None:
         self.problem = problem
         self.method = method
@@ -102,6 +104,10 @@ class Job:
         self.budget = budget
         self.place = dict(place)
         self.start = start
+        #: Seconds of the runs that this one goes on with, as their budgets counted them; 0 if it is the first.
+        self.earlier = earlier
+        #: What the caller wants to find in the checkpoint: plain values.
+        self.notes: dict[str, Any] = dict(notes or {})
 
     @classmethod
     def open(cls, task: Task) -> Job:
@@ -123,18 +129,23 @@ class Job:
 
     @classmethod
     def resume(
-        cls, checkpoint: Checkpoint, method: type[Any], *, budget: Budget | None = None, scene: Any = None
+        cls,
+        checkpoint: Checkpoint,
+        method: type[Any],
+        *,
+        budget: Budget | None = None,
+        scene: Any = None,
     ) -> Job:
         """Continue ``checkpoint``; ``method`` is the class of its method.
 
         ``budget`` replaces the saved one: its seconds count from now, its samples and error speak of the whole picture.
         Without it, the saved budget is used up. ``scene`` is where the scene is now, if not where it was. Raises
-        :class:`CheckpointError` if the scene is another one or the saved budget is spent.
+        :class:`CheckpointError` if method or scene is another one, or the saved budget is spent.
         """
+        settings = checkpoint.settings_of(method)
         place = checkpoint.scene
         if scene is None and not {"source", "bundled"} & place.keys():
             raise CheckpointError("the checkpoint was made from a scene in memory; give the scene to resume it with")
-        settings = method.Settings.from_json(checkpoint.settings)
         budget = budget or _rest(checkpoint)
         wanted: dict[str, Any] = {k: place[k] for k in ("size", "sensor", "parameters", "memory") if k in place}
         if "size" in wanted:
@@ -146,7 +157,7 @@ class Job:
             problem = load(source, **wanted)
         except SceneError as error:
             raise CheckpointError(f"the scene of the checkpoint cannot be loaded: {error}") from error
-        checkpoint.require(fingerprint=problem.fingerprint, method=method.name, settings=settings.to_json())
+        checkpoint.require_scene(problem.fingerprint)
         instance = method(settings)
         instance.prepare(problem, checkpoint.seed)
         instance.restore(checkpoint.state)
@@ -158,6 +169,8 @@ class Job:
             budget=budget,
             place=task.place(),
             start=checkpoint.measurement,
+            earlier=checkpoint.earlier + checkpoint.elapsed,
+            notes=checkpoint.notes,
         )
 
     def runner(self, **options: Any) -> Runner:
@@ -182,6 +195,8 @@ class Job:
             stopped_by=run.stopped_by,
             versions=versions(),
             elapsed=run.elapsed,
+            earlier=self.earlier,
+            notes=self.notes,
         )
 
     def result(self, run: RunResult) -> Result:

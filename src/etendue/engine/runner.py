@@ -19,6 +19,8 @@ StoppedBy = Literal["seconds", "samples", "error", "cancel", "failure", "running
 
 #: An intermediate save may take at most this share of the time.
 SAVE_SHARE = 0.1
+#: Seconds that are nothing: what rounding makes of a time that is counted from the resumption of a run.
+CLOCK_GRAIN = 1e-6
 #: Passes between two estimates of the noise, as a share of the passes done: cheap, and the same in every run.
 ERROR_CADENCE = 0.05
 #: Passes before an estimate of the noise may end a run. With fewer it is itself noise, and where light is found rarely
@@ -190,7 +192,7 @@ class Runner:
     def _passed_save_times(self, elapsed: float) -> tuple[float, ...]:
         """The times of ``save_at`` up to ``elapsed``; each is given once."""
         passed = []
-        while self._save_at and self._save_at[0] <= elapsed:
+        while self._save_at and self._save_at[0] <= elapsed + CLOCK_GRAIN:
             passed.append(self._save_at.popleft())
         return tuple(passed)
 
