@@ -74,6 +74,13 @@ def test_resume_goes_on(folder, capsys):
     assert np.array_equal(film.read_exr("a.exr").image, film.read_exr("b.exr").image)
     assert run("resume a.checkpoint") == 4
     assert "budget is used up" in capsys.readouterr().err
+    for words, message in (
+        ("-m bpt", "made by method 'path', not 'bpt'; resume it with path"),
+        ("-D rr_depth=3", "made with other settings (rr_depth was 5, is 3)"),
+    ):
+        assert run(f"resume a.checkpoint --spp 6 {words}") == 4
+        assert message in capsys.readouterr().err
+    assert run("resume a.checkpoint --spp 6 -m path -D rr_depth=5") == 0
 
 
 def test_a_bundled_scene_stays_what_it_is_where_a_file_has_its_name(folder, capsys):

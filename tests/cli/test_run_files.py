@@ -216,6 +216,82 @@ def test_ctrl_c_keeps_everything(folder):
     assert "before its autosave at 50 s" in log
 
 
+@pytest.mark.skipif(os.name != "posix", reason="signals of Unix")
+def test_a_resumed_run_goes_on_with_its_records(folder, capsys, monkeypatch):
+    api.render("cornell-box", "path", samples=64, size=(16, 16), save="reference.exr")
+    Path("a.toml").write_text(
+        BOX + "settings = {samples_per_pass = 1}\n[budget]\nseconds = 2\n[autosave]\ntimes = [0.2, 1, 2]\n"
+        '[output]\nfolder = "out"\n[reference]\nfile = "reference.exr"\n'
+    )
+    step = methods.get("path").step
+
+    def slow(self, iteration, seed):
+        time.sleep(0.1)
+        if iteration in (3, 6):
+            os.kill(os.getpid(), signal.SIGINT)
+        return step(self, iteration, seed)
+
+    monkeypatch.setattr(methods.get("path"), "step", slow)
+    assert main(["run", "a.toml"]) == 130
+    first = table("out/a.csv")
+    assert [row["autosave"] for row in first] == ["0.2", ""]
+    passes = film.read_exr("out/a.exr").metadata["passes"]
+    capsys.readouterr()
+
+    assert main(["resume", "out/a.checkpoint"]) == 130
+    assert main(["resume", "out/a.checkpoint"]) == 0  # twice: what the times are counted from adds up
+    out, err = capsys.readouterr()
+    rows = table("out/a.csv")
+    assert rows[:2] == first
+    assert [row["autosave"] for row in rows if row["autosave"]] == ["0.2", "1", "2"]
+    assert len(rows) == 6  # and three ends
+    for name in ("seconds", "rendering_seconds", "passes", "rays"):
+        numbers = [float(row[name]) for row in rows]
+        assert numbers == sorted(numbers)
+        assert numbers[0] < numbers[1] < numbers[2] < numbers[-1]
+    assert int(rows[2]["passes"]) > passes
+    seconds = {row["autosave"]: float(row["seconds"]) for row in rows}
+    assert seconds["1"] >= 1.0
+    assert seconds["2"] <= 2.0 + 0.1  # no pass was begun that would have ended later; saving is part of it
+    assert all(float(row["relmse"]) > 0 for row in rows)
+    assert {"a-0.2s.exr", "a-1s.exr", "a-2s.exr", "a.exr"} <= set(os.listdir("out"))
+    assert {Path(name).name for name in out.split()} >= {"a-1s.exr", "a-2s.exr", "a.exr", "a.csv", "a.log"}
+    assert "autosave 1 s: " in err
+    log = Path("out/a.log").read_text("utf-8")
+    assert log.count("resumed after ") == 2
+    assert log.splitlines()[-1].split("  ")[1].startswith("end (seconds)")
+
+
+def test_what_has_changed_since_is_said(folder, capsys):
+    base = BOX + "settings = {samples_per_pass = 1}\n[budget]\nsamples = 1\n"
+    Path("a.toml").write_text(base)
+    assert main(["run", "a.toml"]) == 0
+    rows = table("a.csv")
+    capsys.readouterr()
+    for text, message in (
+        (
+            base.replace('"path"', '"light"'),
+            "a.toml has changed: the checkpoint was made by method 'path', not 'light'",
+        ),
+        (base.replace("= {", "= {rr_depth = 2, "), "a.toml has changed: the checkpoint was made with other settings"),
+        ("seed = 3\n" + base, "a.toml has changed: the checkpoint was made with seed 0, not 3"),
+    ):
+        Path("a.toml").write_text(text)
+        assert main(["resume", "a.checkpoint", "--spp", "3"]) == 4
+        assert message in capsys.readouterr().err
+    assert table("a.csv") == rows
+    Path("a.toml").write_text(base + '[output]\nname = "b"\n')
+    for spp, why in (("2", "keeps its checkpoint elsewhere"), ("3", "is gone")):
+        assert main(["resume", "a.checkpoint", "--spp", spp]) == 0
+        warning = rf"warning: only the picture goes on, .*: the run file '.*a\.toml' {why}"
+        assert re.search(warning, capsys.readouterr().err)
+        Path("a.toml").unlink(missing_ok=True)
+    assert main(["resume", "a.checkpoint", "--spp", "4", "-o", "c.exr"]) == 0
+    assert "warning" not in capsys.readouterr().err
+    assert film.read_exr("c.exr").metadata["passes"] == 4
+    assert table("a.csv") == rows
+
+
 BAD = [
     # names
     ("sead = 1\n" + BOX, 2, "no key 'sead'; did you mean 'seed'"),

@@ -125,6 +125,8 @@ def folder(tmp_path_factory, variant):
     api.render(path / "scene.xml", "path", save=path / "converged.exr", checkpoint=path / "picture.checkpoint")
     (path / "experiment.toml").write_text(example((24, 18), "20, 60"))
     shutil.copy(path / "converged.exr", path / "reference.exr")
+    (path / "results").mkdir()
+    shutil.copy(path / "picture.checkpoint", path / "results" / "glass.checkpoint")
     return path
 
 

@@ -152,8 +152,17 @@ def render(
 
 @app.command()
 def resume(
-    checkpoint: Annotated[Path, typer.Argument(help="File that `etendue render` wrote.", metavar="CHECKPOINT")],
+    checkpoint: Annotated[
+        Path, typer.Argument(help="File that `etendue render` or `etendue run` wrote.", metavar="CHECKPOINT")
+    ],
     output: opt.Output = None,
+    method: Annotated[
+        str | None, typer.Option("--method", "-m", help="Not needed; must be that of the checkpoint.", metavar="NAME")
+    ] = None,
+    define: Annotated[
+        list[str] | None,
+        typer.Option("-D", "--define", help="Not needed; must be as in the checkpoint.", metavar="NAME=VALUE"),
+    ] = None,
     scene: Annotated[str | None, typer.Option(help="Where the scene is now, if it has moved.", metavar="SCENE")] = None,
     time: opt.Time = None,
     spp: opt.Spp = None,
@@ -166,22 +175,37 @@ def resume(
     """Go on with an interrupted or finished render; the checkpoint is updated.
 
     --time counts from now, --spp and --error speak of the whole picture. Without them the interrupted budget is
-    used up. Without -o the pictures of that name beside the checkpoint are updated, .exr and .png, or an .exr made.
+    used up. Without -o the pictures of that name beside the checkpoint are updated, .exr and .png, or an .exr made;
+    of a run file, all that it keeps: the saves that are to come, log and table go on.
     """
     from etendue import methods
     from etendue.api import Outputs
     from etendue.engine import Budget, Checkpoint, Job
 
+    from .records import Recorder, run_of
     from .rendering import choose_device, render_to_files
 
     budget = Budget(time, spp, None, error)
     saved = Checkpoint.read(checkpoint)
-    method = methods.get(saved.method)
+    kind = methods.get(saved.method if method is None else method)
+    saved.settings_of(kind, opt.parse_pairs(define, "-D"))
+    file = run_of(saved, checkpoint) if output is None else None
+    if file is not None:
+        console = error_console()
+        recorder = Recorder(file, lambda text: note(console, text))
+        choose_device(variant or file.variant, threads or file.threads)
+
+        def open_job() -> Job:
+            job = Job.resume(saved, kind, budget=budget or None, scene=scene)
+            recorder.check(job)
+            return job
+
+        with recorder:
+            return render_to_files(open_job, recorder, saved.method)
     beside = [checkpoint.with_suffix(suffix) for suffix in (".exr", ".png")]
     outputs = Outputs.of(output or [p for p in beside if p.exists()] or beside[:1], checkpoint, save_every)
     choose_device(variant, threads)
-
-    return render_to_files(lambda: Job.resume(saved, method, budget=budget or None, scene=scene), outputs, saved.method)
+    return render_to_files(lambda: Job.resume(saved, kind, budget=budget or None, scene=scene), outputs, saved.method)
 
 
 @app.command()

@@ -149,6 +149,11 @@ class RunFile:
             trim=reference.get("trim", 0.001),
         )
 
+    @property
+    def checkpoint_path(self) -> Path:
+        """Where the checkpoint is, if the run keeps one."""
+        return self.folder / f"{self.name}.checkpoint"
+
     def task(self, tell: Callable[[str], object]) -> Task:
         """What the engine is to do. A Mitsuba variant must be set. ``tell`` as for ``api.choose_method``."""
         from etendue.api import choose_method
