@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import passes
 
 from etendue import api, film, methods
 from etendue.cli import options
@@ -150,10 +151,7 @@ def test_settings_of_one_method_win_over_those_of_all():
 
 
 def test_compare_keeps_what_is_finished_if_a_later_method_fails(folder, capsys, monkeypatch):
-    def fail(self, iteration, seed):
-        raise RuntimeError("out of memory")
-
-    monkeypatch.setattr(methods.get("bpt"), "step", fail)
+    passes.fail(monkeypatch, "bpt", at=0)
     assert run("compare cornell-box -m path -m bpt --size 8x8 --spp 1 -o out") == 70
     out, err = capsys.readouterr()
     assert out == f"{Path('out/index.html')}\n"
@@ -212,28 +210,14 @@ def test_version_and_help(capsys):
 
 
 def test_nonfinite_contributions_are_reported(folder, capsys, monkeypatch):
-    step = methods.get("path").step
-
-    def tainted(self, iteration, seed):
-        measured = step(self, iteration, seed)
-        measured.counters["nonfinite"] = 2.0
-        return measured
-
-    monkeypatch.setattr(methods.get("path"), "step", tainted)
+    passes.taint(monkeypatch, "path", 2.0)
     assert run("render cornell-box -m path --size 8x8 --spp 3 -D samples_per_pass=1 -o a.exr") == 0
     assert "warning: 6 contributions were not finite" in capsys.readouterr().err
     assert film.read_exr("a.exr").metadata["nonfinite"] == 6
 
 
 def test_a_failing_pass_is_one_line_and_its_predecessors_are_written(folder, capsys, monkeypatch):
-    step = methods.get("path").step
-
-    def failing(self, iteration, seed):
-        if iteration == 2:
-            raise RuntimeError("out of memory")
-        return step(self, iteration, seed)
-
-    monkeypatch.setattr(methods.get("path"), "step", failing)
+    passes.fail(monkeypatch, "path", at=2)
     assert run("render cornell-box -m path --size 8x8 --spp 9 -D samples_per_pass=1 -o a.exr") == 1
     out, err = capsys.readouterr()
     assert out == "a.exr\na.checkpoint\n"
@@ -331,10 +315,10 @@ def test_a_killed_render_leaves_its_last_intermediate_save(folder):
     process.kill()
     process.communicate()
     assert film.read_exr("a.exr").metadata["stopped_by"] == "running"
-    passes = Checkpoint.read("a.checkpoint").measurement.iterations.next_iteration()
-    assert passes > 0
-    assert main(["resume", "a.checkpoint", "--spp", str(passes + 2)]) == 0
-    assert film.read_exr("a.exr").metadata["passes"] == passes + 2
+    done = Checkpoint.read("a.checkpoint").measurement.iterations.next_iteration()
+    assert done > 0
+    assert main(["resume", "a.checkpoint", "--spp", str(done + 2)]) == 0
+    assert film.read_exr("a.exr").metadata["passes"] == done + 2
 
 
 def test_help_is_immediate():

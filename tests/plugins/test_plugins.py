@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from support import passes
 
 from etendue import methods, plugins
 from etendue.core import UnsupportedError
@@ -79,27 +80,12 @@ def test_without_spp_the_scenes_own_count_is_used(monkeypatch):
 def count_samples(monkeypatch, name):
     """Camera paths per pixel of every pass that runs from now on."""
     counted = []
-    method = methods.get(name)
-    step = method.step
-
-    def counting(self, iteration, seed):
-        counted.append(self.samples_per_iteration)
-        return step(self, iteration, seed)
-
-    monkeypatch.setattr(method, "step", counting)
+    passes.watch(monkeypatch, name, lambda method, iteration: counted.append(method.samples_per_iteration))
     return counted
 
 
 def test_contributions_that_are_not_finite_are_reported(monkeypatch, caplog):
-    method = methods.get("bpt")
-    step = method.step
-
-    def tainted(self, iteration, seed):
-        measured = step(self, iteration, seed)
-        measured.counters["nonfinite"] = 2.0
-        return measured
-
-    monkeypatch.setattr(method, "step", tainted)
+    passes.taint(monkeypatch, "bpt", 2.0)
     mi.render(mi.load_dict(box({"type": "bpt", "max_depth": 2, "samples_per_pass": 1}, size=8)), spp=3)
     assert "6 contributions were not finite" in caplog.text
 
@@ -222,24 +208,21 @@ def test_gradients_get_one_clear_error(direction):
 def test_cancel_stops_after_the_pass(monkeypatch):
     integrator = mi.load_dict({"type": "bpt", "max_depth": 2, "samples_per_pass": 1})
     scene = mi.load_dict(box("path", size=8))
-    method = methods.get("bpt")
-    step = method.step
-    passes = []
+    done = []
 
-    def slow(self, iteration, seed):
-        passes.append(iteration)
+    def interrupt(method, iteration):
+        done.append(iteration)
         if iteration == 2:
             thread = threading.Thread(target=integrator.cancel)
             thread.start()
             thread.join()
-        return step(self, iteration, seed)
 
-    monkeypatch.setattr(method, "step", slow)
+    passes.watch(monkeypatch, "bpt", interrupt)
     assert mi.render(scene, integrator=integrator, spp=1000).shape == (8, 8, 3)
-    assert passes == [0, 1, 2] and integrator.should_stop()
-    passes.clear()
+    assert done == [0, 1, 2] and integrator.should_stop()
+    done.clear()
     mi.render(scene, integrator=integrator, spp=2)  # the flag does not stick
-    assert passes == [0, 1]
+    assert done == [0, 1]
 
 
 def test_timeout():
