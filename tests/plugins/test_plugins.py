@@ -1,6 +1,7 @@
 """Our methods as Mitsuba integrators: from dictionaries, from XML, in either order of import."""
 
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -13,6 +14,7 @@ from support import passes
 
 from etendue import methods, plugins
 from etendue.core import UnsupportedError
+from etendue.film import read_exr
 from etendue.scene import load
 
 NAMES = [name for name in methods.table() if name != "path"]
@@ -125,6 +127,42 @@ def test_first_hit_channels():
     depth = picture[..., 3 + names.index("depth.T")]
     assert 2.5 < np.median(depth) < 5.0
     assert np.linalg.norm(picture[..., 6:9], axis=-1).max() == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("settings", "parts"),
+    [
+        ({"split_layers": True}, r"emission|next_event|connection|splat|merge"),
+        ({"pyramid": True, "pyramid_depth": 3, "aovs": True}, r"[sm]\d_t\d|longer"),
+    ],
+    ids=["split_layers", "pyramid"],
+)
+def test_layers_are_channels_of_the_film(settings, parts, tmp_path):
+    scene = mi.load_dict(box({"type": "vcm", "max_depth": 4} | settings, component_format="float32"))
+    integrator, film = scene.integrator(), scene.sensors()[0].film()
+    before = integrator.aov_names()
+    assert len(before) == (7 if "aovs" in settings else 0)
+    picture = np.array(mi.render(scene, spp=4, seed=1))
+    names = integrator.aov_names()
+    assert names[: len(before)] == before
+    assert picture.shape[2] == 3 + len(names)
+    film.write(str(tmp_path / "film.exr"))
+    layers = read_exr(tmp_path / "film.exr").layers
+    np.testing.assert_array_equal(layers["image"], picture[..., :3])
+    summed = [name for name in layers if re.fullmatch(parts, name)]
+    assert len(summed) > 4
+    np.testing.assert_allclose(sum(layers[name] for name in summed), layers["image"], rtol=1e-4, atol=1e-6)
+    for name in summed:
+        first = 3 + names.index(f"{name}.R")
+        np.testing.assert_array_equal(layers[name], picture[..., first : first + 3])
+    assert {name for name in layers if name.endswith("_unweighted")} == (
+        {f"{name}_unweighted" for name in summed if name != "longer"} if "pyramid" in settings else set()
+    )
+
+
+def test_layers_that_were_not_asked_for_are_not_in_the_film():
+    """``light`` keeps its two families apart anyway."""
+    assert mi.render(mi.load_dict(box({"type": "light", "max_depth": 2}, size=8)), spp=1).shape == (8, 8, 3)
 
 
 XML = """<scene version="3.0.0">
