@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated
 
 import typer
@@ -65,7 +66,8 @@ def cost(
     record: Keep = False,
 ) -> None:
     """Seconds of a pass relative to Mitsuba's path at one sample per pixel, interleaved; and what a setting costs."""
-    variants = [cost_of_a_pass.Variant.parse(text) for text in _words(methods)]
+    # A comma before a number is one of a setting: vcm:radii=0.5,2
+    variants = [cost_of_a_pass.Variant.parse(text) for text in re.split(r"\s*,\s*(?=[a-z])", methods.strip())]
     chosen = _begin(variant)
     _publish(chosen, record, cost_of_a_pass.measure(variants, parse_size(size), rounds, warm_up))
 

@@ -160,6 +160,13 @@ def test_layers_are_channels_of_the_film(settings, parts, tmp_path):
     )
 
 
+def test_further_radii_are_channels_of_the_film(tmp_path):
+    scene = mi.load_dict(box({"type": "vcm", "max_depth": 3, "radii": "0.5,2"}, size=8))
+    assert mi.render(scene, spp=1).shape == (8, 8, 9)
+    scene.sensors()[0].film().write(str(tmp_path / "film.exr"))
+    assert set(read_exr(tmp_path / "film.exr").layers) == {"image", "radius_0.5", "radius_2"}
+
+
 def test_layers_that_were_not_asked_for_are_not_in_the_film():
     """``light`` keeps its two families apart anyway."""
     assert mi.render(mi.load_dict(box({"type": "light", "max_depth": 2}, size=8)), spp=1).shape == (8, 8, 3)

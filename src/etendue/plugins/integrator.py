@@ -155,12 +155,13 @@ def _no_gradients(name: str) -> EtendueError:
 
 
 def _asked_for(options: dict[str, Any], layers: Iterable[str]) -> list[str]:
-    """Those of ``layers`` that settings asked for: first hits, families of techniques, the technique pyramid."""
+    """Those of ``layers`` that settings asked for: first hits, families of techniques, the technique pyramid, further
+    merge radii."""
     names = list(_AOV_CHANNELS) if options["aovs"] else []
     for name in layers:
         in_pyramid = name == LONGER or Technique.of_layer(name) is not None
-        setting = "pyramid" if in_pyramid else "split_layers"
-        if name not in ("image", *_AOV_CHANNELS) and options.get(setting, False):
+        setting = "pyramid" if in_pyramid else "radii" if name.startswith("radius_") else "split_layers"
+        if name not in ("image", *_AOV_CHANNELS) and options.get(setting):
             names.append(name)
     return names
 
