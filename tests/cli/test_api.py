@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from etendue import api, film, methods
+from etendue import api, film, methods, outputs
 from etendue.core import CheckpointError, OptionError, OutputError, SceneError
 from etendue.engine import Budget, Job, RunError, RunResult, Task
 
@@ -144,12 +144,12 @@ def test_a_place_that_vanishes_costs_no_picture(tmp_path, temporary):
 
 
 def test_every_place_that_fails_is_named(tmp_path):
-    outputs = api.Outputs((tmp_path / "no" / "a.exr",), tmp_path / "none" / "b")
+    places = outputs.Outputs((tmp_path / "no" / "a.exr",), tmp_path / "none" / "b")
     job = Job.open(
         Task("cornell-box", methods.get("path"), {"samples_per_pass": 2}, budget=Budget(samples=2), size=(8, 8))
     )
     with pytest.raises(OutputError, match=r"none.*; .*a\.exr"):
-        outputs.write(job, RunResult(job.method, job.method.step(0, 0), 1.0, "running"))
+        places.write(job, RunResult(job.method, job.method.step(0, 0), 1.0, "running"))
 
 
 def rescued(error, name):

@@ -122,8 +122,9 @@ def render(
     Stops at the first of --time, --spp and --error that is reached; without any, at the scene's own sample count.
     Ctrl-C stops after the current pass and writes the picture and the checkpoint.
     """
-    from etendue.api import Outputs, choose_method
+    from etendue.api import choose_method
     from etendue.engine import Budget, Job, Task
+    from etendue.outputs import Outputs
     from etendue.scene import locate
 
     from .rendering import choose_device, default_name, render_to_files
@@ -179,8 +180,8 @@ def resume(
     of a run file, all that it keeps: the saves that are to come, log and table go on.
     """
     from etendue import methods
-    from etendue.api import Outputs
     from etendue.engine import Budget, Checkpoint, Job
+    from etendue.outputs import Outputs
 
     from .records import Recorder, run_of
     from .rendering import choose_device, render_to_files

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue import film, methods
-from etendue.api import Outputs, Rendering
 from etendue.core import CheckpointError, OutputError, describe, logger
 from etendue.engine import Checkpoint, Job, RunResult, versions
+from etendue.outputs import Outputs, Rendering
 
 from .rendering import check_reference, make_folder
 from .run_file import RunFile
@@ -59,7 +59,7 @@ def run_of(saved: Checkpoint, path: Path) -> RunFile | None:
 
 
 class Recorder:
-    """Writes the files of a run; an ``api.Writer``. As a context it makes the folder, and keeps warnings in the log.
+    """Writes the files of a run; an ``outputs.Writer``. As a context it makes the folder, and logs warnings.
 
     A save at a given time goes to files of its own, the others replace ``name.exr``. ``tell`` is given the line of the
     log of every save but the periodic ones. The time that saves take is part of a run's seconds. Where a run is
@@ -103,7 +103,7 @@ class Recorder:
                 file.close()
 
     def saving(self, job: Job) -> dict[str, Any]:
-        """See ``api.Writer``. Begins log and table, or goes on with them."""
+        """See ``outputs.Writer``. Begins log and table, or goes on with them."""
         self._earlier = job.earlier
         self._save_at = {time - job.earlier: time for time in self._run.save_at if time > job.earlier}
         self._begin(job)

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from etendue.api import Rendering, Writer, start_job
+from etendue.api import start_job
 from etendue.core import OptionError, OutputError, format_rate, format_seconds, set_threads, use_variant
 from etendue.engine import Cancelled, Job, RunError, Session
+from etendue.outputs import Rendering, Writer
 from etendue.scene import BundledScene
 
 from .console import ProgressView, error_console, note, say
