@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from etendue.core import OptionError, OutputError, Result, describe
 from etendue.engine import Checkpoint, Job, RunResult, check_period
-from etendue.film import check_writable
+from etendue.film import check_writable, replacing
 
 PathLike = str | os.PathLike[str]
 Image = NDArray[np.float32]
@@ -164,17 +164,19 @@ _Write = Callable[[Path], None]
 
 def _rescue(name: str, what: str, write: _Write, plainly: _Write | None = None) -> str:
     """Write to the folder for temporary files, ``plainly`` if need be; in words where it is, "" if all has failed."""
-    for suffix, way in (("", write), (".npz", plainly)):
-        with contextlib.suppress(Exception):
-            if way is not None:
-                place = Path(tempfile.mkdtemp(prefix="etendue-")) / (name + suffix)
-                way(place)
-                return f"; the {what} is in '{place}' instead"
+    with contextlib.suppress(OSError):
+        folder = Path(tempfile.mkdtemp(prefix="etendue-"))
+        for suffix, way in (("", write), (".npz", plainly)):
+            with contextlib.suppress(Exception):
+                if way is not None:
+                    way(place := folder / (name + suffix))
+                    return f"; the {what} is in '{place}' instead"
+        folder.rmdir()
     return ""
 
 
 def _write_arrays(path: Path, layers: Mapping[str, Image]) -> None:
-    with path.open("wb") as file:
+    with replacing(path) as part, part.open("wb") as file:
         np.savez(file, **layers)  # type: ignore[arg-type]
 
 

@@ -192,6 +192,18 @@ def test_a_picture_that_cannot_be_developed_is_kept_as_a_checkpoint(tmp_path, te
     assert api.resume(rescued(caught.value, "render.checkpoint"), samples=6).metadata["passes"] == 3
 
 
+def test_what_cannot_be_kept_anywhere_leaves_no_litter(tmp_path, temporary, monkeypatch):
+    def fail(*arguments, **named):
+        raise MemoryError
+
+    monkeypatch.setattr(film, "write_exr", fail)
+    monkeypatch.setattr(np, "savez", fail)
+    with pytest.raises(OutputError) as caught:
+        api.render("cornell-box", "path", samples=4, save=tmp_path / "a.exr", **SMALL)
+    assert str(caught.value) == f"cannot write '{tmp_path / 'a.exr'}': MemoryError"
+    assert list(temporary.iterdir()) == []
+
+
 def test_a_failing_pass_is_reported_even_if_nothing_can_be_written(tmp_path, temporary, monkeypatch, caplog):
     monkeypatch.setattr(film, "write_exr", lambda path, result: 1 / 0)
 
