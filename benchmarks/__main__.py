@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated
 
 import typer
@@ -51,16 +52,24 @@ def _names(text: str) -> list[str]:
 
 @app.command()
 def cost(
-    methods: Methods = "path,bpt,vcm,sppm",
+    methods: Annotated[
+        str,
+        typer.Option(
+            help="Names, separated by commas; vcm:split_layers=true is vcm with that setting.",
+            metavar="NAME[:SETTING=VALUE]...,...",
+        ),
+    ] = "path,bpt,vcm,sppm",
     size: Size = "512x512",
     rounds: Rounds = 11,
     warm_up: WarmUp = 2,
     variant: Variant = None,
     record: Keep = False,
 ) -> None:
-    """Seconds of a pass relative to Mitsuba's path at one sample per pixel, interleaved."""
+    """Seconds of a pass relative to Mitsuba's path at one sample per pixel, interleaved; and what a setting costs."""
+    # A comma before a number is one of a setting: vcm:radii=0.5,2
+    variants = [cost_of_a_pass.Variant.parse(text) for text in re.split(r"\s*,\s*(?=[a-z])", methods.strip())]
     chosen = _begin(variant)
-    _publish(chosen, record, cost_of_a_pass.measure(_names(methods), parse_size(size), rounds, warm_up))
+    _publish(chosen, record, cost_of_a_pass.measure(variants, parse_size(size), rounds, warm_up))
 
 
 @app.command("first-pass")

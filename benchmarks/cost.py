@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from etendue import methods, scene
+from etendue.cli.options import parse_pairs
 
-from .measuring import COST_SCENE, COST_SETTINGS, Record, interleaved, spread, verdict
+from .measuring import COST_SCENE, COST_SETTINGS, Clock, Record, interleaved, spread, verdict
 
 BARS = {"bpt": 2.8, "vcm": 4.0, "sppm": 3.0}
 BAR_SIZE = (512, 512)
@@ -17,11 +19,34 @@ _MITSUBA = "Mitsuba path"
 ROULETTE = {"rr_depth": 5, "shadow_roulette": 0.0}
 
 
-def measure(names: Sequence[str], size: tuple[int, int], rounds: int, warm_up: int, source: str = COST_SCENE) -> Record:
-    """Passes in turn: Mitsuba's ``path``, then each method, again and again.
+@dataclass(frozen=True)
+class Variant:
+    """A method with settings of its own over those of the benchmark."""
 
-    Each method runs twice: with its own defaults where the settings of this benchmark do not speak, and with the
-    roulette of Mitsuba's ``path``.
+    method: str
+    settings: Mapping[str, str]
+
+    @classmethod
+    def parse(cls, text: str) -> Variant:
+        """From ``vcm`` or ``vcm:split_layers=true:rr_depth=3``. Raises :class:`OptionError` for what does not exist."""
+        name, *pairs = text.split(":")
+        method = methods.get(name)
+        own = parse_pairs(pairs, name)
+        method.Settings.from_mapping(own, owner=f"method '{name}'")
+        return cls(name, own)
+
+    def __str__(self) -> str:
+        return " ".join([self.method, *(f"{key}={value}" for key, value in self.settings.items())])
+
+
+def measure(
+    variants: Sequence[Variant], size: tuple[int, int], rounds: int, warm_up: int, source: str = COST_SCENE
+) -> Record:
+    """Passes in turn: Mitsuba's ``path``, then each variant, again and again.
+
+    A method without settings of its own runs twice: with its defaults where the settings of this benchmark do not
+    speak, and with the roulette of Mitsuba's ``path``. One with settings is also compared with the same method without,
+    if that is among the variants.
     """
     import drjit as dr
     import mitsuba as mi
@@ -38,31 +63,41 @@ def measure(names: Sequence[str], size: tuple[int, int], rounds: int, warm_up: i
 
     tasks: dict[str, Callable[[int], Any]] = {_MITSUBA: mitsuba}
     bars: dict[str, float | None] = {}
-    for name in names:
-        method = methods.get(name)
-        alike = {key: value for key, value in ROULETTE.items() if key in method.Settings.names()}
-        for label, extra in ((name, {}), (f"{name}, roulette as Mitsuba", alike)):
-            estimator = method(method.Settings(**(COST_SETTINGS[name] | extra)))
+    plain: dict[str, str] = {}  # label of a variant -> that of its method without settings
+    for variant in variants:
+        method = methods.get(variant.method)
+        rows: dict[str, Mapping[str, Any]] = {str(variant): variant.settings}
+        if variant.settings:
+            plain[str(variant)] = variant.method
+        else:
+            alike = {key: value for key, value in ROULETTE.items() if key in method.Settings.names()}
+            rows[f"{variant}, roulette as Mitsuba"] = alike
+        for label, extra in rows.items():
+            estimator = method(method.Settings.from_mapping({**COST_SETTINGS[variant.method], **extra}))
             estimator.prepare(problem, 0)
             tasks[label] = lambda number, estimator=estimator: estimator.step(number, 0)
-            bars[label] = BARS.get(name) if size == BAR_SIZE and source == COST_SCENE else None
+            stated = size == BAR_SIZE and source == COST_SCENE and not variant.settings
+            bars[label] = BARS.get(variant.method) if stated else None
     times = interleaved(tasks, rounds, warm_up)
 
     record = Record(
         f"Cost of a pass, {source}, {size[0]}x{size[1]}, depth {depth}",
-        ("", "wall s", "cpu s", "wall ratio", "cpu ratio", "bar"),
+        ("", "wall s", "cpu s", "wall ratio", "cpu ratio", "bar", *(("to the method without",) if plain else ())),
     )
     for name, clocks in times.items():
-        wall = [clock.wall / own.wall for clock, own in zip(clocks, times[_MITSUBA], strict=True)]
-        cpu = [clock.cpu / own.cpu for clock, own in zip(clocks, times[_MITSUBA], strict=True)]
-        record.add(
+        wall, cpu = _ratios(clocks, times[_MITSUBA])
+        cells = [
             name,
             f"{statistics.median(clock.wall for clock in clocks):.3f}",
             f"{statistics.median(clock.cpu for clock in clocks):.3f}",
             spread(wall),
             spread(cpu),
             verdict(statistics.median(wall), bars.get(name)),
-        )
+        ]
+        if plain:
+            base = times.get(plain.get(name, ""))
+            cells.append(spread(_ratios(clocks, base)[0], ".3f") if base else "")
+        record.add(*cells)
     record.notes += [
         f"median (min … max) of {rounds} rounds after {warm_up} to warm up; a ratio is that of two passes of one round",
         "one camera path per pixel; for bpt and vcm one light path, connection and light point, for sppm as many light "
@@ -71,4 +106,12 @@ def measure(names: Sequence[str], size: tuple[int, int], rounds: int, warm_up: i
         "roulette as Mitsuba: " + ", ".join(f"{key}={value:g}" for key, value in ROULETTE.items()),
         "cpu: all threads of the process; of no meaning under CUDA",
     ]
+    if plain:
+        record.notes.append("to the method without: ratio of wall times to the method without those settings")
     return record
+
+
+def _ratios(clocks: Sequence[Clock], others: Sequence[Clock]) -> tuple[list[float], list[float]]:
+    """Wall and processor time relative to those of another task, round by round."""
+    pairs = list(zip(clocks, others, strict=True))
+    return [a.wall / b.wall for a, b in pairs], [a.cpu / b.cpu for a, b in pairs]

@@ -32,6 +32,7 @@ COST_SCENE = "cornell-glass"
 _PASS = {"max_depth": 10, "samples_per_pass": 1}
 _BIDIRECTIONAL = _PASS | {"connections": 1, "next_events": 1, "light_source": "cache", "light_paths": 1.0}
 COST_SETTINGS: dict[str, dict[str, Any]] = {
+    "auto": _PASS,
     "path": _PASS,
     "light": _PASS | {"light_paths": 1.0},
     "pm": _PASS | {"photons": 200_000, "neighbours": 50},

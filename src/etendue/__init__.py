@@ -6,7 +6,7 @@ render any scene with any method without them.
 
 from . import core as core  # first: it finds Dr.Jit an LLVM before anything imports Dr.Jit
 from . import plugins as plugins
-from .api import Rendering, Update, render, resume, start
+from .api import Update, render, resume, start
 from .core import (
     BackendError,
     CheckpointError,
@@ -17,6 +17,7 @@ from .core import (
     UnsupportedError,
 )
 from .engine import Session
+from .outputs import Rendering
 
 plugins.register()  # in every Mitsuba variant that is set, now or later
 

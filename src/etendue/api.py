@@ -2,76 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
+from etendue.core import OptionError, Progress, describe, logger, use_variant, warn_of_nonfinite
+from etendue.engine import Budget, Checkpoint, Job, RunError, Runner, RunResult, Session, Task
 
-from etendue.core import (
-    OptionError,
-    OutputError,
-    Progress,
-    Result,
-    logger,
-    use_variant,
-    warn_of_nonfinite,
-)
-from etendue.engine import (
-    Budget,
-    Checkpoint,
-    Job,
-    RunError,
-    Runner,
-    RunResult,
-    Session,
-    Task,
-    check_period,
-    check_writable,
-)
-
-PathLike = str | os.PathLike[str]
-Image = NDArray[np.float32]
-
-
-@dataclass(repr=False)
-class Rendering:
-    """A picture, what it is made of, and how it was made.
-
-    ``layers`` are float32 arrays (height, width, channels), linear RGB: ``image``; with the setting ``split_layers``
-    the technique families that it is the sum of; with ``pyramid`` the techniques (``film.Technique`` reads their
-    names); with ``aovs`` first-hit layers. ``metadata`` has method, settings,
-    seed, versions, passes, samples, seconds, rays and more.
-    """
-
-    layers: dict[str, Image]
-    metadata: dict[str, Any]
-    _checkpoint: Callable[[], Checkpoint]
-
-    @property
-    def image(self) -> Image:
-        """The picture, (height, width, 3), linear RGB radiance."""
-        return self.layers["image"]
-
-    def save(self, path: PathLike) -> None:
-        """Write ``.exr`` (every layer and the metadata) or ``.png`` (tone-mapped), by the suffix.
-
-        Raises :class:`OptionError` for another suffix, :class:`OutputError` if the file cannot be written.
-        """
-        save_result(path, Result(self.layers, self.metadata))
-
-    def save_checkpoint(self, path: PathLike) -> None:
-        """Write all that :func:`resume` needs. Raises :class:`OutputError` if it cannot be written."""
-        self._checkpoint().write(Path(path))
-
-    def __repr__(self) -> str:
-        m, (height, width) = self.metadata, self.image.shape[:2]
-        return f"<etendue.Rendering {m['method']} {width}x{height}, {m['samples']} spp, {m['seconds']:.1f} s>"
+from .outputs import Image, Outputs, PathLike, Rendering, Writer
 
 
 @dataclass(frozen=True)
@@ -171,6 +110,7 @@ def start(
 
 def resume(
     checkpoint: PathLike,
+    method: str | None = None,
     *,
     scene: Any = None,
     seconds: float | None = None,
@@ -180,12 +120,14 @@ def resume(
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
     save_every: float | None = None,
+    **settings: Any,
 ) -> Rendering:
     """Go on with a checkpoint, and update it.
 
     The result is that of a run that was never interrupted. ``seconds`` count from now, ``samples`` and ``error`` speak
     of the whole picture; without a budget the interrupted one is used up. ``scene`` is needed if the scene lay in
-    memory or has moved. Raises :class:`CheckpointError` if the file is damaged or the scene is another one.
+    memory or has moved. ``method`` and ``settings`` need not be given; they cannot be changed. Raises
+    :class:`CheckpointError` if the file is damaged, or scene, method or settings are other ones.
     """
     from etendue import methods
 
@@ -193,7 +135,9 @@ def resume(
     saved = Checkpoint.read(checkpoint)
     outputs = Outputs.of(save, checkpoint, save_every)
     use_variant(variant)
-    job = Job.resume(saved, methods.get(saved.method), budget=budget or None, scene=scene)
+    kind = methods.get(method if method is not None else saved.method)
+    saved.settings_of(kind, _named(settings))
+    job = Job.resume(saved, kind, budget=budget or None, scene=scene)
     return _run(job, outputs, callback)
 
 
@@ -226,114 +170,6 @@ def _named(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     return settings
 
 
-class Writer(Protocol):
-    """What keeps a run: told how often and, at the end, that it is to write. :class:`Outputs` is one."""
-
-    @property
-    def files(self) -> Sequence[Path]:
-        """What is written, or has been."""
-        ...
-
-    def saving(self, job: Job) -> dict[str, Any]:
-        """Options of a :class:`Runner` of ``job`` that write from time to time."""
-        ...
-
-    def write(self, job: Job, run: RunResult) -> Rendering:
-        """Write the outcome of a run."""
-        ...
-
-
-@dataclass(frozen=True)
-class Outputs:
-    """Files that a run writes. Construction by :meth:`of` checks that they can be written."""
-
-    pictures: tuple[Path, ...] = ()
-    checkpoint: Path | None = None
-    save_every: float | None = None  #: seconds between intermediate saves, ``None`` for none
-    separate: bool = False  #: each layer of an ``.exr`` in a file of its own
-
-    @classmethod
-    def of(
-        cls,
-        pictures: PathLike | Sequence[PathLike],
-        checkpoint: PathLike | None = None,
-        save_every: float | None = None,
-        separate: bool = False,
-    ) -> Outputs:
-        """Raises :class:`OptionError` for an unknown suffix, a file that is named twice or a time that is not above 0,
-        :class:`OutputError` for a place that is not writable."""
-        listed = [pictures] if isinstance(pictures, (str, os.PathLike)) else list(pictures)
-        check_period(save_every)
-        outputs = cls(
-            tuple(map(Path, listed)), Path(checkpoint) if checkpoint is not None else None, save_every, separate
-        )
-        for path in outputs.pictures:
-            _check_suffix(path)
-        places = [path.resolve() for path in outputs.files]
-        for path in outputs.files:
-            if places.count(path.resolve()) > 1:
-                raise OptionError(f"'{path}' is named for two outputs; give each a name of its own")
-            check_writable(path)
-        return outputs
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """Pictures, then the checkpoint."""
-        return self.pictures if self.checkpoint is None else (*self.pictures, self.checkpoint)
-
-    def saving(self, job: Job) -> dict[str, Any]:
-        """Options of a :class:`Runner` of ``job`` that write the files from time to time."""
-        if self.save_every is None or not self.files:
-            return {}
-        return {"on_save": lambda run: self.write(job, run), "save_every": self.save_every}
-
-    def write(self, job: Job, run: RunResult) -> Rendering:
-        """Develop ``run`` and write every file. One that fails does not keep the others from being written.
-
-        Raises :class:`OutputError` with every failure when all have been tried; a picture whose place has failed at the
-        end of a run is then in the system's folder for temporary files, if that takes it.
-        """
-        result = job.result(run)
-        errors: list[str] = []
-        for path in self.pictures:
-            try:
-                save_result(path, result, self.separate)
-            except OutputError as error:
-                rescued = _rescue(path, result) if run.stopped_by != "running" else None
-                errors.append(f"{error}; the picture is in '{rescued}' instead" if rescued else str(error))
-        if self.checkpoint is not None:
-            try:
-                job.checkpoint(run).write(self.checkpoint)
-            except OutputError as error:
-                errors.append(str(error))
-        if errors:
-            raise OutputError("; ".join(errors))
-        return Rendering(result.layers, result.metadata, lambda: job.checkpoint(run))
-
-
-def _rescue(path: Path, result: Result) -> Path | None:
-    """Write ``result`` to a new file in the folder for temporary files; where, or ``None`` if that fails too."""
-    try:
-        place = Path(tempfile.mkdtemp(prefix="etendue-")) / path.name
-        save_result(place, result)
-    except (OSError, OutputError):
-        return None
-    return place
-
-
-def save_result(path: PathLike, result: Result, separate: bool = False) -> None:
-    """Write a result as ``.exr`` (layers and metadata; ``separate``: a file each) or ``.png`` (tone-mapped)."""
-    from etendue import display, film
-
-    path = Path(path)
-    if _check_suffix(path) == ".exr" and separate:
-        film.write_layers(path, result)
-    elif path.suffix.lower() == ".exr":
-        film.write_exr(path, result)
-    else:
-        display.write_png(path, display.tonemap(result.image, "auto"))
-
-
 def start_job(open_job: Callable[[], Job], outputs: Writer, callback: Callback | None = None) -> Session[Rendering]:
     """A session that opens a job in its thread, runs it and writes ``outputs``, also when a pass fails.
 
@@ -354,13 +190,21 @@ def _run(job: Job, outputs: Outputs, callback: Callback | None) -> Rendering:
     try:
         run = runner.run()
     except RunError as failure:
-        _finish(job, outputs, failure.run)
+        _keep(job, outputs, failure.run)
         raise
     except KeyboardInterrupt:
         if (done := runner.interrupted()) is not None:
-            _finish(job, outputs, done)
+            _keep(job, outputs, done)
         raise
     return _finish(job, outputs, run)
+
+
+def _keep(job: Job, outputs: Outputs, run: RunResult) -> None:
+    """Write what there is before an error; that error is what the caller should hear of."""
+    try:
+        _finish(job, outputs, run)
+    except Exception as error:
+        logger.warning("what was rendered could not be saved: %s", describe(error))
 
 
 def _runner(job: Job, outputs: Writer, callback: Callback | None, stop: threading.Event) -> Runner:
@@ -377,10 +221,3 @@ def _runner(job: Job, outputs: Writer, callback: Callback | None, stop: threadin
 def _finish(job: Job, outputs: Writer, run: RunResult) -> Rendering:
     warn_of_nonfinite(run.measurement)
     return outputs.write(job, run)
-
-
-def _check_suffix(path: Path) -> str:
-    suffix = path.suffix.lower()
-    if suffix not in (".exr", ".png"):
-        raise OptionError(f"a picture is written as .exr or .png, not as '{path.name}'; change the name")
-    return suffix

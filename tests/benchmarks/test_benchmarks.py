@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from etendue import methods, scene
+from etendue.core import OptionError
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -34,8 +35,42 @@ def test_tasks_take_turns():
 
 
 def test_settings_of_the_cost_benchmark_exist():
+    assert module("measuring").COST_SETTINGS.keys() == methods.table().keys()
     for name, settings in module("measuring").COST_SETTINGS.items():
         methods.get(name).Settings(**settings)
+
+
+def test_variants_of_settings_take_turns_with_their_method():
+    cost = module("cost")
+    variants = [cost.Variant.parse(text) for text in ("bpt", "bpt:split_layers=true:rr_depth=3", "path:mode=mis")]
+    record = cost.measure(variants, (16, 16), rounds=2, warm_up=1)
+    rows = {row[0]: row for row in record.rows}
+    assert list(rows) == [
+        "Mitsuba path",
+        "bpt",
+        "bpt, roulette as Mitsuba",
+        "bpt split_layers=true rr_depth=3",
+        "path mode=mis",
+    ]
+    assert record.columns[-1] == "to the method without"
+    assert [name for name, row in rows.items() if row[-1]] == ["bpt split_layers=true rr_depth=3"]
+    ratio = float(rows["bpt split_layers=true rr_depth=3"][-1].split()[0])
+    assert 0.1 < ratio < 10.0
+    assert "to the method without" not in cost.measure(variants[:1], (8, 8), rounds=1, warm_up=1).columns
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("vmc", "did you mean 'vcm'"),
+        ("vcm:split_layer=1", "method 'vcm' has no option 'split_layer'; did you mean 'split_layers'"),
+        ("vcm:split_layers", "vcm wants name=value"),
+        ("vcm:split_layers=maybe", "'split_layers' wants true or false"),
+    ],
+)
+def test_a_variant_that_does_not_exist(text, message):
+    with pytest.raises(OptionError, match=message):
+        module("cost").Variant.parse(text)
 
 
 @pytest.mark.parametrize("name", ["path", "bpt", "vcm"])

@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from etendue import api, film, methods
+from etendue import api, film, methods, outputs
 from etendue.core import CheckpointError, OptionError, OutputError, SceneError
 from etendue.engine import Budget, Job, RunError, RunResult, Task
 
@@ -128,7 +128,7 @@ def test_ctrl_c_writes_what_there_is(tmp_path):
     assert api.resume(tmp_path / "a", samples=6).metadata["passes"] == 3
 
 
-def test_a_place_that_vanishes_costs_no_picture(tmp_path, caplog):
+def test_a_place_that_vanishes_costs_no_picture(tmp_path, temporary):
     place, other = tmp_path / "place", tmp_path / "other"
     place.mkdir()
 
@@ -139,20 +139,81 @@ def test_a_place_that_vanishes_costs_no_picture(tmp_path, caplog):
 
     with pytest.raises(OutputError, match=r"the picture is in '(.*a\.exr)' instead") as caught:
         api.render("cornell-box", "path", samples=8, callback=callback, save=place / "a.exr", checkpoint=other, **SMALL)
-    rescued = Path(re.search(r"in '(.*a\.exr)' instead", str(caught.value))[1])
-    assert film.read_exr(rescued).metadata["passes"] == 4
+    assert film.read_exr(rescued(caught.value, "a.exr")).metadata["passes"] == 4
     assert api.resume(other, samples=10).metadata["passes"] == 5
-    rescued.unlink()
-    rescued.parent.rmdir()
 
 
 def test_every_place_that_fails_is_named(tmp_path):
-    outputs = api.Outputs((tmp_path / "no" / "a.exr",), tmp_path / "none" / "b")
+    places = outputs.Outputs((tmp_path / "no" / "a.exr",), tmp_path / "none" / "b")
     job = Job.open(
         Task("cornell-box", methods.get("path"), {"samples_per_pass": 2}, budget=Budget(samples=2), size=(8, 8))
     )
-    with pytest.raises(OutputError, match=r"a\.exr.*; .*none"):
-        outputs.write(job, RunResult(job.method, job.method.step(0, 0), 1.0, "running"))
+    with pytest.raises(OutputError, match=r"none.*; .*a\.exr"):
+        places.write(job, RunResult(job.method, job.method.step(0, 0), 1.0, "running"))
+
+
+def rescued(error, name):
+    """The file of that name that an error says it was saved from."""
+    return Path(re.search(rf"is in '([^']*{re.escape(name)})' instead", str(error))[1])
+
+
+@pytest.fixture
+def temporary(tmp_path, monkeypatch):
+    """The folder for temporary files."""
+    place = tmp_path / "temporary"
+    place.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(place))
+    return place
+
+
+def test_a_picture_that_cannot_be_written_is_kept_as_arrays(tmp_path, temporary, monkeypatch):
+    def fail(path, result):
+        raise RuntimeError("a fault of the writer")
+
+    monkeypatch.setattr(film, "write_exr", fail)
+    paths = {"save": [tmp_path / "a.exr", tmp_path / "a.png"], "checkpoint": tmp_path / "c"}
+    with pytest.raises(OutputError, match=r"cannot write '.*a\.exr': RuntimeError: a fault of the writer") as caught:
+        api.render("cornell-box", "path", samples=4, **paths, **SMALL)
+    with np.load(rescued(caught.value, "a.exr.npz")) as arrays:
+        kept = arrays["image"]
+    assert (tmp_path / "a.png").exists()
+    monkeypatch.undo()
+    assert np.array_equal(kept, api.render("cornell-box", "path", samples=4, **SMALL).image)
+    assert api.resume(tmp_path / "c", samples=6).metadata["passes"] == 3
+
+
+def test_a_picture_that_cannot_be_developed_is_kept_as_a_checkpoint(tmp_path, temporary, monkeypatch):
+    monkeypatch.setattr(Job, "result", lambda job, run: 1 / 0)
+    with pytest.raises(
+        OutputError, match=r"cannot develop the picture: ZeroDivisionError: .*; the checkpoint"
+    ) as caught:
+        api.render("cornell-box", "path", samples=4, save=tmp_path / "a.exr", **SMALL)
+    monkeypatch.undo()
+    assert api.resume(rescued(caught.value, "render.checkpoint"), samples=6).metadata["passes"] == 3
+
+
+def test_what_cannot_be_kept_anywhere_leaves_no_litter(tmp_path, temporary, monkeypatch):
+    def fail(*arguments, **named):
+        raise MemoryError
+
+    monkeypatch.setattr(film, "write_exr", fail)
+    monkeypatch.setattr(np, "savez", fail)
+    with pytest.raises(OutputError) as caught:
+        api.render("cornell-box", "path", samples=4, save=tmp_path / "a.exr", **SMALL)
+    assert str(caught.value) == f"cannot write '{tmp_path / 'a.exr'}': MemoryError"
+    assert list(temporary.iterdir()) == []
+
+
+def test_a_failing_pass_is_reported_even_if_nothing_can_be_written(tmp_path, temporary, monkeypatch, caplog):
+    monkeypatch.setattr(film, "write_exr", lambda path, result: 1 / 0)
+
+    def callback(update):
+        raise ValueError("plot window closed")
+
+    with pytest.raises(RunError, match="plot window closed"):
+        api.render("cornell-box", "path", samples=4, callback=callback, save=tmp_path / "a.exr", **SMALL)
+    assert "what was rendered could not be saved" in caplog.text
+    assert rescued(caplog.text, "a.exr.npz").exists()
 
 
 @pytest.mark.parametrize(("method", "tolerance"), [("path", 0.0), ("light", 1e-5), ("bpt", 1e-5), ("vcm", 1e-5)])
@@ -257,3 +318,10 @@ def test_resume_refuses_a_changed_scene_and_a_spent_budget(tmp_path):
     moved.write_text(text.replace("RADIUS", "1"))
     assert api.resume(checkpoint, samples=4, scene=moved).metadata["passes"] == 4
     assert api.resume(checkpoint, samples=5).metadata["passes"] == 5  # it remembers where the scene is now
+    with pytest.raises(CheckpointError, match="made by method 'path', not 'light'"):
+        api.resume(checkpoint, "light", samples=6)
+    with pytest.raises(CheckpointError, match="samples_per_pass was 1, is 2"):
+        api.resume(checkpoint, samples=6, samples_per_pass=2)
+    with pytest.raises(OptionError, match="did you mean 'samples'"):
+        api.resume(checkpoint, spp=6)
+    assert api.resume(checkpoint, "path", samples=6, samples_per_pass=1).metadata["passes"] == 6

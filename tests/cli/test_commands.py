@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import passes
 
 from etendue import api, film, methods
 from etendue.cli import options
@@ -74,6 +75,30 @@ def test_resume_goes_on(folder, capsys):
     assert np.array_equal(film.read_exr("a.exr").image, film.read_exr("b.exr").image)
     assert run("resume a.checkpoint") == 4
     assert "budget is used up" in capsys.readouterr().err
+    for words, message in (
+        ("-m bpt", "made by method 'path', not 'bpt'; resume it with path"),
+        ("-D rr_depth=3", "made with other settings (rr_depth was 5, is 3)"),
+    ):
+        assert run(f"resume a.checkpoint --spp 6 {words}") == 4
+        assert message in capsys.readouterr().err
+    assert run("resume a.checkpoint --spp 6 -m path -D rr_depth=5") == 0
+
+
+def test_a_bundled_scene_stays_what_it_is_where_a_file_has_its_name(folder, capsys):
+    """In the checkpoint, in a run file, and by a line where it is a question."""
+    os.mkdir("stage")
+    assert run("render stage -m path --size 8x8 --spp 1 -D samples_per_pass=1 -o a.exr") == 0
+    assert (
+        "'stage' is taken as the bundled scene; the folder of that name holds no scene.xml\n" in capsys.readouterr().err
+    )
+    Path("stage/scene.xml").write_text("no scene")
+    Path("a.toml").write_text(
+        '[scene]\nbundled = "stage"\nsize = [8, 8]\n[method]\nname = "path"\n[budget]\nsamples = 1\n'
+    )
+    assert run("resume a.checkpoint --spp 2") == run("run a.toml") == 0
+    assert "is taken as" not in capsys.readouterr().err
+    assert run("render stage -m path --size 8x8 --spp 1") == 3
+    assert run("compare stage -m path --size 8x8 --spp 1") == 3
 
 
 @pytest.mark.parametrize(("before", "after"), [("exr png", "exr png"), ("png", "png"), ("", "exr")])
@@ -126,10 +151,7 @@ def test_settings_of_one_method_win_over_those_of_all():
 
 
 def test_compare_keeps_what_is_finished_if_a_later_method_fails(folder, capsys, monkeypatch):
-    def fail(self, iteration, seed):
-        raise RuntimeError("out of memory")
-
-    monkeypatch.setattr(methods.get("bpt"), "step", fail)
+    passes.fail(monkeypatch, "bpt", at=0)
     assert run("compare cornell-box -m path -m bpt --size 8x8 --spp 1 -o out") == 70
     out, err = capsys.readouterr()
     assert out == f"{Path('out/index.html')}\n"
@@ -188,28 +210,14 @@ def test_version_and_help(capsys):
 
 
 def test_nonfinite_contributions_are_reported(folder, capsys, monkeypatch):
-    step = methods.get("path").step
-
-    def tainted(self, iteration, seed):
-        measured = step(self, iteration, seed)
-        measured.counters["nonfinite"] = 2.0
-        return measured
-
-    monkeypatch.setattr(methods.get("path"), "step", tainted)
+    passes.taint(monkeypatch, "path", 2.0)
     assert run("render cornell-box -m path --size 8x8 --spp 3 -D samples_per_pass=1 -o a.exr") == 0
     assert "warning: 6 contributions were not finite" in capsys.readouterr().err
     assert film.read_exr("a.exr").metadata["nonfinite"] == 6
 
 
 def test_a_failing_pass_is_one_line_and_its_predecessors_are_written(folder, capsys, monkeypatch):
-    step = methods.get("path").step
-
-    def failing(self, iteration, seed):
-        if iteration == 2:
-            raise RuntimeError("out of memory")
-        return step(self, iteration, seed)
-
-    monkeypatch.setattr(methods.get("path"), "step", failing)
+    passes.fail(monkeypatch, "path", at=2)
     assert run("render cornell-box -m path --size 8x8 --spp 9 -D samples_per_pass=1 -o a.exr") == 1
     out, err = capsys.readouterr()
     assert out == "a.exr\na.checkpoint\n"
@@ -307,10 +315,10 @@ def test_a_killed_render_leaves_its_last_intermediate_save(folder):
     process.kill()
     process.communicate()
     assert film.read_exr("a.exr").metadata["stopped_by"] == "running"
-    passes = Checkpoint.read("a.checkpoint").measurement.iterations.next_iteration()
-    assert passes > 0
-    assert main(["resume", "a.checkpoint", "--spp", str(passes + 2)]) == 0
-    assert film.read_exr("a.exr").metadata["passes"] == passes + 2
+    done = Checkpoint.read("a.checkpoint").measurement.iterations.next_iteration()
+    assert done > 0
+    assert main(["resume", "a.checkpoint", "--spp", str(done + 2)]) == 0
+    assert film.read_exr("a.exr").metadata["passes"] == done + 2
 
 
 def test_help_is_immediate():

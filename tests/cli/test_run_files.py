@@ -13,23 +13,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.run_files import example
+from support import passes
+from support.run_files import SCENE, example
 
-from etendue import api, film, methods
+from etendue import api, film
 from etendue.cli.main import main
 from etendue.core import Result
 from etendue.engine import Checkpoint
 
-SCENE = """<scene version="3.0.0">
-    <default name="res" value="24"/>
-    <sensor type="perspective"><film type="hdrfilm"><integer name="width" value="$res"/></film></sensor>
-    <emitter type="constant"/>
-    <shape type="sphere"><bsdf type="dielectric"/></shape>
-    <shape type="rectangle">
-        <transform name="to_world"><rotate x="1" angle="-90"/><scale value="3"/><translate y="-1"/></transform>
-    </shape>
-</scene>
-"""
 BOX = '[scene]\nbundled = "cornell-box"\nsize = [16, 16]\n[method]\nname = "path"\n'
 
 
@@ -46,14 +37,8 @@ def table(path: str) -> list[dict[str, str]]:
 
 
 def test_a_run_keeps_pictures_at_their_times_and_the_error_over_time(folder, capsys, monkeypatch):
-    step = methods.get("bpt").step
-
-    def slow(self, iteration, seed):
-        """At least 50 ms, so that a fast machine is not done before the saves, which hold 10 and 30 passes at most."""
-        time.sleep(0.05)
-        return step(self, iteration, seed)
-
-    monkeypatch.setattr(methods.get("bpt"), "step", slow)
+    # At least 50 ms, so that a fast machine is not done before the saves, which hold 10 and 30 passes at most.
+    passes.watch(monkeypatch, "bpt", lambda method, iteration: time.sleep(0.05))
     api.render("cornell-box", "path", samples=2048, size=(16, 16), save="reference.exr")
     Path("a.toml").write_text(
         'seed = 5\n[scene]\nbundled = "cornell-box"\nsize = [16, 16]\n'
@@ -122,9 +107,9 @@ def test_paths_are_relative_to_the_file_and_the_example_of_the_manual_runs(folde
     assert list(merge.layers) == ["image"]
     assert merge.metadata["layer"] == "merge"
     # The checkpoint knows the camera: the scene's own would have another fingerprint, and be refused.
-    passes = film.read_exr(home / "results" / "glass.exr").metadata["passes"]
+    before = film.read_exr(home / "results" / "glass.exr").metadata["passes"]
     assert main(["resume", "experiments/results/glass.checkpoint", "--time", "0.1"]) == 0
-    assert film.read_exr(home / "results" / "glass.exr").metadata["passes"] > passes
+    assert film.read_exr(home / "results" / "glass.exr").metadata["passes"] > before
 
 
 def test_the_camera_and_the_variables_reach_the_scene(folder):
@@ -141,15 +126,8 @@ def test_the_camera_and_the_variables_reach_the_scene(folder):
 
 
 def test_periodic_saves_and_warnings_are_in_the_log(folder, capsys, monkeypatch):
-    step = methods.get("path").step
-
-    def tainted(self, iteration, seed):
-        measured = step(self, iteration, seed)
-        measured.counters["nonfinite"] = 1.0
-        time.sleep(0.02)
-        return measured
-
-    monkeypatch.setattr(methods.get("path"), "step", tainted)
+    passes.watch(monkeypatch, "path", lambda method, iteration: time.sleep(0.02))
+    passes.taint(monkeypatch, "path", 1.0)
     Path("a.toml").write_text(
         BOX + "settings = {samples_per_pass = 1}\n[budget]\nsamples = 20\n[autosave]\nevery = 0.1\n"
         "[output]\ncheckpoint = false\n"
@@ -162,9 +140,9 @@ def test_periodic_saves_and_warnings_are_in_the_log(folder, capsys, monkeypatch)
     err = capsys.readouterr().err
     assert "save: " not in err
     assert "end (samples): 20 passes" in err
-    passes = [int(row["passes"]) for row in table("a.csv")]
-    assert passes == sorted(passes)
-    assert len(set(passes)) > 1
+    done = [int(row["passes"]) for row in table("a.csv")]
+    assert done == sorted(done)
+    assert len(set(done)) > 1
 
 
 def test_a_run_that_ends_before_an_autosave_says_so(folder):
@@ -175,14 +153,7 @@ def test_a_run_that_ends_before_an_autosave_says_so(folder):
 
 
 def test_a_failing_pass_keeps_its_predecessors_and_the_log_says_why(folder, capsys, monkeypatch):
-    step = methods.get("path").step
-
-    def failing(self, iteration, seed):
-        if iteration == 2:
-            raise RuntimeError("out of memory")
-        return step(self, iteration, seed)
-
-    monkeypatch.setattr(methods.get("path"), "step", failing)
+    passes.fail(monkeypatch, "path", at=2)
     Path("a.toml").write_text(BOX + "settings = {samples_per_pass = 1}\n[budget]\nsamples = 9\n")
     assert main(["run", "a.toml"]) == 1
     assert film.read_exr("a.exr").metadata["passes"] == 2
@@ -214,6 +185,80 @@ def test_ctrl_c_keeps_everything(folder):
     log = Path("a.log").read_text("utf-8")
     assert "end (cancel)" in log
     assert "before its autosave at 50 s" in log
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of Unix")
+def test_a_resumed_run_goes_on_with_its_records(folder, capsys, monkeypatch):
+    api.render("cornell-box", "path", samples=64, size=(16, 16), save="reference.exr")
+    Path("a.toml").write_text(
+        BOX + "settings = {samples_per_pass = 1}\n[budget]\nseconds = 2\n[autosave]\ntimes = [0.2, 1, 2]\n"
+        '[output]\nfolder = "out"\n[reference]\nfile = "reference.exr"\n'
+    )
+
+    def interrupt(method, iteration):
+        time.sleep(0.1)
+        if iteration in (3, 6):
+            os.kill(os.getpid(), signal.SIGINT)
+
+    passes.watch(monkeypatch, "path", interrupt)
+    assert main(["run", "a.toml"]) == 130
+    first = table("out/a.csv")
+    assert [row["autosave"] for row in first] == ["0.2", ""]
+    before = film.read_exr("out/a.exr").metadata["passes"]
+    capsys.readouterr()
+
+    assert main(["resume", "out/a.checkpoint"]) == 130
+    assert main(["resume", "out/a.checkpoint"]) == 0  # twice: what the times are counted from adds up
+    out, err = capsys.readouterr()
+    rows = table("out/a.csv")
+    assert rows[:2] == first
+    assert [row["autosave"] for row in rows if row["autosave"]] == ["0.2", "1", "2"]
+    assert len(rows) == 6  # and three ends
+    for name in ("seconds", "rendering_seconds", "passes", "rays"):
+        numbers = [float(row[name]) for row in rows]
+        assert numbers == sorted(numbers)
+        assert numbers[0] < numbers[1] < numbers[2] < numbers[-1]
+    assert int(rows[2]["passes"]) > before
+    seconds = {row["autosave"]: float(row["seconds"]) for row in rows}
+    assert seconds["1"] >= 1.0
+    assert seconds["2"] <= 2.0 + 0.1  # no pass was begun that would have ended later; saving is part of it
+    assert all(float(row["relmse"]) > 0 for row in rows)
+    assert {"a-0.2s.exr", "a-1s.exr", "a-2s.exr", "a.exr"} <= set(os.listdir("out"))
+    assert {Path(name).name for name in out.split()} >= {"a-1s.exr", "a-2s.exr", "a.exr", "a.csv", "a.log"}
+    assert "autosave 1 s: " in err
+    log = Path("out/a.log").read_text("utf-8")
+    assert log.count("resumed after ") == 2
+    assert log.splitlines()[-1].split("  ")[1].startswith("end (seconds)")
+
+
+def test_what_has_changed_since_is_said(folder, capsys):
+    base = BOX + "settings = {samples_per_pass = 1}\n[budget]\nsamples = 1\n"
+    Path("a.toml").write_text(base)
+    assert main(["run", "a.toml"]) == 0
+    rows = table("a.csv")
+    capsys.readouterr()
+    for text, message in (
+        (
+            base.replace('"path"', '"light"'),
+            "a.toml has changed: the checkpoint was made by method 'path', not 'light'",
+        ),
+        (base.replace("= {", "= {rr_depth = 2, "), "a.toml has changed: the checkpoint was made with other settings"),
+        ("seed = 3\n" + base, "a.toml has changed: the checkpoint was made with seed 0, not 3"),
+    ):
+        Path("a.toml").write_text(text)
+        assert main(["resume", "a.checkpoint", "--spp", "3"]) == 4
+        assert message in capsys.readouterr().err
+    assert table("a.csv") == rows
+    Path("a.toml").write_text(base + '[output]\nname = "b"\n')
+    for spp, why in (("2", "keeps its checkpoint elsewhere"), ("3", "is gone")):
+        assert main(["resume", "a.checkpoint", "--spp", spp]) == 0
+        warning = rf"warning: only the picture goes on, .*: the run file '.*a\.toml' {why}"
+        assert re.search(warning, capsys.readouterr().err)
+        Path("a.toml").unlink(missing_ok=True)
+    assert main(["resume", "a.checkpoint", "--spp", "4", "-o", "c.exr"]) == 0
+    assert "warning" not in capsys.readouterr().err
+    assert film.read_exr("c.exr").metadata["passes"] == 4
+    assert table("a.csv") == rows
 
 
 BAD = [

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import mitsuba as mi
 import pytest
-from support.run_files import example
+from support.run_files import SCENE, example
 
 import etendue
 from etendue import api, methods
@@ -25,21 +25,6 @@ PAGES = sorted(
 _LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 _EXAMPLE = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _COMMAND = re.compile(r"^(?: {4})?(etendue .+)$", re.MULTILINE)  # indented, or in a fenced block
-_SCENE = """<scene version="3.0.0">
-    <default name="res" value="24"/>
-    <integrator type="path"><integer name="max_depth" value="4"/></integrator>
-    <sensor type="perspective">
-        <transform name="to_world"><lookat origin="0,1,4" target="0,0.4,0" up="0,1,0"/></transform>
-        <sampler type="independent"><integer name="sample_count" value="2"/></sampler>
-        <film type="hdrfilm"><integer name="width" value="$res"/><integer name="height" value="18"/></film>
-    </sensor>
-    <emitter type="constant"/>
-    <shape type="sphere"><bsdf type="dielectric"/></shape>
-    <shape type="rectangle">
-        <transform name="to_world"><rotate x="1" angle="-90"/><scale value="3"/><translate y="-1"/></transform>
-    </shape>
-</scene>
-"""
 
 
 def relative(page):
@@ -107,7 +92,7 @@ def test_examples_run(page, number, tmp_path, monkeypatch, variant):
     monkeypatch.setattr(etendue, "resume", api.resume, raising=False)
     monkeypatch.setattr(mi, "set_variant", lambda name: None)  # that of the session stays
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "scene.xml").write_text(_SCENE)
+    (tmp_path / "scene.xml").write_text(SCENE)
     if "picture.exr" in (code := _EXAMPLE.findall(page.read_text("utf-8"))[number]):
         made = api.render("scene.xml", "path", samples=2, save="picture.exr")
         made.save("reference.exr")
@@ -121,10 +106,12 @@ COMMANDS = sorted({command for page in PAGES for command in _COMMAND.findall(pag
 def folder(tmp_path_factory, variant):
     """The files that the examples of the shell name."""
     path = tmp_path_factory.mktemp("shell")
-    (path / "scene.xml").write_text(_SCENE)
+    (path / "scene.xml").write_text(SCENE)
     api.render(path / "scene.xml", "path", save=path / "converged.exr", checkpoint=path / "picture.checkpoint")
     (path / "experiment.toml").write_text(example((24, 18), "20, 60"))
     shutil.copy(path / "converged.exr", path / "reference.exr")
+    (path / "results").mkdir()
+    shutil.copy(path / "picture.checkpoint", path / "results" / "glass.checkpoint")
     return path
 
 

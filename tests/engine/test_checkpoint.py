@@ -14,14 +14,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from etendue.core import CheckpointError, OutputError
-from etendue.engine import Budget, Checkpoint, run
+from etendue import methods
+from etendue.core import CheckpointError, OptionError, OutputError
+from etendue.engine import Budget, Checkpoint, Runner
 
 
 @pytest.fixture
 def checkpoint(noise):
     noise.prepare(None, 5)
-    result = run(noise, seed=5, budget=Budget(iterations=3))
+    result = Runner(noise, seed=5, budget=Budget(iterations=3)).run()
     return Checkpoint(
         measurement=result.measurement,
         method="noise",
@@ -34,6 +35,8 @@ def checkpoint(noise):
         stopped_by="cancel",
         versions={"etendue": "1"},
         elapsed=1.5,
+        earlier=2.5,
+        notes={"diary": "/somewhere"},
     )
 
 
@@ -50,7 +53,9 @@ def test_round_trip(checkpoint, tmp_path):
     assert read.state["pilot"] == 5.5
     assert np.array_equal(read.state["table"], np.arange(3.0))
     assert read.state["nested"] == {"list": [1, 2.0]}
-    for name in ("method", "settings", "seed", "fingerprint", "scene", "budget", "stopped_by", "versions", "elapsed"):
+    plain = vars(checkpoint).keys() - {"measurement", "state"}
+    assert {"method", "settings", "seed", "fingerprint", "scene", "budget", "earlier", "notes"} <= plain
+    for name in plain:
         assert getattr(read, name) == getattr(checkpoint, name)
     assert [p.name for p in tmp_path.iterdir()] == ["a.checkpoint"]
 
@@ -58,8 +63,8 @@ def test_round_trip(checkpoint, tmp_path):
 def test_a_resumed_run_is_bit_equal_to_an_uninterrupted_one(noise, checkpoint, tmp_path):
     checkpoint.write(tmp_path / "a.checkpoint")
     read = Checkpoint.read(tmp_path / "a.checkpoint")
-    resumed = run(noise, seed=read.seed, budget=Budget(iterations=8), start=read.measurement)
-    whole = run(noise, seed=5, budget=Budget(iterations=8))
+    resumed = Runner(noise, seed=read.seed, budget=Budget(iterations=8), start=read.measurement).run()
+    whole = Runner(noise, seed=5, budget=Budget(iterations=8)).run()
     for name in whole.measurement.sums:
         assert np.array_equal(resumed.measurement.sums[name], whole.measurement.sums[name])
     assert np.array_equal(resumed.measurement.squares["image"], whole.measurement.squares["image"])
@@ -74,19 +79,34 @@ def test_it_holds_no_pickle(checkpoint, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("given", "seed", "message"),
     [
-        ({"fingerprint": "xyz"}, "the scene is not the one"),
-        ({"method": "path"}, "made by method 'noise', not 'path'"),
-        ({"settings": '{"max_depth": 3, "samples_per_pass": 1}'}, r"max_depth was -1, is 3"),
-        ({"seed": 6}, "made with seed 5, not 6"),
+        ({"max_depth": 3}, None, r"made with other settings \(max_depth was -1, is 3\); resume it with its own"),
+        ({"samples_per_pass": "2"}, 5, r"samples_per_pass was 1, is 2"),
+        ({}, 6, "made with seed 5, not 6"),
     ],
 )
-def test_another_scene_method_setting_or_seed_is_refused(checkpoint, change, message):
-    same = {"fingerprint": "abc", "method": "noise", "settings": checkpoint.settings, "seed": 5}
-    checkpoint.require(**same)
+def test_another_setting_or_seed_is_refused(checkpoint, noise, given, seed, message):
+    assert checkpoint.settings_of(type(noise)) == noise.settings
+    assert checkpoint.settings_of(type(noise), {"max_depth": "-1"}, 5) == noise.settings
     with pytest.raises(CheckpointError, match=message):
-        checkpoint.require(**(same | change))
+        checkpoint.settings_of(type(noise), given, seed)
+
+
+def test_another_method_or_scene_is_refused(checkpoint, noise):
+    with pytest.raises(CheckpointError, match="made by method 'noise', not 'path'; resume it with noise"):
+        checkpoint.settings_of(methods.get("path"))
+    with pytest.raises(OptionError, match="method 'noise' has no option 'max_dept'; did you mean 'max_depth'"):
+        checkpoint.settings_of(type(noise), {"max_dept": 3})
+    checkpoint.require_scene("abc")
+    with pytest.raises(CheckpointError, match="the scene is not the one"):
+        checkpoint.require_scene("xyz")
+
+
+@pytest.mark.parametrize("settings", ['{"max_depth": -1}', '{"max_depth": -1, "samples_per_pass": 1, "old": 2}'])
+def test_settings_of_another_version_are_refused(checkpoint, noise, settings):
+    with pytest.raises(CheckpointError, match=r"made by étendue 1, whose 'noise' has other settings \(.*\)"):
+        replace(checkpoint, settings=settings).settings_of(type(noise))
 
 
 def test_missing_file(tmp_path):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from etendue.core import OptionError, OutputError
-from etendue.engine import Budget, Cancelled, RunError, Runner, run
+from etendue.engine import Budget, Cancelled, RunError, Runner
 from etendue.engine.runner import LEAST_PASSES_FOR_ERROR
 
 
@@ -44,7 +44,7 @@ def test_samples_are_counted_in_passes_and_the_smaller_limit_holds():
 
 def test_a_run_without_any_end_is_refused(noise):
     with pytest.raises(OptionError, match="needs a budget"):
-        run(noise, seed=0, budget=Budget())
+        Runner(noise, seed=0, budget=Budget()).run()
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_first_limit_reached_stops(timed):
 
 
 def test_error_budget_stops_at_the_noise_that_was_asked_for(noise):
-    result = run(noise, seed=1, budget=Budget(error=0.01, iterations=2000))
+    result = Runner(noise, seed=1, budget=Budget(error=0.01, iterations=2000)).run()
     assert result.stopped_by == "error"
     assert result.measurement.relative_error() <= 0.01
     # Variance of a pass is 1/2, of the mean 1/(2n), relative to a mean of 1: about 50 passes, and no twice that.
@@ -85,9 +85,9 @@ def test_error_budget_stops_at_the_noise_that_was_asked_for(noise):
 
 
 def test_error_budget_is_not_believed_before_sixteen_passes(noise):
-    result = run(noise, seed=1, budget=Budget(error=1e9))
+    result = Runner(noise, seed=1, budget=Budget(error=1e9)).run()
     assert (result.passes, result.stopped_by) == (LEAST_PASSES_FOR_ERROR, "error")
-    assert run(noise, seed=1, budget=Budget(error=1e9, iterations=3)).stopped_by == "samples"
+    assert Runner(noise, seed=1, budget=Budget(error=1e9, iterations=3)).run().stopped_by == "samples"
 
 
 def test_passes_that_found_no_light_do_not_end_a_run(noise):
@@ -102,13 +102,13 @@ def test_passes_that_found_no_light_do_not_end_a_run(noise):
         return measured
 
     noise.step = late
-    result = run(noise, seed=1, budget=Budget(error=0.02, iterations=2000))
+    result = Runner(noise, seed=1, budget=Budget(error=0.02, iterations=2000)).run()
     assert result.passes > LEAST_PASSES_FOR_ERROR
     assert result.measurement.relative_error() <= 0.02
 
 
 def test_accumulation_is_the_sum_of_the_passes(noise):
-    result = run(noise, seed=3, budget=Budget(iterations=5))
+    result = Runner(noise, seed=3, budget=Budget(iterations=5)).run()
     expected = noise.step(0, 3)
     for iteration in range(1, 5):
         expected += noise.step(iteration, 3)
@@ -139,18 +139,28 @@ def test_progress_speaks_of_time_rate_noise_and_share(timed):
     assert "pass 5, 5 spp, 10.0s" in str(seen[-1])
 
 
-def test_saves_come_in_time_and_their_failure_costs_nothing(timed, caplog):
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (OutputError("cannot write 'x': no space; free some"), "cannot write 'x': no space; free some"),
+        (OSError(28, "No space left on device"), "OSError: [Errno 28] No space left on device"),
+        (MemoryError(), "MemoryError"),
+        (RuntimeError("a fault\n  of the writer"), "RuntimeError: a fault of the writer"),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_saves_come_in_time_and_their_failure_costs_nothing(timed, caplog, error, words):
     method, clock = timed([1.0])
     saves = []
 
     def save(run):
         saves.append((run.passes, run.stopped_by))
-        raise OutputError("cannot write 'x': no space; free some")
+        raise error
 
     result = Runner(method, seed=0, budget=Budget(iterations=9), on_save=save, save_every=3.0, clock=clock).run()
     assert saves == [(3, "running"), (6, "running"), (9, "running")]
     assert result.passes == 9
-    assert "intermediate save failed, rendering goes on: cannot write 'x'" in caplog.text
+    assert caplog.messages == [f"intermediate save failed, rendering goes on: {words}"] * 3
 
 
 def test_slow_saves_become_rare(timed):
@@ -209,7 +219,7 @@ def test_time_between_saves_is_checked(noise, save_every):
 def test_cancel_stops_at_the_next_pass(noise):
     cancel = threading.Event()
     noise.before_pass = lambda iteration: cancel.set() if iteration == 2 else None
-    result = run(noise, seed=0, budget=Budget(), cancel=cancel)
+    result = Runner(noise, seed=0, budget=Budget(), cancel=cancel).run()
     assert (result.passes, result.stopped_by) == (3, "cancel")
 
 
@@ -217,7 +227,7 @@ def test_cancel_before_the_first_pass_leaves_no_picture(noise):
     cancel = threading.Event()
     cancel.set()
     with pytest.raises(Cancelled, match="there is no picture"):
-        run(noise, seed=0, budget=Budget(iterations=3), cancel=cancel)
+        Runner(noise, seed=0, budget=Budget(iterations=3), cancel=cancel).run()
 
 
 def test_a_failing_pass_loses_no_work(noise):
@@ -227,7 +237,7 @@ def test_a_failing_pass_loses_no_work(noise):
 
     noise.before_pass = fail
     with pytest.raises(RunError, match=r"RuntimeError: device lost \(after 3 passes, which are kept\)") as caught:
-        run(noise, seed=0, budget=Budget(iterations=10))
+        Runner(noise, seed=0, budget=Budget(iterations=10)).run()
     assert isinstance(caught.value.__cause__, RuntimeError)
     assert caught.value.run.passes == 3
     assert caught.value.run.stopped_by == "failure"
@@ -240,7 +250,7 @@ def test_a_failing_pass_loses_no_work(noise):
 def test_a_failing_first_pass_raises_what_it_raised(noise):
     noise.before_pass = lambda iteration: 1 / 0
     with pytest.raises(ZeroDivisionError):
-        run(noise, seed=0, budget=Budget(iterations=10))
+        Runner(noise, seed=0, budget=Budget(iterations=10)).run()
 
 
 def test_ctrl_c_in_a_pass_keeps_those_before_it(noise):
@@ -256,14 +266,14 @@ def test_ctrl_c_in_a_pass_keeps_those_before_it(noise):
 
 
 def test_start_is_continued_and_counts(noise):
-    first = run(noise, seed=7, budget=Budget(samples=4))
-    second = run(noise, seed=7, budget=Budget(samples=10), start=first.measurement)
-    whole = run(noise, seed=7, budget=Budget(samples=10))
+    first = Runner(noise, seed=7, budget=Budget(samples=4)).run()
+    second = Runner(noise, seed=7, budget=Budget(samples=10), start=first.measurement).run()
+    whole = Runner(noise, seed=7, budget=Budget(samples=10)).run()
     assert np.array_equal(second.measurement.sums["image"], whole.measurement.sums["image"])
     assert second.measurement.iterations == whole.measurement.iterations
 
 
 def test_a_reached_total_does_no_further_pass(noise):
-    first = run(noise, seed=7, budget=Budget(samples=4))
+    first = Runner(noise, seed=7, budget=Budget(samples=4)).run()
     noise.before_pass = lambda iteration: pytest.fail("a pass was made")
-    assert run(noise, seed=7, budget=Budget(samples=4), start=first.measurement).passes == 4
+    assert Runner(noise, seed=7, budget=Budget(samples=4), start=first.measurement).run().passes == 4

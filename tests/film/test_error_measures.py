@@ -5,7 +5,6 @@ import pytest
 
 from etendue.core import OptionError
 from etendue.film import (
-    ErrorHistory,
     block_average,
     luminance_rmse,
     relative_bias,
@@ -93,19 +92,3 @@ def test_block_average():
     assert np.isinf(block_average(image, 2)[0, 0, 0]) and np.isfinite(block_average(image, 2)[0, 1]).all()
     with pytest.raises(OptionError, match="blocks of 3"):
         block_average(image, 3)
-
-
-def test_history_looks_at_log_spaced_times():
-    reference = np.ones((4, 4, 3))
-    history = ErrorHistory(reference, ratio=1.5)
-    for second in range(1, 1001):
-        history.record(float(second), reference * (1.0 + 1.0 / second))
-    times = np.array([t for t, _ in history.entries])
-    assert times[0] == 1.0 and len(times) < 20
-    assert (times[1:] / times[:-1] >= 1.5).all()
-    np.testing.assert_allclose([e for _, e in history.entries], 1.0 / times**2 / 1.01)
-    assert not history.due(times[-1] + 0.1)
-    assert history.record(1000.5, reference, force=True) == 0.0
-    assert history.entries[-1] == (1000.5, 0.0)
-    with pytest.raises(OptionError, match="reference"):
-        history.record(1e9, np.ones((2, 2, 3)))

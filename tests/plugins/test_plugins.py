@@ -1,6 +1,7 @@
 """Our methods as Mitsuba integrators: from dictionaries, from XML, in either order of import."""
 
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -9,10 +10,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from support import passes
 
 from etendue import methods, plugins
-from etendue.core import OptionError, UnsupportedError
-from etendue.plugins.integrator import fitting_samples
+from etendue.core import UnsupportedError
+from etendue.film import read_exr
 from etendue.scene import load
 
 NAMES = [name for name in methods.table() if name != "path"]
@@ -80,37 +82,12 @@ def test_without_spp_the_scenes_own_count_is_used(monkeypatch):
 def count_samples(monkeypatch, name):
     """Camera paths per pixel of every pass that runs from now on."""
     counted = []
-    method = methods.get(name)
-    step = method.step
-
-    def counting(self, iteration, seed):
-        counted.append(self.samples_per_iteration)
-        return step(self, iteration, seed)
-
-    monkeypatch.setattr(method, "step", counting)
+    passes.watch(monkeypatch, name, lambda method, iteration: counted.append(method.samples_per_iteration))
     return counted
 
 
-@pytest.mark.parametrize(("spp", "most", "passes", "total"), [
-    (1, 16, 1, 1), (7, 16, 1, 7), (16, 16, 1, 16), (20, 16, 2, 20), (64, 16, 4, 64), (17, 16, 2, 18), (37, 4, 10, 40),
-    (5, 1, 5, 5),
-])  # fmt: skip
-def test_samples_share_the_budget(spp, most, passes, total):
-    samples = fitting_samples(spp, most)
-    assert samples <= most
-    assert (-(-spp // samples), -(-spp // samples) * samples) == (passes, total)
-
-
 def test_contributions_that_are_not_finite_are_reported(monkeypatch, caplog):
-    method = methods.get("bpt")
-    step = method.step
-
-    def tainted(self, iteration, seed):
-        measured = step(self, iteration, seed)
-        measured.counters["nonfinite"] = 2.0
-        return measured
-
-    monkeypatch.setattr(method, "step", tainted)
+    passes.taint(monkeypatch, "bpt", 2.0)
     mi.render(mi.load_dict(box({"type": "bpt", "max_depth": 2, "samples_per_pass": 1}, size=8)), spp=3)
     assert "6 contributions were not finite" in caplog.text
 
@@ -150,6 +127,49 @@ def test_first_hit_channels():
     depth = picture[..., 3 + names.index("depth.T")]
     assert 2.5 < np.median(depth) < 5.0
     assert np.linalg.norm(picture[..., 6:9], axis=-1).max() == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("settings", "parts"),
+    [
+        ({"split_layers": True}, r"emission|next_event|connection|splat|merge"),
+        ({"pyramid": True, "pyramid_depth": 3, "aovs": True}, r"[sm]\d_t\d|longer"),
+    ],
+    ids=["split_layers", "pyramid"],
+)
+def test_layers_are_channels_of_the_film(settings, parts, tmp_path):
+    scene = mi.load_dict(box({"type": "vcm", "max_depth": 4} | settings, component_format="float32"))
+    integrator, film = scene.integrator(), scene.sensors()[0].film()
+    before = integrator.aov_names()
+    assert len(before) == (7 if "aovs" in settings else 0)
+    picture = np.array(mi.render(scene, spp=4, seed=1))
+    names = integrator.aov_names()
+    assert names[: len(before)] == before
+    assert picture.shape[2] == 3 + len(names)
+    film.write(str(tmp_path / "film.exr"))
+    layers = read_exr(tmp_path / "film.exr").layers
+    np.testing.assert_array_equal(layers["image"], picture[..., :3])
+    summed = [name for name in layers if re.fullmatch(parts, name)]
+    assert len(summed) > 4
+    np.testing.assert_allclose(sum(layers[name] for name in summed), layers["image"], rtol=1e-4, atol=1e-6)
+    for name in summed:
+        first = 3 + names.index(f"{name}.R")
+        np.testing.assert_array_equal(layers[name], picture[..., first : first + 3])
+    assert {name for name in layers if name.endswith("_unweighted")} == (
+        {f"{name}_unweighted" for name in summed if name != "longer"} if "pyramid" in settings else set()
+    )
+
+
+def test_further_radii_are_channels_of_the_film(tmp_path):
+    scene = mi.load_dict(box({"type": "vcm", "max_depth": 3, "radii": "0.5,2"}, size=8))
+    assert mi.render(scene, spp=1).shape == (8, 8, 9)
+    scene.sensors()[0].film().write(str(tmp_path / "film.exr"))
+    assert set(read_exr(tmp_path / "film.exr").layers) == {"image", "radius_0.5", "radius_2"}
+
+
+def test_layers_that_were_not_asked_for_are_not_in_the_film():
+    """``light`` keeps its two families apart anyway."""
+    assert mi.render(mi.load_dict(box({"type": "light", "max_depth": 2}, size=8)), spp=1).shape == (8, 8, 3)
 
 
 XML = """<scene version="3.0.0">
@@ -233,34 +253,26 @@ def test_gradients_get_one_clear_error(direction):
 def test_cancel_stops_after_the_pass(monkeypatch):
     integrator = mi.load_dict({"type": "bpt", "max_depth": 2, "samples_per_pass": 1})
     scene = mi.load_dict(box("path", size=8))
-    method = methods.get("bpt")
-    step = method.step
-    passes = []
+    done = []
 
-    def slow(self, iteration, seed):
-        passes.append(iteration)
+    def interrupt(method, iteration):
+        done.append(iteration)
         if iteration == 2:
             thread = threading.Thread(target=integrator.cancel)
             thread.start()
             thread.join()
-        return step(self, iteration, seed)
 
-    monkeypatch.setattr(method, "step", slow)
+    passes.watch(monkeypatch, "bpt", interrupt)
     assert mi.render(scene, integrator=integrator, spp=1000).shape == (8, 8, 3)
-    assert passes == [0, 1, 2] and integrator.should_stop()
-    passes.clear()
+    assert done == [0, 1, 2] and integrator.should_stop()
+    done.clear()
     mi.render(scene, integrator=integrator, spp=2)  # the flag does not stick
-    assert passes == [0, 1]
+    assert done == [0, 1]
 
 
 def test_timeout():
     integrator = mi.load_dict({"type": "bpt", "max_depth": 2, "samples_per_pass": 1, "timeout": 0.2})
     assert mi.render(mi.load_dict(box("path", size=8)), integrator=integrator, spp=100000).shape == (8, 8, 3)
-
-
-def test_no_samples():
-    with pytest.raises(OptionError, match="at least one sample"):
-        fitting_samples(0, 4)
 
 
 BEFORE = "import etendue, mitsuba as mi; mi.set_variant(V)"

@@ -1,11 +1,13 @@
 """Every door into a Problem, and what each says of a broken scene."""
 
+from pathlib import Path
+
 import mitsuba as mi
 import numpy as np
 import pytest
 
 from etendue.core import OptionError, SceneError, UnsupportedError
-from etendue.scene import bundled, integrator_of, load
+from etendue.scene import bundled, bundled_scene, integrator_of, load, locate
 
 SENSOR = '<sensor type="perspective"><film type="hdrfilm"/></sensor>'
 LIGHT = '<emitter type="constant"/><shape type="sphere"/>'
@@ -274,10 +276,47 @@ def test_nan_in_a_mesh_is_named():
         load(scene)
 
 
+@pytest.mark.parametrize(
+    ("beside", "taken", "said"),
+    [
+        ([], "bundled", None),
+        (["stage/"], "bundled", "taken as the bundled scene; the folder of that name holds no scene.xml"),
+        (["stage/", "stage/scene.xml"], "stage/scene.xml", "taken as the file stage/scene.xml, not as the bundled"),
+        (["stage"], "stage", "taken as the file stage, not as the bundled scene"),
+        (["stage.xml"], "bundled", None),
+    ],
+)
+def test_a_file_goes_before_a_bundled_scene_and_a_bare_folder_after(beside, taken, said, tmp_path, monkeypatch, caplog):
+    monkeypatch.chdir(tmp_path)
+    caplog.set_level("INFO")
+    small = SENSOR.replace("/></sensor>", '><integer name="width" value="7"/></film></sensor>')
+    for name in beside:
+        if name.endswith("/"):
+            (tmp_path / name).mkdir()
+        else:
+            xml(tmp_path, LIGHT + small, name=name)
+    found = locate("stage")
+    assert found == (bundled_scene("stage") if taken == "bundled" else Path(taken))
+    messages = [m for m in caplog.messages if "is taken as" in m]
+    assert [said in m for m in messages] == ([] if said is None else [True])
+    caplog.clear()
+    assert (integrator_of("stage"), load("stage").size[0]) == (("vcm", 512) if taken == "bundled" else ("", 7))
+    assert len([m for m in caplog.messages if "is taken as" in m]) == (said is not None)
+    # What is named without ambiguity is what is meant.
+    assert load(bundled_scene("stage")).source == "stage"
+    if "stage/" in beside and taken != "bundled":
+        assert load("./stage").size[0] == load(tmp_path / "stage").size[0] == 7
+
+
+def test_a_bundled_scene_that_is_none():
+    with pytest.raises(SceneError, match=r"no bundled scene 'stag'; did you mean 'stage'\?"):
+        bundled_scene("stag")
+
+
 def arguments():
     yield "nowhere.xml", {}, SceneError, "no scene file 'nowhere.xml'.*bundled scenes: .*cornell-box"
     yield "cornell-bax", {}, SceneError, "did you mean 'cornell-box'"
-    yield ".", {}, SceneError, "is a folder"
+    yield ".", {}, SceneError, "is a folder without a scene.xml; name the scene file in it"
     yield __file__, {}, SceneError, "not a Mitsuba scene file"
     yield "cornell-box", {"size": (0, 5)}, OptionError, "at least one pixel"
     yield "cornell-box", {"size": (99999, 99999)}, OptionError, "at most 2\\^30 pixels"

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from etendue import display, film, methods
-from etendue.api import Outputs, Update, start_job
+from etendue.api import Update, start_job
 from etendue.core import OptionError
-from etendue.engine import Budget, Job, Task, check_writable
+from etendue.engine import Budget, Job, Task
+from etendue.outputs import Outputs
 from etendue.scene import bundled
 
 from .console import note, say
@@ -28,7 +29,7 @@ _HISTORY_RATIO = 1.25
 _PAGE = "index.html"
 
 
-def tasks(scene: str, names: Sequence[str], settings: Mapping[str, Any], **common: Any) -> list[Task]:
+def tasks(scene: Any, names: Sequence[str], settings: Mapping[str, Any], **common: Any) -> list[Task]:
     """The same task for each method of ``names``; ``settings`` as for :func:`settings_by_method`."""
     if len(set(names)) < len(names):
         raise OptionError(f"each method once, not {', '.join(names)}")
@@ -55,7 +56,7 @@ class Comparison:
         if self.reference is not None:
             self._reference = film.read_image(self.reference)
         make_folder(self.output)
-        check_writable(self.output / _PAGE)
+        film.check_writable(self.output / _PAGE)
         entries: list[display.Entry] = []
         try:
             for task in self.tasks:
@@ -96,7 +97,7 @@ class Comparison:
             page,
             entries,
             self._reference,
-            title=self.title or f"{Path(self.tasks[0].scene).name}: {', '.join(e.name for e in entries)}",
+            title=self.title or f"{Path(str(self.tasks[0].scene)).name}: {', '.join(e.name for e in entries)}",
             subtitle=self.subtitle,
             reference_note=self.reference_note or (str(self.reference) if self.reference else ""),
             exposure=exposure,
@@ -125,7 +126,7 @@ def demonstration(output: Path, seconds: float | None, size: tuple[int, int] | N
     """The bundled scene for demonstration, by ``path`` and ``vcm``. Its reference fits its own size only."""
     scene = next(iter(bundled().values()))
     return Comparison(
-        tasks(scene.name, ["path", "vcm"], {}, budget=Budget(seconds=seconds), size=size),
+        tasks(scene, ["path", "vcm"], {}, budget=Budget(seconds=seconds), size=size),
         output,
         reference=scene.reference if size is None else None,
         reference_note=scene.reference_note,

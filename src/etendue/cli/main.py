@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from etendue.core import EtendueError, OptionError, logger
+from etendue.core import EtendueError, OptionError, describe, logger
 
 from . import options as opt
 from .console import ConsoleHandler, error_console, note, print_error, say
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if debug:
             traceback.print_exc()
-        print_error(f"{type(error).__name__}: {error} (unexpected; --debug shows where, please report it)")
+        print_error(f"{describe(error)} (unexpected; --debug shows where, please report it)")
         return 70
     finally:
         logger.removeHandler(handler)
@@ -122,8 +122,10 @@ def render(
     Stops at the first of --time, --spp and --error that is reached; without any, at the scene's own sample count.
     Ctrl-C stops after the current pass and writes the picture and the checkpoint.
     """
-    from etendue.api import Outputs, choose_method
+    from etendue.api import choose_method
     from etendue.engine import Budget, Job, Task
+    from etendue.outputs import Outputs
+    from etendue.scene import locate
 
     from .rendering import choose_device, default_name, render_to_files
 
@@ -133,9 +135,10 @@ def render(
     parameters = opt.parse_pairs(param, "-P")
     choose_device(variant, threads)
     notes: list[str] = []  # shown when all is checked
-    chosen = choose_method(method, scene, parameters, notes.append)
-    task = Task(scene, chosen, settings, seed, budget, size, sensor, parameters, memory)
-    pictures = output or [Path(f"{default_name(scene)}-{chosen.name}.exr")]
+    found = locate(scene, notes.append)
+    chosen = choose_method(method, found, parameters, notes.append)
+    task = Task(found, chosen, settings, seed, budget, size, sensor, parameters, memory)
+    pictures = output or [Path(f"{default_name(found)}-{chosen.name}.exr")]
     beside = pictures[0].parent / f"{pictures[0].stem}.checkpoint"
     outputs = Outputs.of(pictures, None if no_checkpoint else checkpoint or beside, save_every)
 
@@ -150,8 +153,17 @@ def render(
 
 @app.command()
 def resume(
-    checkpoint: Annotated[Path, typer.Argument(help="File that `etendue render` wrote.", metavar="CHECKPOINT")],
+    checkpoint: Annotated[
+        Path, typer.Argument(help="File that `etendue render` or `etendue run` wrote.", metavar="CHECKPOINT")
+    ],
     output: opt.Output = None,
+    method: Annotated[
+        str | None, typer.Option("--method", "-m", help="Not needed; must be that of the checkpoint.", metavar="NAME")
+    ] = None,
+    define: Annotated[
+        list[str] | None,
+        typer.Option("-D", "--define", help="Not needed; must be as in the checkpoint.", metavar="NAME=VALUE"),
+    ] = None,
     scene: Annotated[str | None, typer.Option(help="Where the scene is now, if it has moved.", metavar="SCENE")] = None,
     time: opt.Time = None,
     spp: opt.Spp = None,
@@ -164,22 +176,37 @@ def resume(
     """Go on with an interrupted or finished render; the checkpoint is updated.
 
     --time counts from now, --spp and --error speak of the whole picture. Without them the interrupted budget is
-    used up. Without -o the pictures of that name beside the checkpoint are updated, .exr and .png, or an .exr made.
+    used up. Without -o the pictures of that name beside the checkpoint are updated, .exr and .png, or an .exr made;
+    of a run file, all that it keeps: the saves that are to come, log and table go on.
     """
     from etendue import methods
-    from etendue.api import Outputs
     from etendue.engine import Budget, Checkpoint, Job
+    from etendue.outputs import Outputs
 
+    from .records import Recorder, run_of
     from .rendering import choose_device, render_to_files
 
     budget = Budget(time, spp, None, error)
     saved = Checkpoint.read(checkpoint)
-    method = methods.get(saved.method)
+    kind = methods.get(saved.method if method is None else method)
+    saved.settings_of(kind, opt.parse_pairs(define, "-D"))
+    file = run_of(saved, checkpoint) if output is None else None
+    if file is not None:
+        console = error_console()
+        recorder = Recorder(file, lambda text: note(console, text))
+        choose_device(variant or file.variant, threads or file.threads)
+
+        def open_job() -> Job:
+            job = Job.resume(saved, kind, budget=budget or None, scene=scene)
+            recorder.check(job)
+            return job
+
+        with recorder:
+            return render_to_files(open_job, recorder, saved.method)
     beside = [checkpoint.with_suffix(suffix) for suffix in (".exr", ".png")]
     outputs = Outputs.of(output or [p for p in beside if p.exists()] or beside[:1], checkpoint, save_every)
     choose_device(variant, threads)
-
-    return render_to_files(lambda: Job.resume(saved, method, budget=budget or None, scene=scene), outputs, saved.method)
+    return render_to_files(lambda: Job.resume(saved, kind, budget=budget or None, scene=scene), outputs, saved.method)
 
 
 @app.command()
@@ -250,13 +277,15 @@ def compare(
     By default `path` and `vcm`, 60 seconds each.
     """
     from etendue.engine import Budget
+    from etendue.scene import locate
 
     from .compare import Comparison, tasks
     from .rendering import choose_device
 
     budget = Budget(time, spp, None, error) or Budget(seconds=60)
+    notes: list[str] = []
     wanted = tasks(
-        scene,
+        locate(scene, notes.append),
         method or ["path", "vcm"],
         opt.settings(define, max_depth, False, pyramid, pyramid_depth),
         seed=seed,
@@ -267,7 +296,10 @@ def compare(
         memory=memory,
     )
     choose_device(variant, threads)
-    return Comparison(wanted, output, reference).run(error_console())
+    console = error_console()
+    for text in notes:
+        note(console, text)
+    return Comparison(wanted, output, reference).run(console)
 
 
 @app.command()

@@ -7,19 +7,21 @@ from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, TextIO
+from typing import Any, Literal, Self, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue import film
-from etendue.api import Outputs, Rendering
-from etendue.core import OutputError, logger
-from etendue.engine import Job, RunResult, versions
+from etendue import film, methods
+from etendue.core import CheckpointError, OutputError, describe, logger
+from etendue.engine import Checkpoint, Job, RunResult, versions
+from etendue.outputs import Outputs, Rendering
 
 from .rendering import check_reference, make_folder
 from .run_file import RunFile
 
+#: Of a checkpoint: where the run file is.
+_RUN_FILE = "run_file"
 #: Of the table: when, what was done, how wrong the picture is. Numbers only; empty where there is none.
 COLUMNS = (
     "seconds",
@@ -35,11 +37,33 @@ COLUMNS = (
 )
 
 
+def run_of(saved: Checkpoint, path: Path) -> RunFile | None:
+    """The run file whose records go on with the checkpoint ``saved`` at ``path``, ``None`` if it has none.
+
+    Warns if it is gone, or keeps its checkpoint elsewhere. Raises what :meth:`RunFile.read` raises, and
+    :class:`CheckpointError` if it now has another method, other settings or another seed.
+    """
+    if _RUN_FILE not in saved.notes:
+        return None
+    place = Path(saved.notes[_RUN_FILE])
+    run = RunFile.read(place) if place.is_file() else None
+    if run is None or run.checkpoint_path.resolve() != path.resolve():
+        why = "is gone" if run is None else "keeps its checkpoint elsewhere"
+        logger.warning("only the picture goes on, without log, table and saves: the run file '%s' %s", place, why)
+        return None
+    try:
+        saved.settings_of(methods.get(saved.method if run.method is None else run.method), run.settings, run.seed)
+    except CheckpointError as error:
+        raise CheckpointError(f"{place} has changed: {error}") from error
+    return run
+
+
 class Recorder:
-    """Writes the files of a run; an ``api.Writer``. As a context it makes the folder, and keeps warnings in the log.
+    """Writes the files of a run; an ``outputs.Writer``. As a context it makes the folder, and logs warnings.
 
     A save at a given time goes to files of its own, the others replace ``name.exr``. ``tell`` is given the line of the
-    log of every save but the periodic ones. The time that saves take is part of a run's seconds.
+    log of every save but the periodic ones. The time that saves take is part of a run's seconds. Where a run is
+    resumed, log and table go on, and times count from its first beginning.
     """
 
     def __init__(self, run: RunFile, tell: Callable[[str], object]) -> None:
@@ -49,7 +73,8 @@ class Recorder:
         self._log: TextIO | None = None
         self._table: TextIO | None = None
         self._handler: logging.Handler | None = None
-        self._missing = list(run.save_at)
+        self._earlier = 0.0  # seconds of the run before it was resumed
+        self._save_at: dict[float, float] = {}  # times to come: those of the runner, and those that were asked for
         self._written: dict[Path, None] = {}  # in the order of their first writing
 
     @property
@@ -70,7 +95,7 @@ class Recorder:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if error is not None and self._log is not None:
-            self._line(self._log, f"error: {error}")
+            self._line(self._log, f"error: {describe(error)}")
         if self._handler is not None:
             logger.removeHandler(self._handler)
         for file in (self._log, self._table):
@@ -78,12 +103,14 @@ class Recorder:
                 file.close()
 
     def saving(self, job: Job) -> dict[str, Any]:
-        """See ``api.Writer``. Begins log and table."""
+        """See ``outputs.Writer``. Begins log and table, or goes on with them."""
+        self._earlier = job.earlier
+        self._save_at = {time - job.earlier: time for time in self._run.save_at if time > job.earlier}
         self._begin(job)
         return {
             "on_save": lambda run: self._save(job, run),
             "save_every": self._run.save_every,
-            "save_at": self._run.save_at,
+            "save_at": list(self._save_at),
         }
 
     def write(self, job: Job, run: RunResult) -> Rendering:
@@ -91,13 +118,12 @@ class Recorder:
         if run.save_times:
             self._save(job, run)
         rendering = self._keep(job, run, self._outputs(self._run.name), None, f"end ({run.stopped_by})")
-        if self._missing:
-            self._line(self._log, f"the run ended before its autosave at {_times(self._missing)} s")
+        if self._save_at:
+            self._line(self._log, f"the run ended before its autosave at {_times(list(self._save_at.values()))} s")
         return rendering
 
     def _save(self, job: Job, run: RunResult) -> None:
-        for time in run.save_times:
-            self._missing.remove(time)
+        for time in map(self._save_at.pop, run.save_times):
             self._keep(job, run, self._outputs(f"{self._run.name}-{_seconds(time)}s"), time, f"autosave {time:g} s")
         if not run.save_times:
             self._keep(job, run, self._outputs(self._run.name), None, "save")
@@ -106,7 +132,7 @@ class Recorder:
         """Pictures of that name, and the one checkpoint."""
         run = self._run
         suffixes = ("exr", "png") if run.png else ("exr",)
-        checkpoint = run.folder / f"{run.name}.checkpoint" if run.checkpoint else None
+        checkpoint = run.checkpoint_path if run.checkpoint else None
         pictures = [run.folder / f"{name}.{suffix}" for suffix in suffixes]
         return Outputs.of(pictures, checkpoint, separate=run.layers == "separate")
 
@@ -128,7 +154,7 @@ class Recorder:
         m, image = rendering.metadata, rendering.image
         row: dict[str, Any] = dict.fromkeys(COLUMNS)
         row |= {
-            "seconds": round(run.elapsed, 3),
+            "seconds": round(self._earlier + run.elapsed, 3),
             "rendering_seconds": m["seconds"],
             "autosave": time,
             "passes": m["passes"],
@@ -151,19 +177,23 @@ class Recorder:
             f"{self._run.path.absolute()}: {self._run.describe(job)}",
             f"seed {job.seed}, settings {job.method.settings.to_json()}, fingerprint {job.problem.fingerprint}",
         ]
-        self._log, self._table = (self._open(suffix) for suffix in ("log", "csv"))
+        if job.earlier > 0.0:
+            head.insert(0, f"resumed after {job.earlier:.2f} s")
+        job.notes[_RUN_FILE] = str(self._run.path.absolute())
+        self._log, self._table = (self._open(suffix, "a" if job.earlier > 0.0 else "w") for suffix in ("log", "csv"))
         for line in head:
             self._line(self._log, line)
-        self._line(self._table, ",".join(COLUMNS))
+        if self._table.tell() == 0:
+            self._line(self._table, ",".join(COLUMNS))
         self._handler = logging.StreamHandler(self._log)
         self._handler.setLevel(logging.WARNING)
         self._handler.setFormatter(logging.Formatter("%(levelname)s: %(message)s"))
         logger.addHandler(self._handler)
 
-    def _open(self, suffix: str) -> TextIO:
+    def _open(self, suffix: str, mode: Literal["w", "a"]) -> TextIO:
         path = self._run.folder / f"{self._run.name}.{suffix}"
         try:
-            file = open(path, "w", encoding="utf-8")  # noqa: SIM115 (closed at the end of the run)
+            file = open(path, mode, encoding="utf-8")  # noqa: SIM115 (closed at the end of the run)
         except OSError as error:
             raise OutputError(f"cannot write '{path}': {error.strerror}; choose another folder") from error
         self._written[path] = None

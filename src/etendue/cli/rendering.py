@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from etendue.api import Rendering, Writer, start_job
+from etendue.api import start_job
 from etendue.core import OptionError, OutputError, format_rate, format_seconds, set_threads, use_variant
 from etendue.engine import Cancelled, Job, RunError, Session
+from etendue.outputs import Rendering, Writer
+from etendue.scene import BundledScene
 
 from .console import ProgressView, error_console, note, say
 from .interrupts import Interrupts
@@ -114,8 +116,8 @@ def check_reference(reference: NDArray[np.float32] | None, size: tuple[int, int]
         )
 
 
-def default_name(scene: str) -> str:
+def default_name(scene: Path | BundledScene) -> str:
     """A name for outputs: that of the scene file, or of its folder if the file is called as all of them are."""
-    path = Path(scene)
+    path = Path(str(scene))
     stem = path.absolute().parent.name if path.stem == "scene" else path.stem
     return stem or "render"

@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from etendue.core import OptionError, OutputError, SceneError, suggest
-from etendue.engine import Budget, Job, Task, check_period, check_save_times, check_writable
-from etendue.scene import Camera, bundled
+from etendue.engine import Budget, Job, Task, check_period, check_save_times
+from etendue.film import check_writable
+from etendue.scene import BundledScene, Camera, bundled_scene
 
 from .options import parse_memory
 
@@ -77,7 +78,7 @@ class RunFile:
     """A run file that has been read and checked."""
 
     path: Path
-    scene: str  #: path of a scene file, or name of a bundled scene
+    scene: Path | BundledScene
     sensor: int
     size: tuple[int, int] | None
     parameters: Mapping[str, str]
@@ -147,6 +148,11 @@ class RunFile:
             reference=picture,
             trim=reference.get("trim", 0.001),
         )
+
+    @property
+    def checkpoint_path(self) -> Path:
+        """Where the checkpoint is, if the run keeps one."""
+        return self.folder / f"{self.name}.checkpoint"
 
     def task(self, tell: Callable[[str], object]) -> Task:
         """What the engine is to do. A Mitsuba variant must be set. ``tell`` as for ``api.choose_method``."""
@@ -221,20 +227,17 @@ def _nearest(key: str, table: str) -> str:
     return f"it belongs to {' or '.join(homes)}" if homes and "did you mean" not in hint else hint
 
 
-def _scene(path: Path, table: Mapping[str, Any]) -> str:
+def _scene(path: Path, table: Mapping[str, Any]) -> Path | BundledScene:
     if ("file" in table) == ("bundled" in table):
         raise OptionError("name one scene: file, a Mitsuba XML file, or bundled, one of `etendue scenes`")
     if "bundled" in table:
-        if table["bundled"] not in bundled():
-            hint = suggest(table["bundled"], bundled(), "there are")
-            raise SceneError(f"there is no bundled scene '{table['bundled']}'; {hint}")
         if "parameters" in table:
             raise OptionError("parameters replace $variables of an XML file; a bundled scene has none")
-        return str(table["bundled"])
+        return bundled_scene(table["bundled"])
     file = path.parent / table["file"]
     if not file.is_file():
         raise SceneError(f"there is no scene file '{file}'; paths are relative to the run file")
-    return str(file)
+    return file
 
 
 def _autosaves(table: Mapping[str, Any]) -> tuple[tuple[float, ...], float | None]:

@@ -10,6 +10,7 @@ from .errors import (
     OutputError,
     SceneError,
     UnsupportedError,
+    describe,
     suggest,
 )
 from .log import logger
@@ -44,6 +45,7 @@ __all__ = [
     "check_llvm",
     "check_variant",
     "choose_variant",
+    "describe",
     "format_rate",
     "format_seconds",
     "free_memory",

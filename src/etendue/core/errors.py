@@ -50,6 +50,15 @@ class BackendError(EtendueError):
     exit_code = 6
 
 
+def describe(error: BaseException) -> str:
+    """Any exception as one line: the text of ours, which is fit for a user, the kind and the text of another."""
+    text = " ".join(str(error).split())
+    if isinstance(error, EtendueError):
+        return text
+    kind = type(error).__name__
+    return f"{kind}: {text}" if text else kind
+
+
 def suggest(name: object, known: Iterable[str], otherwise: str = "there are") -> str:
     """For a name that is not ``known``: ``did you mean '...'?``, or all that are known after ``otherwise``."""
     names = list(known)

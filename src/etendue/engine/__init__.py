@@ -2,9 +2,9 @@
 
 from .budget import Budget
 from .checkpoint import Checkpoint
-from .files import check_writable
+from .fitting import fit_samples
 from .job import Job, Task, versions
-from .runner import Cancelled, RunError, Runner, RunResult, check_period, check_save_times, run
+from .runner import Cancelled, RunError, Runner, RunResult, check_period, check_save_times
 from .session import Session
 
 __all__ = [
@@ -19,7 +19,6 @@ __all__ = [
     "Task",
     "check_period",
     "check_save_times",
-    "check_writable",
-    "run",
+    "fit_samples",
     "versions",
 ]

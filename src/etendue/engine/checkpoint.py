@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from etendue.core import CheckpointError, Iterations, Measurement
+from etendue.core import CheckpointError, Iterations, Measurement, OptionError, Settings
 from etendue.film import replacing
 
 #: Version of the layout of the file.
@@ -51,6 +51,10 @@ class Checkpoint:
     versions: dict[str, str] = field(default_factory=dict)
     #: Seconds of the run that ended here, as its budget counts them.
     elapsed: float = 0.0
+    #: Seconds of the runs before, where that one was resumed.
+    earlier: float = 0.0
+    #: What the caller of the run wants to find again: plain values.
+    notes: dict[str, Any] = field(default_factory=dict)
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the file in one step: a process that is killed leaves the old one or the new one, whole.
@@ -112,24 +116,46 @@ class Checkpoint:
                 f"{path} is not an étendue checkpoint, or it is damaged ({error}); render again or use another one"
             ) from error
 
-    def require(self, *, fingerprint: str, method: str, settings: str, seed: int | None = None) -> None:
-        """Raise :class:`CheckpointError` unless the run that wants to go on is the run that was saved."""
-        if method != self.method:
+    def settings_of(
+        self, method: type[Any], given: Mapping[str, Any] | None = None, seed: int | None = None
+    ) -> Settings:
+        """The saved settings, of the class ``method``.
+
+        ``given`` are settings that were asked for anew, and ``seed`` the seed, if they were. Raises
+        :class:`CheckpointError` unless method, settings and seed are those of the run that was saved.
+        """
+        if method.name != self.method:
             raise CheckpointError(
-                f"the checkpoint was made by method '{self.method}', not '{method}'; resume it with {self.method}"
+                f"the checkpoint was made by method '{self.method}', not '{method.name}'; resume it with {self.method}"
             )
-        if settings != self.settings:
-            differences = _differences(json.loads(self.settings), json.loads(settings))
+        try:
+            settings: Settings = method.Settings.from_json(self.settings)
+        except OptionError as error:
+            raise CheckpointError(f"{self._made_elsewhere()} ({error}); resume it with that one") from error
+        saved, here = json.loads(self.settings), settings.to_dict()
+        if saved != here:
+            raise CheckpointError(f"{self._made_elsewhere()} ({_differences(saved, here)}); resume it with that one")
+        asked = settings.from_mapping(saved | dict(given or {}), owner=f"method '{self.method}'")
+        if asked != settings:
             raise CheckpointError(
-                f"the checkpoint was made with other settings ({differences}); resume it with its own, or render anew"
+                f"the checkpoint was made with other settings ({_differences(saved, asked.to_dict())}); "
+                "resume it with its own, or render anew"
             )
         if seed is not None and seed != self.seed:
             raise CheckpointError(f"the checkpoint was made with seed {self.seed}, not {seed}; resume it with its own")
+        return settings
+
+    def require_scene(self, fingerprint: str) -> None:
+        """Raise :class:`CheckpointError` if the scene of that fingerprint is not the one that was rendered."""
         if fingerprint != self.fingerprint:
             raise CheckpointError(
                 "the scene is not the one the checkpoint was made with: its parameters, sensor or size have changed; "
                 "restore the scene, or start a new render"
             )
+
+    def _made_elsewhere(self) -> str:
+        version = self.versions.get("etendue", "of another version")
+        return f"the checkpoint was made by étendue {version}, whose '{self.method}' has other settings"
 
 
 def _load(file: Any) -> dict[str, Any]:

@@ -22,10 +22,11 @@ from etendue.core import (
     Settings,
     logger,
 )
-from etendue.scene import Camera, Problem, load
+from etendue.scene import BundledScene, Camera, Problem, bundled_scene, load, locate
 
 from .budget import Budget
 from .checkpoint import Checkpoint
+from .fitting import fit_samples
 from .runner import Runner, RunResult
 
 #: Bytes below which a memory bound would have a method do nothing but start over: 16 MB.
@@ -62,11 +63,16 @@ class Task:
         self.method.Settings.from_mapping(self.settings, owner=f"method '{self.method.name}'")
 
     def place(self) -> dict[str, Any]:
-        """How to find the scene again: arguments of ``scene.load`` as plain values; no source if it lay in memory."""
+        """How to find the scene again: arguments of ``scene.load`` as plain values, the scene as ``source``, a file, or
+        ``bundled``, a name; neither if it lay in memory."""
         place: dict[str, Any] = {"sensor": self.sensor}
-        if isinstance(self.scene, (str, os.PathLike)):
-            path = Path(self.scene)
-            place["source"] = str(path.absolute()) if path.exists() else str(path)
+        scene = self.scene
+        if isinstance(scene, (str, os.PathLike)):
+            scene = locate(scene, logger.debug)
+        if isinstance(scene, Path):
+            place["source"] = str(scene.absolute())
+        elif isinstance(scene, BundledScene):
+            place["bundled"] = scene.name
         for name in ("size", "memory"):
             if (value := getattr(self, name)) is not None:
                 place[name] = value
@@ -89,6 +95,8 @@ class Job:
         budget: Budget,
         place: Mapping[str, Any],
         start: Measurement | None = None,
+        earlier: float = 0.0,
+        notes: Mapping[str, Any] | None = None,
     ) -> None:
         self.problem = problem
         self.method = method
@@ -96,6 +104,10 @@ class Job:
         self.budget = budget
         self.place = dict(place)
         self.start = start
+        #: Seconds of the runs that this one goes on with, as their budgets counted them; 0 if it is the first.
+        self.earlier = earlier
+        #: What the caller wants to find in the checkpoint: plain values.
+        self.notes: dict[str, Any] = dict(notes or {})
 
     @classmethod
     def open(cls, task: Task) -> Job:
@@ -109,26 +121,31 @@ class Job:
             camera=task.camera,
         )
         budget = task.budget or Budget(samples=max(1, problem.spp))
-        method = task.method(_settings(task, problem))
+        method: Method = task.method(_settings(task, problem))
         method.prepare(problem, task.seed)
-        method = _fit_samples(method, budget, problem, task.seed)
+        if budget.samples is not None:
+            method = fit_samples(method, budget.samples, problem, task.seed)
         return cls(problem, method, seed=task.seed, budget=budget, place=task.place())
 
     @classmethod
     def resume(
-        cls, checkpoint: Checkpoint, method: type[Any], *, budget: Budget | None = None, scene: Any = None
+        cls,
+        checkpoint: Checkpoint,
+        method: type[Any],
+        *,
+        budget: Budget | None = None,
+        scene: Any = None,
     ) -> Job:
         """Continue ``checkpoint``; ``method`` is the class of its method.
 
         ``budget`` replaces the saved one: its seconds count from now, its samples and error speak of the whole picture.
         Without it, the saved budget is used up. ``scene`` is where the scene is now, if not where it was. Raises
-        :class:`CheckpointError` if the scene is another one or the saved budget is spent.
+        :class:`CheckpointError` if method or scene is another one, or the saved budget is spent.
         """
-        place = dict(checkpoint.scene)
-        source = scene if scene is not None else place.pop("source", None)
-        if source is None:
+        settings = checkpoint.settings_of(method)
+        place = checkpoint.scene
+        if scene is None and not {"source", "bundled"} & place.keys():
             raise CheckpointError("the checkpoint was made from a scene in memory; give the scene to resume it with")
-        settings = method.Settings.from_json(checkpoint.settings)
         budget = budget or _rest(checkpoint)
         wanted: dict[str, Any] = {k: place[k] for k in ("size", "sensor", "parameters", "memory") if k in place}
         if "size" in wanted:
@@ -136,10 +153,11 @@ class Job:
         if "camera" in place:
             wanted["camera"] = Camera(**place["camera"])
         try:
+            source = scene if scene is not None else place.get("source") or bundled_scene(place["bundled"])
             problem = load(source, **wanted)
         except SceneError as error:
             raise CheckpointError(f"the scene of the checkpoint cannot be loaded: {error}") from error
-        checkpoint.require(fingerprint=problem.fingerprint, method=method.name, settings=settings.to_json())
+        checkpoint.require_scene(problem.fingerprint)
         instance = method(settings)
         instance.prepare(problem, checkpoint.seed)
         instance.restore(checkpoint.state)
@@ -151,6 +169,8 @@ class Job:
             budget=budget,
             place=task.place(),
             start=checkpoint.measurement,
+            earlier=checkpoint.earlier + checkpoint.elapsed,
+            notes=checkpoint.notes,
         )
 
     def runner(self, **options: Any) -> Runner:
@@ -175,6 +195,8 @@ class Job:
             stopped_by=run.stopped_by,
             versions=versions(),
             elapsed=run.elapsed,
+            earlier=self.earlier,
+            notes=self.notes,
         )
 
     def result(self, run: RunResult) -> Result:
@@ -232,18 +254,6 @@ def _settings(task: Task, problem: Problem) -> Settings:
         from_scene |= problem.integrator_options
     values = {k: v for k, v in from_scene.items() if k in known} | dict(task.settings)
     return task.method.Settings.from_mapping(values, owner=f"method '{task.method.name}'")
-
-
-def _fit_samples(method: Method, budget: Budget, problem: Problem, seed: int) -> Method:
-    """Where a method chose the samples of a pass itself, choose so that the passes add up to the budget's samples."""
-    chosen = method.samples_per_iteration
-    if budget.samples is None or budget.samples % chosen == 0 or getattr(method.settings, "samples_per_pass", 1) != 0:
-        return method
-    passes = -(-budget.samples // chosen)
-    kind: Any = type(method)
-    fitted: Method = kind(method.settings.replace(samples_per_pass=-(-budget.samples // passes)))
-    fitted.prepare(problem, seed)
-    return fitted
 
 
 def _rest(checkpoint: Checkpoint) -> Budget:

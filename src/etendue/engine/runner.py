@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from etendue.core import EtendueError, Measurement, Method, OptionError, Progress, Result, logger
+from etendue.core import EtendueError, Measurement, Method, OptionError, Progress, Result, describe, logger
 
 from .budget import Budget
 
@@ -19,6 +19,8 @@ StoppedBy = Literal["seconds", "samples", "error", "cancel", "failure", "running
 
 #: An intermediate save may take at most this share of the time.
 SAVE_SHARE = 0.1
+#: Seconds that are nothing: what rounding makes of a time that is counted from the resumption of a run.
+CLOCK_GRAIN = 1e-6
 #: Passes between two estimates of the noise, as a share of the passes done: cheap, and the same in every run.
 ERROR_CADENCE = 0.05
 #: Passes before an estimate of the noise may end a run. With fewer it is itself noise, and where light is found rarely
@@ -92,7 +94,13 @@ class Cancelled(EtendueError):
 
 
 class Runner:
-    """One run of a prepared method. :meth:`run` blocks; the other members may be used from other threads meanwhile."""
+    """One run of a prepared method. :meth:`run` blocks; the other members may be used from other threads meanwhile.
+
+    ``start`` continues an earlier run: its measurement is taken over (added to in place), the first pass is the one
+    after its last. ``on_progress`` is called after each pass, ``on_save`` with what there is so far every
+    ``save_every`` seconds and after the passes that reach the seconds of ``save_at``; an exception from it is logged
+    and the run goes on. ``cancel`` is looked at between passes.
+    """
 
     def __init__(
         self,
@@ -166,8 +174,7 @@ class Runner:
                 if self._measurement is None:
                     raise
                 run = self._result("failure")
-                message = str(error) if isinstance(error, EtendueError) else f"{type(error).__name__}: {error}"
-                raise RunError(f"{_one_line(message)} (after {run.passes} passes, which are kept)", run) from error
+                raise RunError(f"{describe(error)} (after {run.passes} passes, which are kept)", run) from error
             if self._on_save is not None:
                 now = self._clock()
                 times = self._passed_save_times(now - self._begin)
@@ -185,7 +192,7 @@ class Runner:
     def _passed_save_times(self, elapsed: float) -> tuple[float, ...]:
         """The times of ``save_at`` up to ``elapsed``; each is given once."""
         passed = []
-        while self._save_at and self._save_at[0] <= elapsed:
+        while self._save_at and self._save_at[0] <= elapsed + CLOCK_GRAIN:
             passed.append(self._save_at.popleft())
         return tuple(passed)
 
@@ -208,13 +215,13 @@ class Runner:
         self.progress = self._describe()
 
     def _save(self, times: tuple[float, ...]) -> float:
-        """An intermediate save; its failure is reported and costs no work. Returns the seconds it took."""
+        """An intermediate save; its failure, whatever it is, is reported and costs no work. Returns its seconds."""
         assert self._on_save is not None
         begin = self._clock()
         try:
             self._on_save(self._result("running", times))
-        except EtendueError as error:
-            logger.warning("intermediate save failed, rendering goes on: %s", error)
+        except Exception as error:
+            logger.warning("intermediate save failed, rendering goes on: %s", describe(error))
         return self._clock() - begin
 
     def _result(self, reason: StoppedBy, times: tuple[float, ...] = ()) -> RunResult:
@@ -286,41 +293,3 @@ class Runner:
             relative_error=self._error,
             fraction=min(1.0, max(shares)) if shares else None,
         )
-
-
-def run(
-    method: Method,
-    *,
-    seed: int,
-    budget: Budget,
-    start: Measurement | None = None,
-    on_progress: Callable[[Progress], None] | None = None,
-    on_save: Callable[[RunResult], None] | None = None,
-    save_every: float | None = None,
-    save_at: Sequence[float] = (),
-    cancel: CancelEvent | None = None,
-) -> RunResult:
-    """Run a prepared ``method`` until ``budget`` is used up.
-
-    ``start`` continues an earlier run: its measurement is taken over (added to in place), the first pass is the one
-    after its last. ``on_progress`` is called after each pass, ``on_save`` with what there is so far every
-    ``save_every`` seconds and after the passes that reach the seconds of ``save_at``; an :class:`EtendueError` from it
-    is logged and the run goes on. ``cancel`` is looked at between passes.
-    Errors as :meth:`Runner.run`.
-    """
-    runner = Runner(
-        method,
-        seed=seed,
-        budget=budget,
-        start=start,
-        on_progress=on_progress,
-        on_save=on_save,
-        save_every=save_every,
-        save_at=save_at,
-        cancel=cancel,
-    )
-    return runner.run()
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())

@@ -12,7 +12,7 @@ from typing import Any, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Progress, logger
+from etendue.core import Progress, describe, logger
 
 from .runner import Cancelled, RunError, Runner, RunResult
 
@@ -59,7 +59,7 @@ class Session(Generic[T]):
         try:
             self._finish(run)
         except Exception as error:
-            logger.warning("what was rendered before the failure could not be saved: %s", error)
+            logger.warning("what was rendered before the failure could not be saved: %s", describe(error))
 
     @property
     def running(self) -> bool:

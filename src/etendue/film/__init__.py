@@ -2,7 +2,6 @@
 
 from .errors import (
     LUMINANCE,
-    ErrorHistory,
     block_average,
     luminance_rmse,
     relative_bias,
@@ -12,16 +11,16 @@ from .errors import (
 )
 from .exr import layer_path, read_exr, read_image, write_exr, write_layers
 from .filters import FilterSampler
-from .output import replacing, write_bytes
+from .output import check_writable, replacing, write_bytes
 from .pyramid import LONGER, Technique
 
 __all__ = [
     "LONGER",
     "LUMINANCE",
-    "ErrorHistory",
     "FilterSampler",
     "Technique",
     "block_average",
+    "check_writable",
     "layer_path",
     "luminance_rmse",
     "read_exr",

@@ -88,43 +88,6 @@ def block_average(image: ArrayLike, factor: int) -> Array:
         return x.reshape(height // factor, factor, width // factor, factor, *x.shape[2:]).mean(axis=(1, 3))
 
 
-class ErrorHistory:
-    """relMSE over time of a picture in the making, for convergence plots.
-
-    ``record`` is meant for a progress callback: it looks at the picture only when the elapsed time has grown by
-    ``ratio`` since the last entry, so that a run of any length costs some dozens of comparisons. Ask :meth:`due` first
-    where developing the picture costs something.
-    """
-
-    def __init__(self, reference: ArrayLike, ratio: float = 1.25, first: float = 0.0) -> None:
-        if not ratio > 1.0:
-            raise OptionError(f"the time between entries must grow by a ratio above 1, not {ratio}")
-        self._reference = np.asarray(reference)
-        self._ratio = ratio
-        self._next = first
-        #: Rows (elapsed seconds, relMSE), in the order of time.
-        self.entries: list[tuple[float, float]] = []
-
-    def due(self, elapsed: float) -> bool:
-        """Whether :meth:`record` would look at a picture now."""
-        return elapsed >= self._next
-
-    def record(self, elapsed: float, image: ArrayLike, force: bool = False) -> float | None:
-        """Add an entry if one is due, or in any case with ``force`` (the last picture). Returns its relMSE or None.
-
-        Raises :class:`OptionError` if the picture and the reference differ in size.
-        """
-        if not (force or self.due(elapsed)):
-            return None
-        error = relative_mse(image, self._reference)
-        if self.entries and self.entries[-1][0] >= elapsed:
-            self.entries[-1] = (self.entries[-1][0], error)
-        else:
-            self.entries.append((float(elapsed), error))
-        self._next = elapsed * self._ratio
-        return error
-
-
 def _pair(image: ArrayLike, reference: ArrayLike) -> tuple[Array, Array]:
     x, ref = (np.asarray(a, dtype=np.float64) for a in (image, reference))
     x, ref = (a[:, :, None] if a.ndim == 2 else a for a in (x, ref))

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import EtendueError, Measurement, OptionError, UnsupportedError, check_variant, warn_of_nonfinite
+from etendue.core import EtendueError, Measurement, UnsupportedError, check_variant, warn_of_nonfinite
+from etendue.engine import fit_samples
+from etendue.film import LONGER, Technique
 from etendue.scene import Problem, check
 
-#: First-hit layers and the names of their channels in a film, as Mitsuba's 'aov' integrator calls them.
+#: First-hit layers, and the names of their channels in a film, as Mitsuba's 'aov' integrator calls them.
 _AOV_CHANNELS = {
     "albedo": ("albedo.R", "albedo.G", "albedo.B"),
     "normal": ("sh_normal.X", "sh_normal.Y", "sh_normal.Z"),
@@ -47,6 +50,7 @@ def _integrator_class(method: Any, variant: str) -> type:
             self.options = self.settings.to_dict()
             self.timeout = float(props.get("timeout", -1.0))
             self._cancelled = False
+            self._layers = list(_AOV_CHANNELS) if self.options["aovs"] else []  # beside the picture, in the film
             super().__init__(props)
 
         def render(
@@ -80,7 +84,8 @@ def _integrator_class(method: Any, variant: str) -> type:
                 measurement = self._measure(problem, int(np.asarray(seed).ravel()[0]))
                 warn_of_nonfinite(measurement[1])
                 layers = measurement[0].develop(measurement[1]).layers
-                _fill(film, problem, layers, self.aov_names())
+                self._layers = _asked_for(self.options, layers)
+                _fill(film, problem, layers, self._layers)
                 if not develop:
                     return mi.TensorXf()
                 image = film.develop()
@@ -93,10 +98,7 @@ def _integrator_class(method: Any, variant: str) -> type:
             """Prepare the method and run its passes; the method and what it measured."""
             runner = method(self.settings)
             runner.prepare(problem, seed)
-            samples = fitting_samples(problem.spp, runner.samples_per_iteration)
-            if samples != runner.samples_per_iteration and not self.settings.samples_per_pass:
-                runner = method(self.settings.replace(samples_per_pass=samples))
-                runner.prepare(problem, seed)
+            runner = fit_samples(runner, problem.spp, problem, seed)
             passes = -(-problem.spp // runner.samples_per_iteration)
             start = time.perf_counter()
             total = runner.step(0, seed)
@@ -132,8 +134,9 @@ def _integrator_class(method: Any, variant: str) -> type:
             return self._cancelled
 
         def aov_names(self) -> list[str]:
-            """Names of the channels after the picture's own."""
-            return [c for channels in _AOV_CHANNELS.values() for c in channels] if self.options["aovs"] else []
+            """Names of the channels after the picture's own. Which layers of techniques there are depends on the
+            scene: they are named once it has been rendered, after those of the first hits."""
+            return _channels(self._layers)
 
         def to_string(self) -> str:
             rows = ",\n".join(f"  {name} = {value}" for name, value in self.options.items())
@@ -151,20 +154,26 @@ def _no_gradients(name: str) -> EtendueError:
     )
 
 
-def fitting_samples(spp: int, most: int) -> int:
-    """Camera paths per pixel and pass, at most ``most``, that share ``spp`` without rest where that costs little.
+def _asked_for(options: dict[str, Any], layers: Iterable[str]) -> list[str]:
+    """Those of ``layers`` that settings asked for: first hits, families of techniques, the technique pyramid, further
+    merge radii."""
+    names = list(_AOV_CHANNELS) if options["aovs"] else []
+    for name in layers:
+        in_pyramid = name == LONGER or Technique.of_layer(name) is not None
+        setting = "pyramid" if in_pyramid else "radii" if name.startswith("radius_") else "split_layers"
+        if name not in ("image", *_AOV_CHANNELS) and options.get(setting):
+            names.append(name)
+    return names
 
-    The largest divisor of ``spp`` if it fills at least half of a pass; otherwise passes of equal size that together
-    exceed ``spp`` by less than one path each.
-    """
-    if spp < 1:
-        raise OptionError(f"a rendering needs at least one sample per pixel, not {spp}")
-    divisor = max(n for n in range(1, min(spp, most) + 1) if spp % n == 0)
-    return divisor if 2 * divisor >= min(spp, most) else -(-spp // -(-spp // most))
+
+def _channels(layers: Iterable[str]) -> list[str]:
+    """Names of the channels of ``layers`` in a film."""
+    return [channel for name in layers for channel in _AOV_CHANNELS.get(name, [f"{name}.{c}" for c in "RGB"])]
 
 
-def _fill(film: Any, problem: Problem, layers: dict[str, NDArray[np.float32]], aovs: list[str]) -> None:
-    """Put the picture into the film, so that ``film.develop()``, ``film.bitmap()`` and ``film.write()`` show it."""
+def _fill(film: Any, problem: Problem, layers: dict[str, NDArray[np.float32]], extra: list[str]) -> None:
+    """Put the picture and the ``extra`` layers into the film, so that ``film.develop()``, ``film.bitmap()`` and
+    ``film.write()`` show them."""
     import mitsuba as mi
 
     image = layers["image"]
@@ -172,9 +181,8 @@ def _fill(film: Any, problem: Problem, layers: dict[str, NDArray[np.float32]], a
     if mi.has_flag(film.flags(), mi.FilmFlags.Alpha):
         channels.append(_coverage(problem))
     channels.append(np.ones((*image.shape[:2], 1), np.float32))  # the film divides by this weight
-    if aovs:
-        channels += [layers[name] for name in _AOV_CHANNELS]
-    film.prepare(aovs)
+    channels += [layers[name] for name in extra]
+    film.prepare(_channels(extra))
     tensor = mi.TensorXf(np.concatenate(channels, -1, dtype=np.float32))
     film.put_block(mi.ImageBlock(tensor, mi.ScalarPoint2i(film.crop_offset())))
 

@@ -1,12 +1,12 @@
 """Scenes: loading, the capability check, fingerprints, bundled scenes, the light table, Mitsuba plugins of our own."""
 
-from .bundled import BundledScene, bundled
+from .bundled import BundledScene, bundled, bundled_scene
 from .camera import Camera
 from .capability import check
 from .fingerprint import fingerprint
 from .graph import materials
 from .lights import Light, LightTable
-from .loading import integrator_of, load, resized
+from .loading import integrator_of, load, locate, resized
 from .plugins import register
 from .problem import Problem
 
@@ -17,10 +17,12 @@ __all__ = [
     "LightTable",
     "Problem",
     "bundled",
+    "bundled_scene",
     "check",
     "fingerprint",
     "integrator_of",
     "load",
+    "locate",
     "materials",
     "register",
     "resized",

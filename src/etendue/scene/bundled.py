@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from etendue.core import SceneError, suggest
+
 from .caustics import caustics
 
 
@@ -24,6 +26,9 @@ class BundledScene:
     build: Callable[[], dict[str, Any]]
     reference: Path | None = None
     reference_note: str = ""
+
+    def __str__(self) -> str:
+        return self.name
 
 
 _DATA = Path(__file__).parent / "data"
@@ -49,6 +54,14 @@ def bundled() -> dict[str, BundledScene]:
     scenes = {name: BundledScene(name, text, build) for name, text, build in rows}
     scenes["caustics"] = replace(scenes["caustics"], reference=_DATA / "caustics.exr", reference_note=_CAUSTICS_NOTE)
     return scenes
+
+
+def bundled_scene(name: str) -> BundledScene:
+    """The bundled scene of that name. Raises :class:`SceneError` if there is none."""
+    scenes = bundled()
+    if name not in scenes:
+        raise SceneError(f"there is no bundled scene '{name}'; {suggest(name, scenes, 'there are')}")
+    return scenes[name]
 
 
 def cornell_box() -> dict[str, Any]:

@@ -6,8 +6,9 @@ built and an integrator that does not exist here can be left out: the caller cho
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -15,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from etendue.core import OptionError, SceneError, UnsupportedError, suggest, use_variant
+from etendue.core import OptionError, SceneError, UnsupportedError, logger, suggest, use_variant
 
-from .bundled import bundled
+from .bundled import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene
 from .graph import contents, plugin_name
@@ -35,6 +36,8 @@ from .problem import Problem
 
 #: An array of the device has fewer than 2^32 entries, and a film four channels to a pixel.
 MOST_PIXELS = 1 << 30
+#: What the scene in a folder is called.
+_SCENE_FILE = "scene.xml"
 
 
 def load(
@@ -49,13 +52,13 @@ def load(
 ) -> Problem:
     """Load a scene and return the problem of seeing it through one of its sensors.
 
-    ``source`` is the path of a Mitsuba XML file, the name of a bundled scene, a scene dictionary or a loaded
-    ``mi.Scene``. ``size`` (width, height) replaces the film's size, and a crop window keeps its proportions; field of
-    view and ``fov_axis`` mean what they would mean had the file named that size (a loaded scene has forgotten its
-    ``fov_axis``: its horizontal field of view is kept). A loaded scene is not changed. ``sensor`` is an index into the
-    scene's sensors; ``camera`` puts it elsewhere, unless the scene is a loaded one. ``parameters`` gives values to
-    ``$variables`` of an XML file. The scene's integrator is reported, not built. Without ``check`` unsupported elements
-    are let through.
+    ``source`` is the path of a Mitsuba XML file or the name of a bundled scene (see :func:`locate`), a
+    :class:`BundledScene`, a scene dictionary or a loaded ``mi.Scene``. ``size`` (width, height) replaces the film's
+    size, and a crop window keeps its proportions; field of view and ``fov_axis`` mean what they would mean had the file
+    named that size (a loaded scene has forgotten its ``fov_axis``: its horizontal field of view is kept). A loaded
+    scene is not changed. ``sensor`` is an index into the scene's sensors; ``camera`` puts it elsewhere, unless the
+    scene is a loaded one. ``parameters`` gives values to ``$variables`` of an XML file. The scene's integrator is
+    reported, not built. Without ``check`` unsupported elements are let through.
 
     Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for what cannot be read or is broken,
     :class:`UnsupportedError` for what cannot be rendered, :class:`OptionError` for arguments out of range.
@@ -67,7 +70,8 @@ def load(
     if memory is not None and memory <= 0:
         raise OptionError(f"a memory bound must be above zero bytes, not {memory}")
     if not _is_loaded(source):
-        return _from_parser(*_parse(source, parameters), size, sensor, memory, camera, check)
+        found = locate(source) if isinstance(source, (str, os.PathLike)) else source
+        return _from_parser(*_parse(found, parameters), size, sensor, memory, camera, check)
     if parameters:
         raise OptionError(_NO_VARIABLES)
     if camera is not None:
@@ -82,7 +86,8 @@ def integrator_of(source: Any, parameters: Mapping[str, Any] | None = None) -> s
     """
     use_variant()
     if not _is_loaded(source):
-        return take_integrator(_parse(source, parameters)[-1])[0]
+        found = locate(source, logger.debug) if isinstance(source, (str, os.PathLike)) else source
+        return take_integrator(_parse(found, parameters)[-1])[0]
     return "" if source.integrator() is None else built_integrator(source.integrator())[0]
 
 
@@ -90,18 +95,28 @@ def _is_loaded(source: Any) -> bool:
     return type(source).__name__ == "Scene" and hasattr(source, "sensors")
 
 
-def _find(name: str) -> Path | dict[str, Any]:
-    """A file, or the dictionary of a bundled scene; a file wins."""
-    path = Path(name)
-    scenes = bundled()
-    if path.is_file():
-        if path.suffix.lower() not in (".xml", ""):
+def locate(name: str | os.PathLike[str], tell: Callable[[str], object] = logger.info) -> Path | BundledScene:
+    """The scene file or the bundled scene that a name stands for.
+
+    A file goes before a bundled scene of the same name, and so does a folder that holds a ``scene.xml``, which it then
+    stands for; any other folder comes after. Where there are two, ``tell`` is given a line that says which it is.
+    Raises :class:`SceneError` if there is neither.
+    """
+    name, path, scenes = str(name), Path(name), bundled()
+    inner = path / _SCENE_FILE
+    file = path if path.is_file() else inner if inner.is_file() else None
+    if file is not None:
+        if file.suffix.lower() not in (".xml", ""):
             raise SceneError(f"'{name}' is not a Mitsuba scene file; give an .xml file or a bundled scene")
-        return path
-    if path.is_dir():
-        raise SceneError(f"'{name}' is a folder; name the scene file in it, such as {path / 'scene.xml'}")
+        if name in scenes:
+            tell(f"'{name}' is taken as the file {file}, not as the bundled scene")
+        return file
     if name in scenes:
-        return scenes[name].build()
+        if path.is_dir():
+            tell(f"'{name}' is taken as the bundled scene; the folder of that name holds no {_SCENE_FILE}")
+        return scenes[name]
+    if path.is_dir():
+        raise SceneError(f"'{name}' is a folder without a {_SCENE_FILE}; name the scene file in it")
     hint = suggest(name, scenes, "bundled scenes")
     raise SceneError(f"there is no scene file '{name}', and no bundled scene of that name; {hint}")
 
@@ -124,22 +139,24 @@ def _checked_size(size: Any) -> Size:
 _NO_VARIABLES = "parameters replace $variables of an XML file; this scene is none"
 
 
-def _parse(source: Any, parameters: Mapping[str, Any] | None) -> tuple[str, Path | None, Any, Any]:
+def _parse(
+    source: Path | BundledScene | Mapping[str, Any], parameters: Mapping[str, Any] | None
+) -> tuple[str, Path | None, Any, Any]:
     """Name of a scene, its file, and Mitsuba's configuration and state once it is parsed."""
     import mitsuba as mi
 
     name = "<dict>" if isinstance(source, Mapping) else str(source)
-    described = dict(source) if isinstance(source, Mapping) else _find(name)
-    path = described if isinstance(described, Path) else None
+    path = source if isinstance(source, Path) else None
     if path is None and parameters:
         raise OptionError(_NO_VARIABLES)
     config = mi.parser.ParserConfig(mi.variant())
     config.parallel = False  # a node that fails while others load in parallel can crash the process (Mitsuba 3.9.1)
     with _resolving(path), _mitsuba_errors(name):
-        if path is None:
+        if not isinstance(source, Path):
+            described = source.build() if isinstance(source, BundledScene) else dict(source)
             state = mi.parser.parse_dict(config, described)
         else:
-            state = mi.parser.parse_file(config, str(path), **{str(k): str(v) for k, v in (parameters or {}).items()})
+            state = mi.parser.parse_file(config, str(source), **{str(k): str(v) for k, v in (parameters or {}).items()})
         mi.parser.transform_upgrade(config, state)
         mi.parser.transform_resolve(config, state)
     if state.root.type != mi.ObjectType.Scene:

@@ -1,0 +1,34 @@
+"""Samples of a pass that add up to what was asked for."""
+
+from __future__ import annotations
+
+import pytest
+
+from etendue.core import OptionError
+from etendue.engine import fit_samples
+from etendue.engine.fitting import fitting_samples
+
+
+@pytest.mark.parametrize(("spp", "most", "passes", "total"), [
+    (1, 16, 1, 1), (7, 16, 1, 7), (16, 16, 1, 16), (20, 16, 2, 20), (64, 16, 4, 64), (17, 16, 2, 18), (37, 4, 10, 40),
+    (5, 1, 5, 5), (100, 16, 10, 100),
+])  # fmt: skip
+def test_samples_share_the_budget(spp, most, passes, total):
+    samples = fitting_samples(spp, most)
+    assert samples <= most
+    assert (-(-spp // samples), -(-spp // samples) * samples) == (passes, total)
+
+
+def test_no_samples():
+    with pytest.raises(OptionError, match="at least one sample"):
+        fitting_samples(0, 4)
+
+
+@pytest.mark.parametrize(("asked", "samples", "expected"), [(0, 8, 4), (0, 6, 3), (0, 3, 3), (1, 6, 1), (5, 6, 5)])
+def test_a_method_is_fitted_unless_it_was_told(noise, asked, samples, expected):
+    """The fake chooses four samples a pass."""
+    method = type(noise)(noise.settings.replace(samples_per_pass=asked))
+    fitted = fit_samples(method, samples, None, 3)
+    assert fitted.samples_per_iteration == expected
+    assert (fitted is method) == (asked != 0 or expected == 4)
+    assert fitted is method or fitted.pilot == 3.5
