@@ -131,6 +131,13 @@ def software(variant: str) -> str:
     return ", ".join([variant, *names])
 
 
+def _program(script: Path) -> str:
+    """What stands behind ``python -m`` for a script of ours, else the script."""
+    folder = script.resolve().parent
+    inside = script.name == "__main__.py" and folder.is_relative_to(ROOT)
+    return ".".join(folder.relative_to(ROOT).parts) if inside else str(script)
+
+
 @dataclass
 class Record:
     """A table with what must be known to read it; printed, and on request appended to ``RESULTS.md``."""
@@ -144,9 +151,10 @@ class Record:
         """Add a row."""
         self.rows.append(cells)
 
-    def publish(self, variant: str, keep: bool) -> None:
-        """Print the table; with ``keep`` append it to the results."""
-        table = Table(title=self.title, title_justify="left", box=None, pad_edge=False)
+    def publish(self, variant: str, keep: bool, results: Path | None = None) -> None:
+        """Print the table; with ``keep`` append it to the file ``results``, by default ``benchmarks/RESULTS.md``."""
+        console.print(self.title, style="italic")
+        table = Table(box=None, pad_edge=False)
         for column in self.columns:
             table.add_column(column)
         for row in self.rows:
@@ -156,14 +164,14 @@ class Record:
             console.print(f"- {note}")
         console.print()
         if keep:
-            with RESULTS.open("a", encoding="utf-8") as out:
+            with (results or RESULTS).open("a", encoding="utf-8") as out:
                 out.write(self._markdown(variant))
 
     def _markdown(self, variant: str) -> str:
         def line(cells: Sequence[str]) -> str:
             return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
-        words = [Path(sys.argv[0]).parent.name if sys.argv[0].endswith("__main__.py") else sys.argv[0], *sys.argv[1:]]
+        words = [_program(Path(sys.argv[0])), *sys.argv[1:]]
         load = f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown"
         lines = [
             f"\n## {self.title}, {datetime.now():%Y-%m-%d %H:%M}\n",

@@ -58,11 +58,12 @@ def convergence_plot(
     x_label: str = "seconds",
     y_label: str = "relMSE",
     title: str = "Error over time",
+    rate: float = 1.0,
 ) -> str:
     """Error over time, both logarithmic, as one ``<svg>`` element; an empty string if no series has a point.
 
     Text takes the colour of its surroundings (``currentColor``), so the plot fits a light and a dark page. A thin line
-    shows the slope of an unbiased estimator, whose squared error falls as 1/t.
+    shows how the error of an unbiased estimator falls, as 1/t^``rate``: 1 for squared errors, 0.5 for their root.
     """
     curves = [(index, s.name, points) for index, s in enumerate(series) if (points := s.drawable())]
     if not curves:
@@ -72,7 +73,7 @@ def convergence_plot(
     x_axis = _axis([x for _, _, points in curves for x, _ in points], left, width - right)
     y_axis = _axis([y for _, _, points in curves for _, y in points], height - bottom, top)
     parts = _frame(x_axis, y_axis, x_label, y_label)
-    parts += _slope_guide(x_axis, y_axis, curves[0][2])
+    parts += _slope_guide(x_axis, y_axis, curves[0][2], rate)
     for index, name, points in curves:
         parts.append(_curve(index, name, [(x_axis(x), y_axis(y)) for x, y in points]))
     parts += legend
@@ -109,20 +110,21 @@ def _frame(x_axis: _LogAxis, y_axis: _LogAxis, x_label: str, y_label: str) -> li
     return parts
 
 
-def _slope_guide(x_axis: _LogAxis, y_axis: _LogAxis, points: list[tuple[float, float]]) -> list[str]:
-    """A line of slope -1 through the lower left of the frame, clipped to it."""
+def _slope_guide(x_axis: _LogAxis, y_axis: _LogAxis, points: list[tuple[float, float]], rate: float) -> list[str]:
+    """A line of slope -``rate`` through the lower left of the frame, clipped to it."""
     if len(points) < 2:
         return []
-    product = y_axis.low * x_axis.low * (y_axis.high / y_axis.low) ** 0.42
-    x_low = max(x_axis.low, product / y_axis.high)
-    x_high = min(x_axis.high, product / y_axis.low)
+    product = y_axis.low * x_axis.low**rate * (y_axis.high / y_axis.low) ** 0.42
+    x_low = max(x_axis.low, (product / y_axis.high) ** (1.0 / rate))
+    x_high = min(x_axis.high, (product / y_axis.low) ** (1.0 / rate))
     if not x_low < x_high:
         return []
-    x0, y0, x1, y1 = x_axis(x_low), y_axis(product / x_low), x_axis(x_high), y_axis(product / x_high)
+    x0, y0, x1, y1 = x_axis(x_low), y_axis(product / x_low**rate), x_axis(x_high), y_axis(product / x_high**rate)
+    name = {1.0: "1/t", 0.5: "1/√t"}.get(rate, f"t^-{rate:g}")
     return [
         f'<path d="M{x0:.1f} {y0:.1f}L{x1:.1f} {y1:.1f}" stroke="currentColor" stroke-opacity=".45" '
         'stroke-dasharray="1 4" stroke-linecap="round" fill="none"/>',
-        f'<g fill-opacity=".65" font-size="12">{_text(x0 + 7, y0 + 16, "slope of 1/t", "start")}</g>',
+        f'<g fill-opacity=".65" font-size="12">{_text(x0 + 7, y0 + 16, f"slope of {name}", "start")}</g>',
     ]
 
 

@@ -40,12 +40,8 @@ def relative_mse(image: ArrayLike, reference: ArrayLike, trim: float = 0.0) -> f
     (0.001: the worst 0.1 %). NaN if nothing remains. Raises :class:`OptionError` if the sizes differ or ``trim`` is
     outside [0, 1).
     """
-    if not 0.0 <= trim < 1.0:
-        raise OptionError(f"trim is a fraction of the pixels in [0, 1), not {trim}")
     error = relative_squared_error(image, reference)
-    error = np.sort(error[np.isfinite(error)])
-    kept = error[: len(error) - int(np.floor(trim * len(error)))]
-    return float(kept.mean()) if len(kept) else float("nan")
+    return _trimmed_mean(error[np.isfinite(error)], trim)
 
 
 def rmse(image: ArrayLike, reference: ArrayLike) -> float:
@@ -55,12 +51,13 @@ def rmse(image: ArrayLike, reference: ArrayLike) -> float:
     return float(np.sqrt(((x[finite] - ref[finite]) ** 2).mean())) if finite.any() else float("nan")
 
 
-def luminance_rmse(image: ArrayLike, reference: ArrayLike) -> float:
-    """Root of the mean squared difference of luminance over finite pixels of two RGB images. NaN if there are none."""
+def luminance_rmse(image: ArrayLike, reference: ArrayLike, trim: float = 0.0) -> float:
+    """Root of the mean squared difference of luminance over finite pixels of two RGB images, ``trim`` as for
+    :func:`relative_mse`. NaN if there are none."""
     x, ref = _pair(image, reference)
     finite = _finite(x, ref)
     difference = (x[finite] - ref[finite]) @ np.array(LUMINANCE)
-    return float(np.sqrt((difference**2).mean())) if finite.any() else float("nan")
+    return float(np.sqrt(_trimmed_mean(difference**2, trim)))
 
 
 def relative_bias(image: ArrayLike, reference: ArrayLike) -> float:
@@ -86,6 +83,14 @@ def block_average(image: ArrayLike, factor: int) -> Array:
         raise OptionError(f"an image of {width} x {height} pixels cannot be averaged in blocks of {factor}")
     with np.errstate(invalid="ignore"):
         return x.reshape(height // factor, factor, width // factor, factor, *x.shape[2:]).mean(axis=(1, 3))
+
+
+def _trimmed_mean(error: Array, trim: float) -> float:
+    """Mean without the largest ``trim`` of the values; NaN if nothing remains."""
+    if not 0.0 <= trim < 1.0:
+        raise OptionError(f"trim is a fraction of the pixels in [0, 1), not {trim}")
+    kept = np.sort(error)[: len(error) - int(np.floor(trim * len(error)))]
+    return float(kept.mean()) if len(kept) else float("nan")
 
 
 def _pair(image: ArrayLike, reference: ArrayLike) -> tuple[Array, Array]:

@@ -1,5 +1,6 @@
 """Scenes: loading, the capability check, fingerprints, bundled scenes, the light table, Mitsuba plugins of our own."""
 
+from . import meshes
 from .bundled import BundledScene, bundled, bundled_scene
 from .camera import Camera
 from .capability import check
@@ -24,6 +25,7 @@ __all__ = [
     "load",
     "locate",
     "materials",
+    "meshes",
     "register",
     "resized",
 ]

@@ -1,0 +1,46 @@
+"""Convergence (tables 5.6 to 5.8 of the thesis): the error of VCM, BPT, BPM and PT over time, each given the same."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..measuring import Record
+from . import plotting, references
+from .racing import RADIUS, TRIM, Entrant, marks, open_scene, order, race, the_four
+
+
+def measure(
+    name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference_seconds: float
+) -> Record:
+    """A table of one scene: RMS at four times, and the order early and late."""
+    reference = references.find(name, size, out, reference_seconds)
+    times = marks(seconds)
+    four = the_four()
+    ours = Entrant("vcm, our settings", "vcm", {"radius": RADIUS, "radius_unit": "absolute"})
+    tracks = race(open_scene(name, size), [*four, ours], reference.image, times, range(seeds))
+    plotting.save(out / f"convergence-{name}.svg", {k: plotting.over_time(v) for k, v in tracks.items()}, name)
+    shown = [len(times) - 1 - k for k in (4, 2, 1, 0)]
+    record = Record(
+        f"Convergence, {name}, {size[0]}x{size[1]}, {seconds:g} s",
+        ("", "passes", *(f"RMS at {times[k]:g} s" for k in shown), "all pixels"),
+    )
+    for label, points in tracks.items():
+        end = points[-1]
+        record.add(label, f"{end.passes:.0f}", *(f"{points[k].rms:.4f}" for k in shown), f"{end.untrimmed:.4f}")
+    early, late = shown[0], shown[-1]
+    compared = {entrant.label: tracks[entrant.label] for entrant in four}
+    record.notes += [
+        f"best first, at {times[early]:g} s: {order(compared, early)}; at {times[late]:g} s: {order(compared, late)}",
+        _conditions(seeds),
+        f"RMS of the difference of luminance, without the worst {TRIM:.1%} of the pixels; reference: {reference.note}",
+    ]
+    return record
+
+
+def _conditions(seeds: int) -> str:
+    return (
+        f"the methods take turns on one scene, pass by pass, each for the same time of passes; root of the mean of "
+        f"{seeds} seed{'s' if seeds > 1 else ''}; first radius {1000 * RADIUS:g} mm, alpha 2/3, as many light paths as "
+        "pixels, vcm without merging at the first camera vertex; our settings: vcm's defaults with the same radius, "
+        "not in the order"
+    )

@@ -1,0 +1,144 @@
+"""Profile (tables 5.3 and 5.4 of the thesis): what a pass of VCM is made of, on each scene."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+from typing import Any
+
+from ..measuring import Record, interleaved
+from .racing import RADIUS, Entrant, merging, open_scene
+
+
+def measure(names: Sequence[str], size: tuple[int, int], seconds: float, rounds: int, warm_up: int) -> Record:
+    """A row for each scene. ``seconds``: the time that the passes are counted for."""
+    record = Record(
+        f"Profile of VCM, {size[0]}x{size[1]}",
+        (
+            "",
+            f"passes in {seconds:g} s",
+            "pass s",
+            "light pass s",
+            "grid s",
+            "merging s",
+            "light path",
+            "camera path",
+            "connections",
+            "photons M",
+            "Mrays/s",
+        ),
+    )
+    for name in names:
+        record.add(name, *_row(name, size, seconds, rounds, warm_up))
+    record.notes += [
+        f"median of {rounds} rounds after {warm_up}, one sample a pixel; radius {1000 * RADIUS:g} mm, settings of the "
+        "thesis, no merging at the first camera vertex",
+        "light pass and grid: times of their kernels in one pass; merging: pass with it minus pass without it, in turn "
+        "(the kernels are fused), so the grid is part of it",
+        "light path, camera path: mean number of surfaces that a path meets; connections: mean number of pairs of a "
+        "stored light vertex and a camera vertex that takes connections, for a sample; photons: stored in a pass",
+    ]
+    return record
+
+
+def _row(name: str, size: tuple[int, int], seconds: float, rounds: int, warm_up: int) -> list[str]:
+    problem = open_scene(name, size)
+    settings = merging("vcm", merge_first=False, samples_per_pass=1)
+    full = Entrant("vcm", "vcm", settings).prepared(problem, 0)
+    bare = Entrant("without", "vcm", settings | {"merging": False}).prepared(problem, 0)
+    rays = []
+
+    def whole(number: int) -> None:
+        rays.append(full.step(number, 0).counters["rays"])
+
+    times = interleaved({"full": whole, "bare": lambda number: bare.step(number, 0)}, rounds, warm_up)
+    wall = {key: [clock.wall for clock in clocks] for key, clocks in times.items()}
+    a_pass = statistics.median(wall["full"])
+    merge = statistics.median(a - b for a, b in zip(wall["full"], wall["bare"], strict=True))
+    light, grid = _kernels(full)
+    counters = full.step(0, 0).counters
+    pixels = size[0] * size[1]
+    light_length, camera_length, camera_ends = _lengths(problem, size)
+    photons = counters["light_vertices"]
+    return [
+        f"{seconds / a_pass:.0f}",
+        f"{a_pass:.3f}",
+        f"{light:.3f}",
+        f"{grid:.3f}",
+        f"{merge:.3f}",
+        f"{light_length:.2f}",
+        f"{camera_length:.2f}",
+        f"{photons / pixels * camera_ends:.1f}",
+        f"{photons / 1e6:.3f}",
+        f"{statistics.fmean(rays) / a_pass / 1e6:.2f}",
+    ]
+
+
+def _kernels(estimator: Any) -> tuple[float, float]:
+    """Seconds of the light walk, and of what is launched between it and the camera walk: the grid.
+
+    The two walks are the kernels with the most operations.
+    """
+    import drjit as dr
+
+    dr.kernel_history_clear()
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        estimator.step(1, 0)
+        launched = dr.kernel_history()
+    size = [kernel.get("operation_count") or 0 for kernel in launched]
+    first, second = sorted(sorted(range(len(size)), key=lambda k: -size[k])[:2])
+    spent = [float(kernel["execution_time"]) / 1000.0 for kernel in launched]
+    return spent[first], sum(spent[first + 1 : second])
+
+
+def _lengths(problem: Any, size: tuple[int, int]) -> tuple[float, float, float]:
+    """Means over the paths of a pass: surfaces of a light path, surfaces of a camera path, and those of the latter that
+    take connections.
+
+    The camera paths are walked again; a pass that only merges casts the rays of both walks and no others.
+    """
+    merger = Entrant("bpm", "bpm", merging("bpm", samples_per_pass=1)).prepared(problem, 0)
+    edges, met, ends = _camera_walk(merger)
+    pixels = size[0] * size[1]
+    # In a closed scene every edge ends on a surface.
+    return merger.step(0, 0).counters["rays"] / pixels - edges, met, ends
+
+
+def _camera_walk(estimator: Any) -> tuple[float, float, float]:
+    """Means over the camera paths of the first pass: edges, surfaces met, surfaces that take connections."""
+    import drjit as dr
+    import mitsuba as mi
+    import numpy as np
+
+    from etendue.transport import dimensions, is_smooth, roulette, scatter_camera
+
+    lanes = dr.arange(mi.UInt32, estimator.camera.pixels)
+    source = estimator.camera_numbers(lanes, 1, 0, 0)
+    ray, _, _ = estimator.camera.primary(lanes, source)
+    rr_depth = estimator.settings.rr_depth
+
+    def edge(active: Any, ray: Any, throughput: Any, eta: Any, depth: Any, met: Any, ends: Any) -> tuple[Any, ...]:
+        si = estimator.scene.ray_intersect(ray, active)
+        active = active & si.is_valid()
+        bsdf = si.bsdf(ray)
+        ends = ends + dr.select(active & is_smooth(bsdf), mi.UInt32(1), mi.UInt32(0))
+        scattered, _ = scatter_camera(bsdf, si, source, depth, active)
+        met = met + dr.select(active & ~scattered.is_null, mi.UInt32(1), mi.UInt32(0))
+        throughput, eta = throughput * scattered.weight, eta * scattered.eta
+        alive, factor = roulette(throughput, eta, depth, rr_depth, source.decide(depth, dimensions.ROULETTE))
+        ray = si.spawn_ray(scattered.direction)
+        return active & scattered.active & alive, ray, throughput * factor, eta, depth + 1, met, ends
+
+    width = len(lanes)
+    start = (
+        dr.full(mi.Bool, True, width),
+        mi.Ray3f(ray),
+        dr.full(mi.Color3f, 1.0, width),
+        dr.full(mi.Float, 1.0, width),
+        dr.full(mi.UInt32, 1, width),
+        dr.zeros(mi.UInt32, width),
+        dr.zeros(mi.UInt32, width),
+    )
+    *_, depth, met, ends = dr.while_loop(start, lambda active, *_: active, edge, label="camera lengths")
+    dr.eval(depth, met, ends)
+    return float(np.asarray(depth).mean()) - 1.0, float(np.asarray(met).mean()), float(np.asarray(ends).mean())

@@ -1,0 +1,106 @@
+"""The radius (tables 5.10, 5.11), light paths against radius (5.9), and several radii in one run (section 5.5)."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..measuring import Record, interleaved, spread
+from . import plotting, references
+from .racing import RADIUS, TRIM, Entrant, marks, merging, open_scene, race
+
+#: The radii of the sweep, in millimetres, and the one for the photons.
+RADII = (5.0, 12.0, 25.0)
+PHOTON_RADIUS = 0.0125
+
+
+def radius(
+    name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference_seconds: float
+) -> list[Record]:
+    """Passes and RMS at growing times, for each radius with and without merging at the first camera vertex."""
+    reference = references.find(name, size, out, reference_seconds)
+    entrants = [
+        Entrant(f"{r:g} mm, {'on' if first else 'off'}", "vcm", merging("vcm", r / 1000.0, merge_first=first))
+        for r in RADII
+        for first in (True, False)
+    ]
+    times = marks(seconds, 6)
+    tracks = race(open_scene(name, size), entrants, reference.image, times, range(seeds))
+    plotting.save(out / f"radius-{name}.svg", {k: plotting.over_time(v) for k, v in tracks.items()}, f"{name}, radius")
+    what = f"{name}, {size[0]}x{size[1]}, {seconds:g} s"
+    passes = Record(f"Radius sweep: passes, {what}", ("own seconds", *tracks))
+    errors = Record(f"Radius sweep: RMS of luminance, {what}", ("own seconds", *tracks))
+    for k, at in enumerate(times):
+        passes.add(f"{at:g}", *(f"{points[k].passes:.0f}" for points in tracks.values()))
+        errors.add(f"{at:g}", *(f"{points[k].rms:.4f}" for points in tracks.values()))
+    errors.add(f"{seconds:g}, all pixels", *(f"{points[-1].untrimmed:.4f}" for points in tracks.values()))
+    costs = []
+    for r in RADII:
+        on, off = (tracks[f"{r:g} mm, {word}"][-1] for word in ("on", "off"))
+        costs.append(f"{r:g} mm {1.0 - (on.passes / on.seconds) / (off.passes / off.seconds):+.1%}")
+    passes.notes.append("on, off: merging at the first camera vertex; it costs these passes: " + ", ".join(costs))
+    errors.notes.append(f"RMS without the worst {TRIM:.1%} of the pixels; reference: {reference.note}; {seeds} seed(s)")
+    return [passes, errors]
+
+
+def photons(
+    name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference_seconds: float
+) -> Record:
+    """More light paths against a larger radius, at equal time: both have the same weights for merging."""
+    reference = references.find(name, size, out, reference_seconds)
+    millimetres = 1000.0 * PHOTON_RADIUS
+    entrants = [
+        Entrant(label, "vcm", merging("vcm", r, merge_first=False) | {"light_paths": paths})
+        for label, r, paths in (
+            (f"a: {millimetres:g} mm, n = pixels", PHOTON_RADIUS, 1.0),
+            (f"b: {millimetres:g} mm, n = 4 x pixels", PHOTON_RADIUS, 4.0),
+            (f"c: {2 * millimetres:g} mm, n = pixels", 2 * PHOTON_RADIUS, 1.0),
+        )
+    ]
+    times = marks(seconds, 6)
+    tracks = race(open_scene(name, size), entrants, reference.image, times, range(seeds))
+    plotting.save(
+        out / f"photons-{name}.svg", {k: plotting.over_time(v) for k, v in tracks.items()}, f"{name}, photons"
+    )
+    record = Record(
+        f"Light paths and radius, {name}, {size[0]}x{size[1]}, {seconds:g} s",
+        ("", "passes", *(f"RMS at {at:g} s" for at in times[1:]), "all pixels"),
+    )
+    for label, points in tracks.items():
+        end = points[-1]
+        record.add(label, f"{end.passes:.0f}", *(f"{p.rms:.4f}" for p in points[1:]), f"{end.untrimmed:.4f}")
+    record.notes.append(f"RMS without the worst {TRIM:.1%} of the pixels; reference: {reference.note}; {seeds} seed(s)")
+    return record
+
+
+def radii(names: Sequence[str], size: tuple[int, int], rounds: int, warm_up: int) -> Record:
+    """What a pass costs that makes a picture for one, two and three radii."""
+    record = Record(
+        f"Several radii in one run, {size[0]}x{size[1]}",
+        ("", "one s", "two / one", "three / one", "largest alone s", "three / largest alone"),
+    )
+    for name in names:
+        problem = open_scene(name, size)
+        # The grid is searched at the largest radius, so a run with that one alone is the fair measure.
+        wanted = {
+            "one": merging("vcm", RADIUS),
+            "two": merging("vcm", RADIUS, radii="0.5"),
+            "three": merging("vcm", RADIUS, radii="0.5,2"),
+            "largest": merging("vcm", 2 * RADIUS),
+        }
+        estimators = {key: Entrant(key, "vcm", settings).prepared(problem, 0) for key, settings in wanted.items()}
+        tasks = {key: lambda n, estimator=estimator: estimator.step(n, 0) for key, estimator in estimators.items()}
+        wall = {key: [c.wall for c in clocks] for key, clocks in interleaved(tasks, rounds, warm_up).items()}
+
+        def ratio(a: str, b: str, wall: dict[str, list[float]] = wall) -> str:
+            return spread([x / y for x, y in zip(wall[a], wall[b], strict=True)], ".3f")
+
+        one, largest = (f"{statistics.median(wall[key]):.3f}" for key in ("one", "largest"))
+        record.add(name, one, ratio("two", "one"), ratio("three", "one"), largest, ratio("three", "largest"))
+    record.notes += [
+        f"radii: {1000 * RADIUS:g} mm; with {500 * RADIUS:g} mm; with {500 * RADIUS:g} and {2000 * RADIUS:g} mm",
+        f"ratios: median (min … max) of {rounds} rounds in turn after {warm_up}",
+        "thesis: below 0.3 % of the time",
+    ]
+    return record

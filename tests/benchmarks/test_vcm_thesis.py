@@ -1,0 +1,258 @@
+"""The experiments of the thesis: their scenes, their bookkeeping, and every command at a tiny size."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import types
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from etendue import film, methods
+
+ROOT = Path(__file__).resolve().parents[2]
+NAMES = ("mirror-balls", "living-room", "bathroom", "diffuse")
+
+
+@pytest.fixture(autouse=True)
+def _benchmarks_importable(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+
+
+def module(name):
+    return importlib.import_module(f"benchmarks.vcm_thesis.{name}")
+
+
+# ---------------------------------------------------------------------- solids
+
+
+def volume(part):
+    """Enclosed volume; positive if the faces look out."""
+    points, faces, _ = part
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    return float((a * np.cross(b, c)).sum() / 6.0)
+
+
+def solids():
+    parts = module("scenes.parts")
+    steps = np.linspace(0.0, 1.0, 40)
+    corners = [(r, 0.0) for r in steps] + [(1.0, y) for y in steps[1:]] + [(r, 1.0) for r in steps[-2::-1]]
+    line = np.stack([np.zeros(20), np.linspace(0.0, 2.0, 20), np.zeros(20)], -1)
+    return {
+        "box": (parts.box((1.0, 2.0, 3.0)), 6.0, 1e-9),
+        "round box": (parts.box((1.0, 2.0, 3.0), 0.01), 6.0, 0.01),
+        "cells": (parts.box((1.0, 2.0, 3.0), 0.01, 3, 7), 6.0, 0.01),
+        "cushion": (parts.cushion((1.0, 0.2, 1.0), 0.02, 0.0), 0.2, 0.02),
+        "ball": (parts.ball(0.5, 128, 64), np.pi / 6.0, 0.005),
+        "tube": (parts.tube(line, 0.1, 64), 0.02 * np.pi, 0.005),
+        "turned": (parts.turned(corners, 96, 2), np.pi, 0.005),
+        "ring": (parts.ring([(r + 1.0, y) for r, y in corners[1:-1]], 96, 2), 3.0 * np.pi, 0.1),
+    }
+
+
+@pytest.mark.parametrize("name", ["box", "round box", "cells", "cushion", "ball", "tube", "turned", "ring"])
+def test_solids_are_closed_and_look_out(name):
+    part, expected, tolerance = solids()[name]
+    points, faces, normals = part
+    assert volume(part) == pytest.approx(expected, rel=tolerance)
+    _, same = np.unique(np.round(points, 7), axis=0, return_inverse=True)
+    corners = same.ravel()[faces]
+    corners = corners[(corners != np.roll(corners, 1, 1)).all(axis=1)]  # without the triangles that have no area
+    edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
+    forth, back = (set(map(tuple, pairs)) for pairs in (edges, edges[:, ::-1]))
+    assert len(forth) == len(edges) and forth == back, "an edge is not shared by two faces of one sense"
+    a, b, c = (points[faces[:, i]] for i in range(3))
+    face = np.cross(b - a, c - a)
+    smooth = normals[faces].sum(axis=1)
+    solid = np.linalg.norm(face, axis=1) > 1e-9
+    assert np.mean((face * smooth).sum(axis=1)[solid] > 0.0) > 0.999
+    assert np.linalg.norm(normals, axis=1) == pytest.approx(1.0, abs=1e-6)
+
+
+# ---------------------------------------------------------------------- scenes
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_scenes_load(name):
+    """The capability check has nothing to say, and there are as many triangles as the issue wants."""
+    import mitsuba as mi
+
+    problem = module("racing").open_scene(name, (16, 12))
+    triangles = sum(shape.face_count() for shape in problem.scene.shapes() if isinstance(shape, mi.Mesh))
+    assert 10_000 <= triangles <= 300_000
+    assert problem.size == (16, 12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_scenes_are_lit_and_their_caustics_are_reflected(name):
+    """Finite light everywhere in sight. With a small radius merging is left what nothing else finds: caustics that are
+    seen in mirrors or through glass."""
+    racing = module("racing")
+    settings = racing.merging("vcm", 0.002, merge_first=False, split_layers=True)
+    estimator = racing.Entrant("vcm", "vcm", settings).prepared(racing.open_scene(name, (64, 48)), 0)
+    total = estimator.step(0, 0) + estimator.step(1, 0)
+    assert total.counters["nonfinite"] == 0
+    image, merge = total.mean("image"), total.mean("merge")
+    assert np.mean(image.sum(axis=2) > 0.0) > 0.99
+    share = merge.mean() / image.mean()
+    # Measured: 0.005 in the diffuse room; 0.044, 0.095 and 0.037 in the others.
+    assert (share < 0.015) == (name == "diffuse") and share > 0.0
+
+
+# ---------------------------------------------------------------------- races
+
+
+class Fake:
+    """A method whose passes take a known time and show their number."""
+
+    def __init__(self, clock, cost):
+        self.clock, self.cost, self.turns = clock, cost, []
+
+    def step(self, iteration, seed):
+        self.clock.now += self.cost
+        self.turns.append(iteration)
+        return FakeMeasurement([iteration])
+
+    def develop(self, measurement):
+        self.clock.now += 100.0  # looking at the picture is nobody's time
+        return types.SimpleNamespace(image=np.full((2, 2, 3), float(len(measurement.iterations))))
+
+
+class FakeMeasurement:
+    def __init__(self, iterations):
+        self.iterations = iterations
+
+    def __add__(self, other):
+        return FakeMeasurement(self.iterations + other.iterations)
+
+
+def test_a_race_gives_each_the_same_time(monkeypatch):
+    racing = module("racing")
+    clock = types.SimpleNamespace(now=0.0)
+    monkeypatch.setattr(racing, "time", types.SimpleNamespace(perf_counter=lambda: clock.now))
+    fakes = {"slow": Fake(clock, 3.0), "quick": Fake(clock, 1.0)}
+    entrants = [types.SimpleNamespace(label=k, prepared=lambda problem, seed, v=v: v) for k, v in fakes.items()]
+    tracks = racing.race(None, entrants, np.zeros((2, 2, 3)), [3.0, 6.0, 12.0])
+    assert [p.seconds for p in tracks["slow"]] == [3.0, 6.0, 12.0] == [p.seconds for p in tracks["quick"]]
+    assert [p.passes for p in tracks["slow"]] == [1, 2, 4]
+    assert [p.rms for p in tracks["quick"]] == pytest.approx([3.0, 6.0, 12.0])
+    assert fakes["slow"].turns == [0, 0, 1, 2, 3], "one pass to warm up, then each once"
+
+
+def test_seeds_are_averaged_and_ranked():
+    racing = module("racing")
+    points = [racing.Point(1.0, 4.0, 0.3, 0.1), racing.Point(1.2, 6.0, 0.4, 0.2)]
+    mean = racing._mean(points)
+    assert (mean.seconds, mean.passes) == (pytest.approx(1.1), 5.0)
+    assert mean.rms == pytest.approx(np.sqrt(0.125)) and mean.untrimmed == pytest.approx(np.sqrt(0.025))
+    tracks = {"a": points, "b": [points[1], points[0]], "c": [racing.Point(1.0, 1.0, 0.305, 0.5)] * 2}
+    assert racing.order(tracks, 0) == "a ≈ c < b"
+
+
+def test_settings_are_those_of_the_methods():
+    racing = module("racing")
+    for entrant in racing.the_four():
+        methods.get(entrant.method).Settings(**entrant.settings)
+    vcm = racing.merging("vcm", 0.005)
+    assert (vcm["radius"], vcm["radius_unit"], vcm["eta_discount"]) == (0.005, "absolute", 1.0)
+    assert racing.marks(16.0, 3) == [4.0, 8.0, 16.0]
+
+
+def test_a_reference_is_kept(tmp_path):
+    """The halves differ by noise; the file is read back; pixels that see a lamp count for nothing."""
+    references = module("references")
+    made = references.make("diffuse", (32, 24), tmp_path, 0.4)
+    again = references.find("diffuse", (32, 24), tmp_path, 1e9)
+    assert np.array_equal(made.image, again.image, equal_nan=True) and made.note == again.note
+    assert 0.0 < made.noise < 1.0
+    stored = film.read_exr(tmp_path / "reference-diffuse-32x24.exr").image @ np.array(film.LUMINANCE)
+    lamps = np.isnan(made.image).all(axis=2)
+    assert np.array_equal(lamps, stored > references.WHITE * stored.mean())
+
+
+def test_blocks_tell_noise_from_structure():
+    correctness = module("correctness")
+    rng = np.random.default_rng(2)
+    noise = [rng.normal(0.0, 0.1, (20, 20)) for _ in range(50)]
+    pattern = np.where(np.arange(20) < 10, 0.05, -0.05)
+    blocks = {"clean": noise, "odd": [values + pattern for values in noise]}
+    record = correctness._residual("a scene", blocks, 16)
+    clean, odd = (float(row[2]) for row in record.rows)
+    # The mean of z² over 400 blocks of 50 passes has a standard deviation of sqrt(2 / 400) (49 / 47), about 0.074.
+    assert clean == pytest.approx(49 / 47, abs=4 * 0.074)
+    assert odd > 10.0
+
+
+@pytest.mark.slow
+def test_lengths_add_up():
+    """Twice the light paths cast once more the rays of the light walks; what is left are the camera walks."""
+    racing, profile = module("racing"), module("profile")
+    problem = racing.open_scene("living-room", (96, 72))
+    rays = {}
+    for paths in (1.0, 2.0):
+        settings = racing.merging("bpm", samples_per_pass=1) | {"light_paths": paths}
+        rays[paths] = racing.Entrant("bpm", "bpm", settings).prepared(problem, 0).step(0, 0).counters["rays"]
+    light, camera, ends = profile._lengths(problem, (96, 72))
+    pixels = 96 * 72
+    # Path lengths vary by about their mean: the difference of two sets of 7000 paths is good to 3 %.
+    assert (rays[2.0] - rays[1.0]) / pixels == pytest.approx(light, rel=0.08)
+    assert rays[1.0] / pixels - light == pytest.approx(camera, rel=1e-3)
+    assert 0.0 < ends <= camera
+
+
+# ---------------------------------------------------------------------- commands
+
+_TINY = ["--size", "24x18"]
+_QUICK = [*_TINY, "--time", "0.2", "--reference-time", "0.4"]
+COMMANDS = {
+    "reference": [*_TINY, "--scene", "diffuse", "--time", "0.4"],
+    "correctness": [*_TINY, "--passes", "4"],
+    "convergence": [*_QUICK, "--scene", "diffuse"],
+    "profile": [*_TINY, "--scene", "diffuse", "--rounds", "1", "--warm-up", "1"],
+    "radius": [*_QUICK, "--scene", "diffuse"],
+    "photons": [*_QUICK, "--scene", "diffuse"],
+    "radii": [*_TINY, "--scene", "diffuse", "--rounds", "1", "--warm-up", "1"],
+}
+PLOTS = {"correctness", "convergence", "radius", "photons"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", COMMANDS)
+def test_commands_make_tables_of_numbers(command, tmp_path, monkeypatch):
+    main, measuring = module("__main__"), importlib.import_module("benchmarks.measuring")
+    tables, publish = [], measuring.Record.publish
+
+    def kept(self, variant, keep, results=None):
+        tables.append(self)
+        publish(self, variant, keep, results)
+
+    monkeypatch.setattr(measuring.Record, "publish", kept)
+    monkeypatch.setattr(main, "RESULTS", tmp_path / "RESULTS.md")
+    words = [command, *COMMANDS[command]]
+    words += [] if command in ("profile", "radii") else ["--out", str(tmp_path)]
+    words += [] if command == "reference" else ["--record"]
+    result = CliRunner().invoke(main.app, words)
+    assert result.exit_code == 0, result.output + repr(result.exception)
+    assert tables
+    for table in tables:
+        assert table.rows
+        for row in table.rows:
+            assert len(row) == len(table.columns)
+            for cell in row[1:2] if command == "reference" else row[1:]:
+                assert re.search(r"\d", cell) and not re.search(r"nan|inf", cell), (table.title, row)
+    assert (tmp_path / "RESULTS.md").exists() == (command != "reference")
+    plots = list(tmp_path.glob("*.svg"))
+    assert len(plots) == (command in PLOTS)
+    for plot in plots:
+        assert plot.read_text("utf-8").startswith('<svg xmlns="http://www.w3.org/2000/svg"')
+
+
+def test_an_unknown_scene_is_named():
+    from etendue.core import OptionError
+
+    with pytest.raises(OptionError, match="unknown scene 'bathrom'; did you mean 'bathroom'"):
+        module("__main__")._names("diffuse,bathrom")
