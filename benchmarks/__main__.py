@@ -1,4 +1,4 @@
-"""``python -m benchmarks [cost|first-pass|memory|rays|quality|knn]``; without a name, all of them."""
+"""``python -m benchmarks [cost|first-pass|memory|rays|quality|choice|knn]``; without a name, all of them."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from etendue import methods as known
 from etendue.cli.options import parse_pairs, parse_size
 from etendue.core import EtendueError, use_variant
 
+from . import choice as choice_of_auto
 from . import cost as cost_of_a_pass
 from . import fresh, neighbours
 from . import quality as quality_over_time
@@ -133,6 +134,20 @@ def quality(
 
 
 @app.command()
+def choice(
+    scenes: Annotated[str, typer.Option(help="Names, separated by commas; all by default.", metavar="NAMES")] = "",
+    pixels: Annotated[int, typer.Option(min=1, help="Pixels of a picture, about.")] = 65536,
+    time: Annotated[float, typer.Option(help="Seconds for each picture.")] = 30.0,
+    seeds: Annotated[int, typer.Option(min=1, help="Pictures of each; the median counts.")] = 1,
+    variant: Variant = None,
+    record: Keep = False,
+) -> None:
+    """Error of auto after a given time, beside each of its candidates."""
+    chosen = _begin(variant)
+    _publish(chosen, record, choice_of_auto.measure(_words(scenes), pixels, time, seeds))
+
+
+@app.command()
 def knn(
     points: Annotated[int, typer.Option(min=1, help="Points in the tree.")] = 1_000_000,
     k: Annotated[int, typer.Option("-k", min=1, help="Neighbours of a query.")] = 50,
@@ -158,6 +173,7 @@ def everything(context: typer.Context, variant: Variant = None, record: Keep = F
         memory(variant=variant, record=record)
         rays(variant=variant, record=record)
         quality(variant=variant, record=record)
+        choice(variant=variant, record=record)
         knn(variant=variant, record=record)
 
 
