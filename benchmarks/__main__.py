@@ -1,4 +1,4 @@
-"""``python -m benchmarks [cost|first-pass|memory|rays|quality|knn]``; without a name, all of them."""
+"""``python -m benchmarks [cost|first-pass|memory|rays|quality|knn|points]``; without a name, all of them."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from . import cost as cost_of_a_pass
 from . import fresh, neighbours
 from . import quality as quality_over_time
 from . import rays as ray_casting
+from . import sequences
 from .measuring import Record, console, machine, software
 
 app = typer.Typer(
@@ -140,6 +141,20 @@ def knn(
     _publish(chosen, record, neighbours.measure(points, k, parse_size(size), rounds, warm_up))
 
 
+@app.command()
+def points(
+    count: Annotated[int, typer.Option(min=1, max=1 << 31, help="Points of a round.")] = 1 << 27,
+    dimension: Annotated[int, typer.Option("-d", min=1, max=1024, help="Coordinates of a point.")] = 4,
+    rounds: Rounds = 7,
+    warm_up: WarmUp = 2,
+    variant: Variant = None,
+    record: Keep = False,
+) -> None:
+    """Points of sequences, made and reduced on the device, beside scipy's qmc."""
+    chosen = _begin(variant)
+    _publish(chosen, record, sequences.measure(count, dimension, rounds, warm_up))
+
+
 @app.callback(invoke_without_command=True)
 def everything(context: typer.Context, variant: Variant = None, record: Keep = False) -> None:
     """Run every benchmark in turn."""
@@ -150,6 +165,7 @@ def everything(context: typer.Context, variant: Variant = None, record: Keep = F
         rays(variant=variant, record=record)
         quality(variant=variant, record=record)
         knn(variant=variant, record=record)
+        points(variant=variant, record=record)
 
 
 if __name__ == "__main__":
