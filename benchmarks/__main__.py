@@ -11,10 +11,9 @@ from etendue.cli.options import parse_pairs, parse_size
 from etendue.core import EtendueError, use_variant
 
 from . import cost as cost_of_a_pass
-from . import fresh, neighbours
+from . import fresh, neighbours, sequences
 from . import quality as quality_over_time
 from . import rays as ray_casting
-from . import sequences
 from .measuring import Record, console, machine, software
 
 app = typer.Typer(

@@ -71,7 +71,9 @@ def star_discrepancy_bounds(points: ArrayLike, cells: int = _MAX_CELLS) -> tuple
     n, d = x.shape
     per_axis = int(cells ** (1 / d) + 1e-9)
     if per_axis < 2:
-        raise PointSetError(f"{cells} cells are too few to bound a discrepancy in {d} dimensions; an L2 one has no limit")
+        raise PointSetError(
+            f"{cells} cells are too few to bound a discrepancy in {d} dimensions; an L2 one has no limit"
+        )
     grids = [np.unique(np.concatenate([[0.0, 1.0], _quantiles(x[:, j], per_axis - 1)])) for j in range(d)]
     # closed[k]: points <= the k-th corner; open[k]: points < it.
     closed = _cumulative(x, grids, "left") / n

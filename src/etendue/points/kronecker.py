@@ -37,10 +37,10 @@ class Weyl(PointSet):
 
 
 class PiPowers(PointSet):
-    """Powers of pi in doubles: point ``i`` is ``(frac(pi^i), ..., frac(pi^(i+d-1)))``. **Not to be used.**
+    """Powers of pi in doubles: ``(frac(pi^i), ..., frac(pi^(i+d-1)))``. Not to be used.
 
     The numbers ``frac(pi^i)`` are conjectured to serve any number of dimensions. In double precision a power has no
-    bits after the point from index 32 on, and all points from there are 0; the last before are multiples of 1/16.
+    bits after the point from index 32 on, and all points from there are 0; pi^30 has three.
     """
 
     name = "pi-powers"
@@ -56,7 +56,7 @@ class PiPowers(PointSet):
 
 
 class ExactPiPowers(PointSet):
-    """Powers of pi in exact arithmetic, as :class:`PiPowers` has them in doubles, for up to 2^13 points.
+    """Powers of pi as :class:`PiPowers`, from all their digits, for up to 2^13 points.
 
     Pi has as many digits as the largest power needs, and making ``size`` points takes a time that grows nearly with
     its cube (a second for the largest). The numbers look random, and are no more even than those.

@@ -174,9 +174,7 @@ class FaureHalton(Halton):
         most = 1
         while base ** (most + 1) <= _TABLE_SIZE:
             most += 1
-        return _assemble(
-            index, base, _chunks(base, most), lambda chunk, digits: self._look_up(chunk, base, digits)
-        )
+        return _assemble(index, base, _chunks(base, most), lambda chunk, digits: self._look_up(chunk, base, digits))
 
     def _look_up(self, chunk: Any, base: int, digits: int) -> Any:
         float_type = dr.float32_array_t(type(chunk))

@@ -87,7 +87,7 @@ class Sobol(PointSet):
 
 
 class OwenSobol(PointSet):
-    """Sobol's sequence with Owen's nested scrambling, by hashing [Owen 1995; Laine 2011; Burley 2020].
+    """Sobol's sequence with Owen's nested scrambling, by hashing [Owen 1995; Burley 2020].
 
     The points are nets as those of :class:`Sobol` are, each point is uniform, and for a smooth integrand the error
     falls as ``n^(-3/2)`` at powers of two. The scrambling is a hash in which a bit depends on those before it; it is not
