@@ -89,6 +89,6 @@ def test_a_plot(capsys):
 )
 def test_bad_input(command, message, capsys):
     assert run(command) in (2, 5)
-    out, err = capsys.readouterr()
+    err = capsys.readouterr().err
     assert message in err and len(err.splitlines()) == 1
     assert not list(Path().glob("*.svg"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from xml.etree import ElementTree
 
 import numpy as np
@@ -34,7 +35,7 @@ def test_squares_do_not_overlap_and_lie_inside(count, columns, rows):
     assert len({x for x, _ in places}) == columns and len({y for _, y in places}) == rows and len(places) == count
     for x, y in places:
         assert 0 < x < float(root.get("width")) - side and 0 < y < float(root.get("height")) - side
-    for (a, b), (c, d) in zip(places, places[1:], strict=False):
+    for (a, b), (c, d) in pairwise(places):
         assert abs(a - c) > side or abs(b - d) > side
 
 

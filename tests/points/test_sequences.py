@@ -39,8 +39,8 @@ def test_van_der_corput():
 
 
 def test_halton():
-    np.testing.assert_allclose(Halton(3).block(5)[1:], [[1 / 2, 1 / 3, 1 / 5], [1 / 4, 2 / 3, 2 / 5],
-                                                        [3 / 4, 1 / 9, 3 / 5], [1 / 8, 4 / 9, 4 / 5]], rtol=1e-15)  # fmt: skip
+    first = [(1 / 2, 1 / 3, 1 / 5), (1 / 4, 2 / 3, 2 / 5), (3 / 4, 1 / 9, 3 / 5), (1 / 8, 4 / 9, 4 / 5)]
+    np.testing.assert_allclose(Halton(3).block(5)[1:], first, rtol=1e-15)
     theirs = qmc.Halton(40, scramble=False).random(5000)
     np.testing.assert_allclose(Halton(40).block(5000), theirs, atol=1e-15)
 
@@ -177,8 +177,8 @@ def test_flips_of_a_bit_are_independent_between_prefixes():
 
 
 def test_weyl():
-    np.testing.assert_allclose(Weyl(4).block(3)[1:], [[0.41421356, 0.73205081, 0.23606798, 0.64575131],
-                                                      [0.82842712, 0.46410162, 0.47213595, 0.29150262]], atol=1e-8)  # fmt: skip
+    first = [(0.41421356, 0.73205081, 0.23606798, 0.64575131), (0.82842712, 0.46410162, 0.47213595, 0.29150262)]
+    np.testing.assert_allclose(Weyl(4).block(3)[1:], first, atol=1e-8)
     i, p = 4_000_000_007, 7919  # the 1000th prime
     exact = isqrt((i * i * p) << 200) & (2**100 - 1)
     assert Weyl(1000).value(i)[999] == pytest.approx(exact * 2.0**-100, abs=2.0**-31)

@@ -45,7 +45,7 @@ class PointSet(ABC):
             raise PointSetError(f"{self.name}: the dimension must be a whole number from 1, not {dimension!r}")
         if self.max_dimension is not None and dimension > self.max_dimension:
             raise PointSetError(
-                f"{self.name} has at most {self.max_dimension} dimensions, not {dimension}; independent numbers have any"
+                f"{self.name} has at most {self.max_dimension} dimensions, not {dimension}; independent has any"
             )
         if size is not None and (not _is_whole(size) or not 1 <= size <= MAX_POINTS):
             raise PointSetError(f"{self.name}: the number of points must be from 1 to 2^32, not {size!r}")

@@ -2,17 +2,17 @@
 
 ``radical inverse: i = sum_j a_j b^j  ->  phi_b(i) = sum_j a_j b^(-j-1)``
 
-On the device digits are found and put together by multiplication alone. The index is cut into chunks of ``K`` digits;
-a chunk minus half its range has the balanced digits ``a_j - (b - 1)/2``, so that ``q_k = round(y / b^k)`` is exact in a
-``Float``, and the mirrored chunk is ``b^(K-1) y - (b^2 - 1) sum_k q_k b^(K-1-k)``. As many chunks are used as a ``Float``
-can show: digits that are worth less than 2^-25 together are left out.
+On the device digits are found and put together by multiplication alone. The index is cut into chunks of ``K`` digits. A
+chunk less half its range, ``y``, has the balanced digits ``a_j - (b - 1)/2``, so that ``q_k = round(y / b^k)`` is exact
+in a ``Float``; and as ``a_k = q_k - b q_(k+1)``, it is ``b^(K-1) y - (b^2 - 1) sum_k q_k b^(K-1-k)`` when mirrored.
+There are as many chunks as a ``Float`` can show: digits that are worth less than 2^-25 together are left out.
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import drjit as dr
 import numpy as np
@@ -115,10 +115,9 @@ def _mirrored(chunk: Any, base: int, digits: int) -> Any:
         return float_type(chunk)
     half = base**digits // 2
     y = float_type(dr.int32_array_t(type(chunk))(chunk) - half)
-    total = None
+    total = float_type(0.0)
     for k in range(1, digits):
-        quotient = dr.fma(y, 1.0 / base**k, _ROUND) - _ROUND
-        total = quotient if total is None else dr.fma(total, float(base), quotient)
+        total = dr.fma(total, float(base), dr.fma(y, 1.0 / base**k, _ROUND) - _ROUND)
     # The product that is rounded by itself is a multiple of 8, and so exact.
     return dr.fma(y, float(base ** (digits - 1)), total * -float(base * base - 1)) + float(half)
 
@@ -144,7 +143,7 @@ class Halton(PointSet):
 
     name = "halton"
     max_dimension = MAX_BASES
-    citations = ("Halton1960",)
+    citations: ClassVar[tuple[str, ...]] = ("Halton1960",)
 
     def __init__(self, dimension: int) -> None:
         super().__init__(dimension)

@@ -26,7 +26,7 @@ _BITS = 32
 
 @functools.cache
 def _table() -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
-    """Primitive polynomials, (dimensions,), and initial numbers, (dimensions, largest degree), of dimensions 0 to ..."""
+    """Primitive polynomials, (dimensions,), and initial numbers, (dimensions, largest degree)."""
     with resources.files(__package__).joinpath("data/joe_kuo.npz").open("rb") as file, np.load(file) as arrays:
         return arrays["polynomials"], arrays["initial"].T
 
@@ -90,8 +90,8 @@ class OwenSobol(PointSet):
     """Sobol's sequence with Owen's nested scrambling, by hashing [Owen 1995; Burley 2020].
 
     The points are nets as those of :class:`Sobol` are, each point is uniform, and for a smooth integrand the error
-    falls as ``n^(-3/2)`` at powers of two. The scrambling is a hash in which a bit depends on those before it; it is not
-    uniform among all nested scramblings.
+    falls as ``n^(-3/2)`` at powers of two. The scrambling is a hash in which a bit depends on those before it; not all
+    nested scramblings are among them.
     """
 
     name = "owen-sobol"

@@ -64,9 +64,9 @@ def consecutive(values: ArrayLike, k: int, *, overlapping: bool = False) -> NDAr
 def uniformity_score(points: ArrayLike, cells: int | None = None) -> float:
     """How far counts of ``points``, (n, k), in ``cells^k`` equal cubes are from those of independent uniform points.
 
-    The chi-square statistic as a number of standard deviations [Wilson 1931]: within about 4 of 0 for independent uniform
-    points, far above for points that are not uniform in ``k`` dimensions, far below for such as are more even. By
-    default ``cells`` is such that a cube holds at least 10 points. Used on :func:`consecutive` numbers it tests a
+    The chi-square statistic as a number of standard deviations [Wilson 1931]: within about 4 of 0 for independent
+    uniform points, far above for points that are not uniform in ``k`` dimensions, far below for such as are more even.
+    By default ``cells`` is such that a cube holds at least 10 points. Used on :func:`consecutive` numbers it tests a
     stream for being k-uniform.
     """
     x = np.asarray(points, np.float64)
