@@ -59,6 +59,7 @@ def test_measures_of_many_points_are_bounds(capsys):
     assert run("points sobol -n 100000 --measure") == 0
     words = capsys.readouterr().out.split()
     assert words[:2] == ["star", "discrepancy"] and float(words[2]) < float(words[4])
+    assert words[5:] == ["L2", "not", "for", "so", "many", "points:", "it", "visits", "every", "pair"]
     assert run("points sobol -n 10 -d 40 --measure") == 0
     assert "no bound" in capsys.readouterr().out
 

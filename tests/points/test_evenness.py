@@ -14,6 +14,7 @@ from etendue.points import (
     FaureBlockHalton,
     FaureHalton,
     Halton,
+    Hammersley,
     Independent,
     OwenSobol,
     PiPowers,
@@ -179,6 +180,15 @@ def test_nets():
     assert net_parameter(np.zeros((16, 2))) == 4
     lattice = np.stack(np.meshgrid(np.arange(4) / 4, np.arange(4) / 4), -1).reshape(-1, 2)
     assert net_parameter(lattice) == 2  # no strip of 1/16 holds just one
+
+
+@pytest.mark.parametrize("n", [50, 128, 500])
+def test_points_keep_apart(n):
+    """At least 1/n for Hammersley's points, 1/(2 n) for Halton's [Castro 2002]."""
+    for points, least in ((Hammersley(4, n), 1 / n), (Halton(4), 0.5 / n)):
+        x = points.block(n)
+        distance = np.linalg.norm(x[:, None] - x[None], axis=2)
+        assert distance[~np.eye(n, dtype=bool)].min() >= least
 
 
 def test_overlapping_windows():

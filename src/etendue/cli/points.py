@@ -30,8 +30,8 @@ from .console import say
 
 #: Points of a plot or a measure, and of a list.
 _PLOTTED, _LISTED = 1024, 16
-#: Pairs of points that an L2 discrepancy visits at most.
-_MAX_PAIRS = 1 << 32
+#: Coordinates of pairs of points that an L2 discrepancy visits at most.
+_MAX_PAIRS = 1 << 31
 #: Rows that are written at a time.
 _ROWS = 1 << 14
 
@@ -125,4 +125,6 @@ def _show_measures(points: NDArray[np.float64]) -> None:
     if len(points) ** 2 * points.shape[1] <= _MAX_PAIRS:
         for kind in ("star", "centered", "wrap", "mixture"):
             table.add_row(f"L2 {kind}", f"{l2_discrepancy(points, kind):.6g}")
+    else:
+        table.add_row("L2", "not for so many points: it visits every pair")
     Console(highlight=False).print(table)

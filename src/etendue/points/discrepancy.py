@@ -7,7 +7,7 @@ box's volume; by the Koksma-Hlawka inequality the error of a mean is at most it 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -20,8 +20,8 @@ from .pointset import PointSetError
 #: Boxes that :func:`star_discrepancy` visits at most (seconds), and cells of the grid of the bounds.
 MAX_BOXES = 1 << 29
 _MAX_CELLS = 1 << 22
-#: Numbers of a block of pairs of points.
-_BLOCK = 1 << 21
+#: Pairs of points that are looked at together: what fits a cache.
+_BLOCK = 1 << 15
 
 
 def star_discrepancy(points: ArrayLike) -> float:
@@ -102,8 +102,7 @@ def l2_discrepancy(points: ArrayLike, kind: str = "centered") -> float:
     total = constant**d if kind != "wrap" else -(constant**d)
     if single is not None:
         total -= 2 / n * float(single(x).prod(axis=1).sum())
-    pairs = sum(float(pair(a[:, None], x[None]).prod(axis=2).sum()) for a in _blocks(x))
-    return float(np.sqrt(max(total + pairs / n**2, 0.0)))
+    return float(np.sqrt(max(total + _sum_over_pairs(x, pair) / n**2, 0.0)))
 
 
 def _star_pair(a: Any, b: Any) -> Any:
@@ -159,9 +158,19 @@ def _checked(points: ArrayLike) -> NDArray[np.float64]:
     return x
 
 
-def _blocks(x: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-    rows = max(1, _BLOCK // x.size)
-    return (x[start : start + rows] for start in range(0, len(x), rows))
+def _sum_over_pairs(x: NDArray[np.float64], pair: _Function) -> float:
+    """The sum over all ordered pairs of points of the product of ``pair`` over the dimensions, which is symmetric."""
+    total, start = 0.0, 0
+    while start < len(x):
+        end = start + max(1, _BLOCK // (len(x) - start))
+        product = pair(x[start:end, :1], x[None, start:, 0])
+        for j in range(1, x.shape[1]):
+            product *= pair(x[start:end, j : j + 1], x[None, start:, j])
+        # Pairs inside the block are there twice as it is, those with later points once.
+        inside = product[:, : end - start].sum()
+        total += float(2 * product.sum() - inside)
+        start = end
+    return total
 
 
 def _quantiles(values: NDArray[np.float64], count: int) -> NDArray[np.float64]:
