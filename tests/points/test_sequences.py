@@ -7,6 +7,7 @@ from collections import Counter
 from decimal import Decimal, getcontext
 from math import isqrt
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from scipy import stats
@@ -89,9 +90,21 @@ def test_the_other_reading_permutes_inside_each_block():
     assert abs(scrambled[5:10] - standard[5:10]).min() > 0.05
 
 
-def test_a_base_that_is_none():
-    with pytest.raises(PointSetError, match="a base is at least 2, not 1"):
-        faure_permutation(1)
+@pytest.mark.parametrize("base", [0, 1, 65536])
+def test_a_base_that_is_none(base):
+    for call in (lambda: faure_permutation(base), lambda: radical_inverse(np.arange(3), base)):
+        with pytest.raises(PointSetError, match=f"a base is from 2 to 65535, not {base}"):
+            call()
+
+
+def test_odd_bases_on_the_device():
+    """Also such as are no primes; an even one is refused."""
+    index = np.random.default_rng(3).integers(0, 2**32, 3000, dtype=np.uint32)
+    for base in (9, 15, 21, 255, 645, 65535):
+        device = np.asarray(radical_inverse(mi.UInt32(index), base))
+        assert np.abs(device - radical_inverse(index, base)).max() < 2.0**-23
+    with pytest.raises(PointSetError, match="the base 2 or an odd one, not 4"):
+        radical_inverse(mi.UInt32(0), 4)
 
 
 @pytest.mark.parametrize("base", [4, 10, 36])

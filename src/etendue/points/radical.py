@@ -52,31 +52,48 @@ def primes(n: int) -> list[int]:
 MAX_BASES = 6542
 
 
-@functools.cache
 def faure_permutation(base: int) -> NDArray[np.int64]:
-    """Faure's permutation of the digits 0 to ``base`` - 1 [Faure 1992]: ``base`` 5 gives (0, 3, 2, 1, 4)."""
-    if base < 2:
-        raise PointSetError(f"a base is at least 2, not {base}")
+    """Faure's permutation of the digits 0 to ``base`` - 1 [Faure 1992]: ``base`` 5 gives (0, 3, 2, 1, 4).
+
+    The array is shared and cannot be written to. Raises :class:`PointSetError` for a base that is not from 2 to 65535.
+    """
+    _check_base(base)
+    return _faure_permutation(base)
+
+
+@functools.cache
+def _faure_permutation(base: int) -> NDArray[np.int64]:
     if base == 2:
-        return np.array([0, 1])
-    if base % 2 == 0:
-        half = 2 * faure_permutation(base // 2)
-        return np.concatenate([half, half + 1])
-    middle = (base - 1) // 2
-    even = faure_permutation(base - 1)
-    even = even + (even >= middle)
-    return np.concatenate([even[:middle], [middle], even[middle:]])
+        permutation = np.array([0, 1])
+    elif base % 2 == 0:
+        half = 2 * _faure_permutation(base // 2)
+        permutation = np.concatenate([half, half + 1])
+    else:
+        middle = (base - 1) // 2
+        even = _faure_permutation(base - 1)
+        even = even + (even >= middle)
+        permutation = np.concatenate([even[:middle], [middle], even[middle:]])
+    permutation.setflags(write=False)
+    return permutation
+
+
+def _check_base(base: int) -> None:
+    if not 2 <= base < _BASES_BELOW:
+        raise PointSetError(f"a base is from 2 to {_BASES_BELOW - 1}, not {base}")
 
 
 def radical_inverse(index: Any, base: int) -> Any:
-    """``index`` mirrored at the point in ``base``, a prime below 2^16.
+    """``index`` mirrored at the point in ``base``, which is below 2^16; on the device it is 2 or odd.
 
-    index: ``UInt32`` lanes, or an array of NumPy.
+    index: ``UInt32`` lanes, or an array of NumPy. Raises :class:`PointSetError` for another base.
     """
+    _check_base(base)
     if is_host(index):
         return _on_host(index, base)
     if base == 2:
         return unit(dr.brev(index))
+    if base % 2 == 0:
+        raise PointSetError(f"a radical inverse on the device has the base 2 or an odd one, not {base}")
     most = 1
     while base ** (2 * most + 1) < _EXACT:
         most += 1
