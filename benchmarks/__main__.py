@@ -1,4 +1,4 @@
-"""``python -m benchmarks [cost|first-pass|memory|rays|quality|choice|knn]``; without a name, all of them."""
+"""``python -m benchmarks [cost|first-pass|memory|rays|quality|choice|knn|points]``; without a name, all of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from etendue.core import EtendueError, use_variant
 
 from . import choice as choice_of_auto
 from . import cost as cost_of_a_pass
-from . import fresh, neighbours
+from . import fresh, neighbours, sequences
 from . import quality as quality_over_time
 from . import rays as ray_casting
 from .measuring import Record, console, machine, software
@@ -164,6 +164,20 @@ def knn(
     _publish(chosen, record, neighbours.measure(points, k, parse_size(size), rounds, warm_up))
 
 
+@app.command()
+def points(
+    count: Annotated[int, typer.Option(min=1, max=1 << 31, help="Points of a round.")] = 1 << 27,
+    dimension: Annotated[int, typer.Option("-d", min=1, max=1024, help="Coordinates of a point.")] = 4,
+    rounds: Rounds = 7,
+    warm_up: WarmUp = 2,
+    variant: Variant = None,
+    record: Keep = False,
+) -> None:
+    """Points of sequences, made and reduced on the device, beside scipy's qmc."""
+    chosen = _begin(variant)
+    _publish(chosen, record, sequences.measure(count, dimension, rounds, warm_up))
+
+
 @app.callback(invoke_without_command=True)
 def everything(context: typer.Context, variant: Variant = None, record: Keep = False) -> None:
     """Run every benchmark in turn."""
@@ -175,6 +189,7 @@ def everything(context: typer.Context, variant: Variant = None, record: Keep = F
         quality(variant=variant, record=record)
         choice(variant=variant, record=record)
         knn(variant=variant, record=record)
+        points(variant=variant, record=record)
 
 
 if __name__ == "__main__":

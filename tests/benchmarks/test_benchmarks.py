@@ -139,3 +139,11 @@ def test_neighbours_are_compared_on_surfaces():
     record = neighbours.measure(2000, 20, (16, 16), rounds=2, warm_up=1)
     assert [row[0] for row in record.rows] == ["build", "k-th distance and visit", "all"]
     assert all(float(row[1]) > 0 for row in record.rows)
+
+
+def test_points_are_compared():
+    """Their means are right, or this raises; and every sequence has a rate."""
+    record = module("sequences").measure(1 << 14, 4, rounds=2, warm_up=1, scipy_count=1 << 8)
+    assert [row[0] for row in record.rows][:3] == ["halton", "sobol", "owen-sobol"]
+    assert all(len(row) == len(record.columns) for row in record.rows)
+    assert all(float(row[1].split()[0]) >= 0 and ("reached" in row[2] or "missed" in row[2]) for row in record.rows[:3])

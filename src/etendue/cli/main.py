@@ -340,6 +340,34 @@ def scenes(debug: opt.Debug = False) -> int:
 
 
 @app.command()
+def points(
+    name: Annotated[
+        str | None, typer.Argument(help="A point set, or NAME+shift; without it, all are listed.", metavar="[NAME]")
+    ] = None,
+    count: Annotated[
+        int | None, typer.Option("-n", help="Points; 16, or 1024 for --plot and --measure.", min=1, metavar="N")
+    ] = None,
+    dimension: Annotated[int | None, typer.Option("-d", help="Dimension; 2.", min=1, metavar="D")] = None,
+    first: Annotated[int, typer.Option("--first", help="Index of the first point.", min=0, metavar="I")] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="For those that are random.", metavar="N")] = 0,
+    measure: Annotated[bool, typer.Option("--measure", help="Show star and L2 discrepancies.")] = False,
+    plot: Annotated[Path | None, typer.Option("--plot", help="Draw projections.", metavar="FILE.svg")] = None,
+    pair: Annotated[
+        list[str] | None, typer.Option("--pair", help="Dimensions to draw, repeatable; 0,1.", metavar="A,B")
+    ] = None,
+    debug: opt.Debug = False,
+) -> int:
+    """List point sets and sequences, or write points of one as CSV, measure how even they are, draw projections."""
+    from .points import show_point_sets, show_points
+
+    if name is None:
+        return show_point_sets()
+    return show_points(
+        name, count=count, dimension=dimension, first=first, seed=seed, measure=measure, plot=plot, pairs=pair or []
+    )
+
+
+@app.command()
 def cite(
     method: Annotated[list[str], typer.Argument(help="Methods.", metavar="METHOD...")], debug: opt.Debug = False
 ) -> int:

@@ -26,7 +26,7 @@ def sobol_2d(reversed_index: Any) -> Any:
     return x
 
 
-def _scramble(x: Any, seed: Any) -> Any:
+def scramble(x: Any, seed: Any) -> Any:
     """A hash in which each bit depends on those below it and ``seed`` only [Laine and Karras 2011; Burley 2020]: nested
     scrambling of numbers whose bits are in reverse."""
     x = x ^ (x * 0x3D20ADEA)
@@ -62,11 +62,11 @@ class OwenSobolSource:
     def _shuffled(self, vertex: Any, component: int) -> tuple[Any, Any]:
         """(bit-reversed place of the lane in the draw's own order, seed of the draw)."""
         seed = hash_mix(self._key ^ self._salt(vertex, component))
-        return _scramble(self._reversed_index, seed), seed
+        return scramble(self._reversed_index, seed), seed
 
     @staticmethod
     def _number(bits: Any, seed: Any) -> Any:
-        return to_unit_float(dr.brev(_scramble(dr.brev(bits), seed)))
+        return to_unit_float(dr.brev(scramble(dr.brev(bits), seed)))
 
     def next_1d(self, vertex: Any, component: int) -> Any:
         """See :class:`SampleSource`."""

@@ -1,0 +1,149 @@
+"""What every point set and sequence is: a dimension, a size or none, and coordinate ``d`` of point ``i``."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar
+
+import drjit as dr
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from etendue.core import OptionError, seed_key
+
+from .words import Keys, below_one, is_host
+
+#: An index is a word of 32 bits.
+MAX_POINTS = 1 << 32
+
+
+class PointSetError(OptionError):
+    """A point set or a measure of one is asked for a dimension, an index, a number or a size that it does not have."""
+
+
+class PointSet(ABC):
+    """Points in the unit cube, each a function of its index: no state, any order, any number of workers.
+
+    A *sequence* has no ``size``: any beginning of it is a point set, and more points extend it. A point set with a
+    ``size`` is made for that number of points.
+
+    A coordinate can be asked for on the device and in NumPy. They are the same numbers: NumPy has doubles, the device
+    ``Float``; the two differ by less than 2^-23, and neither is ever 1.
+    """
+
+    #: How :func:`etendue.points.point_set` knows it.
+    name: ClassVar[str]
+    #: The largest dimension, ``None`` for any.
+    max_dimension: ClassVar[int | None] = None
+    #: Whether a seed gives other points, whose expected mean over the cube is exact.
+    is_random: ClassVar[bool] = False
+    #: Papers, as keys of the bibliography.
+    citations: ClassVar[tuple[str, ...]] = ()
+
+    def __init__(self, dimension: int, size: int | None = None) -> None:
+        if not _is_whole(dimension) or dimension < 1:
+            raise PointSetError(f"{self.name}: the dimension must be a whole number from 1, not {dimension!r}")
+        if self.max_dimension is not None and dimension > self.max_dimension:
+            raise PointSetError(
+                f"{self.name} has at most {self.max_dimension} dimensions, not {dimension}; independent has any"
+            )
+        if size is not None and (not _is_whole(size) or not 1 <= size <= MAX_POINTS):
+            raise PointSetError(f"{self.name}: the number of points must be from 1 to 2^32, not {size!r}")
+        self.dimension = int(dimension)
+        self.size = None if size is None else int(size)
+
+    def coordinate(self, index: Any, dimension: int) -> Any:
+        """Coordinate ``dimension`` of the points ``index``, in [0, 1).
+
+        index: ``UInt32`` lanes, for which a ``Float`` is recorded (an index beyond the ``size`` is not noticed, and
+        gives some number in [0, 1)); or whole numbers for NumPy, which give doubles of the same shape.
+
+        Raises :class:`PointSetError` for a dimension or an index that the set does not have.
+        """
+        if not _is_whole(dimension) or not 0 <= dimension < self.dimension:
+            raise PointSetError(f"{self.name} has the dimensions 0 to {self.dimension - 1}, not {dimension!r}")
+        if dr.is_jit_v(index):
+            if dr.depth_v(index) != 1 or not dr.is_unsigned_v(index) or dr.itemsize_v(index) != 4:
+                raise PointSetError(f"{self.name}: an index on the device is a UInt32, not a {type(index).__name__}")
+            return self._coordinate(index, int(dimension))
+        lanes = self._checked(index)
+        return self._coordinate(lanes.ravel(), int(dimension)).reshape(lanes.shape)[()]
+
+    def value(self, index: int) -> NDArray[np.float64]:
+        """Point ``index``: (dimension,). Raises as :meth:`coordinate`."""
+        return self.block(1, index)[0]
+
+    def block(self, n: int, first: int = 0) -> NDArray[np.float64]:
+        """``n`` points from ``first`` on: (n, dimension). Raises as :meth:`coordinate`."""
+        if not _is_whole(n) or n < 0:
+            raise PointSetError(f"{self.name}: the number of points must be a whole number from 0, not {n!r}")
+        if not _is_whole(first):
+            raise PointSetError(f"{self.name}: an index is a whole number, not {first!r}")
+        if n == 0:
+            return np.empty((0, self.dimension))
+        self._checked([first, first + n - 1])  # before so many are made
+        lanes = np.arange(first, first + n, dtype=np.uint32 if first + n < MAX_POINTS else np.uint64).astype(np.uint32)
+        return np.stack([self._coordinate(lanes, d) for d in range(self.dimension)], axis=-1)
+
+    def randomised(self, seed: int) -> PointSet:
+        """The set randomised so that each point is uniform; another ``seed`` gives independent points.
+
+        By a random shift, or by what becomes the set better.
+        """
+        return RandomShift(self, seed)
+
+    @abstractmethod
+    def _coordinate(self, index: Any, dimension: int) -> Any:
+        """:meth:`coordinate` for ``UInt32`` lanes, or for a ``uint32`` array of NumPy with one axis."""
+
+    def _checked(self, index: ArrayLike) -> NDArray[np.uint32]:
+        lanes = np.asarray(index)
+        if lanes.dtype.kind not in "iu":
+            raise PointSetError(f"{self.name}: an index is a whole number, not {index!r}"[:200])
+        low, high = (int(lanes.min()), int(lanes.max())) if lanes.size else (0, 0)
+        if low < 0:
+            raise PointSetError(f"{self.name}: an index is at least 0, not {low}")
+        if self.size is not None and high >= self.size:
+            raise PointSetError(
+                f"{self.name} was made for {self.size} points and has no point {high}; make it for more, or take a "
+                "sequence, which can be extended"
+            )
+        if high >= MAX_POINTS:
+            raise PointSetError(f"{self.name}: an index is below 2^32, not {high}")
+        return lanes.astype(np.uint32)
+
+    def __repr__(self) -> str:
+        size = "" if self.size is None else f", size={self.size}"
+        return f"{type(self).__name__}({self.dimension}{size})"
+
+
+class RandomShift(PointSet):
+    """Any point set, moved by one random vector modulo 1 [Cranley 1976]."""
+
+    name = "shift"
+    is_random = True
+    citations = ("Cranley1976",)
+
+    def __init__(self, base: PointSet, seed: int = 0) -> None:
+        # Before the checks, whose messages name the set.
+        self.name = f"{base.name}+shift"  # type: ignore[misc]
+        super().__init__(base.dimension, base.size)
+        self.base = base
+        self._shifts = [seed_key(seed, "shift", d)[0] >> 8 for d in range(base.dimension)]
+        self._keys = Keys()
+
+    def randomised(self, seed: int) -> PointSet:
+        """The same set with another shift."""
+        return RandomShift(self.base, seed)
+
+    def _coordinate(self, index: Any, dimension: int) -> Any:
+        x, shift = self.base._coordinate(index, dimension), self._shifts[dimension]
+        if is_host(x):
+            gap = 1.0 - shift * 2.0**-24
+            return below_one(np.where(x < gap, x + (1.0 - gap), x - gap))
+        gap = 1.0 - type(x)(self._keys.like(index, shift)) * 2.0**-24
+        return below_one(dr.select(x < gap, x + (1.0 - gap), x - gap))
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)

@@ -1,0 +1,64 @@
+"""The few operations that are written differently for lanes of the device and for NumPy arrays.
+
+An *index* is a ``UInt32`` array of Dr.Jit or a one-dimensional ``uint32`` array of NumPy; both wrap modulo 2^32.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import numpy as np
+
+#: The largest numbers below 1 in the precision of the device and of NumPy.
+BELOW_ONE_32 = 1.0 - 2.0**-24
+BELOW_ONE_64 = 1.0 - 2.0**-53
+
+
+def is_host(x: Any) -> bool:
+    """Whether ``x`` lies in NumPy's memory."""
+    return isinstance(x, np.ndarray)
+
+
+def reverse_bits(x: Any) -> Any:
+    """The 32 bits of each word in reverse order."""
+    if not is_host(x):
+        return dr.brev(x)
+    for shift, mask in ((1, 0x55555555), (2, 0x33333333), (4, 0x0F0F0F0F), (8, 0x00FF00FF)):
+        x = ((x >> shift) & mask) | ((x & mask) << shift)
+    return (x >> 16) | (x << 16)
+
+
+def high_product(x: Any, factor: int) -> Any:
+    """The upper 32 bits of the 64-bit product of each word and ``factor``."""
+    if is_host(x):
+        return ((x.astype(np.uint64) * np.uint64(factor)) >> np.uint64(32)).astype(np.uint32)
+    return dr.mul_hi(x, type(x)(factor))
+
+
+def unit(bits: Any) -> Any:
+    """Words as numbers in [0, 1): 32 bits after the point in NumPy's doubles, the upper 24 of them in a ``Float``."""
+    if is_host(bits):
+        return bits * 2.0**-32
+    return dr.float32_array_t(type(bits))(bits >> 8) * 2.0**-24
+
+
+def below_one(x: Any) -> Any:
+    """``x``, where rounding has made it 1 the number before it."""
+    return np.minimum(x, BELOW_ONE_64) if is_host(x) else dr.minimum(x, BELOW_ONE_32)
+
+
+class Keys:
+    """Words that a randomisation is made of; on the device opaque, so that another seed compiles no other kernel."""
+
+    def __init__(self) -> None:
+        self._device: dict[tuple[type, int], Any] = {}
+
+    def like(self, index: Any, word: int) -> Any:
+        """``word`` as an operand for ``index``."""
+        if is_host(index):
+            return np.uint32(word)
+        name = type(index), word
+        if name not in self._device:
+            self._device[name] = dr.opaque(type(index), word)
+        return self._device[name]
