@@ -1,7 +1,8 @@
 """Choose among the methods by a probe, then render by the one that needs the least time for a given error.
 
-The first pass is preceded by a few passes of each candidate on a small copy of the film. A candidate's cost is its
-seconds per camera path times its error per camera path, the error being the larger of two estimates:
+The first pass is preceded by a few passes of each candidate on a small copy of the film; one that is far behind after
+two or four of them is given up. A candidate's cost is its seconds per camera path times its error per camera path, the
+error being the larger of two estimates:
 
 - the scatter of its passes, and
 - the light that it has missed: what the mean of all candidates shows in blocks of pixels and it does not. A method that
@@ -40,6 +41,8 @@ CANDIDATES: dict[str, tuple[type[ImageMethod], dict[str, Any]]] = {
 }
 #: A candidate must promise this much less than a simpler one.
 _WORTH_IT = 0.9
+#: A candidate with so many times the cost of the best is given up before the probe ends.
+_HOPELESS = 5.0
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,9 @@ class AutoSettings(ImageSettings):
     """Settings of ``auto``."""
 
     choice: str = setting("probe", "what renders: found by a probe, or given", choices=("probe", *CANDIDATES))
-    probe_passes: int = setting(6, "passes that each candidate is probed with", minimum=2, maximum=1000)
+    probe_passes: int = setting(
+        6, "passes that a candidate is probed with, if it is not given up before", minimum=2, maximum=1000
+    )
 
 
 class Auto(ImageMethod):
@@ -107,18 +112,25 @@ class Auto(ImageMethod):
         scale = min(1.0, (_PROBE_PIXELS / (width * height)) ** 0.5)
         small = resized(self.problem, (max(1, round(width * scale)), max(1, round(height * scale))))
         samples = max(1, FULL_LANES // (small.size[0] * small.size[1]))
-        seconds: dict[str, float] = {}
+        left = {name: self._method(name, samples, aovs=False) for name in CANDIDATES}
         passes: dict[str, Measurement] = {}
-        for name in CANDIDATES:
-            method = self._method(name, samples, aovs=False)
+        seconds = dict.fromkeys(left, 0.0)  # of a pass
+        for name, method in left.items():
             method.prepare(small, seed)
-            passes[name] = method.step(0, seed)  # compiles
-            begin = time.perf_counter()
-            for iteration in range(1, self.settings.probe_passes):
-                passes[name] += method.step(iteration, seed)
-            seconds[name] = (time.perf_counter() - begin) / (self.settings.probe_passes - 1)
-        self._costs = costs(seconds, passes)
-        chosen = choose(self._costs)
+            passes[name] = method.step(0, seed)  # compiles, so it is not timed
+        done = 1
+        while done < self.settings.probe_passes and len(left) > 1:
+            until = min(2 * done, self.settings.probe_passes)
+            for name, method in left.items():
+                begin = time.perf_counter()
+                for iteration in range(done, until):
+                    passes[name] += method.step(iteration, seed)
+                seconds[name] = (seconds[name] * (done - 1) + time.perf_counter() - begin) / (until - 1)
+            done = until
+            self._costs = costs(seconds, passes)
+            least = min(self._costs[name] for name in left)
+            left = {name: method for name, method in left.items() if self._costs[name] <= _HOPELESS * least}
+        chosen = choose({name: self._costs[name] for name in left})
         logger.info("auto: %s (cost %s)", chosen, ", ".join(f"{name} {c:.3g}" for name, c in self._costs.items()))
         return chosen
 
