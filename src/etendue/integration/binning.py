@@ -1,0 +1,61 @@
+"""How bins move toward what they should be: values of bins, smoothing, damping, new borders.
+
+All functions act on the last axis, so that many rows of bins are treated at once.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from etendue.core import Array
+
+
+def rebin(edges: Array, values: Array) -> Array:
+    """New borders between which the ``values`` add up to equal shares, with the ends where they are.
+
+    ``edges`` is (..., K+1), ``values`` (..., K), not negative; within an old bin a value is spread evenly. Rows whose
+    values are all zero keep their borders. [Lepage 1978; Leeson 2001, fig. 5.18]
+    """
+    flat_edges = np.asarray(edges, dtype=np.float64).reshape(-1, edges.shape[-1])
+    flat_values = np.asarray(values, dtype=np.float64).reshape(-1, values.shape[-1])
+    moved = flat_edges.copy()
+    for row, (old, value) in enumerate(zip(flat_edges, flat_values, strict=True)):
+        moved[row] = split_equally(old, value, len(value))
+    return moved.reshape(edges.shape)
+
+
+def split_equally(edges: Array, values: Array, parts: int) -> Array:
+    """Borders (parts + 1) of ``parts`` bins that share the sum of ``values`` (K,) between ``edges`` (K+1,) equally."""
+    reached = np.concatenate([[0.0], np.cumsum(values)])
+    if not reached[-1] > 0 or not np.isfinite(reached[-1]):
+        return np.interp(np.linspace(0, 1, parts + 1), np.linspace(0, 1, len(edges)), edges)
+    borders = np.interp(np.linspace(0.0, reached[-1], parts + 1), reached, edges)
+    borders[0], borders[-1] = edges[0], edges[-1]
+    return borders
+
+
+def smooth(values: Array, axis: int = -1) -> Array:
+    """The mean of each value and its neighbours, a third of each of three, at the ends half of each of two [Lepage 1978].
+
+    A line through three neighbours by least squares passes through that mean."""
+    v = np.moveaxis(np.asarray(values, dtype=np.float64), axis, -1)
+    if v.shape[-1] < 2:
+        return np.moveaxis(v, -1, axis)
+    result = np.empty_like(v)
+    result[..., 1:-1] = (v[..., :-2] + v[..., 1:-1] + v[..., 2:]) / 3
+    result[..., 0] = (v[..., 0] + v[..., 1]) / 2
+    result[..., -1] = (v[..., -2] + v[..., -1]) / 2
+    return np.moveaxis(result, -1, axis)
+
+
+def damp(values: Array, alpha: float) -> Array:
+    """``((1 - d) / ln(1 / d))^alpha`` of the shares ``d`` of each value in its row [Lepage 1978; Leeson 2001, sec. 5.5.1].
+
+    It draws large and small shares together; zero stays zero.
+    """
+    v = np.asarray(values, dtype=np.float64)
+    total = v.sum(axis=-1, keepdims=True)
+    share = np.divide(v, total, out=np.zeros_like(v), where=total > 0)
+    inside = (share > 0) & (share < 1)
+    d = np.where(inside, share, 0.5)
+    return np.where(inside, ((1 - d) / -np.log(d)) ** alpha, np.where(share >= 1, 1.0, 0.0))
