@@ -37,6 +37,10 @@ class Backend(Protocol):
         """0 … count-1."""
         ...
 
+    def opaque(self, number: int) -> Any:
+        """A whole number that may change from batch to batch without another kernel."""
+        ...
+
     def number(self, index: Any) -> Any:
         """Whole numbers as real ones."""
         ...
@@ -110,6 +114,10 @@ class HostBackend:
     def index(self, count: int) -> Any:
         """See :class:`Backend`."""
         return np.arange(count)
+
+    def opaque(self, number: int) -> Any:
+        """See :class:`Backend`."""
+        return number
 
     def number(self, index: Any) -> Any:
         """See :class:`Backend`."""
@@ -202,6 +210,10 @@ class DeviceBackend:
     def index(self, count: int) -> Any:
         """See :class:`Backend`."""
         return self._dr.arange(self._uint, count)
+
+    def opaque(self, number: int) -> Any:
+        """See :class:`Backend`."""
+        return self._dr.opaque(self._uint, number)
 
     def number(self, index: Any) -> Any:
         """See :class:`Backend`."""

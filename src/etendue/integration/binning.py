@@ -26,7 +26,9 @@ def rebin(edges: Array, values: Array) -> Array:
 
 def split_equally(edges: Array, values: Array, parts: int) -> Array:
     """Borders (parts + 1) of ``parts`` bins that share the sum of ``values`` (K,) between ``edges`` (K+1,) equally."""
-    reached = np.concatenate([[0.0], np.cumsum(values)])
+    # Relative to the largest, so that no sum of tiny values is lost.
+    largest = float(np.max(values))
+    reached = np.concatenate([[0.0], np.cumsum(values / largest)]) if largest > 0 else np.zeros(2)
     if not reached[-1] > 0 or not np.isfinite(reached[-1]):
         return np.interp(np.linspace(0, 1, parts + 1), np.linspace(0, 1, len(edges)), edges)
     borders = np.interp(np.linspace(0.0, reached[-1], parts + 1), reached, edges)

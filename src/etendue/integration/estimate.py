@@ -12,7 +12,7 @@ from etendue.core import logger
 
 from .backend import Backend, DeviceBackend, HostBackend
 from .errors import IntegrationError
-from .functions import Box, Domain, Integrand, replace_domain
+from .functions import Domain, Integrand
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Work:
     """An integrand with the arrays it runs on; evaluates, and keeps the values finite."""
 
     def __init__(self, f: Integrand, seed: int) -> None:
-        self.f, self.box = f, f.domain
+        self.f, self.box, self.seed = f, f.domain, seed
         self.backend: Backend = DeviceBackend(seed) if f.on == "device" else HostBackend(seed)
 
     @property
@@ -150,11 +150,3 @@ class Integrator(ABC):
     @abstractmethod
     def _integrate(self, work: Work, samples: int) -> Estimate:
         """The method itself."""
-
-
-def unit(f: Integrand) -> Integrand:
-    """``f`` as a function on the unit cube, times the volume of its domain: an integral stays what it is."""
-    box = f.domain
-    cube = Box.of(box.dimension)
-    function = f.function
-    return replace_domain(replace(f, function=lambda u: function(box.from_unit(u)) * box.volume), cube)

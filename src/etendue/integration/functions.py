@@ -208,7 +208,7 @@ class Integrand:
         inside = self.domain.intersection(part)
         if inside != part:
             raise IntegrationError(f"{part} is not within the function's domain {self.domain}")
-        return replace_domain(self, part)
+        return replace(self, domain=part)
 
     def fix(self, values: Mapping[int, float]) -> Integrand:
         """The function of the other parameters, with those of ``values`` held: ``f.fix({2: 0.5})``."""
@@ -260,11 +260,6 @@ def coordinate(axis: int, domain: Domain) -> Integrand:
     box = Box.of(domain)
     _axes([axis], box.dimension)
     return Integrand(lambda x: x[axis], box, (box.lower[axis], box.upper[axis]), "either")
-
-
-def replace_domain(f: Integrand, box: Box) -> Integrand:
-    """``f`` on ``box``, unchecked."""
-    return replace(f, domain=box)
 
 
 def _product_range(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:

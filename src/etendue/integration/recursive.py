@@ -259,11 +259,17 @@ class _Run:
             dear = np.where(number > 0, seen, cost.mean()).reshape(count, n)
         if o.borders == "equal":
             return axis, equal, (width**2 * metric) ** power / np.sqrt(dear)
-        borders = np.stack([split_equally(e, m + 0.1 * m.mean(), n) for e, m in zip(equal, metric, strict=True)])
-        # Parts that share the metric equally: each has its own width, and the metric of the bins that it covers.
-        inside = np.stack([np.diff(np.interp(b, e, np.concatenate([[0.0], np.cumsum(m * w)]))) for b, e, m, w in zip(borders, equal, metric, width, strict=True)])
-        parts = np.maximum(np.diff(borders), 1e-300)
-        return axis, borders, (parts**2 * (inside / parts)) ** power / np.sqrt(dear)
+        # Parts that share metric times width equally; a tenth of it is spread evenly, so that none gets too thin.
+        held = metric * width
+        held = 0.9 * held + 0.1 * held.mean(axis=1, keepdims=True)
+        borders = np.stack([split_equally(e, h, n) for e, h in zip(equal, held, strict=True)])
+        inside = np.stack(
+            [
+                np.diff(np.interp(b, e, np.concatenate([[0.0], np.cumsum(h)])))
+                for b, e, h in zip(borders, equal, held, strict=True)
+            ]
+        )
+        return axis, borders, (np.diff(borders) * inside) ** power / np.sqrt(dear)
 
     def _metric(self, bins: Array, values: Array, size: int) -> Array:
         """The variation in each bin, as a variance."""

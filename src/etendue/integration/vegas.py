@@ -20,6 +20,7 @@ from .densities import AxisBins, CellGrid, Factor, PlaneBins, ProductDensity
 from .errors import IntegrationError
 from .estimate import Estimate, Integrator, Moments, Work, combine
 from .functions import Box
+from .stratified import stratified_points
 
 #: Most bins on an axis of a factor of one and of two parameters, and samples an iteration should have for each bin.
 _MOST = (1000, 64)
@@ -177,16 +178,7 @@ class Vegas(Integrator):
     ) -> tuple[Any, list[list[Any]]]:
         """``count`` values f / p in strata from number ``first`` on; what to deposit in the bins of each factor."""
         backend = work.backend
-        u = list(backend.uniform(count, work.dimension))
-        left = None
-        for axis, parts in enumerate(strata):
-            if parts == 1:
-                continue
-            if left is None:
-                left = backend.index(count) // size + first
-            rest = left // parts
-            u[axis] = (u[axis] + backend.number(left - rest * parts)) * (1.0 / parts)
-            left = rest
+        u = stratified_points(work, count, strata, first, size)
         x, weight, places = density.warp(backend, u)
         values = work.values(x, weight)
         weights = [values * values]
