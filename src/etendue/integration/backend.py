@@ -1,7 +1,8 @@
 """The few array operations that integrators need, for NumPy on the host and for Dr.Jit on its device.
 
-Points are coordinate-major everywhere: ``x[i]`` is coordinate ``i`` of all ``n`` points, an array of ``n`` numbers. On the
-host ``x`` is an ndarray of shape (d, n) in double precision, on the device a list of d arrays of Mitsuba's ``Float``.
+Points are coordinate-major everywhere: ``x[i]`` is coordinate ``i`` of all ``n`` points, an array of ``n`` numbers.
+On the host ``x`` is an ndarray of shape (d, n) in double precision, on the device a list of d arrays of Mitsuba's
+``Float``.
 """
 
 from __future__ import annotations
@@ -163,7 +164,7 @@ class HostBackend:
 
     def histogram(self, index: Any, weights: Sequence[Any], size: int) -> list[Array]:
         """See :class:`Backend`."""
-        return [np.bincount(index, w, size) for w in weights]
+        return [np.asarray(np.bincount(index, w, size), dtype=np.float64) for w in weights]
 
     def moments(self, values: Any) -> tuple[float, float]:
         """See :class:`Backend`."""
@@ -290,7 +291,9 @@ class DeviceBackend:
             double = self._double(values)
             mean = dr.block_sum(double, size) / size
             dr.eval(mean)
-            squares = dr.block_sum(dr.square(double - dr.gather(self._double, mean, dr.arange(self._uint, count * size) // size)), size)
+            squares = dr.block_sum(
+                dr.square(double - dr.gather(self._double, mean, dr.arange(self._uint, count * size) // size)), size
+            )
         total, spread = dr.sum(mean), dr.sum(squares)
         dr.eval(total, spread)
         return float(total[0]), float(spread[0]) / (size * (size - 1))

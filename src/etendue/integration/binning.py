@@ -37,7 +37,7 @@ def split_equally(edges: Array, values: Array, parts: int) -> Array:
 
 
 def smooth(values: Array, axis: int = -1) -> Array:
-    """The mean of each value and its neighbours, a third of each of three, at the ends half of each of two [Lepage 1978].
+    """The mean of each value and its neighbours: thirds of three, at the ends halves of two [Lepage 1978].
 
     A line through three neighbours by least squares passes through that mean."""
     v = np.moveaxis(np.asarray(values, dtype=np.float64), axis, -1)
@@ -51,9 +51,9 @@ def smooth(values: Array, axis: int = -1) -> Array:
 
 
 def damp(values: Array, alpha: float) -> Array:
-    """``((1 - d) / ln(1 / d))^alpha`` of the shares ``d`` of each value in its row [Lepage 1978; Leeson 2001, sec. 5.5.1].
+    """``((1 - d) / ln(1 / d))^alpha`` of the shares ``d`` of each value in its row.
 
-    It draws large and small shares together; zero stays zero.
+    [Lepage 1978; Leeson 2001, sec. 5.5.1] It draws large and small shares together; zero stays zero.
     """
     v = np.asarray(values, dtype=np.float64)
     total = v.sum(axis=-1, keepdims=True)

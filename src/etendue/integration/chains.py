@@ -54,7 +54,7 @@ def autocorrelation(values: Array) -> Array:
 
 
 def autocorrelation_time(values: Array) -> float:
-    """Integrated autocorrelation time ``1 + 2 sum rho_t`` in steps, summed over a window of five such times [Sokal 1997].
+    """Integrated autocorrelation time ``1 + 2 sum rho_t`` in steps, over a window of five such times [Sokal 1997].
 
     Numbers that are anticorrelated have less than 1.
     """
@@ -87,8 +87,8 @@ def diagnose(values: Array) -> ChainDiagnosis:
 
 
 def burn_in(values: Array) -> int:
-    """Steps to leave out at the beginning: where the standard error of the mean of the rest, taken as if independent, is
-    least (the MSER rule [White 1997]), at most half of all."""
+    """Steps to leave out at the beginning: where the standard error of the mean of the rest, taken as if
+    independent, is least (the MSER rule [White 1997]), at most half of all."""
     v = _checked(values).mean(axis=0)
     steps = len(v)
     left = np.arange(steps, 0, -1)

@@ -1,4 +1,4 @@
-"""Densities on the unit cube that can be sampled, evaluated and learned: a product of factors over groups of parameters.
+"""Densities that can be sampled, evaluated and learned: products of factors over groups of parameters.
 
 A factor over one or two parameters is stepwise with movable bins, each chosen with the same probability; over three and
 more it is a fixed grid of cells, each with a probability of its own [Leeson 2001, sec. 5.5]. Every factor warps uniform
@@ -138,8 +138,8 @@ class PlaneBins:
         return backend.take(backend.table(density), outer * self._inner_bins + inner)
 
     def adapted(self, values: Array, smoothing: bool, damping: float | None, inertia: float) -> PlaneBins:
-        """See :class:`Factor`. A new bin of the first parameter takes the borders of the second from the old bins that it
-        lies in, averaged by their shares of it."""
+        """See :class:`Factor`. A new bin of the first parameter takes the borders of the second from the old bins
+        that it lies in, averaged by their shares of it."""
         rows = np.asarray(values).reshape(self._outer_bins, self._inner_bins)
         edges = rebin(self.edges, stabilised(rows.sum(axis=1), smoothing, damping))
         inner = rebin(self.inner, stabilised(smooth(rows, 0) if smoothing else rows, smoothing, damping))
@@ -151,7 +151,7 @@ class PlaneBins:
 
 
 class CellGrid:
-    """Three or more parameters: cells^n equal cells, each with a probability of its own. ``probability``: (cells,) * n."""
+    """Three or more parameters: cells^n equal cells, each with a probability of its own, ``probability[i, j, k, …]``."""
 
     order = 1
 
@@ -190,8 +190,8 @@ class CellGrid:
         return backend.take(backend.table(self.probability * self.bins), place)
 
     def adapted(self, values: Array, smoothing: bool, damping: float | None, inertia: float) -> CellGrid:
-        """See :class:`Factor`. A probability follows the root mean square of f, or its deviation; ``inertia`` r mixes old
-        and new as (1 - r) old + r new. ``damping`` is for movable bins."""
+        """See :class:`Factor`. A probability follows the root mean square of f, or its deviation; ``inertia`` r
+        mixes old and new as (1 - r) old + r new. ``damping`` is for movable bins."""
         d = np.asarray(values).reshape(self.probability.shape)
         if smoothing:
             for axis in range(self.dimension):
@@ -240,7 +240,7 @@ class ProductDensity:
         used = list(itertools.chain.from_iterable(self.groups))
         if len(set(used)) != len(used) or any(not 0 <= a < self.domain.dimension for a in used):
             raise IntegrationError(
-                f"groups {self.groups} of parameters: each may occur once, and they run from 0 to {self.domain.dimension - 1}"
+                f"groups {self.groups} of parameters: each may occur once, from 0 to {self.domain.dimension - 1}"
             )
         if [f.dimension for f in self.factors] != [len(g) for g in self.groups]:
             raise IntegrationError("each group of parameters needs a factor of as many dimensions")
@@ -257,7 +257,9 @@ class ProductDensity:
         points = np.stack([axis.ravel() for axis in np.meshgrid(*[grid] * f.dimension, indexing="ij")])
         values = np.abs(np.broadcast_to(f.evaluate(f.domain.from_unit(points)), points.shape[1:])).astype(float)
         if not np.isfinite(values).all() or not values.sum() > 0:
-            raise IntegrationError("a density cannot be made of a function that is not finite, or zero everywhere: not normalisable")
+            raise IntegrationError(
+                "a density cannot be made of a function that is not finite, or zero everywhere: not normalisable"
+            )
         # What is zero at a centre need not be zero around it, and must be found.
         values = np.maximum(values, 1e-3 * values.mean())
         even = np.linspace(0.0, 1.0, bins + 1)

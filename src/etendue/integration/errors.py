@@ -6,5 +6,5 @@ from etendue.core import EtendueError
 
 
 class IntegrationError(EtendueError):
-    """An integral that cannot be computed as asked: an empty domain, too few samples, a density that is none, values that
-    are not numbers. One line that says which, and what to do."""
+    """An integral that cannot be computed as asked: an empty domain, too few samples, a density that is none, values
+    that are not numbers. One line that says which, and what to do."""

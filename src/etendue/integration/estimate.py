@@ -45,9 +45,9 @@ class Estimate:
 def combine(estimates: Sequence[Estimate]) -> Estimate:
     """Mean of independent estimates of one integral, weighted by their inverse variances [Lepage 1978].
 
-    The weights are estimates themselves, so few samples each give a slight bias. Estimates of variance zero beside others
-    are taken as lucky: they get the smallest variance that is not zero. ``details`` has ``chi2`` over ``degrees`` of
-    freedom, which tells whether the estimates agree.
+    The weights are estimates themselves, so few samples each give a slight bias. Estimates of variance zero beside
+    others are taken as lucky: they get the smallest variance that is not zero. ``details`` has ``chi2`` over ``degrees``
+    of freedom, which tells whether the estimates agree.
     """
     if not estimates:
         raise IntegrationError("there are no estimates to combine")
@@ -81,7 +81,7 @@ class Work:
         return self.box.dimension
 
     def values(self, u: Any, weight: Any = None) -> Any:
-        """Values at points ``u`` of the unit cube, times ``weight`` if given; what is not finite is counted and zero."""
+        """Values at points ``u`` of the unit cube, times ``weight``; what is not finite is counted, and is zero."""
         return self.values_at(self.box.from_unit(u), weight)
 
     def values_at(self, x: Any, weight: Any = None) -> Any:
@@ -128,23 +128,31 @@ class Integrator(ABC):
     def integrate(self, f: Integrand, samples: int, seed: int = 0, domain: Domain | None = None) -> Estimate:
         """Integral of ``f`` over its domain, or over the part ``domain`` of it, from at most ``samples`` evaluations.
 
-        The same ``seed`` gives the same estimate on one kind of device. Values that are not finite are counted, reported
-        by a warning, and taken as zero, so that the estimate is the integral over where ``f`` is finite.
+        The same ``seed`` gives the same estimate on one kind of device. Values that are not finite are counted,
+        reported by a warning, and taken as zero, so that the estimate is the integral over where ``f`` is finite.
         Raises :class:`IntegrationError` if the samples are too few for the method, or if all values are not finite.
         """
         if not isinstance(f, Integrand):
-            raise IntegrationError(f"an integrator takes an Integrand, not {type(f).__name__}: Integrand(function, domain)")
+            raise IntegrationError(
+                f"an integrator takes an Integrand, not {type(f).__name__}: Integrand(function, domain)"
+            )
         if isinstance(samples, bool) or int(samples) != samples or samples < 2:
-            raise IntegrationError(f"an estimate with an error needs a whole number of samples, at least 2, not {samples}")
+            raise IntegrationError(
+                f"an estimate with an error needs a whole number of samples, at least 2, not {samples}"
+            )
         if domain is not None:
             f = f.restrict(domain)
         work = Work(f, seed)
         result = self._integrate(work, int(samples))
         rejected = work.backend.rejected()
         if rejected >= result.samples:
-            raise IntegrationError(f"none of {result.samples} values of the integrand was finite: check it on {f.domain}")
+            raise IntegrationError(
+                f"none of {result.samples} values of the integrand was finite: check it on {f.domain}"
+            )
         if rejected:
-            logger.warning("%d of %d values of the integrand were not finite; they count as zero", rejected, result.samples)
+            logger.warning(
+                "%d of %d values of the integrand were not finite; they count as zero", rejected, result.samples
+            )
         return replace(result, rejected=rejected)
 
     @abstractmethod

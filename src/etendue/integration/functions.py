@@ -22,7 +22,7 @@ _EVERYTHING = (-math.inf, math.inf)
 
 @dataclass(frozen=True)
 class Box:
-    """An axis-aligned box ``lower[i] <= x[i] <= upper[i]``. Raises :class:`IntegrationError` if it is empty or infinite."""
+    """A box ``lower[i] <= x[i] <= upper[i]``. Raises :class:`IntegrationError` if it is empty or infinite."""
 
     lower: tuple[float, ...]
     upper: tuple[float, ...]
@@ -35,7 +35,7 @@ class Box:
         for axis, (low, high) in enumerate(zip(self.lower, self.upper, strict=True)):
             if not (math.isfinite(low) and math.isfinite(high) and low < high):
                 raise IntegrationError(
-                    f"empty or infinite domain: dimension {axis} runs from {low:g} to {high:g}; give finite ends, lower first"
+                    f"empty or infinite domain: dimension {axis} runs from {low:g} to {high:g}; give finite ends in order"
                 )
 
     def __str__(self) -> str:
@@ -51,7 +51,9 @@ class Box:
         try:
             ends = [(float(low), float(high)) for low, high in domain]
         except (TypeError, ValueError):
-            raise IntegrationError(f"a domain is a number of dimensions or pairs (lower, upper), not {domain!r}") from None
+            raise IntegrationError(
+                f"a domain is a number of dimensions or pairs (lower, upper), not {domain!r}"
+            ) from None
         return cls(tuple(low for low, _ in ends), tuple(high for _, high in ends))
 
     @property
@@ -101,8 +103,8 @@ class Integrand:
 
     Parameters
     ----------
-    function: takes points ``x``, where ``x[i]`` is coordinate i of all n points (an ndarray of shape (d, n), or a list of
-        Dr.Jit arrays), and returns n values.
+    function: takes points ``x``, where ``x[i]`` is coordinate i of all n points (an ndarray of shape (d, n), or a
+        list of Dr.Jit arrays), and returns n values.
     domain: a :class:`Box`, pairs (lower, upper), or a number of dimensions for the unit cube.
     range: bounds of the values, where known.
     on: ``"host"`` if ``function`` takes NumPy arrays, ``"device"`` for Dr.Jit's, ``"either"`` if both.
@@ -162,7 +164,9 @@ class Integrand:
     __radd__ = __add__
     __rmul__ = __mul__
 
-    def _with(self, other: Integrand | float, operation: Callable[[Any, Any], Any], ranges: Callable[..., Any]) -> Integrand:
+    def _with(
+        self, other: Integrand | float, operation: Callable[[Any, Any], Any], ranges: Callable[..., Any]
+    ) -> Integrand:
         if not isinstance(other, Integrand):
             other = constant(float(other), self.domain)
         f, g = self.function, other.function
@@ -180,7 +184,9 @@ class Integrand:
         Where the range of an inner function is known to leave the domain of this one, an error says so.
         """
         if len(inner) != self.dimension:
-            raise IntegrationError(f"a function of {self.dimension} parameters is composed with as many, not {len(inner)}")
+            raise IntegrationError(
+                f"a function of {self.dimension} parameters is composed with as many, not {len(inner)}"
+            )
         domain = inner[0].domain
         for axis, g in enumerate(inner):
             domain = domain.intersection(g.domain)
@@ -271,7 +277,9 @@ def _product_range(a: tuple[float, float], b: tuple[float, float]) -> tuple[floa
 def _common_place(functions: Sequence[Integrand]) -> Place:
     places = {f.on for f in functions} - {"either"}
     if len(places) > 1:
-        raise IntegrationError("a function on the host and one on the device cannot be combined: write one for the other side")
+        raise IntegrationError(
+            "a function on the host and one on the device cannot be combined: write one for the other side"
+        )
     return places.pop() if places else "either"
 
 

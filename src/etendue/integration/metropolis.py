@@ -178,7 +178,9 @@ class Metropolis:
         steps = samples // self.chains
         kept = steps - (self.burn_in or 0)
         if kept < 4:
-            raise IntegrationError(f"{samples} samples leave {self.chains} chains {kept} steps after burn-in: each needs 4")
+            raise IntegrationError(
+                f"{samples} samples leave {self.chains} chains {kept} steps after burn-in: each needs 4"
+            )
         work = Work(target, seed)
         x, f = self._begin(work)
         points, values = np.empty((work.dimension, self.chains, steps)), np.empty((self.chains, steps))
@@ -214,7 +216,7 @@ class Metropolis:
         found = np.flatnonzero(total > 0)
         if not len(found):
             raise IntegrationError(
-                f"the target is zero at {tries.size} points of {work.box}: it cannot be normalised; narrow the domain to where it is not"
+                f"the target is zero at {tries.size} points of {work.box}: it cannot be normalised; narrow the domain"
             )
         reached = np.cumsum(tries, axis=1)
         threshold = backend.host(backend.uniform(self.chains, 1)[0]) * total

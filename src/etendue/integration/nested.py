@@ -1,7 +1,7 @@
 """Integrals as functions: over some parameters by an integrator, of the others a function again.
 
-``L = L_e + integral(K * L, ...)`` is the rendering equation; put into itself n times it is a distribution ray tracer of n
-bounces, with whichever integrator at each [Leeson 2001, sec. 5.2].
+``L = L_e + integral(K * L, ...)`` is the rendering equation; put into itself n times it is a distribution ray tracer
+of n bounces, with whichever integrator at each [Leeson 2001, sec. 5.2].
 """
 
 from __future__ import annotations
@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from .backend import library
 from .errors import IntegrationError
 from .estimate import Integrator, Work
-from .functions import Integrand, library
+from .functions import Integrand
 from .plain import MeanSample
 
 
@@ -22,9 +23,9 @@ def integral(
 ) -> Integrand:
     """``y -> integral over x of f(y, x)``: the integral over the parameters ``over``, a function of the others.
 
-    With :class:`MeanSample` all points are evaluated together, each with ``samples`` points x of its own, on the host or
-    the device. Any other integrator is run point by point, on the host, and is as slow as that sounds. Each evaluation
-    goes on with other random numbers, so that an unbiased integrator of this function stays unbiased.
+    With :class:`MeanSample` all points are evaluated together, each with ``samples`` points x of its own, on the
+    host or the device. Any other integrator is run point by point, on the host, and is as slow as that sounds. Each
+    evaluation goes on with other random numbers, so that an unbiased integrator of this function stays unbiased.
     """
     free = [a for a in range(f.dimension) if a not in over]
     if not free or len(free) + len(set(over)) != f.dimension:

@@ -10,7 +10,7 @@ from .errors import IntegrationError
 from .estimate import Estimate, Integrator, Moments, Work
 from .functions import Integrand
 
-#: Samples of a sequence of batches share the factor of a fitted control variate; this many find it.
+#: Most samples that find a factor, or test a density.
 _PILOT = 1 << 12
 
 
@@ -40,7 +40,9 @@ class HitOrMiss(Integrator):
     def _integrate(self, work: Work, samples: int) -> Estimate:
         low, high = work.f.range
         if not (math.isfinite(low) and math.isfinite(high)):
-            raise IntegrationError("hit-or-miss needs the bounds of the function: Integrand(..., range=(least, greatest))")
+            raise IntegrationError(
+                "hit-or-miss needs the bounds of the function: Integrand(..., range=(least, greatest))"
+            )
         backend, d, scale = work.backend, work.dimension, high - low
         if scale == 0:
             return Estimate(low * work.box.volume, 0.0, samples)
@@ -57,7 +59,8 @@ class HitOrMiss(Integrator):
         found = mean_of(work, samples, hits, 1.0)
         if outside.mean > 0 and not work.backend.rejected():
             raise IntegrationError(
-                f"{round(outside.mean * samples)} of {samples} values leave the declared range [{low:g}, {high:g}]: widen it"
+                f"{round(outside.mean * samples)} of {samples} values leave the declared range "
+                f"[{low:g}, {high:g}]: widen it"
             )
         volume = work.box.volume
         return Estimate(volume * (low + scale * found.value), volume * scale * found.standard_error, samples)
@@ -66,8 +69,9 @@ class HitOrMiss(Integrator):
 class Importance(Integrator):
     """``1/N sum f(x_i) / p(x_i)`` with x_i drawn from ``density``.
 
-    ``density`` is a :class:`ProductDensity`, a :class:`Warp`, or anything with ``domain`` and ``sample``. It is checked
-    that the density is one: the mean of 1/p must be the volume of the domain, as far as the samples can tell.
+    ``density`` is a :class:`ProductDensity`, a :class:`Warp`, or another :class:`Density`. That it integrates to 1 is
+    checked, as far as samples can tell: neither the mean of 1/p over its samples, relative to the volume, nor the mean
+    of p over uniform points may exceed what it should be; else :class:`IntegrationError`.
     """
 
     def __init__(self, density: Density) -> None:
@@ -86,11 +90,17 @@ class Importance(Integrator):
             return found
 
         estimate = mean_of(work, samples, values, 1.0)
-        # Where the density is zero its inverse is not seen: a mean below 1 may be an honest choice, one above cannot.
-        if not math.isfinite(inverse.mean) or inverse.mean - 1 > 8 * inverse.standard_error + 1e-3:
-            raise IntegrationError(
-                f"the density is not normalised: it integrates to about {1 / inverse.mean:.4g}, not to 1, or does not fit its samples"
-            )
+        seen = Moments()
+        for count in work.batches(min(samples, _PILOT)):
+            p = self.density.pdf(backend, work.box.from_unit(backend.uniform(count, d)))
+            seen.add(count, *backend.moments(backend.broadcast(p, [p]) * volume))
+        # Both means are too small, not too large, where a sample misses what is rare: only an excess proves a fault.
+        for found, integral in ((inverse, 1 / inverse.mean if inverse.mean else math.inf), (seen, seen.mean)):
+            if not math.isfinite(found.mean) or found.mean - 1 > 8 * found.standard_error + 1e-3:
+                raise IntegrationError(
+                    f"the density is not normalised, or does not fit its samples: it integrates to about {integral:.4g}, "
+                    "not to 1"
+                )
         return estimate
 
 

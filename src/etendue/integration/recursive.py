@@ -12,13 +12,14 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-
-from etendue.core import Array
+from numpy.typing import NDArray
 
 from .binning import split_equally
 from .errors import IntegrationError
 from .estimate import Estimate, Integrator, Work
 
+#: Real or whole numbers of the host.
+Array = NDArray[Any]
 Metric = Literal["range", "maximum", "variance"]
 _METRICS = ("range", "maximum", "variance")
 
@@ -53,8 +54,8 @@ class RecursiveStratified(Integrator):
     Parameters
     ----------
     metric: how variation within a bin is judged: ``"range"`` (max - min)^2, ``"maximum"`` max^2 of the absolute values,
-        ``"variance"`` mean square minus squared mean. The first two grow with the count, but compare bins of equal counts;
-        the third is poor at low counts.
+        ``"variance"`` mean square minus squared mean. The first two grow with the count, but compare bins of equal
+        counts; the third is poor at low counts.
     divisions: parts of a division, n.
     weights: of the dimensions; a larger one is divided more readily, one of zero never.
     initial_depth: levels that are divided blindly, by weights in turn, before exploration begins.
@@ -90,8 +91,8 @@ class RecursiveStratified(Integrator):
             raise IntegrationError(f"borders are 'equal' or 'vegas', not {borders!r}")
         if divisions < 2 or not 0 < exploration < 1 or not 0 <= dither < 1 or exponent <= 0 or initial_depth < 0:
             raise IntegrationError(
-                f"divisions {divisions} must be 2 or more, exploration {exploration} within (0, 1), dither {dither} within "
-                f"[0, 1), exponent {exponent} positive, initial_depth {initial_depth} not negative"
+                f"divisions {divisions} must be 2 or more, exploration {exploration} within (0, 1), dither {dither} "
+                f"within [0, 1), exponent {exponent} positive, initial_depth {initial_depth} not negative"
             )
         if dither and borders == "vegas":
             raise IntegrationError("dither moves the borders of equal parts only: leave it at 0 with borders='vegas'")
@@ -103,7 +104,8 @@ class RecursiveStratified(Integrator):
 
     def _integrate(self, work: Work, samples: int) -> Estimate:
         run = _Run(self, work)
-        level = _Level.of(np.zeros((1, work.dimension)), np.ones((1, work.dimension)), np.array([samples]), np.array([-1]))
+        corner, side = np.zeros((1, work.dimension)), np.ones((1, work.dimension))
+        level = _Level.of(corner, side, np.array([samples]), np.array([-1]))
         levels = [level]
         while len(level.samples) and len(levels) <= self.depth + 1:
             level = run.divide(level, len(levels) - 1)
@@ -177,7 +179,8 @@ class _Run:
         inner = (level.samples >= enough) & (depth < o.depth)
         if blind and not inner.all():
             raise IntegrationError(
-                f"samples are too few for {o.initial_depth} blind levels of {n} parts: at least {2 * n**o.initial_depth}"
+                f"samples are too few for {o.initial_depth} blind levels of {n} parts: "
+                f"at least {2 * n**o.initial_depth}"
             )
         self._finish(level, np.flatnonzero(~inner))
         regions = np.flatnonzero(inner)
@@ -236,14 +239,15 @@ class _Run:
         volume = level.volume[regions]
         level.explored[regions] = np.stack([mean * volume, total / (spent - 1) / spent * volume**2, spent], axis=1)
 
-        bins, metrics, removed = np.empty((self.d, len(values)), int), np.empty((self.d, count, n)), np.empty((self.d, count))
+        bins = np.empty((self.d, len(values)), int)
+        metrics, removed = np.empty((self.d, count, n)), np.empty((self.d, count))
         inner = equal[:, 1:-1][place].T
         width = np.diff(equal)
         power = 1 / (1 + o.exponent)
         for a in range(self.d):
             bins[a] = place * n + (x[a] >= inner).sum(axis=0)
             metrics[a] = self._metric(bins[a], values, count * n).reshape(count, n)
-            # What is left after division, with samples shared out as they will be; evenly spread values leave all of it.
+            # What is left after division, with samples shared out as they will be.
             after = (width ** (2 * power) * metrics[a] ** power).sum(axis=1) ** (1 + o.exponent)
             after /= (width ** (2 * power)).sum(axis=1) ** (1 + o.exponent)
             removed[a] = after
@@ -287,7 +291,7 @@ class _Run:
         return np.where(np.isfinite(largest), largest - least, 0.0) ** 2
 
     def _allocate(self, rest: Array, parts: Array) -> Array:
-        """Whole numbers of samples (R, n), at least 2 each, that add up to ``rest`` in the ratio of ``parts`` (R, n)."""
+        """Whole numbers of samples (R, n), 2 or more each, that add up to ``rest`` in the ratio of ``parts``."""
         n = self.o.divisions
         total = parts.sum(axis=1, keepdims=True)
         ratio = np.where(total > 0, parts / np.where(total > 0, total, 1.0), 1 / n)
@@ -302,7 +306,8 @@ class _Run:
         """Add the parts of each region, from the deepest level up, with its exploration where that is to be reused."""
         for above, level in zip(levels[-2::-1], levels[:0:-1], strict=True):
             size = len(above.samples)
-            value, variance = np.bincount(level.parent, level.value, size), np.bincount(level.parent, level.variance, size)
+            value = np.bincount(level.parent, level.value, size)
+            variance = np.bincount(level.parent, level.variance, size)
             inner = np.zeros(size, bool)
             inner[level.parent] = True
             if self.o.reuse:

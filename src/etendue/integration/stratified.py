@@ -17,8 +17,8 @@ from .estimate import Estimate, Integrator, Moments, Work
 class Stratified(Integrator):
     """``V / S^d`` times the sum over S^d equal strata of the mean of f in each, S to an axis, samples in equal numbers.
 
-    ``strata`` is S; by default as many as leave two samples in each. Raises :class:`IntegrationError` if the samples are
-    too few for two parts of each axis with two samples each, 2^(d+1), or for those asked for.
+    ``strata`` is S; by default as many as leave two samples in each. Raises :class:`IntegrationError` if the samples
+    are too few for two parts of each axis with two samples each, 2^(d+1), or for those asked for.
     """
 
     def __init__(self, strata: int | None = None) -> None:
@@ -31,7 +31,8 @@ class Stratified(Integrator):
         parts = self.strata if self.strata is not None else max(int((samples / 2 + 1e-9) ** (1 / d)), 2)
         if samples < 2 * parts**d:
             raise IntegrationError(
-                f"{samples} samples are too few to stratify {d} dimensions into {parts} parts each: at least {2 * parts**d}"
+                f"{samples} samples are too few to stratify {d} dimensions into {parts} parts each: "
+                f"at least {2 * parts**d}"
             )
         total = parts**d
         size = samples // total
@@ -77,8 +78,9 @@ class PointSequence(Protocol):
 
 
 class QuasiMonteCarlo(Integrator):
-    """``V/N sum f(x_i)`` over a low-discrepancy sequence, several times with independent randomisations, whose mean is the
-    estimate and whose scatter is its error.
+    """``V/N sum f(x_i)`` over the points of a low-discrepancy sequence.
+
+    It is done several times with independent randomisations: their mean is the estimate, their scatter its error.
 
     Parameters
     ----------
@@ -112,13 +114,16 @@ class QuasiMonteCarlo(Integrator):
         scale = work.box.volume
         error = float(np.std(means, ddof=1)) / math.sqrt(self.replicates)
         return Estimate(
-            float(np.mean(means)) * scale, error * scale, share * self.replicates, details={"replicates": np.array(means) * scale}
+            float(np.mean(means)) * scale,
+            error * scale,
+            share * self.replicates,
+            details={"replicates": np.array(means) * scale},
         )
 
     def sequence(self, dimension: int) -> PointSequence:
         """The points for an integrand of ``dimension`` parameters."""
-        points = self.points
-        chosen: PointSequence = points if hasattr(points, "dimension") else points(dimension)
+        points: Any = self.points
+        chosen: PointSequence = points(dimension) if isinstance(points, type) or callable(points) else points
         if chosen.dimension < dimension:
             raise IntegrationError(f"the point set has {chosen.dimension} dimensions, the integrand {dimension}")
         return chosen

@@ -1,7 +1,7 @@
-"""The VEGAS-derived integrator: it learns a density that is a product over groups of parameters [Lepage 1978; Leeson 2001].
+"""The VEGAS-derived integrator: it learns a density that is a product over groups of parameters.
 
-Estimator of an iteration: ``1/N sum f(x_i) / p(x_i)``, x_i drawn from ``p = prod_g p_g``; iterations are combined by their
-inverse variances. After each, the bins of every factor are moved to share equally what they were found to hold.
+[Lepage 1978; Leeson 2001, sec. 5.5] Estimator of an iteration: ``1/N sum f(x_i) / p(x_i)``, x_i drawn from ``p = prod_g p_g``; iterations are combined by
+their inverse variances. After each, the bins of every factor are moved to share equally what they were found to hold.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from typing import Any, Literal
 import numpy as np
 
 from etendue.core import Array
-
 
 from .densities import AxisBins, CellGrid, Factor, PlaneBins, ProductDensity
 from .errors import IntegrationError
@@ -32,23 +31,26 @@ class Vegas(Integrator):
 
     Parameters
     ----------
-    groups: which parameters share a factor of the density, ``[[0], [1, 2], [3, 4, 5]]``; those named in none are uniform.
-        Groups of one and two get movable bins, larger ones a grid of cells. By default each parameter has its own.
-    mode: ``"importance"`` moves bins until each contributes the same, ``"stratified"`` until each has the same deviation,
-        and puts the same number of samples in each.
+    groups: which parameters share a factor of the density, ``[[0], [1, 2], [3, 4, 5]]``; those named in none are
+        uniform. Groups of one and two get movable bins, larger ones a grid of cells. By default each parameter has
+        its own.
+    mode: ``"importance"`` moves bins until each contributes the same, ``"stratified"`` until each has the same
+        deviation, and puts the same number of samples in each.
     iterations: how often the density is rebuilt; the samples are shared out evenly.
     warm_up: iterations, out of these, that only teach the density and are left out of the estimate.
     bins: on each axis of a factor; by default from the number of samples.
-    strata: into how many parts each axis of the adaptive parameters is divided, in the numbers that the density warps; 1
-        draws bins at random, ``None`` takes as many as leave two samples in each.
+    strata: into how many parts each axis of the adaptive parameters is divided, in the numbers that the density
+        warps; 1 draws bins at random, ``None`` takes as many as leave two samples in each.
     smoothing: whether neighbouring bins are averaged.
     damping: exponent of ``((1-d)/ln(1/d))^alpha``, by which shares d of bins are drawn together; ``None`` for none.
     inertia: r of ``(1-r) old + r new`` for cells of grids.
-    stabilise: iterations after which smoothing and both dampings are switched off; they help few samples, and stall many.
+    stabilise: iterations after which smoothing and both dampings are switched off; they help few samples, and stall
+        many.
     density: what to begin with, such as ``details["density"]`` of an earlier estimate.
 
-    ``details``: ``iterations`` (an :class:`Estimate` each), ``density`` (:class:`ProductDensity`, the last), ``chi2`` over
-    ``degrees`` of freedom among the iterations that count. Few samples in an iteration bias the combination slightly.
+    ``details``: ``iterations`` (an :class:`Estimate` each), ``density`` (:class:`ProductDensity`, the last),
+    ``chi2`` over ``degrees`` of freedom among the iterations that count. Few samples in an iteration bias the
+    combination slightly.
     """
 
     def __init__(
@@ -80,7 +82,9 @@ class Vegas(Integrator):
     def _integrate(self, work: Work, samples: int) -> Estimate:
         share = samples // self.iterations
         if share < 2:
-            raise IntegrationError(f"{samples} samples are too few for {self.iterations} iterations: each needs 2 or more")
+            raise IntegrationError(
+                f"{samples} samples are too few for {self.iterations} iterations: each needs 2 or more"
+            )
         density = self.density if self.density is not None else self._start(work.box, share)
         if density.domain != work.box:
             raise IntegrationError(f"the density is on {density.domain}, the function on {work.box}")
@@ -118,9 +122,12 @@ class Vegas(Integrator):
             bins = max(bins, 1)
             if self.bins is not None and bins > max(most, 1):
                 raise IntegrationError(
-                    f"{share} samples an iteration are too few for {bins} bins an axis in {n} dimensions: at least {2 * bins**n}"
+                    f"{share} samples an iteration are too few for {bins} bins an axis in {n} dimensions: "
+                    f"at least {2 * bins**n}"
                 )
-            factors.append(AxisBins.even(bins) if n == 1 else PlaneBins.even(bins) if n == 2 else CellGrid.even(bins, n))
+            factors.append(
+                AxisBins.even(bins) if n == 1 else PlaneBins.even(bins) if n == 2 else CellGrid.even(bins, n)
+            )
         return ProductDensity(box, groups, factors)
 
     def _strata(self, density: ProductDensity, share: int) -> tuple[list[int], int]:
@@ -135,8 +142,8 @@ class Vegas(Integrator):
             parts = max(most, 1) if wanted is None else wanted
             if parts > max(most, 1):
                 raise IntegrationError(
-                    f"{share} samples an iteration are too few to stratify {adaptive} dimensions into {parts} parts each: "
-                    f"at least {2 * parts**adaptive}"
+                    f"{share} samples an iteration are too few to stratify {adaptive} dimensions into {parts} parts "
+                    f"each: at least {2 * parts**adaptive}"
                 )
             for group in density.groups:
                 # The first number of a grid chooses among its cells, so it takes the strata of all its axes.
@@ -195,8 +202,8 @@ class Vegas(Integrator):
                 row += work.backend.host(part)
 
     def _bin_values(self, factor: Factor, sums: Array, samples: int) -> Array:
-        """What the bins of a factor are found to hold: in importance mode the mean of (f / p)^2, for cells of a grid its
-        root; else the deviation of f / p, in which the sign of [Leeson 2001, eq. 5.8] is put right."""
+        """What the bins of a factor are found to hold: in importance mode the mean of (f / p)^2, for cells of a grid
+        its root; else the deviation of f / p, in which the sign of [Leeson 2001, eq. 5.8] is put right."""
         if self.mode == "importance":
             return (sums[0] / (samples * factor.shares)) ** (factor.order / 2)
         squares, values, counts = sums
