@@ -151,7 +151,7 @@ class PlaneBins:
 
 
 class CellGrid:
-    """Three or more parameters: cells^n equal cells, each with a probability of its own, ``probability[i, j, k, …]``."""
+    """Three or more parameters: equal cells, each with a probability of its own, ``probability[i, j, k, …]``."""
 
     order = 1
 

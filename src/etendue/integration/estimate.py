@@ -46,8 +46,8 @@ def combine(estimates: Sequence[Estimate]) -> Estimate:
     """Mean of independent estimates of one integral, weighted by their inverse variances [Lepage 1978].
 
     The weights are estimates themselves, so few samples each give a slight bias. Estimates of variance zero beside
-    others are taken as lucky: they get the smallest variance that is not zero. ``details`` has ``chi2`` over ``degrees``
-    of freedom, which tells whether the estimates agree.
+    others are taken as lucky: they get the smallest variance that is not zero. ``details`` has ``chi2`` over
+    ``degrees`` of freedom, which tells whether the estimates agree.
     """
     if not estimates:
         raise IntegrationError("there are no estimates to combine")

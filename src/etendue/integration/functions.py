@@ -35,7 +35,7 @@ class Box:
         for axis, (low, high) in enumerate(zip(self.lower, self.upper, strict=True)):
             if not (math.isfinite(low) and math.isfinite(high) and low < high):
                 raise IntegrationError(
-                    f"empty or infinite domain: dimension {axis} runs from {low:g} to {high:g}; give finite ends in order"
+                    f"empty or infinite domain: dimension {axis} runs from {low:g} to {high:g}; give finite ends"
                 )
 
     def __str__(self) -> str:

@@ -166,7 +166,7 @@ class Metropolis:
     def __init__(self, proposal: Proposal | None = None, chains: int = 64, burn_in: int | None = None) -> None:
         if chains < 1 or (burn_in is not None and burn_in < 0):
             raise IntegrationError(f"chains ({chains}) must be 1 or more, burn_in ({burn_in}) not negative")
-        self.proposal: Proposal = Mixture(UniformStep(), Independent()) if proposal is None else proposal
+        self.proposal: Proposal = Mixture(UniformStep(0.2), Independent()) if proposal is None else proposal
         self.chains, self.burn_in = chains, burn_in
 
     def sample(self, target: Integrand, samples: int, seed: int = 0) -> Chains:

@@ -98,8 +98,8 @@ class Importance(Integrator):
         for found, integral in ((inverse, 1 / inverse.mean if inverse.mean else math.inf), (seen, seen.mean)):
             if not math.isfinite(found.mean) or found.mean - 1 > 8 * found.standard_error + 1e-3:
                 raise IntegrationError(
-                    f"the density is not normalised, or does not fit its samples: it integrates to about {integral:.4g}, "
-                    "not to 1"
+                    f"the density is not normalised, or does not fit its samples: it integrates to about "
+                    f"{integral:.4g}, not to 1"
                 )
         return estimate
 

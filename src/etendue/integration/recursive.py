@@ -21,6 +21,8 @@ from .estimate import Estimate, Integrator, Work
 #: Real or whole numbers of the host.
 Array = NDArray[Any]
 Metric = Literal["range", "maximum", "variance"]
+#: Least bins of exploration that are gathered to parts like bins of VEGAS.
+_BINS = 8
 _METRICS = ("range", "maximum", "variance")
 
 
@@ -190,7 +192,7 @@ class _Run:
         rest = level.samples[regions]
         if blind:
             axis = np.full(count, self.order[depth])
-            borders = self._equal_borders(count)
+            borders = self._equal_borders(count, n, o.dither)
             parts = np.ones((count, n))
         else:
             spent = np.maximum((o.exploration * rest).astype(int), 2 * n)
@@ -218,42 +220,40 @@ class _Run:
         level.value[leaves] = mean * volume
         level.variance[leaves] = squares / (counts - 1) / counts * volume**2
 
-    def _equal_borders(self, count: int) -> Array:
-        n = self.o.divisions
-        borders = np.tile(np.linspace(0.0, 1.0, n + 1), (count, 1))
-        if self.o.dither:
-            random = np.asarray(self.work.backend.host(self.work.backend.uniform(count * (n - 1), 1)[0]))
+    def _equal_borders(self, count: int, parts: int, dither: float) -> Array:
+        borders = np.tile(np.linspace(0.0, 1.0, parts + 1), (count, 1))
+        if dither:
+            random = np.asarray(self.work.backend.host(self.work.backend.uniform(count * (parts - 1), 1)[0]))
             # Half a dither to either side keeps parts from vanishing: two borders stay apart by 1 - dither of a part.
-            borders[:, 1:-1] += (random.reshape(count, n - 1) - 0.5) * self.o.dither / n
+            borders[:, 1:-1] += (random.reshape(count, parts - 1) - 0.5) * dither / parts
         return borders
 
     def _explore(self, level: _Level, regions: Array, spent: Array) -> tuple[Array, Array, Array]:
         """For each region the dimension to divide, the borders (R, n+1), and what the parts' samples are to be
         proportional to (R, n)."""
-        n, o, count = self.o.divisions, self.o, len(regions)
+        o, count = self.o, len(regions)
         x, values, cost = self.evaluate(level, regions, spent)
         place = np.repeat(np.arange(count), spent)
-        equal = self._equal_borders(count)
         mean = np.bincount(place, values, count) / spent
         total = np.bincount(place, (values - mean[place]) ** 2, count)
         volume = level.volume[regions]
         level.explored[regions] = np.stack([mean * volume, total / (spent - 1) / spent * volume**2, spent], axis=1)
 
-        bins = np.empty((self.d, len(values)), int)
-        metrics, removed = np.empty((self.d, count, n)), np.empty((self.d, count))
-        inner = equal[:, 1:-1][place].T
-        width = np.diff(equal)
+        n = o.divisions if o.borders == "equal" else max(_BINS, o.divisions)
+        edges = self._equal_borders(count, n, o.dither)
+        inner = edges[:, 1:-1][place].T
+        width = np.diff(edges)
         power = 1 / (1 + o.exponent)
+        bins = np.empty((self.d, len(values)), int)
+        metrics, after = np.empty((self.d, count, n)), np.empty((self.d, count))
         for a in range(self.d):
             bins[a] = place * n + (x[a] >= inner).sum(axis=0)
             metrics[a] = self._metric(bins[a], values, count * n).reshape(count, n)
-            # What is left after division, with samples shared out as they will be.
-            after = (width ** (2 * power) * metrics[a] ** power).sum(axis=1) ** (1 + o.exponent)
-            after /= (width ** (2 * power)).sum(axis=1) ** (1 + o.exponent)
-            removed[a] = after
+            # The variation that division leaves, with samples shared out as they will be.
+            after[a] = ((width**2 * metrics[a]) ** power).sum(axis=1) ** (1 + o.exponent)
+            after[a] /= (width ** (2 * power)).sum(axis=1) ** (1 + o.exponent)
         whole = np.maximum(metrics.mean(axis=2).max(axis=0), np.finfo(float).tiny)
-        gain = self.weights[:, None] * np.maximum(1.0 - removed / whole, 1e-12)
-        axis = np.argmax(gain, axis=0)
+        axis = np.argmax(self.weights[:, None] * np.maximum(1.0 - after / whole, 1e-12), axis=0)
         metric = metrics[axis, np.arange(count)]
         dear = np.ones((count, n))
         if cost is not None:
@@ -261,19 +261,25 @@ class _Run:
             number = np.bincount(chosen, minlength=count * n)
             seen = np.bincount(chosen, cost, count * n) / np.maximum(number, 1)
             dear = np.where(number > 0, seen, cost.mean()).reshape(count, n)
-        if o.borders == "equal":
-            return axis, equal, (width**2 * metric) ** power / np.sqrt(dear)
-        # Parts that share metric times width equally; a tenth of it is spread evenly, so that none gets too thin.
-        held = metric * width
-        held = 0.9 * held + 0.1 * held.mean(axis=1, keepdims=True)
-        borders = np.stack([split_equally(e, h, n) for e, h in zip(equal, held, strict=True)])
-        inside = np.stack(
-            [
-                np.diff(np.interp(b, e, np.concatenate([[0.0], np.cumsum(h)])))
-                for b, e, h in zip(borders, equal, held, strict=True)
-            ]
-        )
-        return axis, borders, (np.diff(borders) * inside) ** power / np.sqrt(dear)
+        if o.borders == "vegas":
+            edges, width, metric, dear = self._rebinned(edges, metric, dear)
+        return axis, edges, (width**2 * metric) ** power / np.sqrt(dear)
+
+    def _rebinned(self, edges: Array, metric: Array, dear: Array) -> tuple[Array, Array, Array, Array]:
+        """Borders of parts that hold equal shares of deviation times width, as bins of VEGAS would; the parts' widths,
+        and the metric and the cost in them."""
+        width = np.diff(edges)
+        held = np.sqrt(metric) * width
+        held = 0.8 * held + 0.2 * held.mean(axis=1, keepdims=True)  # none of them gets too thin
+        borders = np.stack([split_equally(e, h, self.o.divisions) for e, h in zip(edges, held, strict=True)])
+        parts = np.diff(borders)
+
+        def mean(values: Array) -> Array:
+            reached = np.concatenate([np.zeros((len(values), 1)), np.cumsum(values * width, axis=1)], axis=1)
+            at = np.stack([np.interp(b, e, r) for b, e, r in zip(borders, edges, reached, strict=True)])
+            return np.asarray(np.diff(at) / parts)
+
+        return borders, parts, mean(metric), mean(dear)
 
     def _metric(self, bins: Array, values: Array, size: int) -> Array:
         """The variation in each bin, as a variance."""

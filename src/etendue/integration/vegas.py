@@ -1,7 +1,8 @@
 """The VEGAS-derived integrator: it learns a density that is a product over groups of parameters.
 
-[Lepage 1978; Leeson 2001, sec. 5.5] Estimator of an iteration: ``1/N sum f(x_i) / p(x_i)``, x_i drawn from ``p = prod_g p_g``; iterations are combined by
+Estimator of an iteration: ``1/N sum f(x_i) / p(x_i)``, x_i drawn from ``p = prod_g p_g``; iterations are combined by
 their inverse variances. After each, the bins of every factor are moved to share equally what they were found to hold.
+[Lepage 1978; Leeson 2001, sec. 5.5]
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from etendue.core import Array
+from etendue.core import Array, logger
 
 from .densities import AxisBins, CellGrid, Factor, PlaneBins, ProductDensity
 from .errors import IntegrationError
@@ -62,7 +63,7 @@ class Vegas(Integrator):
         bins: int | None = None,
         strata: int | None = None,
         smoothing: bool = True,
-        damping: float | None = 0.5,
+        damping: float | None = 1.0,
         inertia: float = 0.5,
         stabilise: int | None = None,
         density: ProductDensity | None = None,
@@ -98,6 +99,14 @@ class Vegas(Integrator):
             factors = [f.adapted(v, smoothing, damping, inertia) for f, v in zip(density.factors, values, strict=True)]
             density = ProductDensity(density.domain, density.groups, factors)
         result = combine(done[self.warm_up :])
+        chi2, degrees = result.details["chi2"], result.details["degrees"]
+        if chi2 > degrees + 5 * math.sqrt(2 * degrees):
+            logger.warning(
+                "iterations disagree (chi2 %.1f for %d degrees of freedom): some have missed a part of the function; "
+                "more samples, or some iterations to warm up",
+                chi2,
+                degrees,
+            )
         details = result.details | {"iterations": done, "density": density}
         return replace(result, samples=sum(e.samples for e in done), details=details)
 
@@ -149,6 +158,11 @@ class Vegas(Integrator):
                 # The first number of a grid chooses among its cells, so it takes the strata of all its axes.
                 for position, axis in enumerate(group):
                     strata[axis] = parts if len(group) < 3 else parts ** len(group) if position == 0 else 1
+            if wanted is None and self.mode == "importance" and parts > 1:
+                # One part more on as many axes as there are samples for.
+                for axis in (a for group in density.groups if len(group) < 3 for a in group):
+                    if 2 * math.prod(strata) // parts * (parts + 1) <= share:
+                        strata[axis] += 1
         return strata, share // math.prod(strata)
 
     def _iterate(
