@@ -63,7 +63,9 @@ def assert_unbiased(estimates: list[Estimate], integral: float, what: Any = "") 
     values = np.array([e.value for e in estimates])
     error = values.std(ddof=1) / math.sqrt(len(values))
     t = (values.mean() - integral) / max(error, 1e-13 * abs(integral))
-    assert 2 * stats.t.sf(abs(t), len(values) - 1) > 1e-5, f"{what}: {values.mean():.8g} +- {error:.2g}, not {integral:.8g}"
+    assert 2 * stats.t.sf(abs(t), len(values) - 1) > 1e-5, (
+        f"{what}: {values.mean():.8g} +- {error:.2g}, not {integral:.8g}"
+    )
 
 
 def assert_honest(estimates: list[Estimate], integral: float, what: Any = "", freedom: float = math.inf) -> None:

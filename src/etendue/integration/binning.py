@@ -37,16 +37,18 @@ def split_equally(edges: Array, values: Array, parts: int) -> Array:
 
 
 def smooth(values: Array, axis: int = -1) -> Array:
-    """The mean of each value and its neighbours: thirds of three, at the ends halves of two [Lepage 1978].
+    """Each value as the mean over its bin of linear interpolation between the centres of the bins: an eighth of either
+    neighbour and three quarters of itself; the last ones go on evenly [Leeson 2001, sec. 5.5.1].
 
-    A line through three neighbours by least squares passes through that mean."""
+    Thirds of three neighbours [Lepage 1978] smooth more, but turn the sign of what alternates from bin to bin: in a
+    long run borders then drift to where they should not be.
+    """
     v = np.moveaxis(np.asarray(values, dtype=np.float64), axis, -1)
-    if v.shape[-1] < 2:
-        return np.moveaxis(v, -1, axis)
-    result = np.empty_like(v)
-    result[..., 1:-1] = (v[..., :-2] + v[..., 1:-1] + v[..., 2:]) / 3
-    result[..., 0] = (v[..., 0] + v[..., 1]) / 2
-    result[..., -1] = (v[..., -2] + v[..., -1]) / 2
+    result = 0.75 * v
+    result[..., 1:] += v[..., :-1] / 8
+    result[..., :-1] += v[..., 1:] / 8
+    result[..., 0] += v[..., 0] / 8
+    result[..., -1] += v[..., -1] / 8
     return np.moveaxis(result, -1, axis)
 
 

@@ -42,11 +42,11 @@ class Vegas(Integrator):
     bins: on each axis of a factor; by default from the number of samples.
     strata: into how many parts each axis of the adaptive parameters is divided, in the numbers that the density
         warps; 1 draws bins at random, ``None`` takes as many as leave two samples in each.
-    smoothing: whether neighbouring bins are averaged.
+    smoothing: whether neighbouring bins are mixed by linear interpolation.
     damping: exponent of ``((1-d)/ln(1/d))^alpha``, by which shares d of bins are drawn together; ``None`` for none.
     inertia: r of ``(1-r) old + r new`` for cells of grids.
     stabilise: iterations after which smoothing and both dampings are switched off; they help few samples, and stall
-        many.
+        many. From then on borders move by contributions, not by their squares.
     density: what to begin with, such as ``details["density"]`` of an earlier estimate.
 
     ``details``: ``iterations`` (an :class:`Estimate` each), ``density`` (:class:`ProductDensity`, the last),
@@ -63,7 +63,7 @@ class Vegas(Integrator):
         bins: int | None = None,
         strata: int | None = None,
         smoothing: bool = True,
-        damping: float | None = 1.0,
+        damping: float | None = 0.75,
         inertia: float = 0.5,
         stabilise: int | None = None,
         density: ProductDensity | None = None,
@@ -92,9 +92,9 @@ class Vegas(Integrator):
         strata, size = self._strata(density, share)
         done = []
         for number in range(self.iterations):
-            estimate, values = self._iterate(work, density, strata, size, samples=share)
-            done.append(estimate)
             steady = self.stabilise is not None and number >= self.stabilise
+            estimate, values = self._iterate(work, density, strata, size, share, steady)
+            done.append(estimate)
             smoothing, damping, inertia = (False, None, 1.0) if steady else (self.smoothing, self.damping, self.inertia)
             factors = [f.adapted(v, smoothing, damping, inertia) for f, v in zip(density.factors, values, strict=True)]
             density = ProductDensity(density.domain, density.groups, factors)
@@ -166,9 +166,9 @@ class Vegas(Integrator):
         return strata, share // math.prod(strata)
 
     def _iterate(
-        self, work: Work, density: ProductDensity, strata: list[int], size: int, samples: int
+        self, work: Work, density: ProductDensity, strata: list[int], size: int, samples: int, steady: bool
     ) -> tuple[Estimate, list[Array]]:
-        """An estimate with ``density``, and the value of each bin of each factor."""
+        """An estimate with ``density``, and the value of each bin of each factor; ``steady``: see :meth:`_bin_values`."""
         volume = work.box.volume
         total = math.prod(strata)
         sums = [np.zeros((3 if self.mode == "stratified" else 1, f.bins)) for f in density.factors]
@@ -191,7 +191,7 @@ class Vegas(Integrator):
             value, error = mean / total, math.sqrt(variance) / total
         used = total * size
         return Estimate(value * volume, error * volume, used), [
-            self._bin_values(f, s, used) for f, s in zip(density.factors, sums, strict=True)
+            self._bin_values(f, s, used, steady) for f, s in zip(density.factors, sums, strict=True)
         ]
 
     def _draw(
@@ -215,11 +215,16 @@ class Vegas(Integrator):
             for row, part in zip(total, parts, strict=True):
                 row += work.backend.host(part)
 
-    def _bin_values(self, factor: Factor, sums: Array, samples: int) -> Array:
-        """What the bins of a factor are found to hold: in importance mode the mean of (f / p)^2, for cells of a grid
-        its root; else the deviation of f / p, in which the sign of [Leeson 2001, eq. 5.8] is put right."""
+    def _bin_values(self, factor: Factor, sums: Array, samples: int, steady: bool) -> Array:
+        """What the bins of a factor are found to hold: in importance mode the mean of (f / p)^2, for cells of a grid its
+        root; else the deviation of f / p, in which the sign of [Leeson 2001, eq. 5.8] is put right.
+
+        Moved by squares, borders overshoot, which damping makes up for; without it (``steady``) they go by the root,
+        the contribution itself, and come to rest.
+        """
         if self.mode == "importance":
-            return (sums[0] / (samples * factor.shares)) ** (factor.order / 2)
+            order = 1 if steady else factor.order
+            return np.asarray((sums[0] / (samples * factor.shares)) ** (order / 2))
         squares, values, counts = sums
         counts = np.maximum(counts, 1)
         return np.sqrt(np.maximum(squares / counts - (values / counts) ** 2, 0.0))
