@@ -1,4 +1,4 @@
-"""Every integrator against closed forms: unbiased over many seeds, honest about its error, on the host and the device."""
+"""Every integrator against closed forms: unbiased over many seeds, honest about its error, on host and device."""
 
 from __future__ import annotations
 
@@ -198,7 +198,7 @@ def test_a_million_evaluations_take_well_under_a_second(name, on):
     assert best < 1.0, f"{name} on the {on}: {best:.2f} s"
 
 
-# What is not finite, and other bad input ------------------------------------------------------------------------------
+# What is not finite, and other bad input ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("on", ["host", "device"])
@@ -206,7 +206,7 @@ def test_a_million_evaluations_take_well_under_a_second(name, on):
 def test_what_is_not_finite_is_counted_and_left_out(name, on, caplog):
     """Below 1/2 the root of x - 1/2 does not exist: there the function counts as zero."""
     f = Integrand(lambda x: library(x[0]).sqrt(x[0] - 0.5) * (x[1] + 1.0), 2, on=on)
-    make, samples, freedom = TABLE[name]
+    make, samples, _ = TABLE[name]
     with np.errstate(invalid="ignore"):
         found = runs(make(f), f, samples, 30)
     assert_unbiased(found, 0.5**1.5 / 1.5 * 1.5, name)

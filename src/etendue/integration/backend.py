@@ -74,6 +74,10 @@ class Backend(Protocol):
         """``values`` with zero for what is not finite, which is counted in :meth:`rejected`."""
         ...
 
+    def compute(self, *values: Any) -> None:
+        """Have arrays computed now, so that what follows does not compute them again."""
+        ...
+
     def rejected(self) -> int:
         """How many values :meth:`clean` has replaced so far."""
         ...
@@ -157,6 +161,9 @@ class HostBackend:
             return values
         self._rejected += int(finite.size - np.count_nonzero(finite))
         return np.where(finite, values, 0.0)
+
+    def compute(self, *values: Any) -> None:
+        """See :class:`Backend`."""
 
     def rejected(self) -> int:
         """See :class:`Backend`."""
@@ -256,6 +263,10 @@ class DeviceBackend:
         # A masked scatter costs nothing where all is well, and belongs to the kernel that computes the values.
         self._dr.scatter_reduce(self._dr.ReduceOp.Add, self._counter, self._uint(1), self._uint(0), ~finite)
         return self._dr.select(finite, values, 0)
+
+    def compute(self, *values: Any) -> None:
+        """See :class:`Backend`."""
+        self._dr.eval(*values)
 
     def rejected(self) -> int:
         """See :class:`Backend`."""

@@ -59,7 +59,7 @@ def autocorrelation_time(values: Array) -> float:
     Numbers that are anticorrelated have less than 1.
     """
     times = 2 * np.cumsum(autocorrelation(values)) - 1
-    enough = np.flatnonzero(np.arange(len(times)) >= _WINDOW * times)
+    enough = np.flatnonzero(np.arange(len(times)) >= _WINDOW * np.maximum(times, 1.0))
     return float(max(times[enough[0] if len(enough) else -1], 1.0 / np.asarray(values).size))
 
 

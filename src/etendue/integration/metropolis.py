@@ -187,6 +187,7 @@ class Metropolis:
         accepted = 0.0
         for step in range(steps):
             x, f, moved = self._step(work, x, f)
+            work.backend.compute(x, f, moved)
             for row, coordinate in zip(points, work.box.from_unit(x), strict=True):
                 row[:, step] = work.backend.host(coordinate)
             values[:, step] = work.backend.host(f)
