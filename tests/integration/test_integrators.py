@@ -222,7 +222,7 @@ def test_nothing_finite_is_an_error(on):
     f = Integrand(lambda x: x[0] * math.nan, 2, on=on)
     for make, samples, _ in TABLE.values():
         if not isinstance(make(f), HitOrMiss):
-            with pytest.raises(IntegrationError, match="none of .* values of the integrand was finite"):
+            with pytest.raises(IntegrationError, match=r"none of .* values of the integrand was finite"):
                 make(f).integrate(f, samples)
 
 

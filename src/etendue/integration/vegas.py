@@ -168,7 +168,7 @@ class Vegas(Integrator):
     def _iterate(
         self, work: Work, density: ProductDensity, strata: list[int], size: int, samples: int, steady: bool
     ) -> tuple[Estimate, list[Array]]:
-        """An estimate with ``density``, and the value of each bin of each factor; ``steady``: see :meth:`_bin_values`."""
+        """An estimate with ``density``, and the value of each bin of each factor, as of :meth:`_bin_values`."""
         volume = work.box.volume
         total = math.prod(strata)
         sums = [np.zeros((3 if self.mode == "stratified" else 1, f.bins)) for f in density.factors]
@@ -216,8 +216,8 @@ class Vegas(Integrator):
                 row += work.backend.host(part)
 
     def _bin_values(self, factor: Factor, sums: Array, samples: int, steady: bool) -> Array:
-        """What the bins of a factor are found to hold: in importance mode the mean of (f / p)^2, for cells of a grid its
-        root; else the deviation of f / p, in which the sign of [Leeson 2001, eq. 5.8] is put right.
+        """What the bins of a factor are found to hold: in importance mode the mean of (f / p)^2, for cells of a grid
+        its root; else the deviation of f / p, in which the sign of [Leeson 2001, eq. 5.8] is put right.
 
         Moved by squares, borders overshoot, which damping makes up for; without it (``steady``) they go by the root,
         the contribution itself, and come to rest.
