@@ -100,6 +100,30 @@ def test_pi_by_a_walk_that_repeats_where_it_cannot_go():
     assert 4 * inside > math.pi + 0.05
 
 
+class _Slide:
+    """The blank of a sliding puzzle of 3 x 3: to one of four neighbours with probability 1/4 each."""
+
+    def numbers(self, dimension):
+        return 1
+
+    def propose(self, backend, x, u):
+        direction = (u[0] * 4).astype(int)
+        return [v + np.choose(direction, c) / 3 for v, c in zip(x, ([1, -1, 0, 0], [0, 0, 1, -1]), strict=True)], 1.0
+
+
+def test_the_blank_of_a_sliding_puzzle():
+    """Uniform over the cells, because corners stay with probability 1/2 and edges with 1/4. Check 3."""
+    board = Integrand(lambda x: x[0] * 0.0 + 1.0, 2)
+    chains = Metropolis(_Slide(), 500, burn_in=50).sample(board, 500 * 250, seed=1)
+    cell = (chains.points[0] * 3).astype(int) * 3 + (chains.points[1] * 3).astype(int)
+    share = np.stack([(cell == c).mean(axis=1) for c in range(9)])
+    z = (share.mean(axis=1) - 1 / 9) / (share.std(axis=1, ddof=1) / math.sqrt(500))
+    assert np.abs(z).max() < 4.5
+    stays = [(cell[:, :-1] == cell[:, 1:])[cell[:, :-1] == c].mean() for c in range(9)]
+    expected = np.array([2, 1, 2, 1, 0, 1, 2, 1, 2]) / 4
+    assert stays == pytest.approx(expected, abs=0.02)
+
+
 def test_asymmetric_proposals_without_their_ratio_would_be_wrong(monkeypatch):
     """The histogram test can fail."""
     honest = ScaledStep.propose

@@ -163,6 +163,35 @@ def test_a_density_on_a_box_and_a_cell_that_was_never_hit():
     )
 
 
+def test_bins_of_the_second_parameter_follow_those_of_the_first():
+    """Row 0 holds three times as much as row 1, so the border moves to 1/3: the new second row has a quarter of the old
+    first one, and three quarters of the old second one."""
+    a, b = np.array([0.0, 0.2, 1.0]), np.array([0.0, 0.6, 1.0])
+    moved = PlaneBins(np.array([0.0, 0.5, 1.0]), np.stack([a, b])).adapted(
+        np.array([3.0, 3.0, 1.0, 1.0]), False, None, 1.0
+    )
+    assert moved.edges == pytest.approx([0, 1 / 3, 1])
+    assert moved.inner == pytest.approx(np.stack([a, 0.25 * a + 0.75 * b]))
+
+
+@pytest.mark.parametrize("mode", ["importance", "stratified"])
+def test_cells_take_the_share_that_they_contribute(mode):
+    """From whatever grid, the probabilities become those of the root mean square of f in a cell, or of its deviation."""
+    random = np.random.default_rng(3)
+    start = CellGrid(random.uniform(0.5, 2.0, (2, 2, 2)))
+    height, ripple = random.uniform(0.5, 2.0, (2, 2, 2)), random.uniform(0.5, 2.0, (2, 2, 2))
+
+    def f(x):
+        cell = tuple((v * 2).astype(int) for v in x)
+        return height[cell] + ripple[cell] * np.where((x[0] * 64).astype(int) % 2 == 0, 1.0, -1.0)
+
+    density = ProductDensity(3, [[0, 1, 2]], [start])
+    integrator = Vegas(mode=mode, iterations=1, strata=1, smoothing=False, inertia=1.0, density=density)
+    found = integrator.integrate(Integrand(f, 3), 200_000).details["density"].factors[0].probability
+    expected = np.sqrt(height**2 + ripple**2) if mode == "importance" else ripple
+    assert found == pytest.approx(expected / expected.sum(), rel=0.02)
+
+
 def test_a_plane_of_bins_learns_what_two_axes_cannot():
     """A diagonal ridge is no product of functions of one parameter."""
     ridge = Integrand(lambda x: library(x[0]).exp(-200.0 * (x[0] - x[1]) * (x[0] - x[1])), 2)
@@ -202,6 +231,8 @@ def test_the_demonstration_of_the_sine():
         sine_demo(*options) for options in ((False, None), (True, None), (False, 1.5), (True, 1.5))
     )
     assert both < 0.35 * 0.935
+    result = Vegas(bins=10, strata=1, iterations=5, damping=1.5).integrate(SINE, 5000, seed=1)
+    assert abs(result.value - 2.0) < 3 * result.standard_error < 0.1
     # The source's own figures, but for smoothing alone, which is by linear interpolation here and by thirds there.
     assert [raw, smoothed, damped, both] == pytest.approx([0.78, 0.49, 0.23, 0.23], abs=0.03)
 

@@ -277,7 +277,7 @@ class DeviceBackend:
         dr = self._dr
         sums = [dr.zeros(self._float, size) for _ in weights]
         for total, weight in zip(sums, weights, strict=True):
-            dr.scatter_reduce(dr.ReduceOp.Add, total, self._float(weight), index, mode=dr.ReduceMode.Expand)
+            dr.scatter_reduce(dr.ReduceOp.Add, total, self._float(weight), index)
         return sums
 
     def moments(self, values: Any) -> tuple[float, float]:

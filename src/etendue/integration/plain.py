@@ -31,14 +31,14 @@ class MeanSample(Integrator):
 
 
 class HitOrMiss(Integrator):
-    """``V (a + (b - a) N_H / N)``: the share of points (x, y), uniform in domain and range [a, b] of f, with y <= f(x).
+    """``V (a + (b - a) N_H / N)``, from the share of points (x, y), uniform in the domain and [a, b], with y <= f(x).
 
-    The integrand must declare its range. ``details["outside"]`` counts values beyond it, which an estimate cannot
-    survive: they raise :class:`IntegrationError`.
+    The integrand must declare its range; [a, b] is that range and zero. A value beyond it would be cut off unseen, so
+    it raises :class:`IntegrationError`.
     """
 
     def _integrate(self, work: Work, samples: int) -> Estimate:
-        low, high = work.f.range
+        low, high = min(work.f.range[0], 0.0), max(work.f.range[1], 0.0)
         if not (math.isfinite(low) and math.isfinite(high)):
             raise IntegrationError(
                 "hit-or-miss needs the bounds of the function: Integrand(..., range=(least, greatest))"
@@ -57,7 +57,7 @@ class HitOrMiss(Integrator):
             return backend.where(u[d] * scale + low <= values, 1.0, backend.broadcast(0.0, u))
 
         found = mean_of(work, samples, hits, 1.0)
-        if outside.mean > 0 and not work.backend.rejected():
+        if outside.mean > 0:
             raise IntegrationError(
                 f"{round(outside.mean * samples)} of {samples} values leave the declared range "
                 f"[{low:g}, {high:g}]: widen it"
