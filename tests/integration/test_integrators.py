@@ -198,6 +198,22 @@ def test_a_million_evaluations_take_well_under_a_second(name, on):
     assert best < 1.0, f"{name} on the {on}: {best:.2f} s"
 
 
+@pytest.mark.parametrize(
+    ("method", "dimension"),
+    [(Stratified(), 1), (Vegas(iterations=1), 1), (Stratified(), 3), (Vegas([[0, 1, 2]], iterations=1), 3)],
+)
+def test_many_strata_in_single_precision(method, dimension):
+    """Each stratum is still jittered: the estimate agrees with its standard error, and no point leaves the domain."""
+    largest = []
+
+    def f(x):
+        largest.append(float(np.max(np.array(x[0]))))
+        return x[0] * x[0]
+
+    assert_honest(runs(method, Integrand(f, dimension, on="device"), 1 << 18, 20), 1 / 3)
+    assert 0.99 < max(largest) <= 1.0
+
+
 # What is not finite, and other bad input ----------------------------------------------------------------------------
 
 
@@ -227,6 +243,7 @@ def test_nothing_finite_is_an_error(on):
 
 SQUARE = Integrand(lambda x: x[0] * x[1], 2)
 TEN = Integrand(lambda x: x[0] * x[1], 10)
+LINE = Integrand(lambda x: x[0], 1, on="device")
 
 
 @pytest.mark.parametrize(
@@ -252,6 +269,8 @@ TEN = Integrand(lambda x: x[0] * x[1], 10)
         ),
         (lambda: Stratified(5).integrate(SQUARE, 49), "at least 50"),
         (lambda: Stratified(0), "at least one stratum"),
+        (lambda: Stratified(70_000).integrate(LINE, 1_000_000), "too many for single precision: at most 65536"),
+        (lambda: Vegas(strata=70_000, iterations=1).integrate(LINE, 1_000_000), "too many for single precision"),
         (lambda: QuasiMonteCarlo().integrate(SQUARE, 15), "too few for 16 randomisations"),
         (lambda: QuasiMonteCarlo(replicates=1), "2 randomisations or more"),
         (lambda: QuasiMonteCarlo(Halton(1)).integrate(SQUARE, 100), "has 1 dimensions, the integrand 2"),

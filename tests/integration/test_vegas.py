@@ -176,7 +176,7 @@ def test_bins_of_the_second_parameter_follow_those_of_the_first():
 
 @pytest.mark.parametrize("mode", ["importance", "stratified"])
 def test_cells_take_the_share_that_they_contribute(mode):
-    """From whatever grid, the probabilities become those of the root mean square of f in a cell, or of its deviation."""
+    """From any grid, the probabilities become those of the root mean square of f in a cell, or of its deviation."""
     random = np.random.default_rng(3)
     start = CellGrid(random.uniform(0.5, 2.0, (2, 2, 2)))
     height, ripple = random.uniform(0.5, 2.0, (2, 2, 2)), random.uniform(0.5, 2.0, (2, 2, 2))

@@ -25,6 +25,9 @@ class Backend(Protocol):
 
     #: Points that are best evaluated at once.
     batch: int
+    #: Most parts of an axis, and cells of a grid, within which a number still has places enough.
+    parts: int
+    cells: int
 
     def uniform(self, count: int, dimension: int) -> Any:
         """``count`` independent points of the unit cube; each call gives others."""
@@ -103,6 +106,8 @@ class HostBackend:
     """NumPy, in double precision."""
 
     batch = 1 << 16  # what fits a core's cache with a few temporaries
+    parts = 1 << 40
+    cells = 1 << 24
 
     def __init__(self, seed: int) -> None:
         self._random = np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed)))
@@ -195,6 +200,8 @@ class DeviceBackend:
     """Dr.Jit under the current variant of Mitsuba: single precision, sums in double precision."""
 
     batch = 1 << 22
+    parts = 1 << 16
+    cells = 1 << 12
 
     def __init__(self, seed: int) -> None:
         use_variant()

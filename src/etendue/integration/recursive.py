@@ -146,8 +146,10 @@ class _Run:
             order.append(axis)
         return order
 
-    def evaluate(self, level: _Level, regions: Array, counts: Array) -> tuple[Array, Array, Array | None]:
-        """Uniform points (d, n) in each region's own unit cube, in the regions' order; values there, and costs."""
+    def evaluate(
+        self, level: _Level, regions: Array, counts: Array, keep: bool = False
+    ) -> tuple[Array, Array, Array | None]:
+        """Region by region: uniform points (d, n) of each one's unit cube, if to ``keep``; values there; and costs."""
         work, backend = self.work, self.work.backend
         place = np.repeat(regions, counts)
         xs, values, costs = [], [], []
@@ -161,7 +163,8 @@ class _Run:
             side = [backend.take(backend.table(level.side[:, a]), index) for a in range(self.d)]
             x = work.box.from_unit([a + b * c for a, b, c in zip(low, side, u, strict=True)])
             values.append(backend.host(work.values_at(x)))
-            xs.append(np.stack([backend.host(v) for v in u]))
+            if keep:
+                xs.append(np.stack([backend.host(v) for v in u]))
             if work.f.cost is not None:
                 costs.append(backend.host(backend.broadcast(work.f.cost(x), x)))
         self.used += len(place)
@@ -170,7 +173,8 @@ class _Run:
         cost = np.concatenate(costs) if costs else None
         if cost is not None:
             self.cost += float(cost.sum())
-        return np.concatenate(xs, axis=1), np.concatenate(values), cost
+        points = np.concatenate(xs, axis=1) if xs else np.empty((self.d, 0))
+        return points, np.concatenate(values), cost
 
     def divide(self, level: _Level, depth: int) -> _Level:
         """Finish the leaves of a level, explore and divide the other regions; their parts."""
@@ -232,7 +236,7 @@ class _Run:
         """For each region the dimension to divide, the borders (R, n+1), and what the parts' samples are to be
         proportional to (R, n)."""
         o, count = self.o, len(regions)
-        x, values, cost = self.evaluate(level, regions, spent)
+        x, values, cost = self.evaluate(level, regions, spent, keep=True)
         place = np.repeat(np.arange(count), spent)
         mean = np.bincount(place, values, count) / spent
         total = np.bincount(place, (values - mean[place]) ** 2, count)

@@ -28,7 +28,10 @@ class Stratified(Integrator):
 
     def _integrate(self, work: Work, samples: int) -> Estimate:
         d = work.dimension
-        parts = self.strata if self.strata is not None else max(int((samples / 2 + 1e-9) ** (1 / d)), 2)
+        most = work.backend.parts
+        parts = self.strata if self.strata is not None else min(max(int((samples / 2 + 1e-9) ** (1 / d)), 2), most)
+        if parts > most:
+            raise IntegrationError(f"{parts} strata of an axis are too many for single precision: at most {most}")
         if samples < 2 * parts**d:
             raise IntegrationError(
                 f"{samples} samples are too few to stratify {d} dimensions into {parts} parts each: "

@@ -19,7 +19,6 @@ from etendue.core import Array, logger
 from .densities import AxisBins, CellGrid, Factor, PlaneBins, ProductDensity
 from .errors import IntegrationError
 from .estimate import Estimate, Integrator, Moments, Work, combine
-from .functions import Box
 from .stratified import stratified_points
 
 #: Most bins on an axis of a factor of one and of two parameters, and samples an iteration should have for each bin.
@@ -86,10 +85,10 @@ class Vegas(Integrator):
             raise IntegrationError(
                 f"{samples} samples are too few for {self.iterations} iterations: each needs 2 or more"
             )
-        density = self.density if self.density is not None else self._start(work.box, share)
+        density = self.density if self.density is not None else self._start(work, share)
         if density.domain != work.box:
             raise IntegrationError(f"the density is on {density.domain}, the function on {work.box}")
-        strata, size = self._strata(density, share)
+        strata, size = self._strata(density, share, work)
         done = []
         for number in range(self.iterations):
             steady = self.stabilise is not None and number >= self.stabilise
@@ -110,9 +109,9 @@ class Vegas(Integrator):
         details = result.details | {"iterations": done, "density": density}
         return replace(result, samples=sum(e.samples for e in done), details=details)
 
-    def _start(self, box: Box, share: int) -> ProductDensity:
+    def _start(self, work: Work, share: int) -> ProductDensity:
         """The uniform density with the bins that ``share`` samples an iteration can fill."""
-        groups = self.groups if self.groups is not None else [[a] for a in range(box.dimension)]
+        groups = self.groups if self.groups is not None else [[a] for a in range(work.dimension)]
         factors: list[Factor] = []
         adaptive = sum(len(group) for group in groups)
         for group in groups:
@@ -128,6 +127,8 @@ class Vegas(Integrator):
                 bins = min(int((share / _PER_BIN[n - 1]) ** (1 / n)), _MOST[n - 1])
             else:
                 bins = int((share / 8) ** (1 / n))
+            if n > 2 and self.bins is None:
+                bins = min(bins, int((work.backend.cells + 0.5) ** (1 / n)))
             bins = max(bins, 1)
             if self.bins is not None and bins > max(most, 1):
                 raise IntegrationError(
@@ -137,9 +138,9 @@ class Vegas(Integrator):
             factors.append(
                 AxisBins.even(bins) if n == 1 else PlaneBins.even(bins) if n == 2 else CellGrid.even(bins, n)
             )
-        return ProductDensity(box, groups, factors)
+        return ProductDensity(work.box, groups, factors)
 
-    def _strata(self, density: ProductDensity, share: int) -> tuple[list[int], int]:
+    def _strata(self, density: ProductDensity, share: int, work: Work) -> tuple[list[int], int]:
         """Parts of each axis of the unit cube, and samples in each stratum."""
         strata = [1] * density.domain.dimension
         adaptive = sum(len(group) for group in density.groups)
@@ -148,7 +149,11 @@ class Vegas(Integrator):
             wanted = self.strata
             if wanted is None and self.mode == "stratified" and self.bins is not None:
                 wanted = self.bins
-            parts = max(most, 1) if wanted is None else wanted
+            largest = max(len(group) for group in density.groups)
+            fine = work.backend.parts if largest < 3 else int((work.backend.cells + 0.5) ** (1 / largest))
+            parts = min(max(most, 1), fine) if wanted is None else wanted
+            if parts > fine:
+                raise IntegrationError(f"{parts} strata of an axis are too many for single precision: at most {fine}")
             if parts > max(most, 1):
                 raise IntegrationError(
                     f"{share} samples an iteration are too few to stratify {adaptive} dimensions into {parts} parts "
