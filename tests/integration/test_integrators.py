@@ -24,6 +24,7 @@ from etendue.integration import (
     Stratified,
     Vegas,
     Warp,
+    average,
     combine,
     constant,
     coordinate,
@@ -180,8 +181,13 @@ def test_combination_by_inverse_variances():
     assert (both.samples, both.rejected, both.details["degrees"]) == (30, 3, 1)
     assert both.details["chi2"] == pytest.approx(1.0 / (0.01 + 0.04))
     assert combine([Estimate(0.0, 0.0, 10), b]).value == pytest.approx(1.0)  # a lucky zero does not silence the rest
-    with pytest.raises(IntegrationError, match="no estimates"):
-        combine([])
+    alike = average([a, b])
+    assert alike.value == pytest.approx((10 * 1.0 + 20 * 2.0) / 30) and alike.samples == 30
+    assert alike.variance == pytest.approx(2 * ((1 / 3 * 2 / 3) ** 2 + (2 / 3 * 1 / 3) ** 2))  # they scatter more
+    assert average([a, a]).variance == pytest.approx(0.1**2 / 2)
+    for mean in (combine, average):
+        with pytest.raises(IntegrationError, match="no estimates"):
+            mean([])
 
 
 @pytest.mark.slow

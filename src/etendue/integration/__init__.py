@@ -5,7 +5,7 @@ from .binning import damp, rebin, smooth
 from .chains import ChainDiagnosis, autocorrelation, autocorrelation_time, diagnose, split_r_hat
 from .densities import AxisBins, CellGrid, Density, PlaneBins, ProductDensity, Warp
 from .errors import IntegrationError
-from .estimate import Estimate, Integrator, combine
+from .estimate import Estimate, Integrator, average, combine
 from .functions import Box, Domain, Integrand, constant, coordinate
 from .metropolis import Chains, Independent, Metropolis, Mixture, Proposal, ScaledStep, UniformStep
 from .nested import integral
@@ -49,6 +49,7 @@ __all__ = [
     "Warp",
     "autocorrelation",
     "autocorrelation_time",
+    "average",
     "combine",
     "constant",
     "coordinate",

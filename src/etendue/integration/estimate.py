@@ -68,6 +68,23 @@ def combine(estimates: Sequence[Estimate]) -> Estimate:
     )
 
 
+def average(estimates: Sequence[Estimate]) -> Estimate:
+    """Mean of independent estimates weighted by their samples: unbiased, where their variances are not to be believed.
+
+    Its variance is what the estimates state, or how they scatter, whichever is larger.
+    """
+    if not estimates:
+        raise IntegrationError("there are no estimates to combine")
+    total = sum(e.samples for e in estimates)
+    weights = [e.samples / total for e in estimates]
+    value = sum(w * e.value for w, e in zip(weights, estimates, strict=True))
+    stated = sum(w * w * e.variance for w, e in zip(weights, estimates, strict=True))
+    scatter = sum((w * (e.value - value)) ** 2 for w, e in zip(weights, estimates, strict=True))
+    count = len(estimates)
+    variance = max(stated, scatter * count / (count - 1) if count > 1 else 0.0)
+    return Estimate(value, math.sqrt(variance), total, sum(e.rejected for e in estimates))
+
+
 class Work:
     """An integrand with the arrays it runs on; evaluates, and keeps the values finite."""
 

@@ -18,7 +18,7 @@ from etendue.core import Array, logger
 
 from .densities import AxisBins, CellGrid, Factor, PlaneBins, ProductDensity
 from .errors import IntegrationError
-from .estimate import Estimate, Integrator, Moments, Work, combine
+from .estimate import Estimate, Integrator, Moments, Work, average, combine
 from .stratified import stratified_points
 
 #: Most bins on an axis of a factor of one and of two parameters, and samples an iteration should have for each bin.
@@ -49,8 +49,9 @@ class Vegas(Integrator):
     density: what to begin with, such as ``details["density"]`` of an earlier estimate.
 
     ``details``: ``iterations`` (an :class:`Estimate` each), ``density`` (:class:`ProductDensity`, the last),
-    ``chi2`` over ``degrees`` of freedom among the iterations that count. Few samples in an iteration bias the
-    combination slightly.
+    ``chi2`` over ``degrees`` of freedom among the iterations that count. Few samples in an iteration
+    bias the combination slightly. Where chi2 says that iterations disagree, their variances are not to be believed:
+    they are averaged alike then, and a warning says so.
     """
 
     def __init__(
@@ -97,15 +98,17 @@ class Vegas(Integrator):
             smoothing, damping, inertia = (False, None, 1.0) if steady else (self.smoothing, self.damping, self.inertia)
             factors = [f.adapted(v, smoothing, damping, inertia) for f, v in zip(density.factors, values, strict=True)]
             density = ProductDensity(density.domain, density.groups, factors)
-        result = combine(done[self.warm_up :])
+        counted = done[self.warm_up :]
+        result = combine(counted)
         chi2, degrees = result.details["chi2"], result.details["degrees"]
         if chi2 > degrees + 5 * math.sqrt(2 * degrees):
             logger.warning(
                 "iterations disagree (chi2 %.1f for %d degrees of freedom): some have missed a part of the function; "
-                "more samples, or some iterations to warm up",
+                "all count alike, and more samples, or some iterations to warm up, would help",
                 chi2,
                 degrees,
             )
+            result = replace(average(counted), details=result.details)
         details = result.details | {"iterations": done, "density": density}
         return replace(result, samples=sum(e.samples for e in done), details=details)
 
