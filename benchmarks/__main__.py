@@ -1,4 +1,4 @@
-"""``python -m benchmarks [cost|first-pass|memory|rays|quality|choice|knn|points]``; without a name, all of them."""
+"""``python -m benchmarks [cost|first-pass|memory|rays|quality|choice|knn|points|integration]``; alone, all of them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from etendue.core import EtendueError, use_variant
 
 from . import choice as choice_of_auto
 from . import cost as cost_of_a_pass
-from . import fresh, neighbours, sequences
+from . import fresh, integrals, neighbours, sequences
 from . import quality as quality_over_time
 from . import rays as ray_casting
 from .measuring import Record, console, machine, software
@@ -178,6 +178,25 @@ def points(
     _publish(chosen, record, sequences.measure(count, dimension, rounds, warm_up))
 
 
+@app.command()
+def integration(
+    evaluations: Annotated[str, typer.Option(help="An iteration's, separated by commas.", metavar="N,...")] = (
+        "1000,10000,100000"
+    ),
+    seeds: Annotated[int, typer.Option(min=2, help="Runs whose errors are averaged.")] = 40,
+    speed: Annotated[int, typer.Option(min=1000, help="Evaluations of an iteration that is timed.")] = 1_000_000,
+    rounds: Rounds = 7,
+    warm_up: WarmUp = 2,
+    variant: Variant = None,
+    record: Keep = False,
+) -> None:
+    """The VEGAS-derived integrator beside the vegas package: errors, and evaluations a second."""
+    chosen = _begin(variant)
+    counts = [int(word) for word in _words(evaluations)]
+    tables = (integrals.errors(counts, seeds), integrals.speed(speed, rounds, warm_up))
+    _publish(chosen, record, *tables)
+
+
 @app.callback(invoke_without_command=True)
 def everything(context: typer.Context, variant: Variant = None, record: Keep = False) -> None:
     """Run every benchmark in turn."""
@@ -190,6 +209,7 @@ def everything(context: typer.Context, variant: Variant = None, record: Keep = F
         choice(variant=variant, record=record)
         knn(variant=variant, record=record)
         points(variant=variant, record=record)
+        integration(variant=variant, record=record)
 
 
 if __name__ == "__main__":

@@ -147,3 +147,14 @@ def test_points_are_compared():
     assert [row[0] for row in record.rows][:3] == ["halton", "sobol", "owen-sobol"]
     assert all(len(row) == len(record.columns) for row in record.rows)
     assert all(float(row[1].split()[0]) >= 0 and ("reached" in row[2] or "missed" in row[2]) for row in record.rows[:3])
+
+
+def test_the_benchmark_of_integrals_compares_and_knows_the_integral():
+    pytest.importorskip("vegas")
+    integrals = module("integrals")
+    errors = integrals.errors([2000], seeds=3)
+    assert [row[1] for row in errors.rows] == ["vegas beta=0", "vegas beta=0.75", "étendue"]
+    assert all(0 < float(row[2]) < 0.05 and 0 < float(row[3]) < 0.05 for row in errors.rows)
+    speed = integrals.speed(1000, rounds=1, warm_up=1)
+    assert [row[0] for row in speed.rows][2:] == ["étendue, device", "étendue, host"]
+    assert "4:" in speed.rows[2][3]

@@ -1,0 +1,63 @@
+"""Integrals over boxes: functions and their algebra, and integrators that know nothing of what they integrate."""
+
+from .backend import Backend, DeviceBackend, HostBackend, library
+from .binning import damp, rebin, smooth
+from .chains import ChainDiagnosis, autocorrelation, autocorrelation_time, diagnose, split_r_hat
+from .densities import AxisBins, CellGrid, Density, PlaneBins, ProductDensity, Warp
+from .errors import IntegrationError
+from .estimate import Estimate, Integrator, average, combine
+from .functions import Box, Domain, Integrand, constant, coordinate
+from .metropolis import Chains, Independent, Metropolis, Mixture, Proposal, ScaledStep, UniformStep
+from .nested import integral
+from .plain import ControlVariate, HitOrMiss, Importance, MeanSample
+from .recursive import RecursiveStratified
+from .stratified import PointSequence, QuasiMonteCarlo, Stratified
+from .vegas import Vegas
+
+__all__ = [
+    "AxisBins",
+    "Backend",
+    "Box",
+    "CellGrid",
+    "ChainDiagnosis",
+    "Chains",
+    "ControlVariate",
+    "Density",
+    "DeviceBackend",
+    "Domain",
+    "Estimate",
+    "HitOrMiss",
+    "HostBackend",
+    "Importance",
+    "Independent",
+    "Integrand",
+    "IntegrationError",
+    "Integrator",
+    "MeanSample",
+    "Metropolis",
+    "Mixture",
+    "PlaneBins",
+    "PointSequence",
+    "ProductDensity",
+    "Proposal",
+    "QuasiMonteCarlo",
+    "RecursiveStratified",
+    "ScaledStep",
+    "Stratified",
+    "UniformStep",
+    "Vegas",
+    "Warp",
+    "autocorrelation",
+    "autocorrelation_time",
+    "average",
+    "combine",
+    "constant",
+    "coordinate",
+    "damp",
+    "diagnose",
+    "integral",
+    "library",
+    "rebin",
+    "smooth",
+    "split_r_hat",
+]

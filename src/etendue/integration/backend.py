@@ -1,0 +1,333 @@
+"""The few array operations that integrators need, for NumPy on the host and for Dr.Jit on its device.
+
+Points are coordinate-major everywhere: ``x[i]`` is coordinate ``i`` of all ``n`` points, an array of ``n`` numbers.
+On the host ``x`` is an ndarray of shape (d, n) in double precision, on the device a list of d arrays of Mitsuba's
+``Float``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from etendue.core import Array, IndependentSource, on_device, use_variant
+
+#: Numbers of one source of the device; more dimensions take another vertex of it.
+_COMPONENTS = 64
+#: Samples of a stratum up to which the device adds them in one lane, rather than by a block reduction.
+_UNROLLED = 32
+
+
+class Backend(Protocol):
+    """What an integrator may ask of arrays. ``seed`` and the number of calls decide every random number."""
+
+    #: Points that are best evaluated at once.
+    batch: int
+    #: Most parts of an axis, and cells of a grid, within which a number still has places enough.
+    parts: int
+    cells: int
+
+    def uniform(self, count: int, dimension: int) -> Any:
+        """``count`` independent points of the unit cube; each call gives others."""
+        ...
+
+    def points(self, values: Array) -> Any:
+        """Points from an array (d, n) of the host."""
+        ...
+
+    def index(self, count: int) -> Any:
+        """0 … count-1."""
+        ...
+
+    def opaque(self, number: int) -> Any:
+        """A whole number that may change from batch to batch without another kernel."""
+        ...
+
+    def number(self, index: Any) -> Any:
+        """Whole numbers as real ones."""
+        ...
+
+    def split(self, value: Any, limit: int) -> tuple[Any, Any]:
+        """Whole part of a number in [0, limit], at most ``limit - 1``, and the rest."""
+        ...
+
+    def table(self, values: Array) -> Any:
+        """A table that :meth:`take` reads."""
+        ...
+
+    def take(self, table: Any, index: Any) -> Any:
+        """Entries of a table."""
+        ...
+
+    def where(self, mask: Any, yes: Any, no: Any) -> Any:
+        """Choice between two arrays."""
+        ...
+
+    def exp(self, value: Any) -> Any:
+        """Exponential function."""
+        ...
+
+    def broadcast(self, value: Any, x: Any) -> Any:
+        """``value`` as an array of as many numbers as there are points ``x``."""
+        ...
+
+    def clean(self, values: Any) -> Any:
+        """``values`` with zero for what is not finite, which is counted in :meth:`rejected`."""
+        ...
+
+    def compute(self, *values: Any) -> None:
+        """Have arrays computed now, so that what follows does not compute them again."""
+        ...
+
+    def rejected(self) -> int:
+        """How many values :meth:`clean` has replaced so far."""
+        ...
+
+    def histogram(self, index: Any, weights: Sequence[Any], size: int) -> list[Array]:
+        """For each of ``weights`` the sums over equal ``index``: host arrays of ``size`` numbers."""
+        ...
+
+    def moments(self, values: Any) -> tuple[float, float]:
+        """Mean, and sum of squared deviations from it."""
+        ...
+
+    def strata(self, values: Any, size: int) -> tuple[float, float]:
+        """Over strata of ``size`` consecutive values: sum of their means, sum of the variances of these means."""
+        ...
+
+    def host(self, values: Any) -> Array:
+        """As a NumPy array of doubles."""
+        ...
+
+
+class HostBackend:
+    """NumPy, in double precision."""
+
+    batch = 1 << 16  # what fits a core's cache with a few temporaries
+    parts = 1 << 40
+    cells = 1 << 24
+
+    def __init__(self, seed: int) -> None:
+        self._random = np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed)))
+        self._rejected = 0
+
+    def uniform(self, count: int, dimension: int) -> Any:
+        """See :class:`Backend`."""
+        return self._random.random((dimension, count))
+
+    def points(self, values: Array) -> Any:
+        """See :class:`Backend`."""
+        return np.ascontiguousarray(values, dtype=np.float64)
+
+    def index(self, count: int) -> Any:
+        """See :class:`Backend`."""
+        return np.arange(count)
+
+    def opaque(self, number: int) -> Any:
+        """See :class:`Backend`."""
+        return number
+
+    def number(self, index: Any) -> Any:
+        """See :class:`Backend`."""
+        return np.asarray(index, dtype=np.float64)
+
+    def split(self, value: Any, limit: int) -> tuple[Any, Any]:
+        """See :class:`Backend`."""
+        whole = value.astype(np.int64)
+        np.minimum(whole, limit - 1, out=whole)
+        return whole, value - whole
+
+    def table(self, values: Array) -> Any:
+        """See :class:`Backend`."""
+        return np.asarray(values, dtype=np.float64).ravel()
+
+    def take(self, table: Any, index: Any) -> Any:
+        """See :class:`Backend`."""
+        return table[index]
+
+    def where(self, mask: Any, yes: Any, no: Any) -> Any:
+        """See :class:`Backend`."""
+        return np.where(mask, yes, no)
+
+    def exp(self, value: Any) -> Any:
+        """See :class:`Backend`."""
+        return np.exp(value)
+
+    def broadcast(self, value: Any, x: Any) -> Any:
+        """See :class:`Backend`."""
+        return np.broadcast_to(np.asarray(value, dtype=np.float64), np.shape(x[0]))
+
+    def clean(self, values: Any) -> Any:
+        """See :class:`Backend`."""
+        finite = np.isfinite(values)
+        if finite.all():
+            return values
+        self._rejected += int(finite.size - np.count_nonzero(finite))
+        return np.where(finite, values, 0.0)
+
+    def compute(self, *values: Any) -> None:
+        """See :class:`Backend`."""
+
+    def rejected(self) -> int:
+        """See :class:`Backend`."""
+        return self._rejected
+
+    def histogram(self, index: Any, weights: Sequence[Any], size: int) -> list[Array]:
+        """See :class:`Backend`."""
+        return [np.asarray(np.bincount(index, w, size), dtype=np.float64) for w in weights]
+
+    def moments(self, values: Any) -> tuple[float, float]:
+        """See :class:`Backend`."""
+        mean = float(values.mean())
+        deviation = values - mean
+        return mean, float(deviation @ deviation)
+
+    def strata(self, values: Any, size: int) -> tuple[float, float]:
+        """See :class:`Backend`."""
+        rows = values.reshape(-1, size)
+        mean = rows.mean(axis=1)
+        squares = ((rows - mean[:, None]) ** 2).sum()
+        return float(mean.sum()), float(squares / (size * (size - 1)))
+
+    def host(self, values: Any) -> Array:
+        """See :class:`Backend`."""
+        return np.asarray(values, dtype=np.float64)
+
+
+class DeviceBackend:
+    """Dr.Jit under the current variant of Mitsuba: single precision, sums in double precision."""
+
+    batch = 1 << 22
+    parts = 1 << 16
+    cells = 1 << 12
+
+    def __init__(self, seed: int) -> None:
+        use_variant()
+        import drjit as dr
+        import mitsuba as mi
+
+        self._dr, self._seed, self._calls = dr, seed, 0
+        self._float, self._double, self._uint = mi.Float, mi.Float64, mi.UInt32
+        self._counter = dr.zeros(mi.UInt32, 1)
+
+    def uniform(self, count: int, dimension: int) -> Any:
+        """See :class:`Backend`."""
+        source = IndependentSource(self.index(count), self._seed, "integration", self._calls)
+        self._calls += 1
+        return [source.next_1d(a // _COMPONENTS, a % _COMPONENTS) for a in range(dimension)]
+
+    def points(self, values: Array) -> Any:
+        """See :class:`Backend`."""
+        return [self.table(row) for row in values]
+
+    def index(self, count: int) -> Any:
+        """See :class:`Backend`."""
+        return self._dr.arange(self._uint, count)
+
+    def opaque(self, number: int) -> Any:
+        """See :class:`Backend`."""
+        return self._dr.opaque(self._uint, number)
+
+    def number(self, index: Any) -> Any:
+        """See :class:`Backend`."""
+        return self._float(index)
+
+    def split(self, value: Any, limit: int) -> tuple[Any, Any]:
+        """See :class:`Backend`."""
+        whole = self._dr.minimum(self._uint(value), limit - 1)
+        return whole, value - self._float(whole)
+
+    def table(self, values: Array) -> Any:
+        """See :class:`Backend`."""
+        array = np.asarray(values)
+        if array.dtype.kind in "iu":
+            return self._uint(np.array(array.ravel(), dtype=np.uint32))
+        if array.size <= 1 << 16:
+            return on_device(self._float, array)
+        return self._float(np.array(array.ravel(), dtype=np.float32))
+
+    def take(self, table: Any, index: Any) -> Any:
+        """See :class:`Backend`."""
+        return self._dr.gather(type(table), table, index)
+
+    def where(self, mask: Any, yes: Any, no: Any) -> Any:
+        """See :class:`Backend`."""
+        return self._dr.select(mask, yes, no)
+
+    def exp(self, value: Any) -> Any:
+        """See :class:`Backend`."""
+        return self._dr.exp(value)
+
+    def broadcast(self, value: Any, x: Any) -> Any:
+        """See :class:`Backend`."""
+        return self._float(value) + self._dr.zeros(self._float, self._dr.width(x[0]))
+
+    def clean(self, values: Any) -> Any:
+        """See :class:`Backend`."""
+        finite = self._dr.isfinite(values)
+        # A masked scatter costs nothing where all is well, and belongs to the kernel that computes the values.
+        self._dr.scatter_reduce(self._dr.ReduceOp.Add, self._counter, self._uint(1), self._uint(0), ~finite)
+        return self._dr.select(finite, values, 0)
+
+    def compute(self, *values: Any) -> None:
+        """See :class:`Backend`."""
+        self._dr.eval(*values)
+
+    def rejected(self) -> int:
+        """See :class:`Backend`."""
+        return int(self._counter[0])
+
+    def histogram(self, index: Any, weights: Sequence[Any], size: int) -> list[Array]:
+        """See :class:`Backend`."""
+        dr = self._dr
+        sums = [dr.zeros(self._float, size) for _ in weights]
+        for total, weight in zip(sums, weights, strict=True):
+            dr.scatter_reduce(dr.ReduceOp.Add, total, self._float(weight), index)
+        return sums
+
+    def moments(self, values: Any) -> tuple[float, float]:
+        """See :class:`Backend`."""
+        dr, count = self._dr, self._dr.width(values)
+        dr.eval(values)
+        mean = float(dr.sum(self._double(values))[0]) / count
+        deviation = self._double(values) - dr.opaque(self._double, mean)
+        return mean, float(dr.sum(deviation * deviation)[0])
+
+    def strata(self, values: Any, size: int) -> tuple[float, float]:
+        """See :class:`Backend`."""
+        dr = self._dr
+        dr.eval(values)
+        count = dr.width(values) // size
+        if size <= _UNROLLED:
+            first = dr.arange(self._uint, count) * size
+            members = [self._double(dr.gather(type(values), values, first + j)) for j in range(size)]
+            mean = sum(members) / size
+            squares = sum(dr.square(member - mean) for member in members)
+        else:
+            double = self._double(values)
+            mean = dr.block_sum(double, size) / size
+            dr.eval(mean)
+            squares = dr.block_sum(
+                dr.square(double - dr.gather(self._double, mean, dr.arange(self._uint, count * size) // size)), size
+            )
+        total, spread = dr.sum(mean), dr.sum(squares)
+        dr.eval(total, spread)
+        return float(total[0]), float(spread[0]) / (size * (size - 1))
+
+    def host(self, values: Any) -> Array:
+        """See :class:`Backend`."""
+        return np.array(values, dtype=np.float64)
+
+
+def library(x: Any) -> Any:
+    """The module whose ``exp``, ``sqrt``, ``sin``, ``minimum`` … take ``x``: ``numpy`` or ``drjit``.
+
+    With it one function serves the host and the device: ``lambda x: library(x[0]).exp(-x[0] * x[1])``.
+    """
+    if isinstance(x, np.ndarray | float | int | np.generic):
+        return np
+    import drjit as dr
+
+    return dr

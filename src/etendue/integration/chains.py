@@ -1,0 +1,108 @@
+"""How far a Markov chain's numbers are worth: autocorrelation time, effective sample size, split R-hat, burn-in.
+
+Numbers come as (chains, steps): several chains of the same length.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from etendue.core import Array
+
+from .errors import IntegrationError
+
+#: A window of autocorrelations ends where it is this many autocorrelation times long [Sokal 1997].
+_WINDOW = 5.0
+
+
+@dataclass(frozen=True)
+class ChainDiagnosis:
+    """Of some quantity along chains.
+
+    Attributes
+    ----------
+    mean, standard_error: of the quantity; the error allows for the dependence of neighbours.
+    autocorrelation_time: integrated, in steps: how many steps are worth one independent number.
+    effective_samples: number of independent numbers that the chains are worth.
+    r_hat: split R-hat [Gelman 1992; Vehtari 2021]; 1 where halves of chains agree, above about 1.01 they do not yet.
+    """
+
+    mean: float
+    standard_error: float
+    autocorrelation_time: float
+    effective_samples: float
+    r_hat: float
+
+
+def autocorrelation(values: Array) -> Array:
+    """Autocorrelation at lags 0 … steps-1, averaged over the chains: (steps,). Around the mean of all chains, so that
+    chains stuck in different places count as correlated. Constant numbers give 1 at lag 0 and 0 else."""
+    v = _checked(values)
+    steps = v.shape[1]
+    centred = v - v.mean()
+    size = 1 << (2 * steps - 1).bit_length()  # zero padding, so that the ends do not meet
+    spectrum = np.zeros(size // 2 + 1)
+    for row in centred:
+        spectrum += np.abs(np.fft.rfft(row, size)) ** 2
+    covariance = np.fft.irfft(spectrum, size)[:steps] / v.size
+    if covariance[0] <= 1e-24 * max(float(np.mean(v * v)), np.finfo(float).tiny):
+        return np.concatenate([[1.0], np.zeros(steps - 1)])
+    result: Array = covariance / covariance[0]
+    return result
+
+
+def autocorrelation_time(values: Array) -> float:
+    """Integrated autocorrelation time ``1 + 2 sum rho_t`` in steps, over a window of five such times [Sokal 1997].
+
+    Numbers that are anticorrelated have less than 1.
+    """
+    times = 2 * np.cumsum(autocorrelation(values)) - 1
+    enough = np.flatnonzero(np.arange(len(times)) >= _WINDOW * np.maximum(times, 1.0))
+    return float(max(times[enough[0] if len(enough) else -1], 1.0 / np.asarray(values).size))
+
+
+def split_r_hat(values: Array) -> float:
+    """Split R-hat: each chain is halved; root of the variance over all against that within halves [Gelman 1992]."""
+    v = _checked(values)
+    half = v.shape[1] // 2
+    if half < 2:
+        raise IntegrationError(f"{v.shape[1]} steps are too few to compare halves of chains: at least 4")
+    halves = np.concatenate([v[:, :half], v[:, -half:]])
+    within = float(halves.var(axis=1, ddof=1).mean())
+    between = float(halves.mean(axis=1).var(ddof=1))
+    if within <= 0:
+        return 1.0 if between <= 0 else float("inf")
+    return float(np.sqrt((half - 1) / half + between / within))
+
+
+def diagnose(values: Array) -> ChainDiagnosis:
+    """All of it at once, for (chains, steps) numbers."""
+    v = _checked(values)
+    time = autocorrelation_time(v)
+    effective = v.size / time
+    error = float(np.sqrt(v.var() / effective))
+    return ChainDiagnosis(float(v.mean()), error, time, effective, split_r_hat(v))
+
+
+def burn_in(values: Array) -> int:
+    """Steps to leave out at the beginning: where the standard error of the mean of the rest, taken as if
+    independent, is least (the MSER rule [White 1997]), at most half of all."""
+    v = _checked(values).mean(axis=0)
+    steps = len(v)
+    left = np.arange(steps, 0, -1)
+    total, squares = np.cumsum(v[::-1])[::-1], np.cumsum((v * v)[::-1])[::-1]
+    statistic = (squares / left - (total / left) ** 2) / left
+    return int(np.argmin(statistic[: max(steps // 2, 1)]))
+
+
+def _checked(values: Array) -> Array:
+    v = np.asarray(values, dtype=np.float64)
+    if v.ndim == 1:
+        v = v[None, :]
+    if v.ndim != 2 or v.shape[1] < 2:
+        raise IntegrationError(f"chains are numbers of shape (chains, steps), at least 2 steps, not {v.shape}")
+    if not np.isfinite(v).all():
+        raise IntegrationError("numbers along a chain must be finite")
+    return v

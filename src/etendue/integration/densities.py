@@ -1,0 +1,323 @@
+"""Densities that can be sampled, evaluated and learned: products of factors over groups of parameters.
+
+A factor over one or two parameters is stepwise with movable bins, each chosen with the same probability; over three and
+more it is a fixed grid of cells, each with a probability of its own [Leeson 2001, sec. 5.5]. Every factor warps uniform
+numbers to its distribution, so stratified or quasi-random numbers stay even under it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from etendue.core import Array
+
+from .backend import Backend, HostBackend
+from .binning import damp, rebin, smooth
+from .errors import IntegrationError
+from .functions import Box, Domain, Integrand
+
+#: Least probability of a cell of a grid, relative to an even share: an unlucky cell is still found again.
+_FLOOR = 0.05
+
+
+class Density(Protocol):
+    """A probability density on a box that an integrator can draw from."""
+
+    domain: Box
+
+    def sample(self, backend: Backend, u: Any) -> tuple[Any, Any]:
+        """Points of the domain from points ``u`` of the unit cube, coordinate-major, and the density at each."""
+        ...
+
+    def pdf(self, backend: Backend, x: Any) -> Any:
+        """The density at points of the domain."""
+        ...
+
+
+class Factor(Protocol):
+    """A learned density over one group of parameters, on the unit cube."""
+
+    dimension: int
+    bins: int
+    #: Probability of each bin.
+    shares: Any
+    #: Power of the contribution by which its bins adapt: movable ones go to where it is equal by its square.
+    order: int
+
+    def warp(self, backend: Backend, u: Sequence[Any]) -> tuple[list[Any], Any, Any]:
+        """(points, 1 / density, bin of each)."""
+        ...
+
+    def pdf(self, backend: Backend, x: Sequence[Any]) -> Any:
+        """Density at points."""
+        ...
+
+    def adapted(self, values: Array, smoothing: bool, damping: float | None, inertia: float) -> Factor:
+        """The factor after bins were found to have ``values`` (size ``bins``): their contributions, or deviations."""
+        ...
+
+
+class AxisBins:
+    """One parameter: K bins, each with probability 1/K. ``edges``: (K+1,), from 0 to 1."""
+
+    dimension = 1
+    order = 2
+
+    def __init__(self, edges: Array) -> None:
+        self.edges = np.asarray(edges, dtype=np.float64)
+        self.bins = len(self.edges) - 1
+        self.shares = 1.0 / self.bins
+
+    @classmethod
+    def even(cls, bins: int) -> AxisBins:
+        """The uniform density."""
+        return cls(np.linspace(0.0, 1.0, bins + 1))
+
+    def warp(self, backend: Backend, u: Sequence[Any]) -> tuple[list[Any], Any, Any]:
+        """See :class:`Factor`."""
+        place, rest = backend.split(u[0] * self.bins, self.bins)
+        width = backend.take(backend.table(np.diff(self.edges)), place)
+        low = backend.take(backend.table(self.edges[:-1]), place)
+        return [low + rest * width], width * self.bins, place
+
+    def pdf(self, backend: Backend, x: Sequence[Any]) -> Any:
+        """See :class:`Factor`."""
+        density = 1.0 / (self.bins * np.maximum(np.diff(self.edges), np.finfo(float).tiny))
+        place = bisect(backend, backend.table(self.edges), x[0], self.bins)
+        return backend.take(backend.table(density), place)
+
+    def adapted(self, values: Array, smoothing: bool, damping: float | None, inertia: float) -> AxisBins:
+        """See :class:`Factor`."""
+        return AxisBins(rebin(self.edges, stabilised(values, smoothing, damping)))
+
+
+class PlaneBins:
+    """Two parameters: K bins of the first and, in each of them, L bins of the second; each with probability 1/(K L).
+
+    ``edges``: (K+1,) of the first; ``inner``: (K, L+1) of the second.
+    """
+
+    dimension = 2
+    order = 2
+
+    def __init__(self, edges: Array, inner: Array) -> None:
+        self.edges = np.asarray(edges, dtype=np.float64)
+        self.inner = np.asarray(inner, dtype=np.float64)
+        self._outer_bins, self._inner_bins = len(self.edges) - 1, self.inner.shape[1] - 1
+        self.bins = self._outer_bins * self._inner_bins
+        self.shares = 1.0 / self.bins
+
+    @classmethod
+    def even(cls, bins: int) -> PlaneBins:
+        """The uniform density, ``bins`` to an axis."""
+        edges = np.linspace(0.0, 1.0, bins + 1)
+        return cls(edges, np.tile(edges, (bins, 1)))
+
+    def warp(self, backend: Backend, u: Sequence[Any]) -> tuple[list[Any], Any, Any]:
+        """See :class:`Factor`."""
+        outer, outer_rest = backend.split(u[0] * self._outer_bins, self._outer_bins)
+        inner, inner_rest = backend.split(u[1] * self._inner_bins, self._inner_bins)
+        place = outer * self._inner_bins + inner
+        width = backend.take(backend.table(np.diff(self.edges)), outer)
+        inner_width = backend.take(backend.table(np.diff(self.inner)), place)
+        x = backend.take(backend.table(self.edges[:-1]), outer) + outer_rest * width
+        y = backend.take(backend.table(self.inner[:, :-1]), place) + inner_rest * inner_width
+        return [x, y], width * inner_width * self.bins, place
+
+    def pdf(self, backend: Backend, x: Sequence[Any]) -> Any:
+        """See :class:`Factor`."""
+        tiny = np.finfo(float).tiny
+        density = 1.0 / (self.bins * np.maximum(np.diff(self.inner) * np.diff(self.edges)[:, None], tiny))
+        outer = bisect(backend, backend.table(self.edges), x[0], self._outer_bins)
+        row = outer * (self._inner_bins + 1)
+        inner = bisect(backend, backend.table(self.inner), x[1], self._inner_bins, row)
+        return backend.take(backend.table(density), outer * self._inner_bins + inner)
+
+    def adapted(self, values: Array, smoothing: bool, damping: float | None, inertia: float) -> PlaneBins:
+        """See :class:`Factor`. A new bin of the first parameter takes the borders of the second from the old bins
+        that it lies in, averaged by their shares of it."""
+        rows = np.asarray(values).reshape(self._outer_bins, self._inner_bins)
+        edges = rebin(self.edges, stabilised(rows.sum(axis=1), smoothing, damping))
+        inner = rebin(self.inner, stabilised(smooth(rows, 0) if smoothing else rows, smoothing, damping))
+        low = np.maximum(edges[:-1, None], self.edges[None, :-1])
+        share = np.maximum(np.minimum(edges[1:, None], self.edges[None, 1:]) - low, 0.0)
+        total = share.sum(axis=1, keepdims=True)
+        share = np.divide(share, total, out=np.eye(self._outer_bins), where=total > 0)
+        return PlaneBins(edges, share @ inner)
+
+
+class CellGrid:
+    """Three or more parameters: equal cells, each with a probability of its own, ``probability[i, j, k, …]``."""
+
+    order = 1
+
+    def __init__(self, probability: Array) -> None:
+        p = np.asarray(probability, dtype=np.float64)
+        self.probability = p / p.sum()
+        self.dimension, self.cells, self.bins = p.ndim, p.shape[0], p.size
+        self.shares = self.probability.ravel()
+
+    @classmethod
+    def even(cls, bins: int, dimension: int) -> CellGrid:
+        """The uniform density."""
+        return cls(np.ones((bins,) * dimension))
+
+    def warp(self, backend: Backend, u: Sequence[Any]) -> tuple[list[Any], Any, Any]:
+        """See :class:`Factor`. The first number chooses the cell, and what it has left is the place in it."""
+        p = self.probability.ravel()
+        reached = np.concatenate([[0.0], np.cumsum(p)])
+        place = bisect(backend, backend.table(reached), u[0], self.bins)
+        chosen = backend.take(backend.table(p), place)
+        rest = (u[0] - backend.take(backend.table(reached[:-1]), place)) / chosen
+        rest = backend.where(rest > 0, backend.where(rest < 1, rest, 1 - 2.0**-24), 0.0)
+        x, left = [], place
+        for axis in range(self.dimension):
+            size = self.cells ** (self.dimension - 1 - axis)
+            along = left // size
+            left = left - along * size
+            x.append((backend.number(along) + (rest if axis == 0 else u[axis])) * (1.0 / self.cells))
+        return x, 1.0 / (chosen * self.bins), place
+
+    def pdf(self, backend: Backend, x: Sequence[Any]) -> Any:
+        """See :class:`Factor`."""
+        place: Any = 0
+        for value in x:
+            place = place * self.cells + backend.split(value * self.cells, self.cells)[0]
+        return backend.take(backend.table(self.probability * self.bins), place)
+
+    def adapted(self, values: Array, smoothing: bool, damping: float | None, inertia: float) -> CellGrid:
+        """See :class:`Factor`. A probability follows the root mean square of f, or its deviation; ``inertia`` r
+        mixes old and new as (1 - r) old + r new. ``damping`` is for movable bins."""
+        d = np.asarray(values).reshape(self.probability.shape)
+        if smoothing:
+            for axis in range(self.dimension):
+                d = smooth(d, axis)
+        if not d.sum() > 0:
+            return self
+        proposed = self.probability * d
+        proposed = proposed / proposed.sum()
+        mixed = (1 - inertia) * self.probability + inertia * proposed
+        return CellGrid(np.maximum(mixed, _FLOOR / self.bins))
+
+
+def stabilised(values: Array, smoothing: bool, damping: float | None) -> Array:
+    """Smoothed and damped, or as they are."""
+    values = smooth(values) if smoothing else np.asarray(values)
+    return values if damping is None else damp(values, damping)
+
+
+def bisect(backend: Backend, table: Any, value: Any, bins: int, start: Any = 0) -> Any:
+    """For ascending borders ``table[start … start + bins]``: in which of the bins ``value`` lies."""
+    low: Any = value * 0.0
+    low = backend.split(low, 1)[0]
+    step = 1 << max(bins - 1, 1).bit_length() - 1
+    while step:
+        # The bin `low + step` is tried only where it exists; the last border is never passed.
+        tried = backend.where(low + step < bins, low + step, low)
+        low = backend.where(backend.take(table, tried + start) <= value, tried, low)
+        step >>= 1
+    return low
+
+
+class ProductDensity:
+    """``p(x) = prod_g p_g(x_g)`` over groups of parameters of a box; those in no group are uniform.
+
+    Parameters
+    ----------
+    domain: the box.
+    groups: which parameters each factor is of.
+    factors: one for each group.
+    """
+
+    def __init__(self, domain: Domain, groups: Sequence[Sequence[int]], factors: Sequence[Factor]) -> None:
+        self.domain = Box.of(domain)
+        self.groups = [tuple(group) for group in groups]
+        self.factors = list(factors)
+        used = list(itertools.chain.from_iterable(self.groups))
+        if len(set(used)) != len(used) or any(not 0 <= a < self.domain.dimension for a in used):
+            raise IntegrationError(
+                f"groups {self.groups} of parameters: each may occur once, from 0 to {self.domain.dimension - 1}"
+            )
+        if [f.dimension for f in self.factors] != [len(g) for g in self.groups]:
+            raise IntegrationError("each group of parameters needs a factor of as many dimensions")
+
+    @classmethod
+    def tabulated(cls, f: Integrand, bins: int = 64) -> ProductDensity:
+        """The stepwise density of one or two parameters that follows ``|f|`` at the centres of ``bins`` bins an axis.
+
+        Raises :class:`IntegrationError` if ``f`` cannot be normalised: not finite somewhere, or zero everywhere.
+        """
+        if f.dimension > 2 or f.on == "device":
+            raise IntegrationError("a density is tabulated from a function of one or two parameters on the host")
+        grid = (np.arange(bins) + 0.5) / bins
+        points = np.stack([axis.ravel() for axis in np.meshgrid(*[grid] * f.dimension, indexing="ij")])
+        values = np.abs(np.broadcast_to(f.evaluate(f.domain.from_unit(points)), points.shape[1:])).astype(float)
+        if not np.isfinite(values).all() or not values.sum() > 0:
+            raise IntegrationError(
+                "a density cannot be made of a function that is not finite, or zero everywhere: not normalisable"
+            )
+        # What is zero at a centre need not be zero around it, and must be found.
+        values = np.maximum(values, 1e-3 * values.mean())
+        even = np.linspace(0.0, 1.0, bins + 1)
+        if f.dimension == 1:
+            factor: Factor = AxisBins(rebin(even, values))
+        else:
+            rows = values.reshape(bins, bins)
+            start = PlaneBins.even(bins)
+            factor = start.adapted(rows.ravel(), False, None, 1.0)
+        return cls(f.domain, [tuple(range(f.dimension))], [factor])
+
+    def warp(self, backend: Backend, u: Any) -> tuple[Any, Any, list[Any]]:
+        """Points of the unit cube, 1 / density there, and the bin in each factor."""
+        x = list(u)
+        weight: Any = 1.0
+        places = []
+        for group, factor in zip(self.groups, self.factors, strict=True):
+            warped, inverse, place = factor.warp(backend, [u[a] for a in group])
+            for axis, value in zip(group, warped, strict=True):
+                x[axis] = value
+            weight = weight * inverse
+            places.append(place)
+        return x, weight, places
+
+    def sample(self, backend: Backend, u: Any) -> tuple[Any, Any]:
+        """See :class:`Density`."""
+        x, weight, _ = self.warp(backend, u)
+        return self.domain.from_unit(x), 1.0 / (weight * self.domain.volume)
+
+    def pdf(self, backend: Backend, x: Any) -> Any:
+        """See :class:`Density`."""
+        unit = self.domain.to_unit(x)
+        p: Any = 1.0 / self.domain.volume
+        for group, factor in zip(self.groups, self.factors, strict=True):
+            p = p * factor.pdf(backend, [unit[a] for a in group])
+        return backend.broadcast(p, x)
+
+    def draw(self, count: int, seed: int = 0) -> tuple[Array, Array]:
+        """``count`` points (d, count) on the host and the density at each."""
+        backend = HostBackend(seed)
+        x, p = self.sample(backend, backend.uniform(count, self.domain.dimension))
+        return np.stack(list(x)), backend.broadcast(p, x)
+
+
+class Warp:
+    """A density given by two functions: ``sample``, from points of the unit cube to points of the domain, and ``pdf``.
+
+    Both take and return coordinate-major arrays, as functions of an :class:`Integrand` do.
+    """
+
+    def __init__(self, domain: Domain, sample: Any, pdf: Any) -> None:
+        self.domain, self._sample, self._pdf = Box.of(domain), sample, pdf
+
+    def sample(self, backend: Backend, u: Any) -> tuple[Any, Any]:
+        """See :class:`Density`."""
+        x = self._sample(u)
+        return x, backend.broadcast(self._pdf(x), x)
+
+    def pdf(self, backend: Backend, x: Any) -> Any:
+        """See :class:`Density`."""
+        return backend.broadcast(self._pdf(x), x)

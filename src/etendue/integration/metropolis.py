@@ -1,0 +1,243 @@
+"""Metropolis-Hastings: points distributed as any non-negative function, which need not be normalised.
+
+From x a proposal x' is accepted with ``min(1, f(x') A(x' -> x) / (f(x) A(x -> x')))``, else x is **repeated**
+[Metropolis 1953; Hastings 1970]. Chains run side by side, one in each lane.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from etendue.core import Array, logger
+
+from .chains import ChainDiagnosis, burn_in, diagnose
+from .errors import IntegrationError
+from .estimate import Work
+from .functions import Box, Integrand
+
+#: Points tried for each chain to find one where the target is not zero, and how often.
+_TRIES = 64
+
+
+class Proposal(Protocol):
+    """How a chain moves, in the unit cube."""
+
+    def numbers(self, dimension: int) -> int:
+        """Random numbers that a step takes."""
+        ...
+
+    def propose(self, backend: Any, x: list[Any], u: Any) -> tuple[list[Any], Any]:
+        """The place proposed from ``x`` by numbers ``u``, and ``A(x' -> x) / A(x -> x')``. A place out of the cube is
+        refused by the chain."""
+        ...
+
+
+@dataclass(frozen=True)
+class UniformStep:
+    """``x' = x + (2u - 1) size`` in every coordinate, ``size`` in sides of the domain: symmetric."""
+
+    size: float = 0.1
+
+    def numbers(self, dimension: int) -> int:
+        """See :class:`Proposal`."""
+        return dimension
+
+    def propose(self, backend: Any, x: list[Any], u: Any) -> tuple[list[Any], Any]:
+        """See :class:`Proposal`."""
+        return [v + (2.0 * n - 1.0) * self.size for v, n in zip(x, u, strict=True)], 1.0
+
+
+@dataclass(frozen=True)
+class Independent:
+    """Anywhere in the domain, whatever the state: large steps that no peak can hold."""
+
+    def numbers(self, dimension: int) -> int:
+        """See :class:`Proposal`."""
+        return dimension
+
+    def propose(self, backend: Any, x: list[Any], u: Any) -> tuple[list[Any], Any]:
+        """See :class:`Proposal`."""
+        return [n + 0.0 for n in u], 1.0
+
+
+@dataclass(frozen=True)
+class ScaledStep:
+    """``x' = x exp((2u - 1) size)``: steps in proportion to the distance from the lower ends, for peaks there. Not
+    symmetric: ``A(x' -> x) / A(x -> x')`` is the product of x'/x."""
+
+    size: float = 0.5
+
+    def numbers(self, dimension: int) -> int:
+        """See :class:`Proposal`."""
+        return dimension
+
+    def propose(self, backend: Any, x: list[Any], u: Any) -> tuple[list[Any], Any]:
+        """See :class:`Proposal`."""
+        ratio: Any = 1.0
+        moved = []
+        for v, n in zip(x, u, strict=True):
+            factor = backend.exp((2.0 * n - 1.0) * self.size)
+            moved.append(v * factor)
+            ratio = ratio * factor
+        return moved, ratio
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """``second`` with probability ``share``, else ``first``: small steps, and now and then a large one."""
+
+    first: Proposal
+    second: Proposal
+    share: float = 0.1
+
+    def numbers(self, dimension: int) -> int:
+        """See :class:`Proposal`."""
+        return 1 + max(self.first.numbers(dimension), self.second.numbers(dimension))
+
+    def propose(self, backend: Any, x: list[Any], u: Any) -> tuple[list[Any], Any]:
+        """See :class:`Proposal`."""
+        d = len(x)
+        a, ratio_a = self.first.propose(backend, x, list(u[1 : 1 + self.first.numbers(d)]))
+        b, ratio_b = self.second.propose(backend, x, list(u[1 : 1 + self.second.numbers(d)]))
+        large = u[0] < self.share
+        return [backend.where(large, q, p) for p, q in zip(a, b, strict=True)], backend.where(large, ratio_b, ratio_a)
+
+
+@dataclass(frozen=True)
+class Chains:
+    """Where chains have been.
+
+    Attributes
+    ----------
+    domain: of the target.
+    points: (d, chains, steps), repeats included.
+    target: (chains, steps), the target at them.
+    acceptance: share of the proposals that were accepted.
+    discarded: steps left out at the beginning.
+    rejected: evaluations of the target that were not finite; taken as zero, so never accepted.
+    """
+
+    domain: Box
+    points: Array
+    target: Array
+    acceptance: float
+    discarded: int
+    rejected: int
+
+    def __len__(self) -> int:
+        return int(self.target.size)
+
+    @property
+    def diagnosis(self) -> tuple[ChainDiagnosis, ...]:
+        """Of each coordinate."""
+        return tuple(diagnose(x) for x in self.points)
+
+    @property
+    def effective_samples(self) -> float:
+        """Of the worst coordinate."""
+        return min(d.effective_samples for d in self.diagnosis)
+
+    @property
+    def r_hat(self) -> float:
+        """Of the worst coordinate."""
+        return max(d.r_hat for d in self.diagnosis)
+
+    def expectation(self, g: Integrand) -> ChainDiagnosis:
+        """Mean of ``g`` under the normalised target, with its standard error and diagnosis. ``g`` is on the host."""
+        if g.dimension != self.domain.dimension or g.on == "device":
+            raise IntegrationError(f"the mean is of a function of {self.domain.dimension} parameters on the host")
+        x = self.points.reshape(len(self.points), -1)
+        return diagnose(np.broadcast_to(g.evaluate(x), x.shape[1:]).reshape(self.target.shape))
+
+
+class Metropolis:
+    """A sampler of points distributed as a function.
+
+    Parameters
+    ----------
+    proposal: how chains move; by default small uniform steps, and one in ten anywhere.
+    chains: how many run side by side.
+    burn_in: steps left out at the beginning; ``None`` finds how many by the MSER rule.
+    """
+
+    def __init__(self, proposal: Proposal | None = None, chains: int = 64, burn_in: int | None = None) -> None:
+        if chains < 1 or (burn_in is not None and burn_in < 0):
+            raise IntegrationError(f"chains ({chains}) must be 1 or more, burn_in ({burn_in}) not negative")
+        self.proposal: Proposal = Mixture(UniformStep(0.2), Independent()) if proposal is None else proposal
+        self.chains, self.burn_in = chains, burn_in
+
+    def sample(self, target: Integrand, samples: int, seed: int = 0) -> Chains:
+        """``samples`` states in all, burn-in and repeats included, of chains distributed as ``target``.
+
+        Raises :class:`IntegrationError` if the target is negative somewhere, or zero wherever chains were to begin.
+        A warning says so if the chains do not agree (split R-hat above 1.1).
+        """
+        steps = samples // self.chains
+        kept = steps - (self.burn_in or 0)
+        if kept < 4:
+            raise IntegrationError(
+                f"{samples} samples leave {self.chains} chains {kept} steps after burn-in: each needs 4"
+            )
+        work = Work(target, seed)
+        x, f = self._begin(work)
+        points, values = np.empty((work.dimension, self.chains, steps)), np.empty((self.chains, steps))
+        accepted = 0.0
+        for step in range(steps):
+            x, f, moved = self._step(work, x, f)
+            work.backend.compute(x, f, moved)
+            for row, coordinate in zip(points, work.box.from_unit(x), strict=True):
+                row[:, step] = work.backend.host(coordinate)
+            values[:, step] = work.backend.host(f)
+            accepted += float(work.backend.host(moved).sum())
+        if values.min() < 0:
+            raise IntegrationError("the target of a chain is negative somewhere: it is no density")
+        first = burn_in(values) if self.burn_in is None else self.burn_in
+        rejected = work.backend.rejected()
+        if rejected:
+            logger.warning("%d values of the target were not finite; they count as zero", rejected)
+        share = accepted / (steps * self.chains)
+        chains = Chains(work.box, points[:, :, first:], values[:, first:], share, first, rejected)
+        if chains.r_hat > 1.1:
+            logger.warning("chains do not agree yet (split R-hat %.2f): more steps, or larger ones", chains.r_hat)
+        return chains
+
+    def _begin(self, work: Work) -> tuple[list[Any], Any]:
+        """A state for each chain where the target is not zero, drawn from a few uniform points by the target."""
+        backend = work.backend
+        u = np.stack([backend.host(v) for v in backend.uniform(self.chains * _TRIES, work.dimension)])
+        values = backend.host(work.values(backend.points(u)))
+        if values.min() < 0:
+            raise IntegrationError("the target of a chain is negative somewhere: it is no density")
+        tries = values.reshape(self.chains, _TRIES)
+        # A chain that finds nothing begins where another one has.
+        total = tries.sum(axis=1)
+        found = np.flatnonzero(total > 0)
+        if not len(found):
+            raise IntegrationError(
+                f"the target is zero at {tries.size} points of {work.box}: it cannot be normalised; narrow the domain"
+            )
+        reached = np.cumsum(tries, axis=1)
+        threshold = backend.host(backend.uniform(self.chains, 1)[0]) * total
+        chosen = np.minimum((reached <= threshold[:, None]).sum(axis=1), _TRIES - 1)
+        row = np.arange(self.chains)
+        place = row * _TRIES + chosen
+        place = np.where(total > 0, place, place[found[row % len(found)]])
+        return list(backend.points(u[:, place])), backend.points(values[None, place])[0]
+
+    def _step(self, work: Work, x: list[Any], f: Any) -> tuple[list[Any], Any, Any]:
+        """One step of every chain: state, target there, and 1 where the proposal was accepted."""
+        backend, need = work.backend, self.proposal.numbers(work.dimension)
+        u = list(backend.uniform(self.chains, need + 1))
+        moved, ratio = self.proposal.propose(backend, x, u[:need])
+        inside: Any = moved[0] >= 0.0
+        for coordinate in moved:
+            inside = inside & (coordinate >= 0.0) & (coordinate <= 1.0)
+        # Out of the domain the target is not asked: the state stands in.
+        at = [backend.where(inside, new, old) for new, old in zip(moved, x, strict=True)]
+        there = work.values(at)
+        accept = inside & (u[need] * f < there * ratio)
+        x = [backend.where(accept, new, old) for new, old in zip(moved, x, strict=True)]
+        return x, backend.where(accept, there, f), backend.where(accept, 1.0, backend.broadcast(0.0, x))

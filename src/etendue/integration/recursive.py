@@ -1,0 +1,338 @@
+"""Recursive stratified sampling: MISER with seven changes [Press 1990; Leeson 2001, sec. 5.6].
+
+A region is explored with a part of its samples, divided along one dimension, and each part gets samples by how much the
+function varies in it. All regions of a level are treated at once, so that the integrand sees few large batches.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .binning import split_equally
+from .errors import IntegrationError
+from .estimate import Estimate, Integrator, Work
+
+#: Real or whole numbers of the host.
+Array = NDArray[Any]
+Metric = Literal["range", "maximum", "variance"]
+#: Least bins of exploration that are gathered to parts like bins of VEGAS.
+_BINS = 8
+_METRICS = ("range", "maximum", "variance")
+
+
+@dataclass
+class _Level:
+    """Regions of one depth. ``low``, ``side``: (R, d) in the unit cube; ``samples``: (R,); ``parent``: place of each in
+    the level above; ``explored``: (R, 3) value, variance and count of the exploration, NaN where there was none."""
+
+    low: Array
+    side: Array
+    samples: Array
+    parent: Array
+    explored: Array
+    value: Array
+    variance: Array
+
+    @classmethod
+    def of(cls, low: Array, side: Array, samples: Array, parent: Array) -> _Level:
+        count = len(samples)
+        return cls(low, side, samples, parent, np.full((count, 3), np.nan), np.zeros(count), np.zeros(count))
+
+    @property
+    def volume(self) -> Array:
+        volume: Array = self.side.prod(axis=1)
+        return volume
+
+
+class RecursiveStratified(Integrator):
+    """Recursive division of the domain where the integrand varies.
+
+    Parameters
+    ----------
+    metric: how variation within a bin is judged: ``"range"`` (max - min)^2, ``"maximum"`` max^2 of the absolute values,
+        ``"variance"`` mean square minus squared mean. The first two grow with the count, but compare bins of equal
+        counts; the third is poor at low counts.
+    divisions: parts of a division, n.
+    weights: of the dimensions; a larger one is divided more readily, one of zero never.
+    initial_depth: levels that are divided blindly, by weights in turn, before exploration begins.
+    dither: borders of equal parts are moved by up to this share of a part, at random.
+    borders: ``"equal"`` divides into equal parts, ``"vegas"`` into parts that share the metric equally.
+    exploration: share of a region's samples that explores it.
+    reuse: whether exploration counts in the estimate, by inverse variances; it helps few samples, with a bias.
+    exponent: a in N_i ~ Var_i^(1/(1+a)), Var_i the metric times the squared volume; 1 suits one level, 2 recursion.
+    minimum: samples below which a region is no longer divided; by default 4 n d.
+    depth: most levels.
+
+    If the integrand has a ``cost``, a part's samples are also divided by the root of its mean cost. ``details``:
+    ``regions``, ``depth``, and ``cost``, the summed cost of all evaluations, if it has one.
+    """
+
+    def __init__(
+        self,
+        metric: Metric = "variance",
+        divisions: int = 2,
+        weights: Sequence[float] | None = None,
+        initial_depth: int = 0,
+        dither: float = 0.0,
+        borders: Literal["equal", "vegas"] = "equal",
+        exploration: float = 0.1,
+        reuse: bool = False,
+        exponent: float = 2.0,
+        minimum: int | None = None,
+        depth: int = 40,
+    ) -> None:
+        if metric not in _METRICS:
+            raise IntegrationError(f"the metric is one of {', '.join(_METRICS)}, not {metric!r}")
+        if borders not in ("equal", "vegas"):
+            raise IntegrationError(f"borders are 'equal' or 'vegas', not {borders!r}")
+        if divisions < 2 or not 0 < exploration < 1 or not 0 <= dither < 1 or exponent <= 0 or initial_depth < 0:
+            raise IntegrationError(
+                f"divisions {divisions} must be 2 or more, exploration {exploration} within (0, 1), dither {dither} "
+                f"within [0, 1), exponent {exponent} positive, initial_depth {initial_depth} not negative"
+            )
+        if dither and borders == "vegas":
+            raise IntegrationError("dither moves the borders of equal parts only: leave it at 0 with borders='vegas'")
+        if weights is not None and (min(weights, default=-1) < 0 or not 0 < sum(weights) < math.inf):
+            raise IntegrationError(f"weights of dimensions must not be negative, nor all zero, but are {list(weights)}")
+        self.metric, self.divisions, self.weights, self.initial_depth = metric, divisions, weights, initial_depth
+        self.dither, self.borders, self.exploration, self.reuse = dither, borders, exploration, reuse
+        self.exponent, self.minimum, self.depth = exponent, minimum, depth
+
+    def _integrate(self, work: Work, samples: int) -> Estimate:
+        run = _Run(self, work)
+        corner, side = np.zeros((1, work.dimension)), np.ones((1, work.dimension))
+        level = _Level.of(corner, side, np.array([samples]), np.array([-1]))
+        levels = [level]
+        while len(level.samples) and len(levels) <= self.depth + 1:
+            level = run.divide(level, len(levels) - 1)
+            if len(level.samples):
+                levels.append(level)
+        run.collect(levels)
+        details: dict[str, Any] = {"regions": run.leaves, "depth": len(levels) - 1}
+        if work.f.cost is not None:
+            details["cost"] = run.cost
+        volume = work.box.volume
+        value, variance = float(levels[0].value[0]), float(levels[0].variance[0])
+        return Estimate(value * volume, math.sqrt(variance) * volume, run.used, details=details)
+
+
+class _Run:
+    """One integration: the state that the levels share."""
+
+    def __init__(self, options: RecursiveStratified, work: Work) -> None:
+        d = work.dimension
+        self.o, self.work, self.d = options, work, d
+        weights = np.ones(d) if options.weights is None else np.asarray(options.weights, dtype=float)
+        if len(weights) != d:
+            raise IntegrationError(f"{len(weights)} weights for {d} dimensions: one is needed for each")
+        self.weights = weights
+        self.minimum = 4 * options.divisions * d if options.minimum is None else options.minimum
+        self.order = self._blind_order()
+        self.used = self.leaves = 0
+        self.cost = 0.0
+
+    def _blind_order(self) -> list[int]:
+        """The dimension of each blind level: the one that is furthest behind its weight."""
+        times, order = np.zeros(self.d), []
+        for _ in range(self.o.initial_depth):
+            axis = int(np.argmax(self.weights / (times + 1)))
+            times[axis] += 1
+            order.append(axis)
+        return order
+
+    def evaluate(
+        self, level: _Level, regions: Array, counts: Array, keep: bool = False
+    ) -> tuple[Array, Array, Array | None]:
+        """Region by region: uniform points (d, n) of each one's unit cube, if to ``keep``; values there; and costs."""
+        work, backend = self.work, self.work.backend
+        place = np.repeat(regions, counts)
+        xs, values, costs = [], [], []
+        first = 0
+        for count in work.batches(len(place)):
+            part = place[first : first + count]
+            first += count
+            u = backend.uniform(count, self.d)
+            index = backend.table(part) if work.f.on == "device" else part
+            low = [backend.take(backend.table(level.low[:, a]), index) for a in range(self.d)]
+            side = [backend.take(backend.table(level.side[:, a]), index) for a in range(self.d)]
+            x = work.box.from_unit([a + b * c for a, b, c in zip(low, side, u, strict=True)])
+            values.append(backend.host(work.values_at(x)))
+            if keep:
+                xs.append(np.stack([backend.host(v) for v in u]))
+            if work.f.cost is not None:
+                costs.append(backend.host(backend.broadcast(work.f.cost(x), x)))
+        self.used += len(place)
+        if not values:
+            return np.empty((self.d, 0)), np.empty(0), None
+        cost = np.concatenate(costs) if costs else None
+        if cost is not None:
+            self.cost += float(cost.sum())
+        points = np.concatenate(xs, axis=1) if xs else np.empty((self.d, 0))
+        return points, np.concatenate(values), cost
+
+    def divide(self, level: _Level, depth: int) -> _Level:
+        """Finish the leaves of a level, explore and divide the other regions; their parts."""
+        n, o = self.o.divisions, self.o
+        blind = depth < o.initial_depth
+        # A blind division needs two samples in each part, an explored one enough to see something.
+        enough = 2 * n if blind else max(self.minimum, 4 * n)
+        inner = (level.samples >= enough) & (depth < o.depth)
+        if blind and not inner.all():
+            raise IntegrationError(
+                f"samples are too few for {o.initial_depth} blind levels of {n} parts: "
+                f"at least {2 * n**o.initial_depth}"
+            )
+        self._finish(level, np.flatnonzero(~inner))
+        regions = np.flatnonzero(inner)
+        count = len(regions)
+        if not count:
+            return _Level.of(np.empty((0, self.d)), np.empty((0, self.d)), np.empty(0, int), np.empty(0, int))
+        rest = level.samples[regions]
+        if blind:
+            axis = np.full(count, self.order[depth])
+            borders = self._equal_borders(count, n, o.dither)
+            parts = np.ones((count, n))
+        else:
+            spent = np.maximum((o.exploration * rest).astype(int), 2 * n)
+            axis, borders, parts = self._explore(level, regions, spent)
+            rest = rest - spent
+        share = self._allocate(rest, parts * np.diff(borders) if blind else parts)
+        low, side = np.repeat(level.low[regions], n, axis=0), np.repeat(level.side[regions], n, axis=0)
+        row, column = np.arange(count * n), np.repeat(axis, n)
+        width = side[row, column]
+        low[row, column] += width * borders[:, :-1].ravel()
+        side[row, column] = width * np.diff(borders).ravel()
+        return _Level.of(low, side, share.ravel(), np.repeat(regions, n))
+
+    def _finish(self, level: _Level, leaves: Array) -> None:
+        """Plain Monte Carlo in each leaf."""
+        counts = level.samples[leaves]
+        self.leaves += len(leaves)
+        _, values, _ = self.evaluate(level, leaves, counts)
+        if not len(values):
+            return
+        place = np.repeat(np.arange(len(leaves)), counts)
+        mean = np.bincount(place, values, len(leaves)) / counts
+        squares = np.bincount(place, (values - mean[place]) ** 2, len(leaves))
+        volume = level.volume[leaves]
+        level.value[leaves] = mean * volume
+        level.variance[leaves] = squares / (counts - 1) / counts * volume**2
+
+    def _equal_borders(self, count: int, parts: int, dither: float) -> Array:
+        borders = np.tile(np.linspace(0.0, 1.0, parts + 1), (count, 1))
+        if dither:
+            random = np.asarray(self.work.backend.host(self.work.backend.uniform(count * (parts - 1), 1)[0]))
+            # Half a dither to either side keeps parts from vanishing: two borders stay apart by 1 - dither of a part.
+            borders[:, 1:-1] += (random.reshape(count, parts - 1) - 0.5) * dither / parts
+        return borders
+
+    def _explore(self, level: _Level, regions: Array, spent: Array) -> tuple[Array, Array, Array]:
+        """For each region the dimension to divide, the borders (R, n+1), and what the parts' samples are to be
+        proportional to (R, n)."""
+        o, count = self.o, len(regions)
+        x, values, cost = self.evaluate(level, regions, spent, keep=True)
+        place = np.repeat(np.arange(count), spent)
+        mean = np.bincount(place, values, count) / spent
+        total = np.bincount(place, (values - mean[place]) ** 2, count)
+        volume = level.volume[regions]
+        level.explored[regions] = np.stack([mean * volume, total / (spent - 1) / spent * volume**2, spent], axis=1)
+
+        n = o.divisions if o.borders == "equal" else max(_BINS, o.divisions)
+        edges = self._equal_borders(count, n, o.dither)
+        inner = edges[:, 1:-1][place].T
+        width = np.diff(edges)
+        power = 1 / (1 + o.exponent)
+        bins = np.empty((self.d, len(values)), int)
+        metrics, after = np.empty((self.d, count, n)), np.empty((self.d, count))
+        for a in range(self.d):
+            bins[a] = place * n + (x[a] >= inner).sum(axis=0)
+            metrics[a] = self._metric(bins[a], values, count * n).reshape(count, n)
+            # The variation that division leaves, with samples shared out as they will be.
+            after[a] = ((width**2 * metrics[a]) ** power).sum(axis=1) ** (1 + o.exponent)
+            after[a] /= (width ** (2 * power)).sum(axis=1) ** (1 + o.exponent)
+        whole = np.maximum(metrics.mean(axis=2).max(axis=0), np.finfo(float).tiny)
+        axis = np.argmax(self.weights[:, None] * np.maximum(1.0 - after / whole, 1e-12), axis=0)
+        metric = metrics[axis, np.arange(count)]
+        dear = np.ones((count, n))
+        if cost is not None:
+            chosen = bins[axis[place], np.arange(len(values))]
+            number = np.bincount(chosen, minlength=count * n)
+            seen = np.bincount(chosen, cost, count * n) / np.maximum(number, 1)
+            dear = np.where(number > 0, seen, cost.mean()).reshape(count, n)
+        if o.borders == "vegas":
+            edges, width, metric, dear = self._rebinned(edges, metric, dear)
+        return axis, edges, (width**2 * metric) ** power / np.sqrt(dear)
+
+    def _rebinned(self, edges: Array, metric: Array, dear: Array) -> tuple[Array, Array, Array, Array]:
+        """Borders of parts that hold equal shares of deviation times width, as bins of VEGAS would; the parts' widths,
+        and the metric and the cost in them."""
+        width = np.diff(edges)
+        held = np.sqrt(metric) * width
+        held = 0.8 * held + 0.2 * held.mean(axis=1, keepdims=True)  # none of them gets too thin
+        borders = np.stack([split_equally(e, h, self.o.divisions) for e, h in zip(edges, held, strict=True)])
+        parts = np.diff(borders)
+
+        def mean(values: Array) -> Array:
+            reached = np.concatenate([np.zeros((len(values), 1)), np.cumsum(values * width, axis=1)], axis=1)
+            at = np.stack([np.interp(b, e, r) for b, e, r in zip(borders, edges, reached, strict=True)])
+            return np.asarray(np.diff(at) / parts)
+
+        return borders, parts, mean(metric), mean(dear)
+
+    def _metric(self, bins: Array, values: Array, size: int) -> Array:
+        """The variation in each bin, as a variance."""
+        if self.o.metric == "variance":
+            number = np.maximum(np.bincount(bins, minlength=size), 1)
+            mean = np.bincount(bins, values, size) / number
+            return np.asarray(np.bincount(bins, (values - mean[bins]) ** 2, size) / number)
+        largest = np.full(size, -np.inf)
+        if self.o.metric == "maximum":
+            np.maximum.at(largest, bins, np.abs(values))
+            return np.where(np.isfinite(largest), largest, 0.0) ** 2
+        least = np.full(size, np.inf)
+        np.maximum.at(largest, bins, values)
+        np.minimum.at(least, bins, values)
+        return np.where(np.isfinite(largest), largest - least, 0.0) ** 2
+
+    def _allocate(self, rest: Array, parts: Array) -> Array:
+        """Whole numbers of samples (R, n), 2 or more each, that add up to ``rest`` in the ratio of ``parts``."""
+        n = self.o.divisions
+        total = parts.sum(axis=1, keepdims=True)
+        ratio = np.where(total > 0, parts / np.where(total > 0, total, 1.0), 1 / n)
+        # What varies nowhere to be seen still gets a tenth of an even share: the exploration may have missed it.
+        ratio = 0.9 * ratio + 0.1 / n
+        free = rest - 2 * n
+        share = (ratio * free[:, None]).astype(int)
+        share[np.arange(len(rest)), np.argmax(ratio, axis=1)] += free - share.sum(axis=1)
+        return np.asarray(share + 2)
+
+    def collect(self, levels: list[_Level]) -> None:
+        """Add the parts of each region, from the deepest level up, with its exploration where that is to be reused."""
+        for above, level in zip(levels[-2::-1], levels[:0:-1], strict=True):
+            size = len(above.samples)
+            value = np.bincount(level.parent, level.value, size)
+            variance = np.bincount(level.parent, level.variance, size)
+            inner = np.zeros(size, bool)
+            inner[level.parent] = True
+            if self.o.reuse:
+                value, variance = self._with_exploration(above, inner, value, variance)
+            above.value[inner], above.variance[inner] = value[inner], variance[inner]
+
+    @staticmethod
+    def _with_exploration(above: _Level, inner: Array, value: Array, variance: Array) -> tuple[Array, Array]:
+        """Inverse-variance means of the parts' sums and the exploration."""
+        seen, seen_variance, count = above.explored.T
+        use = inner & np.isfinite(seen)
+        rest = np.maximum(above.samples - count, 1)
+        # No few uniform samples do better than many stratified ones; where they seem to, they have missed something.
+        bound = np.maximum(seen_variance, variance * rest / np.maximum(count, 1))
+        weight = np.where(use & (bound > 0), variance / np.where(bound + variance > 0, bound + variance, 1.0), 0.0)
+        weight = np.where(use, weight, 0.0)
+        combined = np.where(use, (1 - weight) * value + weight * np.where(use, seen, 0.0), value)
+        return combined, np.where(use, (1 - weight) * variance, variance)

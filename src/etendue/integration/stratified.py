@@ -1,0 +1,138 @@
+"""Integrators whose points are spread evenly: strata, and point sequences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from etendue.points import Sobol
+
+from .errors import IntegrationError
+from .estimate import Estimate, Integrator, Moments, Work
+
+
+class Stratified(Integrator):
+    """``V / S^d`` times the sum over S^d equal strata of the mean of f in each, S to an axis, samples in equal numbers.
+
+    ``strata`` is S; by default as many as leave two samples in each. Raises :class:`IntegrationError` if the samples
+    are too few for two parts of each axis with two samples each, 2^(d+1), or for those asked for.
+    """
+
+    def __init__(self, strata: int | None = None) -> None:
+        if strata is not None and strata < 1:
+            raise IntegrationError(f"an axis has at least one stratum, not {strata}")
+        self.strata = strata
+
+    def _integrate(self, work: Work, samples: int) -> Estimate:
+        d = work.dimension
+        most = work.backend.parts
+        parts = self.strata if self.strata is not None else min(max(int((samples / 2 + 1e-9) ** (1 / d)), 2), most)
+        if parts > most:
+            raise IntegrationError(f"{parts} strata of an axis are too many for single precision: at most {most}")
+        if samples < 2 * parts**d:
+            raise IntegrationError(
+                f"{samples} samples are too few to stratify {d} dimensions into {parts} parts each: "
+                f"at least {2 * parts**d}"
+            )
+        total = parts**d
+        size = samples // total
+        mean = variance = 0.0
+        first = 0
+        for count in work.batches(total * size, size):
+            u = stratified_points(work, count, [parts] * d, first, size)
+            a, b = work.backend.strata(work.values(u), size)
+            mean, variance, first = mean + a, variance + b, first + count // size
+        scale = work.box.volume / total
+        return Estimate(mean * scale, math.sqrt(variance) * scale, total * size, details={"strata": parts})
+
+
+def stratified_points(work: Work, count: int, parts: list[int], first: int, size: int) -> list[Any]:
+    """``count`` points of the unit cube, ``size`` of them at random in each stratum from number ``first`` on, axis i
+    divided into ``parts[i]``; the first axis changes fastest."""
+    backend = work.backend
+    u = list(backend.uniform(count, work.dimension))
+    left = None
+    for axis, n in enumerate(parts):
+        if n == 1:
+            continue
+        if left is None:
+            left = backend.index(count) // size + backend.opaque(first)
+        rest = left // n
+        u[axis] = (u[axis] + backend.number(left - rest * n)) * (1.0 / n)
+        left = rest
+    return u
+
+
+class PointSequence(Protocol):
+    """What is asked of points: a point set of ``etendue.points``, or another that has these."""
+
+    dimension: int
+
+    def coordinate(self, index: Any, dimension: int) -> Any:
+        """Coordinate ``dimension`` of the points ``index``: whole numbers of NumPy, or ``UInt32`` of the device."""
+        ...
+
+    def randomised(self, seed: int) -> PointSequence:
+        """The same points moved at random, so that each is uniform; another seed moves them independently."""
+        ...
+
+
+class QuasiMonteCarlo(Integrator):
+    """``V/N sum f(x_i)`` over the points of a low-discrepancy sequence.
+
+    It is done several times with independent randomisations: their mean is the estimate, their scatter its error.
+
+    Parameters
+    ----------
+    points: a point set, or what makes one from a number of dimensions; :class:`Sobol`, scrambled by Owen's method, by
+        default. It may have more dimensions than the integrand.
+    replicates: randomisations that share the samples; few have more even points, many a better known error.
+    """
+
+    def __init__(self, points: PointSequence | Callable[[int], PointSequence] = Sobol, replicates: int = 16) -> None:
+        if replicates < 2:
+            raise IntegrationError(f"an error needs 2 randomisations or more, not {replicates}")
+        self.points, self.replicates = points, replicates
+
+    def _integrate(self, work: Work, samples: int) -> Estimate:
+        sequence = self.sequence(work.dimension)
+        share = samples // self.replicates
+        size = getattr(sequence, "size", None)
+        if share < 1:
+            raise IntegrationError(f"{samples} samples are too few for {self.replicates} randomisations of a sequence")
+        if size is not None and share > size:
+            raise IntegrationError(f"the point set has {size} points, but {share} are asked of each randomisation")
+        means = []
+        for number in range(self.replicates):
+            points = sequence.randomised(work.seed * self.replicates + number)
+            moments, first = Moments(), 0
+            for count in work.batches(share):
+                values = work.values(self.block(work, points, first, count))
+                moments.add(count, *work.backend.moments(values))
+                first += count
+            means.append(moments.mean)
+        scale = work.box.volume
+        error = float(np.std(means, ddof=1)) / math.sqrt(self.replicates)
+        return Estimate(
+            float(np.mean(means)) * scale,
+            error * scale,
+            share * self.replicates,
+            details={"replicates": np.array(means) * scale},
+        )
+
+    def sequence(self, dimension: int) -> PointSequence:
+        """The points for an integrand of ``dimension`` parameters."""
+        points: Any = self.points
+        chosen: PointSequence = points(dimension) if isinstance(points, type) or callable(points) else points
+        if chosen.dimension < dimension:
+            raise IntegrationError(f"the point set has {chosen.dimension} dimensions, the integrand {dimension}")
+        return chosen
+
+    @staticmethod
+    def block(work: Work, points: PointSequence, first: int, count: int) -> list[Any]:
+        """``count`` points from number ``first`` on."""
+        index = work.backend.index(count) + work.backend.opaque(first)
+        return [points.coordinate(index, a) for a in range(work.dimension)]

@@ -1,0 +1,180 @@
+"""Functions and their algebra: identities, ranges, domains, and functions that are integrals."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from support.integrals import assert_unbiased, runs
+
+from etendue.integration import (
+    Box,
+    Integrand,
+    IntegrationError,
+    MeanSample,
+    QuasiMonteCarlo,
+    Stratified,
+    Vegas,
+    constant,
+    coordinate,
+    integral,
+    library,
+)
+
+POINTS = np.random.default_rng(0).random((2, 1000))
+F = Integrand(lambda x: x[0] * x[0] + x[1], 2, (0.0, 2.0), on="either")
+G = Integrand(lambda x: library(x[0]).exp(-x[0] * x[1]), 2, (math.exp(-1), 1.0), on="either")
+
+
+def values(f, x=POINTS):
+    return np.broadcast_to(f.evaluate(x), x.shape[1:])
+
+
+def on_device(f, x=POINTS):
+    import mitsuba as mi
+
+    return np.array(f.evaluate([mi.Float(np.array(row, dtype=np.float32)) for row in x]))
+
+
+CASES = {
+    "sum": (F + G, lambda f, g: f + g),
+    "difference": (F - G, lambda f, g: f - g),
+    "product": (F * G, lambda f, g: f * g),
+    "negation": (-F, lambda f, g: -f),
+    "numbers": (2 * F + 1 - 3 * G, lambda f, g: 2 * f + 1 - 3 * g),
+    "from a number": (1 - G, lambda f, g: 1 - g),
+    "distributes": (F * (F + G) - F * F, lambda f, g: f * g),
+}
+
+
+@pytest.mark.parametrize("name", sorted(CASES))
+def test_algebra_is_that_of_the_values(name):
+    f, expected = CASES[name]
+    wanted = expected(values(F), values(G))
+    assert values(f) == pytest.approx(wanted, abs=1e-12)
+    assert on_device(f) == pytest.approx(wanted, abs=3e-6)
+    assert f.range[0] - 1e-12 <= wanted.min() and wanted.max() <= f.range[1] + 1e-12
+    assert f.domain == Box.of(2)
+
+
+def test_ranges_are_bounds():
+    assert (F + G).range == (math.exp(-1), 3.0)
+    assert (F - G).range == (-1.0, 2.0 - math.exp(-1))
+    assert (-F * G).range == (-2.0, 0.0)
+    free = Integrand(lambda x: x[0], 2)
+    assert (free + F).range == (-math.inf, math.inf) and (free * 0.0).range == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    "method", [MeanSample(), Stratified(), QuasiMonteCarlo(), Vegas(strata=1, damping=0.0, smoothing=False)]
+)
+def test_integration_is_linear(method):
+    """With the same points: int (2 f - 3 g) = 2 int f - 3 int g to rounding. Check 2 of the framework's list."""
+    if isinstance(method, Vegas):
+        method = Vegas([], iterations=1)  # with nothing to adapt, its points do not depend on the function
+    f, g, both = (method.integrate(h, 4096, seed=7).value for h in (F, G, 2 * F - 3 * G))
+    assert both == pytest.approx(2 * f - 3 * g, rel=1e-12)
+
+
+def test_composition():
+    """Fig. 5.5 of the framework: diffuse lobe times a texture plus a lobe whose exponent depends on the position."""
+    box = Box.of([(0, 1), (0, 1), (0, math.pi / 2)])
+    u, v, theta = (coordinate(a, box) for a in range(3))
+    texture = Integrand(lambda x: 0.5 + 0.3 * x[0] * x[1], 2, (0.5, 0.8), on="either")
+    lobe = Integrand(lambda x: library(x[0]).cos(x[0]) ** x[1], [(0, math.pi / 2), (0, 40)], (0, 1), on="either")
+    exponent = Integrand(lambda x: 10.0 + 20.0 * x[0], 1, (10, 30), on="either")
+    composite = texture.of([0, 1], box) * (1 / math.pi) + 0.2 * lobe.compose(theta, exponent.compose(u))
+    x = np.random.default_rng(1).random((3, 500)) * np.array([[1], [1], [math.pi / 2]])
+    closed = (0.5 + 0.3 * x[0] * x[1]) / math.pi + 0.2 * np.cos(x[2]) ** (10 + 20 * x[0])
+    assert values(composite, x) == pytest.approx(closed, rel=1e-12)
+    assert on_device(composite, x) == pytest.approx(closed, abs=2e-5)
+    assert composite.range == (pytest.approx(0.5 / math.pi), pytest.approx(0.8 / math.pi + 0.2))
+    assert values(v, x) == pytest.approx(x[1])
+
+
+def test_fixing_a_parameter_is_a_slice():
+    f = Integrand(lambda x: x[0] + 10 * x[1] + 100 * x[2], [(0, 1), (0, 2), (0, 3)])
+    held = f.fix({1: 0.5})
+    assert held.domain == Box.of([(0, 1), (0, 3)])
+    assert held.evaluate(POINTS) == pytest.approx(POINTS[0] + 5 + 100 * POINTS[1])
+    assert MeanSample().integrate(f.fix({0: 1.0, 2: 2.0}), 10_000).value == pytest.approx(2 * 211, rel=0.05)
+
+
+def test_domains_meet():
+    a, b = Integrand(lambda x: x[0], [(0, 2)]), Integrand(lambda x: x[0], [(1, 3)])
+    assert (a + b).domain == Box.of([(1, 2)])
+    assert a.restrict([(0.5, 1)]).domain == Box.of([(0.5, 1)])
+
+
+def test_costs_follow_the_algebra():
+    dear = Integrand(lambda x: x[0], 2, cost=lambda x: 1 + x[0])
+    assert (F + dear).cost is not None and (F + F).cost is None
+    assert (dear + dear).cost(POINTS) == pytest.approx(2 * (1 + POINTS[0]))
+    assert dear.of([1, 0], 2).cost(POINTS) == pytest.approx(1 + POINTS[1])
+    assert dear.fix({0: 0.5}).cost(POINTS[:1]) == pytest.approx(np.full(1000, 1.5))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: F + constant(1.0, 3), "of 2 and 3 parameters cannot be combined"),
+        (lambda: constant(1.0, [(0, 1)]) + constant(1.0, [(2, 3)]), "no points in common"),
+        (lambda: F.restrict([(0, 2), (0, 1)]), "not within"),
+        (lambda: F.fix({2: 0.5}), "from 0 to 1"),
+        (lambda: F.fix({0: 0.5, 1: 0.5}), "must stay free"),
+        (lambda: F.fix({0: 1.5}), "cannot be 1.5"),
+        (lambda: F.compose(F), "composed with as many, not 1"),
+        (lambda: F.compose(F, G), "its function ranges over"),
+        (lambda: coordinate(2, 2), "from 0 to 1"),
+        (lambda: Integrand(F.function, 2) + Integrand(F.function, 2, on="device"), "host and one on the device"),
+        (lambda: integral(F, [0, 1]), "over some of the parameters"),
+        (lambda: integral(F, [2]), "over some of the parameters"),
+        (lambda: integral(Integrand(F.function, 2, on="device"), [0], Stratified()), "by MeanSample only"),
+    ],
+)
+def test_what_cannot_be_combined(call, message):
+    with pytest.raises(IntegrationError, match=message) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("inner", [MeanSample(), Stratified(), QuasiMonteCarlo(replicates=2)])
+def test_an_integral_is_a_function_of_the_other_parameters(inner):
+    f = Integrand(lambda x: x[0] * x[1] * x[1] + x[2], [(0, 1), (0, 2), (0, 1)])
+    marginal = integral(f, [1], inner, samples=8)  # 8/3 x + 2 z
+    assert marginal.domain == Box.of(2)
+    many = np.stack([values(marginal, POINTS[:, :20]) for _ in range(300)])
+    error = many.std(axis=0, ddof=1) / math.sqrt(len(many))
+    z = (many.mean(axis=0) - (8 / 3 * POINTS[0, :20] + 2 * POINTS[1, :20])) / error
+    assert (z**2).sum() < 60  # chi-square of 20 at 1e-5
+    assert_unbiased(runs(MeanSample(), marginal, 50, 30), 4 / 3 + 1)
+
+
+@pytest.mark.parametrize("on", ["host", "device"])
+def test_an_integral_equation_by_recursion(on):
+    """L(x) = x + int x y / 2 L(y) dy in miniature what light does; L = x (1 + int y/2 L dy) gives L = 6/5 x."""
+    box = Box.of(2)
+    kernel = Integrand(lambda x: 0.5 * x[0] * x[1], box, on=on)
+    emitted = Integrand(lambda x: x[0], 1, on=on)
+    radiance = emitted
+    for bounce in range(4):
+        radiance = emitted + integral(kernel * radiance.of([1], box), [1], samples=2, seed=bounce)
+    # After n bounces: x (1 + 1/6 + ... + 6^-n).
+    expected = 0.5 * sum(6.0**-n for n in range(5))
+    found = runs(MeanSample(), radiance, 500, 30)
+    assert_unbiased(found, expected)
+    assert len({e.value for e in found}) == 30
+
+
+def test_a_function_of_one_side_runs_there():
+    seen = []
+
+    def f(x):
+        seen.append(type(x[0]).__module__.split(".")[0])
+        return x[0]
+
+    MeanSample().integrate(Integrand(f, 1), 10)
+    MeanSample().integrate(Integrand(f, 1, on="either"), 10)
+    MeanSample().integrate(Integrand(f, 1, on="device"), 10)
+    assert seen == ["numpy", "numpy", "drjit"]
