@@ -15,7 +15,7 @@ a user could set by hand. The choice is written into the picture's metadata, and
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -42,7 +42,10 @@ CANDIDATES: dict[str, tuple[type[ImageMethod], dict[str, Any]]] = {
 #: A candidate must promise this much less than a simpler one.
 _WORTH_IT = 0.9
 #: A candidate with so many times the cost of the best is given up before the probe ends.
-_HOPELESS = 5.0
+_HOPELESS = 3.0
+#: A variant of a candidate, which is tried only where that one is still in the race after its first passes: kernels
+#: take a second or two to compile.
+_VARIANTS = {"bpt with 6 connections": "bpt"}
 
 
 @dataclass(frozen=True)
@@ -112,25 +115,34 @@ class Auto(ImageMethod):
         scale = min(1.0, (_PROBE_PIXELS / (width * height)) ** 0.5)
         small = resized(self.problem, (max(1, round(width * scale)), max(1, round(height * scale))))
         samples = max(1, FULL_LANES // (small.size[0] * small.size[1]))
-        left = {name: self._method(name, samples, aovs=False) for name in CANDIDATES}
         passes: dict[str, Measurement] = {}
-        seconds = dict.fromkeys(left, 0.0)  # of a pass
-        for name, method in left.items():
-            method.prepare(small, seed)
-            passes[name] = method.step(0, seed)  # compiles, so it is not timed
-        done = 1
-        while done < self.settings.probe_passes and len(left) > 1:
-            until = min(2 * done, self.settings.probe_passes)
-            for name, method in left.items():
+        seconds: dict[str, float] = {}  # of a pass
+        left: dict[str, ImageMethod] = {}
+
+        def run(names: Iterable[str], until: int) -> None:
+            """Bring candidates to so many passes, and give up those that are far behind."""
+            for name in names:
+                if name not in passes:
+                    left[name] = self._method(name, samples, aovs=False)
+                    left[name].prepare(small, seed)
+                    passes[name], seconds[name] = left[name].step(0, seed), 0.0  # compiles, so it is not timed
+                done = len(passes[name].iterations)
                 begin = time.perf_counter()
                 for iteration in range(done, until):
-                    passes[name] += method.step(iteration, seed)
+                    passes[name] += left[name].step(iteration, seed)
                 seconds[name] = (seconds[name] * (done - 1) + time.perf_counter() - begin) / (until - 1)
-            done = until
             self._costs = costs(seconds, passes)
             least = min(self._costs[name] for name in left)
-            left = {name: method for name, method in left.items() if self._costs[name] <= _HOPELESS * least}
-        chosen = choose({name: self._costs[name] for name in left})
+            for name in [name for name in left if self._costs[name] > _HOPELESS * least]:
+                del left[name]
+
+        run([name for name in CANDIDATES if name not in _VARIANTS], 2)
+        run([name for name, base in _VARIANTS.items() if base in left], 2)
+        until = 2
+        while until < self.settings.probe_passes and len(left) > 1:
+            until = min(2 * until, self.settings.probe_passes)
+            run(list(left), until)
+        chosen = choose({name: self._costs[name] for name in CANDIDATES if name in left})
         logger.info("auto: %s (cost %s)", chosen, ", ".join(f"{name} {c:.3g}" for name, c in self._costs.items()))
         return chosen
 

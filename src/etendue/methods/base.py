@@ -139,9 +139,10 @@ class ImageMethod(ABC):
         """Random numbers of the camera paths ``lanes``, ``samples`` consecutive ones a pixel."""
         if self.settings.sampler == "independent":
             return IndependentSource(lanes, seed, role, iteration)
-        pixel = lanes // samples
+        count = dr.opaque(mi.UInt32, samples)  # a pilot has another one, and shall have the same kernel
+        pixel = lanes // count
         first = dr.opaque(mi.UInt32, (iteration * samples) & 0xFFFFFFFF)
-        return OwenSobolSource(pixel, first + (lanes - pixel * samples), seed, role)
+        return OwenSobolSource(pixel, first + (lanes - pixel * count), seed, role)
 
     def light_numbers(self, lanes: Any, paths: int, seed: int, iteration: int, role: str = "light") -> SampleSource:
         """Random numbers of the light paths ``lanes`` of the ``paths`` that a pass traces."""

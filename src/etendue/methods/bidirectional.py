@@ -294,6 +294,7 @@ class Bidirectional(ImageMethod):
         """Light paths, then camera paths. Kernels are queued without waiting for one another, so that Python traces the
         next while one runs. Returns radiance by technique family, a lane a camera path, and counters."""
         paths = len(run.light)
+        dr.make_opaque(run.light, run.camera, run.pixel)  # however they were made, pilot and passes share their kernels
         mis = self._mis(run.radius, paths)
         common = (
             self.visibility,
