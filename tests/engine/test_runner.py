@@ -67,6 +67,13 @@ def test_the_last_pass_is_predicted(timed, durations, seconds, passes):
     assert result.measurement.counters["seconds"] == pytest.approx(result.elapsed)
 
 
+def test_what_only_the_first_pass_does_is_not_predicted(timed):
+    method, clock = timed([8.0, 1.0])
+    method.setup_seconds = 7.0
+    result = Runner(method, seed=0, budget=Budget(seconds=12.0), clock=clock).run()
+    assert result.passes == 5
+
+
 def test_first_limit_reached_stops(timed):
     method, clock = timed([1.0])
     result = Runner(method, seed=0, budget=Budget(seconds=5.0, samples=3), clock=clock).run()

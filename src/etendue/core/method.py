@@ -33,6 +33,9 @@ class Method(Protocol):
     ``prepare`` builds tables and may run pilot passes under a seed role of its own. ``step`` is one pass and, for a
     method without state, a function of its arguments alone: iterations run in any order, anywhere, once each.
     ``develop`` is the only place that divides, normalises or combines.
+
+    A method whose first ``step`` also does what no later one does (a probe) says in ``setup_seconds`` how long that
+    took, so that a run with a budget in seconds is not ended by it.
     """
 
     name: ClassVar[str]

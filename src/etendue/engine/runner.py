@@ -248,8 +248,8 @@ class Runner:
 
     def _predict(self) -> float:
         """Seconds that the next pass will take, on the safe side."""
-        if self._done == 1:
-            return 0.5 * self._durations[0][0]  # the first pass compiles; the second tells
+        if self._done == 1:  # the first pass compiles; the second tells
+            return 0.5 * max(0.0, self._durations[0][0] - getattr(self.method, "setup_seconds", 0.0))
         recent = [seconds for seconds, _ in self._durations][-min(len(self._durations), self._done - 1) :]
         return max(recent)
 

@@ -71,6 +71,7 @@ class Auto(ImageMethod):
         self._choice = self.settings.choice
         self._costs: dict[str, float] = {}
         self._chosen: ImageMethod | None = None
+        self.setup_seconds = 0.0  #: of the probe, which is a part of the first pass
 
     def step(self, iteration: int, seed: int) -> Measurement:
         """One pass of what was chosen."""
@@ -97,7 +98,9 @@ class Auto(ImageMethod):
     def _renderer(self, seed: int) -> ImageMethod:
         if self._chosen is None:
             if self._choice == "probe":
+                begin = time.perf_counter()
                 self._choice = self._probe(seed)
+                self.setup_seconds = time.perf_counter() - begin
             self._chosen = self._method(self._choice, self.settings.samples_per_pass, self.settings.aovs)
             self._chosen.prepare(self.problem, seed)
         return self._chosen
