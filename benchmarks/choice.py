@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Sequence
 from typing import Any
 
@@ -54,6 +55,7 @@ def measure(names: Sequence[str], pixels: int, seconds: float, seeds: int) -> Re
         chosen = []
         for seed in range(seeds):
             for choice, values in errors.items():
+                gc.collect()  # a scene that is still alive makes the next one's kernels larger
                 rendering = render(known[name], "auto", seconds=seconds, size=size, seed=seed, choice=choice)
                 values.append(_error(rendering.image, halves))
                 if choice == "probe":
