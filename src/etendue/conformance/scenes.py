@@ -16,6 +16,8 @@ from .report import Finding, Report
 from .sensors import check_sensor
 from .textures import check_textures
 
+#: Names of a material that tell nothing: keys of a shape's dictionary, the default of Mitsuba.
+_GENERIC = ("bsdf", "material", "mesh_bsdf", "default")
 #: Probability that a scene whose samplers are all right fails by chance.
 _LEVEL = 1e-3
 
@@ -55,7 +57,7 @@ def check(
         for emitter in emitters:
             name = graph.describe(emitter, "emitter")
             if is_surface(emitter):
-                name += f" on {graph.describe(emitter.get_shape(), 'shape').partition(' of type')[0]}"
+                name += f" on {_short(emitter.get_shape())}"
             rows += check_emitter(emitter, loaded, name, quick=quick, seed=seed, level=level)
         for item in sensors:
             rows += check_sensor(item, loaded, seed=seed)
@@ -84,10 +86,11 @@ def _materials(scene: Any) -> Iterator[tuple[str, Any, Any]]:
         seen.append(bsdf)
         name = graph.describe(bsdf, "material")
         if bsdf.id() in _GENERIC or f"'{bsdf.id()}'" not in name:
-            where = graph.describe(shape, "shape").partition(" of type")[0]
-            name = f"material of type '{graph.plugin_name(bsdf)}' on {where}"
+            name = f"material of type '{graph.plugin_name(bsdf)}' on {_short(shape)}"
         yield name, bsdf, shape
 
 
-#: Names of a material that tell nothing: keys of a shape's dictionary, the default of Mitsuba.
-_GENERIC = ("bsdf", "material", "mesh_bsdf", "default")
+def _short(shape: Any) -> str:
+    """A shape's name, or its type if it has none."""
+    name = graph.describe(shape, "shape")
+    return name.partition(" of type")[0] if name.startswith("shape '") else name
