@@ -28,7 +28,7 @@ _SHARE, _ALBEDO_SLACK = 0.01, 0.01
 #: Samples that are too few to say anything.
 _FEW = 64
 #: RMS relative error of a density that is let pass, however certain it is: rounding, the edges of cells.
-_DEVIATION = 0.03
+_DEVIATION = 0.05
 
 #: Materials that absorb nothing, unless they are given a colour, and the share of the light that they may lose.
 _CLEAR, _LOSS = ("roughdielectric",), 0.1
