@@ -7,6 +7,7 @@ render any scene with any method without them.
 from . import core as core  # first: it finds Dr.Jit an LLVM before anything imports Dr.Jit
 from . import plugins as plugins
 from .api import Update, render, resume, start
+from .conformance import check
 from .core import (
     BackendError,
     CheckpointError,
@@ -32,6 +33,7 @@ __all__ = [
     "Session",
     "UnsupportedError",
     "Update",
+    "check",
     "render",
     "resume",
     "start",

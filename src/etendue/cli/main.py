@@ -378,6 +378,33 @@ def cite(
 
 
 @app.command()
+def check(
+    scene: opt.Scene,
+    json: Annotated[bool, typer.Option("--json", help="Write all findings as JSON to standard output.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer samples; small faults may stay unseen.")] = False,
+    sensor: opt.Sensor = 0,
+    seed: opt.Seed = 0,
+    variant: opt.Variant = None,
+    param: opt.Param = None,
+    threads: opt.Threads = None,
+    debug: opt.Debug = False,
+) -> int:
+    """Test the materials, lights, sensors and ray casting of a scene, and report what is implausible.
+
+    Exit status 1 if something fails.
+    """
+    from etendue.scene import locate
+
+    from .check import show_check
+    from .rendering import choose_device
+
+    parameters = opt.parse_pairs(param, "-P")
+    found = locate(scene, lambda text: note(error_console(), text))
+    choose_device(variant, threads)
+    return show_check(found, quick=quick, sensor=sensor, seed=seed, parameters=parameters, as_json=json)
+
+
+@app.command()
 def doctor(debug: opt.Debug = False) -> int:
     """Report what is installed, what is wrong and how to mend it."""
     from rich.console import Console

@@ -1,6 +1,6 @@
 """Scenes: loading, the capability check, fingerprints, bundled scenes, the light table, Mitsuba plugins of our own."""
 
-from . import meshes
+from . import graph, meshes
 from .bundled import BundledScene, bundled, bundled_scene
 from .camera import Camera
 from .capability import check
@@ -21,6 +21,7 @@ __all__ = [
     "bundled_scene",
     "check",
     "fingerprint",
+    "graph",
     "integrator_of",
     "load",
     "locate",

@@ -1,0 +1,203 @@
+"""Whether an emitter is one: next event has the density and the radiance it says, and its rays carry its power."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.scene import graph
+
+from .bsdfs import judge_density
+from .report import Finding, Findings
+from .statistics import DensityFit, fit_density
+from .surfaces import Array, host, uniform, uniform_sphere, vectors
+
+#: Points that are lit, draws from each, rays for the power.
+_PLACES, _DRAWS, _RAYS = 3, 16384, 65536
+_QUICK = 4
+#: Surfaces of the emitter that one ray may meet.
+_MOST_HITS = 6
+_SIGMAS, _SHARE = 5.0, 0.01
+
+
+def check_emitter(
+    emitter: Any, scene: Any, component: str | None = None, *, quick: bool = False, seed: int = 0, level: float = 1e-5
+) -> list[Finding]:
+    """Test a ``mi.Emitter`` of a loaded scene.
+
+    The tests are ``range``, ``radiance`` (what ``sample_direction`` weighs is ``eval_direction`` over density),
+    ``density``, ``integral`` and ``sampler`` (of ``sample_direction`` against ``pdf_direction``, as for materials) and
+    ``power`` (the mean weight of ``sample_ray`` is the emitted power, integrated from the radiance).
+    """
+    rng = np.random.default_rng([seed, 0xE317])
+    findings = Findings(component or graph.describe(emitter, "emitter"))
+    with findings.trying("interface"):
+        _check_next_event(findings, emitter, scene, _DRAWS // (_QUICK if quick else 1), rng, level)
+    with findings.trying("power", required=False):  # lamps of a procedural texture need not emit rays
+        _check_power(findings, emitter, scene, _RAYS // (_QUICK if quick else 1), rng)
+    return findings.rows
+
+
+def is_surface(emitter: Any) -> bool:
+    """Whether it sits on a shape that rays meet."""
+    return mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface) and emitter.get_shape() is not None
+
+
+def _is_delta(emitter: Any) -> bool:
+    return mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta)
+
+
+def _places(emitter: Any, scene: Any, rng: np.random.Generator) -> Array:
+    """Points that the emitter lights: before its surface, or anywhere within the scene."""
+    box = scene.bbox()
+    low, high = (np.asarray(v, np.float64).ravel() for v in (box.min, box.max))
+    if not is_surface(emitter):
+        return low + (high - low) * (0.1 + 0.8 * rng.random((_PLACES, 3)))
+    place = emitter.get_shape().sample_position(0.0, uniform(rng, _PLACES, 2))
+    p, n = host(place.p, _PLACES), host(place.n, _PLACES)
+    away = n + 0.7 * rng.random() * uniform_sphere(rng, _PLACES)
+    return p + away * np.linalg.norm(high - low) * rng.uniform(0.1, 0.4, (_PLACES, 1))
+
+
+def _at(point: Array, lanes: int) -> Any:
+    it = dr.zeros(mi.Interaction3f, lanes)
+    it.p = mi.Point3f(*(float(v) for v in point))
+    return it
+
+
+def _check_next_event(
+    findings: Findings, emitter: Any, scene: Any, draws: int, rng: np.random.Generator, level: float
+) -> None:
+    alone = mi.load_dict({"type": "scene", "shape": emitter.get_shape()}) if is_surface(emitter) else None
+    wrong, differences, fits = 0, [], list[DensityFit]()
+    asked, weighed = 0.0, 0.0
+    delta = _is_delta(emitter)
+    for point in _places(emitter, scene, rng):
+        it = _at(point, draws)
+        ds, weight = emitter.sample_direction(it, uniform(rng, draws, 2))
+        results = [ds.d, weight, ds.pdf]
+        if not delta:
+            results += [emitter.pdf_direction(it, ds), emitter.eval_direction(it, ds)]
+        dr.eval(*results)
+        direction, weight_of, pdf, *rest = (host(v, draws) for v in results)
+        bad = ~np.isfinite(weight_of).all(1) | (weight_of < 0.0).any(1) | ~np.isfinite(pdf) | (pdf < 0.0)
+        wrong += int(bad.sum())
+        if delta or bad.any():
+            continue
+        claimed, radiance = rest
+        lit = claimed > 0.0
+        both = lit & (weight_of > 0.0).any(1)
+        differences.append(np.abs(pdf - claimed)[both] / np.maximum(pdf, claimed)[both])
+        asked += float(np.abs(weight_of * pdf[:, None] - radiance)[both].sum())
+        weighed += float(radiance[both].sum())
+        if fit := fit_density(direction[lit], draws, _density(emitter, alone, point), rng):
+            fits.append(fit)
+    findings.judge(
+        "range",
+        float(wrong),
+        0.0,
+        "next event: every weight and density is finite and none is negative",
+        f"{wrong} weights or densities of next event are NaN, infinite or negative; correct the radiance or the plugin",
+    )
+    if delta or wrong:
+        return
+    share = asked / weighed if weighed > 0.0 else 0.0
+    findings.judge(
+        "radiance",
+        share,
+        _SHARE,
+        "relative difference of next event's weight and radiance over density",
+        f"next event carries a radiance that differs by {share:.1%} from what eval_direction says; make the weight "
+        "radiance over density",
+    )
+    apart = np.concatenate(differences) if differences else np.zeros(0)
+    judge_density(findings, fits, float(apart.mean()) if len(apart) else 0.0, level)
+
+
+def _density(emitter: Any, alone: Any, point: Array) -> Callable[[Array], Array]:
+    """Density of next event's direction: of an emitter on a shape, the sum over all points of it along the ray."""
+
+    def density(directions: Array) -> Array:
+        lanes = len(directions)
+        d, it = vectors(directions), _at(point, lanes)
+        if alone is None:
+            ds = dr.zeros(mi.DirectionSample3f, lanes)
+            ds.d = d
+            ds.emitter = mi.EmitterPtr(emitter)
+            return np.nan_to_num(host(emitter.pdf_direction(it, ds), lanes))
+        total = np.zeros(lanes)
+        ray, hit = mi.Ray3f(it.p, d), mi.Bool(True)
+        for _ in range(_MOST_HITS):
+            si = alone.ray_intersect(ray, hit)
+            hit = hit & si.is_valid()
+            dr.eval(si, hit)
+            if not np.asarray(hit).any():
+                break
+            ds = mi.DirectionSample3f(alone, si, it)
+            total += np.nan_to_num(host(emitter.pdf_direction(it, ds, hit), lanes))
+            ray = si.spawn_ray(d)
+        return total
+
+    return density
+
+
+def _check_power(findings: Findings, emitter: Any, scene: Any, rays: int, rng: np.random.Generator) -> None:
+    known = _power(emitter, scene, rays, rng)
+    if known is None:
+        return
+    _, weight = emitter.sample_ray(0.0, uniform(rng, rays, 1), uniform(rng, rays, 2), uniform(rng, rays, 2))
+    carried = host(weight, rays)
+    mean, error = carried.mean(0), carried.std(0) / np.sqrt(rays)
+    expected, uncertain = known
+    off = np.abs(mean - expected)
+    tolerance = _SIGMAS * np.hypot(error, uncertain) + 2e-3 * expected
+    channel = int(np.argmax(off - tolerance))
+    figure = float(off[channel] / expected[channel]) if expected[channel] > 0.0 else float(off[channel])
+    findings.judge(
+        "power",
+        figure,
+        float(max(tolerance[channel] / max(expected[channel], 1e-30), 0.0)),
+        "relative difference of the power that its rays carry and the integral of its radiance",
+        f"its rays carry {mean[channel]:.4g} W and its radiance integrates to {expected[channel]:.4g} W: light paths "
+        "and camera paths see different lamps; make sample_ray return radiance over density",
+        failed=bool((off > tolerance).any()),
+    )
+
+
+def _power(emitter: Any, scene: Any, rays: int, rng: np.random.Generator) -> tuple[Array, Array] | None:
+    """Emitted power for each channel and its standard error, from the radiance alone."""
+    flags = emitter.flags()
+    sphere = scene.bbox().bounding_sphere()
+    disc = np.pi * float(np.asarray(sphere.radius).ravel()[0]) ** 2
+    if is_surface(emitter):
+        if _is_delta(emitter):
+            return None
+        shape = emitter.get_shape()
+        area = float(np.asarray(shape.surface_area()).ravel()[0])
+        si = mi.SurfaceInteraction3f(shape.sample_position(0.0, uniform(rng, rays, 2)), dr.zeros(mi.Color0f))
+        si.wi = mi.warp.square_to_cosine_hemisphere(uniform(rng, rays, 2))
+        return _moments(np.pi * area * host(emitter.eval(si), rays))
+    if mi.has_flag(flags, mi.EmitterFlags.Infinite):
+        if mi.has_flag(flags, mi.EmitterFlags.DeltaDirection):
+            _, weight = emitter.sample_direction(_at(np.asarray(sphere.center).ravel(), 1), mi.Point2f(0.5))
+            return _moments(disc * host(weight, 1))
+        si = dr.zeros(mi.SurfaceInteraction3f, rays)
+        si.wi = vectors(uniform_sphere(rng, rays))
+        return _moments(4.0 * np.pi * disc * host(emitter.eval(si), rays))
+    if not mi.has_flag(flags, mi.EmitterFlags.DeltaPosition):
+        return None
+    ray, _ = emitter.sample_ray(0.0, mi.Float(0.5), mi.Point2f(0.5), mi.Point2f(0.5))
+    origin, d = host(ray.o, 1)[0], uniform_sphere(rng, rays)
+    distance = 0.1 * np.sqrt(disc)
+    it = dr.zeros(mi.Interaction3f, rays)
+    it.p = mi.Point3f(np.ascontiguousarray((origin + distance * d).T, np.float32))
+    _, weight = emitter.sample_direction(it, mi.Point2f(0.5))
+    return _moments(4.0 * np.pi * distance**2 * host(weight, rays))
+
+
+def _moments(values: Array) -> tuple[Array, Array]:
+    return values.mean(0), values.std(0) / np.sqrt(len(values))

@@ -1,0 +1,96 @@
+"""All components of a scene, one after the other."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from etendue.core import SceneError, UnsupportedError, use_variant
+from etendue.scene import Problem, graph, load
+
+from .bsdfs import check_bsdf
+from .emitters import check_emitter, is_surface
+from .rays import check_ray_casting
+from .report import Finding, Report
+from .sensors import check_sensor
+from .textures import check_textures
+
+#: Names of a material that tell nothing: keys of a shape's dictionary, the default of Mitsuba.
+_GENERIC = ("bsdf", "material", "mesh_bsdf", "default")
+#: Probability that a scene whose samplers are all right fails by chance.
+_LEVEL = 1e-3
+
+
+def check(
+    scene: Any,
+    *,
+    quick: bool = False,
+    sensor: int = 0,
+    parameters: Mapping[str, Any] | None = None,
+    variants: Sequence[str] = (),
+    seed: int = 0,
+) -> Report:
+    """Test materials, textures, emitters, sensors and ray casting of a scene, and report what is implausible.
+
+    ``scene`` and ``parameters`` are those of :func:`etendue.render`. ``quick`` draws fewer samples, so small faults may
+    stay unseen. ``variants`` names Mitsuba variants under which ray casting is tried, too, as ``scalar_rgb``. The same
+    ``seed`` gives the same report. What no method can render is a finding, ``supported``.
+
+    Raises :class:`SceneError` for a scene that cannot be loaded, :class:`OptionError` for a sensor that is not there.
+    """
+    use_variant()
+    began = time.perf_counter()
+    problem, rows = _load(scene, sensor, parameters)
+    loaded = problem.scene
+    broken = any(row.test == "broken" for row in rows)  # its geometry is not to be relied upon
+    place = None if broken else loaded
+    materials = list(_materials(loaded))
+    emitters, sensors = loaded.emitters(), loaded.sensors()
+    level = _LEVEL / max(len(materials) + len(emitters), 1)
+    for name, bsdf, shape in materials:
+        rows += check_textures(bsdf, name, scene=place, shape=None if broken else shape, seed=seed)
+        rows += check_bsdf(
+            bsdf, name, scene=place, shape=None if broken else shape, quick=quick, seed=seed, level=level
+        )
+    if not broken:
+        for emitter in emitters:
+            name = graph.describe(emitter, "emitter")
+            if is_surface(emitter):
+                name += f" on {_short(emitter.get_shape())}"
+            rows += check_emitter(emitter, loaded, name, quick=quick, seed=seed, level=level)
+        for item in sensors:
+            rows += check_sensor(item, loaded, seed=seed)
+        rows += check_ray_casting(loaded, variants=variants, quick=quick, seed=seed)
+    return Report(problem.source, tuple(rows), time.perf_counter() - began)
+
+
+def _load(scene: Any, sensor: int, parameters: Mapping[str, Any] | None) -> tuple[Problem, list[Finding]]:
+    """The scene, and whether it is supported. Raises where it cannot be loaded at all."""
+    try:
+        problem = load(scene, sensor=sensor, parameters=parameters)
+    except SceneError as error:
+        problem = load(scene, sensor=sensor, parameters=parameters, check=False)
+        test = "supported" if isinstance(error, UnsupportedError) else "broken"
+        return problem, [Finding("scene", test, "fail", 1.0, 0.0, str(error))]
+    return problem, [Finding("scene", "supported", "pass", 0.0, 0.0, "every method can render it")]
+
+
+def _materials(scene: Any) -> Iterator[tuple[str, Any, Any]]:
+    """Every material of the shapes once, with its name and a shape that has it."""
+    seen: list[Any] = []
+    for shape in graph.shapes(scene):
+        bsdf = shape.bsdf()
+        if bsdf is None or any(bsdf is other for other in seen):
+            continue
+        seen.append(bsdf)
+        name = graph.describe(bsdf, "material")
+        if bsdf.id() in _GENERIC or f"'{bsdf.id()}'" not in name:
+            name = f"material of type '{graph.plugin_name(bsdf)}' on {_short(shape)}"
+        yield name, bsdf, shape
+
+
+def _short(shape: Any) -> str:
+    """A shape's name, or its type if it has none."""
+    name = graph.describe(shape, "shape")
+    return name.partition(" of type")[0] if name.startswith("shape '") else name

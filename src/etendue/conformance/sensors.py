@@ -1,0 +1,67 @@
+"""Whether a sensor is one: a ray through a point of the film leads back to that point."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.scene import graph
+
+from .report import Finding, Findings
+from .surfaces import host, uniform
+
+_RAYS = 4096
+#: Pixels by which a point may come back elsewhere.
+_PIXELS = 0.05
+
+
+def check_sensor(sensor: Any, scene: Any, component: str | None = None, *, seed: int = 0) -> list[Finding]:
+    """Test a ``mi.Sensor`` of a loaded scene: ``range`` (rays are finite, directions of length 1) and ``projection``
+    (a point on a ray is seen at the ray's film position; sensors that cannot be joined to points are let off)."""
+    rng = np.random.default_rng([seed, 0x5E45])
+    findings = Findings(component or graph.describe(sensor, "sensor"))
+    with findings.trying("interface"):
+        film, aperture = uniform(rng, _RAYS, 2), uniform(rng, _RAYS, 2)
+        ray, weight = sensor.sample_ray(0.0, uniform(rng, _RAYS, 1), film, aperture)
+        direction, origin, weights = (host(v, _RAYS) for v in (ray.d, ray.o, weight))
+        fine = np.isfinite(origin).all(1) & np.isfinite(weights).all(1) & (weights >= 0.0).all(1)
+        fine &= np.abs(np.linalg.norm(direction, axis=1) - 1.0) < 1e-3
+        findings.judge(
+            "range",
+            float((~fine).sum()),
+            0.0,
+            "every ray has a finite origin, a direction of length 1 and a weight that is not negative",
+            f"{(~fine).sum()} of {_RAYS} rays are not finite or have no direction of length 1; "
+            "correct the sensor's transform",
+        )
+        with findings.trying("projection", required=False):
+            _check_projection(findings, sensor, scene, ray, film, aperture, rng)
+    return findings.rows
+
+
+def _check_projection(
+    findings: Findings, sensor: Any, scene: Any, ray: Any, film: Any, aperture: Any, rng: np.random.Generator
+) -> None:
+    extent = float(np.linalg.norm(np.asarray(scene.bbox().extents()).ravel()))
+    it = dr.zeros(mi.Interaction3f, _RAYS)
+    it.p = ray(mi.Float(rng.uniform(0.05, 1.0, _RAYS).astype(np.float32)) * extent)
+    ds, _ = sensor.sample_direction(it, aperture)
+    size = np.asarray(sensor.film().crop_size(), np.float64).ravel()
+    seen = host(ds.pdf, _RAYS) > 0.0
+    wanted = host(film, _RAYS) * size
+    apart = np.abs(host(ds.uv, _RAYS) - wanted)[seen]
+    inside = (np.minimum(wanted, size - wanted) > _PIXELS).all(1)
+    lost = int((inside & ~seen).sum())
+    # Beyond the far plane of a sensor nothing is seen.
+    figure = float(np.quantile(apart.max(1), 0.999)) if len(apart) else np.inf
+    findings.judge(
+        "projection",
+        figure,
+        _PIXELS,
+        f"pixels between a ray's film position and where its points are seen ({lost} of {_RAYS} out of range)",
+        f"points on a ray are seen {figure:.2f} pixels from its film position, so splats of light paths are displaced; "
+        "make sample_direction the inverse of sample_ray",
+    )

@@ -1,0 +1,75 @@
+"""Points of a surface to ask a material at, and the host side of what it answers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def host(value: Any, lanes: int) -> Array:
+    """A Dr.Jit array on the host in doubles: (lanes,), or (lanes, channels) for colours and vectors."""
+    array = np.asarray(value, np.float64)
+    if array.ndim > 1:
+        return np.broadcast_to(array, (array.shape[0], lanes)).T
+    return np.broadcast_to(array, (lanes,))
+
+
+def vectors(values: Array) -> Any:
+    """A ``Vector3f`` of the device from (n, 3)."""
+    return mi.Vector3f(np.ascontiguousarray(values.T, np.float32))
+
+
+def uniform(rng: np.random.Generator, lanes: int, width: int) -> Any:
+    """Uniform numbers of the device: a ``Float``, or a ``Point2f``."""
+    numbers = rng.random((width, lanes), np.float32)
+    return mi.Float(numbers[0]) if width == 1 else mi.Point2f(numbers)
+
+
+def uniform_sphere(rng: np.random.Generator, count: int) -> Array:
+    """(count, 3) directions."""
+    d = rng.normal(size=(count, 3))
+    return d / np.linalg.norm(d, axis=1, keepdims=True)
+
+
+def points_on(scene: Any, shape: Any, count: int, rng: np.random.Generator) -> Any:
+    """``count`` interactions on a shape, as a ray from close by meets it, with all that textures may ask for.
+
+    Without a scene and a shape, or where no point of it can be met (inside a shape group), those of the unit square.
+    """
+    if shape is not None:
+        try:
+            found = _met(scene, shape, 4 * count, rng)
+        except (RuntimeError, NotImplementedError):  # shapes that cannot be sampled, such as an 'sdfgrid'
+            found = None
+        if found is not None:
+            width = dr.width(found)
+            chosen = dr.gather(mi.SurfaceInteraction3f, found, dr.arange(mi.UInt32, count) % width)
+            dr.eval(chosen)
+            return chosen
+    si = dr.zeros(mi.SurfaceInteraction3f, count)
+    si.t = mi.Float(1.0)
+    si.uv = uniform(rng, count, 2)
+    si.p = mi.Point3f(si.uv.x, si.uv.y, 0.0)
+    si.dp_du, si.dp_dv = mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0)
+    si.n = mi.Normal3f(0, 0, 1)
+    si.sh_frame = mi.Frame3f(mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0), mi.Vector3f(0, 0, 1))
+    return si
+
+
+def _met(scene: Any, shape: Any, count: int, rng: np.random.Generator) -> Any:
+    place = shape.sample_position(0.0, uniform(rng, count, 2))
+    extent = float(np.max(np.asarray(scene.bbox().extents()).ravel()))
+    near = 1e-4 * extent
+    ray = mi.Ray3f(place.p + near * place.n, -mi.Vector3f(place.n))
+    si = scene.ray_intersect(ray)
+    dr.eval(si)  # or every kernel that uses these points would cast the rays again
+    seen = np.broadcast_to(np.asarray(si.is_valid() & (si.shape == mi.ShapePtr(shape)) & (si.t < 2 * near)), count)
+    if not seen.any():
+        return None
+    return dr.gather(mi.SurfaceInteraction3f, si, mi.UInt32(np.flatnonzero(seen).astype(np.uint32)))
