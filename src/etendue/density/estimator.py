@@ -14,7 +14,7 @@ from etendue.core import use_variant
 from etendue.integration import Box
 
 from .errors import DensityError
-from .samples import Frame, Samples, box_of, numbers, rows
+from .samples import Frame, Samples, box_of, by_place, numbers, rows
 
 
 class Estimator(ABC):
@@ -28,6 +28,8 @@ class Estimator(ABC):
 
     #: Papers, as keys of the bibliography.
     citations: ClassVar[tuple[str, ...]] = ()
+    #: Whether it looks for samples, so that points are better asked for in an order.
+    _searches: ClassVar[bool] = True
 
     def __init__(self, samples: Any, domain: Any = None) -> None:
         use_variant()
@@ -51,10 +53,12 @@ class Estimator(ABC):
             raise DensityError(f"the samples have {n} coordinates, the points are an array {points.shape}")
         if not len(columns):
             return np.zeros(0)
-        local = self._frame.device(columns)
+        order = by_place(columns) if self._searches else slice(None)
+        local = self._frame.device(columns[order])
         dr.eval(local)
-        values = np.array(self._inside(local), dtype=np.float64) * scale
-        return values[0] if single else np.broadcast_to(values, len(columns)).copy()
+        values = np.empty(len(columns))
+        values[order] = np.array(self._inside(local), dtype=np.float64) * scale
+        return values[0] if single else values
 
     @abstractmethod
     def _density(self, point: Any, active: Any) -> Any:

@@ -45,6 +45,7 @@ class Histogram(Estimator):
     """
 
     citations = ("Silverman1986", "Leeson2001")
+    _searches = False
 
     def __init__(
         self, samples: Any, bins: int | Sequence[int], domain: Any = None, areas: ArrayLike | None = None
@@ -92,6 +93,7 @@ class BinnedKernel(Estimator):
     """
 
     citations = ("Wand1994", "Silverman1986", "Leeson2001")
+    _searches = False
 
     def __init__(
         self,

@@ -162,6 +162,21 @@ def uploaded(values: Array) -> Any:
     return mi.Float(np.array(values, dtype=np.float32))
 
 
+def by_place(points: Array) -> Any:
+    """An order of points in which neighbours are near: lanes that stay together are faster, and find data in caches.
+
+    That of a Z-shaped curve through 1024 cells of each axis, three standard deviations to either side.
+    """
+    d = points.shape[1]
+    finite = np.nan_to_num(points, nan=0.0, posinf=0.0, neginf=0.0)
+    cell = (finite - finite.mean(axis=0)) / (6 * finite.std(axis=0) + 1e-300) + 0.5
+    cell = (np.clip(cell, 0, 1) * 1023).astype(np.uint32)
+    number = np.arange(1024, dtype=np.uint32)
+    spread = np.bitwise_or.reduce([((number >> bit) & 1) << (bit * d) for bit in range(10)])
+    key = np.bitwise_or.reduce([spread[column] << axis for axis, column in enumerate(cell.T)])
+    return np.argsort(key)
+
+
 def rows(positions: Any) -> Array:
     """Positions as (n, coordinates), in double precision; raises :class:`DensityError` for what are none."""
     if dr.is_jit_v(positions):

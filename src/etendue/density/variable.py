@@ -22,7 +22,7 @@ from .estimator import Estimator, neighbours, positive
 from .fixed import FixedKernel
 from .kdtree import KdTree
 from .kernels import Kernel, kernel_of
-from .samples import Frame, Samples, box_of, uploaded
+from .samples import Frame, Samples, box_of, by_place, uploaded
 
 _BOUNDARIES = ("none", "reflect")
 
@@ -158,12 +158,15 @@ def neighbour_distances(samples: Samples, k: int, mirror: Box | None = None) -> 
     With ``mirror`` the images of samples at the border of that box are neighbours, too: else widths grow there.
     """
     frame = Frame.around(samples)
-    points = frame.device(samples.positions)
+    order = by_place(samples.positions)
+    points = frame.device(samples.positions[order])
     dr.eval(points)
 
     def distances(tree: KdTree) -> Array:
         squared = tree.kth_distance_squared(points, dr.opaque(mi.UInt32, k + 1), dr.inf)
-        return np.sqrt(np.array(squared, dtype=np.float64)) * frame.unit
+        result = np.empty(len(samples))
+        result[order] = np.sqrt(np.array(squared, dtype=np.float64)) * frame.unit
+        return result
 
     found = distances(KdTree(points))
     if mirror is None:
