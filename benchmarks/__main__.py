@@ -1,4 +1,4 @@
-"""``python -m benchmarks [cost|first-pass|memory|rays|quality|choice|knn|points|integration]``; alone, all of them."""
+"""``python -m benchmarks [cost|first-pass|memory|rays|quality|choice|knn|points|integration|density]``; alone, all."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from etendue.core import EtendueError, use_variant
 
 from . import choice as choice_of_auto
 from . import cost as cost_of_a_pass
-from . import fresh, integrals, neighbours, sequences
+from . import densities, fresh, integrals, neighbours, sequences
 from . import quality as quality_over_time
 from . import rays as ray_casting
 from .measuring import Record, console, machine, software
@@ -197,6 +197,20 @@ def integration(
     _publish(chosen, record, *tables)
 
 
+@app.command()
+def density(
+    count: Annotated[int, typer.Option(min=1000, help="Samples, and queries.")] = 1_000_000,
+    near: Annotated[int, typer.Option(min=1, max=999, help="Samples within a kernel on average, and k.")] = 50,
+    rounds: Rounds = 5,
+    warm_up: WarmUp = 1,
+    variant: Variant = None,
+    record: Keep = False,
+) -> None:
+    """Density estimates in the plane beside scipy's gaussian_kde."""
+    chosen = _begin(variant)
+    _publish(chosen, record, densities.measure(count, near, rounds, warm_up))
+
+
 @app.callback(invoke_without_command=True)
 def everything(context: typer.Context, variant: Variant = None, record: Keep = False) -> None:
     """Run every benchmark in turn."""
@@ -210,6 +224,7 @@ def everything(context: typer.Context, variant: Variant = None, record: Keep = F
         knn(variant=variant, record=record)
         points(variant=variant, record=record)
         integration(variant=variant, record=record)
+        density(variant=variant, record=record)
 
 
 if __name__ == "__main__":

@@ -158,3 +158,13 @@ def test_the_benchmark_of_integrals_compares_and_knows_the_integral():
     speed = integrals.speed(1000, rounds=1, warm_up=1)
     assert [row[0] for row in speed.rows][2:] == ["étendue, device", "étendue, host"]
     assert "4:" in speed.rows[2][3]
+
+
+def test_densities_are_compared_with_scipy():
+    """Both agree, or this raises."""
+    pytest.importorskip("scipy")
+    record = module("densities").measure(30_000, 20, rounds=1, warm_up=1)
+    assert [row[0].split(",")[0] for row in record.rows] == [
+        *("FixedKernel", "BinnedKernel", "NearestNeighbours", "VariableKernel", "scipy gaussian_kde")
+    ]
+    assert all(row[3].endswith("times slower") for row in record.rows[:-1])

@@ -238,6 +238,30 @@ def test_inside_a_symbolic_loop():
     assert np.array(total) == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_points_that_cover_a_query_by_their_own_reach(kind):
+    points = cloud(kind)
+    queries = around(points)
+    random = np.random.default_rng(17)
+    reach = (10 ** random.uniform(-3, 1, len(points))).astype(np.float32)
+    reach[random.random(len(points)) < 0.2] = 0.0
+    tree = KdTree(device(points), reach=mi.Float(reach))
+    counts = dr.zeros(mi.UInt32, len(points) * len(queries))
+    lane = dr.arange(mi.UInt32, len(queries))
+
+    def visit(place: Any, distance_squared: Any, number: Any) -> Any:
+        dr.scatter_reduce(dr.ReduceOp.Add, counts, mi.UInt32(1), lane * len(points) + place)
+        return number + 1
+
+    number = tree.covering(device(queries), dr.zeros(mi.UInt32, len(queries)), visit, lane % 5 != 2)
+    dr.eval(number, counts)
+    expected = all_distances(tree, queries) <= np.square(reach[np.array(tree.order)])
+    expected[2::5] = False
+    assert expected.sum() > 100
+    assert (np.array(counts).reshape(expected.shape) == expected).all()
+    assert (np.array(number) == expected.sum(axis=1)).all()
+
+
 def test_another_number_of_points_compiles_nothing_new():
     """A photon map has as many photons as happened to be stored."""
 

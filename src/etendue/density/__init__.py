@@ -1,7 +1,46 @@
-"""Density estimation: kernels, and neighbour search on device arrays. Surfaces and lights are unknown here."""
+"""Density estimation: kernels, estimators, their errors, and neighbour search on device arrays. Surfaces and lights are
+unknown here: what comes in are positions, weights and areas."""
 
+from .bandwidth import cross_validation, normal_reference, silverman
+from .boundary import Boundary
+from .diagnosis import Diagnosis, best_bandwidth, by_bootstrap, by_expansion, by_quadrature, by_repetition
+from .errors import DensityError
+from .estimator import Estimator
+from .fixed import FixedKernel, Naive
 from .hashgrid import HashGrid, Query
+from .histogram import BinnedKernel, Histogram
 from .kdtree import KdTree
-from .kernels import KERNELS
+from .kernels import KERNELS, Kernel
+from .nearest import NearestNeighbours
+from .samples import Samples, Surface
+from .variable import AdaptiveKernel, SampleBandwidths, VariableKernel
 
-__all__ = ["KERNELS", "HashGrid", "KdTree", "Query"]
+__all__ = [
+    "KERNELS",
+    "AdaptiveKernel",
+    "BinnedKernel",
+    "Boundary",
+    "DensityError",
+    "Diagnosis",
+    "Estimator",
+    "FixedKernel",
+    "HashGrid",
+    "Histogram",
+    "KdTree",
+    "Kernel",
+    "Naive",
+    "NearestNeighbours",
+    "Query",
+    "SampleBandwidths",
+    "Samples",
+    "Surface",
+    "VariableKernel",
+    "best_bandwidth",
+    "by_bootstrap",
+    "by_expansion",
+    "by_quadrature",
+    "by_repetition",
+    "cross_validation",
+    "normal_reference",
+    "silverman",
+]

@@ -53,6 +53,7 @@ class KdTree:
     ----------
     points: Point3f, one lane a point. Points that are not finite are left out.
     active: mask of the points to insert.
+    reach: how far each point is felt, for :meth:`covering`; scene units, a lane a point.
 
     Attributes
     ----------
@@ -72,7 +73,7 @@ class KdTree:
     one place, or many at nearly the distance of the k-th (a query in the centre of a sphere), are all compared.
     """
 
-    def __init__(self, points: Any, active: Any = True) -> None:
+    def __init__(self, points: Any, active: Any = True, reach: Any = None) -> None:
         width = dr.width(points)
         chosen = dr.compress(dr.full(mi.Bool, True, width) & active & dr.all(dr.isfinite(points))) if width else []
         self.count = len(chosen)
@@ -90,9 +91,10 @@ class KdTree:
         self.order = dr.gather(mi.UInt32, index, dr.arange(mi.UInt32, self.count))
         self._points = dr.zeros(mi.Float, 4 * leaves * _LEAF)
         self._boxes = dr.zeros(mi.Float, 16 * leaves)
-        dr.scatter(self._points, mi.Vector4f(*sides, 0.0), place)
+        felt = dr.gather(mi.Float, reach, index, filled) if reach is not None and self.count else mi.Float(0)
+        dr.scatter(self._points, mi.Vector4f(*sides, felt), place)
         dr.eval(self.order, self._points, self._boxes)
-        self._build_boxes(sides, leaves)
+        self._build_boxes(sides, None if reach is None else felt + dr.zeros(mi.Float, leaves * _LEAF), leaves)
 
     def within(
         self,
@@ -120,15 +122,22 @@ class KdTree:
             for i in range(_LEAF):
                 inside = found & (self.distance_squared(first + i, point, found) <= radius_squared)
                 near |= dr.select(inside, mi.UInt32(1 << i), 0)
-
-            def one(near: Any, state: Any) -> tuple[Any, Any]:
-                """Take the neighbour of the lowest bit."""
-                place = first + dr.tzcnt(near)
-                return near & (near - 1), visit(place, self.distance_squared(place, point), state)
-
-            return dr.while_loop((near, state), lambda near, _: near != 0, one, label="kd-tree: neighbours")[1]
+            return self._visited(first, near, point, state, visit)
 
         return self._search(point, radius_squared, active, state, leaf)
+
+    def covering(self, point: Any, state: Any, visit: Callable[[Any, Any, Any], Any], active: Any = True) -> Any:
+        """Visit every point whose ``reach`` is not below its distance from ``point``; otherwise as :meth:`within`."""
+
+        def leaf(first: Any, found: Any, state: Any) -> Any:
+            near = mi.UInt32(0)
+            for i in range(_LEAF):
+                position = dr.gather(mi.Vector4f, self._points, first + i, found)
+                distance = _squared_norm(position.x - point.x, position.y - point.y, position.z - point.z)
+                near |= dr.select(found & (distance <= dr.square(position.w)), mi.UInt32(1 << i), 0)
+            return self._visited(first, near, point, state, visit)
+
+        return self._search(point, None, active, state, leaf)
 
     def kth_distance_squared(self, point: Any, k: Any, limit: Any, active: Any = True) -> Any:
         """Squared distance from ``point`` to its ``k``-th nearest point, exact, or ``limit`` if there are fewer below.
@@ -174,11 +183,25 @@ class KdTree:
 
     # Traversal
 
+    def _visited(self, first: Any, near: Any, point: Any, state: Any, visit: Callable[[Any, Any, Any], Any]) -> Any:
+        """The state after a visit to each point of a leaf whose bit is set."""
+
+        def one(near: Any, state: Any) -> tuple[Any, Any]:
+            """Take the neighbour of the lowest bit."""
+            place = first + dr.tzcnt(near)
+            return near & (near - 1), visit(place, self.distance_squared(place, point), state)
+
+        return dr.while_loop((near, state), lambda near, _: near != 0, one, label="kd-tree: neighbours")[1]
+
     def _search(self, point: Any, radius_squared: Any, active: Any, state: Any, leaf: Callable[..., Any]) -> Any:
-        """``state = leaf(first place, found, state)`` for every leaf whose box the ball touches."""
+        """``state = leaf(first place, found, state)`` for every leaf whose box the ball touches.
+
+        Without a radius: for every leaf whose box, widened by the largest reach of its points, holds the point.
+        """
 
         def descend(node: Any, _: Any) -> tuple[Any, Any]:
-            touched = self._box_distance_squared(node, point) <= radius_squared
+            limit = dr.square(self._reach(node)) if radius_squared is None else radius_squared
+            touched = self._box_distance_squared(node, point) <= limit
             found = touched & (node >= self._first_leaf)
             node = dr.select(found, node, dr.select(touched, 2 * node, _behind(node)))
             return node, ~found & (node != 0)
@@ -278,27 +301,33 @@ class KdTree:
 
     # Boxes
 
-    def _build_boxes(self, sides: Sequence[Any], leaves: int) -> None:
+    def _build_boxes(self, sides: Sequence[Any], reach: Any, leaves: int) -> None:
         """From the leaves to the root; an empty node has its corners reversed, at infinity."""
+        felt = 0.0 if reach is None else dr.block_reduce(dr.ReduceOp.Max, reach, _LEAF)
         lower = mi.Point3f(*(_lowest(side, _LEAF) for side in sides))
         upper = mi.Point3f(*(_highest(side, _LEAF) for side in sides))
-        self._put_box(dr.arange(mi.UInt32, leaves) + self._first_leaf, lower, upper)
+        self._put_box(dr.arange(mi.UInt32, leaves) + self._first_leaf, lower, upper, felt)
         while leaves > 1:
             leaves //= 2
             dr.eval(self._boxes)  # a level is read before the next is written
             node = dr.arange(mi.UInt32, leaves) + dr.opaque(mi.UInt32, leaves)
             left, right = self._box(2 * node), self._box(2 * node + 1)
-            self._put_box(node, dr.minimum(left[0], right[0]), dr.maximum(left[1], right[1]))
+            if reach is not None:
+                felt = dr.maximum(self._reach(2 * node), self._reach(2 * node + 1))
+            self._put_box(node, dr.minimum(left[0], right[0]), dr.maximum(left[1], right[1]), felt)
         dr.eval(self._boxes)
 
-    def _put_box(self, node: Any, lower: Any, upper: Any) -> None:
-        dr.scatter(self._boxes, mi.Vector4f(*lower, 0.0), 2 * node)
+    def _put_box(self, node: Any, lower: Any, upper: Any, reach: Any) -> None:
+        dr.scatter(self._boxes, mi.Vector4f(*lower, reach), 2 * node)
         dr.scatter(self._boxes, mi.Vector4f(*upper, 0.0), 2 * node + 1)
 
     def _box(self, node: Any) -> tuple[Any, Any]:
         lower = dr.gather(mi.Vector4f, self._boxes, 2 * node)
         upper = dr.gather(mi.Vector4f, self._boxes, 2 * node + 1)
         return mi.Point3f(lower.x, lower.y, lower.z), mi.Point3f(upper.x, upper.y, upper.z)
+
+    def _reach(self, node: Any) -> Any:
+        return dr.gather(mi.Float, self._boxes, 8 * node + 3)
 
     def _extent(self, node: Any) -> Any:
         lower, upper = self._box(node)

@@ -208,7 +208,7 @@ class PhotonMapping(ImageMethod):
         if self.settings.kernel != "uniform":
             position, _ = photons.position(photon, active)
             share = dr.squared_norm(position - si.p) / limit
-            weight *= KERNELS[self.settings.kernel](dr.minimum(share, 1.0))
+            weight *= KERNELS[self.settings.kernel].on_disc(dr.minimum(share, 1.0))
         return flux * value * weight
 
     # ------------------------------------------------------------------ camera paths

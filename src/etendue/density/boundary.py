@@ -1,0 +1,95 @@
+"""Densities end somewhere, kernels go on: what is lost beyond the border of a domain is put back.
+
+``"reflect"`` mirrors the samples at the border. The estimate then integrates to what it should, and its slope is zero
+at the border. ``"renormalise"`` divides by the share of the kernel that lies in the domain [Jones 1993]; so does a
+surface, by the area within reach. Both leave a bias of the order of the bandwidth where the density has a slope at its
+border; without either, half of it is missing at an edge, and three quarters in a corner.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+from typing import Any, Literal
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.core import Array
+from etendue.integration import Box
+
+from .errors import DensityError
+from .kernels import Kernel
+
+Boundary = Literal["none", "reflect", "renormalise"]
+#: Nodes of the quadrature along the part of a side that a kernel meets.
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
+
+
+def check_boundary(boundary: str, allowed: tuple[str, ...], domain: Any) -> None:
+    """Raise :class:`DensityError` unless an estimator has this correction, and its domain is known."""
+    if boundary not in allowed:
+        raise DensityError(f"boundary {boundary!r}: this estimator has {', '.join(allowed)}")
+    if boundary != "none" and domain is None:
+        raise DensityError(f"boundary {boundary!r} needs the domain: domain=[(lower, upper), ...]")
+
+
+def reflected(positions: Array, reach: Array, box: Box) -> tuple[Array, Array]:
+    """Positions with their mirror images of which a kernel of that ``reach`` may enter the box, and whose they are.
+
+    positions: (n, d). reach: (n,). Returns (m, d) and the indices (m,); the first n are the positions themselves. A
+    reach above the side of the box is cut: an image of an image is not made.
+    """
+    every = np.arange(len(positions))
+    images, owners = [positions], [every]
+    for sides in product((-1, 0, 1), repeat=box.dimension):
+        if not any(sides):
+            continue
+        image, near = positions.copy(), np.ones(len(positions), dtype=bool)
+        for axis, side in enumerate(sides):
+            if side:
+                border = box.lower[axis] if side < 0 else box.upper[axis]
+                near &= np.abs(positions[:, axis] - border) <= reach
+                image[:, axis] = 2 * border - image[:, axis]
+        images.append(image[near])
+        owners.append(every[near])
+    return np.concatenate(images), np.concatenate(owners)
+
+
+def share_inside(kernel: Kernel, point: Any, bandwidth: Any, box: Box) -> Any:
+    """Share of the kernel around ``point``, a ``Point3f`` in the box, that lies in it. Recorded on the device.
+
+    On a line by the kernel's integral. In the plane as the sum over the four sides of the wedges between the point and
+    each: ``int M(min(a / cos(phi), 1)) dphi / 2 pi``, where M is the kernel's share in a disc, a the distance of the
+    side; the part where the side is out of reach in closed form, the rest by quadrature, good to some 1e-4.
+    """
+    ends = [_distances(point[axis], axis, bandwidth, box) for axis in range(box.dimension)]
+    if box.dimension == 1:
+        return kernel.mass(ends[0][0], 1) + kernel.mass(ends[0][1], 1)
+    share: Any = mi.Float(0)
+    for axis in (0, 1):
+        left, right = ends[1 - axis]
+        for distance in ends[axis]:
+            share = share + _wedge(kernel, distance, left) + _wedge(kernel, distance, right)
+    return share
+
+
+def _distances(x: Any, axis: int, bandwidth: Any, box: Box) -> tuple[Any, Any]:
+    """Bandwidths to either end of the box."""
+    low, high = (dr.opaque(mi.Float, end) for end in (box.lower[axis], box.upper[axis]))
+    return dr.maximum(x - low, 0) / bandwidth, dr.maximum(high - x, 0) / bandwidth
+
+
+def _wedge(kernel: Kernel, distance: Any, along: Any) -> Any:
+    """Share in the triangle from the point to its foot on a side, and ``along`` it to a corner."""
+    angle = dr.atan2(along, distance)
+    met = dr.minimum(angle, dr.acos(dr.minimum(distance / kernel.reach, 1.0)))
+    total: Any = angle - met
+    for node, weight in zip(_NODES, _WEIGHTS, strict=True):
+        # At a foot that is near, 1 / cos is steep at the end: nodes are drawn together there.
+        s = 0.5 * (node + 1)
+        phi = met * (s * (2 - s))
+        radius = dr.minimum(distance / dr.maximum(dr.cos(phi), 1e-9), kernel.reach)
+        total = total + float(weight * (1 - s)) * met * kernel.mass(radius, 2)
+    return total * (1 / (2 * math.pi))

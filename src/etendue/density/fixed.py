@@ -1,0 +1,148 @@
+"""Kernel estimators of one bandwidth: ``f(x) = sum_i w_i K((x - x_i) / h) / h^d`` over weights of sum 1.
+
+[Silverman 1986, ch. 2 and 4; Leeson 2001, sec. 3.5] Bias ``h^2 m / 2`` times the Laplacian of the density, variance
+``f R / (n h^d)``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.core import Array
+
+from .boundary import Boundary, check_boundary, reflected, share_inside
+from .errors import DensityError
+from .estimator import Estimator, positive
+from .hashgrid import HashGrid
+from .kernels import Kernel, kernel_of
+from .samples import Frame, Surface, uploaded
+
+#: The shortest reach of a kernel, as a share of the extent of the samples.
+_FINEST = 3e-6
+
+
+class FixedKernel(Estimator):
+    """Kernel estimator of bandwidth ``h``.
+
+    Parameters
+    ----------
+    samples: :class:`Samples`, or positions.
+    bandwidth: in the unit of the positions; see :func:`silverman` and :func:`cross_validation`.
+    kernel: a :class:`Kernel` or its name.
+    domain, boundary: where the density lives, as for :class:`etendue.integration.Box`, and what is done at its border:
+        ``"reflect"``, ``"renormalise"`` or ``"none"``.
+    surface: a :class:`Surface`, by whose area within the kernel the estimate is divided.
+
+    A point costs what lies within the kernel's reach. Where that is thousands of samples :class:`BinnedKernel` is
+    faster by far. Raises :class:`DensityError`.
+    """
+
+    citations = ("Silverman1986", "Leeson2001", "Jones1993", "Green2008")
+
+    def __init__(
+        self,
+        samples: Any,
+        bandwidth: float,
+        kernel: Kernel | str = "gaussian",
+        domain: Any = None,
+        boundary: Boundary = "none",
+        surface: Surface | None = None,
+    ) -> None:
+        super().__init__(samples, domain)
+        self.bandwidth, self.kernel = positive("the bandwidth", bandwidth), kernel_of(kernel)
+        check_boundary(boundary, ("none", "reflect", "renormalise"), domain)
+        self.boundary, self.surface = boundary, check_surface(surface, self.samples.coordinates)
+        positions, weights = self.samples.positions, self.samples.weights
+        if boundary == "reflect":
+            assert self.domain is not None
+            reach = np.full(len(positions), self.bandwidth * self.kernel.reach)
+            positions, owners = reflected(positions, reach, self.domain)
+            weights = weights[owners]
+        local = self.bandwidth / self._frame.unit
+        if local * self.kernel.reach < _FINEST:
+            raise DensityError(
+                f"a bandwidth of {self.bandwidth:g} is too fine for single precision beside samples that are "
+                f"{self._frame.unit:g} apart: widen it, or leave out what lies far from the rest"
+            )
+        self._h = dr.opaque(mi.Float, local)
+        self._sum = _Sum(positions, weights, local, self.kernel, self.samples.dimension, self._frame)
+        self._area = None
+        if self.surface is not None:
+            areas = self.surface.areas / self._frame.unit**2
+            self._area = _Sum(self.surface.positions, areas, local, self.kernel, 2, self._frame)
+
+    def _density(self, point: Any, active: Any) -> Any:
+        value = self._sum(point, active)
+        if self._area is not None:
+            return over(value, self._area(point, active))
+        if self.boundary == "renormalise":
+            assert self._local_domain is not None
+            return over(value, share_inside(self.kernel, point, self._h, self._local_domain))
+        return value
+
+
+class Naive(FixedKernel):
+    """Samples within ``h``: over ``2 h n`` on a line, over ``pi h^2 n`` in the plane. The uniform kernel.
+
+    Parameters are those of :class:`FixedKernel`.
+    """
+
+    def __init__(
+        self,
+        samples: Any,
+        bandwidth: float,
+        domain: Any = None,
+        boundary: Boundary = "none",
+        surface: Surface | None = None,
+    ) -> None:
+        super().__init__(samples, bandwidth, "uniform", domain, boundary, surface)
+
+
+class _Sum:
+    """``sum_i w_i K(|x - x_i| / h) / h^d``, a candidate of the grid after the other."""
+
+    def __init__(
+        self, positions: Array, weights: Array, h: float, kernel: Kernel, dimension: int, frame: Frame
+    ) -> None:
+        local = frame.host(positions)
+        points = frame.device(positions)
+        lower, upper = np.zeros(3), np.zeros(3)
+        lower[: local.shape[1]], upper[: local.shape[1]] = local.min(axis=0), local.max(axis=0)
+        self._grid = HashGrid(points, h * kernel.reach, lower, upper)
+        # A weight has the kernel's normalisation in it, in double precision until here.
+        scaled = uploaded(weights * (kernel.normalisation(dimension) / h**dimension))
+        self._packed = dr.zeros(mi.Float, 4 * len(positions))
+        dr.scatter(self._packed, mi.Vector4f(*points, scaled), self._grid.destination)
+        self._inverse = dr.opaque(mi.Float, h**-2)
+        self._kernel = kernel
+        dr.eval(self._packed)
+
+    def __call__(self, point: Any, active: Any) -> Any:
+        query = self._grid.query(point, active)
+        limit = self._kernel.reach**2
+
+        def add(i: Any, total: Any) -> tuple[Any, Any]:
+            """Every candidate takes part: to look for those within reach first would take longer."""
+            sample = dr.gather(mi.Vector4f, self._packed, self._grid.candidate(query, i))
+            x, y, z = sample.x - point.x, sample.y - point.y, sample.z - point.z
+            t = dr.fma(x, x, dr.fma(y, y, z * z)) * self._inverse
+            return i + 1, total + dr.select(t <= limit, sample.w * self._kernel.profile(dr.minimum(t, limit)), 0.0)
+
+        start = (mi.UInt32(0), mi.Float(0))
+        return dr.while_loop(start, lambda i, _: active & (i < query.total), add, label="density: sum")[1]
+
+
+def over(value: Any, share: Any) -> Any:
+    """``value / share``, zero where nothing of a kernel is inside."""
+    return dr.select(share > 0, value / share, 0.0)
+
+
+def check_surface(surface: Any, coordinates: int) -> Surface | None:
+    """A surface, for samples that lie on one; raises :class:`DensityError`."""
+    if surface is not None and not (isinstance(surface, Surface) and coordinates == 3):
+        raise DensityError("surface takes a Surface(positions, areas), and samples with three coordinates")
+    return surface
