@@ -9,14 +9,15 @@ import typer
 
 from etendue import methods as known
 from etendue.cli.options import parse_pairs, parse_size
-from etendue.core import EtendueError, use_variant
+from etendue.core import EtendueError
 
 from . import choice as choice_of_auto
 from . import cost as cost_of_a_pass
 from . import densities, fresh, integrals, neighbours, sequences
 from . import quality as quality_over_time
 from . import rays as ray_casting
-from .measuring import Record, console, machine, software
+from .measuring import Record
+from .options import Rounds, Size, Variant, WarmUp, begin, words
 
 app = typer.Typer(
     help="Speed, memory and quality of the methods. Run on an idle machine; without a command all are run (an hour).",
@@ -24,17 +25,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 Methods = Annotated[str, typer.Option(help="Names, separated by commas.", metavar="NAMES")]
-Size = Annotated[str, typer.Option(metavar="WxH")]
-Rounds = Annotated[int, typer.Option(min=1, help="Rounds that are timed.")]
-WarmUp = Annotated[int, typer.Option(min=1, help="Rounds before them.")]
-Variant = Annotated[str | None, typer.Option(help="Mitsuba variant; by default CUDA where usable, else LLVM.")]
 Keep = Annotated[bool, typer.Option("--record", help="Append the tables to benchmarks/RESULTS.md.")]
-
-
-def _begin(variant: str | None) -> str:
-    chosen = use_variant(variant)
-    console.print(f"{machine()}; {software(chosen)}\n", style="dim")
-    return chosen
 
 
 def _publish(variant: str, keep: bool, *records: Record) -> None:
@@ -42,13 +33,9 @@ def _publish(variant: str, keep: bool, *records: Record) -> None:
         record.publish(variant, keep)
 
 
-def _words(text: str) -> list[str]:
-    return [word.strip() for word in text.split(",") if word.strip()]
-
-
 def _names(text: str) -> list[str]:
     """Names of methods; raises the error of the first that does not exist."""
-    return [known.get(name).name for name in _words(text)]
+    return [known.get(name).name for name in words(text)]
 
 
 @app.command()
@@ -69,7 +56,7 @@ def cost(
     """Seconds of a pass relative to Mitsuba's path at one sample per pixel, interleaved; and what a setting costs."""
     # A comma before a number is one of a setting: vcm:radii=0.5,2
     variants = [cost_of_a_pass.Variant.parse(text) for text in re.split(r"\s*,\s*(?=[a-z])", methods.strip())]
-    chosen = _begin(variant)
+    chosen = begin(variant)
     _publish(chosen, record, cost_of_a_pass.measure(variants, parse_size(size), rounds, warm_up))
 
 
@@ -78,7 +65,7 @@ def first_pass(
     methods: Methods = "path,bpt,vcm", size: Size = "512x512", variant: Variant = None, record: Keep = False
 ) -> None:
     """The first pass in a fresh process, with an empty and with a filled kernel cache."""
-    chosen = _begin(variant)
+    chosen = begin(variant)
     _publish(chosen, record, fresh.first_pass(_names(methods), parse_size(size), chosen))
 
 
@@ -91,8 +78,8 @@ def memory(
     record: Keep = False,
 ) -> None:
     """Peak memory of a fresh process."""
-    chosen = _begin(variant)
-    wanted = [parse_size(text) for text in _words(sizes)]
+    chosen = begin(variant)
+    wanted = [parse_size(text) for text in words(sizes)]
     limit = int(bound * 1e6) if bound else None
     _publish(chosen, record, fresh.memory(_names(methods), wanted, chosen, bound=limit))
 
@@ -107,7 +94,7 @@ def rays(
     record: Keep = False,
 ) -> None:
     """Share of ray casting: the rays of a pass are recorded and cast again."""
-    chosen = _begin(variant)
+    chosen = begin(variant)
     _publish(chosen, record, ray_casting.measure(_names(methods), parse_size(size), rounds, warm_up))
 
 
@@ -127,9 +114,9 @@ def quality(
     record: Keep = False,
 ) -> None:
     """Error against a converged picture after a given time, for every method."""
-    chosen = _begin(variant)
+    chosen = begin(variant)
     settings = parse_pairs(define, "-D")
-    tables = quality_over_time.measure(_words(scenes), _names(methods), parse_size(size), time, seeds, settings)
+    tables = quality_over_time.measure(words(scenes), _names(methods), parse_size(size), time, seeds, settings)
     _publish(chosen, record, *tables)
 
 
@@ -143,8 +130,8 @@ def choice(
     record: Keep = False,
 ) -> None:
     """Error of auto after a given time, beside each of its candidates."""
-    chosen = _begin(variant)
-    _publish(chosen, record, choice_of_auto.measure(_words(scenes), pixels, time, seeds))
+    chosen = begin(variant)
+    _publish(chosen, record, choice_of_auto.measure(words(scenes), pixels, time, seeds))
 
 
 @app.command()
@@ -158,7 +145,7 @@ def knn(
     record: Keep = False,
 ) -> None:
     """Build a kd-tree and find k nearest neighbours, beside scipy's cKDTree."""
-    chosen = _begin(variant)
+    chosen = begin(variant)
     if k > points:
         raise SystemExit(f"-k {k} is more than there are points ({points})")
     _publish(chosen, record, neighbours.measure(points, k, parse_size(size), rounds, warm_up))
@@ -174,7 +161,7 @@ def points(
     record: Keep = False,
 ) -> None:
     """Points of sequences, made and reduced on the device, beside scipy's qmc."""
-    chosen = _begin(variant)
+    chosen = begin(variant)
     _publish(chosen, record, sequences.measure(count, dimension, rounds, warm_up))
 
 
@@ -191,8 +178,8 @@ def integration(
     record: Keep = False,
 ) -> None:
     """The VEGAS-derived integrator beside the vegas package: errors, and evaluations a second."""
-    chosen = _begin(variant)
-    counts = [int(word) for word in _words(evaluations)]
+    chosen = begin(variant)
+    counts = [int(word) for word in words(evaluations)]
     tables = (integrals.errors(counts, seeds), integrals.speed(speed, rounds, warm_up))
     _publish(chosen, record, *tables)
 
@@ -207,7 +194,7 @@ def density(
     record: Keep = False,
 ) -> None:
     """Density estimates in the plane beside scipy's gaussian_kde."""
-    chosen = _begin(variant)
+    chosen = begin(variant)
     _publish(chosen, record, densities.measure(count, near, rounds, warm_up))
 
 

@@ -8,9 +8,10 @@ from typing import Annotated
 import typer
 
 from etendue.cli.options import parse_size
-from etendue.core import EtendueError, OptionError, suggest, use_variant
+from etendue.core import EtendueError, OptionError, suggest
 
-from ..measuring import Record, console, machine, software
+from ..measuring import Record
+from ..options import Rounds, Size, Variant, WarmUp, begin, words
 from . import convergence as error_over_time
 from . import correctness as against_path
 from . import profile as profiles
@@ -25,26 +26,16 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 Scenes = Annotated[str, typer.Option("--scene", help="Names, separated by commas.", metavar="NAMES")]
-Size = Annotated[str, typer.Option(metavar="WxH")]
 Time = Annotated[float, typer.Option(min=0.01, help="Seconds for each method or setting.")]
 Seeds = Annotated[int, typer.Option(min=1, help="Runs of each; their mean square counts.")]
 ReferenceTime = Annotated[float, typer.Option(min=0.01, help="Seconds for a reference that is not there yet.")]
-Rounds = Annotated[int, typer.Option(min=1, help="Rounds that are timed.")]
-WarmUp = Annotated[int, typer.Option(min=1, help="Rounds before them.")]
 Out = Annotated[Path, typer.Option(help="Folder for references and plots.")]
-Variant = Annotated[str | None, typer.Option(help="Mitsuba variant; by default CUDA where usable, else LLVM.")]
 Keep = Annotated[bool, typer.Option("--record", help="Append the tables to benchmarks/vcm_thesis/RESULTS.md.")]
 
 _ALL = ",".join(SCENES)
 _SPECULAR = ",".join(name for name in SCENES if name != "diffuse")
 _OUT = Path("thesis-output")
 _SIZE = "320x240"
-
-
-def _begin(variant: str | None) -> str:
-    chosen = use_variant(variant)
-    console.print(f"{machine()}; {software(chosen)}\n", style="dim")
-    return chosen
 
 
 def _publish(variant: str, keep: bool, *records: Record) -> None:
@@ -54,7 +45,7 @@ def _publish(variant: str, keep: bool, *records: Record) -> None:
 
 def _names(text: str) -> list[str]:
     """Names of scenes; raises :class:`OptionError` for one that does not exist."""
-    names = [word.strip() for word in text.split(",") if word.strip()]
+    names = words(text)
     for name in names:
         if name not in SCENES:
             raise OptionError(f"unknown scene '{name}'; {suggest(name, SCENES)}")
@@ -66,7 +57,7 @@ def reference(
     scene: Scenes = _ALL, size: Size = _SIZE, time: Time = 60.0, out: Out = _OUT, variant: Variant = None
 ) -> None:
     """Render the references anew, each for --time seconds, and keep them in --out."""
-    _begin(variant)
+    begin(variant)
     record = Record(f"References, {size}, {time:g} s", ("", "noise (RMS of luminance)", "made by"))
     for name in _names(scene):
         made = references.make(name, parse_size(size), out, time)
@@ -85,7 +76,7 @@ def correctness(
     record: Keep = False,
 ) -> None:
     """VCM and BPT against path tracing: does the difference fall as noise does, and has it structure?"""
-    chosen = _begin(variant)
+    chosen = begin(variant)
     for name in _names(scene):
         _publish(chosen, record, *against_path.measure(name, parse_size(size), passes, seed, out))
 
@@ -102,7 +93,7 @@ def convergence(
     record: Keep = False,
 ) -> None:
     """The error of VCM, BPT, BPM and PT over time, and their order early and late."""
-    chosen = _begin(variant)
+    chosen = begin(variant)
     for name in _names(scene):
         table = error_over_time.measure(name, parse_size(size), time, seeds, out, reference_time)
         _publish(chosen, record, table)
@@ -119,7 +110,7 @@ def profile(
     record: Keep = False,
 ) -> None:
     """What a pass of VCM is made of: times, path lengths, connections, photons, rays."""
-    chosen = _begin(variant)
+    chosen = begin(variant)
     _publish(chosen, record, profiles.measure(_names(scene), parse_size(size), time, rounds, warm_up))
 
 
@@ -135,7 +126,7 @@ def radius(
     record: Keep = False,
 ) -> None:
     """Radii of 5, 12 and 25 mm, with and without merging at the first camera vertex."""
-    chosen = _begin(variant)
+    chosen = begin(variant)
     for name in _names(scene):
         _publish(chosen, record, *sweeps.radius(name, parse_size(size), time, seeds, out, reference_time))
 
@@ -152,7 +143,7 @@ def photons(
     record: Keep = False,
 ) -> None:
     """Four times the light paths against twice the radius, at equal time."""
-    chosen = _begin(variant)
+    chosen = begin(variant)
     for name in _names(scene):
         _publish(chosen, record, sweeps.photons(name, parse_size(size), time, seeds, out, reference_time))
 
@@ -167,7 +158,7 @@ def radii(
     record: Keep = False,
 ) -> None:
     """What further radii in the same run cost."""
-    chosen = _begin(variant)
+    chosen = begin(variant)
     _publish(chosen, record, sweeps.radii(_names(scene), parse_size(size), rounds, warm_up))
 
 

@@ -102,7 +102,7 @@ class BidirectionalSettings(ImageSettings):
         minimum=0.0,
     )
     split_layers: bool = setting(
-        False, "keep a layer for each technique family, beside their sum; costs some 5 % of the time"
+        False, "keep a layer for each technique family, beside their sum; costs 5 to 10 % of the time"
     )
     pyramid: bool = setting(False, "keep a layer for each technique, (s, t), weighted and unweighted")
     pyramid_depth: int = setting(

@@ -126,7 +126,7 @@ def _scatter(
     sample: Any, evaluate: Any, bsdf: Any, si: Any, source: SampleSource, vertex: Any, active: Any, directions: Any
 ) -> tuple[Scattered, list[Evaluated]]:
     """One call a BSDF for everything that is asked of it: a call of its own for each question costs a seventh more."""
-    # An even number for the lobe costs 2 % of a pass and gains nothing that could be measured.
+    # An even number for the lobe costs time and gains nothing that could be measured.
     u = source.decide(vertex, dim.LOBE), mi.Point2f(*source.next_2d(vertex, dim.DIRECTION))
 
     def ask(self: Any, si: Any, u: Any, active: Any, directions: list[tuple[Any, Any]]) -> Any:
