@@ -3,7 +3,8 @@
 .PHONY: help env demo test test-all bench lint clean
 
 BIN := .venv/bin
-PYTEST := $(BIN)/python -m pytest
+# Two workers: half of a test is Python and compiling on one thread; two cores end within ten minutes.
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 
 help: ## this text
 	@echo "étendue: global illumination for Mitsuba 3 scenes. Targets:"

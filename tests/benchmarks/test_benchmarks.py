@@ -168,3 +168,27 @@ def test_densities_are_compared_with_scipy():
         *("FixedKernel", "BinnedKernel", "NearestNeighbours", "VariableKernel", "scipy gaussian_kde")
     ]
     assert all(row[3].endswith("times slower") for row in record.rows[:-1])
+
+
+def test_choice_holds_auto_against_its_best_candidate(monkeypatch):
+    """The error of the reference is taken off, the median over seeds counts, the ratio is to the best candidate."""
+    choice = module("choice")
+    offsets = {"path": 0.3, "bpt": 0.1, "bpt with 6 connections": 0.2, "vcm": 0.4, "probe": 0.11}
+    assert offsets.keys() == {*choice.CANDIDATES, "probe"}
+
+    def render(source, method, *, seconds, size, seed, **settings):
+        if method == "vcm":  # halves of the reference, 1 on average
+            image = np.full((8, 8, 3), {1000: 1.02, 1001: 0.98}[seed], np.float32)
+            return types.SimpleNamespace(image=image, metadata={})
+        extreme = 50.0 if seed == 2 else 1.0  # one seed of three
+        image = np.full((8, 8, 3), 1.0 + extreme * offsets[settings["choice"]], np.float32)
+        return types.SimpleNamespace(image=image, metadata={"chosen": "bpt"})
+
+    monkeypatch.setattr(choice, "render", render)
+    row = choice.measure(["cornell-box"], pixels=64, seconds=1.0, seeds=3).rows[0]
+    own = 0.02**2 / 1.01
+    expected = [offset**2 / 1.01 - own for offset in offsets.values()]
+    assert [float(cell) for cell in row[1:6]] == pytest.approx(expected, rel=0.01)
+    assert row[6:] == ("bpt", f"{expected[-1] / expected[1]:.2f}", choice.verdict(expected[-1] / expected[1], 1.2))
+    with pytest.raises(SystemExit, match="no test scene 'nowhere'"):
+        choice.measure(["nowhere"], pixels=64, seconds=1.0, seeds=1)

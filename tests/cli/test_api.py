@@ -241,7 +241,7 @@ def test_a_resumed_render_is_an_uninterrupted_one(method, tolerance, tmp_path):
 def test_session():
     began = time.perf_counter()
     session = api.start("cornell-box", "path", seconds=60, **SMALL)
-    assert time.perf_counter() - began < 0.5
+    assert time.perf_counter() - began < 2.0
     while session.progress.passes < 2:
         time.sleep(0.005)
     assert session.image.shape == (12, 16, 3)

@@ -262,7 +262,7 @@ def wait_for_pass(process: subprocess.Popen[str]) -> None:
     pytest.fail(f"ended with status {process.wait()} before a line of progress")
 
 
-RENDER = shlex.split("render cornell-box -m path --size 32x32 -D samples_per_pass=1 --spp 800 -o a.exr")
+RENDER = shlex.split("render cornell-box -m path --size 32x32 -D samples_per_pass=1 --spp 300 -o a.exr")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of Unix")
@@ -278,13 +278,13 @@ def test_a_signal_stops_at_the_next_pass_and_the_rest_can_follow(number, folder)
     assert "Traceback" not in err
     early = film.read_exr("a.exr").metadata
     assert early["stopped_by"] == "cancel"
-    assert 0 < early["passes"] < 800
+    assert 0 < early["passes"] < 300
     if number == signal.SIGTERM:
         return
     # Without a budget of its own, a resumed run does what the interrupted one had left.
     assert run("resume a.checkpoint") == 0
     assert main([*RENDER[:-1], "b.exr"]) == 0
-    assert film.read_exr("a.exr").metadata["passes"] == 800
+    assert film.read_exr("a.exr").metadata["passes"] == 300
     assert np.array_equal(film.read_exr("a.exr").image, film.read_exr("b.exr").image)
 
 
@@ -299,7 +299,7 @@ def test_a_second_signal_aborts_at_once(folder):
     process.send_signal(signal.SIGINT)
     began = time.monotonic()
     _, err = process.communicate(timeout=60)
-    assert time.monotonic() - began < 2.0
+    assert time.monotonic() - began < 5.0
     assert process.returncode == 130
     assert "aborted" in err
     assert os.listdir(folder) == []

@@ -40,12 +40,12 @@ def test_cost_is_time_times_error():
 
 
 def test_light_that_was_missed_counts():
-    """A quarter of the picture has a caustic that one candidate has not found: its error cannot be below that."""
+    """A quarter of the picture has a caustic that one candidate has not found: a long run will not find it either."""
     lit = np.ones(SIZE)
     lit[:8, :8] += 3.0
     cost = costs({"blind": 1.0, "seeing": 1.0}, {"blind": noisy(np.ones(SIZE), 0.01, 1), "seeing": noisy(lit, 0.3, 2)})
-    assert cost["blind"] == pytest.approx(6 * 0.25 * 9 / 16, rel=0.05)
-    assert cost["seeing"] < 0.1 * cost["blind"]
+    assert cost["blind"] == pytest.approx(64 * 0.25 * 9 / 16, rel=0.05)
+    assert cost["seeing"] < 0.02 * cost["blind"]
 
 
 def test_one_bright_sample_is_not_missed_light():
@@ -78,7 +78,7 @@ def test_the_probe_and_its_state():
     first = runner.step(0, 1)
     state = dict(runner.state())
     assert state["choice"] in CANDIDATES
-    assert set(state["costs"]) == set(CANDIDATES)
+    assert {"path", "bpt", "vcm"} <= set(state["costs"]) <= set(CANDIDATES)
     assert all(cost > 0 for cost in state["costs"].values())
     metadata = runner.develop(first).metadata
     assert metadata["chosen"] == state["choice"]

@@ -264,7 +264,7 @@ def test_a_pilot_that_guessed_too_low(name):
     method, settings = METHODS[name]
     runner = prepared(problem(), method, samples_per_pass=16, light_paths=1.0, **settings)
     expected = runner.step(0, 1)
-    runner._vertices_per_path = 0.1
+    runner._room.per_path = 0.1
     result = runner.step(0, 1)
     assert result.counters["light_vertices"] == expected.counters["light_vertices"]
     np.testing.assert_allclose(result.mean(), expected.mean(), **SAME)

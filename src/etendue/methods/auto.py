@@ -1,12 +1,13 @@
 """Choose among the methods by a probe, then render by the one that needs the least time for a given error.
 
 The first pass is preceded by a few passes of each candidate on a small copy of the film; one that is far behind after
-two or four of them is given up. A candidate's cost is its seconds per camera path times its error per camera path, the
-error being the larger of two estimates:
+two or four of them is given up. A candidate's cost is the time of its passes times the error of a picture of
+:data:`_PASSES` of them, which is the sum of two:
 
 - the scatter of its passes, and
-- the light that it has missed: what the mean of all candidates shows in blocks of pixels and it does not. A method that
-  cannot find a caustic looks noiseless until it does; its scatter alone would recommend it.
+- the light that it has missed: what another candidate shows in blocks of pixels and it does not. A method that cannot
+  find a caustic looks noiseless; its scatter alone would recommend it. More passes make the scatter less, but what was
+  never found in the probe will be missed, or a firefly, in the picture, too.
 
 What the error of a path costs depends on the scene: connections on or off, how many, merging on or off are most of what
 a user could set by hand. The choice is written into the picture's metadata, and kept when a run is resumed.
@@ -39,6 +40,8 @@ CANDIDATES: dict[str, tuple[type[ImageMethod], dict[str, Any]]] = {
     "bpt with 6 connections": (Bpt, {"connections": 6, "shadow_roulette": 0.05}),
     "vcm": (Vcm, {}),
 }
+#: Passes of the probe's size that a picture is taken to have.
+_PASSES = 64
 #: A candidate must promise this much less than a simpler one.
 _WORTH_IT = 0.9
 #: A candidate with so many times the cost of the best is given up before the probe ends.
@@ -151,7 +154,7 @@ class Auto(ImageMethod):
 
 
 def costs(seconds: Mapping[str, float], passes: Mapping[str, Measurement]) -> dict[str, float]:
-    """Seconds of a pass times error of a pass, by candidate."""
+    """Seconds of a pass times the error of a picture of :data:`_PASSES` passes, by candidate."""
     pictures = {name: _blocks(m.mean()) for name, m in passes.items()}
     noise = {name: _blocks(m.variance_of_mean("image")) for name, m in passes.items()}
     # Relative to what most candidates see: a bright speck must not excuse itself by its own brightness.
@@ -160,12 +163,13 @@ def costs(seconds: Mapping[str, float], passes: Mapping[str, Measurement]) -> di
     for name, measurement in passes.items():
         missed = np.zeros_like(level)
         for other in passes:
-            # Beyond two standard errors: a lone bright sample of the other's is as uncertain as it is bright.
-            doubt = 4.0 * (noise[name] + noise[other]) / _BLOCK**2
+            # Beyond three standard errors: a lone bright sample of the other's is as uncertain as it is bright.
+            doubt = 9.0 * (noise[name] + noise[other]) / _BLOCK**2
             gap = np.square(np.maximum(pictures[other] - pictures[name], 0.0)) - doubt
             missed = np.maximum(missed, gap / (np.square(pictures[other]) + RELATIVE_EPSILON))
         scatter = noise[name] / (np.square(level) + RELATIVE_EPSILON)
-        result[name] = seconds[name] * float(max(scatter.mean(), missed.mean())) * len(measurement.iterations)
+        error = scatter.mean() * len(measurement.iterations) / _PASSES + missed.mean()
+        result[name] = seconds[name] * _PASSES * float(error)
     return result
 
 

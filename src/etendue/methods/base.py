@@ -32,12 +32,6 @@ Layer = NDArray[np.float32]
 
 #: Lanes that fill the machine: below, a pass wastes time; above, nothing is gained.
 FULL_LANES = 1 << 17
-#: Room for light vertices without a memory limit, in bytes, and the share of a limit that they may take.
-STORE_BYTES = 600e6
-STORE_SHARE = 0.4
-#: Room beyond what a pilot measured: a factor, and vertices.
-STORE_MARGIN = 1.05
-STORE_PAD = 1024
 #: Light and camera paths of a pilot pass.
 PILOT_PATHS = 1 << 13
 #: An array of the device holds fewer than 2^32 numbers, and a lane has a colour.

@@ -44,19 +44,8 @@ from etendue.transport import (
 )
 
 from . import radius as radii
-from .base import (
-    PILOT_PATHS,
-    STORE_BYTES,
-    STORE_MARGIN,
-    STORE_PAD,
-    STORE_SHARE,
-    ImageMethod,
-    ImageSettings,
-    Layer,
-    keep_finite,
-    total,
-    with_image,
-)
+from .base import PILOT_PATHS, ImageMethod, ImageSettings, Layer, keep_finite, total, with_image
+from .store import STORE_SHARE, VertexRoom
 
 
 @dataclass(frozen=True)
@@ -173,8 +162,12 @@ class Bidirectional(ImageMethod):
         self._box = np.asarray(box.min, float).ravel(), np.asarray(box.max, float).ravel()
         self._paths = max(1, round(s.light_paths * self.camera.pixels * self.samples_per_iteration))
         self._first_radius = radii.absolute_radius(self, s.radius, s.radius_unit, seed) if s.merging else 0.0
+        bytes_per_vertex = LightVertices.bytes_per_vertex(
+            bool(self.techniques.connection), self.techniques.merge, bool(self._more_radii)
+        )
+        self._room = VertexRoom(bytes_per_vertex, problem.memory)
         self._pilot(seed)
-        self._groups = self._count_groups(problem.memory)
+        self._groups = self._count_groups()
 
     def _check_pyramid(self, memory: int | None) -> None:
         """Raises :class:`OptionError` if the layers of a pyramid do not fit into memory beside the light vertices."""
@@ -196,7 +189,7 @@ class Bidirectional(ImageMethod):
     def _pilot(self, seed: int) -> None:
         """Measure how many vertices a light path stores and how bright the picture is, by a small pass under seed roles
         of its own."""
-        self._vertices_per_path, self._dark = 0.0, 0.0
+        self._dark = 0.0
         paths = min(PILOT_PATHS, self._paths)
         samples = min(PILOT_PATHS, self.camera.pixels)
         splats = self._splats()
@@ -205,7 +198,7 @@ class Bidirectional(ImageMethod):
         light = dr.arange(mi.UInt32, paths)
         run = _Run("pilot ", 0, seed, self._first_radius, light, lanes, pixel, 1, splats, None, 64 * paths)
         radiance, counters = self._trace(run)
-        self._vertices_per_path = counters["light_vertices"] / paths
+        self._room.per_path = counters["light_vertices"] / paths
         own = [value for name, value in radiance.items() if name not in self._more_radii]
         mean = sum(float(np.asarray(v, np.float64).mean()) for v in own)
         if splats:
@@ -228,21 +221,13 @@ class Bidirectional(ImageMethod):
         """Whether light vertices are kept for the camera pass."""
         return bool(self.techniques.connection or self.techniques.merge)
 
-    def _count_groups(self, memory: int | None) -> int:
+    def _count_groups(self) -> int:
         """Into how many groups the light paths of a pass are split, so that their vertices fit into memory."""
-        bytes_per_vertex = LightVertices.bytes_per_vertex(
-            bool(self.techniques.connection), self.techniques.merge, bool(self._more_radii)
-        )
-        needed = self._vertices_per_path * self._paths * STORE_MARGIN * bytes_per_vertex
-        pad = STORE_PAD * bytes_per_vertex
-        room = STORE_SHARE * memory if memory else STORE_BYTES
-        if memory and room < 4 * pad:
-            least = 4 * pad / STORE_SHARE / 1e6
-            raise OptionError(f"a memory limit of {memory / 1e6:.2g} MB is too small; give at least {least:.1f} MB")
-        groups = max(1, math.ceil(needed / (room - pad)))
+        groups = self._room.groups(self._paths)
         if groups > 1:
-            logger.info("light vertices of a pass take %.0f MB: traced in %d groups", needed / 1e6, groups)
-        return min(groups, self._paths)
+            needed = self._room.bytes(self._paths) / 1e6
+            logger.info("light vertices of a pass take %.0f MB: traced in %d groups", needed, groups)
+        return groups
 
     # ------------------------------------------------------------------ a pass
 
@@ -260,13 +245,11 @@ class Bidirectional(ImageMethod):
         counters = {"rays": 0.0, "light_vertices": 0.0, "nonfinite": 0.0}
         for index in range(self._groups):
             light, camera = (_part(n, index, self._groups) for n in (self._paths, self.camera.pixels * samples))
-            capacity = math.ceil(self._vertices_per_path * len(light) * STORE_MARGIN) + STORE_PAD
-            pixel = camera // samples
+            pixel, capacity = camera // samples, self._room.capacity(len(light))
             run = _Run("", iteration, seed, radius, light, camera, pixel, samples, splats, pyramid, capacity)
             radiance, counts = self._trace(run)
-            if counts["light_vertices"] > capacity:  # the pilot guessed too low: the whole pass again, with more room
-                self._vertices_per_path = counts["light_vertices"] / len(light)
-                self._groups = self._count_groups(self.problem.memory)
+            if not self._room.held(counts["light_vertices"], len(light)):
+                self._groups = self._count_groups()  # the pilot guessed too low: the whole pass again, with more room
                 return self.render_pass(iteration, seed, samples)
             parts.append(radiance)
             counters = {name: value + counts[name] for name, value in counters.items()}

@@ -22,7 +22,7 @@ from etendue.transport import Kind, Photons
 
 from . import radius as radii
 from .base import ImageSettings
-from .photon_mapping import PhotonMapping, PhotonSettings, Shot, memory_for, photons_that_fit
+from .photon_mapping import PhotonMapping, PhotonSettings, Shot, photon_room
 
 #: Light paths for each photon asked for, at most: where next to nothing is stored, more paths do not help.
 _MOST_PATHS_PER_PHOTON = 20
@@ -59,10 +59,12 @@ class Pm(PhotonMapping):
         self.final_gather = self.settings.final_gather
         if self.final_gather and self.settings.direct != "next_event":
             raise OptionError("final_gather=true finds direct light by next event; leave out direct=photons")
-        fit = photons_that_fit(problem)
-        if self.settings.photons > fit:
-            needed = memory_for(self.settings.photons) / 1e6
-            raise OptionError(f"photons={self.settings.photons} need a memory limit of {needed:.0f} MB; {fit} fit now")
+        room = photon_room(problem)
+        if self.settings.photons > room.most:
+            needed = room.limit_for(self.settings.photons) / 1e6
+            raise OptionError(
+                f"photons={self.settings.photons} need a memory limit of {needed:.0f} MB; {room.most} fit now"
+            )
         super().prepare(problem, seed)
         largest = radii.absolute_radius(self, self.settings.radius, self.settings.radius_unit, seed)
         self._limit = dr.opaque(mi.Float, largest * largest)

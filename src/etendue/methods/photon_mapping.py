@@ -13,7 +13,6 @@ gathered at, and the path goes on where the specular one is sampled.
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Any
@@ -40,32 +39,16 @@ from etendue.transport import (
 )
 from etendue.transport import dimensions as dim
 
-from .base import (
-    PILOT_PATHS,
-    STORE_BYTES,
-    STORE_MARGIN,
-    STORE_PAD,
-    STORE_SHARE,
-    ImageMethod,
-    ImageSettings,
-    Layer,
-    keep_finite,
-    total,
-)
+from .base import PILOT_PATHS, ImageMethod, ImageSettings, Layer, keep_finite, total
+from .store import VertexRoom
 
 #: Device memory of a photon: its record, the sorted copy, and the search structure.
 _BYTES_PER_PHOTON = 48 + 48 + 32
 
 
-def photons_that_fit(problem: Problem) -> int:
-    """Photons of a pass that memory has room for."""
-    room = STORE_SHARE * problem.memory if problem.memory else STORE_BYTES
-    return max(1, int(room / (STORE_MARGIN * _BYTES_PER_PHOTON)))
-
-
-def memory_for(photons: int) -> float:
-    """The limit, in bytes, under which :func:`photons_that_fit` is ``photons``."""
-    return photons * STORE_MARGIN * _BYTES_PER_PHOTON / STORE_SHARE
+def photon_room(problem: Problem) -> VertexRoom:
+    """Room for the photons of a pass."""
+    return VertexRoom(_BYTES_PER_PHOTON, problem.memory)
 
 
 @dataclass(frozen=True)
@@ -148,7 +131,8 @@ class PhotonMapping(ImageMethod):
         pilot = self._shoot("pilot ", 0, seed, PILOT_PATHS, 64 * PILOT_PATHS)
         #: What the number of light paths follows: the same in every pass, and in a run that is resumed.
         self.photons_per_path = float(pilot.vertices.wanted[0]) / PILOT_PATHS
-        self._stored_per_path = self.photons_per_path  # what the room for them follows; grows where it was too little
+        self._room = photon_room(problem)
+        self._room.per_path = self.photons_per_path
         self._light_paths = self._fitting(self.light_paths())
 
     @abstractmethod
@@ -170,7 +154,7 @@ class PhotonMapping(ImageMethod):
 
     def _fitting(self, wanted: int) -> int:
         """As many light paths, or fewer if their photons would not fit into memory."""
-        paths = min(wanted, max(1, int(photons_that_fit(self.problem) / max(self.photons_per_path, 1e-6))))
+        paths = min(wanted, max(1, int(self._room.most / max(self.photons_per_path, 1e-6))))
         if paths < wanted:
             logger.info("%d instead of %d light paths a pass: their photons fill the memory", paths, wanted)
         return paths
@@ -192,12 +176,9 @@ class PhotonMapping(ImageMethod):
         """The photons of a pass, all of them."""
         paths = self._light_paths
         while True:
-            capacity = math.ceil(self._stored_per_path * paths * STORE_MARGIN) + STORE_PAD
-            shot = self._shoot("", iteration, seed, paths, capacity)
-            stored = int(shot.vertices.wanted[0])
-            if stored <= capacity:
+            shot = self._shoot("", iteration, seed, paths, self._room.capacity(paths))
+            if self._room.held(float(shot.vertices.wanted[0]), paths):
                 return shot
-            self._stored_per_path = stored / paths
 
     def estimate(self, si: Any, bsdf: Any, photons: Photons, photon: Any, limit: Any, active: Any) -> Any:
         """Reflected radiance that one photon stands for, times ``N pi r^2``; ``limit``: r^2."""
