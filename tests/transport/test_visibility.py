@@ -41,3 +41,21 @@ def in_space(points: np.ndarray) -> mi.Interaction3f:
     at = dr.zeros(mi.Interaction3f)
     at.p = mi.Point3f(*points.T.astype(np.float32))
     return at
+
+
+@pytest.mark.parametrize("reach", [np.inf, np.finfo(np.float32).max])
+@pytest.mark.parametrize("sheets", [1, 2, 3])
+def test_an_endless_ray_is_blocked_behind_sheets(sheets, reach):
+    """However many surfaces it has crossed, what stands behind the last one is in its way."""
+    scene = {"type": "scene", "sensor": scenes.camera(), "sky": {"type": "constant"}}
+    for index in range(sheets):
+        place = scenes.transform().translate([0.0, 0.0, 1.0 + index]).scale(9.0)
+        scene[f"sheet{index}"] = {"type": "rectangle", "to_world": place, "bsdf": {"type": "null"}}
+    scene["wall"] = {"type": "rectangle", "to_world": scenes.transform().translate([1.0, 0.0, 9.0])}
+    visibility = Visibility(scenes.load(scene).scene)
+    starts = in_space(np.array([[1.0, 0.5, 0.0], [-1.0, 0.5, 0.0]]))  # before the wall, and beside it
+    ray = starts.spawn_ray(mi.Vector3f(0.0, 0.0, 1.0))
+    ray.maxt = mi.Float(float(reach))
+    seen, share = visibility.along(ray, mi.UInt32(8), mi.Bool(True))
+    assert np.asarray(seen).tolist() == [False, True]
+    assert np.asarray(share)[0].tolist() == [0.0, 1.0]

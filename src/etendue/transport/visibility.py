@@ -37,7 +37,7 @@ class Visibility:
             passed = share * si.bsdf(ray).eval_null_transmission(si, active)
             share = dr.select(active, dr.select(spare > 0, passed, 0.0), share)
             # Aimed anew: a ray starts a little beside the surface, and would strike a light at its end from the side.
-            ends = dr.isfinite(ray.maxt)
+            ends = ray.maxt < dr.largest(mi.Float)  # that, or infinity, is how far an endless ray reaches
             onward = dr.select(ends, si.spawn_ray_to(ray(dr.select(ends, ray.maxt, si.t))), si.spawn_ray(ray.d))
             active = active & (dr.max(share) > 0.0) & (onward.maxt > 0.0)
             return active, dr.select(active, onward, ray), share, spare - 1
