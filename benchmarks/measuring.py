@@ -34,6 +34,8 @@ _BIDIRECTIONAL = _PASS | {"connections": 1, "next_events": 1, "light_source": "c
 COST_SETTINGS: dict[str, dict[str, Any]] = {
     "auto": _PASS,
     "path": _PASS,
+    "vegas": _PASS,
+    "stratified": _PASS,
     "light": _PASS | {"light_paths": 1.0},
     "pm": _PASS | {"photons": 200_000, "neighbours": 50},
     "ppm": _PASS | {"radius": 0.003, "radius_unit": "scene", "alpha": 1.0},

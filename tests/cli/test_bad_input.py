@@ -78,6 +78,8 @@ BAD = [
     ("render cornell-box --max-depth 3 -D max_depth=4", 2, "say the same; give one of them"),
     ("render cornell-box --aovs -D aovs=0", 2, "say the same; give one of them"),
     ("render cornell-box --pyramid -D pyramid=no", 2, "say the same; give one of them"),
+    ("render cornell-box --no-bsdf-sampling -m path -D bsdf_sampling=no", 2, "--no-bsdf-sampling and -D bsdf_sampling"),
+    ("render cornell-box --no-bsdf-sampling -m bpt", 2, "method 'bpt' has no option 'bsdf_sampling'"),
     ("render cornell-box --pyramid -m path", 2, "method 'path' has no option 'pyramid'"),
     ("render cornell-box --pyramid-depth 0", 2, "pyramid_depth"),
     ("render cornell-box --pyramid-depth 13", 2, "at most 12"),

@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from support.integrals import assert_honest, assert_unbiased, known, runs, spread, two_peaks
 
-from etendue.integration import Box, Integrand, IntegrationError, MeanSample, RecursiveStratified, library
+from etendue.integration import (
+    Box,
+    HostBackend,
+    Integrand,
+    IntegrationError,
+    MeanSample,
+    RecursiveStratified,
+    library,
+    warp_rows,
+)
 
 OPTIONS = {
     "default": {},
@@ -179,3 +188,22 @@ def test_host_and_device_divide_alike():
     host, device = (runs(RecursiveStratified(), g, 5000, 40) for g in (f, on_device))
     assert_unbiased(device, integral)
     assert 0.5 < math.sqrt(spread(device) / spread(host)) < 2.0
+
+
+def test_a_plan_is_the_regions_and_their_shares():
+    """Boxes that fill the cube, more of the samples where the function varies, drawn with the density they say."""
+    options = RecursiveStratified(minimum=64)
+    plan = options.plan(Integrand(lambda x: np.where(x[0] < 0.25, np.sin(40 * x[1]), 0.1), 2), 20_000, seed=3)
+    assert len(plan) > 50
+    assert plan.volume.sum() == pytest.approx(1.0)
+    assert plan.shares.sum() == pytest.approx(1.0)
+    lively = plan.low[:, 0] < 0.25
+    assert plan.shares[lively].sum() > 0.6
+    backend = HostBackend(1)
+    n = 1 << 16
+    x, weight, place = warp_rows(backend, [plan, plan], backend.uniform(n, 2), np.arange(n) % 2)
+    low, side = plan.low[place].T, plan.side[place].T
+    assert ((np.stack(x) >= low) & (np.stack(x) <= low + side)).all()
+    np.testing.assert_allclose(weight, plan.volume[place] / plan.shares[place])
+    values = weight * (1 + x[0] * x[1] ** 2)
+    assert values.mean() == pytest.approx(1 + 1 / 6, abs=4.5 * values.std() / n**0.5)

@@ -19,6 +19,8 @@ from etendue.transport import Techniques
 SAME = {"rtol": 1e-5, "atol": 1e-7}
 METHODS = {
     "path": ("path", {}),
+    "vegas": ("vegas", {}),
+    "stratified": ("stratified", {}),
     "light": ("light", {}),
     "bpt cache": ("bpt", {}),
     "bpt path": ("bpt", {"light_source": "path"}),
@@ -30,9 +32,9 @@ METHODS = {
     "sppm": ("sppm", {"radius": 0.05}),
 }
 #: Techniques in layers; the others have one layer.
-LAYERED = [name for name in METHODS if name not in ("path", "pm", "ppm", "sppm")]
-#: Each pass is a function of its number alone; a progressive one of those before it too.
-INDEPENDENT = [name for name in METHODS if name not in ("ppm", "sppm")]
+LAYERED = [name for name in METHODS if name not in ("path", "vegas", "stratified", "pm", "ppm", "sppm")]
+#: Each pass is a function of its number alone; a progressive or learning one of those before it too.
+INDEPENDENT = [name for name in METHODS if name not in ("vegas", "ppm", "sppm")]
 
 
 def problem() -> Any:

@@ -17,7 +17,7 @@ from etendue.core import UnsupportedError
 from etendue.film import read_exr
 from etendue.scene import load
 
-NAMES = [name for name in methods.table() if name != "path"]
+NAMES = [name for name in methods.table() if name not in ("path", "stratified")]
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -203,8 +203,9 @@ def test_printing(name):
     assert str(mi.load_dict({"type": name, "max_depth": 9})).startswith(f"{name}[\n  max_depth = 9,")
 
 
-def test_mitsubas_own_path_stays():
-    assert mi.load_dict({"type": "path"}).class_name() == "PathIntegrator"
+@pytest.mark.parametrize(("name", "own"), [("path", "PathIntegrator"), ("stratified", "StratifiedSampler")])
+def test_mitsubas_own_plugins_stay(name, own):
+    assert mi.load_dict({"type": name}).class_name() == own
 
 
 @pytest.mark.parametrize(("wrong", "text"), [

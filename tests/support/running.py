@@ -41,6 +41,13 @@ def run(
     return go(prepared(problem, method, seed, samples_per_pass=samples, **settings), passes, seed, first)
 
 
+def replicas(
+    problem: Any, method: str, runs: int = 6, passes: int = 3, samples: int = 128, seed: int = 1, **settings: Any
+) -> np.ndarray:
+    """Pictures of independent runs, a seed each, of a method whose passes learn from each other: (runs, h, w, 3)."""
+    return np.stack([run(problem, method, passes, samples, seed + i, **settings).mean for i in range(runs)])
+
+
 def go(runner: Any, passes: int, seed: int = 1, first: int = 0) -> Run:
     """Step a prepared method."""
     total, images = None, []

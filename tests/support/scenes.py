@@ -304,6 +304,18 @@ def room(emitter: str, group: str | tuple[str, ...], **view: Any) -> Problem:
     return load(scene)
 
 
+def plate(centre: Any, side: float, up: bool) -> Dict:
+    """A grey square that faces up or down."""
+    place = transform().translate(list(centre)).rotate([1, 0, 0], -90 if up else 90).scale(side)
+    return {"type": "rectangle", "to_world": place, "bsdf": diffuse(0.5, 0.5, 0.45)}
+
+
+def lamp(centre: Any, side: float, radiance: float) -> Dict:
+    """A square lamp that faces down."""
+    place = transform().translate(list(centre)).rotate([1, 0, 0], 90).scale(side)
+    return {"type": "rectangle", "to_world": place, "emitter": _area(radiance, radiance, 0.8 * radiance)}
+
+
 # ---------------------------------------------------------------------------------------------------- closed forms
 
 

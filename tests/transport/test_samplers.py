@@ -27,6 +27,7 @@ from etendue.transport import (
     sample_direct,
     scatter_camera,
     scatter_light,
+    scatter_uniform,
 )
 
 N = 200_000
@@ -203,8 +204,9 @@ def test_next_event_covers_the_sky(name):
         assert_mean(octant * inverse, np.pi / 2, name)
 
 
-def balls(material: str) -> tuple[Any, Any]:
-    """Interactions on a ball of a material, from all around; and on a plate or tent, as the material has it."""
+def balls(material: str, inside: bool = False) -> tuple[Any, Any]:
+    """Interactions on a ball of a material, from all around or from within; and on a plate or tent, as the material has
+    it."""
     problem = scenes.room("constant", (material,))
     random = np.random.default_rng(4)
     n = 20_000
@@ -212,7 +214,7 @@ def balls(material: str) -> tuple[Any, Any]:
     towards = random.normal(size=(3, n))
     towards /= np.linalg.norm(towards, axis=0)
     towards[1] = -np.abs(towards[1])
-    origin = target - 1.5 * towards + random.uniform(-0.15, 0.15, (3, n))
+    origin = target - (0.0 if inside else 1.5) * towards + random.uniform(-0.15, 0.15, (3, n))
     ray = mi.Ray3f(mi.Point3f(origin.astype(np.float32)), mi.Vector3f(towards.astype(np.float32)))
     si = problem.scene.ray_intersect(ray)
     return problem.scene, si
@@ -315,3 +317,30 @@ def test_the_mean_weight_of_scattering_is_the_integral(material, end):
     difference = np.array(sampled) - np.array(integrated)
     assert np.mean(integrated) > 0.05
     assert_mean(difference, 0.0, (material, end, np.mean(sampled), np.mean(integrated)), sigmas=6.0)
+
+
+@pytest.mark.parametrize(
+    ("material", "inside"), [*((m, False) for m in (*scenes.MATERIALS, "frosted")), ("frosted", True)]
+)
+def test_uniform_directions_carry_what_those_of_the_material_do(material, inside, monkeypatch):
+    """To either side of the surface. The frosted glass of `skylight` has a value in one direction of thousands."""
+    frosted = {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.08}
+    monkeypatch.setitem(scenes.MATERIALS, "frosted", lambda: frosted)
+    _scene, si = balls(material, inside)  # the interactions need the scene alive
+    bsdf, active = si.bsdf(), si.is_valid()
+    differences: dict[str, list[np.ndarray]] = {"back": [], "on": []}
+    means = []
+    for repeat in range(60 if material == "frosted" else 12):
+        weights = []
+        for role, scatter in (("material", scatter_camera), ("uniform", scatter_uniform)):
+            numbers = IndependentSource(dr.arange(mi.UInt32, dr.width(si)), 5, role, repeat)
+            scattered, _ = scatter(bsdf, si, numbers, mi.UInt32(1), active)
+            back = dr.dot(scattered.direction, si.n) * dr.dot(si.wi, si.to_local(si.n)) > 0.0
+            weight = dr.select(scattered.active, scattered.weight.y, 0.0)
+            weights.append([np.array(dr.select(mask, weight, 0.0), np.float64) for mask in (back, ~back)])
+        means.append(weights[0][0].mean() + weights[0][1].mean())
+        for side, a, b in zip(differences, *weights, strict=True):
+            differences[side].append(a - b)
+    assert np.mean(means) > 0.05
+    for side, parts in differences.items():
+        assert_mean(np.concatenate(parts), 0.0, (material, side, np.mean(means)), sigmas=6.0)

@@ -109,6 +109,7 @@ def render(
     aovs: opt.Aovs = False,
     pyramid: opt.Pyramid = False,
     pyramid_depth: opt.PyramidDepth = None,
+    no_bsdf_sampling: opt.NoBsdfSampling = False,
     save_every: opt.SaveEvery = 60.0,
     checkpoint: Annotated[
         Path | None,
@@ -131,7 +132,8 @@ def render(
 
     if no_checkpoint and checkpoint is not None:
         raise OptionError("--checkpoint and --no-checkpoint exclude each other; give one of them")
-    budget, settings = Budget(time, spp, None, error), opt.settings(define, max_depth, aovs, pyramid, pyramid_depth)
+    budget = Budget(time, spp, None, error)
+    settings = opt.settings(define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling)
     parameters = opt.parse_pairs(param, "-P")
     choose_device(variant, threads)
     notes: list[str] = []  # shown when all is checked
@@ -270,6 +272,7 @@ def compare(
     memory: opt.Memory = None,
     pyramid: opt.Pyramid = False,
     pyramid_depth: opt.PyramidDepth = None,
+    no_bsdf_sampling: opt.NoBsdfSampling = False,
     debug: opt.Debug = False,
 ) -> int:
     """Render a scene by several methods for the same time, and write a page that compares them.
@@ -287,7 +290,7 @@ def compare(
     wanted = tasks(
         locate(scene, notes.append),
         method or ["path", "vcm"],
-        opt.settings(define, max_depth, False, pyramid, pyramid_depth),
+        opt.settings(define, max_depth, False, pyramid, pyramid_depth, no_bsdf_sampling),
         seed=seed,
         budget=budget,
         size=size,

@@ -85,6 +85,7 @@ def settings(
     aovs: bool = False,
     pyramid: bool = False,
     pyramid_depth: int | None = None,
+    no_bsdf_sampling: bool = False,
 ) -> dict[str, Any]:
     """What -D and the options that stand for settings say; a depth of the pyramid asks for one.
 
@@ -95,10 +96,12 @@ def settings(
         "aovs": aovs or None,
         "pyramid": pyramid or pyramid_depth is not None or None,
         "pyramid_depth": pyramid_depth,
+        "bsdf_sampling": False if no_bsdf_sampling else None,
     }
     short = {name: value for name, value in said.items() if value is not None}
     for name in short.keys() & pairs.keys():
-        raise OptionError(f"--{name.replace('_', '-')} and -D {name} say the same; give one of them")
+        option = name.replace("_", "-") if short[name] is not False else f"no-{name.replace('_', '-')}"
+        raise OptionError(f"--{option} and -D {name} say the same; give one of them")
     return short | pairs
 
 
@@ -194,5 +197,11 @@ Pyramid = Annotated[
 PyramidDepth = Annotated[
     int | None,
     typer.Option("--pyramid-depth", help="The same, with this many edges of the longest paths; 5.", metavar="N"),
+]
+NoBsdfSampling = Annotated[
+    bool,
+    typer.Option(
+        "--no-bsdf-sampling", help="Draw directions uniformly, not by the materials (`path`, `vegas`, `stratified`)."
+    ),
 ]
 Debug = Annotated[bool, typer.Option("--debug", help="Log what happens, and show tracebacks of errors.")]

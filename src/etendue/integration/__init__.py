@@ -3,7 +3,18 @@
 from .backend import Backend, DeviceBackend, HostBackend, library
 from .binning import damp, rebin, smooth
 from .chains import ChainDiagnosis, autocorrelation, autocorrelation_time, diagnose, split_r_hat
-from .densities import AxisBins, CellGrid, Density, PlaneBins, ProductDensity, Warp
+from .densities import (
+    AxisBins,
+    CellGrid,
+    Density,
+    Factor,
+    PlaneBins,
+    ProductDensity,
+    Tabulated,
+    Warp,
+    bin_values,
+    warp_rows,
+)
 from .errors import IntegrationError
 from .estimate import Estimate, Integrator, average, combine
 from .functions import Box, Domain, Integrand, constant, coordinate
@@ -11,6 +22,7 @@ from .metropolis import Chains, Independent, Metropolis, Mixture, Proposal, Scal
 from .nested import integral
 from .plain import ControlVariate, HitOrMiss, Importance, MeanSample
 from .recursive import RecursiveStratified
+from .regions import Regions
 from .stratified import PointSequence, QuasiMonteCarlo, Stratified
 from .vegas import Vegas
 
@@ -26,6 +38,7 @@ __all__ = [
     "DeviceBackend",
     "Domain",
     "Estimate",
+    "Factor",
     "HitOrMiss",
     "HostBackend",
     "Importance",
@@ -42,14 +55,17 @@ __all__ = [
     "Proposal",
     "QuasiMonteCarlo",
     "RecursiveStratified",
+    "Regions",
     "ScaledStep",
     "Stratified",
+    "Tabulated",
     "UniformStep",
     "Vegas",
     "Warp",
     "autocorrelation",
     "autocorrelation_time",
     "average",
+    "bin_values",
     "combine",
     "constant",
     "coordinate",
@@ -60,4 +76,5 @@ __all__ = [
     "rebin",
     "smooth",
     "split_r_hat",
+    "warp_rows",
 ]

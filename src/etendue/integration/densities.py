@@ -20,6 +20,8 @@ from .binning import damp, rebin, smooth
 from .errors import IntegrationError
 from .functions import Box, Domain, Integrand
 
+#: Points (a list of coordinates), 1 / density there, and the bin of each.
+Warped = tuple[list[Any], Any, Any]
 #: Least probability of a cell of a grid, relative to an even share: an unlucky cell is still found again.
 _FLOOR = 0.05
 
@@ -38,17 +40,35 @@ class Density(Protocol):
         ...
 
 
-class Factor(Protocol):
-    """A learned density over one group of parameters, on the unit cube."""
+class Tabulated(Protocol):
+    """A density on the unit cube of one group of parameters, by bins in tables."""
 
     dimension: int
     bins: int
     #: Probability of each bin.
     shares: Any
+
+    @property
+    def volume(self) -> Array:
+        """Of each bin, (bins,)."""
+        ...
+
+    def tables(self) -> list[Array]:
+        """What :meth:`look_up` reads. Densities of one shape may have theirs put one after the other, a row each."""
+        ...
+
+    def look_up(self, backend: Backend, tables: Sequence[Any], u: Sequence[Any], row: Any) -> Warped:
+        """(points, 1 / density, bin of each) by the tables of the density ``row`` among several."""
+        ...
+
+
+class Factor(Tabulated, Protocol):
+    """One that is learned."""
+
     #: Power of the contribution by which its bins adapt: movable ones go to where it is equal by its square.
     order: int
 
-    def warp(self, backend: Backend, u: Sequence[Any]) -> tuple[list[Any], Any, Any]:
+    def warp(self, backend: Backend, u: Sequence[Any]) -> Warped:
         """(points, 1 / density, bin of each)."""
         ...
 
@@ -61,7 +81,15 @@ class Factor(Protocol):
         ...
 
 
-class AxisBins:
+class _ByTables:
+    """What factors have in common."""
+
+    def warp(self: Any, backend: Backend, u: Sequence[Any]) -> Warped:
+        """See :class:`Factor`."""
+        return warp_rows(backend, [self], u, 0)
+
+
+class AxisBins(_ByTables):
     """One parameter: K bins, each with probability 1/K. ``edges``: (K+1,), from 0 to 1."""
 
     dimension = 1
@@ -77,12 +105,21 @@ class AxisBins:
         """The uniform density."""
         return cls(np.linspace(0.0, 1.0, bins + 1))
 
-    def warp(self, backend: Backend, u: Sequence[Any]) -> tuple[list[Any], Any, Any]:
+    @property
+    def volume(self) -> Array:
+        """See :class:`Factor`."""
+        return np.diff(self.edges)
+
+    def tables(self) -> list[Array]:
+        """See :class:`Factor`: widths and lower borders of the bins."""
+        return [np.diff(self.edges), self.edges[:-1]]
+
+    def look_up(self, backend: Backend, tables: Sequence[Any], u: Sequence[Any], row: Any) -> Warped:
         """See :class:`Factor`."""
         place, rest = backend.split(u[0] * self.bins, self.bins)
-        width = backend.take(backend.table(np.diff(self.edges)), place)
-        low = backend.take(backend.table(self.edges[:-1]), place)
-        return [low + rest * width], width * self.bins, place
+        index = row * self.bins + place
+        width = backend.take(tables[0], index)
+        return [backend.take(tables[1], index) + rest * width], width * self.bins, place
 
     def pdf(self, backend: Backend, x: Sequence[Any]) -> Any:
         """See :class:`Factor`."""
@@ -95,7 +132,7 @@ class AxisBins:
         return AxisBins(rebin(self.edges, stabilised(values, smoothing, damping)))
 
 
-class PlaneBins:
+class PlaneBins(_ByTables):
     """Two parameters: K bins of the first and, in each of them, L bins of the second; each with probability 1/(K L).
 
     ``edges``: (K+1,) of the first; ``inner``: (K, L+1) of the second.
@@ -117,15 +154,25 @@ class PlaneBins:
         edges = np.linspace(0.0, 1.0, bins + 1)
         return cls(edges, np.tile(edges, (bins, 1)))
 
-    def warp(self, backend: Backend, u: Sequence[Any]) -> tuple[list[Any], Any, Any]:
+    @property
+    def volume(self) -> Array:
+        """See :class:`Factor`."""
+        return np.asarray(np.diff(self.inner) * np.diff(self.edges)[:, None]).ravel()
+
+    def tables(self) -> list[Array]:
+        """See :class:`Factor`: widths and lower borders, of the outer bins and of the inner ones."""
+        outer, inner = self.edges, self.inner
+        return [np.diff(outer), outer[:-1], np.diff(inner).ravel(), inner[:, :-1].ravel()]
+
+    def look_up(self, backend: Backend, tables: Sequence[Any], u: Sequence[Any], row: Any) -> Warped:
         """See :class:`Factor`."""
         outer, outer_rest = backend.split(u[0] * self._outer_bins, self._outer_bins)
         inner, inner_rest = backend.split(u[1] * self._inner_bins, self._inner_bins)
         place = outer * self._inner_bins + inner
-        width = backend.take(backend.table(np.diff(self.edges)), outer)
-        inner_width = backend.take(backend.table(np.diff(self.inner)), place)
-        x = backend.take(backend.table(self.edges[:-1]), outer) + outer_rest * width
-        y = backend.take(backend.table(self.inner[:, :-1]), place) + inner_rest * inner_width
+        first, second = row * self._outer_bins + outer, row * self.bins + place
+        width, inner_width = backend.take(tables[0], first), backend.take(tables[2], second)
+        x = backend.take(tables[1], first) + outer_rest * width
+        y = backend.take(tables[3], second) + inner_rest * inner_width
         return [x, y], width * inner_width * self.bins, place
 
     def pdf(self, backend: Backend, x: Sequence[Any]) -> Any:
@@ -150,7 +197,7 @@ class PlaneBins:
         return PlaneBins(edges, share @ inner)
 
 
-class CellGrid:
+class CellGrid(_ByTables):
     """Three or more parameters: equal cells, each with a probability of its own, ``probability[i, j, k, …]``."""
 
     order = 1
@@ -166,13 +213,22 @@ class CellGrid:
         """The uniform density."""
         return cls(np.ones((bins,) * dimension))
 
-    def warp(self, backend: Backend, u: Sequence[Any]) -> tuple[list[Any], Any, Any]:
-        """See :class:`Factor`. The first number chooses the cell, and what it has left is the place in it."""
+    @property
+    def volume(self) -> Array:
+        """See :class:`Factor`."""
+        return np.full(self.bins, 1.0 / self.bins)
+
+    def tables(self) -> list[Array]:
+        """See :class:`Factor`: probabilities of the cells, and of all before each."""
         p = self.probability.ravel()
-        reached = np.concatenate([[0.0], np.cumsum(p)])
-        place = bisect(backend, backend.table(reached), u[0], self.bins)
-        chosen = backend.take(backend.table(p), place)
-        rest = (u[0] - backend.take(backend.table(reached[:-1]), place)) / chosen
+        return [p, np.cumsum(p) - p]
+
+    def look_up(self, backend: Backend, tables: Sequence[Any], u: Sequence[Any], row: Any) -> Warped:
+        """See :class:`Factor`. The first number chooses the cell, and what it has left is the place in it."""
+        first = row * self.bins
+        place = bisect(backend, tables[1], u[0], self.bins, first)
+        chosen = backend.take(tables[0], first + place)
+        rest = (u[0] - backend.take(tables[1], first + place)) / chosen
         rest = backend.where(rest > 0, backend.where(rest < 1, rest, 1 - 2.0**-24), 0.0)
         x, left = [], place
         for axis in range(self.dimension):
@@ -204,10 +260,32 @@ class CellGrid:
         return CellGrid(np.maximum(mixed, _FLOOR / self.bins))
 
 
+def warp_rows(backend: Backend, factors: Sequence[Tabulated], u: Sequence[Any], row: Any) -> Warped:
+    """(points, 1 / density, bin of each) by the factor of number ``row`` of ``factors``, which are of one shape."""
+    tables = [backend.table(np.concatenate(parts)) for parts in zip(*(f.tables() for f in factors), strict=True)]
+    return factors[0].look_up(backend, tables, u, row)
+
+
 def stabilised(values: Array, smoothing: bool, damping: float | None) -> Array:
     """Smoothed and damped, or as they are."""
     values = smooth(values) if smoothing else np.asarray(values)
     return values if damping is None else damp(values, damping)
+
+
+def bin_values(factor: Factor, sums: Array, samples: int, mode: str, steady: bool = False) -> Array:
+    """What the bins of a factor are found to hold, from sums over the ``samples`` that fell into each: (1, bins)
+    of (f / p)^2 in mode ``"importance"``, (3, bins) of (f / p)^2, f / p and 1 in mode ``"stratified"``.
+
+    In importance mode the mean of (f / p)^2, for cells of a grid its root; else the deviation of f / p, in which the
+    sign of [Leeson 2001, eq. 5.8] is put right. Moved by squares, borders overshoot, which damping makes up for;
+    without it (``steady``) they go by the root, the contribution itself, and come to rest.
+    """
+    if mode == "importance":
+        order = 1 if steady else factor.order
+        return np.asarray((sums[0] / (samples * factor.shares)) ** (order / 2))
+    squares, values, counts = sums
+    counts = np.maximum(counts, 1)
+    return np.sqrt(np.maximum(squares / counts - (values / counts) ** 2, 0.0))
 
 
 def bisect(backend: Backend, table: Any, value: Any, bins: int, start: Any = 0) -> Any:

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from .binning import split_equally
 from .errors import IntegrationError
 from .estimate import Estimate, Integrator, Work
+from .functions import Integrand
+from .regions import Regions
 
 #: Real or whole numbers of the host.
 Array = NDArray[Any]
@@ -106,13 +108,7 @@ class RecursiveStratified(Integrator):
 
     def _integrate(self, work: Work, samples: int) -> Estimate:
         run = _Run(self, work)
-        corner, side = np.zeros((1, work.dimension)), np.ones((1, work.dimension))
-        level = _Level.of(corner, side, np.array([samples]), np.array([-1]))
-        levels = [level]
-        while len(level.samples) and len(levels) <= self.depth + 1:
-            level = run.divide(level, len(levels) - 1)
-            if len(level.samples):
-                levels.append(level)
+        levels = run.descend(samples)
         run.collect(levels)
         details: dict[str, Any] = {"regions": run.leaves, "depth": len(levels) - 1}
         if work.f.cost is not None:
@@ -120,6 +116,13 @@ class RecursiveStratified(Integrator):
         volume = work.box.volume
         value, variance = float(levels[0].value[0]), float(levels[0].variance[0])
         return Estimate(value * volume, math.sqrt(variance) * volume, run.used, details=details)
+
+    def plan(self, f: Integrand, samples: int, seed: int = 0) -> Regions:
+        """Where ``samples`` of ``f`` would be drawn, found by exploration alone: the regions that are not divided on,
+        each with the share of the samples that it would get. The domain is taken as the unit cube."""
+        run = _Plan(self, Work(f, seed))
+        run.descend(samples)
+        return Regions(*(np.concatenate(parts) for parts in zip(*run.regions, strict=True)))
 
 
 class _Run:
@@ -175,6 +178,17 @@ class _Run:
             self.cost += float(cost.sum())
         points = np.concatenate(xs, axis=1) if xs else np.empty((self.d, 0))
         return points, np.concatenate(values), cost
+
+    def descend(self, samples: int) -> list[_Level]:
+        """Divide the domain until nothing is left to divide; all levels."""
+        corner, side = np.zeros((1, self.d)), np.ones((1, self.d))
+        level = _Level.of(corner, side, np.array([samples]), np.array([-1]))
+        levels = [level]
+        while len(level.samples) and len(levels) <= self.o.depth + 1:
+            level = self.divide(level, len(levels) - 1)
+            if len(level.samples):
+                levels.append(level)
+        return levels
 
     def divide(self, level: _Level, depth: int) -> _Level:
         """Finish the leaves of a level, explore and divide the other regions; their parts."""
@@ -336,3 +350,14 @@ class _Run:
         weight = np.where(use, weight, 0.0)
         combined = np.where(use, (1 - weight) * value + weight * np.where(use, seen, 0.0), value)
         return combined, np.where(use, (1 - weight) * variance, variance)
+
+
+class _Plan(_Run):
+    """A run that leaves its leaves alone."""
+
+    def __init__(self, options: RecursiveStratified, work: Work) -> None:
+        super().__init__(options, work)
+        self.regions: list[tuple[Array, Array, Array]] = []
+
+    def _finish(self, level: _Level, leaves: Array) -> None:
+        self.regions.append((level.low[leaves], level.side[leaves], level.samples[leaves]))

@@ -16,7 +16,7 @@ import numpy as np
 
 from etendue.core import Array, logger
 
-from .densities import AxisBins, CellGrid, Factor, PlaneBins, ProductDensity
+from .densities import AxisBins, CellGrid, Factor, PlaneBins, ProductDensity, bin_values
 from .errors import IntegrationError
 from .estimate import Estimate, Integrator, Moments, Work, average, combine
 from .stratified import stratified_points
@@ -176,7 +176,7 @@ class Vegas(Integrator):
     def _iterate(
         self, work: Work, density: ProductDensity, strata: list[int], size: int, samples: int, steady: bool
     ) -> tuple[Estimate, list[Array]]:
-        """An estimate with ``density``, and the value of each bin of each factor, as of :meth:`_bin_values`."""
+        """An estimate with ``density``, and the value of each bin of each factor, as of :func:`bin_values`."""
         volume = work.box.volume
         total = math.prod(strata)
         sums = [np.zeros((3 if self.mode == "stratified" else 1, f.bins)) for f in density.factors]
@@ -199,7 +199,7 @@ class Vegas(Integrator):
             value, error = mean / total, math.sqrt(variance) / total
         used = total * size
         return Estimate(value * volume, error * volume, used), [
-            self._bin_values(f, s, used, steady) for f, s in zip(density.factors, sums, strict=True)
+            bin_values(f, s, used, self.mode, steady) for f, s in zip(density.factors, sums, strict=True)
         ]
 
     def _draw(
@@ -222,17 +222,3 @@ class Vegas(Integrator):
         for total, parts in zip(sums, found, strict=True):
             for row, part in zip(total, parts, strict=True):
                 row += work.backend.host(part)
-
-    def _bin_values(self, factor: Factor, sums: Array, samples: int, steady: bool) -> Array:
-        """What the bins of a factor are found to hold: in importance mode the mean of (f / p)^2, for cells of a grid
-        its root; else the deviation of f / p, in which the sign of [Leeson 2001, eq. 5.8] is put right.
-
-        Moved by squares, borders overshoot, which damping makes up for; without it (``steady``) they go by the root,
-        the contribution itself, and come to rest.
-        """
-        if self.mode == "importance":
-            order = 1 if steady else factor.order
-            return np.asarray((sums[0] / (samples * factor.shares)) ** (order / 2))
-        squares, values, counts = sums
-        counts = np.maximum(counts, 1)
-        return np.sqrt(np.maximum(squares / counts - (values / counts) ** 2, 0.0))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from etendue.core import OptionError, suggest
 
+from .adaptive_stratified import Stratified
+from .adaptive_vegas import Vegas
 from .auto import Auto
 from .base import ImageMethod, ImageSettings
 from .bidirectional import Bidirectional, Bpm, Bpt, Vcm
@@ -12,7 +14,9 @@ from .path import Path
 from .photon_map import Pm
 from .progressive import Ppm, Sppm
 
-_METHODS: dict[str, type[ImageMethod]] = {cls.name: cls for cls in (Auto, Path, Light, Pm, Ppm, Sppm, Bpt, Bpm, Vcm)}
+_METHODS: dict[str, type[ImageMethod]] = {
+    cls.name: cls for cls in (Auto, Path, Vegas, Stratified, Light, Pm, Ppm, Sppm, Bpt, Bpm, Vcm)
+}
 
 
 def table() -> dict[str, type[ImageMethod]]:
@@ -39,7 +43,9 @@ __all__ = [
     "Pm",
     "Ppm",
     "Sppm",
+    "Stratified",
     "Vcm",
+    "Vegas",
     "get",
     "table",
 ]

@@ -13,7 +13,7 @@ Limits: a point or spot light seen through glass or in a mirror cannot be found 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import drjit as dr
@@ -28,6 +28,7 @@ from etendue.transport import (
     roulette,
     sample_direct,
     scatter_camera,
+    scatter_uniform,
 )
 
 from .base import ImageMethod, ImageSettings, Layer, keep_finite, total
@@ -41,11 +42,12 @@ class PathSettings(ImageSettings):
         "mis", "how lights are found: by hits, by next event, or by both", choices=("naive", "next_event", "mis")
     )
     heuristic: str = setting("balance", "weights of mode mis", choices=("balance", "power"))
+    bsdf_sampling: bool = setting(True, "draw directions by the materials; else uniformly, as a study may want")
 
 
 @dataclass
-class _State:
-    """Loop state, one lane a camera path."""
+class PathState:
+    """What the loop over the edges of paths carries along, one lane each."""
 
     active: Any
     ray: Any
@@ -56,6 +58,7 @@ class _State:
     travelled: Any  #: length of the edge before the surfaces that it has crossed
     pdf: Any  #: density of the edge's direction; 0 after a delta scattering, which no light point competes with
     rays: Any
+    parts: list[Any] = field(default_factory=list)  #: what a subclass wants to know of the contribution
 
 
 class Path(ImageMethod):
@@ -68,9 +71,16 @@ class Path(ImageMethod):
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
-        source = self.camera_numbers(lanes, samples, seed, iteration)
-        ray, weight, _ = self.camera.primary(lanes // samples, source)
-        state = _State(
+        state = self.trace(lanes // samples, self.camera_numbers(lanes, samples, seed, iteration))
+        radiance, bad = keep_finite(state.radiance)
+        dr.eval(radiance, state.rays, bad)  # one kernel; the sums below would launch it once each
+        counters = {"rays": total(state.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
+        return {"image": self.image(radiance)}, counters
+
+    def trace(self, pixel: Any, source: Any) -> PathState:
+        """A path through each of the pixels (indices y * width + x) by the numbers of ``source``."""
+        ray, weight, _ = self.camera.primary(pixel, source)
+        state = PathState(
             active=mi.Bool(True),
             ray=mi.Ray3f(ray),
             throughput=mi.Color3f(1.0),
@@ -80,18 +90,17 @@ class Path(ImageMethod):
             travelled=mi.Float(0.0),
             pdf=mi.Float(0.0),
             rays=mi.UInt32(0),
+            parts=self.parts(source),
         )
         max_edges = dr.opaque(mi.UInt32, self.max_edges())
         state.active &= max_edges > 0
         (state,) = dr.while_loop(
             (state,), lambda s: s.active, lambda s: (self._edge(s, source, max_edges),), label="path"
         )
-        radiance, bad = keep_finite(state.radiance * weight)
-        dr.eval(radiance, state.rays, bad)  # one kernel; the sums below would launch it once each
-        counters = {"rays": total(state.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
-        return {"image": self.image(radiance)}, counters
+        state.radiance *= weight
+        return state
 
-    def _edge(self, s: _State, source: Any, max_edges: Any) -> _State:
+    def _edge(self, s: PathState, source: Any, max_edges: Any) -> PathState:
         """Trace one edge and scatter at its end."""
         si = self.scene.ray_intersect(s.ray, s.active)
         s.rays += 1
@@ -101,23 +110,25 @@ class Path(ImageMethod):
         radiance, area_density, _ = emission_of_hit(self.lights, self.scene, si, on_light)
         distance = s.travelled + si.t
         solid_angle = dr.select(si.is_valid(), dr.square(distance) / dr.abs(dr.dot(si.n, s.ray.d)), 1.0)
-        s.radiance[on_light] += s.throughput * radiance * self._hit_weight(s.pdf, area_density * solid_angle)
-        s.active &= si.is_valid() & (s.depth < max_edges)
+        weight = self._hit_weight(s.pdf, area_density * solid_angle)
+        self.add(s, source, s.throughput * radiance * weight, on_light, False)
+        s.active &= si.is_valid() & (s.depth < max_edges) & self.goes_on(s, source)
 
         # ---- A light point is drawn, and a way on; the BSDF is asked about both in one call
         bsdf = si.bsdf(s.ray)
+        scatter = scatter_camera if self.settings.bsdf_sampling else scatter_uniform
         if self.settings.mode == "naive":
-            scattered, _ = scatter_camera(bsdf, si, source, s.depth, s.active)
+            scattered, _ = scatter(bsdf, si, source, s.depth, s.active)
         else:
             direct = sample_direct(self.lights, si, source, s.depth, 0, s.active & is_smooth(bsdf))
             wo = si.to_local(direct.direction)
-            scattered, (value,) = scatter_camera(bsdf, si, source, s.depth, s.active, [(wo, direct.active)])
+            scattered, (value,) = scatter(bsdf, si, source, s.depth, s.active, [(wo, direct.active)])
             contribution = s.throughput * value.value * direct.radiance * self._direct_weight(direct, value.pdf)
-            lit = direct.active & ~dr.all(contribution == 0.0)
+            lit = direct.active & ~dr.all(contribution == 0.0) & self.wants(s, source)
             s.rays += dr.select(lit, mi.UInt32(1), mi.UInt32(0))
             spare = max_edges - (s.depth + 1)
             lit, share = self.visibility.along(si.spawn_ray_to(direct.target), spare, lit)
-            s.radiance[lit] += contribution * share
+            self.add(s, source, contribution * share, lit, True)
 
         # ---- Scatter
         s.throughput *= scattered.weight
@@ -136,6 +147,27 @@ class Path(ImageMethod):
         s.depth += 1
         s.active &= scattered.active & alive
         return s
+
+    # ------------------------------------------------------------------ what another integrand may change
+
+    def add(self, s: PathState, source: Any, contribution: Any, active: Any, by_light_point: bool) -> None:
+        """Count what a light contributes: a hit at the end of edge ``s.depth``, or a point of it joined to vertex
+        ``s.depth``."""
+        s.radiance[active] += contribution
+
+    def parts(self, source: Any) -> list[Any]:
+        """The first values of ``PathState.parts``."""
+        return []
+
+    def goes_on(self, s: PathState, source: Any) -> Any:
+        """Whether paths of more than ``s.depth`` edges count."""
+        return True
+
+    def wants(self, s: PathState, source: Any) -> Any:
+        """Whether a light point joined to vertex ``s.depth`` counts."""
+        return True
+
+    # ------------------------------------------------------------------ weights
 
     def _hit_weight(self, pdf: Any, direct_pdf: Any) -> Any:
         """Weight of a hit; ``pdf`` is 0 where only a hit can find the light."""

@@ -9,13 +9,13 @@ from etendue.core import logger
 
 from .integrator import integrator_class
 
-#: Mitsuba has a 'path' of its own, which must stay what it is.
-_MITSUBAS_OWN = ("path",)
+#: Mitsuba has an integrator 'path' and a sampler 'stratified' of its own, which must stay what they are.
+_MITSUBAS_OWN = ("path", "stratified")
 
 
 def register() -> None:
-    """Make all methods but ``path`` known to ``mi.load_dict``, ``mi.load_file`` and ``mi.render``, and the
-    materials, emitters and sensors of :func:`etendue.scene.register`.
+    """Make all methods but ``path`` and ``stratified`` known to ``mi.load_dict``, ``mi.load_file`` and ``mi.render``,
+    and the materials, emitters and sensors of :func:`etendue.scene.register`.
 
     May be called before or after ``mi.set_variant`` and any number of times. Under variants that are not supported the
     plugins are known as well, and raise one clear error when one is asked for.

@@ -111,6 +111,12 @@ class LightTable:
             return self._row(dr.zeros(mi.UInt32, dr.width(u)), active)
         return self._row(self._cdf.sample(u, active), active)
 
+    def left_by_pick(self, u: Any) -> Any:
+        """What a number that picks an emitter has left: uniform in [0, 1), independent of the emitter."""
+        if self.count == 1:
+            return u
+        return dr.clip(self._cdf.sample_reuse(u)[1], 0.0, 1.0 - 2.0**-24)
+
     def of(self, emitter: Any, active: Any = True) -> Light:
         """The entries of the emitter that a ray has hit. Lanes without emitter must not be active."""
         if self.count == 1:

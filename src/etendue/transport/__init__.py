@@ -19,6 +19,7 @@ from .scattering import (
     roulette,
     scatter_camera,
     scatter_light,
+    scatter_uniform,
     shadow_roulette,
 )
 from .vertices import Kind, LightVertex, LightVertices, Photons, needs_interaction
@@ -62,5 +63,6 @@ __all__ = [
     "sample_direct",
     "scatter_camera",
     "scatter_light",
+    "scatter_uniform",
     "shadow_roulette",
 ]

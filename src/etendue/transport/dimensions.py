@@ -8,6 +8,7 @@ from __future__ import annotations
 # Vertex 0 of a camera sub-path.
 FILM = 0  #: 2 numbers: the point on the film
 APERTURE = 2  #: 2 numbers
+LENGTH = 4  #: 1 number: how many edges the path has, where that is drawn
 
 # Vertex 0 of a light sub-path.
 LIGHT_PICK = 0

@@ -122,6 +122,19 @@ def scatter_light(
     return scattered, evaluated
 
 
+def scatter_uniform(
+    bsdf: Any, si: Any, source: SampleSource, vertex: Any, active: Any, directions: Sequence[tuple[Any, Any]] = ()
+) -> tuple[Scattered, list[Evaluated]]:
+    """As :func:`scatter_camera`, but knowing nothing of the BSDF: directions are uniform over the sphere of the world's
+    directions, or the half of it that a surface which lets no light through reflects to.
+
+    What is wanted of the other half is turned round, so that a place in the square of random numbers means the same
+    axis wherever the surface faces. Delta components are left to the BSDF, which one number in two goes to where the
+    BSDF also has others.
+    """
+    return _scatter(_sample_uniform, _uniform_end, bsdf, si, source, vertex, active, directions)
+
+
 def _scatter(
     sample: Any, evaluate: Any, bsdf: Any, si: Any, source: SampleSource, vertex: Any, active: Any, directions: Any
 ) -> tuple[Scattered, list[Evaluated]]:
@@ -158,6 +171,50 @@ def _sample_light(bsdf: Any, si: Any, u: Any, active: Any) -> tuple[Any, ...]:
     taken = ~dr.all(weight == 0.0)
     weight = dr.select(is_delta, weight, dr.select(taken, value * dr.rcp(bs.pdf), 0.0))
     return bs.wo, weight, bs.pdf, reverse_pdf, bs.eta, bs.sampled_type
+
+
+def _sample_uniform(bsdf: Any, si: Any, u: Any, active: Any) -> tuple[Any, ...]:
+    lobe, u_direction = u
+    share, pdf = _uniform_share(bsdf)
+    smooth = active & (lobe < share)
+    world = mi.warp.square_to_uniform_sphere(u_direction)
+    wo = si.to_local(world)
+    if not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Transmission):
+        wo = dr.select(mi.Frame3f.cos_theta(wo) * mi.Frame3f.cos_theta(si.wi) < 0.0, -wo, wo)
+    value, pdf, reverse_pdf = _uniform_end(bsdf, si, wo, smooth)
+    weight = value / dr.maximum(pdf, 1e-12)
+    eta, kind = mi.Float(1.0), mi.UInt32(+mi.BSDFFlags.DiffuseReflection)
+    if share == 1.0:
+        return wo, weight, pdf, reverse_pdf, eta, kind
+    # A sample of the BSDF counts only where it is one of a delta component.
+    rest = (lobe - share) / (1.0 - share)
+    bs, delta_weight = bsdf.sample(mi.BSDFContext(), si, rest, u_direction, active & ~smooth)
+    is_delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
+    delta_weight = dr.select(is_delta, delta_weight / (1.0 - share), 0.0)
+    return (
+        dr.select(smooth, wo, bs.wo),
+        dr.select(smooth, weight, delta_weight),
+        dr.select(smooth, pdf, bs.pdf),
+        dr.select(smooth, reverse_pdf, 0.0),
+        dr.select(smooth, eta, bs.eta),
+        dr.select(smooth, kind, bs.sampled_type),
+    )
+
+
+def _uniform_end(bsdf: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any, Any]:
+    value = bsdf.eval(mi.BSDFContext(), si, wo, active)
+    _, pdf = _uniform_share(bsdf)
+    return _leaving(wo, value, mi.Float(pdf), mi.Float(pdf))
+
+
+def _uniform_share(bsdf: Any) -> tuple[float, float]:
+    """Share of the samples that are uniform, and their density."""
+    flags = bsdf.flags()
+    if not mi.has_flag(flags, mi.BSDFFlags.Smooth):
+        share = 0.0
+    else:
+        share = 0.5 if mi.has_flag(flags, mi.BSDFFlags.Delta) else 1.0
+    return share, share / (4.0 if mi.has_flag(flags, mi.BSDFFlags.Transmission) else 2.0) / dr.pi
 
 
 def roulette(throughput: Any, eta: Any, depth: Any, first_depth: int, u: Any) -> tuple[Any, Any]:

@@ -1,0 +1,64 @@
+"""Boxes that fill the unit cube, each with its probability: what a recursive division ends in, as a density."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from etendue.core import Array
+
+from .backend import Backend
+from .densities import Warped, bisect
+
+
+class Regions:
+    """A density that is constant in each of R boxes.
+
+    Parameters
+    ----------
+    low, side: (R, d), corners and edges of the boxes in the unit cube.
+    probability: (R,), above zero, in any unit.
+
+    The boxes are filled up to ``bins``, a power of two, with empty ones: on the device another number of bins is
+    another kernel. ``len()`` counts those that were given.
+    """
+
+    def __init__(self, low: Array, side: Array, probability: Array) -> None:
+        self._count, self.dimension = np.shape(low)
+        self.bins = 1 << max(self._count - 1, 1).bit_length()
+        self.low, self.side = np.zeros((self.bins, self.dimension)), np.zeros((self.bins, self.dimension))
+        self.shares = np.zeros(self.bins)
+        self.low[: self._count], self.side[: self._count] = low, side
+        self.shares[: self._count] = probability / np.sum(probability)
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def volume(self) -> Array:
+        """Of each box."""
+        return np.asarray(self.side.prod(axis=1))
+
+    def tables(self) -> list[Array]:
+        """What :meth:`look_up` reads: probabilities, those of all before, 1 / density, corners, edges."""
+        p = self.shares
+        empty = np.arange(self.bins) >= self._count
+        reached = np.where(empty, 2.0, np.cumsum(p) - p)  # no number reaches an empty one
+        return [p, reached, self.volume / np.where(empty, 1.0, p), *self.low.T, *self.side.T]
+
+    def look_up(self, backend: Backend, tables: Sequence[Any], u: Sequence[Any], row: Any) -> Warped:
+        """(points, 1 / density, box of each). The first number chooses the box, and what it has left is the place in
+        it, so even numbers fill the boxes evenly, each with its share."""
+        first = row * self.bins
+        place = bisect(backend, tables[1], u[0], self.bins, first)
+        index = first + place
+        rest = (u[0] - backend.take(tables[1], index)) / backend.take(tables[0], index)
+        rest = backend.where(rest > 0, backend.where(rest < 1, rest, 1 - 2.0**-24), 0.0)
+        low, side = tables[3 : 3 + self.dimension], tables[3 + self.dimension :]
+        x = [
+            backend.take(a, index) + backend.take(b, index) * (rest if axis == 0 else u[axis])
+            for axis, (a, b) in enumerate(zip(low, side, strict=True))
+        ]
+        return x, backend.take(tables[2], index), place
