@@ -312,7 +312,7 @@ def test_a_pilot_that_guessed_too_low(method):
     problem = scenes.room("sphere", "rough")
     first, second = (prepared(problem, method, samples_per_pass=16) for _ in range(2))
     expected = first.step(0, 1)
-    second._room.per_path = 0.01
+    second.tracer.room.per_path = 0.01
     result = second.step(0, 1)
     assert result.counters["photons"] == expected.counters["photons"]
     np.testing.assert_allclose(result.mean(), expected.mean(), rtol=1e-4, atol=1e-6)

@@ -187,3 +187,9 @@ def with_image(layers: dict[str, Layer]) -> dict[str, Layer]:
 def total(values: Any) -> float:
     """Sum over all lanes of an evaluated array of counts or flags."""
     return float(np.asarray(values).sum(dtype=np.float64))
+
+
+def corners(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Two corners of the box around a scene."""
+    box = problem.scene.bbox()
+    return np.asarray(box.min, float).ravel(), np.asarray(box.max, float).ravel()

@@ -44,7 +44,7 @@ from etendue.transport import (
 )
 
 from . import radius as radii
-from .base import PILOT_PATHS, ImageMethod, ImageSettings, Layer, keep_finite, total, with_image
+from .base import PILOT_PATHS, ImageMethod, ImageSettings, Layer, corners, keep_finite, total, with_image
 from .store import STORE_SHARE, VertexRoom
 
 
@@ -158,8 +158,7 @@ class Bidirectional(ImageMethod):
         self._factors = (1.0, *radii.factors(s.radii))
         self._check_pyramid(problem.memory)
         self._indexed = needs_interaction(problem.scene)
-        box = problem.scene.bbox()
-        self._box = np.asarray(box.min, float).ravel(), np.asarray(box.max, float).ravel()
+        self._box = corners(problem)
         self._paths = max(1, round(s.light_paths * self.camera.pixels * self.samples_per_iteration))
         self._first_radius = radii.absolute_radius(self, s.radius, s.radius_unit, seed) if s.merging else 0.0
         bytes_per_vertex = LightVertices.bytes_per_vertex(

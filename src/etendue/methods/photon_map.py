@@ -22,7 +22,8 @@ from etendue.transport import Kind, Photons
 
 from . import radius as radii
 from .base import ImageSettings
-from .photon_mapping import PhotonMapping, PhotonSettings, Shot, photon_room
+from .photon_mapping import PhotonMapping, PhotonSettings
+from .photons import Shot, photon_room, reflected_by
 
 #: Light paths for each photon asked for, at most: where next to nothing is stored, more paths do not help.
 _MOST_PATHS_PER_PHOTON = 20
@@ -72,7 +73,7 @@ class Pm(PhotonMapping):
 
     def light_paths(self) -> int:
         """As many as store the photons that were asked for."""
-        return max(1, round(self.settings.photons / max(self.photons_per_path, 1.0 / _MOST_PATHS_PER_PHOTON)))
+        return max(1, round(self.settings.photons / max(self.tracer.photons_per_path, 1.0 / _MOST_PATHS_PER_PHOTON)))
 
     def build(self, shot: Shot, iteration: int, seed: int) -> None:
         """The two maps."""
@@ -115,7 +116,7 @@ class Pm(PhotonMapping):
             flux, found = state
             _, depth = photons.position(photon, active)
             allowed = depth + s.depth <= self._edges
-            value = self.estimate(si, bsdf, photons, photon, limit, active)
+            value = reflected_by(photons, photon, si, bsdf, limit, self.settings.kernel, active)
             return flux + dr.select(allowed, value, 0.0), found + 1
 
         flux, found = tree.within(si.p, limit, (mi.Color3f(0.0), mi.UInt32(0)), visit, active)

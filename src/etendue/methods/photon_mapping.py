@@ -20,15 +20,11 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import SampleSource, logger, setting
+from etendue.core import SampleSource, setting
 from etendue.density import KERNELS
 from etendue.scene import Problem
+from etendue.transport import dimensions as dim
 from etendue.transport import (
-    LightVertices,
-    LightWalk,
-    Mis,
-    Photons,
-    Techniques,
     emission_of_hit,
     geometric_cos,
     is_emissive,
@@ -37,18 +33,9 @@ from etendue.transport import (
     sample_direct,
     scatter_camera,
 )
-from etendue.transport import dimensions as dim
 
-from .base import PILOT_PATHS, ImageMethod, ImageSettings, Layer, keep_finite, total
-from .store import VertexRoom
-
-#: Device memory of a photon: its record, the sorted copy, and the search structure.
-_BYTES_PER_PHOTON = 48 + 48 + 32
-
-
-def photon_room(problem: Problem) -> VertexRoom:
-    """Room for the photons of a pass."""
-    return VertexRoom(_BYTES_PER_PHOTON, problem.memory)
+from .base import ImageMethod, ImageSettings, Layer, keep_finite, total
+from .photons import PhotonTracer, Shot
 
 
 @dataclass(frozen=True)
@@ -61,16 +48,6 @@ class PhotonSettings(ImageSettings):
         choices=("next_event", "photons"),
     )
     kernel: str = setting("uniform", "weight of a photon over the disc it is gathered from", choices=tuple(KERNELS))
-
-
-@dataclass
-class Shot:
-    """The photons of a pass."""
-
-    vertices: LightVertices
-    paths: int  #: N
-    rays: float
-    capacity: int
 
 
 @dataclass
@@ -128,12 +105,8 @@ class PhotonMapping(ImageMethod):
         """Tables, and a pilot that measures how many photons a light path stores."""
         super().prepare(problem, seed)
         self._edges = dr.opaque(mi.UInt32, self.max_edges())
-        pilot = self._shoot("pilot ", 0, seed, PILOT_PATHS, 64 * PILOT_PATHS)
-        #: What the number of light paths follows: the same in every pass, and in a run that is resumed.
-        self.photons_per_path = float(pilot.vertices.wanted[0]) / PILOT_PATHS
-        self._room = photon_room(problem)
-        self._room.per_path = self.photons_per_path
-        self._light_paths = self._fitting(self.light_paths())
+        self.tracer = PhotonTracer(self, seed)
+        self._light_paths = self.tracer.fitting(self.light_paths())
 
     @abstractmethod
     def light_paths(self) -> int:
@@ -150,47 +123,9 @@ class PhotonMapping(ImageMethod):
     def finish(self, found: Any) -> None:
         """Called after a pass with the number of photons that each path found where it first gathered."""
 
-    # ------------------------------------------------------------------ photons
-
-    def _fitting(self, wanted: int) -> int:
-        """As many light paths, or fewer if their photons would not fit into memory."""
-        paths = min(wanted, max(1, int(self._room.most / max(self.photons_per_path, 1e-6))))
-        if paths < wanted:
-            logger.info("%d instead of %d light paths a pass: their photons fill the memory", paths, wanted)
-        return paths
-
-    def _shoot(self, role: str, iteration: int, seed: int, paths: int, capacity: int) -> Shot:
-        """Trace light paths and store their vertices; not yet looked at, so that nothing waits."""
-        mis = Mis(Techniques(emission=0, next_event=0, connection=0, splat=False), [0.0], mi.Float(1.0))
-        walk = LightWalk(
-            self.visibility, self.lights, self.camera, mis, self._edges, self.settings.rr_depth, mi.Float(0.0)
-        )
-        vertices = LightVertices(capacity, paths, indexed=False, connected=False)
-        source = self.light_numbers(dr.arange(mi.UInt32, paths), paths, seed, iteration, role + "light")
-        rays, _ = walk.trace(paths, source, vertices, None)
-        dr.schedule(rays)
-        vertices.launch()
-        return Shot(vertices, paths, total(rays), capacity)
-
     def shoot(self, iteration: int, seed: int) -> Shot:
-        """The photons of a pass, all of them."""
-        paths = self._light_paths
-        while True:
-            shot = self._shoot("", iteration, seed, paths, self._room.capacity(paths))
-            if self._room.held(float(shot.vertices.wanted[0]), paths):
-                return shot
-
-    def estimate(self, si: Any, bsdf: Any, photons: Photons, photon: Any, limit: Any, active: Any) -> Any:
-        """Reflected radiance that one photon stands for, times ``N pi r^2``; ``limit``: r^2."""
-        flux, direction, _, _ = photons.flux(photon, active)
-        value = bsdf.eval(mi.BSDFContext(), si, si.to_local(direction), active)
-        cos = geometric_cos(si, direction)
-        weight = dr.select(cos > 0.0, dr.rcp(dr.select(cos > 0.0, cos, 1.0)), 0.0)
-        if self.settings.kernel != "uniform":
-            position, _ = photons.position(photon, active)
-            share = dr.squared_norm(position - si.p) / limit
-            weight *= KERNELS[self.settings.kernel].on_disc(dr.minimum(share, 1.0))
-        return flux * value * weight
+        """The photons of a pass."""
+        return self.tracer.shoot(iteration, seed, self._light_paths)
 
     # ------------------------------------------------------------------ camera paths
 

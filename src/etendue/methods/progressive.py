@@ -24,13 +24,14 @@ import mitsuba as mi
 import numpy as np
 
 from etendue.core import CheckpointError, setting
-from etendue.density import HashGrid, KdTree
+from etendue.density import KdTree
 from etendue.scene import Problem
-from etendue.transport import Gather, Kind
+from etendue.transport import Kind
 
 from . import radius as radii
-from .base import ImageSettings
-from .photon_mapping import PhotonMapping, PhotonSettings, Shot
+from .base import ImageSettings, corners
+from .photon_mapping import PhotonMapping, PhotonSettings
+from .photons import PhotonGrid, Shot
 
 #: Smallest first radius over the largest, squared.
 _LEAST_SHARE = 1e-6
@@ -68,8 +69,7 @@ class Sppm(PhotonMapping):
         lanes = self.camera.pixels * self.samples_per_iteration
         self._radius_squared = dr.full(mi.Float, first * first, lanes)
         self._count = dr.zeros(mi.Float, lanes)
-        box = problem.scene.bbox()
-        self._box = np.asarray(box.min, float).ravel(), np.asarray(box.max, float).ravel()
+        self._box = corners(problem)
         self._tree: KdTree | None = None
         if self.settings.neighbours:
             self._begin_with_nearest(first * first, seed)
@@ -101,9 +101,7 @@ class Sppm(PhotonMapping):
         """Sort the photons into a grid for the largest radius there is."""
         positions, held = self._wanted(shot)
         largest = float(np.sqrt(np.asarray(self._radius_squared).max()))
-        grid = HashGrid(positions, largest, *self._box, held)
-        self._gather = Gather(grid, shot.vertices.sorted_by(grid.destination, held), ())
-        self._paths = dr.opaque(mi.Float, shot.paths)
+        self._photons = PhotonGrid(shot, positions, held, largest, self._box, self.settings.kernel)
 
     def gather(self, si: Any, bsdf: Any, s: Any, active: Any) -> tuple[Any, Any]:
         """See :class:`PhotonMapping`."""
@@ -111,14 +109,7 @@ class Sppm(PhotonMapping):
             squared = self._tree.kth_distance_squared(si.p, self.settings.neighbours, self._limit, active)
             return mi.Color3f(0.0), dr.reinterpret_array(mi.UInt32, squared)
         limit = dr.gather(mi.Float, self._radius_squared, s.lane, active)
-
-        def visit(photon: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
-            flux, found = state
-            return flux + self.estimate(si, bsdf, self._gather.photons, photon, limit, active), found + 1
-
-        start = (mi.Color3f(0.0), mi.UInt32(0))
-        flux, found = self._gather.around(si.p, self._edges - s.depth, visit, start, active, limit)
-        return flux / (dr.pi * limit * self._paths), found
+        return self._photons.reflected(si, bsdf, self._edges - s.depth, limit, active)
 
     def finish(self, found: Any) -> None:
         """Shrink the radii [Hachisuka 2008, eq. 6, 8]."""
