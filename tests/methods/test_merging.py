@@ -38,8 +38,10 @@ ROWS = {
     "sppm photons": ("sppm", {"direct": "photons", "light_paths": 2.0}, "rectangle"),
     "sppm cone": ("sppm", {"direct": "photons", "kernel": "cone"}, "spot"),
     "sppm sky": ("sppm", {"kernel": "biweight"}, "envmap"),
+    "vegas maps": ("vegas", {"maps": 1}, "sphere"),
+    "stratified maps": ("stratified", {"maps": 2, "light_paths": 2.0}, "mixed"),
 }
-FAST = ("bpm", "vcm", "sppm photons")
+FAST = ("bpm", "vcm", "sppm photons", "vegas maps")
 
 
 @pytest.mark.parametrize("name", [n if n in FAST else pytest.param(n, marks=pytest.mark.slow) for n in ROWS])

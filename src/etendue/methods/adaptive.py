@@ -16,16 +16,21 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import OptionError, SampleSource, suggest
+from etendue.core import OptionError, SampleSource, setting, suggest
 from etendue.integration import AxisBins, CellGrid, DeviceBackend, Factor, PlaneBins, Tabulated, warp_rows
+from etendue.scene import Problem
 from etendue.transport import dimensions as dim
+from etendue.transport import is_smooth
 
-from .path import Path, PathState
+from . import radius as radii
+from .base import ImageSettings, corners
+from .path import Path, PathSettings, PathState
+from .photons import PhotonGrid, PhotonTracer
 
 #: A number of a path: (vertex, component).
 Draw = tuple[int, int]
@@ -266,8 +271,59 @@ class AdaptiveSource(NumberedSource):
         return self._base.next_2d(vertex, first)[component - first]
 
 
+@dataclass(frozen=True)
+class AdaptiveSettings(PathSettings):
+    """Settings of ``vegas`` and ``stratified``."""
+
+    merge: bool = setting(True, "let one number pick a light and the first coordinate of the point on it")
+    maps: int = setting(
+        0, "surface points after which a path ends in a map of photons, at the next smooth material; 0: none", minimum=0
+    )
+    light_paths: float = setting(1.0, "light paths traced for the maps, per camera path", above=0.0, maximum=64.0)
+    radius: float = setting(0.006, "first radius of the maps, in the unit of radius_unit", above=0.0)
+    radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
+    alpha: float = setting(0.75, "radius reduction: r_i = radius i^((alpha - 1) / 2)", above=0.0, maximum=1.0)
+
+
 class AdaptivePath(Path):
-    """Path tracing by the numbers of a :class:`NumberedSource`."""
+    """Path tracing by the numbers of a :class:`NumberedSource`, which may end in maps of photons
+    [Leeson 2001, sec. 5.4.1, 5.7.4]."""
+
+    Settings: ClassVar[type[ImageSettings]] = AdaptiveSettings
+
+    def prepare(self, problem: Problem, seed: int) -> None:
+        """See :class:`Path`; the pilot of the maps."""
+        super().prepare(problem, seed)
+        o = self.settings
+        self._edges = dr.opaque(mi.UInt32, self.max_edges())
+        self._maps: PhotonGrid | None = None
+        if not o.maps:
+            return
+        self._box = corners(problem)
+        self._first_radius = radii.absolute_radius(self, o.radius, o.radius_unit, seed)
+        self._tracer = PhotonTracer(self, seed)
+        wanted = round(o.light_paths * self.camera.pixels * self.samples_per_iteration)
+        self._light_paths = self._tracer.fitting(max(1, wanted))
+
+    def map_light(self, iteration: int, seed: int) -> float:
+        """Trace the photons of a pass, if paths end in maps; returns the rays that it took."""
+        if not self.settings.maps:
+            return 0.0
+        shot = self._tracer.shoot(iteration, seed, self._light_paths)
+        positions, _, held = shot.vertices.positions()
+        radius = radii.reduced(self._first_radius, iteration, self.settings.alpha)
+        self._maps = PhotonGrid(shot, positions, held, radius, self._box)
+        self._limit = dr.opaque(mi.Float, radius * radius)
+        return shot.rays
+
+    def finish(self, s: PathState, source: Any, si: Any, bsdf: Any) -> Any:
+        """See :class:`Path`: past the last point that numbers are looked for, by the photons around."""
+        if self._maps is None:
+            return mi.Bool(False)
+        done = s.active & is_smooth(bsdf) & (s.depth > self.settings.maps)
+        reflected, _ = self._maps.reflected(si, bsdf, self._edges - s.depth, self._limit, done)
+        self.add(s, source, s.throughput * reflected, done, False)
+        return done
 
     def constant_numbers(self) -> set[Draw]:
         """Numbers that decide nothing; those of vertex 1 stand for all surface points."""

@@ -27,22 +27,21 @@ from etendue.core import IndependentSource, OptionError, seed_key, setting
 from etendue.integration import Integrand, RecursiveStratified, Regions
 from etendue.scene import Problem
 
-from .adaptive import AdaptivePath, AdaptiveSource, NumberedSource, check_merge, groups
+from .adaptive import AdaptivePath, AdaptiveSettings, AdaptiveSource, NumberedSource, check_merge, groups
 from .base import ImageSettings, Layer, keep_finite, total
-from .path import Path, PathSettings
+from .path import Path
 
 #: Surface points whose numbers may be named.
 _VERTICES = 16
 
 
 @dataclass(frozen=True)
-class StratifiedSettings(PathSettings):
+class StratifiedSettings(AdaptiveSettings):
     """Settings of ``stratified``."""
 
     parameters: str = setting(
         "light1", "numbers whose hypercube is divided, in words: film, lens, and light1, bounce1, lobe1, … of vertices"
     )
-    merge: bool = setting(True, "let one number pick a light and the first coordinate of the point on it")
     metric: str = setting(
         "variance",
         "how variation is judged: (max - min)^2, max^2, or mean square less squared mean",
@@ -103,6 +102,7 @@ class Stratified(AdaptivePath):
         """See :class:`ImageMethod`."""
         self._explored = 0.0
         regions = [self._regions(iteration, seed, samples)] if self._groups else []
+        mapping_rays = self.map_light(iteration, seed)
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         base = self.camera_numbers(lanes, samples, seed, iteration)
         source = AdaptiveSource(base, self._groups, [[r] for r in regions], mi.UInt32(0), self.left_by_pick())
@@ -110,7 +110,7 @@ class Stratified(AdaptivePath):
         radiance, bad = keep_finite(state.radiance)
         dr.eval(radiance, state.rays, bad)
         counters = {
-            "rays": total(state.rays) + self._explored,
+            "rays": total(state.rays) + self._explored + mapping_rays,
             "paths": float(len(lanes)),
             "nonfinite": total(bad),
             "regions": float(sum(map(len, regions))),
@@ -126,6 +126,8 @@ class Stratified(AdaptivePath):
 
     def _plan(self, number: int, seed: int, samples: int) -> Regions:
         """The regions of plan ``number``, by luminance in pixels anywhere."""
+        # With the photons of the group's first pass, also where a resumed run comes into the group later.
+        self._explored += self.map_light(number * self.settings.update, seed)
         calls = 0
         (draws,) = self._groups[0].draws
 

@@ -25,13 +25,13 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import Array, CheckpointError, setting
+from etendue.core import Array, CheckpointError, OptionError, setting
 from etendue.integration import AxisBins, CellGrid, Factor, PlaneBins, bin_values
 from etendue.scene import Problem
 
-from .adaptive import LENGTH, AdaptivePath, AdaptiveSource, check_merge, groups
+from .adaptive import LENGTH, AdaptivePath, AdaptiveSettings, AdaptiveSource, check_merge, groups
 from .base import ImageSettings, Layer, keep_finite, total
-from .path import Path, PathSettings
+from .path import Path
 
 #: What each bin gets beside what it was found to hold: this share of the mean, spread evenly over the group's
 #: dimensions. What was missed so far is found again, and no weight is much above its inverse.
@@ -45,7 +45,7 @@ _FIELDS: dict[type[Any], tuple[str, ...]] = {
 
 
 @dataclass(frozen=True)
-class VegasSettings(PathSettings):
+class VegasSettings(AdaptiveSettings):
     """Settings of ``vegas``."""
 
     groups: str = setting(
@@ -67,7 +67,6 @@ class VegasSettings(PathSettings):
     stabilise: int = setting(
         0, "passes after which smoothing, damping and inertia are switched off; 0: never", minimum=0
     )
-    merge: bool = setting(True, "let one number pick a light and the first coordinate of the point on it")
     one_path: bool = setting(False, "count one path of a drawn length only, rather than one of each length")
     lengths: int = setting(6, "lengths that one_path draws from; the last stands for all longer ones", minimum=1)
 
@@ -84,6 +83,8 @@ class Vegas(AdaptivePath):
         o = self.settings  # complaints come before the scene is loaded
         groups(o.groups, o.bounces)
         check_merge(o.groups, o.merge)
+        if o.maps and o.one_path:
+            raise OptionError("one_path counts one length of a path, and photons have any; set maps to 0")
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """Uniform densities."""
@@ -112,6 +113,7 @@ class Vegas(AdaptivePath):
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
+        mapping_rays = self.map_light(iteration, seed)
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         pixel = lanes // samples
         base = self.camera_numbers(lanes, samples, seed, iteration)
@@ -122,7 +124,7 @@ class Vegas(AdaptivePath):
         found = [(drawn.group, drawn.bin, part) for drawn, part in zip(source.drawn, parts, strict=True)]
         dr.eval(radiance, state.rays, bad, found)
         self._learn(found)
-        counters = {"rays": total(state.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
+        counters = {"rays": total(state.rays) + mapping_rays, "paths": float(len(lanes)), "nonfinite": total(bad)}
         return {"image": self.image(radiance)}, counters
 
     def _row(self, pixel: Any) -> Any:

@@ -232,7 +232,7 @@ class Bidirectional(ImageMethod):
 
     def radius(self, iteration: int) -> float:
         """Merge radius of a pass, scene units [Georgiev 2012, eq. 10]; ``iteration`` counts from 0."""
-        return float(self._first_radius * (iteration + 1) ** ((self.settings.alpha - 1.0) / 2.0))
+        return radii.reduced(self._first_radius, iteration, self.settings.alpha)
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""

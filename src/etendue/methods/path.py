@@ -116,11 +116,12 @@ class Path(ImageMethod):
 
         # ---- A light point is drawn, and a way on; the BSDF is asked about both in one call
         bsdf = si.bsdf(s.ray)
+        done = self.finish(s, source, si, bsdf)
         scatter = scatter_camera if self.settings.bsdf_sampling else scatter_uniform
         if self.settings.mode == "naive":
             scattered, _ = scatter(bsdf, si, source, s.depth, s.active)
         else:
-            direct = sample_direct(self.lights, si, source, s.depth, 0, s.active & is_smooth(bsdf))
+            direct = sample_direct(self.lights, si, source, s.depth, 0, s.active & ~done & is_smooth(bsdf))
             wo = si.to_local(direct.direction)
             scattered, (value,) = scatter(bsdf, si, source, s.depth, s.active, [(wo, direct.active)])
             contribution = s.throughput * value.value * direct.radiance * self._direct_weight(direct, value.pdf)
@@ -145,7 +146,7 @@ class Path(ImageMethod):
         )
         s.throughput *= factor
         s.depth += 1
-        s.active &= scattered.active & alive
+        s.active &= scattered.active & alive & (~done | scattered.is_delta)
         return s
 
     # ------------------------------------------------------------------ what another integrand may change
@@ -158,6 +159,11 @@ class Path(ImageMethod):
     def parts(self, source: Any) -> list[Any]:
         """The first values of ``PathState.parts``."""
         return []
+
+    def finish(self, s: PathState, source: Any, si: Any, bsdf: Any) -> Any:
+        """Count all that the smooth component of vertex ``s.depth`` reflects, in some other way, and return where that
+        was done."""
+        return mi.Bool(False)
 
     def goes_on(self, s: PathState, source: Any) -> Any:
         """Whether paths of more than ``s.depth`` edges count."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from etendue.core import IndependentSource, OptionError
 
-from .base import ImageMethod
+from .base import ImageMethod, corners
 
 #: Names of the units; ``absolute_radius`` knows what they are.
 UNITS = ("scene", "pixel", "absolute")
@@ -41,10 +41,15 @@ def layer(factor: float) -> str:
     return f"radius_{factor:g}"
 
 
+def reduced(first: float, iteration: int, alpha: float) -> float:
+    """Radius of a pass, of which ``iteration`` were before it [Georgiev 2012, eq. 10]."""
+    return float(first * (iteration + 1) ** ((alpha - 1.0) / 2.0))
+
+
 def half_diagonal(method: ImageMethod) -> float:
     """Half the diagonal of the bounding box of a prepared method's scene."""
-    box = method.scene.bbox()
-    return 0.5 * float(np.linalg.norm(np.asarray(box.max, float).ravel() - np.asarray(box.min, float).ravel()))
+    lower, upper = corners(method.problem)
+    return 0.5 * float(np.linalg.norm(upper - lower))
 
 
 def absolute_radius(method: ImageMethod, radius: float, unit: str, seed: int) -> float:
