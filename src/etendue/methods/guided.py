@@ -28,8 +28,9 @@ from etendue.scene import Problem
 from etendue.transport import NOWHERE, Evaluated, Guide, GuidedScattered, roulette
 from etendue.transport import dimensions as dim
 
-from .base import STORE_SHARE, ImageSettings, Layer, keep_finite, total
+from .base import ImageSettings, Layer, keep_finite, total
 from .path import Path, PathSettings, PathState
+from .store import STORE_SHARE
 
 #: Camera paths of a pass that are learned from at most, and vertices of each, from the first on.
 _PATHS = 1 << 18
@@ -116,7 +117,7 @@ class Guided(Path):
         """A guide that knows nothing."""
         super().prepare(problem, seed)
         box = problem.scene.bbox()
-        lower, upper = (np.asarray(corner, np.float64).ravel() for corner in (box.min, box.max))
+        lower, upper = (np.asarray(corner, np.float64).ravel().tolist() for corner in (box.min, box.max))
         self._guide = Guide(lower, upper)
         self._generation = 0
         self._passes = 0  # of this generation
