@@ -1,4 +1,4 @@
-"""``python -m benchmarks [cost|first-pass|memory|rays|quality|choice|knn|points|integration|density]``; alone, all."""
+"""``python -m benchmarks [COMMAND]``; alone, all of them. ``--help`` lists the commands."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from etendue.core import EtendueError
 from . import choice as choice_of_auto
 from . import cost as cost_of_a_pass
 from . import densities, fresh, integrals, neighbours, sequences
+from . import guided as guiding
 from . import quality as quality_over_time
 from . import rays as ray_casting
 from .measuring import Record
@@ -135,6 +136,24 @@ def choice(
 
 
 @app.command()
+def guided(
+    scenes: Annotated[str, typer.Option(help="Names, separated by commas.", metavar="NAMES")] = ",".join(
+        guiding.SCENES
+    ),
+    size: Size = "512x512",
+    time: Annotated[float, typer.Option(help="Seconds for each picture.")] = 30.0,
+    seeds: Annotated[int, typer.Option(min=1, help="Pictures of each; the median counts.")] = 3,
+    define: Annotated[list[str] | None, typer.Option("-D", help="A setting of guided.", metavar="NAME=VALUE")] = None,
+    variant: Variant = None,
+    record: Keep = False,
+) -> None:
+    """Error times time of guided path tracing, beside Mitsuba's path and ours."""
+    chosen = begin(variant)
+    tables = guiding.measure(words(scenes), parse_size(size), time, seeds, parse_pairs(define, "-D"))
+    _publish(chosen, record, *tables)
+
+
+@app.command()
 def knn(
     points: Annotated[int, typer.Option(min=1, help="Points in the tree.")] = 1_000_000,
     k: Annotated[int, typer.Option("-k", min=1, help="Neighbours of a query.")] = 50,
@@ -208,6 +227,7 @@ def everything(context: typer.Context, variant: Variant = None, record: Keep = F
         rays(variant=variant, record=record)
         quality(variant=variant, record=record)
         choice(variant=variant, record=record)
+        guided(variant=variant, record=record)
         knn(variant=variant, record=record)
         points(variant=variant, record=record)
         integration(variant=variant, record=record)

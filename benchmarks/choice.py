@@ -46,7 +46,7 @@ def measure(names: Sequence[str], pixels: int, seconds: float, seeds: int) -> Re
     for name in names or known:
         if name not in known:
             raise SystemExit(f"no test scene '{name}'; there are {', '.join(known)}")
-        size = _size(known[name], pixels)
+        size = scaled_size(known[name], pixels)
         halves = [
             render(known[name], "vcm", seconds=_HALF * seconds, size=size, seed=1000 + half, radius=0.002).image
             for half in range(2)
@@ -78,7 +78,7 @@ def measure(names: Sequence[str], pixels: int, seconds: float, seeds: int) -> Re
     return record
 
 
-def _size(source: Any, pixels: int) -> tuple[int, int]:
+def scaled_size(source: Any, pixels: int) -> tuple[int, int]:
     """A size of about so many pixels, of the shape of the scene's own."""
     from etendue import scene
 

@@ -34,6 +34,7 @@ _BIDIRECTIONAL = _PASS | {"connections": 1, "next_events": 1, "light_source": "c
 COST_SETTINGS: dict[str, dict[str, Any]] = {
     "auto": _PASS,
     "path": _PASS,
+    "guided": _PASS,
     "vegas": _PASS,
     "stratified": _PASS,
     "light": _PASS | {"light_paths": 1.0},

@@ -59,6 +59,15 @@ def test_variants_of_settings_take_turns_with_their_method():
     assert "to the method without" not in cost.measure(variants[:1], (8, 8), rounds=1, warm_up=1).columns
 
 
+def test_guiding_is_compared_seed_by_seed():
+    (record,) = module("guided").measure(["ajar"], (12, 12), 0.3, 2, {"cell_samples": 200})
+    assert [row[0] for row in record.rows] == ["Mitsuba path", "path", "guided"]
+    assert float(record.rows[0][6]) == 1.0
+    assert "0.333" in record.rows[2][7]
+    assert all(float(row[1]) > 0.0 and float(row[5]) >= 1.0 for row in record.rows)
+    assert "cell_samples=200" in record.notes[-1]
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -24,6 +24,7 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "path": ("path", {}),
     "bpt path": ("bpt", {"light_source": "path", "heuristic": "power"}),
     "light": ("light", {"light_paths": 4.0}),
+    "guided": ("guided", {"cell_samples": 500}),
     "vegas": ("vegas", {}),
     "stratified": ("stratified", {}),
 }
@@ -91,7 +92,7 @@ def compare(emitter: str, group: str, name: str, sensor: str, rfilter: str) -> N
     method, settings = (METHODS | MORE)[name]
     key = (emitter, group, sensor, rfilter)
     reference = _reference(*key)
-    if method == "vegas":  # passes learn from those before: independent runs have the variance
+    if method in ("vegas", "guided"):  # passes learn from those before: independent runs have the variance
         images = replicas(_scene(*key), method, runs=6, passes=2, samples=128, **settings)
     else:
         result = run(_scene(*key), method, passes=6, samples=256, **settings)

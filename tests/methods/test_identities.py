@@ -19,6 +19,7 @@ from etendue.transport import Techniques
 SAME = {"rtol": 1e-5, "atol": 1e-7}
 METHODS = {
     "path": ("path", {}),
+    "guided": ("guided", {"cell_samples": 100}),
     "vegas": ("vegas", {}),
     "stratified": ("stratified", {}),
     "light": ("light", {}),
@@ -32,9 +33,9 @@ METHODS = {
     "sppm": ("sppm", {"radius": 0.05}),
 }
 #: Techniques in layers; the others have one layer.
-LAYERED = [name for name in METHODS if name not in ("path", "vegas", "stratified", "pm", "ppm", "sppm")]
+LAYERED = [name for name in METHODS if name not in ("path", "guided", "vegas", "stratified", "pm", "ppm", "sppm")]
 #: Each pass is a function of its number alone; a progressive or learning one of those before it too.
-INDEPENDENT = [name for name in METHODS if name not in ("vegas", "ppm", "sppm")]
+INDEPENDENT = [name for name in METHODS if name not in ("guided", "vegas", "ppm", "sppm")]
 
 
 def problem() -> Any:

@@ -100,6 +100,25 @@ def test_the_caustics_scene_is_closed_to_the_outside():
         assert np.array(problem.scene.ray_test(ray)).all()
 
 
+def test_the_room_behind_the_door_is_closed_and_lit_indirectly():
+    problem = load("ajar", size=(32, 24))
+    random = np.random.default_rng(2)
+    directions = random.normal(size=(3, 100_000))
+    directions /= np.linalg.norm(directions, axis=0)
+    for origin in ([-1.5, 1.5, 4.0], [1.5, 2.0, -1.5]):
+        ray = mi.Ray3f(mi.Point3f(origin), mi.Vector3f(directions.astype(np.float32)))
+        assert np.array(problem.scene.ray_test(ray)).all()
+
+    def brightness(depth):
+        cls = methods.get("path")
+        runner = cls(cls.Settings(max_depth=depth, samples_per_pass=64))
+        runner.prepare(problem, 1)
+        return runner.step(0, 1).mean().mean()
+
+    assert brightness(2) == 0.0
+    assert brightness(3) < 0.3 * brightness(12)
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_building_again_gives_the_same_scene(name):
     assert load(name).fingerprint == load(name).fingerprint

@@ -1,6 +1,6 @@
 """Ground floor: what every room shares and that knows nothing of rendering."""
 
-from .backend import check_llvm, check_variant, choose_variant, on_device, set_threads, use_variant
+from .backend import check_llvm, check_variant, choose_variant, copied_to_device, on_device, set_threads, use_variant
 from .citations import bibliography, bibtex
 from .errors import (
     BackendError,
@@ -45,6 +45,7 @@ __all__ = [
     "check_llvm",
     "check_variant",
     "choose_variant",
+    "copied_to_device",
     "describe",
     "format_rate",
     "format_seconds",

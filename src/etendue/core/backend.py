@@ -184,6 +184,18 @@ def on_device(array_type: Any, values: Any) -> Any:
     return array_type(np.asarray(values).ravel().tolist())
 
 
+def copied_to_device(array_type: Any, values: Any) -> Any:
+    """The same for many numbers: a small kernel of its own copies them."""
+    import drjit as dr
+
+    borrowed = array_type(np.ascontiguousarray(values).ravel())
+    index = dr.uint32_array_t(array_type)
+    # With a number that the compiler does not know: reading all in order would be no copy.
+    own = dr.gather(array_type, borrowed, dr.arange(index, len(borrowed)) + dr.opaque(index, 0))
+    dr.eval(own)
+    return own
+
+
 # Dr.Jit takes its LLVM the moment it is imported, and this is the first module of étendue that Python runs
 # (`etendue/__init__.py` imports `core` before all else, `core` this module).
 ensure_llvm()

@@ -3,6 +3,7 @@ unknown here: what comes in are positions, weights and areas."""
 
 from .bandwidth import cross_validation, normal_reference, silverman
 from .boundary import Boundary
+from .cells import FACINGS, Cells
 from .diagnosis import Diagnosis, best_bandwidth, by_bootstrap, by_expansion, by_quadrature, by_repetition
 from .errors import DensityError
 from .estimator import Estimator
@@ -12,14 +13,17 @@ from .histogram import BinnedKernel, Histogram
 from .kdtree import KdTree
 from .kernels import KERNELS, Kernel
 from .nearest import NearestNeighbours
+from .quadtrees import Quadtrees, QuadtreeSampler
 from .samples import Samples, Surface
 from .variable import AdaptiveKernel, SampleBandwidths, VariableKernel
 
 __all__ = [
+    "FACINGS",
     "KERNELS",
     "AdaptiveKernel",
     "BinnedKernel",
     "Boundary",
+    "Cells",
     "DensityError",
     "Diagnosis",
     "Estimator",
@@ -30,6 +34,8 @@ __all__ = [
     "Kernel",
     "Naive",
     "NearestNeighbours",
+    "QuadtreeSampler",
+    "Quadtrees",
     "Query",
     "SampleBandwidths",
     "Samples",

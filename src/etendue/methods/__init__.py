@@ -9,13 +9,14 @@ from .adaptive_vegas import Vegas
 from .auto import Auto
 from .base import ImageMethod, ImageSettings
 from .bidirectional import Bidirectional, Bpm, Bpt, Vcm
+from .guided import Guided
 from .light import Light
 from .path import Path
 from .photon_map import Pm
 from .progressive import Ppm, Sppm
 
 _METHODS: dict[str, type[ImageMethod]] = {
-    cls.name: cls for cls in (Auto, Path, Vegas, Stratified, Light, Pm, Ppm, Sppm, Bpt, Bpm, Vcm)
+    cls.name: cls for cls in (Auto, Path, Guided, Vegas, Stratified, Light, Pm, Ppm, Sppm, Bpt, Bpm, Vcm)
 }
 
 
@@ -36,6 +37,7 @@ __all__ = [
     "Bidirectional",
     "Bpm",
     "Bpt",
+    "Guided",
     "ImageMethod",
     "ImageSettings",
     "Light",

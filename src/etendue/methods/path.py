@@ -13,6 +13,7 @@ Limits: a point or spot light seen through glass or in a mirror cannot be found 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -20,8 +21,9 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import setting
-from etendue.transport import dimensions as dim
 from etendue.transport import (
+    Evaluated,
+    Scattered,
     emission_of_hit,
     is_emissive,
     is_smooth,
@@ -30,6 +32,7 @@ from etendue.transport import (
     scatter_camera,
     scatter_uniform,
 )
+from etendue.transport import dimensions as dim
 
 from .base import ImageMethod, ImageSettings, Layer, keep_finite, total
 
@@ -117,13 +120,12 @@ class Path(ImageMethod):
         # ---- A light point is drawn, and a way on; the BSDF is asked about both in one call
         bsdf = si.bsdf(s.ray)
         done = self.finish(s, source, si, bsdf)
-        scatter = scatter_camera if self.settings.bsdf_sampling else scatter_uniform
         if self.settings.mode == "naive":
-            scattered, _ = scatter(bsdf, si, source, s.depth, s.active)
+            scattered, _ = self.scatter(bsdf, si, source, s.depth, s.active)
         else:
             direct = sample_direct(self.lights, si, source, s.depth, 0, s.active & ~done & is_smooth(bsdf))
             wo = si.to_local(direct.direction)
-            scattered, (value,) = scatter(bsdf, si, source, s.depth, s.active, [(wo, direct.active)])
+            scattered, (value,) = self.scatter(bsdf, si, source, s.depth, s.active, [(wo, direct.active)])
             contribution = s.throughput * value.value * direct.radiance * self._direct_weight(direct, value.pdf)
             lit = direct.active & ~dr.all(contribution == 0.0) & self.wants(s, source)
             s.rays += dr.select(lit, mi.UInt32(1), mi.UInt32(0))
@@ -132,6 +134,7 @@ class Path(ImageMethod):
             self.add(s, source, contribution * share, lit, True)
 
         # ---- Scatter
+        self.leave(s, source, scattered)
         s.throughput *= scattered.weight
         s.eta *= scattered.eta
         pdf = dr.select(scattered.is_delta, 0.0, scattered.pdf)
@@ -141,15 +144,29 @@ class Path(ImageMethod):
         else:
             s.pdf = pdf
         s.ray = si.spawn_ray(scattered.direction)
-        alive, factor = roulette(
-            s.throughput, s.eta, s.depth, self.settings.rr_depth, source.decide(s.depth, dim.ROULETTE)
-        )
-        s.throughput *= factor
+        alive = self.survives(s, source)
         s.depth += 1
         s.active &= scattered.active & alive & (~done | scattered.is_delta)
         return s
 
-    # ------------------------------------------------------------------ what another integrand may change
+    # ------------------------------------------------------------------ what another method may change
+
+    def scatter(
+        self, bsdf: Any, si: Any, source: Any, vertex: Any, active: Any, directions: Sequence[tuple[Any, Any]] = ()
+    ) -> tuple[Scattered, list[Evaluated]]:
+        """As ``transport.scatter_camera``: a way on, and the BSDF towards the given (local direction, mask) pairs."""
+        scatter = scatter_camera if self.settings.bsdf_sampling else scatter_uniform
+        return scatter(bsdf, si, source, vertex, active, directions)
+
+    def leave(self, s: PathState, source: Any, scattered: Any) -> None:
+        """The light points of vertex ``s.depth`` are counted; the path goes on from it by what :meth:`scatter` gave."""
+
+    def survives(self, s: PathState, source: Any) -> Any:
+        """Roulette after vertex ``s.depth``: whether a path goes on, and its throughput pays for those that do not."""
+        u = source.decide(s.depth, dim.ROULETTE)
+        alive, factor = roulette(s.throughput, s.eta, s.depth, self.settings.rr_depth, u)
+        s.throughput *= factor
+        return alive
 
     def add(self, s: PathState, source: Any, contribution: Any, active: Any, by_light_point: bool) -> None:
         """Count what a light contributes: a hit at the end of edge ``s.depth``, or a point of it joined to vertex

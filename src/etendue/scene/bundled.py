@@ -11,6 +11,7 @@ import numpy as np
 
 from etendue.core import SceneError, suggest
 
+from .ajar import ajar
 from .caustics import caustics
 
 
@@ -48,6 +49,7 @@ def bundled() -> dict[str, BundledScene]:
         ),
         ("cornell-box", "the Cornell box: diffuse walls, two boxes, an area light", cornell_box),
         ("cornell-glass", "the Cornell box with a glass ball and a box of rough gold", cornell_glass),
+        ("ajar", "a room lit through a door left ajar, by a lamp that is turned to the wall of the next room", ajar),
         ("skylight", "frosted glass and lacquer under a sky with a low sun, through a thin lens", skylight),
         ("stage", "glass, plastic and steel under two spot lights and a point light", stage),
     )

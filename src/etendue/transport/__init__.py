@@ -4,6 +4,7 @@ from . import dimensions
 from .camera import Camera, CameraConnection, Splats
 from .camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
+from .guiding import NOWHERE, Guide, GuidedScattered, direction_of, square_of
 from .light_walk import LightWalk
 from .mis import Mis, Techniques
 from .pyramid import PYRAMID_MAX, Pyramid
@@ -26,6 +27,7 @@ from .vertices import Kind, LightVertex, LightVertices, Photons, needs_interacti
 from .visibility import Visibility
 
 __all__ = [
+    "NOWHERE",
     "PICK_BLOCK",
     "PYRAMID_MAX",
     "Camera",
@@ -35,6 +37,8 @@ __all__ = [
     "EmittedRay",
     "Evaluated",
     "Gather",
+    "Guide",
+    "GuidedScattered",
     "Kind",
     "LightCache",
     "LightVertex",
@@ -49,6 +53,7 @@ __all__ = [
     "Visibility",
     "cosine_ratio",
     "dimensions",
+    "direction_of",
     "emission_of_hit",
     "emit",
     "evaluate_camera_end",
@@ -65,4 +70,5 @@ __all__ = [
     "scatter_light",
     "scatter_uniform",
     "shadow_roulette",
+    "square_of",
 ]

@@ -25,6 +25,9 @@ SPLAT_FILTER = 6  #: 2 numbers, light sub-paths only
 #: 1 number, light sub-paths only: roulette before a splat's shadow ray.
 SPLAT_SHADOW = 8
 
+#: 1 number, camera sub-paths only: whether the guide is asked for the direction.
+GUIDE = 4
+
 # Camera sub-paths, from here: 4 numbers for each next-event sample (pick, point, roulette), then 1 for each connection
 # (roulette; the pick comes from a source that blocks of lanes share).
 NEXT_EVENT = 8

@@ -1,0 +1,141 @@
+"""Whether ``guided`` pays: its error times time beside that of Mitsuba's ``path`` and of ours, on indirect scenes."""
+
+from __future__ import annotations
+
+import gc
+import statistics
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from etendue import film, scene
+from etendue.api import render
+
+from .choice import scaled_size
+from .measuring import Record, console, verdict
+from .quality import Case, find
+
+#: Error times time of ``guided``, relative to Mitsuba's ``path``, at most.
+BAR = 1 / 3
+SCENES = ("veach-bidir", "ajar")
+#: Share of the brightest errors that is left out: one firefly must not decide.
+_TRIM = 0.001
+#: Without a picture by somebody else: each half of the reference takes this many times the time of a picture.
+_HALF = 4.0
+#: Seconds after which a part of Mitsuba's picture shall be done.
+_PART = 0.5
+
+
+def measure(
+    names: Sequence[str], size: tuple[int, int], seconds: float, seeds: int, settings: Mapping[str, Any]
+) -> list[Record]:
+    """One table a scene; the three take turns, seed by seed."""
+    records = []
+    for name in names:
+        case, own = _case(name, size, seconds)
+        if case is None:
+            continue
+        outcomes: dict[str, list[dict[str, float]]] = {"Mitsuba path": [], "path": [], "guided": []}
+        for seed in range(seeds):
+            for method, runs in outcomes.items():
+                gc.collect()  # a scene that is still alive makes the next one's kernels larger
+                image, samples, taken = (
+                    _mitsuba(case, seconds, seed)
+                    if method == "Mitsuba path"
+                    else _etendue(case, method, seconds, seed, settings if method == "guided" else {})
+                )
+                error = max(film.relative_mse(image, case.reference, trim=_TRIM) - own, 0.0)
+                runs.append(
+                    {
+                        "plain": film.relative_mse(image, case.reference),
+                        "trimmed": error,
+                        "cost": error * taken,
+                        "samples": samples,
+                        "bias": film.relative_bias(image, case.reference),
+                    }
+                )
+                console.print(f"{name}, {method}, seed {seed}: {error:.4g} after {taken:.1f} s", style="dim")
+        records.append(_record(case, outcomes, seconds, seeds, settings))
+    return records
+
+
+def _record(
+    case: Case,
+    outcomes: Mapping[str, Sequence[Mapping[str, float]]],
+    seconds: float,
+    seeds: int,
+    settings: Mapping[str, Any],
+) -> Record:
+    record = Record(
+        f"Guiding, {case.name}, {case.size[0]}x{case.size[1]}, {seconds:g} s",
+        ("", "relMSE", "without worst 0.1 %", "that x s", "brightness", "spp", "to Mitsuba's path", "bar"),
+    )
+    plain = outcomes["Mitsuba path"]
+    for method, runs in outcomes.items():
+        middle = {key: statistics.median(run[key] for run in runs) for key in runs[0]}
+        ratio = statistics.median(run["cost"] / other["cost"] for run, other in zip(runs, plain, strict=True))
+        record.add(
+            method,
+            f"{middle['plain']:.4g}",
+            f"{middle['trimmed']:.4g}",
+            f"{middle['cost']:.3g}",
+            f"{middle['bias']:+.1%}",
+            f"{middle['samples']:.0f}",
+            f"{ratio:.3f}",
+            verdict(ratio, BAR) if method == "guided" else "",
+        )
+    record.notes += [
+        f"reference: {case.note}",
+        f"median of {seeds} seed{'s' if seeds > 1 else ''}, the ratio too, seed by seed; one after the other in one "
+        "process; the time begins with the first pass, compilation included",
+        "settings of guided: " + (", ".join(f"{k}={v}" for k, v in settings.items()) or "defaults"),
+    ]
+    return record
+
+
+def _case(name: str, size: tuple[int, int], seconds: float) -> tuple[Case | None, float]:
+    """The scene with a reference, and the reference's own error."""
+    if name in scene.bundled():
+        size = scaled_size(name, size[0] * size[1])
+        first, second = (
+            render(name, "guided", seconds=_HALF * seconds, size=size, seed=1000 + half).image for half in range(2)
+        )
+        mean = (first + second) / 2
+        note = f"guided, {2 * _HALF * seconds:g} s in two halves, whose difference tells its error"
+        # Half of the halves' difference is as far from either as the mean is from the truth.
+        return Case(name, name, mean, note), film.relative_mse(first, mean, trim=_TRIM)
+    case = find(name, size)
+    if isinstance(case, str):
+        console.print(case)
+        return None, 0.0
+    return case, 0.0
+
+
+def _etendue(
+    case: Case, method: str, seconds: float, seed: int, settings: Mapping[str, Any]
+) -> tuple[np.ndarray, float, float]:
+    rendering = render(case.source, method, seconds=seconds, size=case.size, seed=seed, **settings)
+    return rendering.image, float(rendering.metadata["samples"]), float(rendering.metadata["seconds"])
+
+
+def _mitsuba(case: Case, seconds: float, seed: int) -> tuple[np.ndarray, float, float]:
+    """Pictures of a few samples a pixel, as many as there is time for, and their mean."""
+    problem = scene.load(case.source, size=case.size)
+    integrator = mi.load_dict({"type": "path", "max_depth": problem.max_depth})
+    begin = time.perf_counter()
+    total, samples, count, part = np.zeros((*case.size[::-1], 3)), 0, 0, 1
+    while True:
+        began = time.perf_counter()
+        image = mi.render(
+            problem.scene, sensor=problem.sensor, integrator=integrator, spp=part, seed=100_000 * seed + count
+        )
+        total += part * np.array(image, np.float64)[:, :, :3]
+        samples, count = samples + part, count + 1
+        now = time.perf_counter()
+        if now - begin + (now - began) > seconds:
+            return total / samples, float(samples), now - begin
+        if count > 1 and now - began < _PART / 2:
+            part *= 2

@@ -1,0 +1,202 @@
+r"""Directions drawn from where light was found before, in turn with the BSDF.
+
+A :class:`Guide` holds a density over directions for each cell of the scene, by place and facing. A scattering draws
+from it with the cell's probability a and else from the BSDF [Muller 2017]; whichever it was, the direction's density is
+
+.. math:: p(\omega) = a\, p_{guide}(\omega) + (1 - a)\, p_{BSDF}(\omega),
+
+and so it is for the directions of light points. Delta components stay with the BSDF.
+
+Directions of the sphere are points of the unit square: each hemisphere around the z axis is half of it, by way of the
+disc, so that equal areas stay equal [Shirley 1997].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import SampleSource, copied_to_device
+from etendue.density import Cells, Quadtrees, QuadtreeSampler
+
+from . import dimensions as dim
+from .scattering import Evaluated, Scattered, geometric_cos, is_smooth
+
+#: Of the square's density, that of the sphere.
+_PER_STERADIAN = 0.25 / np.pi
+#: The largest number below one.
+_BELOW_ONE = 1.0 - 2.0**-24
+#: Where nothing is counted.
+NOWHERE = 0xFFFFFFFF
+
+
+def square_of(direction: Any) -> Any:
+    """The point of the unit square that stands for a direction."""
+    below = direction.z < 0.0
+    disc = mi.Point2f(direction.x, direction.y) * dr.rsqrt(1.0 + dr.abs(direction.z))
+    half = mi.warp.uniform_disk_to_square_concentric(disc)
+    x = 0.5 * (dr.clip(half.x, 0.0, _BELOW_ONE) + dr.select(below, 1.0, 0.0))
+    return mi.Point2f(dr.minimum(x, _BELOW_ONE), dr.clip(half.y, 0.0, _BELOW_ONE))
+
+
+def direction_of(point: Any) -> Any:
+    """Inverse of :func:`square_of`."""
+    below = point.x >= 0.5
+    half = mi.Point2f(2.0 * point.x - dr.select(below, 1.0, 0.0), point.y)
+    disc = mi.warp.square_to_uniform_disk_concentric(half)
+    radius_squared = dr.squared_norm(disc)
+    z = 1.0 - radius_squared
+    disc = disc * dr.safe_sqrt(2.0 - radius_squared)
+    return mi.Vector3f(disc.x, disc.y, dr.select(below, -z, z))
+
+
+@dataclass
+class GuidedScattered(Scattered):
+    """A direction by the BSDF or the guide, one lane each."""
+
+    place: Any  #: of the guide's trees, in which the direction lies; NOWHERE for a delta scattering
+    glow: Any  #: luminance that the surface is expected to reflect, less that of its light points; 0: unknown
+
+
+class Guide:
+    """Where light comes from, by position, facing and direction.
+
+    Parameters
+    ----------
+    lower, upper: corners of a box that holds the scene.
+    """
+
+    def __init__(self, lower: Sequence[float], upper: Sequence[float]) -> None:
+        self._cells = Cells(lower, upper)
+        self._trees = Quadtrees.even(self._cells.count)
+        self._glow = np.zeros(self._cells.count)
+        self._share = 0.0
+        self._upload()
+
+    def _upload(self) -> None:
+        self._sampler = QuadtreeSampler(self._trees)
+        pairs = np.stack([np.where(self._glow > 0.0, self._share, 0.0), self._glow], axis=1)
+        self._pairs = copied_to_device(mi.Float, pairs.astype(np.float32))
+
+    @property
+    def cells(self) -> int:
+        """Cells of the scene's box."""
+        return self._cells.count
+
+    @property
+    def places(self) -> int:
+        """Places that directions are counted in."""
+        return self._trees.places
+
+    # ------------------------------------------------------------------ on the device
+
+    def scatter(
+        self,
+        scatter: Callable[..., tuple[Scattered, list[Evaluated]]],
+        bsdf: Any,
+        si: Any,
+        source: SampleSource,
+        vertex: Any,
+        active: Any,
+        directions: Sequence[tuple[Any, Any]] = (),
+    ) -> tuple[GuidedScattered, list[Evaluated]]:
+        """As ``scatter`` (:func:`scatter_camera`, say) with the other arguments, by the guide's and its directions in
+        turn; densities are those of both together."""
+        smooth = active & is_smooth(bsdf)
+        facing = si.sh_frame.n * dr.sign(mi.Frame3f.cos_theta(si.wi))
+        cell = self._cells.find(si.p, facing, smooth)
+        share, glow = dr.gather(mi.Vector2f, self._pairs, cell, smooth)
+        by_guide = smooth & (source.decide(vertex, dim.GUIDE) < share)
+        knows = smooth & (share > 0.0)
+
+        # The same numbers as the BSDF's: only one of the two directions is taken.
+        u = mi.Point2f(*source.next_2d(vertex, dim.DIRECTION))
+        point, density, place = self._sampler.sample(cell, u, by_guide)
+        toward = direction_of(point)
+        wo = si.to_local(toward)
+        sampled, evaluated = scatter(bsdf, si, source, vertex, active, [*directions, (wo, by_guide)])
+        guided = evaluated.pop()
+        for (wo, mask), value in zip(directions, evaluated, strict=True):
+            there, _ = self._sampler.find(cell, square_of(si.to_world(wo)), mask & knows)
+            value.pdf = _mixed(share, there, value.pdf)
+
+        by_bsdf = active & ~by_guide & sampled.active
+        there, its_place = self._sampler.find(cell, square_of(sampled.direction), by_bsdf & smooth & ~sampled.is_delta)
+        pdf = _mixed(share, dr.select(by_guide, density, there), dr.select(by_guide, guided.pdf, sampled.pdf))
+        value = dr.select(by_guide, guided.value, sampled.weight * sampled.pdf)
+        is_delta = sampled.is_delta & ~by_guide
+        direction = dr.select(by_guide, toward, sampled.direction)
+        weight = dr.select(is_delta, sampled.weight / (1.0 - share), value / pdf)
+        active = dr.select(by_guide, ~(pdf <= 0.0) & ~dr.all(value == 0.0), by_bsdf)
+        return GuidedScattered(
+            direction=direction,
+            weight=dr.select(share > 0.0, weight, sampled.weight),
+            pdf=dr.select(is_delta, sampled.pdf, pdf),
+            reverse_pdf=dr.select(by_guide, guided.reverse_pdf, sampled.reverse_pdf),
+            cos=geometric_cos(si, direction),
+            eta=dr.select(by_guide, 1.0, sampled.eta),
+            is_delta=is_delta,
+            is_null=sampled.is_null & ~by_guide,
+            active=active,
+            place=dr.select(smooth & ~is_delta, dr.select(by_guide, place, its_place), NOWHERE),
+            glow=dr.select(smooth & ~is_delta, glow, 0.0),
+        ), evaluated
+
+    # ------------------------------------------------------------------ on the host
+
+    def learn(
+        self,
+        found: NDArray[np.float64],
+        samples: NDArray[np.integer[Any]],
+        *,
+        most: float,
+        leaf_share: float,
+        share: float,
+    ) -> None:
+        """Take over what was found in each place, and refine.
+
+        Parameters
+        ----------
+        found: (places,) light that came from each.
+        samples: (places,) directions that were looked into.
+        most: samples above which a cell is divided.
+        leaf_share: of a cell's light, the share above which directions are divided.
+        share: of directions that are drawn from the guide where light was found.
+        """
+        tree = self._trees.tree_of_place()
+        light, count = np.bincount(tree, found, self.cells), np.bincount(tree, samples, self.cells)
+        self._glow = np.where(light > 0.0, light / np.maximum(count, 1), self._glow)
+        self._share = share
+        trees = self._trees.with_mass(found)
+        origin = self._cells.split(count, most)
+        self._glow = self._glow[origin]
+        self._trees = trees.refined(origin, leaf_share)
+        self._upload()
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """What has been learned, as arrays of its own."""
+        arrays = {
+            "glow": self._glow,
+            "share": np.array(self._share),
+            **self._cells.to_arrays(),
+            **self._trees.to_arrays(),
+        }
+        return {name: values.copy() for name, values in arrays.items()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Inverse of :meth:`state`."""
+        self._cells.set_arrays(state)
+        self._trees = Quadtrees.from_arrays(state)
+        self._glow, self._share = np.asarray(state["glow"], np.float64), float(state["share"])
+        self._upload()
+
+
+def _mixed(share: Any, square_density: Any, pdf: Any) -> Any:
+    """Solid-angle density of a direction that the guide is asked for with probability ``share``."""
+    return share * (square_density * _PER_STERADIAN) + (1.0 - share) * pdf

@@ -1,0 +1,172 @@
+"""Guided path tracing: the picture of ``path``, with less noise the longer it has learned."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import drjit as dr
+import numpy as np
+import pytest
+from support import scenes
+from support.running import go, mitsuba_path, prepared, replicas, run
+from support.statistics import assert_agree
+
+from etendue.core import CheckpointError
+from etendue.scene import load
+
+#: A pass of these teaches enough for a small picture.
+TRAINED = {"cell_samples": 500, "generations": 3}
+
+
+def lit_room(**view: Any) -> Any:
+    return scenes.room("mixed", "rough", **view)
+
+
+def behind_a_door() -> Any:
+    """Indirect light only."""
+    return load("ajar", size=(24, 18))
+
+
+def variance(images: np.ndarray, mean: np.ndarray) -> float:
+    """Of a picture, relative to the brightness, without the worst pixels, one in a hundred."""
+    pixels = (np.square(images - mean).mean(0) / (mean**2 + 0.01)).mean(-1).ravel()
+    return float(np.sort(pixels)[: int(0.99 * len(pixels))].mean())
+
+
+@pytest.mark.parametrize("settings", [{}, {"mode": "naive"}, {"bsdf_sampling": False}, {"heuristic": "power"}], ids=str)
+def test_without_training_it_is_path(settings):
+    settings = {"samples_per_pass": 4, **settings}
+    mine = go(prepared(lit_room(), "guided", generations=0, **settings), 2).mean
+    plain = go(prepared(lit_room(), "path", **settings), 2).mean
+    np.testing.assert_allclose(mine, plain, rtol=1e-5, atol=1e-7)
+
+
+#: What must not change the picture.
+SWITCHES: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "mostly guide": {"share": 0.95},
+    "coarse": {"leaf_share": 0.5, "cell_samples": 100_000},
+    "fine": {"leaf_share": 0.002, "cell_samples": 100},
+    "next event": {"mode": "next_event"},
+    "naive": {"mode": "naive"},
+    "power": {"heuristic": "power", "rr_depth": 2},
+    "uniform directions": {"bsdf_sampling": False},
+    "all passes alike": {"first_weight": 1.0},
+}
+
+
+@pytest.mark.parametrize("name", SWITCHES)
+def test_switches_do_not_change_the_mean(name):
+    emitter = "rectangle" if name == "naive" else "mixed"
+    scene = scenes.room(emitter, "rough", rfilter="gaussian")
+    reference = mitsuba_path(scene, passes=6, samples=256)
+    images = replicas(scene, "guided", runs=6, passes=6, samples=96, **TRAINED | SWITCHES[name])
+    assert_agree(images, reference, name, precision=0.03)
+
+
+@pytest.mark.parametrize("group", ["wrapped", "specular", "transparent"])
+def test_delta_and_null_components(group):
+    scene = scenes.room("rectangle", group)
+    reference = replicas(scene, "path", runs=6, passes=1, samples=512, seed=40)
+    images = replicas(scene, "guided", runs=6, passes=6, samples=96, **TRAINED)
+    assert_agree(images, reference, group, precision=0.03)
+
+
+def test_it_learns_where_the_door_is():
+    """Passes after training have less than a third of the variance of those before; and the mean is that of path."""
+    runner = prepared(behind_a_door(), "guided", samples_per_pass=256, generations=3, cell_samples=1000)
+    go(runner, 7)
+    trained = go(runner, 8, first=7).images
+    plain = run(behind_a_door(), "path", passes=8, samples=1024, seed=2).images
+    mean = trained.mean(0)
+    assert variance(trained, mean) < 0.33 * 4.0 * variance(plain, mean)
+    assert_agree(trained, plain, "ajar", block=6, precision=0.15)
+
+
+def test_the_guide_grows_and_stays():
+    runner = prepared(behind_a_door(), "guided", samples_per_pass=64, generations=3, cell_samples=200)
+    cells, places = [runner._guide.cells], [runner._guide.places]
+    for iteration in range(9):
+        runner.step(iteration, 1)
+        cells.append(runner._guide.cells)
+        places.append(runner._guide.places)
+    changes = [i for i, (a, b) in enumerate(itertools.pairwise(places)) if a != b]
+    assert changes == [0, 2, 6]
+    assert cells[-1] > cells[1] > 6
+    trees = runner._guide._trees
+    assert trees.count == runner._guide.cells
+    assert trees.level.max() >= 3
+
+
+def test_passes_weigh_more_as_it_learns():
+    runner = prepared(lit_room(), "guided", samples_per_pass=4, generations=4, first_weight=0.25)
+    passes = [runner.step(i, 1) for i in range(8)]
+    assert [m.weights["image"] / 4 for m in passes] == [0.25, 0.5, 0.5, 1, 1, 1, 1, 1]
+    means = [m.mean() for m in passes[:3]]
+    total = passes[0] + passes[1] + passes[2]
+    np.testing.assert_allclose(total.mean(), 0.2 * means[0] + 0.4 * means[1] + 0.4 * means[2])
+
+
+@pytest.mark.parametrize("stop", [2, 5, 8])
+def test_a_run_goes_on_where_it_stopped(stop):
+    """In the midst of a generation, at the end of one and after training: bit by bit."""
+    settings = {"samples_per_pass": 16, **TRAINED}
+    whole = go(prepared(lit_room(), "guided", **settings), 10)
+    first = prepared(lit_room(), "guided", **settings)
+    begun = go(first, stop)
+    resumed = prepared(lit_room(), "guided", **settings)
+    resumed.restore(dict(first.state()))
+    rest = go(resumed, 10 - stop, first=stop)
+    np.testing.assert_array_equal((begun.measurement + rest.measurement).mean(), whole.mean)
+
+
+def test_a_state_that_does_not_fit_is_refused():
+    first = prepared(lit_room(), "guided", samples_per_pass=16, **TRAINED)
+    go(first, 1)
+    state = dict(first.state())
+    state["found"] = state["found"][:-4]
+    with pytest.raises(CheckpointError, match="damaged"):
+        prepared(lit_room(), "guided", samples_per_pass=16, **TRAINED).restore(state)
+
+
+def test_a_seed_gives_one_picture_whatever_was_learned():
+    settings = {"samples_per_pass": 64, **TRAINED}
+    first, again = (go(prepared(behind_a_door(), "guided", **settings), 8).mean for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+
+
+def test_learning_compiles_nothing():
+    scene = lit_room()
+    go(prepared(scene, "guided", samples_per_pass=16, **TRAINED), 3)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        go(prepared(scene, "guided", samples_per_pass=16, seed=2, **TRAINED), 10, seed=2)
+        kernels = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
+    assert kernels
+    assert all(kernel["cache_hit"] for kernel in kernels)
+
+
+def test_little_memory_learns_from_fewer_paths():
+    scene = scenes.room("sphere", "rough")
+    scene.memory = 1_000_000
+    runner = prepared(scene, "guided", samples_per_pass=128, **TRAINED)
+    assert runner._stride(192 * 128) == 6
+    images = replicas(scene, "guided", runs=6, passes=3, samples=128, **TRAINED)
+    assert runner._stride(10) == 1
+    assert_agree(images, run(scene, "path", passes=6, samples=384, seed=9).images, "memory", precision=0.03)
+
+
+def test_a_black_picture_teaches_nothing():
+    """A lamp that no path meets: no light to learn from, and no NaN."""
+    scene = scenes.load(
+        {
+            "type": "scene",
+            "sensor": scenes.camera(),
+            "light": scenes.EMITTERS["point"]()["light"],
+            "ball": {"type": "sphere", "center": [0, 0.5, 0], "radius": 0.4, "bsdf": scenes.MATERIALS["conductor"]()},
+        }
+    )
+    result = run(scene, "guided", passes=4, samples=4)
+    assert not result.mean.any()
+    assert result.measurement.counters["nonfinite"] == 0
