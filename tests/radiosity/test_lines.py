@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 from support.patches import box, cube, joined, room, square
 
+import etendue.radiosity
+from etendue.core import BackendError
 from etendue.points import Halton, Independent, OwenSobol
 from etendue.radiosity import (
     GENERATORS,
@@ -16,6 +20,7 @@ from etendue.radiosity import (
     RadiosityError,
     RayScene,
     Segments,
+    local_form_factors,
 )
 
 BALL_AND_FLOOR = joined(box((-0.2, -0.3, -0.1), (0.2, 0.1, 0.4), 2), square((-1, -1, -0.5), (2, 0, 0), (0, 2, 0)))
@@ -197,3 +202,20 @@ def test_what_cannot_be_cast():
         segments.gather(np.ones(6), normalisation="guessed")
     with pytest.raises(RadiosityError, match="different patches"):
         segments + ABuffer(cube(2)).cast(1)
+
+
+def test_without_numba_there_are_rays(monkeypatch):
+    """The loops for the CPU need it; what is said tells how to get it."""
+    monkeypatch.setitem(sys.modules, "numba", None)
+    monkeypatch.delitem(sys.modules, "etendue.radiosity.compiled", raising=False)
+    monkeypatch.delattr(etendue.radiosity, "compiled", raising=False)
+    patches = cube(1)
+    with pytest.raises(BackendError, match="numba"):
+        ABuffer(patches).cast(1)
+    factors = local_form_factors(RayScene(patches), 64)
+    np.testing.assert_allclose(factors.row_sums(), 1)
+
+
+def test_what_does_not_fit_into_memory_is_refused_before():
+    with pytest.raises(RadiosityError, match=r"GB.*cast fewer points, or take stream"):
+        ABuffer(room(2), lines=1e9).cast(10_000)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from support.patches import cube, room
@@ -19,8 +20,10 @@ from etendue.radiosity import (
     form_factors,
     multipath,
     multipath_bundles,
+    scene_patches,
     solve,
 )
+from etendue.scene import load
 
 
 def lit_room(n, channels=3):
@@ -132,6 +135,30 @@ def test_multipath_under_a_sky():
         (patches.areas[:, None] * result.radiosity).sum(axis=0), (patches.areas[:, None] * exact).sum(axis=0), rtol=0.03
     )
     np.testing.assert_allclose(result.sent, result.absorbed + result.to_sky + result.unshot.sum(axis=0), rtol=1e-9)
+
+
+def test_the_light_of_path_tracing():
+    """Mean radiosity of the walls of the Cornell box, against paths that start there."""
+    scene = load("cornell-box", check=False).scene
+    patches = scene_patches(scene, max_area=0.02)
+    solution = solve(patches, ABuffer(patches, OwenSobol(4, seed=1)).cast(512), "conjugate-gradient")
+    integrator = mi.load_dict({"type": "path", "max_depth": 40, "rr_depth": 40})
+    walls = [shape for shape in scene.shapes() if shape.id() in ("floor", "ceiling", "back", "green-wall", "red-wall")]
+    assert len(walls) == 5
+    for wall in walls:
+        lanes = 1 << 15
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(3, lanes)
+        point = wall.sample_position(0.0, sampler.next_2d())
+        ray = mi.RayDifferential3f(mi.Ray3f(point.p + 1e-3 * point.n, -point.n))
+        found = np.pi * np.array(integrator.sample(scene, sampler, ray)[0]).reshape(3, -1)
+        centre, normal = np.array(point.p).mean(axis=1), np.array(point.n).mean(axis=1)
+        on_wall = (np.abs((patches.centres - centre) @ normal) < 1e-4) & (patches.normals @ normal > 0.999)
+        areas = patches.areas[on_wall]
+        mean = (areas[:, None] * solution.radiosity[on_wall]).sum(axis=0) / areas.sum()
+        error = found.std(axis=1) / np.sqrt(lanes)
+        # Light leaks through patches that a box stands on, in part.
+        assert (np.abs(mean - found.mean(axis=1)) < 4 * error + 0.01 * mean).all(), wall.id()
 
 
 def test_what_cannot_be_solved():

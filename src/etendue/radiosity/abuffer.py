@@ -20,7 +20,7 @@ _BUNDLES = 8
 #: Faces nearer to each other than twice this part of the scene's radius look at each other, if turned so.
 _NUDGE = 1e-7
 #: Lines for each patch and bundle, in the mean, if their number is not given; and the fewest.
-_LINES_PER_PATCH, _FEWEST = 1.0, 4096
+_LINES_PER_PATCH, _FEWEST = 2.0, 4096
 
 
 class ABuffer(LineEngine):
@@ -30,7 +30,7 @@ class ABuffer(LineEngine):
     but each line of the grid keeps all faces that it meets. Sorted by depth, neighbours see each other
     [Carpenter 1984]. In double precision, no line of a closed mesh slips between two faces.
 
-    lines: of a bundle through the bounding sphere; by default as many as meet a patch once in the mean, and 4096 at
+    lines: of a bundle through the bounding sphere; by default as many as meet a patch twice in the mean, and 4096 at
         least. Directions matter more than lines: have some thousand of them.
     """
 
@@ -43,7 +43,7 @@ class ABuffer(LineEngine):
         self.bundles = Bundles(patches, lines)
         used, faces = np.unique(patches.faces, return_inverse=True)
         self._vertices = np.ascontiguousarray(patches.vertices[used] - self.bundles.centre)
-        self._faces = np.ascontiguousarray(faces.reshape(-1, 4), dtype=np.int32)
+        self._faces = np.ascontiguousarray(faces.reshape(-1, 4), dtype=np.uint32)
         dark = len(patches) + 1
         self._front = patches.front.astype(np.uint32)
         self._back = np.where(patches.back < 0, dark, patches.back).astype(np.uint32)

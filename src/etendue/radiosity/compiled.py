@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def rasterise(
     vertices: Any,
     faces: Any,
@@ -70,10 +70,10 @@ def rasterise(
             if line == columns * rows:
                 break
             stack, order = np.empty(2 * len(stack), np.int32), np.empty(2 * len(stack))
-    return pairs[:made].copy()
+    return pairs[:made]
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _project(vertices: Any, frame: Any, shift: Any, spacing: Any, place: Any) -> Any:
     """Write column, row and depth of the vertices to ``place`` (v, 3), and return the bounds of the first two."""
     xx, xy, xz = frame[0, 0] / spacing, frame[0, 1] / spacing, frame[0, 2] / spacing
@@ -91,7 +91,7 @@ def _project(vertices: Any, frame: Any, shift: Any, spacing: Any, place: Any) ->
     return low_x, high_x, low_y, high_y
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _fill(
     place: Any,
     faces: Any,
@@ -169,7 +169,7 @@ def _fill(
     return len(faces), count, 0
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _walk(
     heads: Any,
     lines: Any,
@@ -216,21 +216,21 @@ def _walk(
     return lines, made
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _grown(array: Any, size: Any, used: Any) -> Any:
     larger = np.empty(size, array.dtype)
     larger[:used] = array[:used]
     return larger
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def _grown_pairs(array: Any, size: Any, used: Any) -> Any:
     larger = np.empty((size, 2), array.dtype)
     larger[:used] = array[:used]
     return larger
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def gather(pairs: Any, values: Any, sums: Any) -> None:
     """Add to ``sums`` (n + 2, c) of each end of a segment the ``values`` (n + 2, c) of the other end."""
     for k in range(len(pairs)):
@@ -240,7 +240,7 @@ def gather(pairs: Any, values: Any, sums: Any) -> None:
             sums[j, c] += values[i, c]
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def gather_one(pairs: Any, values: Any, sums: Any) -> None:
     """:func:`gather` for one channel, (n + 2,)."""
     for k in range(len(pairs)):
@@ -249,7 +249,7 @@ def gather_one(pairs: Any, values: Any, sums: Any) -> None:
         sums[j] += values[i]
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def count_ends(pairs: Any, counts: Any) -> None:
     """Add to ``counts`` (n + 2, 3) of each end: segments, those whose other end is the sky, those that is dark."""
     sky = len(counts) - 2
@@ -263,7 +263,7 @@ def count_ends(pairs: Any, counts: Any) -> None:
             counts[i, 1 + j - sky] += 1
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def count_rows(pairs: Any, patches: Any, rows: Any) -> None:
     """Add to ``rows`` (n,) the segments between patches whose smaller number is that row's."""
     for k in range(len(pairs)):
@@ -272,7 +272,7 @@ def count_rows(pairs: Any, patches: Any, rows: Any) -> None:
             rows[min(i, j)] += 1
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def fill_rows(pairs: Any, patches: Any, ends: Any, columns: Any) -> None:
     """Write the larger patch number of each such segment to its row of ``columns``, ``ends`` being the next places."""
     for k in range(len(pairs)):
@@ -283,7 +283,7 @@ def fill_rows(pairs: Any, patches: Any, ends: Any, columns: Any) -> None:
             ends[row] += 1
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def merge_rows(starts: Any, columns: Any, patches: Any) -> Any:
     """Row starts, columns and numbers of repetition: ``columns`` with each column of a row once. Overwrites it."""
     begin = np.zeros(patches + 1, np.int64)
@@ -304,7 +304,7 @@ def merge_rows(starts: Any, columns: Any, patches: Any) -> Any:
     return begin, columns[:made].copy(), counts[:made].copy()
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def multipath(pairs: Any, reflectance: Any, per_line: Any, unshot: Any, received: Any) -> None:
     """Exchange power along segments one after the other [Sbert 1996]; arrays (n + 2, c), the last two changed.
 
@@ -322,7 +322,7 @@ def multipath(pairs: Any, reflectance: Any, per_line: Any, unshot: Any, received
             unshot[j, c] = to_j * reflectance[j, c]
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def gauss_seidel(starts: Any, columns: Any, data: Any, reflectance: Any, known: Any, radiosity: Any) -> None:
     """One sweep over a CSR matrix F: each row of ``radiosity`` (n, c) at once becomes ``known + reflectance F B``."""
     sums = np.empty(radiosity.shape[1])
@@ -339,7 +339,7 @@ def gauss_seidel(starts: Any, columns: Any, data: Any, reflectance: Any, known: 
             radiosity[i, c] = (known[i, c] + reflectance[i, c] * sums[c]) / (1 - reflectance[i, c] * own)
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def shoot(
     starts: Any, rows: Any, data: Any, areas: Any, reflectance: Any, unshot: Any, radiosity: Any, steps: Any
 ) -> None:
