@@ -1,0 +1,59 @@
+"""Radiosity: patches, lines through them, form factors. What sees a picture is unknown here."""
+
+from .abuffer import ABuffer
+from .chained import ChainedRays
+from .diagnosis import Diagnosis, diagnose
+from .engine import LineEngine
+from .errors import PatchError, RadiosityError
+from .formfactors import ESTIMATORS, Estimator, FormFactors, estimate, form_factors, pair_errors
+from .lines import GENERATORS, BoxWalls, Bundles, GreatCircle, LineGenerator, Lines, SpherePairs
+from .local import LocalRays
+from .localfactors import area_form_factors, local_form_factors
+from .meshfiles import read_patches
+from .multipath import FirstShot, Multipath, first_shot, multipath, multipath_bundles
+from .patches import Patches
+from .raycasting import RayScene
+from .scenes import scene_patches
+from .segments import Segments
+from .solvers import SOLVERS, Solution, Solver, Transport, solve
+
+__all__ = [
+    "ESTIMATORS",
+    "GENERATORS",
+    "SOLVERS",
+    "ABuffer",
+    "BoxWalls",
+    "Bundles",
+    "ChainedRays",
+    "Diagnosis",
+    "Estimator",
+    "FirstShot",
+    "FormFactors",
+    "GreatCircle",
+    "LineEngine",
+    "LineGenerator",
+    "Lines",
+    "LocalRays",
+    "Multipath",
+    "PatchError",
+    "Patches",
+    "RadiosityError",
+    "RayScene",
+    "Segments",
+    "Solution",
+    "Solver",
+    "SpherePairs",
+    "Transport",
+    "area_form_factors",
+    "diagnose",
+    "estimate",
+    "first_shot",
+    "form_factors",
+    "local_form_factors",
+    "multipath",
+    "multipath_bundles",
+    "pair_errors",
+    "read_patches",
+    "scene_patches",
+    "solve",
+]

@@ -1,0 +1,70 @@
+"""What may be wrong with a mesh, found without casting a line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .patches import Patches
+
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What :func:`diagnose` finds. Vertices at the same place count as one.
+
+    A line that meets the back of a face says that a mesh is open, or turned inside out as a whole, which its edges do
+    not show: see :attr:`Segments.dark`.
+    """
+
+    #: Faces that have the corners of an earlier one. Which of the two a line meets is left to chance.
+    duplicates: Index
+    #: Edges of one face only, (e, 2) vertex indices; sheets with two sides, which have a border, are left out.
+    open_edges: Index
+    #: Edges of more than two faces.
+    crowded_edges: Index
+    #: Edges that two faces run through in the same direction: one of the two is turned the wrong way.
+    flipped_edges: Index
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the faces with one side bound solids or rooms: every edge has two faces, turned alike."""
+        return len(self.open_edges) == len(self.crowded_edges) == len(self.flipped_edges) == 0
+
+    def __str__(self) -> str:
+        found = [
+            (self.duplicates, "face given twice", "faces given twice"),
+            (self.open_edges, "open edge", "open edges"),
+            (self.crowded_edges, "edge of more than two faces", "edges of more than two faces"),
+            (self.flipped_edges, "edge between faces turned differently", "edges between faces turned differently"),
+        ]
+        faults = [f"{len(x)} {one if len(x) == 1 else many}" for x, one, many in found if len(x)]
+        return ("closed" if self.is_closed else "not closed") + "".join(f", {fault}" for fault in faults)
+
+
+def diagnose(patches: Patches) -> Diagnosis:
+    """Look for faces given twice, and for edges that no solid has."""
+    _, place = np.unique(patches.vertices, axis=0, return_inverse=True)
+    faces = place.reshape(-1)[patches.faces]
+    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+    duplicates = np.setdiff1d(np.arange(len(faces)), first)
+
+    sided = np.flatnonzero(patches.back < 0)
+    start = faces[sided].ravel()
+    end = np.roll(faces[sided], -1, axis=1).ravel()
+    # The last corner of a triangle is there twice: that is no edge.
+    real = start != end
+    where = np.stack([patches.faces[sided].ravel(), np.roll(patches.faces[sided], -1, axis=1).ravel()], axis=1)[real]
+    start, end = start[real], end[real]
+    key = np.minimum(start, end) * (len(place) + 1) + np.maximum(start, end)
+    _, first, inverse, count = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
+    forward = np.bincount(inverse.reshape(-1), start < end)
+    return Diagnosis(
+        duplicates=duplicates,
+        open_edges=where[first[count == 1]],
+        crowded_edges=where[first[count > 2]],
+        flipped_edges=where[first[(count == 2) & (forward != 1)]],
+    )

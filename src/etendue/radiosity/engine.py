@@ -1,0 +1,67 @@
+"""What casts lines: engines that turn points of a set into segments."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+
+import numpy as np
+
+from etendue.core import Array, free_memory
+from etendue.points import OwenSobol, PointSet
+
+from .errors import RadiosityError
+from .patches import Patches
+from .segments import Pairs, Segments
+
+
+class LineEngine(ABC):
+    """Casts lines through patches, as many as there are points of a set of four dimensions.
+
+    points: by default a scrambled Sobol' sequence.
+
+    The same points give the same segments, on any number of threads. Raises :class:`RadiosityError` for points of
+    another dimension.
+    """
+
+    def __init__(self, patches: Patches, points: PointSet | None = None) -> None:
+        self.patches = patches
+        self.points = OwenSobol(4) if points is None else points
+        if self.points.dimension != 4:
+            raise RadiosityError(f"a line takes points of four dimensions, not of {self.points.dimension}")
+
+    @abstractmethod
+    def piece(self, count: int) -> int:
+        """Points of a piece of :meth:`stream`, when so many are cast; the last piece may have less."""
+
+    @abstractmethod
+    def stream(self, count: int, first: int = 0) -> Iterator[Pairs]:
+        """The segments of ``count`` points from ``first`` on, without storing them: (k, 2) arrays in the order of the
+        points, one for each :meth:`piece`."""
+
+    @abstractmethod
+    def expected(self, count: int) -> Array:
+        """(n,) how many segments each patch should have, were it flat, for ``count`` points."""
+
+    def cast(self, count: int, first: int = 0, batches: int = 16) -> Segments:
+        """The segments of ``count`` points from ``first`` on, in at most so many batches.
+
+        Raises :class:`RadiosityError` for less than one point, and if the segments do not fit into memory.
+        """
+        if count < 1:
+            raise RadiosityError(f"there is nothing to cast: {count} points")
+        need, free = 4 * float(self.expected(count).sum()), free_memory()
+        if free is not None and need > free:
+            raise RadiosityError(
+                f"segments of {count} points need {need / 1e9:.1f} GB, there are {free / 1e9:.1f}: cast fewer points, "
+                "or take stream()"
+            )
+        chunks = list(self.stream(count, first))
+        batches = min(batches, len(chunks))
+        number = np.arange(len(chunks)) * batches // len(chunks)
+        return Segments(self.patches, chunks, number, self.expected(count))
+
+    def _pieces(self, count: int, first: int) -> Iterator[tuple[int, int]]:
+        """First point and number of points of each piece."""
+        size = self.piece(count)
+        return ((start, min(size, first + count - start)) for start in range(first, first + count, size))

@@ -1,0 +1,103 @@
+"""Flat faces: triangles and quadrilaterals as rows of four vertex indices, a triangle repeating its last."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from etendue.core import Array
+
+from .errors import PatchError
+
+Index = NDArray[np.int64]
+
+#: A face has no area if its area is below this part of its longest side squared.
+_NO_AREA = 1e-12
+#: A quadrilateral is flat if its corners are this near to their plane, in units of its diagonals.
+_FLAT = 1e-9
+
+
+def flat_faces(vertices: Array, faces: ArrayLike | Sequence[Sequence[int]]) -> tuple[Index, Index]:
+    """Faces (f, 4) that are flat and convex, and the row of ``faces`` that each is of.
+
+    Raises :class:`PatchError` if there are none, for another number of corners, and for indices out of range.
+    """
+    quads = _four_corners(faces)
+    if len(quads) == 0:
+        raise PatchError("there are no faces: a radiosity problem needs one patch at least")
+    low, high = quads.min(), quads.max()
+    if low < 0 or high >= len(vertices):
+        bad = int(np.argmax(((quads < 0) | (quads >= len(vertices))).any(axis=1)))
+        raise PatchError(f"face {bad} names vertex {low if low < 0 else high}, but there are {len(vertices)} vertices")
+    # A corner given twice in a row is none: such a quadrilateral is a triangle.
+    for corner in range(3):
+        same = quads[:, corner] == quads[:, corner + 1]
+        quads[same, corner:3] = quads[same, corner + 1 :]
+    same = (quads[:, 0] == quads[:, 3]) & (quads[:, 2] != quads[:, 3])
+    quads[same, 3] = quads[same, 2]
+    bent = np.flatnonzero(_is_bent(vertices, quads))
+    if len(bent) == 0:
+        return quads, np.arange(len(quads))
+    halves = _halves(vertices, quads[bent])
+    rows = np.concatenate([np.delete(np.arange(len(quads)), bent), np.repeat(bent, 2)])
+    order = np.argsort(rows, kind="stable")
+    return np.concatenate([np.delete(quads, bent, axis=0), halves])[order], rows[order]
+
+
+def face_vectors(vertices: Array, faces: Index) -> tuple[Array, NDArray[np.bool_]]:
+    """Normals of twice the area as length (f, 3), and which faces have next to no area."""
+    a, b, c, d = (vertices[faces[:, i]] for i in range(4))
+    vectors = np.cross(c - a, d - b)
+    longest = np.maximum.reduce([((x - y) ** 2).sum(axis=1) for x, y in ((a, b), (b, c), (c, d), (d, a), (a, c))])
+    return vectors, ~(np.linalg.norm(vectors, axis=1) > _NO_AREA * longest)
+
+
+def triangles(faces: Index) -> tuple[Index, Index]:
+    """Faces cut into triangles (t, 3), and the face that each is of."""
+    quad = np.flatnonzero(faces[:, 2] != faces[:, 3])
+    corners = np.concatenate([faces[:, :3], faces[quad][:, [0, 2, 3]]])
+    return corners, np.concatenate([np.arange(len(faces)), quad])
+
+
+def _four_corners(faces: ArrayLike | Sequence[Sequence[int]]) -> Index:
+    try:
+        array = np.asarray(faces)
+    except ValueError:  # rows of unequal length
+        rows = [list(row) for row in cast(Sequence[Sequence[int]], faces)]
+        bad = next((i for i, row in enumerate(rows) if len(row) not in (3, 4)), None)
+        if bad is not None:
+            raise PatchError(f"face {bad} has {len(rows[bad])} corners; cut it into triangles") from None
+        array = np.array([row if len(row) == 4 else [*row, row[2]] for row in rows])
+    if array.size == 0:
+        return np.empty((0, 4), dtype=np.int64)
+    if array.ndim != 2 or array.shape[1] not in (3, 4) or array.dtype.kind not in "iu":
+        raise PatchError(f"faces are whole numbers (m, 3) or (m, 4), not {array.dtype} of shape {array.shape}")
+    array = array.astype(np.int64)
+    return array if array.shape[1] == 4 else array[:, [0, 1, 2, 2]]
+
+
+def _is_bent(vertices: Array, quads: Index) -> NDArray[np.bool_]:
+    """Whether a quadrilateral is not flat, or not convex."""
+    corners = vertices[quads]
+    normal = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    length = np.linalg.norm(normal, axis=1)
+    size = np.sqrt(np.maximum(length, 1e-300))
+    away = np.abs(((corners[:, 1] - corners[:, 0]) * normal).sum(axis=1))
+    bent = away > _FLAT * size * length
+    for i in range(4):
+        before, here, after = corners[:, i - 1], corners[:, i], corners[:, (i + 1) % 4]
+        turn = (np.cross(here - before, after - here) * normal).sum(axis=1)
+        bent |= turn < -_FLAT * length**2
+    return bent & (quads[:, 2] != quads[:, 3])
+
+
+def _halves(vertices: Array, quads: Index) -> Index:
+    """Two triangles of each quadrilateral, one after the other, along the diagonal that leaves both upright."""
+    one = np.stack([quads[:, [0, 1, 2, 2]], quads[:, [0, 2, 3, 3]]], axis=1)
+    other = np.stack([quads[:, [1, 2, 3, 3]], quads[:, [1, 3, 0, 0]]], axis=1)
+    first, second = (face_vectors(vertices, one[:, i])[0] for i in range(2))
+    upright = (first * second).sum(axis=1) > 0
+    return np.where(upright[:, None, None], one, other).reshape(-1, 4)

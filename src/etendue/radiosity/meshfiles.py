@@ -1,0 +1,148 @@
+"""Patches from mesh files, read by meshio (PLY, OBJ, STL, OFF, VTK, VTU, Gmsh and more) or trimesh (glTF and more)."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from etendue.core import Array, BackendError, logger, suggest
+
+from .errors import PatchError
+from .faces import face_vectors, flat_faces
+from .patches import Patches
+
+Index = NDArray[np.int64]
+
+#: What trimesh reads and meshio does not.
+_TRIMESH = (".gltf", ".glb", ".3mf", ".dae")
+
+
+def read_patches(
+    path: str | Path,
+    *,
+    reflectance: ArrayLike | str = 0.0,
+    emission: ArrayLike | str = 0.0,
+    ids: ArrayLike | str | None = None,
+    two_sided: ArrayLike = False,
+    sky: ArrayLike = 0.0,
+) -> Patches:
+    """Patches of a mesh file, with the arguments of :class:`Patches`.
+
+    reflectance, emission, ids: also the name of an array that the file has for its faces (cell data of VTK and others),
+        taken face by face; a patch of several faces gets their mean by area. ``"emissivity"`` as reflectance stands for
+        one minus that array.
+
+    Triangles and quadrilaterals are taken, other cells left out. Faces without area, and those that are there twice,
+    are left out with a warning. Raises :class:`PatchError` for a file that cannot be read, has no faces, or no such
+    array, and :class:`etendue.core.BackendError` if the library that reads it is not installed.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise PatchError(f"there is no mesh file {path}")
+    read = _by_trimesh if path.suffix.lower() in _TRIMESH else _by_meshio
+    vertices, faces, cells = read(path)
+    if len(faces) == 0:
+        raise PatchError(f"{path} has no triangles or quadrilaterals")
+    vertices, faces, kept = sound_faces(vertices, faces, str(path))
+    cells = {name: values[kept] for name, values in cells.items()}
+
+    labels = _cell_array(path, cells, ids, whole=True)
+    rho = (
+        1 - _cell_array(path, cells, reflectance)
+        if reflectance == "emissivity"
+        else _cell_array(path, cells, reflectance)
+    )
+    exitance = _cell_array(path, cells, emission)
+    if labels is not None:
+        groups, inverse = np.unique(labels, return_inverse=True)
+        areas = np.linalg.norm(face_vectors(vertices, faces)[0], axis=1)
+        if isinstance(reflectance, str):
+            rho = _means(rho, inverse, areas, len(groups))
+        if isinstance(emission, str):
+            exitance = _means(exitance, inverse, areas, len(groups))
+    return Patches(vertices, faces, reflectance=rho, emission=exitance, ids=labels, two_sided=two_sided, sky=sky)
+
+
+def sound_faces(vertices: Array, faces: Index, where: str) -> tuple[Array, Index, Index]:
+    """Vertices, faces (m, 4) without those that have no area or are there twice, and which are left.
+
+    Faces at the same place count as the same, whichever way they are turned. Warns; raises :class:`PatchError` if none
+    is left.
+    """
+    if not np.isfinite(vertices).all():
+        bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+        raise PatchError(f"{where}: {len(bad)} vertices are not finite, the first is number {bad[0]}; mend the mesh")
+    quads, rows = flat_faces(vertices, faces)
+    _, flat = face_vectors(vertices, quads)
+    empty = np.ones(len(faces), dtype=bool)
+    np.logical_and.at(empty, rows, flat)
+    kept = np.flatnonzero(~empty)
+    _, place = np.unique(vertices, axis=0, return_inverse=True)
+    _, first = np.unique(np.sort(place.reshape(-1)[faces[kept]], axis=1), axis=0, return_index=True)
+    twice = len(kept) - len(first)
+    kept = kept[np.sort(first)]
+    if empty.any() or twice:
+        logger.warning(
+            "%s: of %d faces %d have no area and %d are there twice; they are left out",
+            *(where, len(faces), np.count_nonzero(empty), twice),
+        )
+    if len(kept) == 0:
+        raise PatchError(f"{where}: none of {len(faces)} faces has an area")
+    return vertices, faces[kept], kept
+
+
+def _cell_array(path: Path, cells: dict[str, Array], value: Any, whole: bool = False) -> Any:
+    if not isinstance(value, str):
+        return value
+    if value not in cells:
+        what = suggest(value, cells) if cells else "it has no arrays for its faces"
+        raise PatchError(f"{path} has no array '{value}' for its faces; {what}")
+    return np.rint(cells[value]).astype(np.int64).ravel() if whole else cells[value]
+
+
+def _means(values: Any, group: Index, areas: Array, count: int) -> Array:
+    columns = np.asarray(values, dtype=np.float64).reshape(len(group), -1).T
+    weight = np.bincount(group, areas, count)
+    return np.stack([np.bincount(group, column * areas, count) / weight for column in columns], axis=1)
+
+
+def _by_meshio(path: Path) -> tuple[Array, Index, dict[str, Array]]:
+    meshio = _library("meshio", path)
+    try:
+        mesh = meshio.read(path)
+    except (Exception, SystemExit) as error:  # meshio ends the process where it knows no reader
+        raise PatchError(
+            f"{path} cannot be read as a mesh: {' '.join(str(error).split()) or type(error).__name__}"
+        ) from error
+    blocks = [(i, block.data) for i, block in enumerate(mesh.cells) if block.type in ("triangle", "quad")]
+    faces = [data[:, [0, 1, 2, -1]] for _, data in blocks]
+    cells = {
+        name: np.concatenate([np.asarray(arrays[i], dtype=np.float64) for i, _ in blocks])
+        for name, arrays in mesh.cell_data.items()
+        if blocks
+    }
+    points = np.asarray(mesh.points, dtype=np.float64)
+    if points.shape[1] == 2:
+        points = np.pad(points, ((0, 0), (0, 1)))
+    return points, np.concatenate([np.empty((0, 4), np.int64), *faces]).astype(np.int64), cells
+
+
+def _by_trimesh(path: Path) -> tuple[Array, Index, dict[str, Array]]:
+    trimesh = _library("trimesh", path)
+    try:
+        mesh = trimesh.load(path, force="mesh", process=False)
+    except Exception as error:
+        raise PatchError(f"{path} cannot be read as a mesh: {' '.join(str(error).split())}") from error
+    faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
+    return np.asarray(mesh.vertices, dtype=np.float64), faces[:, [0, 1, 2, 2]], {}
+
+
+def _library(name: str, path: Path) -> Any:
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise BackendError(f"{path} is read by {name}, which is not here: pip install 'etendue[radiosity]'") from error

@@ -1,0 +1,265 @@
+"""Patches: flat faces in space, grouped, each group with one reflectance and one emission."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from etendue.core import Array
+
+from .errors import PatchError
+from .faces import face_vectors, flat_faces
+from .subdivision import subdivide
+
+Index = NDArray[np.int64]
+
+
+class Patches:
+    """What light is exchanged between: patches of constant radiosity, each made of flat triangles and quadrilaterals.
+
+    A face has two sides. Its front, from which the corners are seen counterclockwise, belongs to a patch; its back to
+    another patch if it is ``two_sided``, and to none otherwise: then it only blocks. Patches seen from the front come
+    first, in order of their faces or ``ids``; the backs of sheets follow, in the same order.
+
+    Parameters
+    ----------
+    vertices: (v, 3).
+    faces: (m, 3), (m, 4), or m rows of three or four indices. A quadrilateral that is not flat and convex becomes two
+        triangles of the same patch.
+    reflectance: diffuse, in [0, 1): a number, one for each patch (n,), or with channels (n, c); (1, c) is one
+        colour for all.
+    emission: emitted power per area (for a Lambertian light of radiance L: pi L), in the same forms.
+    ids: (m,) whole numbers, faces of equal number form a patch; by default each face is one. Patches come in
+        ascending order of their numbers, which ``labels`` keeps.
+    two_sided: whether the backs are patches too: one answer, or one for each patch (n,). Backs get the reflectance of
+        the front and no emission, unless ``reflectance`` and ``emission`` have rows for them (see above).
+    sky: power per area that comes from where no face is, as if the surroundings had this radiosity: a number, or (c,).
+
+    Raises :class:`PatchError` for what cannot be: no face, a vertex that is not finite, a face without area, an index
+    out of range, a reflectance outside [0, 1), a negative emission.
+
+    Attributes
+    ----------
+    faces: (f, 4) vertex indices; a triangle repeats its last.
+    face_areas, face_normals: (f,), (f, 3).
+    front, back: (f,) the patch of each side of a face, -1 for a back that belongs to none.
+    areas, normals, centres: (n,), (n, 3), (n, 3), of patches; the normal is the mean over the patch.
+    reflectance, emission: (n, c).
+    sky: (c,).
+    labels: (n,) the number in ``ids``, or of the face; that of the front for a back.
+    """
+
+    def __init__(
+        self,
+        vertices: ArrayLike,
+        faces: ArrayLike | Sequence[Sequence[int]],
+        *,
+        reflectance: ArrayLike = 0.0,
+        emission: ArrayLike = 0.0,
+        ids: ArrayLike | None = None,
+        two_sided: ArrayLike = False,
+        sky: ArrayLike = 0.0,
+    ) -> None:
+        self.vertices: Array = _vertices(vertices)
+        self.faces, rows = flat_faces(self.vertices, faces)
+        self.face_areas, self.face_normals = _faces_with_area(self.vertices, self.faces, rows)
+        count = int(rows[-1]) + 1
+        labels = np.arange(count) if ids is None else _whole(ids, count)
+        self.labels, patch = np.unique(labels, return_inverse=True)
+        self.front: Index = patch[rows].astype(np.int64)
+        fronts = len(self.labels)
+
+        sheets = np.asarray(two_sided, dtype=bool)
+        if sheets.shape not in ((), (fronts,)):
+            raise PatchError(f"two_sided is one answer or one for each of {fronts} patches, not {sheets.shape}")
+        sheets = np.broadcast_to(sheets, (fronts,))
+        back = np.full(fronts, -1, dtype=np.int64)
+        back[sheets] = fronts + np.arange(np.count_nonzero(sheets))
+        self.back: Index = back[self.front]
+        self._fronts, self._sheets = fronts, np.flatnonzero(sheets)
+        self.labels = np.concatenate([self.labels, self.labels[self._sheets]])
+        self._set_properties(reflectance, emission, sky)
+
+    def _set_properties(self, reflectance: ArrayLike, emission: ArrayLike, sky: ArrayLike) -> None:
+        rho = self._spread("reflectance", reflectance, backs=1.0)
+        exitance = self._spread("emission", emission, backs=0.0)
+        light = np.atleast_1d(np.asarray(sky, dtype=np.float64))
+        if light.ndim != 1 or not np.isfinite(light).all() or (light < 0).any():
+            raise PatchError("the sky has one number for each channel, not negative and finite")
+        for name, x, ok in (
+            ("reflectance", rho, (rho >= 0) & (rho < 1)),
+            ("emission", exitance, (exitance >= 0) & np.isfinite(exitance)),
+        ):
+            bad = np.flatnonzero(~ok.all(axis=1))
+            if len(bad):
+                bounds = (
+                    "must be in [0, 1): with 1 light would never be absorbed" if x is rho else "must not be negative"
+                )
+                raise PatchError(
+                    f"{name} of {len(bad)} patches {bounds}; the first is patch {bad[0]} with {x[bad[0]].tolist()}"
+                )
+        channels = {x.shape[-1] for x in (rho, exitance, light)} - {1}
+        if len(channels) > 1:
+            raise PatchError(
+                f"reflectance has {rho.shape[1]} channels, emission {exitance.shape[1]}, the sky {len(light)}: give "
+                "them the same number, or one"
+            )
+        shape = (len(self), max(channels, default=1))
+        self.reflectance: Array = np.broadcast_to(rho, shape).copy()
+        self.emission: Array = np.broadcast_to(exitance, shape).copy()
+        self.sky: Array = np.broadcast_to(light, shape[1:]).copy()
+
+    def _spread(self, name: str, value: ArrayLike, backs: float) -> Array:
+        """``value`` for each patch, (n, channels) or (n, 1); ``backs`` scales that of a front for its back."""
+        try:
+            x = np.asarray(value, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise PatchError(f"{name} is a number, (n,) or (n, channels)") from None
+        if x.ndim < 2:
+            x = x.reshape(-1, 1)
+        if x.ndim != 2 or x.shape[1] == 0:
+            raise PatchError(f"{name} is a number, (n,) or (n, channels), not an array of shape {x.shape}")
+        if len(x) == 1:
+            x = np.broadcast_to(x, (self._fronts, x.shape[1]))
+        if len(x) == self._fronts:
+            x = np.concatenate([x, backs * x[self._sheets]])
+        if len(x) != len(self):
+            also = f" (or {len(self)} with the backs)" if len(self) > self._fronts else ""
+            raise PatchError(f"{name} has {len(x)} rows for {self._fronts} patches{also}")
+        return x
+
+    def __len__(self) -> int:
+        return self._fronts + len(self._sheets)
+
+    def __repr__(self) -> str:
+        return f"Patches({len(self)} patches of {len(self.faces)} faces, {self.channels} channels)"
+
+    @property
+    def channels(self) -> int:
+        """Colours or bands of reflectance and emission."""
+        return self.reflectance.shape[1]
+
+    @cached_property
+    def other_side(self) -> Index:
+        """(n,) the patch on the other side of a sheet, -1 where there is none."""
+        other = np.full(len(self), -1, dtype=np.int64)
+        backs = self._fronts + np.arange(len(self._sheets))
+        other[self._sheets], other[backs] = backs, self._sheets
+        return other
+
+    @cached_property
+    def areas(self) -> Array:
+        """(n,)"""
+        return self._both_sides(np.bincount(self.front, self.face_areas, self._fronts).astype(np.float64))
+
+    @cached_property
+    def normals(self) -> Array:
+        """(n, 3) unit vectors, of a patch that is not flat the mean; zero if that is nothing."""
+        summed = self._sums(self.face_normals)
+        length = np.linalg.norm(summed, axis=1, keepdims=True)
+        is_turned = length > 1e-9 * np.bincount(self.front, self.face_areas, self._fronts)[:, None]
+        normals = self._both_sides(np.divide(summed, length, out=np.zeros_like(summed), where=is_turned))
+        normals[self._fronts :] *= -1
+        return normals
+
+    @cached_property
+    def centres(self) -> Array:
+        """(n, 3)"""
+        middle = self.vertices[self.faces].mean(axis=1)
+        triangle = self.faces[:, 2] == self.faces[:, 3]
+        middle[triangle] = self.vertices[self.faces[triangle, :3]].mean(axis=1)
+        return self._both_sides(self._sums(middle)) / self.areas[:, None]
+
+    def _sums(self, of_faces: Array) -> Array:
+        weighted = of_faces * self.face_areas[:, None]
+        return np.stack([np.bincount(self.front, column, self._fronts) for column in weighted.T], axis=1)
+
+    def _both_sides(self, fronts: Array) -> Array:
+        return np.concatenate([fronts, fronts[self._sheets]])
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """Corners of the smallest box around all faces."""
+        used = self.vertices[np.unique(self.faces)]
+        return used.min(axis=0), used.max(axis=0)
+
+    @cached_property
+    def sphere(self) -> tuple[Array, float]:
+        """Centre and radius of a sphere around all faces: centred in the box, as small as that allows."""
+        centre = (self.bounds[0] + self.bounds[1]) / 2
+        used = self.vertices[np.unique(self.faces)]
+        return centre, float(np.sqrt(((used - centre) ** 2).sum(axis=1).max()))
+
+    def subdivided(self, max_area: float) -> Patches:
+        """The same surfaces in patches of at most ``max_area``: each face larger than that is cut into equal parts.
+
+        Every resulting face is a patch, and keeps reflectance and emission; ``labels`` are those of the patches here.
+        Raises :class:`PatchError` for an area that is not positive.
+        """
+        if not np.isfinite(max_area) or max_area <= 0:
+            raise PatchError(f"the largest area of a patch must be a positive number, not {max_area!r}")
+        vertices, faces, source = subdivide(self.vertices, self.faces, max_area)
+        front, back = self.front[source], self.back[source]
+        sides = np.concatenate([front, back[back >= 0]])
+        result = Patches(
+            vertices,
+            faces,
+            reflectance=self.reflectance[sides],
+            emission=self.emission[sides],
+            two_sided=back >= 0,
+            sky=self.sky,
+        )
+        result.labels = self.labels[sides]
+        return result
+
+    def with_properties(
+        self, reflectance: ArrayLike | None = None, emission: ArrayLike | None = None, sky: ArrayLike | None = None
+    ) -> Patches:
+        """The same patches with another reflectance, emission or sky, such as those of another band or hour. What is
+        stored of lines (:class:`Segments`) and form factors serves them as well. Raises :class:`PatchError`."""
+        result = object.__new__(Patches)
+        result.__dict__.update(self.__dict__)
+        result._set_properties(
+            self.reflectance if reflectance is None else reflectance,
+            self.emission if emission is None else emission,
+            self.sky if sky is None else sky,
+        )
+        return result
+
+
+def _vertices(values: Any) -> Array:
+    try:
+        vertices = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise PatchError("vertices are an array of numbers, (v, 3)") from None
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise PatchError(f"vertices are an array (v, 3), not one of shape {vertices.shape}")
+    broken = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    if len(broken):
+        raise PatchError(
+            f"{len(broken)} of {len(vertices)} vertices are not finite, the first is number {broken[0]}; mend the mesh"
+        )
+    return vertices
+
+
+def _faces_with_area(vertices: Array, faces: Index, rows: Index) -> tuple[Array, Array]:
+    vectors, is_flat_point = face_vectors(vertices, faces)
+    if is_flat_point.any():
+        first = int(rows[np.argmax(is_flat_point)])
+        raise PatchError(
+            f"{np.count_nonzero(is_flat_point)} of {len(faces)} faces have no area, the first is face {first}; remove "
+            "them (read_patches and scene_patches do)"
+        )
+    length = np.linalg.norm(vectors, axis=1)
+    return length / 2, vectors / length[:, None]
+
+
+def _whole(ids: ArrayLike, count: int) -> Index:
+    labels = np.asarray(ids)
+    if labels.shape != (count,) or labels.dtype.kind not in "iu":
+        raise PatchError(f"ids are whole numbers, one for each of {count} faces, not {labels.dtype} {labels.shape}")
+    return labels.astype(np.int64)

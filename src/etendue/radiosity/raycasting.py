@@ -1,0 +1,79 @@
+"""Rays against patches by Mitsuba: one mesh, centred and of unit size, since rays have single precision."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array, use_variant
+
+from .faces import triangles
+from .patches import Patches
+
+Index = NDArray[np.int64]
+
+#: A ray goes on this far from where it was, in radii. Less, and it meets the same face again; more, and it skips thin
+#: gaps.
+STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What rays meet first: of those that meet something the ray, the distance in radii, and the face. Host arrays."""
+
+    ray: Index
+    distance: NDArray[np.float32]
+    face: Index
+
+
+class RayScene:
+    """Patches as a scene for rays. ``centre`` and ``radius`` lead from their coordinates to those of the scene."""
+
+    def __init__(self, patches: Patches) -> None:
+        use_variant()
+        import mitsuba as mi
+
+        self.patches = patches
+        self.centre, self.radius = patches.sphere
+        corners, self._face = triangles(patches.faces)
+        mesh = mi.Mesh("patches", len(patches.vertices), len(corners))
+        parameters = mi.traverse(mesh)
+        parameters["vertex_positions"] = np.ascontiguousarray(self.local(patches.vertices), np.float32).ravel()
+        parameters["faces"] = np.ascontiguousarray(corners, np.uint32).ravel()
+        parameters.update()
+        self._scene = mi.load_dict({"type": "scene", "patches": mesh})
+
+    def local(self, points: Array) -> Array:
+        """Coordinates of the scene."""
+        return (points - self.centre) / self.radius
+
+    def first_hits(self, origins: Array, directions: Array) -> Hits:
+        """Closest hits of rays (n, 3), in coordinates of the scene."""
+        import mitsuba as mi
+
+        ray = mi.Ray3f(mi.Point3f(_columns(origins)), mi.Vector3f(_columns(directions)))
+        pi = self._scene.ray_intersect_preliminary(ray, coherent=False)
+        distance, triangle = np.array(pi.t), np.array(pi.prim_index)
+        hit = np.flatnonzero(np.isfinite(distance))
+        return Hits(hit, distance[hit], self._face[triangle[hit]])
+
+    def first_patches(self, points: Array, normals: Array, directions: Array) -> Index:
+        """What rays from points of surfaces with ``normals`` meet: a patch, ``n`` for the sky, ``n + 1`` for a back."""
+        hits = self.first_hits(points + STEP * normals, directions)
+        found = np.full(len(points), len(self.patches))
+        found[hits.ray] = self.sides(hits.face, directions[hits.ray])[0]
+        return found
+
+    def sides(self, face: Index, directions: Array) -> tuple[Index, Index]:
+        """Patches of the sides of faces towards the origin of rays, and away from it; ``n + 1`` for the back of one."""
+        front, back = self.patches.front[face], self.patches.back[face]
+        back = np.where(back < 0, len(self.patches) + 1, back)
+        is_back = (self.patches.face_normals[face] * directions).sum(axis=1) > 0
+        return np.where(is_back, back, front), np.where(is_back, front, back)
+
+
+def _columns(rows: Array) -> Any:
+    return np.ascontiguousarray(rows.T, dtype=np.float32)

@@ -1,0 +1,167 @@
+"""Segments: what lines through a scene are reduced to, pairs of patches that see each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from etendue.core import Array
+
+from .errors import RadiosityError
+from .parallel import compiled, in_order, threads
+from .patches import Patches
+
+Pairs = NDArray[np.uint32]
+#: How a sum over the segments of a patch becomes a mean: by their number, or by the number that its area lets expect.
+Normalisation = Literal["counted", "expected"]
+
+
+class Segments:
+    """Pieces of lines between two patches that face each other, 8 bytes each, in the order of the lines.
+
+    A segment is a pair of patch numbers. ``n`` stands for the sky, where a line ends that meets nothing, and ``n + 1``
+    for darkness: the back of a face that has one side. So every line through a patch is in one of its segments.
+    Of the segments of patch ``i`` the share that lead to ``j`` estimates the form factor F_ij, and whatever is a sum
+    over form factors is a run over the segments, at some hundred million in a second: a bounce, another band, another
+    hour.
+
+    Parts of the lines are kept apart as ``batches``, whose differences tell errors.
+
+    Attributes
+    ----------
+    patches: those that the lines were cast through; only number and areas are asked for.
+    chunks: arrays (k, 2), one after the other.
+    batches: (chunks,) the batch of each chunk, ascending from 0.
+    expected: (n,) how many lines should meet each patch, if it is flat.
+    """
+
+    def __init__(self, patches: Patches, chunks: Sequence[Pairs], batches: ArrayLike, expected: Array) -> None:
+        self.patches = patches
+        self.chunks = list(chunks)
+        self.batches = np.asarray(batches, dtype=np.int64)
+        self.expected = expected
+        ends: NDArray[np.int64] = self._sum("count_ends", np.zeros((len(patches) + 2, 3), np.int64))
+        ends = ends[: len(patches)]
+        #: (n,) segments of each patch: the lines that meet it.
+        self.counted: NDArray[np.int64] = ends[:, 0].copy()
+        #: (n,) those that lead to the sky.
+        self.to_sky: NDArray[np.int64] = ends[:, 1].copy()
+        #: (n,) those that lead to the back of a face.
+        self.to_dark: NDArray[np.int64] = ends[:, 2].copy()
+
+    def __len__(self) -> int:
+        return sum(len(chunk) for chunk in self.chunks)
+
+    def __repr__(self) -> str:
+        return f"Segments({len(self)} of {len(self.patches)} patches, {self.batch_count} batches)"
+
+    def __add__(self, other: Segments) -> Segments:
+        """Those of both, whose batches stay apart. Raises :class:`RadiosityError` if the patches are not the same."""
+        if len(self.patches) != len(other.patches) or not np.array_equal(self.patches.areas, other.patches.areas):
+            raise RadiosityError("segments of different patches cannot be put together")
+        batches = np.concatenate([self.batches, other.batches + self.batch_count])
+        return Segments(self.patches, self.chunks + other.chunks, batches, self.expected + other.expected)
+
+    @property
+    def batch_count(self) -> int:
+        """Number of batches."""
+        return int(self.batches[-1]) + 1 if len(self.batches) else 0
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the pairs."""
+        return sum(chunk.nbytes for chunk in self.chunks)
+
+    @property
+    def unseen(self) -> NDArray[np.int64]:
+        """Patches that no line has met: nothing is known of them."""
+        return np.flatnonzero(self.counted == 0)
+
+    @property
+    def sky(self) -> Array:
+        """(n,) the share of the segments of each patch that lead to the sky."""
+        return self.to_sky / np.maximum(self.counted, 1)
+
+    @property
+    def dark(self) -> Array:
+        """(n,) the share that lead to the back of a face: none in a closed mesh that is turned the right way."""
+        return self.to_dark / np.maximum(self.counted, 1)
+
+    @property
+    def exchange_weights(self) -> Array:
+        """(n,) what makes the exchange symmetric: weight_i F_ij = weight_j F_ji."""
+        return self.counted.astype(np.float64)
+
+    def gather(self, values: ArrayLike, sky: ArrayLike = 0.0, normalisation: Normalisation = "counted") -> Array:
+        """Mean of ``values`` (n, c) or (n,) over what each patch sees: F values, the irradiance if these are
+        radiosities.
+
+        ``sky`` is the value of the sky, a number or (c,). A patch that no line has met gets zero.
+        """
+        full, shape = self._with_sky(values, sky)
+        return _divide(self._gather(full), self._weights(normalisation)).reshape(shape)
+
+    def gather_error(self, values: ArrayLike, sky: ArrayLike = 0.0) -> Array:
+        """Standard error of :meth:`gather` (counted), from the scatter of the batches, in the shape of ``values``.
+
+        Batches of one point sequence spread more than independent ones would: the error is then an upper estimate.
+        Raises :class:`RadiosityError` for less than two batches.
+        """
+        if self.batch_count < 2:
+            raise RadiosityError("a standard error needs two batches of lines at least")
+        full, shape = self._with_sky(values, sky)
+        lines = self.counted[:, None].astype(np.float64)
+        mean = _divide(self._gather(full), lines[:, 0])
+        squares = np.zeros_like(mean)
+        for batch in range(self.batch_count):
+            part = self.batch(batch)
+            squares += (part._gather(full) - mean * part.counted[:, None]) ** 2
+        return (np.sqrt(squares * self.batch_count / (self.batch_count - 1)) / np.maximum(lines, 1)).reshape(shape)
+
+    def batch(self, number: int) -> Segments:
+        """One batch."""
+        chosen = [chunk for chunk, of in zip(self.chunks, self.batches, strict=True) if of == number]
+        return Segments(self.patches, chosen, np.zeros(len(chosen)), self.expected / self.batch_count)
+
+    def _weights(self, normalisation: Normalisation) -> Array:
+        if normalisation not in ("counted", "expected"):
+            raise RadiosityError(f"sums are divided by the 'counted' or the 'expected' lines, not {normalisation!r}")
+        return self.exchange_weights if normalisation == "counted" else self.expected
+
+    def _with_sky(self, values: ArrayLike, sky: ArrayLike) -> tuple[Array, tuple[int, ...]]:
+        x = np.asarray(values, dtype=np.float64)
+        if x.ndim not in (1, 2) or len(x) != len(self.patches):
+            raise RadiosityError(f"values have one row for each of {len(self.patches)} patches, not shape {x.shape}")
+        full = np.zeros((len(x) + 2, 1 if x.ndim == 1 else x.shape[1]))
+        full[: len(x)] = x.reshape(len(x), -1)
+        full[len(x)] = sky
+        return full, x.shape
+
+    def _gather(self, full: Array) -> Array:
+        if full.shape[1] == 1:
+            values = full[:, 0].copy()
+            sums: Array = self._sum("gather_one", np.zeros_like(values), values)[:, None]
+        else:
+            sums = self._sum("gather", np.zeros_like(full), full)
+        return sums[: len(self.patches)]
+
+    def _sum(self, loop: str, zero: Any, *arguments: Any) -> Any:
+        """What a compiled loop over all chunks adds to ``zero``, each thread having its own."""
+        add = getattr(compiled(), loop)
+        parts = np.array_split(np.arange(len(self.chunks)), threads())
+
+        def task(part: NDArray[np.int64]) -> Any:
+            out = zero.copy()
+            for k in part:
+                add(self.chunks[k], *arguments, out)
+            return out
+
+        return sum(in_order(partial(task, part) for part in parts), start=zero)
+
+
+def _divide(sums: Array, weights: Array) -> Array:
+    return np.divide(sums, weights[:, None], out=np.zeros_like(sums), where=weights[:, None] > 0)

@@ -1,0 +1,235 @@
+"""The radiosity system B = E + rho F B, solved on form factors or on segments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from etendue.core import Array, free_memory
+
+from .errors import RadiosityError
+from .formfactors import FormFactors
+from .parallel import compiled
+from .patches import Patches
+
+Solver = Literal["jacobi", "gauss-seidel", "southwell", "conjugate-gradient", "direct"]
+SOLVERS: tuple[Solver, ...] = ("jacobi", "gauss-seidel", "southwell", "conjugate-gradient", "direct")
+
+
+class Transport(Protocol):
+    """What carries light from patch to patch: :class:`FormFactors` or :class:`Segments`."""
+
+    @property
+    def sky(self) -> Array:
+        """(n,) the share of the light of each patch that leaves the scene."""
+        ...
+
+    @property
+    def exchange_weights(self) -> Array | None:
+        """(n,) ``w`` with w_i F_ij = w_j F_ji, or ``None`` if there are none."""
+        ...
+
+    def gather(self, values: Array, sky: Array) -> Array:
+        """F values, with the value of the sky; (n, c)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Radiosities of patches.
+
+    ``radiosity``: (n, c) light that leaves, per area. ``irradiance``: (n, c) light that arrives. ``sky_share``: (n,).
+    ``residuals``: after each iteration, the largest absolute residual of the system in units of the largest
+    emission or light from the sky.
+    """
+
+    patches: Patches
+    radiosity: Array
+    irradiance: Array
+    sky_share: Array
+    residuals: tuple[float, ...]
+
+    @property
+    def residual(self) -> float:
+        """The last one."""
+        return self.residuals[-1]
+
+    @cached_property
+    def power(self) -> dict[str, Array]:
+        """(c,) each: ``emitted`` by patches, ``from_sky``, ``absorbed``, ``to_sky``."""
+        areas = self.patches.areas[:, None]
+        return {
+            "emitted": (areas * self.patches.emission).sum(axis=0),
+            "from_sky": (areas * self.sky_share[:, None] * self.patches.sky).sum(axis=0),
+            "absorbed": (areas * (1 - self.patches.reflectance) * self.irradiance).sum(axis=0),
+            "to_sky": (areas * self.sky_share[:, None] * self.radiosity).sum(axis=0),
+        }
+
+    @property
+    def imbalance(self) -> float:
+        """Power that comes in less what goes out, as a share of the first: zero if form factors are reciprocal and
+        their rows sum to 1, else of the size of their errors."""
+        come = self.power["emitted"] + self.power["from_sky"]
+        gone = self.power["absorbed"] + self.power["to_sky"]
+        return float(np.abs(come - gone).sum() / come.sum())
+
+
+def solve(
+    patches: Patches,
+    transport: Transport,
+    solver: Solver = "jacobi",
+    *,
+    tolerance: float = 1e-6,
+    max_iterations: int = 1000,
+) -> Solution:
+    """Radiosities of patches whose light is carried by form factors or segments.
+
+    ====================== ============================================================================================
+    ``jacobi``             one bounce of all light in an iteration; on segments as well
+    ``gauss-seidel``       the same, each patch seeing what was found before it; on form factors
+    ``southwell``          progressive shooting: the patch of most unshot power first [Cohen 1988]; on form factors. An
+                           iteration is as many shots as there are patches
+    ``conjugate-gradient`` few iterations at high reflectance; on segments, and on form factors that are reciprocal
+    ``direct``             elimination, a channel at a time; on form factors of some thousand patches
+    ====================== ============================================================================================
+
+    tolerance: of the residual, see :class:`Solution`. Raises :class:`RadiosityError` if nothing emits, if a solver does
+    not work on such a transport, or has not come that far after ``max_iterations``.
+    """
+    if len(transport.sky) != len(patches):
+        raise RadiosityError(f"there are {len(patches)} patches, but light is carried between {len(transport.sky)}")
+    if not (patches.emission.any() or patches.sky.any()):
+        raise RadiosityError("no patch emits light, nor does the sky: give one an emission above zero")
+    if solver not in SOLVERS:
+        raise RadiosityError(f"there is no solver {solver!r}; there are: {', '.join(SOLVERS)}")
+    if solver in ("gauss-seidel", "southwell", "direct") and not isinstance(transport, FormFactors):
+        raise RadiosityError(f"{solver} needs form factors; on segments there are jacobi and conjugate-gradient")
+    steps = _STEPS[solver](patches, transport)
+    scale = max(patches.emission.max(), patches.sky.max())
+    residuals = []
+    for _ in range(max_iterations):
+        radiosity, irradiance = steps.step()
+        residual = np.abs(patches.emission + patches.reflectance * irradiance - radiosity).max() / scale
+        residuals.append(float(residual))
+        if residual <= tolerance:
+            return Solution(patches, radiosity, irradiance, transport.sky, tuple(residuals))
+    raise RadiosityError(
+        f"{solver} has a residual of {residuals[-1]:.2g} after {max_iterations} iterations, not {tolerance:g}: allow "
+        "more, or take conjugate-gradient where reflectance is high"
+    )
+
+
+class _Steps:
+    """A solver between two iterations."""
+
+    def __init__(self, patches: Patches, transport: Transport) -> None:
+        self.patches, self.transport = patches, transport
+        self.emission, self.reflectance = patches.emission, patches.reflectance
+        self.radiosity = self.emission.copy()
+        self.irradiance = transport.gather(self.radiosity, patches.sky)
+
+    def step(self) -> tuple[Array, Array]:
+        """Radiosity and irradiance after another iteration."""
+        self.improve()
+        self.irradiance = self.transport.gather(self.radiosity, self.patches.sky)
+        return self.radiosity, self.irradiance
+
+    def improve(self) -> None:
+        """Change the radiosity."""
+        raise NotImplementedError
+
+    @property
+    def matrix(self) -> Any:
+        """F as CSR; :func:`solve` has seen to it that there is one."""
+        assert isinstance(self.transport, FormFactors)
+        return self.transport.matrix
+
+    @property
+    def known(self) -> Array:
+        """What is emitted, and reflected of the sky."""
+        return self.emission + self.reflectance * self.transport.sky[:, None] * self.patches.sky
+
+
+class _Jacobi(_Steps):
+    def improve(self) -> None:
+        self.radiosity = self.emission + self.reflectance * self.irradiance
+
+
+class _GaussSeidel(_Steps):
+    def improve(self) -> None:
+        f = self.matrix
+        compiled().gauss_seidel(f.indptr, f.indices, f.data, self.reflectance, self.known, self.radiosity)
+
+
+class _Southwell(_Steps):
+    def __init__(self, patches: Patches, transport: Transport) -> None:
+        super().__init__(patches, transport)
+        self.columns = self.matrix.tocsc()
+        self.radiosity = self.known
+        self.unshot = self.radiosity.copy()
+
+    def improve(self) -> None:
+        f, areas = self.columns, self.patches.areas
+        compiled().shoot(
+            *(f.indptr, f.indices, f.data, areas, self.reflectance, self.unshot, self.radiosity), len(areas)
+        )
+
+
+class _ConjugateGradient(_Steps):
+    """With B = E + sqrt(rho) y and symmetric W F: (W - sqrt(rho) W F sqrt(rho)) y = sqrt(rho) W H(E), preconditioned by
+    W. All channels go side by side."""
+
+    def __init__(self, patches: Patches, transport: Transport) -> None:
+        super().__init__(patches, transport)
+        weights = transport.exchange_weights
+        if weights is None:
+            raise RadiosityError(
+                "conjugate-gradient needs reciprocal form factors (estimator 'F1' or 'reciprocal', or repaired()), or "
+                "segments"
+            )
+        self.weights, self.root = weights[:, None], np.sqrt(self.reflectance)
+        self.residual = self.root * self.irradiance  # divided by W: preconditioned
+        self.direction = self.residual.copy()
+        self.square = self._dot(self.residual, self.residual)
+
+    def step(self) -> tuple[Array, Array]:
+        gathered = self.transport.gather(self.root * self.direction, np.zeros(1))
+        product = self.direction - self.root * gathered
+        curvature = self._dot(self.direction, product)
+        length = np.divide(self.square, curvature, out=np.zeros_like(self.square), where=curvature > 0)
+        self.radiosity = self.radiosity + length * self.root * self.direction
+        self.irradiance = self.irradiance + length * gathered
+        self.residual = self.residual - length * product
+        before, self.square = self.square, self._dot(self.residual, self.residual)
+        ratio = np.divide(self.square, before, out=np.zeros_like(before), where=before > 0)
+        self.direction = self.residual + ratio * self.direction
+        return self.radiosity, self.irradiance
+
+    def _dot(self, a: Array, b: Array) -> Array:
+        return (self.weights * a * b).sum(axis=0)
+
+
+class _Direct(_Steps):
+    def improve(self) -> None:
+        n, free = len(self.patches), free_memory()
+        if free is not None and 24 * n**2 > free:
+            raise RadiosityError(
+                f"direct solution of {n} patches needs {24e-9 * n**2:.1f} GB, there are {free / 1e9:.1f}: take another "
+                "solver"
+            )
+        dense, known = np.asarray(self.matrix.todense()), self.known
+        for c in range(known.shape[1]):
+            system = np.eye(n) - self.reflectance[:, c : c + 1] * dense
+            self.radiosity[:, c] = np.linalg.solve(system, known[:, c])
+
+
+_STEPS: dict[Solver, type[_Steps]] = {
+    "jacobi": _Jacobi,
+    "gauss-seidel": _GaussSeidel,
+    "southwell": _Southwell,
+    "conjugate-gradient": _ConjugateGradient,
+    "direct": _Direct,
+}

@@ -1,0 +1,169 @@
+"""Form factors: closed forms, closure, reciprocity, errors, estimators."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.patches import adjacent, cube, discs, opposite, parallel_squares, perpendicular_squares, room, square
+
+from etendue.points import Independent, OwenSobol
+from etendue.radiosity import (
+    ESTIMATORS,
+    ABuffer,
+    ChainedRays,
+    Patches,
+    RadiosityError,
+    RayScene,
+    SpherePairs,
+    area_form_factors,
+    form_factors,
+    local_form_factors,
+    pair_errors,
+)
+
+
+def analytic(name):
+    """Patches 0 and 1, and F_01."""
+    if name == "discs":
+        (vertices, faces), exact = discs()
+        return Patches(vertices, faces, ids=np.repeat([0, 1], len(faces) // 2)), exact
+    mesh, exact = {"parallel": parallel_squares, "perpendicular": perpendicular_squares}[name]()
+    return Patches(*mesh), exact
+
+
+def test_closed_forms():
+    """Values of tables, and closure of a cube."""
+    assert opposite(1, 1) == pytest.approx(0.199825, abs=1e-6)
+    assert adjacent(1, 1) == pytest.approx(0.200044, abs=1e-6)
+    assert opposite(1, 1) + 4 * adjacent(1, 1) == pytest.approx(1, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["parallel", "perpendicular", "discs"])
+def test_pairs_in_closed_form_by_global_lines(name):
+    """At four million lines: a root mean square error below 6e-4, and no bias."""
+    patches, exact = analytic(name)
+    found = []
+    for seed in range(8):
+        segments = ABuffer(patches, OwenSobol(4, seed=seed), 1024).cast(4096)
+        found.append(form_factors(segments).matrix[0, 1] / exact - 1)
+    found = np.array(found)
+    assert np.sqrt((found**2).mean()) < 6e-4
+    assert abs(found.mean()) < 4 * found.std(ddof=1) / np.sqrt(8)
+
+
+@pytest.mark.parametrize("name", ["parallel", "perpendicular", "discs"])
+@pytest.mark.parametrize("estimator", ["cosine", "angles"])
+def test_pairs_in_closed_form_by_rays(name, estimator):
+    patches, exact = analytic(name)
+    local = local_form_factors(RayScene(patches), 1 << 16, estimator, rows=[0], points=Independent(4, seed=1))
+    assert local.matrix[0, 1] == pytest.approx(exact, abs=4 * local.errors[0, 1])
+    assert local.errors[0, 1] < 0.01 * exact
+    assert local.sky[0] == pytest.approx(1 - local.matrix[0, 1], abs=8 * local.errors[0, 1])
+    assert local.lines.tolist() == [1 << 16, 0]
+
+
+@pytest.mark.parametrize("name", ["parallel", "discs"])
+def test_pairs_in_closed_form_by_points_of_both_areas(name):
+    patches, exact = analytic(name)
+    values, errors = area_form_factors(RayScene(patches), [[0, 1], [1, 0]], 1 << 16, Independent(4, seed=2))
+    assert (np.abs(values - exact) < 4 * errors).all() and (errors < 0.01 * exact).all()
+
+
+def test_points_of_both_areas_see_what_stands_between():
+    vertices, faces = parallel_squares()[0]
+    screen = square((0, 0, 0.5), (1, 0, 0), (0, 1, 0))
+    patches = Patches(np.concatenate([vertices, screen[0]]), np.concatenate([faces, screen[1] + 8]), two_sided=True)
+    values, _ = area_form_factors(RayScene(patches), [[0, 1], [0, 5]], 1 << 14)
+    assert values[0] < 0.1 and values[1] == pytest.approx(opposite(2, 2), rel=0.02)
+
+
+def test_cosine_directions_have_the_lesser_variance():
+    """Of single rays: the same factor, smaller errors than with even angles."""
+    scene = RayScene(cube(1))
+    by_cosine, by_angle = (local_form_factors(scene, 4096, kind) for kind in ("cosine", "angles"))
+    np.testing.assert_allclose(by_cosine.matrix.todense(), by_angle.matrix.todense(), atol=0.02)
+    assert (by_cosine.row_errors() < by_angle.row_errors()).all()
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS)
+def test_the_cube(estimator):
+    patches = cube(1)
+    factors = form_factors(ABuffer(patches, OwenSobol(4, seed=3), 1024).cast(2048), estimator)
+    facing = patches.normals @ patches.normals.T
+    exact = np.where(facing < -0.5, opposite(1, 1), np.where(facing > 0.5, 0.0, adjacent(1, 1)))
+    np.testing.assert_allclose(factors.matrix.todense(), exact, atol=1e-3)
+    assert np.diag(factors.matrix.todense()).max() == 0
+
+
+def test_closure_and_reciprocity_each_exact_in_one_normalisation():
+    segments = ABuffer(room(3), OwenSobol(4, seed=4), 2000).cast(200)
+    closed, reciprocal = form_factors(segments, "F1"), form_factors(segments, "reciprocal")
+    np.testing.assert_allclose(closed.row_sums(), 1, rtol=1e-12)
+    assert closed.reciprocity_error() > 1e-6
+    assert reciprocal.reciprocity_error() < 1e-14
+    assert np.abs(reciprocal.row_sums() - 1).max() > 1e-6
+    np.testing.assert_allclose(reciprocal.normalised().row_sums(), 1, rtol=1e-12)
+    repaired = reciprocal.repaired()
+    np.testing.assert_allclose(repaired.row_sums(), 1, rtol=1e-9)
+    assert repaired.reciprocity_error() < 1e-9
+    exact = form_factors(ABuffer(room(3), OwenSobol(4, seed=5), 4096).cast(4096))
+    assert pair_errors(repaired, exact) < pair_errors(reciprocal, exact)
+
+
+def test_a_matrix_and_its_segments_gather_the_same():
+    patches = room(2, sky=3.0)
+    vertices, faces = patches.vertices, patches.faces[4:]
+    segments = ABuffer(Patches(vertices, faces), OwenSobol(4, seed=4), 500).cast(100)
+    values = np.random.default_rng(1).uniform(size=(len(faces), 3))
+    factors = form_factors(segments)
+    np.testing.assert_allclose(factors.gather(values, 3.0), segments.gather(values, 3.0), rtol=1e-12)
+    np.testing.assert_allclose(factors.gather(values[:, 0]), segments.gather(values[:, 0]), rtol=1e-12)
+    reciprocal = form_factors(segments, "reciprocal")
+    np.testing.assert_allclose(reciprocal.gather(values), segments.gather(values, normalisation="expected"), rtol=1e-12)
+    assert factors.sky.max() > 0.05
+
+
+def test_standard_errors_of_independent_lines():
+    """Squared deviations from what many lines give, in units of the stated errors, are 1 in the mean."""
+    patches = room(2)
+    scene = RayScene(patches)
+    exact = form_factors(ABuffer(patches, OwenSobol(4, seed=8), 4096).cast(4096))
+    engine = ChainedRays(SpherePairs(patches), scene, Independent(4, seed=6))
+    for estimated in (
+        form_factors(engine.cast(1 << 15)),
+        local_form_factors(scene, 512, points=Independent(4, seed=7)),
+    ):
+        well_known = np.asarray((exact.matrix * estimated.lines[:, None]).todense()) > 10
+        deviation = np.asarray((estimated.matrix - exact.matrix).todense())[well_known]
+        error = np.asarray(estimated.errors.todense())[well_known]
+        assert well_known.sum() > 100
+        assert np.mean((deviation / error) ** 2) == pytest.approx(1, abs=0.15)
+        rows = np.sqrt(np.asarray(((estimated.matrix - exact.matrix) ** 2).sum(axis=1)).ravel())
+        assert np.sqrt(np.mean((rows / estimated.row_errors()) ** 2)) == pytest.approx(1, abs=0.1)
+
+
+def test_estimators_are_as_good_as_in_the_thesis():
+    """Sums of squared errors: F4 is the best, F1 near it; F3 far off only where lines differ from patch to patch."""
+    patches = room(2)
+    scene = RayScene(patches)
+    exact = form_factors(ABuffer(patches, OwenSobol(4, seed=8), 4096).cast(4096))
+    segments = ChainedRays(SpherePairs(patches), scene, Independent(4, seed=10)).cast(1 << 15)
+    error = {kind: pair_errors(form_factors(segments, kind), exact) for kind in ESTIMATORS}
+    assert error["F4"] <= error["F1"] * 1.02 and error["F4"] <= error["F2"]
+
+
+def test_what_form_factors_cannot_be():
+    segments = ABuffer(cube(1), lines=10).cast(8)
+    with pytest.raises(RadiosityError, match="F1, F2, F3, F4, reciprocal"):
+        form_factors(segments, "F5")
+    scene = RayScene(cube(1))
+    for call in (
+        lambda: local_form_factors(scene, 1),
+        lambda: local_form_factors(scene, 8, "uniform"),
+        lambda: local_form_factors(scene, 8, rows=[6]),
+        lambda: area_form_factors(scene, [[0, 7]], 8),
+        lambda: area_form_factors(scene, [[0, 1]], 1),
+        lambda: form_factors(segments).gather(np.ones(7)),
+    ):
+        with pytest.raises(RadiosityError):
+            call()
