@@ -59,7 +59,7 @@ class GuidedSettings(PathSettings):
         minimum=100,
     )
     leaf_share: float = setting(
-        0.01, "share of a cell's light above which a leaf of its directions is divided", minimum=0.001, maximum=1.0
+        0.02, "share of a cell's light above which a leaf of its directions is divided", minimum=0.001, maximum=1.0
     )
     first_weight: float = setting(
         0.125,
