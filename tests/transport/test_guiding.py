@@ -120,9 +120,7 @@ def test_the_density_integrates_to_one():
     _scene, si = surface("diffuse", N)
     active = dr.full(mi.Bool, True, N)
     wo = si.to_local(direction_of(uniform_square()))
-    _, (towards,) = guide.scatter(
-        cell(guide, si), scatter_camera, si.bsdf(), si, source(), mi.UInt32(1), active, [(wo, active)]
-    )
+    _, (towards,) = scattered_by(guide, si, source(), mi.UInt32(1), active, [(wo, active)])
     assert_mean(4.0 * np.pi * np.asarray(towards.pdf, np.float64), 1.0)
 
 
@@ -162,9 +160,7 @@ def test_a_guide_that_knows_nothing_changes_nothing():
     active = dr.full(mi.Bool, True, 1000)
     wo = [(mi.Vector3f(0.1, 0.2, 0.97), active)]
     plain, (before,) = scatter_camera(si.bsdf(), si, source(n=1000), mi.UInt32(1), active, wo)
-    mine, (after,) = guide.scatter(
-        cell(guide, si), scatter_camera, si.bsdf(), si, source(n=1000), mi.UInt32(1), active, wo
-    )
+    mine, (after,) = scattered_by(guide, si, source(n=1000), mi.UInt32(1), active, wo)
     for name in ("direction", "weight", "pdf", "eta", "active"):
         np.testing.assert_array_equal(np.asarray(getattr(mine, name)), np.asarray(getattr(plain, name)))
     np.testing.assert_array_equal(np.asarray(before.pdf), np.asarray(after.pdf))
