@@ -52,6 +52,7 @@ SWITCHES: dict[str, dict[str, Any]] = {
     "naive": {"mode": "naive"},
     "power": {"heuristic": "power", "rr_depth": 2},
     "uniform directions": {"bsdf_sampling": False},
+    "lights by power": {"learn_lights": False},
     "all passes alike": {"first_weight": 1.0},
 }
 
@@ -82,6 +83,29 @@ def test_it_learns_where_the_door_is():
     mean = trained.mean(0)
     assert variance(trained, mean) < 0.33 * 4.0 * variance(plain, mean)
     assert_agree(trained, plain, "ajar", block=6, precision=0.15)
+
+
+def test_it_learns_which_lamp_matters():
+    """One lamp of nine lights the room; the others, just as strong, shine above its ceiling."""
+    scene: dict[str, Any] = {
+        "type": "scene",
+        "sensor": scenes.camera(),
+        "floor": scenes.plate([0, 0, 0], 2.0, up=True),
+        "ceiling": scenes.plate([0, 2.3, 0], 6.0, up=False),
+        "ball": {"type": "sphere", "center": [0, 0.4, 0], "radius": 0.4, "bsdf": scenes.diffuse(0.6, 0.4, 0.3)},
+        "lamp": scenes.lamp([-0.8, 2.2, 0.3], 0.15, 30.0),
+    }
+    for i in range(8):
+        scene[f"above-{i}"] = scenes.lamp([0.4 * i - 1.4, 3.5, 0.0], 0.15, 30.0)
+    problem = scenes.load(scene)
+    images = {}
+    for learn in (True, False):
+        runner = prepared(problem, "guided", samples_per_pass=64, learn_lights=learn, **TRAINED)
+        go(runner, 7)
+        images[learn] = go(runner, 8, first=7).images
+    mean = images[True].mean(0)
+    assert variance(images[True], mean) < 0.3 * variance(images[False], mean)
+    assert_agree(images[True], images[False], "lamps", precision=0.05)
 
 
 def test_the_guide_grows_and_stays():

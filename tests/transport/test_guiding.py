@@ -67,6 +67,10 @@ def learned(share: float = 0.5) -> Guide:
     return guide
 
 
+def scattered_by(guide: Guide, si: Any, *arguments: Any) -> Any:
+    return guide.scatter(guide.locate(si, si.is_valid()), scatter_camera, si.bsdf(), si, *arguments)
+
+
 def surface(material: str, lanes: int = 1) -> tuple[Any, Any]:
     scene = mi.load_dict({"type": "scene", "shape": {"type": "rectangle", "bsdf": scenes.MATERIALS[material]()}})
     origin = mi.Point3f(dr.full(mi.Float, 0.1, lanes), 0.2, 1.0)
@@ -85,7 +89,7 @@ def test_directions_follow_the_density_that_is_claimed(material, scatter):
     toward = direction_of(uniform_square())
     active = dr.full(mi.Bool, True, N)
     scattered, (towards,) = guide.scatter(
-        scatter, bsdf, si, source(), mi.UInt32(1), active, [(si.to_local(toward), active)]
+        guide.locate(si, active), scatter, bsdf, si, source(), mi.UInt32(1), active, [(si.to_local(toward), active)]
     )
     place = np.stack([np.asarray(c) for c in square_of(scattered.direction)])
     pdf, taken = np.asarray(scattered.pdf, np.float64), np.asarray(scattered.active)
@@ -116,7 +120,7 @@ def test_the_density_integrates_to_one():
     _scene, si = surface("diffuse", N)
     active = dr.full(mi.Bool, True, N)
     wo = si.to_local(direction_of(uniform_square()))
-    _, (towards,) = guide.scatter(scatter_camera, si.bsdf(), si, source(), mi.UInt32(1), active, [(wo, active)])
+    _, (towards,) = scattered_by(guide, si, source(), mi.UInt32(1), active, [(wo, active)])
     assert_mean(4.0 * np.pi * np.asarray(towards.pdf, np.float64), 1.0)
 
 
@@ -126,7 +130,7 @@ def test_delta_scattering_stays_with_the_bsdf():
     for material in ("conductor", "dielectric"):
         _scene, si = surface(material, 1000)
         plain, _ = scatter_camera(si.bsdf(), si, source(n=1000), mi.UInt32(1), active)
-        mine, _ = guide.scatter(scatter_camera, si.bsdf(), si, source(n=1000), mi.UInt32(1), active)
+        mine, _ = scattered_by(guide, si, source(n=1000), mi.UInt32(1), active)
         np.testing.assert_array_equal(np.asarray(mine.weight), np.asarray(plain.weight))
         np.testing.assert_array_equal(np.asarray(mine.direction), np.asarray(plain.direction))
         assert (np.asarray(mine.place) == NOWHERE).all()
@@ -144,7 +148,7 @@ def test_a_smooth_and_a_delta_component_share_what_the_guide_leaves():
         return [np.where(delta, weight, 0.0), np.where(delta, 0.0, weight)]
 
     plain, _ = scatter_camera(si.bsdf(), si, source(), mi.UInt32(1), active)
-    mine, _ = guide.scatter(scatter_camera, si.bsdf(), si, source("other"), mi.UInt32(1), active)
+    mine, _ = scattered_by(guide, si, source("other"), mi.UInt32(1), active)
     for a, b in zip(energies(plain), energies(mine), strict=True):
         assert a.mean() > 0.0
         assert abs(a.mean() - b.mean()) < 4.5 * np.hypot(a.std(), b.std()) / np.sqrt(N)
@@ -156,7 +160,7 @@ def test_a_guide_that_knows_nothing_changes_nothing():
     active = dr.full(mi.Bool, True, 1000)
     wo = [(mi.Vector3f(0.1, 0.2, 0.97), active)]
     plain, (before,) = scatter_camera(si.bsdf(), si, source(n=1000), mi.UInt32(1), active, wo)
-    mine, (after,) = guide.scatter(scatter_camera, si.bsdf(), si, source(n=1000), mi.UInt32(1), active, wo)
+    mine, (after,) = scattered_by(guide, si, source(n=1000), mi.UInt32(1), active, wo)
     for name in ("direction", "weight", "pdf", "eta", "active"):
         np.testing.assert_array_equal(np.asarray(getattr(mine, name)), np.asarray(getattr(plain, name)))
     np.testing.assert_array_equal(np.asarray(before.pdf), np.asarray(after.pdf))

@@ -14,6 +14,7 @@ zero. Every pass counts in the picture with a weight that its generation alone d
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,8 +25,18 @@ import mitsuba as mi
 import numpy as np
 
 from etendue.core import CheckpointError, Measurement, Result, setting
-from etendue.scene import Problem
-from etendue.transport import NOWHERE, Evaluated, Guide, GuidedScattered, roulette
+from etendue.scene import LightTable, Problem
+from etendue.transport import (
+    MOST_LIGHTS,
+    NOWHERE,
+    DirectSample,
+    Evaluated,
+    Guide,
+    GuidedScattered,
+    LightChoice,
+    LocalLights,
+    roulette,
+)
 from etendue.transport import dimensions as dim
 
 from .base import ImageSettings, Layer, keep_finite, total
@@ -41,6 +52,8 @@ _BYTES = 16
 #: and a path counts as many times the mean at most.
 _PARTS = 1 << 20
 _MOST = 1 << 14
+#: Throughput below which what a path finds is not divided by it.
+_FAINT = 1e-20
 #: Roulette lets a path go on at least with this probability.
 _LEAST_SURVIVAL = 0.1
 
@@ -53,13 +66,14 @@ class GuidedSettings(PathSettings):
         7, "generations of training, of 1, 2, 4, ... passes; then the guide stays; 0 is path", minimum=0, maximum=24
     )
     share: float = setting(0.6, "probability with which a direction is drawn from the guide", above=0.0, maximum=0.99)
+    learn_lights: bool = setting(True, "learn for each cell which light to draw points on; with up to 16 lights")
     cell_samples: int = setting(
         4000,
         "vertices in a cell above which it is divided, after the first generation; grows with the root of the passes",
         minimum=100,
     )
     leaf_share: float = setting(
-        0.01, "share of a cell's light above which a leaf of its directions is divided", minimum=0.001, maximum=1.0
+        0.02, "share of a cell's light above which a leaf of its directions is divided", minimum=0.001, maximum=1.0
     )
     first_weight: float = setting(
         0.125,
@@ -83,7 +97,7 @@ class _Records:
     def put(self, s: PathState, scattered: Any) -> None:
         """Vertex ``s.depth``, which the path leaves."""
         active = self._mine & s.active & (scattered.place != NOWHERE) & (s.depth <= _VERTICES)
-        carried = dr.rcp(dr.maximum(mi.luminance(s.throughput), 1e-20))
+        carried = dr.rcp(dr.maximum(mi.luminance(s.throughput), _FAINT))
         bits = (dr.reinterpret_array(mi.UInt32, value) for value in (s.parts[0], carried))
         packet = mi.Vector4u(scattered.place + 1, *bits, 0)
         dr.scatter(self._packets, packet, self._path * _VERTICES + (s.depth - 1), active)
@@ -119,6 +133,9 @@ class Guided(Path):
         box = problem.scene.bbox()
         lower, upper = (np.asarray(corner, np.float64).ravel().tolist() for corner in (box.min, box.max))
         self._guide = Guide(lower, upper)
+        #: None where there is no choice, or too much of it.
+        few = 1 < self.lights.count <= MOST_LIGHTS and self.settings.learn_lights and self.settings.generations > 0
+        self._choice = LightChoice(self.lights, self._guide.cells) if few else None
         self._generation = 0
         self._passes = 0  # of this generation
         self._unit = 0.0  # mean light of a path, once it is known
@@ -127,6 +144,7 @@ class Guided(Path):
     def _forget(self) -> None:
         self._found = dr.zeros(mi.UInt64, self._guide.places)
         self._seen = dr.zeros(mi.UInt32, self._guide.places)
+        self._brought = dr.zeros(mi.UInt64, self._guide.cells * self.lights.count)
 
     # ------------------------------------------------------------------ a pass
 
@@ -143,6 +161,8 @@ class Guided(Path):
         """See :class:`ImageMethod`."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         training = self._generation < self.settings.generations
+        #: Of the light that is counted, to a unit of luminance; 0 while it is not counted.
+        self._parts = dr.opaque(mi.Float, _PARTS / self._unit if training and self._unit > 0.0 else 0.0)
         self._records = _Records(lanes, self._stride(len(lanes)), training)
         state = self.trace(lanes // samples, self.camera_numbers(lanes, samples, seed, iteration))
         radiance, bad = keep_finite(state.radiance)
@@ -150,7 +170,7 @@ class Guided(Path):
         dr.eval(radiance, state.rays, bad, light)
         if training:
             self._learn(light)
-        del self._records
+        del self._records, self._parts
         counters = {"rays": total(state.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
         return {"image": self.image(radiance)}, counters
 
@@ -161,28 +181,59 @@ class Guided(Path):
             most = max(1, min(most, int(STORE_SHARE * self.problem.memory / (_BYTES * _VERTICES))))
         return -(-lanes // most)
 
+    def locate(self, s: PathState, si: Any) -> Any:
+        """The cell."""
+        return self._guide.locate(si, s.active)
+
+    def lights_at(self, here: Any) -> LightTable | LocalLights:
+        """With the probabilities of the cell."""
+        return self.lights if self._choice is None else self._choice.at(here)
+
+    def lights_of_edge(self, s: PathState) -> LightTable | LocalLights:
+        """With those of the cell that the edge comes from."""
+        return self.lights if self._choice is None else self._choice.at(s.parts[3])
+
     def scatter(
-        self, bsdf: Any, si: Any, source: Any, vertex: Any, active: Any, directions: Sequence[tuple[Any, Any]] = ()
+        self,
+        here: Any,
+        bsdf: Any,
+        si: Any,
+        source: Any,
+        vertex: Any,
+        active: Any,
+        directions: Sequence[tuple[Any, Any]] = (),
     ) -> tuple[GuidedScattered, list[Evaluated]]:
         """By the BSDF and the guide in turn."""
-        return self._guide.scatter(super().scatter, bsdf, si, source, vertex, active, directions)
+        plain = functools.partial(super().scatter, here)
+        return self._guide.scatter(here, plain, bsdf, si, source, vertex, active, directions)
+
+    def lit(self, s: PathState, here: Any, direct: DirectSample, contribution: Any, active: Any) -> None:
+        """Count what the light brought to the cell."""
+        if self._choice is None:
+            return
+        parts = mi.luminance(contribution) / dr.maximum(mi.luminance(s.throughput), _FAINT) * self._parts
+        parts = mi.UInt64(dr.minimum(dr.select(active & (parts >= 1.0), parts, 0.0), float(_PARTS * _MOST)))
+        place = here * self.lights.count + direct.light
+        dr.scatter_add(self._brought, parts, place, active & (self._parts > 0.0), dr.ReduceMode.Direct)
 
     def parts(self, source: Any) -> list[Any]:
-        """The luminance that the path has found; what it is expected to find from here on, and was at first."""
-        return [mi.Float(0.0), mi.Float(0.0), mi.Float(0.0)]
+        """The luminance that the path has found; what it is expected to find from here on, and was at first; the cell
+        that the edge comes from."""
+        return [mi.Float(0.0), mi.Float(0.0), mi.Float(0.0), mi.UInt32(0)]
 
     def add(self, s: PathState, source: Any, contribution: Any, active: Any, by_light_point: bool) -> None:
         """See :class:`Path`."""
         super().add(s, source, contribution, active, by_light_point)
         s.parts[0] = s.parts[0] + dr.select(active, mi.luminance(contribution), 0.0)
 
-    def leave(self, s: PathState, source: Any, scattered: Any) -> None:
+    def leave(self, s: PathState, here: Any, scattered: Any) -> None:
         """Remember the vertex."""
         self._records.put(s, scattered)
         known = s.active & (scattered.glow > 0.0)
         carried = mi.luminance(s.throughput) * scattered.glow
         s.parts[1] = dr.select(known, carried, s.parts[1] * dr.max(scattered.weight))
         s.parts[2] = dr.select(known & (s.parts[2] == 0.0), carried, s.parts[2])
+        s.parts[3] = dr.select(scattered.is_null, s.parts[3], here)
 
     def survives(self, s: PathState, source: Any) -> Any:
         """By the light that the path is expected to bring from here, relative to that of its first vertex
@@ -207,13 +258,16 @@ class Guided(Path):
         if self._passes < 1 << self._generation:
             return
         o = self.settings
-        self._guide.learn(
+        origin = self._guide.learn(
             np.array(self._found, np.float64) * (self._unit / _PARTS),
             np.array(self._seen),
             most=o.cell_samples * math.sqrt(self._passes),
             leaf_share=o.leaf_share,
             share=o.share,
         )
+        if self._choice is not None:
+            brought = np.array(self._brought, np.float64).reshape(-1, self.lights.count)
+            self._choice.learn(brought, origin)
         self._generation += 1
         self._passes = 0
         self._forget()
@@ -234,6 +288,8 @@ class Guided(Path):
             "guide": self._guide.state(),
             "found": np.array(self._found),
             "seen": np.array(self._seen),
+            "brought": np.array(self._brought),
+            **({} if self._choice is None else {"lights": self._choice.shares.copy()}),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -248,3 +304,6 @@ class Guided(Path):
             float(state["unit"]),
         )
         self._found, self._seen = mi.UInt64(found), mi.UInt32(seen)
+        self._brought = mi.UInt64(np.asarray(state["brought"], np.uint64))
+        if self._choice is not None:
+            self._choice.restore(state["lights"])

@@ -21,8 +21,11 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import setting
+from etendue.scene import LightTable
 from etendue.transport import (
+    DirectSample,
     Evaluated,
+    LocalLights,
     Scattered,
     emission_of_hit,
     is_emissive,
@@ -110,7 +113,7 @@ class Path(ImageMethod):
 
         # ---- The edge ends on a light
         on_light = s.active & is_emissive(self.scene, si)
-        radiance, area_density, _ = emission_of_hit(self.lights, self.scene, si, on_light)
+        radiance, area_density, _ = emission_of_hit(self.lights_of_edge(s), self.scene, si, on_light)
         distance = s.travelled + si.t
         solid_angle = dr.select(si.is_valid(), dr.square(distance) / dr.abs(dr.dot(si.n, s.ray.d)), 1.0)
         weight = self._hit_weight(s.pdf, area_density * solid_angle)
@@ -120,21 +123,24 @@ class Path(ImageMethod):
         # ---- A light point is drawn, and a way on; the BSDF is asked about both in one call
         bsdf = si.bsdf(s.ray)
         done = self.finish(s, source, si, bsdf)
+        here = self.locate(s, si)
         if self.settings.mode == "naive":
-            scattered, _ = self.scatter(bsdf, si, source, s.depth, s.active)
+            scattered, _ = self.scatter(here, bsdf, si, source, s.depth, s.active)
         else:
-            direct = sample_direct(self.lights, si, source, s.depth, 0, s.active & ~done & is_smooth(bsdf))
+            looking = s.active & ~done & is_smooth(bsdf)
+            direct = sample_direct(self.lights_at(here), si, source, s.depth, 0, looking)
             wo = si.to_local(direct.direction)
-            scattered, (value,) = self.scatter(bsdf, si, source, s.depth, s.active, [(wo, direct.active)])
+            scattered, (value,) = self.scatter(here, bsdf, si, source, s.depth, s.active, [(wo, direct.active)])
             contribution = s.throughput * value.value * direct.radiance * self._direct_weight(direct, value.pdf)
             lit = direct.active & ~dr.all(contribution == 0.0) & self.wants(s, source)
             s.rays += dr.select(lit, mi.UInt32(1), mi.UInt32(0))
             spare = max_edges - (s.depth + 1)
             lit, share = self.visibility.along(si.spawn_ray_to(direct.target), spare, lit)
             self.add(s, source, contribution * share, lit, True)
+            self.lit(s, here, direct, contribution * share, lit)
 
         # ---- Scatter
-        self.leave(s, source, scattered)
+        self.leave(s, here, scattered)
         s.throughput *= scattered.weight
         s.eta *= scattered.eta
         pdf = dr.select(scattered.is_delta, 0.0, scattered.pdf)
@@ -151,14 +157,36 @@ class Path(ImageMethod):
 
     # ------------------------------------------------------------------ what another method may change
 
+    def locate(self, s: PathState, si: Any) -> Any:
+        """What the methods below are told of the place of vertex ``s.depth``."""
+        return None
+
+    def lights_at(self, here: Any) -> LightTable | LocalLights:
+        """The lights as light points are drawn for a place."""
+        return self.lights
+
+    def lights_of_edge(self, s: PathState) -> LightTable | LocalLights:
+        """The same for the vertex that the edge ``s.depth`` comes from."""
+        return self.lights
+
     def scatter(
-        self, bsdf: Any, si: Any, source: Any, vertex: Any, active: Any, directions: Sequence[tuple[Any, Any]] = ()
+        self,
+        here: Any,
+        bsdf: Any,
+        si: Any,
+        source: Any,
+        vertex: Any,
+        active: Any,
+        directions: Sequence[tuple[Any, Any]] = (),
     ) -> tuple[Scattered, list[Evaluated]]:
         """As ``transport.scatter_camera``: a way on, and the BSDF towards the given (local direction, mask) pairs."""
         scatter = scatter_camera if self.settings.bsdf_sampling else scatter_uniform
         return scatter(bsdf, si, source, vertex, active, directions)
 
-    def leave(self, s: PathState, source: Any, scattered: Any) -> None:
+    def lit(self, s: PathState, here: Any, direct: DirectSample, contribution: Any, active: Any) -> None:
+        """A light point brought something to vertex ``s.depth``."""
+
+    def leave(self, s: PathState, here: Any, scattered: Any) -> None:
         """The light points of vertex ``s.depth`` are counted; the path goes on from it by what :meth:`scatter` gave."""
 
     def survives(self, s: PathState, source: Any) -> Any:

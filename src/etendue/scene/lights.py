@@ -40,6 +40,7 @@ _POWER_SAMPLES = 256
 class Light:
     """A picked emitter and its entries of the table, one lane each."""
 
+    row: Any  #: its number
     emitter: Any  #: EmitterPtr
     pick: Any  #: probability of having picked it
     area_density: Any  #: 1/A of an area emitter or a beam, 1 of a point-like emitter, 1/(pi R^2) of an infinite one
@@ -88,7 +89,8 @@ class LightTable:
         if power.sum() <= 0:
             raise SceneError("every emitter of the scene emits nothing; give one a radiance above zero")
         self.total_power = float(power.sum())
-        pick = power / power.sum()
+        #: (count,) probability of picking each emitter, on the host.
+        self.probabilities = pick = power / power.sum()
 
         self._emitters = scene.emitters_dr()
         self._pick = on_device(mi.Float, pick)
@@ -108,8 +110,8 @@ class LightTable:
     def pick(self, u: Any, active: Any = True) -> Light:
         """Pick an emitter with probability proportional to its power."""
         if self.count == 1:
-            return self._row(dr.zeros(mi.UInt32, dr.width(u)), active)
-        return self._row(self._cdf.sample(u, active), active)
+            return self.row(dr.zeros(mi.UInt32, dr.width(u)), active)
+        return self.row(self._cdf.sample(u, active), active)
 
     def left_by_pick(self, u: Any) -> Any:
         """What a number that picks an emitter has left: uniform in [0, 1), independent of the emitter."""
@@ -120,13 +122,15 @@ class LightTable:
     def of(self, emitter: Any, active: Any = True) -> Light:
         """The entries of the emitter that a ray has hit. Lanes without emitter must not be active."""
         if self.count == 1:
-            return self._row(dr.zeros(mi.UInt32, dr.width(emitter)), active)
+            return self.row(dr.zeros(mi.UInt32, dr.width(emitter)), active)
         number = dr.reinterpret_array(mi.UInt32, emitter)
-        return self._row(dr.gather(mi.UInt32, self._row_of, number, active), active)
+        return self.row(dr.gather(mi.UInt32, self._row_of, number, active), active)
 
-    def _row(self, row: Any, active: Any) -> Light:
+    def row(self, row: Any, active: Any = True) -> Light:
+        """The entries of the light with a given number."""
         kind = dr.gather(mi.UInt32, self._kind, row, active)
         return Light(
+            row=row,
             emitter=dr.gather(mi.EmitterPtr, self._emitters, row, active),
             pick=dr.gather(mi.Float, self._pick, row, active),
             area_density=dr.gather(mi.Float, self._area_density, row, active),

@@ -5,6 +5,7 @@ from .camera import Camera, CameraConnection, Splats
 from .camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
 from .guiding import NOWHERE, Guide, GuidedScattered, direction_of, square_of
+from .light_choice import MOST_LIGHTS, LightChoice, LocalLights
 from .light_walk import LightWalk
 from .mis import Mis, Techniques
 from .pyramid import PYRAMID_MAX, Pyramid
@@ -27,6 +28,7 @@ from .vertices import Kind, LightVertex, LightVertices, Photons, needs_interacti
 from .visibility import Visibility
 
 __all__ = [
+    "MOST_LIGHTS",
     "NOWHERE",
     "PICK_BLOCK",
     "PYRAMID_MAX",
@@ -41,9 +43,11 @@ __all__ = [
     "GuidedScattered",
     "Kind",
     "LightCache",
+    "LightChoice",
     "LightVertex",
     "LightVertices",
     "LightWalk",
+    "LocalLights",
     "Mis",
     "Photons",
     "Pyramid",

@@ -12,6 +12,7 @@ from etendue.core import SampleSource
 from etendue.scene import Light, LightTable
 
 from . import dimensions as dim
+from .light_choice import LocalLights
 
 
 @dataclass
@@ -34,6 +35,7 @@ class DirectSample:
 
     direction: Any  #: world, towards the light
     target: Any  #: end point of the shadow ray
+    light: Any  #: its number
     radiance: Any  #: what arrives, over ``pdf``
     pdf: Any  #: solid-angle density of the direction, picking included
     light_ratio: Any  #: emission density over (pdf times cos at the light); times cos at the surface for the weight
@@ -145,7 +147,7 @@ def _emit_infinite(
 
 
 def sample_direct(
-    lights: LightTable, si: Any, source: SampleSource, vertex: Any, index: int, active: Any
+    lights: LightTable | LocalLights, si: Any, source: SampleSource, vertex: Any, index: int, active: Any
 ) -> DirectSample:
     """Sample a light point for the surface point ``si``: the ``index``-th next-event sample of ``vertex``."""
     component = dim.NEXT_EVENT + 4 * index
@@ -155,6 +157,7 @@ def sample_direct(
     result = DirectSample(
         direction=dr.zeros(mi.Vector3f, n),
         target=dr.zeros(mi.Point3f, n),
+        light=light.row,
         radiance=dr.zeros(mi.Color3f, n),
         pdf=dr.full(mi.Float, 1.0, n),
         light_ratio=dr.zeros(mi.Float, n),
@@ -216,7 +219,7 @@ def is_emissive(scene: Any, si: Any) -> Any:
     return dr.reinterpret_array(mi.UInt32, si.emitter(scene)) != 0
 
 
-def emission_of_hit(lights: LightTable, scene: Any, si: Any, active: Any) -> tuple[Any, Any, Any]:
+def emission_of_hit(lights: LightTable | LocalLights, scene: Any, si: Any, active: Any) -> tuple[Any, Any, Any]:
     """What a ray that reached ``si`` sees of a light: (radiance, area density, emission density).
 
     ``si`` may be a miss, where the environment is seen; its densities are those of the direction [Georgiev 2012b, 43].

@@ -96,8 +96,14 @@ class Guide:
 
     # ------------------------------------------------------------------ on the device
 
+    def locate(self, si: Any, active: Any) -> Any:
+        """The cells of surface points, as seen by the paths that reached them."""
+        facing = si.sh_frame.n * dr.sign(mi.Frame3f.cos_theta(si.wi))
+        return self._cells.find(si.p, facing, active)
+
     def scatter(
         self,
+        cell: Any,
         scatter: Callable[..., tuple[Scattered, list[Evaluated]]],
         bsdf: Any,
         si: Any,
@@ -107,10 +113,8 @@ class Guide:
         directions: Sequence[tuple[Any, Any]] = (),
     ) -> tuple[GuidedScattered, list[Evaluated]]:
         """As ``scatter`` (:func:`scatter_camera`, say) with the other arguments, by the guide's and its directions in
-        turn; densities are those of both together."""
+        turn; densities are those of both together. ``cell``: as of :meth:`locate`."""
         smooth = active & is_smooth(bsdf)
-        facing = si.sh_frame.n * dr.sign(mi.Frame3f.cos_theta(si.wi))
-        cell = self._cells.find(si.p, facing, smooth)
         share, glow = dr.gather(mi.Vector2f, self._pairs, cell, smooth)
         by_guide = smooth & (source.decide(vertex, dim.GUIDE) < share)
         knows = smooth & (share > 0.0)
@@ -158,8 +162,9 @@ class Guide:
         most: float,
         leaf_share: float,
         share: float,
-    ) -> None:
-        """Take over what was found in each place, and refine.
+    ) -> NDArray[np.int64]:
+        """Take over what was found in each place, and refine. Returns for each cell that there is now the one that it
+        was a part of.
 
         Parameters
         ----------
@@ -178,6 +183,7 @@ class Guide:
         self._glow = self._glow[origin]
         self._trees = trees.refined(origin, leaf_share)
         self._upload()
+        return origin
 
     def state(self) -> dict[str, NDArray[Any]]:
         """What has been learned, as arrays of its own."""
