@@ -89,7 +89,7 @@ def exchange(segments):
 
 def test_all_engines_agree():
     """On the walls of a room with boxes, sheets and an opening, by the scatter of independent points."""
-    walls = box((0, 0, 0), (1, 1, 1), 1, outward=False)
+    walls = box((0, 0, 0), (1, 1, 1), 1, inward=True)
     sheet = square((0.1, 0.2, 0.6), (0.7, 0.1, 0), (0, 0.5, 0.2))
     vertices, faces = joined((walls[0], walls[1][:5]), box((0.3, 0.3, 0.1), (0.6, 0.8, 0.4), 1), sheet)
     patches = Patches(vertices, faces, two_sided=np.arange(12) == 11)
@@ -135,7 +135,7 @@ def test_meshes_that_are_cut_differently_where_they_meet():
 
 def test_a_box_on_the_floor_sees_it():
     """Coplanar faces that face each other: the floor under the box sees its bottom and nothing else."""
-    walls = box((0, 0, 0), (1, 1, 1), 3, outward=False)
+    walls = box((0, 0, 0), (1, 1, 1), 3, inward=True)
     patches = Patches(*joined(walls, box((1 / 3, 1 / 3, 0), (2 / 3, 2 / 3, 0.5), 1)))
     segments = ABuffer(patches, OwenSobol(4, seed=4), 2000).cast(100)
     assert segments.to_dark.sum() == 0
@@ -145,8 +145,8 @@ def test_a_box_on_the_floor_sees_it():
 
 
 def test_a_box_inside_out_shows_as_darkness():
-    inner = box((0.3, 0.3, 0.3), (0.7, 0.7, 0.7), 1, outward=False)
-    segments = ABuffer(Patches(*joined(box((0, 0, 0), (1, 1, 1), 1, outward=False), inner)), lines=500).cast(64)
+    inner = box((0.3, 0.3, 0.3), (0.7, 0.7, 0.7), 1, inward=True)
+    segments = ABuffer(Patches(*joined(box((0, 0, 0), (1, 1, 1), 1, inward=True), inner)), lines=500).cast(64)
     assert (segments.to_dark[:6] > 0.1 * segments.counted[:6]).all()
 
 

@@ -15,6 +15,7 @@ from .patches import Patches
 from .raycasting import RayScene
 from .scenes import scene_patches
 from .segments import Segments
+from .solids import box, joined
 from .solvers import SOLVERS, Solution, Solver, Transport, solve
 
 __all__ = [
@@ -45,10 +46,12 @@ __all__ = [
     "SpherePairs",
     "Transport",
     "area_form_factors",
+    "box",
     "diagnose",
     "estimate",
     "first_shot",
     "form_factors",
+    "joined",
     "local_form_factors",
     "multipath",
     "multipath_bundles",
