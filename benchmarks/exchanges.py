@@ -1,8 +1,8 @@
 """Global lines of ``etendue.radiosity``: segments cast and replayed in a second, and the error that they leave.
 
 The scene is the unit cube with four boxes floating in it. The error is that of F J for a radiosity J that varies
-smoothly, relative for each patch, root mean square over patches. It is estimated from two runs of different seeds, whose
-difference has the square root of two times the error of either.
+smoothly, relative for each patch, root mean square over patches. It is estimated from two runs of different seeds,
+whose difference has the square root of two times the error of either.
 """
 
 from __future__ import annotations

@@ -144,6 +144,18 @@ def test_a_box_on_the_floor_sees_it():
     assert seen.sum() > 1000 and np.flatnonzero(seen).tolist() == [58]
 
 
+def test_a_sheet_of_two_faces_back_to_back():
+    """The same as one of two sides, whatever the rounding, in a room and under the sky."""
+    walls, sheet = box((0, 0, 0), (1, 1, 1), 1, inward=True), square((0.2, 0.2, 0.4), (0.6, 0.1, 0.1), (0, 0.5, 0.2))
+    for around, gap in (([walls], 1e-9), ([walls], -1e-9), ([], 0)):
+        turned = sheet[0] + np.array([0, 0, gap]), sheet[1][:, ::-1]
+        one = Patches(*joined(*around, sheet), two_sided=np.arange(6 * len(around) + 1) == 6 * len(around))
+        two = Patches(*joined(*around, sheet, turned))
+        seen = [exchange(ABuffer(p, OwenSobol(4, seed=4), 2000).cast(64)) for p in (one, two)]
+        np.testing.assert_allclose(seen[0], seen[1], atol=2)
+        assert ABuffer(two, OwenSobol(4, seed=4), 2000).cast(64).to_dark.sum() == 0
+
+
 def test_a_box_inside_out_shows_as_darkness():
     inner = box((0.3, 0.3, 0.3), (0.7, 0.7, 0.7), 1, inward=True)
     segments = ABuffer(Patches(*joined(box((0, 0, 0), (1, 1, 1), 1, inward=True), inner)), lines=500).cast(64)

@@ -62,6 +62,16 @@ def triangles(faces: Index) -> tuple[Index, Index]:
     return corners, np.concatenate([np.arange(len(faces)), quad])
 
 
+def repeated(vertices: Array, faces: Index) -> Index:
+    """Faces (f, 4) that have the corners of an earlier one in the same sense; not those back to back."""
+    _, place = np.unique(vertices, axis=0, return_inverse=True)
+    corners = place.reshape(-1)[faces]
+    count = np.where(faces[:, 2] == faces[:, 3], 3, 4)[:, None]
+    turn = (np.argmin(corners, axis=1)[:, None] + np.arange(4)) % count
+    _, first = np.unique(np.take_along_axis(corners, turn, axis=1), axis=0, return_index=True)
+    return np.setdiff1d(np.arange(len(faces)), first)
+
+
 def _four_corners(faces: ArrayLike | Sequence[Sequence[int]]) -> Index:
     try:
         array = np.asarray(faces)
