@@ -11,6 +11,7 @@ from .local import LocalRays
 from .localfactors import area_form_factors, local_form_factors
 from .meshfiles import read_patches
 from .multipath import FirstShot, Multipath, first_shot, multipath, multipath_bundles
+from .particles import Particles, breadth_first, depth_first
 from .patches import Patches
 from .raycasting import RayScene
 from .scenes import scene_patches
@@ -36,6 +37,7 @@ __all__ = [
     "Lines",
     "LocalRays",
     "Multipath",
+    "Particles",
     "PatchError",
     "Patches",
     "RadiosityError",
@@ -47,6 +49,8 @@ __all__ = [
     "Transport",
     "area_form_factors",
     "box",
+    "breadth_first",
+    "depth_first",
     "diagnose",
     "estimate",
     "first_shot",
