@@ -20,6 +20,7 @@ from etendue.radiosity import (
     RadiosityError,
     RayScene,
     Segments,
+    SpherePairs,
     local_form_factors,
 )
 
@@ -125,6 +126,28 @@ def test_a_closed_mesh_lets_no_line_through():
     assert len(segments) > 100_000
     assert segments.to_dark.sum() == 0 and segments.to_sky.sum() == 0
     assert len(segments.unseen) == 0
+
+
+@pytest.mark.parametrize(
+    "moved",
+    [
+        lambda v: v * 1e-4 + 1000,
+        lambda v: v * 1e6,
+        lambda v: (v + 100).astype(np.float32),
+        lambda v: (v @ np.array([[0.36, 0.48, 0.8], [-0.8, 0.6, 0], [-0.48, -0.64, 0.6]])).astype(np.float32),
+    ],
+    ids=["small and far", "large", "single precision, far", "single precision, turned"],
+)
+def test_size_place_and_precision_of_a_mesh_do_not_matter(moved):
+    patches = room(5)
+    patches = Patches(moved(patches.vertices), patches.faces)
+    scene, points = RayScene(patches), OwenSobol(4, seed=1)
+    for segments in (
+        ABuffer(patches, points, 2000).cast(128),
+        ChainedRays(SpherePairs(patches), scene, points).cast(1 << 13),
+        LocalRays(scene, points).cast(1 << 13),
+    ):
+        assert segments.to_dark.sum() + segments.to_sky.sum() <= 2 and len(segments) > 7000
 
 
 def test_meshes_that_are_cut_differently_where_they_meet():

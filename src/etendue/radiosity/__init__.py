@@ -6,6 +6,7 @@ from .diagnosis import Diagnosis, diagnose
 from .engine import LineEngine
 from .errors import PatchError, RadiosityError
 from .formfactors import ESTIMATORS, Estimator, FormFactors, estimate, form_factors, pair_errors
+from .heat import STEFAN_BOLTZMANN, band_shares, gebhart_factors, thermal
 from .lines import GENERATORS, BoxWalls, Bundles, GreatCircle, LineGenerator, Lines, SpherePairs
 from .local import LocalRays
 from .localfactors import area_form_factors, local_form_factors
@@ -23,6 +24,7 @@ __all__ = [
     "ESTIMATORS",
     "GENERATORS",
     "SOLVERS",
+    "STEFAN_BOLTZMANN",
     "ABuffer",
     "BoxWalls",
     "Bundles",
@@ -48,6 +50,7 @@ __all__ = [
     "SpherePairs",
     "Transport",
     "area_form_factors",
+    "band_shares",
     "box",
     "breadth_first",
     "depth_first",
@@ -55,6 +58,7 @@ __all__ = [
     "estimate",
     "first_shot",
     "form_factors",
+    "gebhart_factors",
     "joined",
     "local_form_factors",
     "multipath",
@@ -63,4 +67,5 @@ __all__ = [
     "read_patches",
     "scene_patches",
     "solve",
+    "thermal",
 ]

@@ -16,8 +16,9 @@ Index = NDArray[np.int64]
 
 #: A face has no area if its area is below this part of its longest side squared.
 _NO_AREA = 1e-12
-#: A quadrilateral is flat if its corners are this near to their plane, in units of its diagonals.
-_FLAT = 1e-9
+#: A quadrilateral is flat if its corners are this near to their plane, in units of its size: what single precision may
+#: leave.
+_FLAT = 1e-6
 
 
 def flat_faces(vertices: Array, faces: ArrayLike | Sequence[Sequence[int]]) -> tuple[Index, Index]:
