@@ -13,7 +13,7 @@ from etendue.core import EtendueError
 
 from . import choice as choice_of_auto
 from . import cost as cost_of_a_pass
-from . import densities, fresh, integrals, neighbours, sequences
+from . import densities, exchanges, fresh, integrals, neighbours, sequences
 from . import guided as guiding
 from . import quality as quality_over_time
 from . import rays as ray_casting
@@ -217,6 +217,23 @@ def density(
     _publish(chosen, record, densities.measure(count, near, rounds, warm_up))
 
 
+@app.command()
+def radiosity(
+    cells: Annotated[
+        str, typer.Option(help="Along an edge of the room, separated by commas.", metavar="N,...")
+    ] = "20,107",
+    bundles: Annotated[int, typer.Option(min=1, help="Bundles of parallel lines.")] = 1024,
+    lines: Annotated[
+        float | None, typer.Option(min=1, help="Lines of a bundle; two for each patch by default.")
+    ] = None,
+    variant: Variant = None,
+    record: Keep = False,
+) -> None:
+    """Segments of global lines: cast, replayed and solved in a second, and the error that they leave."""
+    chosen = begin(variant)
+    _publish(chosen, record, exchanges.measure([int(word) for word in words(cells)], bundles, lines))
+
+
 @app.callback(invoke_without_command=True)
 def everything(context: typer.Context, variant: Variant = None, record: Keep = False) -> None:
     """Run every benchmark in turn."""
@@ -232,6 +249,7 @@ def everything(context: typer.Context, variant: Variant = None, record: Keep = F
         points(variant=variant, record=record)
         integration(variant=variant, record=record)
         density(variant=variant, record=record)
+        radiosity(variant=variant, record=record)
 
 
 if __name__ == "__main__":

@@ -201,3 +201,10 @@ def test_choice_holds_auto_against_its_best_candidate(monkeypatch):
     assert row[6:] == ("bpt", f"{expected[-1] / expected[1]:.2f}", choice.verdict(expected[-1] / expected[1], 1.2))
     with pytest.raises(SystemExit, match="no test scene 'nowhere'"):
         choice.measure(["nowhere"], pixels=64, seconds=1.0, seeds=1)
+
+
+def test_the_radiosity_benchmark_counts_and_solves():
+    record = module("exchanges").measure([3], 64, 500.0)
+    (row,) = record.rows
+    columns = dict(zip(record.columns, row, strict=True))
+    assert columns["patches"] == "86" and 0 < float(columns["error"]) < 0.1

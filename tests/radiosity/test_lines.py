@@ -20,6 +20,7 @@ from etendue.radiosity import (
     RadiosityError,
     RayScene,
     Segments,
+    SpherePairs,
     local_form_factors,
 )
 
@@ -89,7 +90,7 @@ def exchange(segments):
 
 def test_all_engines_agree():
     """On the walls of a room with boxes, sheets and an opening, by the scatter of independent points."""
-    walls = box((0, 0, 0), (1, 1, 1), 1, outward=False)
+    walls = box((0, 0, 0), (1, 1, 1), 1, inward=True)
     sheet = square((0.1, 0.2, 0.6), (0.7, 0.1, 0), (0, 0.5, 0.2))
     vertices, faces = joined((walls[0], walls[1][:5]), box((0.3, 0.3, 0.1), (0.6, 0.8, 0.4), 1), sheet)
     patches = Patches(vertices, faces, two_sided=np.arange(12) == 11)
@@ -127,6 +128,28 @@ def test_a_closed_mesh_lets_no_line_through():
     assert len(segments.unseen) == 0
 
 
+@pytest.mark.parametrize(
+    "moved",
+    [
+        lambda v: v * 1e-4 + 1000,
+        lambda v: v * 1e6,
+        lambda v: (v + 100).astype(np.float32),
+        lambda v: (v @ np.array([[0.36, 0.48, 0.8], [-0.8, 0.6, 0], [-0.48, -0.64, 0.6]])).astype(np.float32),
+    ],
+    ids=["small and far", "large", "single precision, far", "single precision, turned"],
+)
+def test_size_place_and_precision_of_a_mesh_do_not_matter(moved):
+    patches = room(5)
+    patches = Patches(moved(patches.vertices), patches.faces)
+    scene, points = RayScene(patches), OwenSobol(4, seed=1)
+    for segments in (
+        ABuffer(patches, points, 2000).cast(128),
+        ChainedRays(SpherePairs(patches), scene, points).cast(1 << 13),
+        LocalRays(scene, points).cast(1 << 13),
+    ):
+        assert segments.to_dark.sum() + segments.to_sky.sum() <= 2 and len(segments) > 7000
+
+
 def test_meshes_that_are_cut_differently_where_they_meet():
     patches = room(3).subdivided(0.02)
     segments = ABuffer(patches, OwenSobol(4, seed=2), 3000).cast(100)
@@ -135,7 +158,7 @@ def test_meshes_that_are_cut_differently_where_they_meet():
 
 def test_a_box_on_the_floor_sees_it():
     """Coplanar faces that face each other: the floor under the box sees its bottom and nothing else."""
-    walls = box((0, 0, 0), (1, 1, 1), 3, outward=False)
+    walls = box((0, 0, 0), (1, 1, 1), 3, inward=True)
     patches = Patches(*joined(walls, box((1 / 3, 1 / 3, 0), (2 / 3, 2 / 3, 0.5), 1)))
     segments = ABuffer(patches, OwenSobol(4, seed=4), 2000).cast(100)
     assert segments.to_dark.sum() == 0
@@ -144,9 +167,21 @@ def test_a_box_on_the_floor_sees_it():
     assert seen.sum() > 1000 and np.flatnonzero(seen).tolist() == [58]
 
 
+def test_a_sheet_of_two_faces_back_to_back():
+    """The same as one of two sides, whatever the rounding, in a room and under the sky."""
+    walls, sheet = box((0, 0, 0), (1, 1, 1), 1, inward=True), square((0.2, 0.2, 0.4), (0.6, 0.1, 0.1), (0, 0.5, 0.2))
+    for around, gap in (([walls], 1e-9), ([walls], -1e-9), ([], 0)):
+        turned = sheet[0] + np.array([0, 0, gap]), sheet[1][:, ::-1]
+        one = Patches(*joined(*around, sheet), two_sided=np.arange(6 * len(around) + 1) == 6 * len(around))
+        two = Patches(*joined(*around, sheet, turned))
+        seen = [exchange(ABuffer(p, OwenSobol(4, seed=4), 2000).cast(64)) for p in (one, two)]
+        np.testing.assert_allclose(seen[0], seen[1], atol=2)
+        assert ABuffer(two, OwenSobol(4, seed=4), 2000).cast(64).to_dark.sum() == 0
+
+
 def test_a_box_inside_out_shows_as_darkness():
-    inner = box((0.3, 0.3, 0.3), (0.7, 0.7, 0.7), 1, outward=False)
-    segments = ABuffer(Patches(*joined(box((0, 0, 0), (1, 1, 1), 1, outward=False), inner)), lines=500).cast(64)
+    inner = box((0.3, 0.3, 0.3), (0.7, 0.7, 0.7), 1, inward=True)
+    segments = ABuffer(Patches(*joined(box((0, 0, 0), (1, 1, 1), 1, inward=True), inner)), lines=500).cast(64)
     assert (segments.to_dark[:6] > 0.1 * segments.counted[:6]).all()
 
 

@@ -133,8 +133,10 @@ def test_what_a_diagnosis_finds():
     turned = faces.copy()
     turned[5] = turned[5][::-1]
     assert len(diagnose(Patches(vertices, turned)).flipped_edges) == 4
-    twice = diagnose(Patches(vertices, np.concatenate([faces, faces[3:4, ::-1]])))
+    twice = diagnose(Patches(vertices, np.concatenate([faces, np.roll(faces[3:4], 1, axis=1)])))
     assert twice.duplicates.tolist() == [24] and len(twice.crowded_edges) == 4
+    back_to_back = diagnose(Patches(UNIT[0], np.concatenate([UNIT[1], UNIT[1][:, ::-1]])))
+    assert back_to_back.is_closed and len(back_to_back.duplicates) == 0
     sheet = diagnose(Patches(*UNIT, two_sided=True))
     assert sheet.is_closed
 

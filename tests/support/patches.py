@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from etendue.radiosity import Patches
+from etendue.radiosity import Patches, box, joined
 
 BOXES = (
     ((0.12, 0.15, 0.1), (0.42, 0.4, 0.55)),
@@ -14,42 +14,15 @@ BOXES = (
 )
 
 
-def box(low, high, cells, outward=True):
-    """Vertices and quadrilaterals of a box, ``cells`` along each axis; each vertex once."""
-    cells = np.broadcast_to(cells, 3)
-    lines = [np.linspace(low[axis], high[axis], cells[axis] + 1) for axis in range(3)]
-    vertices, faces = [], []
-    for axis in range(3):
-        b, c = (axis + 1) % 3, (axis + 2) % 3
-        for end in range(2):
-            j, k = np.meshgrid(np.arange(cells[b] + 1), np.arange(cells[c] + 1), indexing="ij")
-            points = np.empty((j.size, 3))
-            points[:, axis], points[:, b], points[:, c] = lines[axis][-end], lines[b][j.ravel()], lines[c][k.ravel()]
-            j, k = (x.ravel() for x in np.meshgrid(np.arange(cells[b]), np.arange(cells[c]), indexing="ij"))
-            first, row = j * (cells[c] + 1) + k, cells[c] + 1
-            quads = np.stack([first, first + row, first + row + 1, first + 1], axis=1)
-            if (end == 1) != outward:
-                quads = quads[:, ::-1]
-            faces.append(quads + sum(map(len, vertices)))
-            vertices.append(points)
-    return np.concatenate(vertices), np.concatenate(faces)
-
-
-def joined(*meshes):
-    vertices = np.concatenate([mesh[0] for mesh in meshes])
-    offsets = np.cumsum([0, *(len(mesh[0]) for mesh in meshes)])
-    return vertices, np.concatenate([mesh[1] + offset for mesh, offset in zip(meshes, offsets, strict=False)])
-
-
 def cube(n, **properties):
     """The inside of the unit cube, n x n quadrilaterals a wall."""
-    return Patches(*box((0, 0, 0), (1, 1, 1), n, outward=False), **properties)
+    return Patches(*box((0, 0, 0), (1, 1, 1), n, inward=True), **properties)
 
 
 def room(n, **properties):
     """The same with four boxes floating in it."""
     boxes = [box(low, high, np.maximum(np.rint((np.array(high) - low) * n), 1).astype(int)) for low, high in BOXES]
-    return Patches(*joined(box((0, 0, 0), (1, 1, 1), n, outward=False), *boxes), **properties)
+    return Patches(*joined(box((0, 0, 0), (1, 1, 1), n, inward=True), *boxes), **properties)
 
 
 def square(origin, a, b):

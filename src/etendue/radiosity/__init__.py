@@ -6,21 +6,25 @@ from .diagnosis import Diagnosis, diagnose
 from .engine import LineEngine
 from .errors import PatchError, RadiosityError
 from .formfactors import ESTIMATORS, Estimator, FormFactors, estimate, form_factors, pair_errors
+from .heat import STEFAN_BOLTZMANN, band_shares, gebhart_factors, thermal
 from .lines import GENERATORS, BoxWalls, Bundles, GreatCircle, LineGenerator, Lines, SpherePairs
 from .local import LocalRays
 from .localfactors import area_form_factors, local_form_factors
 from .meshfiles import read_patches
 from .multipath import FirstShot, Multipath, first_shot, multipath, multipath_bundles
+from .particles import Particles, breadth_first, depth_first
 from .patches import Patches
 from .raycasting import RayScene
 from .scenes import scene_patches
 from .segments import Segments
+from .solids import box, joined
 from .solvers import SOLVERS, Solution, Solver, Transport, solve
 
 __all__ = [
     "ESTIMATORS",
     "GENERATORS",
     "SOLVERS",
+    "STEFAN_BOLTZMANN",
     "ABuffer",
     "BoxWalls",
     "Bundles",
@@ -35,6 +39,7 @@ __all__ = [
     "Lines",
     "LocalRays",
     "Multipath",
+    "Particles",
     "PatchError",
     "Patches",
     "RadiosityError",
@@ -45,10 +50,16 @@ __all__ = [
     "SpherePairs",
     "Transport",
     "area_form_factors",
+    "band_shares",
+    "box",
+    "breadth_first",
+    "depth_first",
     "diagnose",
     "estimate",
     "first_shot",
     "form_factors",
+    "gebhart_factors",
+    "joined",
     "local_form_factors",
     "multipath",
     "multipath_bundles",
@@ -56,4 +67,5 @@ __all__ = [
     "read_patches",
     "scene_patches",
     "solve",
+    "thermal",
 ]

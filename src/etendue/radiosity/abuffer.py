@@ -17,8 +17,8 @@ from .segments import Pairs
 
 #: Bundles of one task.
 _BUNDLES = 8
-#: Faces nearer to each other than twice this part of the scene's radius look at each other, if turned so.
-_NUDGE = 1e-7
+#: The order of faces nearer to each other than this part of the scene's radius follows from how they are turned.
+_GAP = 2e-7
 #: Lines for each patch and bundle, in the mean, if their number is not given; and the fewest.
 _LINES_PER_PATCH, _FEWEST = 2.0, 4096
 
@@ -59,7 +59,7 @@ class ABuffer(LineEngine):
     def stream(self, count: int, first: int = 0) -> Iterator[Pairs]:
         """See :class:`LineEngine`."""
         rasterise = compiled().rasterise
-        nudge = _NUDGE * self.bundles.radius
+        gap = _GAP * self.bundles.radius
         # Hits of a bundle vary with its direction.
         room = int(1.2 * self.expected(1).sum()) + 1024
 
@@ -67,6 +67,6 @@ class ABuffer(LineEngine):
             u = self.points.block(number, start)
             frames, shifts = self.bundles.frames(u), np.ascontiguousarray(u[:, 2:])
             arrays = self._vertices, self._faces, self._front, self._back, frames, shifts
-            return lambda: rasterise(*arrays, self.bundles.spacing, nudge, len(self.patches), room)
+            return lambda: rasterise(*arrays, self.bundles.spacing, gap, len(self.patches), room)
 
         return in_order(task(*piece) for piece in self._pieces(count, first))

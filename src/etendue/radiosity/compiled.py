@@ -24,7 +24,7 @@ def rasterise(
     frames: Any,
     shifts: Any,
     spacing: Any,
-    nudge: Any,
+    gap: Any,
     patches: Any,
     room: Any,
 ) -> Any:
@@ -34,8 +34,7 @@ def rasterise(
     frames (b, 3, 3) as of :meth:`Bundles.frames`; shifts (b, 2) of the grid in units of ``spacing``; room, the
     hits of a bundle to be ready for.
 
-    Each line has a list of its hits, in order of their discovery. Faces that look at each other at a distance below
-    twice the ``nudge`` count as such, however their depths are rounded: a box on the floor.
+    Each line has a list of its hits, in order of their discovery; see :func:`_walk` for the ``gap``.
     """
     # What may grow is passed on as an argument: arrays that change hands in a loop are counted at every turn of it.
     place = np.empty((len(vertices), 3))
@@ -55,7 +54,7 @@ def rasterise(
         face, count, wanted = 0, 0, 0
         while True:
             face, count, wanted = _fill(
-                *(place, faces, front, back, nudge, column, row, columns, heads, depths, sides, nexts, face, count)
+                *(place, faces, front, back, column, row, columns, heads, depths, sides, nexts, face, count)
             )
             if face == len(faces):
                 break
@@ -66,7 +65,9 @@ def rasterise(
             pairs = _grown_pairs(pairs, 2 * (made + 2 * count), made)
         line = 0
         while True:
-            line, made = _walk(heads, columns * rows, depths, sides, nexts, stack, order, pairs, line, made, patches)
+            line, made = _walk(
+                heads, columns * rows, depths, sides, nexts, stack, order, pairs, line, made, patches, gap
+            )
             if line == columns * rows:
                 break
             stack, order = np.empty(2 * len(stack), np.int32), np.empty(2 * len(stack))
@@ -97,7 +98,6 @@ def _fill(
     faces: Any,
     front: Any,
     back: Any,
-    nudge: Any,
     first_column: Any,
     first_row: Any,
     columns: Any,
@@ -138,9 +138,9 @@ def _fill(
         slope_x, slope_y = -(ay * bz - az * by) / nz, -(az * bx - ax * bz) / nz
         z_low, z_high = min(min(z0, z1), min(z2, z3)), max(max(z0, z1), max(z2, z3))
         if nz > 0:
-            near, far, moved = back[f], front[f], -nudge
+            near, far = back[f], front[f]
         else:
-            near, far, moved = front[f], back[f], nudge
+            near, far = front[f], back[f]
         for row in range(top, end):
             left, right = np.inf, -np.inf
             for edge in range(4):
@@ -162,7 +162,7 @@ def _fill(
             depth = z0 + slope_y * (row - y0)
             line = (row - first_row) * columns - first_column
             for column in range(math.ceil(left), math.ceil(right)):
-                depths[count] = min(max(depth + slope_x * (column - x0), z_low), z_high) + moved
+                depths[count] = min(max(depth + slope_x * (column - x0), z_low), z_high)
                 sides[count, 0], sides[count, 1], nexts[count] = near, far, heads[line + column]
                 heads[line + column] = count
                 count += 1
@@ -182,12 +182,16 @@ def _walk(
     start: Any,
     made: Any,
     patches: Any,
+    gap: Any,
 ) -> Any:
     """Sort the hits of the lines from ``start`` on, and write the segments between them from ``pairs[made]`` on.
 
+    Two faces of opposite sense that are nearer than ``gap`` may be a sheet, or solids that touch (a box on the floor).
+    Rounding does not decide which comes first, but whether the line is inside a solid, behind the back of a face.
+
     Returns the line whose hits ``stack`` cannot hold (``lines`` if there is none) and the number of segments.
     """
-    sky = np.uint32(patches)
+    sky, dark = np.uint32(patches), np.uint32(patches + 1)
     for line in range(start, lines):
         hit = heads[line]
         if hit < 0:
@@ -203,8 +207,10 @@ def _walk(
             order[at], stack[at] = depth, hit
             hits += 1
             hit = nexts[hit]
-        before = sky
+        before, ordered = sky, 0
         for k in range(hits):
+            if k >= ordered and k + 1 < hits and order[k + 1] - order[k] < gap:
+                ordered = _settle(k, before == dark, hits, stack, order, sides, dark, gap)
             after = sides[stack[k], 0]
             if before < sky or after < sky:
                 pairs[made, 0], pairs[made, 1] = before, after
@@ -214,6 +220,36 @@ def _walk(
             pairs[made, 0], pairs[made, 1] = before, sky
             made += 1
     return lines, made
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _settle(k: Any, inside: Any, hits: Any, stack: Any, order: Any, sides: Any, dark: Any, gap: Any) -> Any:
+    """Put hit ``k`` of a line and the next, which are near to each other, into the right order. Returns the hit from
+    which on order is still to be looked at."""
+    if not _touch(k, hits, stack, order, sides, dark, gap):
+        return k
+    if k == 0:
+        # Outside of everything may be a solid or the open: the first face by itself tells.
+        alone = 2
+        while _touch(alone, hits, stack, order, sides, dark, gap):
+            alone += 2
+        if alone < hits:
+            inside = sides[stack[alone], 0] == dark
+        else:  # a corner that is touched keeps its order, two faces in the same place are a sheet
+            inside = sides[stack[k], 0] == dark and order[k + 1] - order[k] > 1e-5 * gap
+    if inside != (sides[stack[k], 0] == dark):
+        stack[k], stack[k + 1] = stack[k + 1], stack[k]
+    return k + 2
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _touch(k: Any, hits: Any, stack: Any, order: Any, sides: Any, dark: Any, gap: Any) -> Any:
+    """Whether hit ``k`` of a line and the next are of opposite sense and nearer than ``gap``."""
+    if k + 1 >= hits or order[k + 1] - order[k] >= gap:
+        return False
+    a, b = stack[k], stack[k + 1]
+    enters, leaves = sides[a, 1] == dark, sides[a, 0] == dark
+    return enters != leaves and enters == (sides[b, 0] == dark) and leaves == (sides[b, 1] == dark)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

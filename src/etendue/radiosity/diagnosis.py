@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .faces import repeated
 from .patches import Patches
 
 Index = NDArray[np.int64]
@@ -20,7 +21,7 @@ class Diagnosis:
     not show: see :attr:`Segments.dark`.
     """
 
-    #: Faces that have the corners of an earlier one. Which of the two a line meets is left to chance.
+    #: Faces that have the corners of an earlier one, in the same sense. Which of them a line meets is left to chance.
     duplicates: Index
     #: Edges of one face only, (e, 2) vertex indices; sheets with two sides, which have a border, are left out.
     open_edges: Index
@@ -49,9 +50,6 @@ def diagnose(patches: Patches) -> Diagnosis:
     """Look for faces given twice, and for edges that no solid has."""
     _, place = np.unique(patches.vertices, axis=0, return_inverse=True)
     faces = place.reshape(-1)[patches.faces]
-    _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
-    duplicates = np.setdiff1d(np.arange(len(faces)), first)
-
     sided = np.flatnonzero(patches.back < 0)
     start = faces[sided].ravel()
     end = np.roll(faces[sided], -1, axis=1).ravel()
@@ -63,7 +61,7 @@ def diagnose(patches: Patches) -> Diagnosis:
     _, first, inverse, count = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
     forward = np.bincount(inverse.reshape(-1), start < end)
     return Diagnosis(
-        duplicates=duplicates,
+        duplicates=repeated(patches.vertices, patches.faces),
         open_edges=where[first[count == 1]],
         crowded_edges=where[first[count > 2]],
         flipped_edges=where[first[(count == 2) & (forward != 1)]],

@@ -16,8 +16,9 @@ Index = NDArray[np.int64]
 
 #: A face has no area if its area is below this part of its longest side squared.
 _NO_AREA = 1e-12
-#: A quadrilateral is flat if its corners are this near to their plane, in units of its diagonals.
-_FLAT = 1e-9
+#: A quadrilateral is flat if its corners are this near to their plane, in units of its size: what single precision may
+#: leave.
+_FLAT = 1e-6
 
 
 def flat_faces(vertices: Array, faces: ArrayLike | Sequence[Sequence[int]]) -> tuple[Index, Index]:
@@ -60,6 +61,16 @@ def triangles(faces: Index) -> tuple[Index, Index]:
     quad = np.flatnonzero(faces[:, 2] != faces[:, 3])
     corners = np.concatenate([faces[:, :3], faces[quad][:, [0, 2, 3]]])
     return corners, np.concatenate([np.arange(len(faces)), quad])
+
+
+def repeated(vertices: Array, faces: Index) -> Index:
+    """Faces (f, 4) that have the corners of an earlier one in the same sense; not those back to back."""
+    _, place = np.unique(vertices, axis=0, return_inverse=True)
+    corners = place.reshape(-1)[faces]
+    count = np.where(faces[:, 2] == faces[:, 3], 3, 4)[:, None]
+    turn = (np.argmin(corners, axis=1)[:, None] + np.arange(4)) % count
+    _, first = np.unique(np.take_along_axis(corners, turn, axis=1), axis=0, return_index=True)
+    return np.setdiff1d(np.arange(len(faces)), first)
 
 
 def _four_corners(faces: ArrayLike | Sequence[Sequence[int]]) -> Index:

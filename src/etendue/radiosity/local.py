@@ -15,7 +15,7 @@ from .engine import LineEngine
 from .faces import triangles
 from .lines import across
 from .patches import Patches
-from .raycasting import RayScene
+from .raycasting import STEP, RayScene
 from .segments import Pairs
 
 Index = NDArray[np.int64]
@@ -108,9 +108,7 @@ class Sides:
         """What rays meet, from even points of ``side`` in the directions ``ways`` (k, 3) of a frame whose third axis is
         the normal: a patch, ``n`` for the sky, ``n + 1`` for the back of a face."""
         normal = self.normals[side]
-        a, b = across(normal)
-        directions = ways[:, :1] * a + ways[:, 1:2] * b + ways[:, 2:] * normal
-        return scene.first_patches(self.points(side, u), normal, directions)
+        return scene.first_patches(self.points(side, u) + STEP * normal, around(normal, ways))
 
 
 def cosine_law(u: Array) -> Array:
@@ -123,3 +121,46 @@ def even_angles(u: Array) -> Array:
     """The same, evenly spread over both angles: theta = pi/2 u, phi = 2 pi v."""
     theta, phi = np.pi / 2 * u[:, 0], 2 * np.pi * u[:, 1]
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Rays that carry power: origins and unit directions (k, 3) in unit coordinates, power (k, c)."""
+
+    origins: Array
+    directions: Array
+    power: Array
+
+
+def emitted(scene: RayScene, power: Array, u: Array) -> Rays:
+    """Rays of cosine density that carry the ``power`` (n, c) of patches, one for each point ``u`` (k, 4).
+
+    Rays are shared out by power, all channels together, and have the colour of their source. They are scaled so that of
+    each channel all power is sent.
+    """
+    n, sides = len(scene.patches), Sides.of(scene.patches)
+    edges = np.concatenate([[0.0], np.cumsum(power.sum(axis=1))])
+    place = u[:, 0] * edges[-1]
+    source = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, n - 1)
+    within = np.clip((place - edges[source]) / np.diff(edges)[source], 0, np.nextafter(1, 0))
+    side, within = sides.pick_of(source, within)
+    carried = power[source] / power[source].sum(axis=1, keepdims=True)
+    sent = carried.sum(axis=0)
+    carried *= np.divide(power.sum(axis=0), sent, out=np.zeros_like(sent), where=sent > 0)
+    normal = sides.normals[side]
+    origins = sides.points(side, np.column_stack([within, u[:, 1]])) + STEP * normal
+    return Rays(origins, around(normal, cosine_law(u[:, 2:])), carried)
+
+
+def shoot(scene: RayScene, power: Array, u: Array) -> Array:
+    """Power (n + 2, c) that patches, the sky and the backs of faces receive, if patches send ``power`` (n, c) by
+    rays."""
+    rays, n = emitted(scene, power, u), len(scene.patches)
+    found = scene.first_patches(rays.origins, rays.directions)
+    return np.stack([np.bincount(found, column, n + 2) for column in rays.power.T], axis=1)
+
+
+def around(normals: Array, ways: Array) -> Array:
+    """Directions ``ways`` (k, 3) of frames whose third axes are ``normals``."""
+    a, b = across(normals)
+    return ways[:, :1] * a + ways[:, 1:2] * b + ways[:, 2:] * normals

@@ -13,7 +13,7 @@ from etendue.points import OwenSobol, PointSet
 from .errors import RadiosityError
 from .formfactors import FormFactors, _sparse
 from .local import Sides, cosine_law, even_angles
-from .raycasting import RayScene
+from .raycasting import STEP, RayScene
 
 Index = NDArray[np.int64]
 
@@ -106,6 +106,6 @@ def _seen_kernel(scene: RayScene, sides: Sides, from_side: Index, a: Array, to_s
     cosines = (way * sides.normals[from_side]).sum(axis=1), -(way * sides.normals[to_side]).sum(axis=1)
     faces = (cosines[0] > 0) & (cosines[1] > 0)
     seen = np.zeros(len(a), dtype=bool)
-    found = scene.first_patches(a[faces], sides.normals[from_side[faces]], way[faces])
+    found = scene.first_patches(a[faces] + STEP * sides.normals[from_side[faces]], way[faces])
     seen[np.flatnonzero(faces)] = found == to
     return np.where(seen, cosines[0] * cosines[1] / np.maximum(square, 1e-300), 0.0)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from etendue.core import Array, BackendError, logger, suggest
 
 from .errors import PatchError
-from .faces import face_vectors, flat_faces
+from .faces import face_vectors, flat_faces, repeated
 from .patches import Patches
 
 Index = NDArray[np.int64]
@@ -70,8 +70,8 @@ def read_patches(
 def sound_faces(vertices: Array, faces: Index, where: str) -> tuple[Array, Index, Index]:
     """Vertices, faces (m, 4) without those that have no area or are there twice, and which are left.
 
-    Faces at the same place count as the same, whichever way they are turned. Warns; raises :class:`PatchError` if none
-    is left.
+    Two faces at the same place that look into opposite directions are both kept. Warns; raises :class:`PatchError` if
+    none is left.
     """
     if not np.isfinite(vertices).all():
         bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
@@ -81,14 +81,12 @@ def sound_faces(vertices: Array, faces: Index, where: str) -> tuple[Array, Index
     empty = np.ones(len(faces), dtype=bool)
     np.logical_and.at(empty, rows, flat)
     kept = np.flatnonzero(~empty)
-    _, place = np.unique(vertices, axis=0, return_inverse=True)
-    _, first = np.unique(np.sort(place.reshape(-1)[faces[kept]], axis=1), axis=0, return_index=True)
-    twice = len(kept) - len(first)
-    kept = kept[np.sort(first)]
-    if empty.any() or twice:
+    twice = repeated(vertices, faces[kept])
+    kept = np.delete(kept, twice)
+    if empty.any() or len(twice):
         logger.warning(
             "%s: of %d faces %d have no area and %d are there twice; they are left out",
-            *(where, len(faces), np.count_nonzero(empty), twice),
+            *(where, len(faces), np.count_nonzero(empty), len(twice)),
         )
     if len(kept) == 0:
         raise PatchError(f"{where}: none of {len(faces)} faces has an area")

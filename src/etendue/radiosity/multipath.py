@@ -10,7 +10,7 @@ from etendue.core import Array
 
 from .engine import LineEngine
 from .errors import RadiosityError
-from .local import Sides, cosine_law
+from .local import shoot
 from .parallel import compiled
 from .patches import Patches
 from .raycasting import RayScene
@@ -48,22 +48,11 @@ def first_shot(scene: RayScene, u: Array) -> FirstShot:
     Raises :class:`RadiosityError` if no patch emits.
     """
     patches = scene.patches
-    n, sides = len(patches), Sides.of(patches)
     if not patches.emission.any():
         raise RadiosityError("no patch emits light: there is no first shot")
-    power = patches.areas[:, None] * patches.emission
-    edges = np.concatenate([[0.0], np.cumsum(power.sum(axis=1))])
-    place = u[:, 0] * edges[-1]
-    source = np.clip(np.searchsorted(edges, place, side="right") - 1, 0, n - 1)
-    within = np.clip((place - edges[source]) / np.diff(edges)[source], 0, np.nextafter(1, 0))
-    side, within = sides.pick_of(source, within)
-    found = sides.cast(scene, side, np.column_stack([within, u[:, 1]]), cosine_law(u[:, 2:]))
-    # A ray carries the colour of its source. Scaled, so that of each channel all is sent.
-    carried = power[source] / power[source].sum(axis=1, keepdims=True)
-    carried *= np.divide(power.sum(axis=0), sent := carried.sum(axis=0), out=np.zeros_like(sent), where=sent > 0)
-    received = np.stack([np.bincount(found, column, n + 2) for column in carried.T], axis=1)
-    absorbed = ((1 - patches.reflectance) * received[:n]).sum(axis=0) + received[n + 1]
-    return FirstShot(patches.reflectance * received[:n], absorbed, received[n])
+    received = shoot(scene, patches.areas[:, None] * patches.emission, u)
+    absorbed = ((1 - patches.reflectance) * received[:-2]).sum(axis=0) + received[-1]
+    return FirstShot(patches.reflectance * received[:-2], absorbed, received[-2])
 
 
 def multipath(engine: LineEngine, count: int, first: int = 0, shot: FirstShot | None = None) -> Multipath:

@@ -60,10 +60,10 @@ class RayScene:
         hit = np.flatnonzero(np.isfinite(distance))
         return Hits(hit, distance[hit], self._face[triangle[hit]])
 
-    def first_patches(self, points: Array, normals: Array, directions: Array) -> Index:
-        """What rays from points of surfaces with ``normals`` meet: a patch, ``n`` for the sky, ``n + 1`` for a back."""
-        hits = self.first_hits(points + STEP * normals, directions)
-        found = np.full(len(points), len(self.patches))
+    def first_patches(self, origins: Array, directions: Array) -> Index:
+        """What rays (n, 3) meet first: a patch, ``n`` for the sky, ``n + 1`` for the back of a face."""
+        hits = self.first_hits(origins, directions)
+        found = np.full(len(origins), len(self.patches))
         found[hits.ray] = self.sides(hits.face, directions[hits.ray])[0]
         return found
 

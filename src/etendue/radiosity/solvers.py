@@ -69,6 +69,11 @@ class Solution:
         }
 
     @property
+    def net_power(self) -> Array:
+        """(n, c) power that each patch sends less what arrives: its heat, if it is kept at its temperature."""
+        return self.patches.areas[:, None] * (self.radiosity - self.irradiance)
+
+    @property
     def imbalance(self) -> float:
         """Power that comes in less what goes out, as a share of the first: zero if form factors are reciprocal and
         their rows sum to 1, else of the size of their errors."""

@@ -1,0 +1,63 @@
+"""Global lines of ``etendue.radiosity``: segments cast and replayed in a second, and the error that they leave.
+
+The scene is the unit cube with four boxes floating in it. The error is that of F J for a radiosity J that varies
+smoothly, relative for each patch, root mean square over patches. It is estimated from two runs of different seeds,
+whose difference has the square root of two times the error of either.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from etendue.points import OwenSobol
+from etendue.radiosity import ABuffer, Patches, Segments, box, joined, solve
+
+from .measuring import Record, timed
+
+_BOXES = (
+    ((0.12, 0.15, 0.1), (0.42, 0.4, 0.55)),
+    ((0.6, 0.1, 0.2), (0.85, 0.5, 0.45)),
+    ((0.15, 0.6, 0.35), (0.45, 0.85, 0.9)),
+    ((0.58, 0.62, 0.08), (0.88, 0.9, 0.62)),
+)
+
+
+def room(cells: int) -> Patches:
+    """The scene, ``cells`` x ``cells`` quadrilaterals on a wall and about as large ones on the boxes."""
+    boxes = [box(low, high, np.maximum(np.rint((np.array(high) - low) * cells), 1).astype(int)) for low, high in _BOXES]
+    patches = Patches(*joined(box((0, 0, 0), (1, 1, 1), cells, inward=True), *boxes))
+    lamp = (patches.centres[:, 2] == 1) & (np.abs(patches.centres[:, :2] - 0.5) < 0.2).all(axis=1)
+    return patches.with_properties(reflectance=0.7, emission=lamp.astype(float))
+
+
+def measure(sizes: list[int], bundles: int, lines: float | None) -> Record:
+    """Cast and replay ``bundles`` of so many ``lines`` through rooms of these numbers of cells."""
+    columns = ("patches", "segments", "cast s", "CPU s", "cast M/s", "replay M/s", "solve s", "error", "memory")
+    record = Record("Segments of a room with boxes", columns)
+    ABuffer(room(1)).cast(1).gather(np.ones(len(room(1))))  # compiles
+    for cells in sizes:
+        patches = room(cells)
+        x, y, z = patches.centres.T
+        radiosity = np.exp(2 * x) * (1 + 0.5 * np.sin(7 * y + 5 * z))
+        gathered = []
+        for seed in range(2):
+            engine, found = ABuffer(patches, OwenSobol(4, seed=seed), lines), list[Segments]()
+            cast = timed(lambda engine=engine, found=found: found.append(engine.cast(bundles)))
+            segments = found[0]
+            results: list[np.ndarray] = []
+            replay = timed(lambda s=segments, j=radiosity, out=results: out.append(s.gather(j)))
+            gathered += results
+        solution = timed(lambda p=patches, s=segments: solve(p, s, "conjugate-gradient", tolerance=1e-4))
+        mean = (gathered[0] + gathered[1]) / 2
+        error = np.sqrt(np.mean(((gathered[0] - gathered[1]) / mean) ** 2) / 2)
+        count = len(segments) / 1e6
+        record.add(
+            *(str(len(patches)), f"{count:.1f} M", f"{cast.wall:.2f}", f"{cast.cpu:.2f}", f"{count / cast.wall:.1f}"),
+            *(f"{count / replay.wall:.0f}", f"{solution.wall:.2f}", f"{error:.2g}", f"{segments.nbytes / 1e9:.2f} GB"),
+        )
+    record.notes += [
+        f"{bundles} bundles of {'as many lines as meet each patch twice' if lines is None else f'{lines:g} lines'}",
+        "error: of F J for a smooth J, relative, root mean square over patches, from the difference of two runs",
+        "solve: one channel, reflectance 0.7, conjugate gradient on the segments to a residual of 1e-4",
+    ]
+    return record
