@@ -60,7 +60,7 @@ def reference(
     begin(variant)
     record = Record(f"References, {size}, {time:g} s", ("", "noise (RMS of luminance)", "made by"))
     for name in _names(scene):
-        made = references.make(name, parse_size(size), out, time)
+        made = references.recipe(name).make(parse_size(size), out, time)
         record.add(name, f"{made.noise:.5f}", made.note)
     record.publish("", False)
 

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from .. import plotting
 from ..measuring import Record
-from . import plotting, references
-from .racing import RADIUS, TRIM, Entrant, marks, open_scene, order, race, the_four
+from ..racing import TRIM, Entrant, marks, order, race
+from . import references
+from .entrants import RADIUS, open_scene, the_four
 
 
 def measure(
     name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference_seconds: float
 ) -> Record:
     """A table of one scene: RMS at four times, and the order early and late."""
-    reference = references.find(name, size, out, reference_seconds)
+    reference = references.recipe(name).find(size, out, reference_seconds)
     times = marks(seconds)
     four = the_four()
     ours = Entrant("vcm, our settings", "vcm", {"radius": RADIUS, "radius_unit": "absolute"})

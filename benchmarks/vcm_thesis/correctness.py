@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from etendue import film
 
+from .. import plotting
 from ..measuring import Record
-from . import plotting
-from .racing import Entrant, merging, open_scene
+from ..racing import Entrant
+from .entrants import merging, open_scene
 
 _BLOCK = 16
 #: A block's test value beyond which it counts as an outlier, and the share of those among normal numbers.

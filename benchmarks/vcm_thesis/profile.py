@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..measuring import Record, interleaved
-from .racing import RADIUS, Entrant, merging, open_scene
+from ..racing import Entrant
+from .entrants import RADIUS, merging, open_scene
 
 
 def measure(names: Sequence[str], size: tuple[int, int], seconds: float, rounds: int, warm_up: int) -> Record:

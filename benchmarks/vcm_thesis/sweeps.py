@@ -6,9 +6,11 @@ import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
+from .. import plotting
 from ..measuring import Record, interleaved, spread
-from . import plotting, references
-from .racing import RADIUS, TRIM, Entrant, marks, merging, open_scene, race
+from ..racing import TRIM, Entrant, marks, race
+from . import references
+from .entrants import RADIUS, merging, open_scene
 
 #: The radii of the sweep, in millimetres, and the one for the photons.
 RADII = (5.0, 12.0, 25.0)
@@ -19,7 +21,7 @@ def radius(
     name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference_seconds: float
 ) -> list[Record]:
     """Passes and RMS at growing times, for each radius with and without merging at the first camera vertex."""
-    reference = references.find(name, size, out, reference_seconds)
+    reference = references.recipe(name).find(size, out, reference_seconds)
     entrants = [
         Entrant(f"{r:g} mm, {'on' if first else 'off'}", "vcm", merging("vcm", r / 1000.0, merge_first=first))
         for r in RADII
@@ -48,7 +50,7 @@ def photons(
     name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference_seconds: float
 ) -> Record:
     """More light paths against a larger radius, at equal time: both have the same weights for merging."""
-    reference = references.find(name, size, out, reference_seconds)
+    reference = references.recipe(name).find(size, out, reference_seconds)
     millimetres = 1000.0 * PHOTON_RADIUS
     entrants = [
         Entrant(label, "vcm", merging("vcm", r, merge_first=False) | {"light_paths": paths})

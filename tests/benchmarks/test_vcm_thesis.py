@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import re
-import types
 from pathlib import Path
 
 import numpy as np
@@ -80,7 +79,7 @@ def test_scenes_load(name):
     """The capability check has nothing to say, and there are as many triangles as the issue wants."""
     import mitsuba as mi
 
-    problem = module("racing").open_scene(name, (16, 12))
+    problem = module("entrants").open_scene(name, (16, 12))
     triangles = sum(shape.face_count() for shape in problem.scene.shapes() if isinstance(shape, mi.Mesh))
     assert 10_000 <= triangles <= 300_000
     assert problem.size == (16, 12)
@@ -91,9 +90,9 @@ def test_scenes_load(name):
 def test_scenes_are_lit_and_their_caustics_are_reflected(name):
     """Finite light everywhere in sight. With a small radius merging is left what nothing else finds: caustics that are
     seen in mirrors or through glass."""
-    racing = module("racing")
-    settings = racing.merging("vcm", 0.002, merge_first=False, split_layers=True)
-    estimator = racing.Entrant("vcm", "vcm", settings).prepared(racing.open_scene(name, (64, 48)), 0)
+    entrants = module("entrants")
+    settings = entrants.merging("vcm", 0.002, merge_first=False, split_layers=True)
+    estimator = entrants.Entrant("vcm", "vcm", settings).prepared(entrants.open_scene(name, (64, 48)), 0)
     total = estimator.step(0, 0) + estimator.step(1, 0)
     assert total.counters["nonfinite"] == 0
     image, merge = total.mean("image"), total.mean("merge")
@@ -103,75 +102,27 @@ def test_scenes_are_lit_and_their_caustics_are_reflected(name):
     assert (share < 0.015) == (name == "diffuse") and share > 0.0
 
 
-# ---------------------------------------------------------------------- races
-
-
-class Fake:
-    """A method whose passes take a known time and show their number."""
-
-    def __init__(self, clock, cost):
-        self.clock, self.cost, self.turns = clock, cost, []
-
-    def step(self, iteration, seed):
-        self.clock.now += self.cost
-        self.turns.append(iteration)
-        return FakeMeasurement([iteration])
-
-    def develop(self, measurement):
-        self.clock.now += 100.0  # looking at the picture is nobody's time
-        return types.SimpleNamespace(image=np.full((2, 2, 3), float(len(measurement.iterations))))
-
-
-class FakeMeasurement:
-    def __init__(self, iterations):
-        self.iterations = iterations
-
-    def __add__(self, other):
-        return FakeMeasurement(self.iterations + other.iterations)
-
-
-def test_a_race_gives_each_the_same_time(monkeypatch):
-    racing = module("racing")
-    clock = types.SimpleNamespace(now=0.0)
-    monkeypatch.setattr(racing, "time", types.SimpleNamespace(perf_counter=lambda: clock.now))
-    fakes = {"slow": Fake(clock, 3.0), "quick": Fake(clock, 1.0)}
-    entrants = [types.SimpleNamespace(label=k, prepared=lambda problem, seed, v=v: v) for k, v in fakes.items()]
-    tracks = racing.race(None, entrants, np.zeros((2, 2, 3)), [3.0, 6.0, 12.0])
-    assert [p.seconds for p in tracks["slow"]] == [3.0, 6.0, 12.0] == [p.seconds for p in tracks["quick"]]
-    assert [p.passes for p in tracks["slow"]] == [1, 2, 4]
-    assert [p.rms for p in tracks["quick"]] == pytest.approx([3.0, 6.0, 12.0])
-    assert fakes["slow"].turns == [0, 0, 1, 2, 3], "one pass to warm up, then each once"
-
-
-def test_seeds_are_averaged_and_ranked():
-    racing = module("racing")
-    points = [racing.Point(1.0, 4.0, 0.3, 0.1), racing.Point(1.2, 6.0, 0.4, 0.2)]
-    mean = racing._mean(points)
-    assert (mean.seconds, mean.passes) == (pytest.approx(1.1), 5.0)
-    assert mean.rms == pytest.approx(np.sqrt(0.125)) and mean.untrimmed == pytest.approx(np.sqrt(0.025))
-    tracks = {"a": points, "b": [points[1], points[0]], "c": [racing.Point(1.0, 1.0, 0.305, 0.5)] * 2}
-    assert racing.order(tracks, 0) == "a ≈ c < b"
+# ---------------------------------------------------------------------- what takes part, and against what
 
 
 def test_settings_are_those_of_the_methods():
-    racing = module("racing")
-    for entrant in racing.the_four():
+    entrants = module("entrants")
+    for entrant in entrants.the_four():
         methods.get(entrant.method).Settings(**entrant.settings)
-    vcm = racing.merging("vcm", 0.005)
+    vcm = entrants.merging("vcm", 0.005)
     assert (vcm["radius"], vcm["radius_unit"], vcm["eta_discount"]) == (0.005, "absolute", 1.0)
-    assert racing.marks(16.0, 3) == [4.0, 8.0, 16.0]
 
 
 def test_a_reference_is_kept(tmp_path):
     """The halves differ by noise; the file is read back; pixels that see a lamp count for nothing."""
-    references = module("references")
-    made = references.make("diffuse", (32, 24), tmp_path, 0.4)
-    again = references.find("diffuse", (32, 24), tmp_path, 1e9)
+    recipe, white = module("references").recipe("diffuse"), importlib.import_module("benchmarks.references").WHITE
+    made = recipe.make((32, 24), tmp_path, 0.4)
+    again = recipe.find((32, 24), tmp_path, 1e9)
     assert np.array_equal(made.image, again.image, equal_nan=True) and made.note == again.note
     assert 0.0 < made.noise < 1.0
     stored = film.read_exr(tmp_path / "reference-diffuse-32x24.exr").image @ np.array(film.LUMINANCE)
     lamps = np.isnan(made.image).all(axis=2)
-    assert np.array_equal(lamps, stored > references.WHITE * stored.mean())
+    assert np.array_equal(lamps, stored > white * stored.mean())
 
 
 def test_blocks_tell_noise_from_structure():
@@ -190,12 +141,12 @@ def test_blocks_tell_noise_from_structure():
 @pytest.mark.slow
 def test_lengths_add_up():
     """Twice the light paths cast once more the rays of the light walks; what is left are the camera walks."""
-    racing, profile = module("racing"), module("profile")
-    problem = racing.open_scene("living-room", (96, 72))
+    entrants, profile = module("entrants"), module("profile")
+    problem = entrants.open_scene("living-room", (96, 72))
     rays = {}
     for paths in (1.0, 2.0):
-        settings = racing.merging("bpm", samples_per_pass=1) | {"light_paths": paths}
-        rays[paths] = racing.Entrant("bpm", "bpm", settings).prepared(problem, 0).step(0, 0).counters["rays"]
+        settings = entrants.merging("bpm", samples_per_pass=1) | {"light_paths": paths}
+        rays[paths] = entrants.Entrant("bpm", "bpm", settings).prepared(problem, 0).step(0, 0).counters["rays"]
     light, camera, ends = profile._lengths(problem, (96, 72))
     pixels = 96 * 72
     # Path lengths vary by about their mean: the difference of two sets of 7000 paths is good to 3 %.

@@ -215,7 +215,7 @@ PLANS: dict[str, dict[str, Any]] = {
 def test_plans_do_not_change_the_mean(name):
     scene = lit_room(rfilter="gaussian")
     reference = mitsuba_path(scene, passes=6, samples=256)
-    images = run(scene, "stratified", passes=6, samples=384, **PLANS[name])
+    images = run(scene, "stratified", passes=6, samples=384, **{"minimum": 256} | PLANS[name])
     assert_agree(images.images, reference, name, precision=0.03)
     assert images.measurement.counters["regions"] / 6 > 20
 

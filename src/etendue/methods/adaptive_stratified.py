@@ -1,9 +1,9 @@
 r"""Path tracing by recursive stratification of its random numbers.
 
-Every few passes begin with exploration: paths start in pixels anywhere, a tenth of a region's share of a pass at each
-level by default, and the hypercube of the numbers that were named is divided, again and again, along the dimension in
-which the luminance varies most. A region i of volume
-:math:`V_i` that is not divided on gets a share :math:`q_i` of the pass's paths,
+Every few passes begin with exploration: paths start in pixels anywhere, three tenths of a region's share of a pass at
+each level by default, and the hypercube of the numbers that were named is divided, again and again, along the dimension
+in which the luminance varies most. A region i of volume :math:`V_i` that is not divided on gets a share :math:`q_i` of
+the pass's paths,
 
 .. math:: L = \frac 1 N \sum_i \sum_{u \in i} \frac{V_i}{q_i} f(u), \qquad q_i \sim
    \left( V_i^2 \mathrm{Var}_i \right)^{1/(1+a)}
@@ -54,9 +54,9 @@ class StratifiedSettings(AdaptiveSettings):
         0.0, "share of a part by which equal borders are moved at random", minimum=0.0, maximum=0.99
     )
     borders: str = setting("equal", "equal parts, or parts of equal metric as VEGAS has", choices=("equal", "vegas"))
-    exploration: float = setting(0.1, "share of a region's paths that explores it", above=0.0, maximum=0.9)
+    exploration: float = setting(0.3, "share of a region's paths that explores it", above=0.0, maximum=0.9)
     exponent: float = setting(2.0, "a in q ~ (V^2 Var)^(1/(1+a))", above=0.0)
-    minimum: int = setting(256, "paths of a region that is divided, at least", minimum=8)
+    minimum: int = setting(4096, "paths of a region that is divided, at least", minimum=8)
     depth: int = setting(12, "most levels", minimum=0, maximum=40)
     update: int = setting(8, "passes that share a plan", minimum=1)
 
@@ -104,7 +104,7 @@ class Stratified(AdaptivePath):
         regions = [self._regions(iteration, seed, samples)] if self._groups else []
         mapping_rays = self.map_light(iteration, seed)
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
-        base = self.camera_numbers(lanes, samples, seed, iteration)
+        base = self._even_choice(self.camera_numbers(lanes, samples, seed, iteration), lanes, samples)
         source = AdaptiveSource(base, self._groups, [[r] for r in regions], mi.UInt32(0), self.left_by_pick())
         state = self.trace(lanes // samples, source)
         radiance, bad = keep_finite(state.radiance)
@@ -116,6 +116,18 @@ class Stratified(AdaptivePath):
             "regions": float(sum(map(len, regions))),
         }
         return {"image": self.image(radiance)}, counters
+
+    def _even_choice(self, base: Any, lanes: Any, samples: int) -> Any:
+        """Numbers of which the one that chooses a region is even over the samples of a pixel, as the sampler's own are
+        unless it is independent: then sample j of n gets one in [j / n, (j + 1) / n)."""
+        if not self._groups or self.settings.sampler != "independent":
+            return base
+        (draws,) = self._groups[0].draws
+        vertex, component = draws[0]
+        source = NumberedSource(base, {})
+        number = mi.Float(lanes % samples) + base.next_1d(vertex, component)
+        source.give([draws[0]], [number / samples], None)
+        return source
 
     def _regions(self, iteration: int, seed: int, samples: int) -> Regions:
         """The plan of a pass, which the passes around it share."""

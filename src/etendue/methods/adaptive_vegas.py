@@ -5,7 +5,7 @@ drawn from a density :math:`p(u) = \prod_g p_g(u_g)` that is the product of one 
 
 .. math:: L = \frac 1 N \sum_i \frac{f(u_i)}{p(u_i)}
 
-and after each pass every :math:`p_g` is moved towards equal shares of what its bins were found to hold of
+and after 1, 2, 4, … passes every :math:`p_g` is moved towards equal shares of what its bins were found to hold of
 :math:`(f / p)^2`, f being luminance here. A contribution is divided by the densities of those numbers only that it
 depends on: light that reaches the first vertex directly has nothing to do with the second direction. Groups of one and
 two dimensions have movable bins, larger ones a grid of cells. All pixels of the image, or of a tile, share the
@@ -60,7 +60,9 @@ class VegasSettings(AdaptiveSettings):
     )
     bins: int = setting(0, "bins on each axis of a group; 0 takes what the samples of a pass can fill", minimum=0)
     tile: int = setting(0, "side in pixels of the tiles that learn densities of their own; 0: the image", minimum=0)
-    update: int = setting(1, "passes between two changes of the densities", minimum=1)
+    update: int = setting(
+        0, "passes between two changes of the densities; 0: they change after 1, 2, 4, 8, … passes", minimum=0
+    )
     smoothing: bool = setting(True, "mix neighbouring bins")
     damping: float = setting(0.75, "exponent that draws shares of bins together; 0: as found", minimum=0.0)
     inertia: float = setting(0.5, "share of the new in a grid of cells", above=0.0, maximum=1.0)
@@ -153,9 +155,9 @@ class Vegas(AdaptivePath):
             for row, weight in zip(sums, (np.square(value), value, None), strict=False):
                 row += np.bincount(place, weight, len(row))
         self._passes += 1
-        if self._passes % self.settings.update:
-            return
         o = self.settings
+        if self._passes % o.update if o.update else self._passes & (self._passes - 1):
+            return
         steady = bool(o.stabilise) and self._passes > o.stabilise
         how = (False, None, 1.0) if steady else (o.smoothing, o.damping or None, o.inertia)
         for number, densities in enumerate(self._densities):

@@ -1,4 +1,4 @@
-"""Plots of the experiments, as SVG files that stand by themselves."""
+"""Plots of experiments, as SVG files that stand by themselves."""
 
 from __future__ import annotations
 
@@ -7,14 +7,20 @@ from pathlib import Path
 
 from etendue.display import Series, convergence_plot
 
-from ..measuring import console
+from .measuring import console
 from .racing import Point
 
 
-def save(path: Path, curves: Mapping[str, Sequence[tuple[float, float]]], title: str, x_label: str = "seconds") -> None:
-    """RMS of luminance over seconds or passes, both logarithmic, to ``path``."""
+def save(
+    path: Path,
+    curves: Mapping[str, Sequence[tuple[float, float]]],
+    title: str,
+    x_label: str = "seconds",
+    y_label: str = "RMS of luminance",
+) -> None:
+    """Errors over seconds or whatever else they fall with, both logarithmic, to ``path``."""
     series = [Series(name, points) for name, points in curves.items()]
-    svg = convergence_plot(series, x_label=x_label, y_label="RMS of luminance", title=title, rate=0.5)
+    svg = convergence_plot(series, x_label=x_label, y_label=y_label, title=title, rate=0.5)
     if not svg:
         return
     alone = '<svg xmlns="http://www.w3.org/2000/svg" style="background:#fff;color:#222;font-family:sans-serif" '
@@ -26,3 +32,8 @@ def save(path: Path, curves: Mapping[str, Sequence[tuple[float, float]]], title:
 def over_time(points: Sequence[Point]) -> list[tuple[float, float]]:
     """The points of an entrant as (seconds, RMS), one for each pass."""
     return list(dict.fromkeys((p.seconds, p.rms) for p in points))
+
+
+def over_samples(points: Sequence[Point]) -> list[tuple[float, float]]:
+    """The same as (samples a pixel, RMS)."""
+    return list(dict.fromkeys((p.samples, p.rms) for p in points))

@@ -1,0 +1,44 @@
+"""What takes part in the experiments: random path tracing and the adaptive integrators on the same integrand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..racing import Entrant
+from ..references import Recipe
+from .scenes import SCENES
+
+#: Camera paths of a pass; VEGAS learns after each.
+PER_PASS = 16
+#: Scenes whose materials the thesis did not sample.
+WITHOUT_BSDF = ("cornell-specular",)
+
+
+def integrand(name: str) -> dict[str, Any]:
+    """Settings that all on a scene have in common."""
+    return {
+        "sampler": "independent",
+        "samples_per_pass": PER_PASS,
+        "bsdf_sampling": name not in WITHOUT_BSDF,
+    }
+
+
+def the_three(name: str) -> list[Entrant]:
+    """Random path tracing, VEGAS and recursive stratification as the thesis compares them, on independent numbers."""
+    common = integrand(name)
+    return [
+        Entrant("random", "path", common),
+        Entrant("vegas", "vegas", common | {"groups": "light; bounce1; bounce2"}),
+        Entrant("stratified", "stratified", common | {"parameters": "light1 bounce1"}),
+    ]
+
+
+def ours() -> list[Entrant]:
+    """What we have beside: even numbers, directions by the materials; ``guided`` learns where light comes from."""
+    common = {"samples_per_pass": PER_PASS}
+    return [Entrant("path, our settings", "path", common), Entrant("guided, our settings", "guided", common)]
+
+
+def recipe(name: str) -> Recipe:
+    """How the reference of a scene is made: unbiased; with light paths where its caustic needs them."""
+    return Recipe(name, SCENES[name], "bpt" if name in ("ring", "sitting-room") else "path")
