@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 import etendue
 from etendue.core import use_variant
@@ -23,8 +24,8 @@ from etendue.scene import bundled_scene
 from etendue.transport import IrradianceCache, TransportFunctions
 
 BOUNCES = 4  # edges of the longest path: the cache holds light of two bounces and three
-ACCURACY = 0.15
-REACH = (0.03, 0.5)  # a record reaches at least, and at most, so far; the box is 2 wide
+ACCURACY = 0.25
+REACH = (0.04, 0.5)  # a record reaches at least, and at most, so far; the box is 2 wide
 
 
 def incident(light: TransportFunctions) -> Integrand:
@@ -38,18 +39,18 @@ def incident(light: TransportFunctions) -> Integrand:
     return reflected
 
 
-def fill(cache: IrradianceCache, light: TransportFunctions, position: Any, normal: Any, size: int) -> None:
-    """Records for all pixels: on grids of them, from coarse to fine, wherever none reaches yet."""
-    row, column = np.divmod(np.arange(size * size), size)
+def fill(cache: IrradianceCache, light: TransportFunctions, position: Any, normal: Any, width: int) -> None:
+    """Records for all points, rows of ``width``: on grids of them, from coarse to fine, wherever none reaches yet."""
+    row, column = np.divmod(np.arange(len(position)), width)
     met = np.abs(normal).sum(axis=1) > 0
-    for stride in (32, 16, 8, 4, 2, 1):
+    for stride in (64, 32, 16, 8, 4, 2, 1):
         grid = np.flatnonzero((row % stride == 0) & (column % stride == 0) & met)
         grid = grid[cache(position[grid], normal[grid])[1] == 0]
         if len(grid):
             cache.compute(incident(light), light.distance, position[grid], normal[grid], seed=stride)
 
 
-def run(size: int = 192, samples: int = 64, passes: int = 6) -> dict[str, Any]:
+def run(size: int = 128, samples: int = 256, passes: int = 6) -> dict[str, Any]:
     """Indirect pictures (height, width, 3) by the caches and, converged, by path; what a path a pixel scatters."""
     import mitsuba as mi
 
@@ -59,9 +60,10 @@ def run(size: int = 192, samples: int = 64, passes: int = 6) -> dict[str, Any]:
     scene = mi.load_dict(description)
     light = TransportFunctions(scene)
 
-    # What the middle of each pixel sees: position and normal, and the reflectance that turns irradiance to radiance.
-    middle = (np.arange(size) + 0.5) / size
-    film = [mi.Float(np.float32(np.tile(middle, size))), mi.Float(np.float32(np.repeat(middle, size)))]
+    # What 2 x 2 points of each pixel see: place and normal, and the reflectance that turns irradiance to radiance.
+    width = 2 * size
+    middle = (np.arange(width) + 0.5) / width
+    film = [mi.Float(np.float32(f(middle, width))) for f in (np.tile, np.repeat)]
     ray = light.camera.evaluate(film)
     hit = np.stack([np.array(v, dtype=np.float64) for v in light.hit.evaluate(ray)], axis=1)
     albedo = np.array(light.albedo.evaluate(ray), dtype=np.float64).T
@@ -69,11 +71,17 @@ def run(size: int = 192, samples: int = 64, passes: int = 6) -> dict[str, Any]:
 
     found: dict[str, Any] = {}
     cache = IrradianceCache(REACH, ACCURACY)
-    fill(cache, light, position, normal, size)
+    fill(cache, light, position, normal, width)
     for name, gradients in (("cache", True), ("without", False)):
         cache.gradients = gradients
-        found[name] = (cache(position, normal)[0] * albedo / np.pi).reshape(size, size, 3)
-    found |= {"records": cache.records[:, :3], "rays": cache.rays, "positions": position.reshape(size, size, 3)}
+        found[name] = (cache(position, normal)[0] * albedo / np.pi).reshape(size, 2, size, 2, 3).mean(axis=(1, 3))
+    # Pixels that, with those around them, show one surface: at edges it is the place in the pixel that decides.
+    emitted = np.array(light.emitted.evaluate(ray), dtype=np.float64).T
+    points = np.concatenate([normal, albedo, emitted], axis=1).reshape(width, width, 9)
+    around = sliding_window_view(np.pad(points, ((2, 2), (2, 2), (0, 0))), (6, 6), axis=(0, 1))[::2, ::2]
+    found["inner"] = np.ptp(around, axis=(3, 4)).max(axis=2) < 1e-3
+    found |= {"records": cache.records[:, :3], "rays": cache.rays}
+    found["positions"] = position.reshape(width, width, 3)[::2, ::2]
 
     def indirect(seed: int) -> Any:
         """All light but that of one bounce: paths of all lengths less those of up to two edges."""
@@ -90,15 +98,16 @@ def run(size: int = 192, samples: int = 64, passes: int = 6) -> dict[str, Any]:
 
 
 def summary(found: dict[str, Any]) -> dict[str, float]:
-    """Root mean square errors relative to the mean picture, and the paths that `path` needs for that of the cache."""
-    truth, pixels = found["path"], found["path"].shape[0] * found["path"].shape[1]
-    mean, noise = truth.mean(), found["scatter"].mean() / found["seen"]
-    squares = {name: max(((found[name] - truth) ** 2).mean() - noise, 0.0) for name in ("cache", "without")}
+    """Root mean square errors relative to the mean, but at edges, and the paths that `path` needs for the cache's."""
+    inner = found["inner"]
+    truth, scatter = found["path"][inner], found["scatter"][inner].mean()
+    noise, mean = scatter / found["seen"], truth.mean()
+    squares = {k: max(((found[k][inner] - truth) ** 2).mean() - noise, 1e-12) for k in ("cache", "without")}
     return {
         "error": float(np.sqrt(squares["cache"]) / mean),
         "without": float(np.sqrt(squares["without"]) / mean),
-        "bias": float(found["cache"].mean() / mean - 1),
-        "paths": float(found["scatter"].mean() / squares["cache"] * pixels),
+        "bias": float(found["cache"][inner].mean() / mean - 1),
+        "paths": float(scatter / squares["cache"] * inner.size),
         "rays": float(found["rays"]),
     }
 
@@ -110,7 +119,7 @@ def main(folder: Path) -> None:
     for record in found["records"]:
         dots[np.unravel_index(((found["positions"] - record) ** 2).sum(axis=2).argmin(), dots.shape[:2])] = (1, 1, 0)
     write_png(
-        folder / "irradiance-cache.png", tonemap(np.concatenate([dots, found["without"], found["path"]], axis=1), 1.0)
+        folder / "irradiance-cache.png", tonemap(np.concatenate([dots, found["without"], found["path"]], axis=1), 2.0)
     )
     figures = summary(found)
     print(f"{len(found['records'])} records, {figures['rays']:.0f} rays into their hemispheres")

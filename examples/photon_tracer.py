@@ -25,7 +25,7 @@ from etendue.transport import TransportFunctions
 
 FLOOR = [(-1, 1), (-1, 1)]
 REFLECTANCE = 0.6
-LAMP_SIZE = 0.35  # half of its side
+LAMP_SIZE = 0.15  # half of its side
 EDGES = 5  # of the longest path from the lamp to the eye
 #: A point (u, v) of the lamp, and a direction: polar angle to its normal, azimuth.
 EMISSION = [(0, 1), (0, 1), (0, math.pi / 2), (0, 2 * math.pi)]
@@ -37,14 +37,14 @@ def ring_scene(above: bool = False) -> dict[str, Any]:
 
     transform = mi.ScalarTransform4f()
     cell = (np.arange(32) + 0.5) / 32 - 0.5
-    bright = 40 * np.exp(-12 * (cell[:, None] ** 2 + cell[None, :] ** 2))
+    bright = 200 * np.exp(-12 * (cell[:, None] ** 2 + cell[None, :] ** 2))
     radiance = mi.Bitmap(np.repeat(bright[..., None], 3, axis=-1).astype(np.float32))
-    eye = {"type": "perspective", "fov": 36, "to_world": transform.look_at([-2.4, 2.2, 2.4], [0, 0, 0], [0, 1, 0])}
+    eye = {"type": "perspective", "fov": 32, "to_world": transform.look_at([1.5, 2.6, 2.2], [0, 0.05, 0], [0, 1, 0])}
     if above:
         eye = {"type": "orthographic", "to_world": transform.look_at([0, 3, 0], [0, 0, 0], [0, 0, 1])}
     silver = {"type": "twosided", "bsdf": {"type": "conductor", "material": "Ag"}}
     lamp: dict[str, Any] = {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": 0.0}}
-    lamp["to_world"] = transform.look_at([1.7, 0.9, 0], [0, 0.1, 0], [0, 1, 0]).scale(LAMP_SIZE)
+    lamp["to_world"] = transform.look_at([1.5, 1.5, 0], [0, 0.1, 0], [0, 1, 0]).scale(LAMP_SIZE)
     lamp["emitter"] = {"type": "area", "radiance": {"type": "bitmap", "bitmap": radiance, "raw": True}}
     floor: dict[str, Any] = {"type": "rectangle", "to_world": transform.rotate([1, 0, 0], -90)}
     floor["bsdf"] = {"type": "diffuse", "reflectance": REFLECTANCE}
@@ -123,7 +123,7 @@ def radiance(light: TransportFunctions, irradiance: Any) -> Integrand:
 
 
 def run(
-    size: int = 256, photons: int = 1 << 19, passes: int = 6, squares: int = 16, samples: int = 64
+    size: int = 256, photons: int = 1 << 20, passes: int = 6, squares: int = 16, samples: int = 64
 ) -> dict[str, Any]:
     """Irradiance of squares of the floor, (passes, squares, squares), and pictures: by photons, and by path."""
     import mitsuba as mi
@@ -134,7 +134,7 @@ def run(
     counted = [Histogram(store, squares, FLOOR).values for store in stores]
     weights = np.concatenate([store.weights * store.mass for store in stores]) / passes
     together = Samples(np.concatenate([store.positions for store in stores]), weights, mass=float(weights.sum()))
-    smooth = BinnedKernel(together, 0.012, "epanechnikov", FLOOR, "reflect")
+    smooth = BinnedKernel(together, 0.016, "epanechnikov", FLOOR, "reflect")
     mapped = light.picture(radiance(light, smooth), (size, size), samples=16, seed=50)
     picture = etendue.render(light.scene, "path", samples=samples, size=(size, size), max_depth=EDGES).image
 

@@ -156,8 +156,8 @@ def run(size: int = 160, divisions: Any = (3, 9), by: str = "quasimontecarlo", s
 
 
 def difference(picture: Any, path: Any) -> float:
-    """Root mean square difference of what is not the lamp, relative to its mean."""
-    dark = path.max(axis=2) < 0.9 * LAMP / math.pi
+    """Root mean square difference where no part of the lamp is seen, relative to the mean."""
+    dark = path.max(axis=2) < 0.1 * LAMP / math.pi
     return float(np.sqrt(((picture - path)[dark] ** 2).mean()) / path[dark].mean())
 
 
@@ -166,7 +166,7 @@ def main(folder: Path, integrator: str = "quasimontecarlo") -> None:
     divisions = (3, 9) if INTEGRATORS[integrator].batched else (3,)
     found = run(divisions=divisions, by=integrator)
     pictures = [*found["pictures"], found["path"]]
-    write_png(folder / "radiosity.png", tonemap(np.concatenate(pictures, axis=1), 0.5))
+    write_png(folder / "radiosity.png", tonemap(np.concatenate(pictures, axis=1), 1.5))
     for n, sums, picture in zip(divisions, found["sums"], found["pictures"], strict=True):
         print(f"{len(sums)} patches: rows of form factors add up to {sums.mean():.4f} +- {sums.std():.4f}", end=", ")
         print(f"difference from path {difference(picture, found['path']):.1%} ({n} x {n} on a wall)")

@@ -95,23 +95,25 @@ class IrradianceCache:
         p, n = (mi.Vector3f(*(_column(values[:, axis]) for axis in range(3))) for values in (position, normal))
 
         def visit(i: Any, total: Any, weight: Any) -> tuple[Any, Any, Any]:
-            number = [dr.gather(mi.Float, table, i * _WIDTH + k) for k in range(_WIDTH)]
-            offset, other, reach = p - mi.Vector3f(*number[:3]), mi.Vector3f(*number[3:6]), number[27]
+            def vector(k: int, active: Any = True) -> Any:
+                return mi.Vector3f(*(dr.gather(mi.Float, table, i * _WIDTH + k + axis, active) for axis in range(3)))
+
+            offset, other, reach = p - vector(0), vector(3), dr.gather(mi.Float, table, i * _WIDTH + 27)
             # In units of the accuracy: 1 where a record ends.
             far = dr.norm(offset) / reach + dr.sqrt(dr.maximum(1 - dr.dot(n, other), 0)) * (1 / self.accuracy)
             # A record that lies in front of a point does not see what comes from between.
-            behind = dr.dot(offset, n + other) > -2 * _IN_FRONT * reach
-            value = mi.Color3f(*number[6:9])
+            used = (far < 1) & (dr.dot(offset, n + other) > -2 * _IN_FRONT * reach)
+            value = vector(6, used)
             if self.gradients:
                 turn = dr.cross(other, n)
-                value += mi.Color3f(*(dr.dot(turn, mi.Vector3f(*number[k : k + 3])) for k in (9, 12, 15)))
-                value += mi.Color3f(*(dr.dot(offset, mi.Vector3f(*number[k : k + 3])) for k in (18, 21, 24)))
+                value += mi.Vector3f(*(dr.dot(turn, vector(k, used)) for k in (9, 12, 15)))
+                value += mi.Vector3f(*(dr.dot(offset, vector(k, used)) for k in (18, 21, 24)))
             # Less what the weight is where the record ends, so that nothing jumps there.
-            w = dr.select(behind & (far < 1), dr.rcp(dr.maximum(far, 1e-4)) - 1, 0)
+            w = dr.select(used, dr.rcp(dr.maximum(far, 1e-4)) - 1, 0)
             return i + 1, total + w * dr.maximum(value, 0), weight + w
 
         count = dr.opaque(mi.UInt32, len(self))
-        start = mi.UInt32(0), dr.zeros(mi.Color3f, len(position)), dr.zeros(mi.Float, len(position))
+        start = mi.UInt32(0), dr.zeros(mi.Vector3f, len(position)), dr.zeros(mi.Float, len(position))
         _, total, weight = dr.while_loop(start, lambda i, *_: i < count, visit, label="irradiance cache")
         values = total / dr.maximum(weight, 1e-20)
         dr.eval(values, weight)
