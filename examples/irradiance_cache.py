@@ -24,7 +24,7 @@ from etendue.scene import bundled_scene
 from etendue.transport import IrradianceCache, TransportFunctions
 
 BOUNCES = 4  # edges of the longest path: the cache holds light of two bounces and three
-ACCURACY = 0.25
+ACCURACY = 0.2
 REACH = (0.04, 0.5)  # a record reaches at least, and at most, so far; the box is 2 wide
 
 
@@ -50,7 +50,7 @@ def fill(cache: IrradianceCache, light: TransportFunctions, position: Any, norma
             cache.compute(incident(light), light.distance, position[grid], normal[grid], seed=stride)
 
 
-def run(size: int = 128, samples: int = 256, passes: int = 6) -> dict[str, Any]:
+def run(size: int = 192, samples: int = 128, passes: int = 6) -> dict[str, Any]:
     """Indirect pictures (height, width, 3) by the caches and, converged, by path; what a path a pixel scatters."""
     import mitsuba as mi
 
@@ -60,10 +60,9 @@ def run(size: int = 128, samples: int = 256, passes: int = 6) -> dict[str, Any]:
     scene = mi.load_dict(description)
     light = TransportFunctions(scene)
 
-    # What 2 x 2 points of each pixel see: place and normal, and the reflectance that turns irradiance to radiance.
-    width = 2 * size
-    middle = (np.arange(width) + 0.5) / width
-    film = [mi.Float(np.float32(f(middle, width))) for f in (np.tile, np.repeat)]
+    # What the middle of each pixel sees: place and normal, and the reflectance that turns irradiance to radiance.
+    middle = (np.arange(size) + 0.5) / size
+    film = [mi.Float(np.float32(f(middle, size))) for f in (np.tile, np.repeat)]
     ray = light.camera.evaluate(film)
     hit = np.stack([np.array(v, dtype=np.float64) for v in light.hit.evaluate(ray)], axis=1)
     albedo = np.array(light.albedo.evaluate(ray), dtype=np.float64).T
@@ -71,17 +70,17 @@ def run(size: int = 128, samples: int = 256, passes: int = 6) -> dict[str, Any]:
 
     found: dict[str, Any] = {}
     cache = IrradianceCache(REACH, ACCURACY)
-    fill(cache, light, position, normal, width)
+    fill(cache, light, position, normal, size)
     for name, gradients in (("cache", True), ("without", False)):
         cache.gradients = gradients
-        found[name] = (cache(position, normal)[0] * albedo / np.pi).reshape(size, 2, size, 2, 3).mean(axis=(1, 3))
+        found[name] = (cache(position, normal)[0] * albedo / np.pi).reshape(size, size, 3)
     # Pixels that, with those around them, show one surface: at edges it is the place in the pixel that decides.
     emitted = np.array(light.emitted.evaluate(ray), dtype=np.float64).T
-    points = np.concatenate([normal, albedo, emitted], axis=1).reshape(width, width, 9)
-    around = sliding_window_view(np.pad(points, ((2, 2), (2, 2), (0, 0))), (6, 6), axis=(0, 1))[::2, ::2]
+    points = np.concatenate([normal, albedo, emitted], axis=1).reshape(size, size, 9)
+    around = sliding_window_view(np.pad(points, ((1, 1), (1, 1), (0, 0))), (3, 3), axis=(0, 1))
     found["inner"] = np.ptp(around, axis=(3, 4)).max(axis=2) < 1e-3
     found |= {"records": cache.records[:, :3], "rays": cache.rays}
-    found["positions"] = position.reshape(width, width, 3)[::2, ::2]
+    found["positions"] = position.reshape(size, size, 3)
 
     def indirect(seed: int) -> Any:
         """All light but that of one bounce: paths of all lengths less those of up to two edges."""
