@@ -80,27 +80,45 @@ def room() -> dict[str, Any]:
 
 
 def exchange(patches: Patches, scene: Any) -> Integrand:
-    """(patch, patch, u, v, u', v') -> cos cos' / (pi r^2) of two points that see each other, times both areas."""
+    """(patch i, patch j, u, v, u', v') -> what a point on i sees of all of j, less what is hidden around (u', v').
+
+    The factor cos cos' / (pi r^2) has no bound beside an edge that two patches share. But its integral over j is known
+    where nothing is in the way (Lambert's formula), and what is in the way is not at the edge. A patch must lie before
+    all of i, or behind it.
+    """
     import drjit as dr
     import mitsuba as mi
 
     tables = {name: mi.Float(np.float32(values).ravel()) for name, values in patches.items()}
 
-    def end(patch: Any, u: Any, v: Any) -> tuple[Any, Any, Any]:
-        """A point on a patch, a little off it, so that it does not hide itself; the normal there, the area."""
-        corner, a, b, normal = (dr.gather(mi.Vector3f, tables[k], patch) for k in ("corner", "a", "b", "normal"))
-        return corner + u * a + v * b + 1e-4 * normal, normal, dr.gather(mi.Float, tables["area"], patch)
+    def look(x: Any) -> tuple[Any, ...]:
+        """A point on i, a little off it, and normals and sides of both."""
+        i, j = mi.UInt32(x[0]), mi.UInt32(x[1])
+        corner, a, b, n = (dr.gather(mi.Vector3f, tables[k], i) for k in ("corner", "a", "b", "normal"))
+        other = [dr.gather(mi.Vector3f, tables[k], j) for k in ("corner", "a", "b", "normal")]
+        return corner + x[2] * a + x[3] * b + 1e-4 * n, n, dr.gather(mi.Float, tables["area"], i), j, *other
 
-    def function(x: Any) -> Any:
-        (start, n, area), (stop, m, other) = end(mi.UInt32(x[0]), *x[2:4]), end(mi.UInt32(x[1]), *x[4:6])
-        offset = stop - start
+    def whole(x: Any) -> Any:
+        point, n, area, _, corner, a, b, _ = look(x)
+        ends = [v - point for v in (corner, corner + a, corner + a + b, corner + b)]
+        before = [dr.dot(v, n) > -3e-4 for v in ends]
+        ends = [dr.normalize(v) for v in ends]
+        sides = zip(ends, ends[1:] + ends[:1], strict=True)
+        total = sum(dr.dot(n, dr.normalize(dr.cross(q, p))) * dr.safe_acos(dr.dot(p, q)) for p, q in sides)
+        return dr.select(before[0] & before[1] & before[2] & before[3], dr.maximum(total, 0) / (2 * math.pi) * area, 0)
+
+    def hidden(x: Any) -> Any:
+        point, n, area, j, corner, a, b, m = look(x)
+        offset = corner + x[4] * a + x[5] * b + 1e-4 * m - point
         r = dr.norm(offset)
         way = offset / r
         cosines = dr.maximum(dr.dot(way, n), 0) * dr.maximum(-dr.dot(way, m), 0)
-        hidden = scene.ray_test(mi.Ray3f(start, way, r, 0.0, mi.Color0f()), cosines > 0)
-        return dr.select(hidden, 0, cosines / (math.pi * r * r)) * area * other
+        covered = scene.ray_test(mi.Ray3f(point, way, r, 0.0, mi.Color0f()), cosines > 0)
+        factor = cosines / (math.pi * r * r) * area * dr.gather(mi.Float, tables["area"], j)
+        return dr.select(covered, factor, 0)
 
-    return Integrand(function, [(0, len(patches["area"]))] * 2 + [(0, 1)] * 4, (0, math.inf), "device")
+    box = [(0, len(patches["area"]))] * 2 + [(0, 1)] * 4
+    return Integrand(whole, box, (0, math.inf), "device") - Integrand(hidden, box, (0, math.inf), "device")
 
 
 def form_factors(f: Integrand, areas: Any, integrator: Any, samples: int) -> Any:
@@ -119,8 +137,7 @@ def form_factors(f: Integrand, areas: Any, integrator: Any, samples: int) -> Any
 
 
 def solve(factors: Any, patches: Patches) -> Any:
-    """Radiosity B = E + colour F B, for each channel: (n, 3). In a closed room the factors of a patch add up to 1."""
-    factors = factors / factors.sum(axis=1, keepdims=True)
+    """Radiosity B = E + colour F B, for each channel: (n, 3)."""
     channels = zip(patches["colour"].T, patches["emission"].T, strict=True)
     return np.stack([np.linalg.solve(np.eye(len(e)) - c[:, None] * factors, e) for c, e in channels], axis=1)
 

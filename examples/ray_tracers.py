@@ -118,7 +118,7 @@ def run(size: int = 192, samples: int = 32, passes: int = 6, learning: int = 1_0
     light = TransportFunctions(box)
 
     radiance = distribution_ray_tracer(light)
-    recursive = [light.picture(radiance, (size, size), max(samples // 16, 1), seed=200 + n) for n in range(passes)]
+    recursive = [light.picture(radiance, (size, size), samples // 4, seed=200 + n) for n in range(passes)]
     paths = path_tracer(light)
     uniform = MeanSample().integrate(paths.dot(LUMINANCE), learning)
     learned = Vegas(GROUPS, iterations=8, warm_up=2).integrate(paths.dot(LUMINANCE), learning)
@@ -146,7 +146,7 @@ def main(folder: Path) -> None:
     """Run, write the pictures, print the figures."""
     found = run()
     names = ("recursive", "expanded", "vegas")
-    write_png(folder / "ray-tracers.png", tonemap(np.concatenate([found[n][0] for n in names], axis=1)))
+    write_png(folder / "ray-tracers.png", tonemap(np.concatenate([found[n][0] for n in names], axis=1), 1.0))
     for name in (*names, "path"):
         means = found[name].mean(axis=(1, 2, 3))
         print(f"{name:10}: mean radiance {means.mean():.5f} +- {means.std(ddof=1) / len(means) ** 0.5:.5f}")

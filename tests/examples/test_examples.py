@@ -55,12 +55,13 @@ def test_composed_brdf_is_reciprocal():
 
 def test_ray_tracers():
     module = example("ray_tracers")
-    found = module.run(size=24, samples=32, learning=100_000)
+    found = module.run(size=24, samples=80, learning=100_000)
     for name in ("recursive", "expanded", "vegas"):
         assert_agree(found[name], found["path"].astype(float), name)
     uniform, learned = found["estimates"]
     assert abs(uniform.value - learned.value) < 4.5 * math.hypot(uniform.standard_error, learned.standard_error)
-    assert module.noise(found["vegas"]) < module.noise(found["expanded"])
+    # Of five lights four are weak: 3.3 times less variance was measured with what VEGAS learns from a million paths.
+    assert 2 * module.noise(found["vegas"]) < module.noise(found["expanded"])
 
 
 def test_photon_tracer():
@@ -74,22 +75,33 @@ def test_irradiance_cache():
     module = example("irradiance_cache")
     found = module.run(size=48, samples=64)
     figures = module.summary(found)
-    assert figures["error"] < 0.1 and abs(figures["bias"]) < 0.03
-    assert figures["error"] < figures["without"]
-    assert figures["paths"] > 2 * figures["rays"]
+    assert figures["error"] < 0.08 and abs(figures["bias"]) < 0.03
+    assert figures["error"] < 0.8 * figures["without"]
+    assert figures["paths"] > figures["rays"]  # 29 times as many at the size of the example
 
 
 def test_radiosity():
     module = example("radiosity")
     found = module.run(size=48, divisions=(3, 6), samples=64)
-    for sums in found["sums"]:
-        assert sums.mean() == pytest.approx(1, abs=0.01)
+    for sums in found["sums"]:  # in a closed room all that leaves a patch arrives somewhere
+        assert sums == pytest.approx(np.ones(len(sums)), abs=0.02)
     coarse, fine = (module.difference(picture, found["path"]) for picture in found["pictures"])
-    assert fine < 0.75 * coarse and fine < 0.1
+    assert fine < 0.75 * coarse and fine < 0.2  # most of it is that patches are flat
+    dark = found["path"].max(axis=2) < 0.1 * module.LAMP / math.pi
+    assert found["pictures"][1][dark].mean() == pytest.approx(found["path"][dark].mean(), rel=0.05)
 
 
-@pytest.mark.parametrize("by", ["quasimontecarlo", "stratified", "meansample", "vegas", "recursivestratified"])
-def test_form_factors_by_any_integrator(by):
+@pytest.mark.parametrize(
+    ("by", "tolerance"),
+    [
+        ("quasimontecarlo", 0.002),
+        ("stratified", 0.004),
+        ("meansample", 0.025),
+        ("vegas", 0.003),
+        ("recursivestratified", 0.006),
+    ],
+)
+def test_form_factors_by_any_integrator(by, tolerance):
     """Of the walls of an empty cube of side 1: 0.19982 to the opposite one, 0.20004 to each neighbour."""
     import mitsuba as mi
 
@@ -100,10 +112,9 @@ def test_form_factors_by_any_integrator(by):
     patches |= {"normal": np.cross(patches["a"], patches["b"]), "area": np.ones(6)}
     scene = mi.load_dict({"type": "scene", "far": {"type": "sphere", "center": [9, 9, 9], "radius": 0.1}})
     factors = module.form_factors(module.exchange(patches, scene), patches["area"], module.INTEGRATORS[by], 20_000)
-    # The edges that neighbours share are hard: the integrand is not bounded there.
     expected = np.full((6, 6), 0.200044)
     for i, j in ((0, 1), (2, 3), (4, 5)):
         expected[i, j] = expected[j, i] = 0.199825
-        assert factors[i, j] == pytest.approx(0.199825, rel=0.01)
     np.fill_diagonal(expected, 0)
-    assert factors == pytest.approx(expected, rel=0.03) and factors == pytest.approx(factors.T)
+    # Five times the errors that were measured, which are largest between neighbours.
+    assert factors == pytest.approx(expected, rel=tolerance) and factors == pytest.approx(factors.T)
