@@ -148,7 +148,7 @@ def main(folder: Path) -> None:
     """Run, write the picture, print the figures."""
     found = run()
     pictures = [found[name].mean(axis=0) for name in ("composed", "rendered")]
-    write_png(folder / "composed-brdf.png", tonemap(np.concatenate(pictures, axis=1), 0.5))
+    write_png(folder / "composed-brdf.png", tonemap(np.concatenate(pictures, axis=1), 0.0, "filmic"))
     print(f"albedo at normal incidence: at most {found['albedo_error']:.1e} from texture + k_s")
     print(f"mean radiance: {pictures[0].mean():.5f} as an integral of functions, {pictures[1].mean():.5f} by path")
 

@@ -2,9 +2,9 @@
 
     python examples/irradiance_cache.py [folder]
 
-writes irradiance-cache.png: the indirect light of a Cornell box by the cache with gradients, where dots are the points
-at which it was computed; by the same cache without gradients; and by the method `path`. The errors against a converged
-picture are printed, and how many paths `path` would need for that of the cache.
+writes irradiance-cache.png: where in a Cornell box irradiance was computed, and its indirect light by the cache with
+gradients, by the same cache without gradients, and by the method `path`. The errors against a converged picture are
+printed, and how many paths `path` would need for that of the cache.
 """
 
 from __future__ import annotations
@@ -114,12 +114,11 @@ def summary(found: dict[str, Any]) -> dict[str, float]:
 def main(folder: Path) -> None:
     """Run, write the pictures, print the figures."""
     found = run()
-    dots = found["cache"].copy()
+    dots = 0.3 * found["path"]
     for record in found["records"]:
-        dots[np.unravel_index(((found["positions"] - record) ** 2).sum(axis=2).argmin(), dots.shape[:2])] = (1, 1, 0)
-    write_png(
-        folder / "irradiance-cache.png", tonemap(np.concatenate([dots, found["without"], found["path"]], axis=1), 2.0)
-    )
+        dots[np.unravel_index(((found["positions"] - record) ** 2).sum(axis=2).argmin(), dots.shape[:2])] = 0.3
+    row = np.concatenate([dots, found["cache"], found["without"], found["path"]], axis=1)
+    write_png(folder / "irradiance-cache.png", tonemap(row, 2.5))
     figures = summary(found)
     print(f"{len(found['records'])} records, {figures['rays']:.0f} rays into their hemispheres")
     print(f"error of the indirect light: {figures['error']:.1%}, without gradients {figures['without']:.1%}")
