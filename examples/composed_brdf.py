@@ -44,14 +44,14 @@ def texture(x: Any) -> list[Any]:
     return [sum(near[0][i] * near[1][j] * colours[i, j, c] for i in range(4) for j in range(4)) for c in range(3)]
 
 
+def power_lobe(x: Any) -> Any:
+    """(n + 2) / (2 pi) cos^n of the cosine x[0] and the exponent x[1]."""
+    return (x[1] + 2) / (2 * math.pi) * library(x[0]).maximum(x[0], 0) ** x[1]
+
+
 def exponent(x: Any) -> Any:
     """Waves between 10 and 200."""
     return 105 + 95 * library(x[0]).sin(20 * x[0]) * library(x[0]).sin(20 * x[1])
-
-
-def mirror_cosine(x: Any) -> Any:
-    """Cosine of the angle between one direction and the mirror image of the other."""
-    return x[2] * x[5] - x[0] * x[3] - x[1] * x[4]
 
 
 DIRECTION = Integrand(hemisphere, 2, (-1, 1), "either", values=3)
@@ -60,13 +60,9 @@ DIRECTION = Integrand(hemisphere, 2, (-1, 1), "either", values=3)
 def brdf() -> Integrand:
     """The material: of eight parameters, three values."""
     diffuse = Integrand(texture, 2, (0.05, 0.65), "either", values=3) * (1 / math.pi)
-    lobe = Integrand(
-        lambda x: (x[1] + 2) / (2 * math.pi) * library(x[0]).maximum(x[0], 0) ** x[1],
-        [(-1, 1), (10, 200)],
-        (0, 202 / (2 * math.pi)),
-        "either",
-    )
-    cosine = Integrand(mirror_cosine, [(-1, 1)] * 6, (-1, 1), "either")
+    lobe = Integrand(power_lobe, [(-1, 1), (10, 200)], (0, 202 / (2 * math.pi)), "either")
+    # Of the angle between one direction and the mirror image of the other.
+    cosine = Integrand(lambda x: x[2] * x[5] - x[0] * x[3] - x[1] * x[4], [(-1, 1)] * 6, (-1, 1), "either")
     sharpness = Integrand(exponent, 2, (10, 200), "either")
     glossy = lobe.compose(cosine.of(range(2, 8), BOX), sharpness.of([0, 1], BOX))
     return diffuse.of([0, 1], BOX) + K_S * glossy

@@ -24,10 +24,8 @@ from etendue.integration import (
     Box,
     Importance,
     Integrand,
-    Integrator,
     MeanSample,
     ProductDensity,
-    Stratified,
     Vegas,
     integral,
     library,
@@ -63,7 +61,7 @@ def distribution_ray_tracer(light: TransportFunctions, branching: int = 4) -> In
 
     Direct light is an integral over the lamps, what comes from elsewhere one over directions, so each lamp counts once.
     """
-    direct = integral(light.direct, [6, 7], Stratified(), branching, seed=1)
+    direct = integral(light.direct, [6, 7], samples=branching, seed=1)
     reflected = direct
     for bounce in range(BOUNCES - 2):
         incoming = light.weight * reflected.compose(light.scatter)
@@ -102,9 +100,7 @@ def without_film(density: ProductDensity) -> ProductDensity:
     return ProductDensity(part, [[kept.index(a) for a in group] for group in density.groups], density.factors)
 
 
-def pictures(
-    light: TransportFunctions, f: Integrand, integrator: Integrator, size: int, samples: int, passes: int
-) -> Any:
+def pictures(light: TransportFunctions, f: Integrand, integrator: Any, size: int, samples: int, passes: int) -> Any:
     """Pictures of the path tracer, ``samples`` paths a pixel in each: (passes, height, width, 3)."""
     others = [a for a in range(f.dimension) if a not in FILM]
     seen = light.emitted.compose(light.camera) + integral(f, others, integrator, samples=1, seed=10)
