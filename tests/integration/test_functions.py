@@ -10,9 +10,12 @@ from support.integrals import assert_unbiased, runs
 
 from etendue.integration import (
     Box,
+    Importance,
     Integrand,
     IntegrationError,
     MeanSample,
+    Metropolis,
+    ProductDensity,
     QuasiMonteCarlo,
     Stratified,
     Vegas,
@@ -25,6 +28,9 @@ from etendue.integration import (
 POINTS = np.random.default_rng(0).random((2, 1000))
 F = Integrand(lambda x: x[0] * x[0] + x[1], 2, (0.0, 2.0), on="either")
 G = Integrand(lambda x: library(x[0]).exp(-x[0] * x[1]), 2, (math.exp(-1), 1.0), on="either")
+
+
+COLOUR = Integrand(lambda x: [x[0], x[0] * x[1], 1 - x[1]], 2, (0.0, 1.0), on="either", values=3)
 
 
 def values(f, x=POINTS):
@@ -130,13 +136,99 @@ def test_costs_follow_the_algebra():
         (lambda: Integrand(F.function, 2) + Integrand(F.function, 2, on="device"), "host and one on the device"),
         (lambda: integral(F, [0, 1]), "over some of the parameters"),
         (lambda: integral(F, [2]), "over some of the parameters"),
-        (lambda: integral(Integrand(F.function, 2, on="device"), [0], Stratified()), "by MeanSample only"),
+        (lambda: integral(Integrand(F.function, 2, on="device"), [0], Vegas()), "one integral at a time"),
+        (lambda: integral(COLOUR, [0], Vegas()), "one integral at a time"),
+        (lambda: integral(F, [0], Stratified(8), samples=7).evaluate(POINTS[:1]), "7 samples are too few for 8 strata"),
+        (lambda: COLOUR + Integrand(lambda x: [x[0], x[1]], 2, values=2), "of 3 and 2 values cannot be combined"),
+        (lambda: COLOUR.dot([1, 2]), "as many weights"),
+        (lambda: F.compose(COLOUR), "composed with as many, not 3"),
+        (lambda: MeanSample().integrate(COLOUR, 100), "3 values at a point"),
+        (lambda: Metropolis().sample(COLOUR, 1000), "3 values at a point"),
+        (lambda: Integrand(F.function, 2, values=0), "at least 1, not 0"),
     ],
 )
 def test_what_cannot_be_combined(call, message):
     with pytest.raises(IntegrationError, match=message) as caught:
         call()
     assert "\n" not in str(caught.value)
+
+
+def test_several_values_go_one_by_one():
+    """A sum or product of two colours, or of a colour and a real function, is that of the values."""
+    x = POINTS
+    colour = np.array([x[0], x[0] * x[1], 1 - x[1]])
+    f = x[0] * x[0] + x[1]
+    cases = {
+        "sum": (COLOUR + COLOUR, 2 * colour),
+        "with a real function": (COLOUR * F, colour * f),
+        "and before it": (F * COLOUR - COLOUR, (f - 1) * colour),
+        "numbers": (2 * COLOUR + 1, 2 * colour + 1),
+        "held": (COLOUR.fix({1: 0.5}).of([0], 2), np.array([x[0], 0.5 * x[0], 0 * x[0] + 0.5])),
+        "placed": (COLOUR.of([1, 0], 2), np.array([x[1], x[0] * x[1], 1 - x[0]])),
+    }
+    for name, (g, expected) in cases.items():
+        assert g.values == 3
+        assert np.array(g.evaluate(x)) == pytest.approx(expected, abs=1e-12), name
+        assert on_device(g) == pytest.approx(expected, abs=3e-6), name
+    added = COLOUR.dot([1, -2, 0])
+    assert added.values == 1 and added.range == (-2.0, 1.0)
+    assert values(added) == pytest.approx(colour[0] - 2 * colour[1], abs=1e-12)
+    assert COLOUR.restrict([(0, 0.5), (0, 1)]).values == 3
+
+
+def test_composition_with_a_function_of_several_values():
+    """One inner function may stand for several parameters in a row: the change to polar coordinates, and one more."""
+    box = Box.of([(0.1, 1), (0, 1), (0, 1)])
+    polar = Integrand(lambda x: [x[0] * np.cos(x[1]), x[0] * np.sin(x[1])], box, (0, 1), values=2)
+    outer = Integrand(lambda x: x[0] ** 2 + x[1] ** 2 + 10 * x[2], 3)
+    x = np.random.default_rng(3).random((3, 50)) * 0.9 + 0.1
+    assert outer.compose(polar, coordinate(2, box)).evaluate(x) == pytest.approx(x[0] ** 2 + 10 * x[2])
+    with pytest.raises(IntegrationError, match="its function ranges over"):
+        outer.compose(2 * polar, coordinate(2, box))
+
+
+@pytest.mark.parametrize("on", ["host", "device"])
+@pytest.mark.parametrize("inner", ["mean", "strata", "sequence", "density"])
+def test_integrals_of_many_points_at_once(inner, on):
+    """Of several values, over parameters in any order and of different domains, by every integrator that can."""
+    domain = [(0, 2), (0, 1), (-1, 1)]  # (x y, x + z), integrated over z and x: 4 y and 4
+    f = Integrand(lambda x: [x[0] * x[1], x[0] + x[2]], domain, on=on, values=2)
+    tilted = ProductDensity.tabulated(Integrand(lambda x: 1 + x[0] + x[1], [(0, 2), (-1, 1)]), bins=8)
+    methods = {
+        "mean": MeanSample(),
+        "strata": Stratified(),
+        "sequence": QuasiMonteCarlo(),
+        "density": Importance(tilted),
+    }
+    marginal = integral(f, [2, 0], methods[inner], samples=19)
+    assert marginal.values == 2 and marginal.domain == Box.of(1)
+    y = np.array([0.1, 0.5, 0.5, 0.9])
+    if on == "device":
+        import mitsuba as mi
+
+        many = np.array([np.array(marginal.evaluate([mi.Float(np.float32(y))])) for _ in range(200)], dtype=float)
+    else:
+        many = np.array([marginal.evaluate([y]) for _ in range(200)])
+    assert many.shape == (200, 2, 4)
+    error = many.std(axis=0, ddof=1) / math.sqrt(len(many))
+    z = (many.mean(axis=0) - np.array([4 * y, 4 * np.ones(4)])) / error
+    assert (z**2).sum() < 40  # chi-square of 8 at 3e-6
+    # Two integrals at the same point are independent of each other.
+    a, b = many[:, :, 1], many[:, :, 2]
+    assert abs(np.corrcoef((a - a.mean(axis=0)).ravel(), (b - b.mean(axis=0)).ravel())[0, 1]) < 4.5 / math.sqrt(400)
+
+
+@pytest.mark.parametrize(("better", "gain"), [(Stratified(), 4.0), (QuasiMonteCarlo(), 8.0)])
+def test_even_points_help_many_integrals(better, gain):
+    """Variance of smooth inner integrals against that of independent points, 64 samples each."""
+    y = np.linspace(0, 1, 500)[None]
+
+    def variance(method):
+        smooth = Integrand(lambda x: np.exp(-x[0] * x[1] - x[2]), 3)
+        return (integral(smooth, [1, 2], method, samples=64).evaluate(y) - exact).var()
+
+    exact = (1 - np.exp(-1)) * np.where(y[0] > 0, -np.expm1(-y[0]) / np.maximum(y[0], 1e-9), 1.0)
+    assert variance(better) * gain < variance(MeanSample())
 
 
 @pytest.mark.parametrize("inner", [MeanSample(), Stratified(), QuasiMonteCarlo(replicates=2)])

@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 from etendue.core import logger
 
@@ -89,6 +89,10 @@ class Work:
     """An integrand with the arrays it runs on; evaluates, and keeps the values finite."""
 
     def __init__(self, f: Integrand, seed: int) -> None:
+        if f.values != 1:
+            raise IntegrationError(
+                f"the function has {f.values} values at a point, a real one is needed: f.dot(weights) adds them up"
+            )
         self.f, self.box, self.seed = f, f.domain, seed
         self.backend: Backend = DeviceBackend(seed) if f.on == "device" else HostBackend(seed)
 
@@ -142,6 +146,9 @@ class Moments:
 class Integrator(ABC):
     """A numerical method for integrals over boxes. All have one signature, so any can be tried on any integrand."""
 
+    #: Whether its points do not depend on the integrand, so that :meth:`spread` gives those of many integrals at once.
+    batched: ClassVar[bool] = False
+
     def integrate(self, f: Integrand, samples: int, seed: int = 0, domain: Domain | None = None) -> Estimate:
         """Integral of ``f`` over its domain, or over the part ``domain`` of it, from at most ``samples`` evaluations.
 
@@ -175,3 +182,11 @@ class Integrator(ABC):
     @abstractmethod
     def _integrate(self, work: Work, samples: int) -> Estimate:
         """The method itself."""
+
+    def spread(self, work: Work, integrals: int, samples: int) -> tuple[Any, Any, int]:
+        """Points for many integrals over one domain: ``(x, weight, size)``, ``size <= samples`` in a row for each.
+
+        The mean of ``f(x) * weight`` over each row estimates one of them, independently of the others.
+        Raises :class:`IntegrationError` for a method that is not ``batched``.
+        """
+        raise IntegrationError(f"{type(self).__name__} chooses points by the function, for one integral at a time")

@@ -99,17 +99,20 @@ Points = Any
 
 @dataclass(frozen=True)
 class Integrand:
-    """A real function on a box, evaluated over many points at once.
+    """A function on a box, evaluated over many points at once; real, or with several values at a point.
 
     Parameters
     ----------
     function: takes points ``x``, where ``x[i]`` is coordinate i of all n points (an ndarray of shape (d, n), or a
-        list of Dr.Jit arrays), and returns n values.
+        list of Dr.Jit arrays), and returns n values. One of several values returns them as points come: ``v[k]`` is
+        value k at all n points (an ndarray (values, n), a list, or a Dr.Jit vector such as a colour).
     domain: a :class:`Box`, pairs (lower, upper), or a number of dimensions for the unit cube.
     range: bounds of the values, where known.
     on: ``"host"`` if ``function`` takes NumPy arrays, ``"device"`` for Dr.Jit's, ``"either"`` if both.
     cost: what an evaluation costs at each point, in any unit, in the form of ``function``; integrators that may spend
         unevenly take it into account.
+    values: how many at each point: 1, or more for colours, or for points of another function's domain, which
+        :meth:`compose` passes on. Sums and products go value by value; a real function goes with each.
     """
 
     function: Callable[[Points], Any]
@@ -117,6 +120,7 @@ class Integrand:
     range: tuple[float, float] = _EVERYTHING
     on: Place = "host"
     cost: Callable[[Points], Any] | None = field(default=None, compare=False)
+    values: int = 1
 
     def __init__(
         self,
@@ -125,14 +129,17 @@ class Integrand:
         range: tuple[float, float] = _EVERYTHING,
         on: Place = "host",
         cost: Callable[[Points], Any] | None = None,
+        values: int = 1,
     ) -> None:
         low, high = (float(v) for v in range)
         if not low <= high:
             raise IntegrationError(f"the range of a function runs from its least to its greatest value, not {range}")
         if on not in ("host", "device", "either"):
             raise IntegrationError(f"a function is on 'host', 'device' or 'either', not {on!r}")
-        values = {"function": function, "domain": Box.of(domain), "range": (low, high), "on": on, "cost": cost}
-        for name, value in values.items():
+        if isinstance(values, bool) or not isinstance(values, int) or values < 1:
+            raise IntegrationError(f"a function has a whole number of values at a point, at least 1, not {values!r}")
+        fields = {"function": function, "domain": Box.of(domain), "range": (low, high), "on": on, "cost": cost}
+        for name, value in (fields | {"values": values}).items():
             object.__setattr__(self, name, value)
 
     @property
@@ -143,6 +150,10 @@ class Integrand:
     def evaluate(self, x: Points) -> Any:
         """Values at points ``x`` (coordinate-major); a constant may come back as one number."""
         return self.function(x)
+
+    def parts(self, values: Any) -> list[Any]:
+        """What :meth:`evaluate` has returned as a list with an array for each value."""
+        return [values] if self.values == 1 else [values[k] for k in range(self.values)]
 
     # Algebra -----------------------------------------------------------------------------------------------------
 
@@ -169,26 +180,52 @@ class Integrand:
     ) -> Integrand:
         if not isinstance(other, Integrand):
             other = constant(float(other), self.domain)
-        f, g = self.function, other.function
+        if self.values != other.values and 1 not in (self.values, other.values):
+            raise IntegrationError(f"functions of {self.values} and {other.values} values cannot be combined")
+        f, g, count = self, other, max(self.values, other.values)
+
+        def combined(x: Points) -> Any:
+            a, b = f.parts(f.function(x)), g.parts(g.function(x))
+            found = [operation(a[k % len(a)], b[k % len(b)]) for k in range(count)]
+            return found if count > 1 else found[0]
+
         return Integrand(
-            lambda x: operation(f(x), g(x)),
+            combined,
             self.domain.intersection(other.domain),
             ranges(self.range, other.range),
             _common_place((self, other)),
             _common_cost((self, other)),
+            count,
+        )
+
+    def dot(self, weights: Sequence[float]) -> Integrand:
+        """Weighted sum of the values at a point, a real function: ``colour.dot([0.2126, 0.7152, 0.0722])``."""
+        numbers = [float(w) for w in weights]
+        if len(numbers) != self.values:
+            raise IntegrationError(f"{self.values} values at a point are added with as many weights, not {numbers}")
+        f, (low, high) = self, self.range
+        ends = [_product_range((low, high), (w, w)) for w in numbers]
+        return Integrand(
+            lambda x: sum(v * w for v, w in zip(f.parts(f.function(x)), numbers, strict=True) if w),
+            self.domain,
+            (sum(end[0] for end in ends), sum(end[1] for end in ends)),
+            self.on,
+            self.cost,
         )
 
     def compose(self, *inner: Integrand) -> Integrand:
-        """``x -> self(inner_0(x), inner_1(x), …)``: one function of common parameters for each parameter of this one.
+        """``x -> self(inner_0(x), inner_1(x), …)``: functions of common parameters, a value for each parameter of this.
 
-        Where the range of an inner function is known to leave the domain of this one, an error says so.
+        An inner function of several values stands for as many parameters in a row. Where the range of an inner
+        function is known to leave the domain of this one, an error says so.
         """
-        if len(inner) != self.dimension:
+        given = [g for g in inner for _ in range(g.values)]
+        if len(given) != self.dimension:
             raise IntegrationError(
-                f"a function of {self.dimension} parameters is composed with as many, not {len(inner)}"
+                f"a function of {self.dimension} parameters is composed with as many, not {len(given)}"
             )
         domain = inner[0].domain
-        for axis, g in enumerate(inner):
+        for axis, g in enumerate(given):
             domain = domain.intersection(g.domain)
             low, high = self.domain.lower[axis], self.domain.upper[axis]
             slack = 1e-9 * (high - low)
@@ -198,14 +235,18 @@ class Integrand:
                 raise IntegrationError(
                     f"parameter {axis} is defined on [{low:g}, {high:g}], but its function ranges over {list(g.range)}"
                 )
-        outer, functions = self.function, [g.function for g in inner]
-        cost = self.cost
+        outer, cost = self.function, self.cost
+
+        def arguments(x: Points) -> list[Any]:
+            return [value for g in inner for value in g.parts(g.function(x))]
+
         return Integrand(
-            lambda x: outer([g(x) for g in functions]),
+            lambda x: outer(arguments(x)),
             domain,
             self.range,
             _common_place((self, *inner)),
-            None if cost is None else (lambda x: cost([g(x) for g in functions])),
+            None if cost is None else (lambda x: cost(arguments(x))),
+            self.values,
         )
 
     def restrict(self, domain: Domain) -> Integrand:
@@ -240,6 +281,7 @@ class Integrand:
             self.range,
             self.on,
             None if cost is None else (lambda x: cost(full(x))),
+            self.values,
         )
 
     def of(self, parameters: Sequence[int], domain: Domain) -> Integrand:

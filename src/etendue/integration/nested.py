@@ -7,6 +7,7 @@ of n bounces, with whichever integrator at each [Leeson 2001, sec. 5.2].
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,39 +24,44 @@ def integral(
 ) -> Integrand:
     """``y -> integral over x of f(y, x)``: the integral over the parameters ``over``, a function of the others.
 
-    With :class:`MeanSample` all points are evaluated together, each with ``samples`` points x of its own, on the
-    host or the device. Any other integrator is run point by point, on the host, and is as slow as that sounds. Each
-    evaluation goes on with other random numbers, so that an unbiased integrator of this function stays unbiased.
+    All points y are evaluated together, on the host or the device, each with ``samples`` points x of its own by
+    ``integrator``: :class:`MeanSample`, :class:`Stratified`, :class:`QuasiMonteCarlo` or :class:`Importance`, whose
+    points do not depend on the function. Any other is run point by point, on the host, and is as slow as that sounds.
+    Each evaluation goes on with other random numbers, so that an unbiased integrator of this function stays unbiased.
+    Integrals within each other need a ``seed`` each, or their numbers would be the same. Where ``f`` has several
+    values at a point, so has the integral.
     """
     free = [a for a in range(f.dimension) if a not in over]
     if not free or len(free) + len(set(over)) != f.dimension:
         raise IntegrationError(f"the integral is over some of the parameters 0 to {f.dimension - 1}, not {list(over)}")
+    axes = sorted(over)  # the order that the inner domain has
     inner = f.fix({a: f.domain.lower[a] for a in free})
-    outer = f.fix({a: f.domain.lower[a] for a in over})
-    volume = inner.domain.volume
+    outer = f.fix({a: f.domain.lower[a] for a in axes})
     calls = iter(range(1 << 62))
     method = integrator if integrator is not None else MeanSample()
-    if f.on == "device" and not isinstance(method, MeanSample):
-        raise IntegrationError("on the device an inner integral is by MeanSample only")
+    if not method.batched and (f.on == "device" or f.values > 1):
+        raise IntegrationError(
+            f"{type(method).__name__} takes one integral at a time, of a real function on the host; on the device an "
+            "inner integral is by MeanSample, Stratified, QuasiMonteCarlo or Importance"
+        )
 
     def together(y: Any) -> Any:
         number = next(calls)
         on_host = library(y[0]) is np
-        work = Work(Integrand(f.function, f.domain, on="host" if on_host else "device"), seed + (number << 20))
-        count = len(y[0])
-        u = work.backend.uniform(count * samples, len(over))
-        place = work.backend.index(count * samples) // samples
+        work = Work(replace(inner, on="host" if on_host else "device", values=1), seed + (number << 20))
+        y = [work.backend.broadcast(v, y) for v in y]
+        work.backend.compute(*y)  # or each of them would be computed by itself when it is read
+        points, weight, size = method.spread(work, len(y[0]), samples)
+        place = work.backend.index(len(y[0]) * size) // size
         x: list[Any] = [None] * f.dimension
         for axis, values in zip(free, y, strict=True):
             x[axis] = work.backend.take(values, place)
-        for axis, values in zip(over, inner.domain.from_unit(u), strict=True):
+        for axis, values in zip(axes, points, strict=True):
             x[axis] = values
-        values = work.backend.broadcast(f.evaluate(x), x)
-        if on_host:
-            return values.reshape(count, samples).mean(axis=1) * volume
-        import drjit as dr
-
-        return dr.block_sum(values, samples) * (volume / samples)
+        found = [work.backend.broadcast(v, x) * weight for v in f.parts(f.evaluate(x))]
+        work.backend.compute(*found)
+        means = [_mean_of_rows(v, size) for v in found]
+        return means if f.values > 1 else means[0]
 
     def one_by_one(y: Any) -> Any:
         number = next(calls)
@@ -67,10 +73,21 @@ def integral(
             ]
         )
 
+    volume = inner.domain.volume
     low, high = f.range
     return Integrand(
-        together if isinstance(method, MeanSample) else one_by_one,
+        together if method.batched else one_by_one,
         outer.domain,
         (low * volume, high * volume) if np.isfinite([low, high]).all() else f.range,
-        f.on if isinstance(method, MeanSample) else "host",
+        f.on if method.batched else "host",
+        values=f.values,
     )
+
+
+def _mean_of_rows(values: Any, size: int) -> Any:
+    """Means of ``size`` values in a row."""
+    if library(values) is np:
+        return values.reshape(-1, size).mean(axis=1)
+    import drjit as dr
+
+    return dr.block_sum(values, size) * (1.0 / size)

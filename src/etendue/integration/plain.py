@@ -25,9 +25,16 @@ def mean_of(work: Work, samples: int, values: Any, scale: float) -> Estimate:
 class MeanSample(Integrator):
     """``V/N sum f(x_i)`` with x_i uniform in the domain of volume V: plain Monte Carlo."""
 
+    batched = True
+
     def _integrate(self, work: Work, samples: int) -> Estimate:
         backend, d = work.backend, work.dimension
         return mean_of(work, samples, lambda n: work.values(backend.uniform(n, d)), work.box.volume)
+
+    def spread(self, work: Work, integrals: int, samples: int) -> tuple[Any, Any, int]:
+        """See :class:`Integrator`."""
+        u = work.backend.uniform(integrals * samples, work.dimension)
+        return work.box.from_unit(u), work.box.volume, samples
 
 
 class HitOrMiss(Integrator):
@@ -74,12 +81,24 @@ class Importance(Integrator):
     of p over uniform points may exceed what it should be; else :class:`IntegrationError`.
     """
 
+    batched = True
+
     def __init__(self, density: Density) -> None:
         self.density = density
 
-    def _integrate(self, work: Work, samples: int) -> Estimate:
+    def spread(self, work: Work, integrals: int, samples: int) -> tuple[Any, Any, int]:
+        """See :class:`Integrator`. That the density is normalised is not checked here."""
+        self._check(work)
+        backend = work.backend
+        x, p = self.density.sample(backend, backend.uniform(integrals * samples, work.dimension))
+        return x, backend.where(p > 0, 1.0 / backend.where(p > 0, p, 1.0), 0.0), samples
+
+    def _check(self, work: Work) -> None:
         if self.density.domain != work.box:
             raise IntegrationError(f"the density is on {self.density.domain}, the function on {work.box}")
+
+    def _integrate(self, work: Work, samples: int) -> Estimate:
+        self._check(work)
         backend, d, volume = work.backend, work.dimension, work.box.volume
         inverse = Moments()
 

@@ -21,6 +21,8 @@ class Stratified(Integrator):
     are too few for two parts of each axis with two samples each, 2^(d+1), or for those asked for.
     """
 
+    batched = True
+
     def __init__(self, strata: int | None = None) -> None:
         if strata is not None and strata < 1:
             raise IntegrationError(f"an axis has at least one stratum, not {strata}")
@@ -47,6 +49,16 @@ class Stratified(Integrator):
             mean, variance, first = mean + a, variance + b, first + count // size
         scale = work.box.volume / total
         return Estimate(mean * scale, math.sqrt(variance) * scale, total * size, details={"strata": parts})
+
+    def spread(self, work: Work, integrals: int, samples: int) -> tuple[Any, Any, int]:
+        """See :class:`Integrator`. No error is asked for, so that one sample in each stratum is enough."""
+        d = work.dimension
+        parts = self.strata if self.strata is not None else max(int((samples + 1e-9) ** (1 / d)), 1)
+        if samples < parts**d:
+            raise IntegrationError(f"{samples} samples are too few for {parts**d} strata: at least one each")
+        size = samples // parts**d * parts**d
+        u = stratified_points(work, integrals * size, [parts] * d, 0, size // parts**d)
+        return work.box.from_unit(u), work.box.volume, size
 
 
 def stratified_points(work: Work, count: int, parts: list[int], first: int, size: int) -> list[Any]:
@@ -92,6 +104,8 @@ class QuasiMonteCarlo(Integrator):
     replicates: randomisations that share the samples; few have more even points, many a better known error.
     """
 
+    batched = True
+
     def __init__(self, points: PointSequence | Callable[[int], PointSequence] = Sobol, replicates: int = 16) -> None:
         if replicates < 2:
             raise IntegrationError(f"an error needs 2 randomisations or more, not {replicates}")
@@ -122,6 +136,20 @@ class QuasiMonteCarlo(Integrator):
             share * self.replicates,
             details={"replicates": np.array(means) * scale},
         )
+
+    def spread(self, work: Work, integrals: int, samples: int) -> tuple[Any, Any, int]:
+        """See :class:`Integrator`. Each integral has all points, moved by a random vector of its own modulo 1."""
+        backend, sequence = work.backend, self.sequence(work.dimension)
+        most = getattr(sequence, "size", None)
+        if most is not None and samples > most:
+            raise IntegrationError(f"the point set has {most} points, but {samples} are asked of each integral")
+        place = backend.index(integrals * samples)
+        number = place // samples
+        u = []
+        for axis, shift in enumerate(backend.uniform(integrals, work.dimension)):
+            moved = sequence.coordinate(place - number * samples, axis) + backend.take(shift, number)
+            u.append(backend.where(moved < 1.0, moved, moved - 1.0))
+        return work.box.from_unit(u), work.box.volume, samples
 
     def sequence(self, dimension: int) -> PointSequence:
         """The points for an integrand of ``dimension`` parameters."""

@@ -8,7 +8,7 @@ from .fingerprint import fingerprint
 from .graph import materials
 from .lights import Light, LightTable
 from .loading import integrator_of, load, locate, resized
-from .plugins import register
+from .plugins import composed_bsdf, register
 from .problem import Problem
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "bundled",
     "bundled_scene",
     "check",
+    "composed_bsdf",
     "fingerprint",
     "graph",
     "integrator_of",

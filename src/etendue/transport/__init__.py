@@ -4,7 +4,9 @@ from . import dimensions
 from .camera import Camera, CameraConnection, Splats
 from .camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
+from .functions import TransportFunctions, film_picture
 from .guiding import NOWHERE, Guide, GuidedScattered, direction_of, square_of
+from .irradiance import IrradianceCache, irradiance_gradients, stratified_hemispheres
 from .light_choice import MOST_LIGHTS, LightChoice, LocalLights
 from .light_walk import LightWalk
 from .mis import Mis, Techniques
@@ -41,6 +43,7 @@ __all__ = [
     "Gather",
     "Guide",
     "GuidedScattered",
+    "IrradianceCache",
     "Kind",
     "LightCache",
     "LightChoice",
@@ -54,6 +57,7 @@ __all__ = [
     "Scattered",
     "Splats",
     "Techniques",
+    "TransportFunctions",
     "Visibility",
     "cosine_ratio",
     "dimensions",
@@ -63,7 +67,9 @@ __all__ = [
     "evaluate_camera_end",
     "evaluate_light_end",
     "exchanged",
+    "film_picture",
     "geometric_cos",
+    "irradiance_gradients",
     "is_emissive",
     "is_smooth",
     "needs_interaction",
@@ -75,4 +81,5 @@ __all__ = [
     "scatter_uniform",
     "shadow_roulette",
     "square_of",
+    "stratified_hemispheres",
 ]

@@ -1,4 +1,5 @@
-"""étendue's own Mitsuba plugins: BSDFs ``phong`` and ``ward``, emitter ``focusarea``, sensor ``spherical``.
+"""étendue's own Mitsuba plugins: BSDFs ``phong`` and ``ward``, emitter ``focusarea``, sensor ``spherical``; and
+materials made of functions.
 
 Mitsuba 3.9.1 has no plugin of these names. Each class is made when a plugin is first asked for under a variant, since
 its base class is Mitsuba's of that variant.
@@ -12,13 +13,14 @@ from typing import Any
 
 from etendue.core import check_variant
 
+from .composed import composed_bsdf
 from .focusarea import make_focusarea
 from .phong import PhongLobe
 from .reflection import make_reflection
 from .spherical import make_spherical
 from .ward import WardLobe
 
-__all__ = ["register"]
+__all__ = ["composed_bsdf", "register"]
 
 _BSDFS = {"phong": lambda: make_reflection(PhongLobe), "ward": lambda: make_reflection(WardLobe)}
 _EMITTERS = {"focusarea": make_focusarea}

@@ -1,0 +1,74 @@
+"""A material that is a function: what the algebra of :mod:`etendue.integration` has put together, for any scene."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core import OptionError, use_variant
+from etendue.integration import Integrand
+
+#: Parameters of a reflectance: texture coordinates, and two directions.
+PARAMETERS = 8
+
+
+def composed_bsdf(f: Integrand) -> Any:
+    """A Mitsuba material, for ``"bsdf"`` of a scene dictionary, that reflects by the function ``f`` [Leeson 2001, 5.2].
+
+    Parameters
+    ----------
+    f: the BRDF, a function of (u, v), the direction towards the light (x, y, z) and that towards the eye; unit vectors
+        in the frame of the surface, z its normal. Real, or a colour of three values; on the device, or on either side.
+
+    One-sided; ``twosided`` shows it on both sides. Directions are drawn by their cosine, since a function does not say
+    how to draw by it: narrow lobes are noisy. ``etendue.check`` tells whether it keeps energy and is reciprocal. It is
+    asked inside kernels, so it may not hold integrals. Raises :class:`OptionError` for a function of other parameters
+    or values, or of the host.
+    """
+    if f.dimension != PARAMETERS or f.values not in (1, 3) or f.on == "host":
+        raise OptionError(
+            f"a material is a function of {PARAMETERS} parameters (u, v, light x, y, z, eye x, y, z) on the device, of "
+            f"1 or 3 values, not of {f.dimension} on the {f.on} and {f.values}"
+        )
+    use_variant()
+
+    class ComposedBSDF(mi.BSDF):
+        """f cos, and the density of a direction drawn by its cosine."""
+
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            self.plugin_name = "composed"
+            flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.SpatiallyVarying
+            self.m_components = [flags]
+            self.m_flags = flags
+
+        def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> tuple[Any, Any]:
+            bs = mi.BSDFSample3f()
+            bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
+            bs.eta = 1.0
+            bs.sampled_type = mi.UInt32(+mi.BSDFFlags.GlossyReflection)
+            bs.sampled_component = mi.UInt32(0)
+            value, bs.pdf = self.eval_pdf(ctx, si, bs.wo, active)
+            return bs, dr.select(bs.pdf > 0.0, value / bs.pdf, 0.0)
+
+        def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> tuple[Any, Any]:
+            cos = mi.Frame3f.cos_theta(wo)
+            active = active & (mi.Frame3f.cos_theta(si.wi) > 0.0) & (cos > 0.0)
+            active &= ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 0)
+            # Light comes from `wo` in Mitsuba, where paths begin at the eye.
+            found = f.parts(f.evaluate([*si.uv, *wo, *si.wi]))
+            value = mi.Color3f(*found) if f.values == 3 else mi.Color3f(mi.Float(found[0]))
+            return value * cos & active, cos * dr.inv_pi & active
+
+        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            return self.eval_pdf(ctx, si, wo, active)[0]
+
+        def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+            return self.eval_pdf(ctx, si, wo, active)[1]
+
+        def to_string(self) -> str:
+            return "composed[]"
+
+    return ComposedBSDF(mi.Properties("composed"))

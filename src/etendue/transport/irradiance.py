@@ -1,0 +1,176 @@
+"""Irradiance caching with gradients: computed at few points, carried to those around them.
+
+A record at x_i with normal n_i says ``E(x, n) = E_i + (n_i cross n) . rotation_i + (x - x_i) . translation_i`` nearby.
+It counts with weight ``1 / (|x - x_i| / R_i + sqrt(1 - n . n_i))`` where that is above ``1 / accuracy``, R_i being the
+harmonic mean of the distances that light came from [Ward 1988; WardHeckbert 1992].
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.core import Array, OptionError
+from etendue.integration import Integrand
+
+#: Numbers of a record: position, normal, irradiance, two gradients of three channels, reach.
+_WIDTH = 28
+#: How far a record may lie in front of a point, in units of its reach.
+_IN_FRONT = 0.05
+
+
+class IrradianceCache:
+    """Records of irradiance, interpolated.
+
+    Parameters
+    ----------
+    accuracy: a; a smaller one is better, and takes more records. A record reaches a R_i.
+    reach: least and greatest distance that a record may reach, in units of the scene.
+    strata: rings and sectors of the hemisphere; a record takes a ray for each.
+    gradients: whether they are used. Without them a record is carried as it is.
+    """
+
+    def __init__(
+        self,
+        reach: tuple[float, float],
+        accuracy: float = 0.2,
+        strata: tuple[int, int] = (16, 48),
+        gradients: bool = True,
+    ) -> None:
+        if not 0 < reach[0] <= reach[1] < math.inf or not 0 < accuracy < math.inf:
+            raise OptionError(f"reach {reach} and accuracy {accuracy} of an irradiance cache must be above zero")
+        if min(strata) < 2:
+            raise OptionError(f"a hemisphere has 2 rings and 2 sectors at least, not {strata}")
+        self.accuracy, self.reach, self.strata, self.gradients = accuracy, reach, strata, gradients
+        self.records: Array = np.empty((0, _WIDTH))
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    @property
+    def rays(self) -> int:
+        """Rays that the records have taken."""
+        return len(self) * self.strata[0] * self.strata[1]
+
+    def compute(self, incident: Integrand, distance: Integrand, position: Array, normal: Array, seed: int) -> None:
+        """Add records at points, all of their hemispheres at once.
+
+        incident, distance: functions of rays (see :class:`TransportFunctions`), radiance that comes against a ray and
+        the way it came. position, normal: (n, 3).
+        """
+        directions = stratified_hemispheres(normal, self.strata, seed)
+        shape = directions.shape[:3]
+        origins = np.broadcast_to((position + 1e-4 * normal)[:, None, None], directions.shape)
+        rays = [_column(part[..., axis]) for part in (origins, directions) for axis in range(3)]
+        way = np.array(distance.evaluate(rays), dtype=np.float64).reshape(shape)
+        way = np.where(np.isfinite(way), np.maximum(way, 1e-6), 1e12)
+        radiance = np.stack([np.array(v, dtype=np.float64) for v in incident.parts(incident.evaluate(rays))], axis=-1)
+        self.add(position, normal, np.broadcast_to(radiance, (len(radiance), 3)).reshape(*shape, 3), way)
+
+    def add(self, position: Array, normal: Array, radiance: Array, distance: Array) -> None:
+        """Add records: what hemispheres have found, radiance (n, rings, sectors, 3), distance (n, rings, sectors)."""
+        irradiance, rotation, translation = irradiance_gradients(radiance, distance, normal)
+        harmonic = 1 / (1 / distance).mean(axis=(1, 2))
+        # Where it changes so fast that it would reach zero within the mean distance, a record reaches less far.
+        slope = np.linalg.norm(translation.mean(axis=1), axis=1) / np.maximum(irradiance.mean(axis=1), 1e-30)
+        wanted = np.minimum(harmonic, 1 / np.maximum(slope, 1e-30)) * self.accuracy
+        reach = np.clip(wanted, *self.reach)
+        # One that has to reach further than it should must not change faster than it can bear.
+        translation *= np.minimum(wanted / reach, 1.0)[:, None, None]
+        columns = (position, normal, irradiance, rotation, translation, reach)
+        self.records = np.concatenate([self.records, np.concatenate([c.reshape(len(reach), -1) for c in columns], 1)])
+
+    def __call__(self, position: Array, normal: Array) -> tuple[Array, Array]:
+        """Irradiance (m, 3) at points (m, 3), and the weight (m,) of what it comes from: zero where no record reaches.
+
+        On the device; each point goes through all records.
+        """
+        if not len(self):
+            return np.zeros((len(position), 3)), np.zeros(len(position))
+        table = _column(self.records)
+        p, n = (mi.Vector3f(*(_column(values[:, axis]) for axis in range(3))) for values in (position, normal))
+
+        def visit(i: Any, total: Any, weight: Any) -> tuple[Any, Any, Any]:
+            def vector(k: int, active: Any = True) -> Any:
+                return mi.Vector3f(*(dr.gather(mi.Float, table, i * _WIDTH + k + axis, active) for axis in range(3)))
+
+            offset, other, reach = p - vector(0), vector(3), dr.gather(mi.Float, table, i * _WIDTH + 27)
+            # In units of the accuracy: 1 where a record ends.
+            far = dr.norm(offset) / reach + dr.sqrt(dr.maximum(1 - dr.dot(n, other), 0)) * (1 / self.accuracy)
+            # A record that lies in front of a point does not see what comes from between.
+            used = (far < 1) & (dr.dot(offset, n + other) > -2 * _IN_FRONT * reach)
+            value = vector(6, used)
+            if self.gradients:
+                turn = dr.cross(other, n)
+                value += mi.Vector3f(*(dr.dot(turn, vector(k, used)) for k in (9, 12, 15)))
+                value += mi.Vector3f(*(dr.dot(offset, vector(k, used)) for k in (18, 21, 24)))
+            # Less what the weight is where the record ends, so that nothing jumps there.
+            w = dr.select(used, dr.rcp(dr.maximum(far, 1e-4)) - 1, 0)
+            return i + 1, total + w * dr.maximum(value, 0), weight + w
+
+        count = dr.opaque(mi.UInt32, len(self))
+        start = mi.UInt32(0), dr.zeros(mi.Vector3f, len(position)), dr.zeros(mi.Float, len(position))
+        _, total, weight = dr.while_loop(start, lambda i, *_: i < count, visit, label="irradiance cache")
+        values = total / dr.maximum(weight, 1e-20)
+        dr.eval(values, weight)
+        return np.array(values, dtype=np.float64).T, np.array(weight, dtype=np.float64)
+
+
+def stratified_hemispheres(normal: Array, strata: tuple[int, int], seed: int) -> Array:
+    """A direction, by the cosine, in each of (rings, sectors) strata around normals (n, 3): (n, rings, sectors, 3)."""
+    rings, sectors = strata
+    u = np.random.default_rng(seed).random((2, len(normal), rings, sectors))
+    sine = np.sqrt((np.arange(rings)[:, None] + u[0]) / rings)
+    azimuth = 2 * math.pi * (np.arange(sectors) + u[1]) / sectors
+    parts = sine * np.cos(azimuth), sine * np.sin(azimuth), np.sqrt(1 - sine**2)
+    axes = (*_tangents(normal), normal)
+    found: Array = sum(p[..., None] * a[:, None, None, :] for p, a in zip(parts, axes, strict=True))
+    return found
+
+
+def irradiance_gradients(radiance: Array, distance: Array, normal: Array) -> tuple[Array, Array, Array]:
+    """Irradiance (n, 3) and its gradients by rotation and by translation, (n, 3 channels, 3 axes) [WardHeckbert 1992].
+
+    radiance: (n, rings, sectors, 3), of the directions of :func:`stratified_hemispheres`; distance: without channels.
+    """
+    rings, sectors = distance.shape[1:]
+    tangent, bitangent = _tangents(normal)
+
+    def along(azimuth: Array) -> Array:
+        """Tangent vectors of azimuths: (n, sectors, 3)."""
+        vectors: Array = np.cos(azimuth)[:, None] * tangent[:, None] + np.sin(azimuth)[:, None] * bitangent[:, None]
+        return vectors
+
+    edge = 2 * math.pi * np.arange(sectors) / sectors
+    centre = edge + math.pi / sectors
+    irradiance = radiance.mean(axis=(1, 2)) * math.pi
+    # A normal that turns towards light of polar angle t gains sin t where it has cos t.
+    tilt = np.tan(np.arcsin(np.sqrt((np.arange(rings) + 0.5) / rings)))
+    leaning = np.einsum("j,njkc->nkc", tilt, radiance) * (math.pi / (rings * sectors))
+    rotation = np.einsum("nkc,nka->nca", leaning, along(centre + math.pi / 2))
+    # A point that moves sees the borders between strata move; the nearer side of a border decides how fast.
+    sine = np.sqrt(np.arange(rings + 1) / rings)
+    between_rings = (radiance[:, 1:] - radiance[:, :-1]) / np.minimum(distance[:, 1:], distance[:, :-1])[..., None]
+    shifted = sine[1:-1] * (1 - sine[1:-1] ** 2) * (2 * math.pi / sectors)
+    translation = np.einsum("j,njkc,nka->nca", shifted, between_rings, along(centre), optimize=True)
+    before, way = np.roll(radiance, 1, axis=2), np.roll(distance, 1, axis=2)
+    between_sectors = (radiance - before) / np.minimum(distance, way)[..., None]
+    translation += np.einsum(
+        "j,njkc,nka->nca", np.diff(sine), between_sectors, along(edge + math.pi / 2), optimize=True
+    )
+    return irradiance, rotation, translation
+
+
+def _tangents(normal: Array) -> tuple[Array, Array]:
+    helper = np.where(np.abs(normal[:, :1]) > 0.7, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
+    tangent = np.cross(helper, normal)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    return tangent, np.cross(normal, tangent)
+
+
+def _column(values: Array) -> Any:
+    return mi.Float(np.array(values, dtype=np.float32).ravel())

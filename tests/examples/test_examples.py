@@ -1,0 +1,120 @@
+"""The examples of the framework, small: each agrees with the method path, or with what is known in closed form."""
+
+from __future__ import annotations
+
+import gc
+import importlib.util
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.statistics import assert_agree
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))
+
+
+def example(name):
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(autouse=True)
+def _forget_scenes():
+    """One scene at a time: Dr.Jit compiles a virtual call for every object alive."""
+    yield
+    gc.collect()
+
+
+def test_every_example_is_tested_and_described():
+    """By a test here, and in the page of the manual that walks through them."""
+    page = (EXAMPLES.parent / "docs" / "framework.md").read_text("utf-8")
+    for name in NAMES:
+        assert f"examples/{name}.py" in page
+        assert f'example("{name}")' in Path(__file__).read_text("utf-8")
+
+
+def test_composed_brdf():
+    found = example("composed_brdf").run(size=24, samples=64, passes=8)
+    # The cosine-weighted mean of a lobe at normal incidence is k_s, whatever its exponent.
+    assert found["albedo_error"] < 0.01
+    assert_agree(found["composed"], found["rendered"].astype(float), "composed BRDF")
+
+
+def test_composed_brdf_is_reciprocal():
+    f = example("composed_brdf").brdf()
+    v = np.random.default_rng(0).normal(size=(2, 3, 1000))
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    uv = np.random.default_rng(1).random((2, 1000))
+    there, back = (np.array(f.evaluate([*uv, *v[a], *v[b]])) for a, b in ((0, 1), (1, 0)))
+    assert there == pytest.approx(back, abs=1e-9) and there.min() >= 0
+
+
+def test_ray_tracers():
+    module = example("ray_tracers")
+    found = module.run(size=24, samples=80, learning=100_000)
+    for name in ("recursive", "expanded", "vegas"):
+        assert_agree(found[name], found["path"].astype(float), name)
+    uniform, learned = found["estimates"]
+    assert abs(uniform.value - learned.value) < 4.5 * math.hypot(uniform.standard_error, learned.standard_error)
+    # Of five lights four are weak: 3.3 times less variance was measured with what VEGAS learns from a million paths.
+    assert 2 * module.noise(found["vegas"]) < module.noise(found["expanded"])
+
+
+def test_photon_tracer():
+    found = example("photon_tracer").run(size=24, photons=1 << 16, squares=8, samples=256)
+    assert_agree(found["photons"][..., None], found["path"][..., None], "irradiance of the floor", block=1)
+    # The picture is a little blurred, and no more than that.
+    assert found["mapped"].mean() == pytest.approx(found["picture"].mean(), rel=0.03)
+
+
+def test_irradiance_cache():
+    module = example("irradiance_cache")
+    found = module.run(size=48, samples=64)
+    figures = module.summary(found)
+    assert figures["error"] < 0.08 and abs(figures["bias"]) < 0.03
+    assert figures["error"] < 0.8 * figures["without"]
+    assert figures["paths"] > figures["rays"]  # 29 times as many at the size of the example
+
+
+def test_radiosity():
+    module = example("radiosity")
+    found = module.run(size=48, divisions=(3, 6), samples=64)
+    for sums in found["sums"]:  # in a closed room all that leaves a patch arrives somewhere
+        assert sums == pytest.approx(np.ones(len(sums)), abs=0.02)
+    coarse, fine = (module.difference(picture, found["path"]) for picture in found["pictures"])
+    assert fine < 0.75 * coarse and fine < 0.2  # most of it is that patches are flat
+    dark = found["path"].max(axis=2) < 0.1 * module.LAMP / math.pi
+    assert found["pictures"][1][dark].mean() == pytest.approx(found["path"][dark].mean(), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("by", "tolerance"),
+    [
+        ("quasimontecarlo", 0.002),
+        ("stratified", 0.004),
+        ("meansample", 0.025),
+        ("vegas", 0.003),
+        ("recursivestratified", 0.006),
+    ],
+)
+def test_form_factors_by_any_integrator(by, tolerance):
+    """Of the walls of an empty cube of side 1: 0.19982 to the opposite one, 0.20004 to each neighbour."""
+    import mitsuba as mi
+
+    module = example("radiosity")
+    walls = module.walls()[:6]
+    cube = {"corner": 0, "a": 1, "b": 2}
+    patches = {name: np.array([wall[k] for wall in walls], dtype=float) for name, k in cube.items()}
+    patches |= {"normal": np.cross(patches["a"], patches["b"]), "area": np.ones(6)}
+    scene = mi.load_dict({"type": "scene", "far": {"type": "sphere", "center": [9, 9, 9], "radius": 0.1}})
+    factors = module.form_factors(module.exchange(patches, scene), patches["area"], module.INTEGRATORS[by], 20_000)
+    expected = np.full((6, 6), 0.200044)
+    for i, j in ((0, 1), (2, 3), (4, 5)):
+        expected[i, j] = expected[j, i] = 0.199825
+    np.fill_diagonal(expected, 0)
+    # Five times the errors that were measured, which are largest between neighbours.
+    assert factors == pytest.approx(expected, rel=tolerance) and factors == pytest.approx(factors.T)

@@ -1,0 +1,81 @@
+"""A material made of a function: its values, its sampler, and life inside Mitsuba."""
+
+from __future__ import annotations
+
+import math
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from support.statistics import assert_agree
+
+import etendue
+from etendue.conformance import check_bsdf
+from etendue.core import OptionError
+from etendue.integration import Box, Integrand, constant, library
+from etendue.scene import bundled_scene, composed_bsdf
+
+BOX = Box.of([(0, 1)] * 2 + [(-1, 1)] * 6)
+WHITE = constant(0.6 / math.pi, BOX)
+
+
+def waves():
+    """A texture in the place of the reflectance."""
+    colour = Integrand(lambda x: [0.5 + 0.3 * x[0], 0.4 * x[1], 0.2 + 0 * x[0]], 2, (0, 0.8), "either", values=3)
+    lobe = Integrand(
+        lambda x: library(x[0]).maximum(x[2] * x[5] - x[0] * x[3] - x[1] * x[4], 0) ** 3 * (5 / (2 * math.pi)),
+        [(-1, 1)] * 6,
+        on="either",
+    )
+    return colour.of([0, 1], BOX) * (1 / math.pi) + 0.15 * lobe.of(range(2, 8), BOX)
+
+
+def test_it_has_the_values_of_the_function():
+    bsdf, rng = composed_bsdf(waves()), np.random.default_rng(1)
+    v = rng.normal(size=(2, 3, 500))
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    v[:, 2] = np.abs(v[:, 2])
+    si = mi.SurfaceInteraction3f()
+    si.uv, si.wi = mi.Point2f(np.float32(rng.random((2, 500)))), mi.Vector3f(np.float32(v[0]))
+    value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, mi.Vector3f(np.float32(v[1])))
+    expected = np.array(waves().evaluate([*np.array(si.uv, dtype=float), *v[1], *v[0]])) * v[1, 2]
+    assert np.array(value) == pytest.approx(expected, abs=1e-5)
+    assert np.array(pdf) == pytest.approx(v[1, 2] / math.pi, abs=1e-6)
+    below = mi.Vector3f(np.float32(v[1] * [[1], [1], [-1]]))
+    assert not np.array(bsdf.eval(mi.BSDFContext(), si, below)).any()
+
+
+def test_it_is_a_plausible_material():
+    findings = check_bsdf(composed_bsdf(waves()), quick=True)
+    assert findings and not [f for f in findings if f.verdict == "fail"], "\n".join(map(str, findings))
+
+
+@pytest.mark.parametrize("method", ["path", "vcm"])
+def test_a_constant_is_a_diffuse_material(method):
+    """In a Cornell box, by a method of each kind."""
+
+    def pictures(white):
+        description = bundled_scene("cornell-box").build()
+        description["white"] = white
+        scene = mi.load_dict(description)
+        return np.array(
+            [etendue.render(scene, method, samples=16, size=(24, 24), seed=n, max_depth=4).image for n in range(6)],
+            dtype=float,
+        )
+
+    mine = pictures({"type": "twosided", "bsdf": composed_bsdf(WHITE)})
+    theirs = pictures({"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.6, 0.6]}})
+    assert_agree(mine, theirs, method)
+
+
+@pytest.mark.parametrize(
+    "f",
+    [
+        constant(1.0, 7),
+        Integrand(lambda x: [x[0], x[1]], BOX, on="device", values=2),
+        Integrand(lambda x: np.exp(x[0]), BOX),
+    ],
+)
+def test_functions_that_are_no_materials(f):
+    with pytest.raises(OptionError, match="a material is a function of 8 parameters"):
+        composed_bsdf(f)
