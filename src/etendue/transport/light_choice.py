@@ -1,6 +1,6 @@
 """Which light to draw a point on, learned for each cell of the scene.
 
-The light table picks lights by their power. In a cell from which a strong lamp is not seen, or far away, that is a waste:
+The light table picks lights by their power. In a cell from which a strong lamp is not seen, or far away, that is waste:
 here each cell picks a light in proportion to what its points brought there, and now and then by power.
 """
 
