@@ -179,10 +179,18 @@ def test_a_sheet_of_two_faces_back_to_back():
         assert ABuffer(two, OwenSobol(4, seed=4), 2000).cast(64).to_dark.sum() == 0
 
 
-def test_a_box_inside_out_shows_as_darkness():
+def test_a_box_inside_out_shows_as_darkness(caplog):
     inner = box((0.3, 0.3, 0.3), (0.7, 0.7, 0.7), 1, inward=True)
     segments = ABuffer(Patches(*joined(box((0, 0, 0), (1, 1, 1), 1, inward=True), inner)), lines=500).cast(64)
-    assert (segments.to_dark[:6] > 0.1 * segments.counted[:6]).all()
+    assert (segments.dark[:6] > 0.1).all()
+    assert "backs of faces" in caplog.text
+
+
+def test_patches_that_no_line_has_met_are_reported(caplog):
+    segments = ABuffer(room(20), lines=50).cast(2)
+    assert len(segments.unseen) > 1000
+    assert f"no line has met {len(segments.unseen)} of 3506 patches" in caplog.text
+    np.testing.assert_array_equal(segments.gather(np.ones(3506)) == 0, segments.counted == 0)
 
 
 def test_open_surfaces_see_the_sky():

@@ -20,6 +20,7 @@ def written(path, cells=None, mesh=BOX, kind="quad"):
     return path
 
 
+@pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")  # in meshio's reader of STL
 @pytest.mark.parametrize(
     ("name", "kind", "count"),
     [

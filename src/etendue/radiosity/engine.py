@@ -7,12 +7,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from etendue.core import Array, free_memory
+from etendue.core import Array, free_memory, logger
 from etendue.points import OwenSobol, PointSet
 
 from .errors import RadiosityError
 from .patches import Patches
 from .segments import Pairs, Segments
+
+#: Share of the segments that may lead to backs of faces without a warning.
+_DARK = 0.01
 
 
 class LineEngine(ABC):
@@ -46,6 +49,8 @@ class LineEngine(ABC):
     def cast(self, count: int, first: int = 0, batches: int = 16) -> Segments:
         """The segments of ``count`` points from ``first`` on, in at most so many batches.
 
+        Warns of patches that no line has met, and if many lines meet backs of faces.
+
         Raises :class:`RadiosityError` for less than one point, and if the segments do not fit into memory.
         """
         if count < 1:
@@ -59,7 +64,20 @@ class LineEngine(ABC):
         chunks = list(self.stream(count, first))
         batches = min(batches, len(chunks))
         number = np.arange(len(chunks)) * batches // len(chunks)
-        return Segments(self.patches, chunks, number, self.expected(count))
+        segments = Segments(self.patches, chunks, number, self.expected(count))
+        if len(segments.unseen):
+            logger.warning(
+                "no line has met %d of %d patches, such as patch %d: cast more, or make patches larger",
+                *(len(segments.unseen), len(self.patches), segments.unseen[0]),
+            )
+        dark = segments.to_dark.sum() / max(segments.counted.sum(), 1)
+        if dark > _DARK:
+            logger.warning(
+                "%.2g of what patches see is backs of faces, which absorb everything: faces are turned the wrong way, "
+                "or the mesh is open; see etendue.radiosity.diagnose",
+                dark,
+            )
+        return segments
 
     def _pieces(self, count: int, first: int) -> Iterator[tuple[int, int]]:
         """First point and number of points of each piece."""
