@@ -74,13 +74,13 @@ def measure(counts: Sequence[int], iterations: int, seeds: int, out: Path) -> li
         )
         even = AxisBins.even(BINS).edges
         record.add("even bins", *[f"{variance(even, mode):.4f}"] * len(counts), "0")
-        curves = {"even bins": [(float(count), variance(even, mode)) for count in counts]}
+        curves = {"even bins": [_error(count, variance(even, mode)) for count in counts]}
         for name, how in STABILISERS.items():
             found = [[learned(mode, how, n, iterations, seed) for seed in range(seeds)] for n in counts]
             means = [float(np.mean([variance(b[-1], mode) for b in runs])) for runs in found]
             moved = np.mean([np.abs(b[-1] - b[-2]).mean() for b in found[0]])
             record.add(name, *(f"{mean:.4f}" for mean in means), f"{moved:.4f}")
-            curves[name] = [(float(n), mean) for n, mean in zip(counts, means, strict=True)]
+            curves[name] = [_error(n, mean) for n, mean in zip(counts, means, strict=True)]
         record.notes += [
             f"integral of sin over [0, pi], {BINS} bins, N samples an iteration, mean of {seeds} seeds; damping 1.5",
             "'both, then off': neither in the second half of the iterations, where borders go by contributions, not by "
@@ -88,6 +88,11 @@ def measure(counts: Sequence[int], iterations: int, seeds: int, out: Path) -> li
             "borders move: mean way of a border from the last iteration but one to the last, of an interval of 1",
         ]
         title = f"Sine, {mode} mode, iteration {iterations}"
-        plotting.save(out / f"sine-{mode}.svg", curves, title, "samples an iteration", "N times variance")
+        plotting.save(out / f"sine-{mode}.svg", curves, title, "samples an iteration", "standard error")
         records.append(record)
     return records
+
+
+def _error(samples: int, variance: float) -> tuple[float, float]:
+    """(samples, standard error of the mean of so many)."""
+    return float(samples), math.sqrt(variance / samples)

@@ -109,15 +109,18 @@ def test_a_sheet_has_a_row_for_each_method(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_pixel_that_learns_is_better_once_it_has_warmed_up(tmp_path):
+def test_a_pixel_that_learns_is_better_once_it_has_warmed_up(tmp_path, monkeypatch):
     """Check 8 of the framework's list, as far as it holds: with hits alone, and a density for each pixel that learns
-    from 256 samples, VEGAS is random until then, and better from 512 on. Measured: 0.86 to 0.91 at 1024."""
+    from 256 samples, VEGAS is as random until then, and better later. Measured: 0.85 to 0.89 at 1024."""
     convergence = module("convergence")
-    record = convergence.warm_up("cornell", (16, 16), 1024, 2, tmp_path, 6.0)
-    (row,) = (row for row in record.rows if row[:2] == ("hits", "each pixel, from 256"))
+    learner = "each pixel, from 256"
+    monkeypatch.setattr(convergence, "FINDING", {"hits": convergence.FINDING["hits"]})
+    monkeypatch.setattr(convergence, "LEARNERS", {learner: convergence.LEARNERS[learner]})
+    record = convergence.warm_up("cornell", (32, 32), 1024, 2, tmp_path, 10.0)
+    (row,) = record.rows
     ratios = dict(zip(record.columns[2:], map(float, row[2:]), strict=True))
     assert all(ratios[f"at {count}"] == 1.0 for count in (16, 32, 64, 128, 256))
-    assert ratios["at 1024"] < 0.96
+    assert ratios["at 1024"] < 0.95
 
 
 # ---------------------------------------------------------------------- commands
