@@ -216,7 +216,9 @@ def test_a_failing_pass_is_reported_even_if_nothing_can_be_written(tmp_path, tem
     assert rescued(caplog.text, "a.exr.npz").exists()
 
 
-@pytest.mark.parametrize(("method", "tolerance"), [("path", 0.0), ("light", 1e-5), ("bpt", 1e-5), ("vcm", 1e-5)])
+@pytest.mark.parametrize(
+    ("method", "tolerance"), [("path", 0.0), ("guided", 0.0), ("light", 1e-5), ("bpt", 1e-5), ("vcm", 1e-5)]
+)
 def test_a_resumed_render_is_an_uninterrupted_one(method, tolerance, tmp_path):
     whole = api.render("cornell-glass", method, samples=8, **SMALL)
     checkpoint, picture = tmp_path / "a", tmp_path / "a.exr"

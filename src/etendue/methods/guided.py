@@ -9,7 +9,8 @@ leaf of a quadtree over its directions, the mean of what paths found there [Mull
 with L as it counts in the picture, so what light points already see is not learned again. Training goes in generations,
 each of twice as many passes as the one before; a generation begins with the trees refined by the last one and sums of
 zero. Every pass counts in the picture with a weight that its generation alone decides, so the mean is unbiased
-[Muller 2019 weights by measured variances instead, which is not].
+[Muller 2019 weights by measured variances instead, which is not]. What the cells found also decides which light points
+are drawn on, and roulette [Vorba 2016].
 """
 
 from __future__ import annotations
