@@ -18,6 +18,7 @@ from etendue.core import EtendueError, OptionError, describe, logger
 
 from . import options as opt
 from .console import ConsoleHandler, error_console, note, print_error, say
+from .radiosity import form_factors, radiosity
 
 app = typer.Typer(
     name="etendue",
@@ -368,6 +369,10 @@ def points(
     return show_points(
         name, count=count, dimension=dimension, first=first, seed=seed, measure=measure, plot=plot, pairs=pair or []
     )
+
+
+app.command()(form_factors)
+app.command()(radiosity)
 
 
 @app.command()

@@ -15,14 +15,25 @@ from .multipath import FirstShot, Multipath, first_shot, multipath, multipath_bu
 from .particles import Particles, breadth_first, depth_first
 from .patches import Patches
 from .raycasting import RayScene
+from .results import (
+    FORM_FACTOR_FILES,
+    SOLUTION_FILES,
+    check_file,
+    read_form_factors,
+    save_form_factors,
+    save_solution,
+)
 from .scenes import scene_patches
 from .segments import Segments
+from .smoothing import VertexRadiosity, vertex_radiosity
 from .solids import box, joined
 from .solvers import SOLVERS, Solution, Solver, Transport, solve
 
 __all__ = [
     "ESTIMATORS",
+    "FORM_FACTOR_FILES",
     "GENERATORS",
+    "SOLUTION_FILES",
     "SOLVERS",
     "STEFAN_BOLTZMANN",
     "ABuffer",
@@ -49,10 +60,12 @@ __all__ = [
     "Solver",
     "SpherePairs",
     "Transport",
+    "VertexRadiosity",
     "area_form_factors",
     "band_shares",
     "box",
     "breadth_first",
+    "check_file",
     "depth_first",
     "diagnose",
     "estimate",
@@ -64,8 +77,12 @@ __all__ = [
     "multipath",
     "multipath_bundles",
     "pair_errors",
+    "read_form_factors",
     "read_patches",
+    "save_form_factors",
+    "save_solution",
     "scene_patches",
     "solve",
     "thermal",
+    "vertex_radiosity",
 ]

@@ -131,7 +131,7 @@ def form_factors(segments: Segments, estimator: Estimator = "F1") -> FormFactors
     for chunk in segments.chunks:
         loops.fill_rows(chunk, n, ends, columns)
     begin, columns, counts = loops.merge_rows(starts, columns, n)
-    upper = _sparse().csr_array((counts, columns.astype(np.int64), begin), shape=(n, n))
+    upper = sparse().csr_array((counts, columns.astype(np.int64), begin), shape=(n, n))
     counts = (upper + upper.T).tocsr()
     counts.sort_indices()
     lines = segments.expected if estimator == "reciprocal" else segments.counted.astype(np.float64)
@@ -180,12 +180,15 @@ def pair_errors(estimated: FormFactors, exact: FormFactors) -> float:
 
 
 def _diagonal(values: Array) -> Any:
-    return _sparse().diags_array(values).tocsr()
+    return sparse().diags_array(values).tocsr()
 
 
-def _sparse() -> Any:
+def sparse() -> Any:
+    """``scipy.sparse``; raises :class:`BackendError` if that is not installed."""
     try:
         import scipy.sparse
     except ImportError as error:
-        raise BackendError("form factors as a matrix need SciPy: pip install 'etendue[radiosity]'") from error
+        raise BackendError(
+            "matrices of form factors and values at vertices need SciPy: pip install 'etendue[radiosity]'"
+        ) from error
     return scipy.sparse

@@ -11,7 +11,7 @@ from etendue.core import Array
 from etendue.points import OwenSobol, PointSet
 
 from .errors import RadiosityError
-from .formfactors import FormFactors, _sparse
+from .formfactors import FormFactors, sparse
 from .local import Sides, cosine_law, even_angles
 from .raycasting import STEP, RayScene
 
@@ -48,7 +48,7 @@ def local_form_factors(
     if samples < 2:
         raise RadiosityError(f"a form factor and its error need two rays at least, not {samples}")
     points, sides = points or OwenSobol(4), Sides.of(scene.patches)
-    sums, squares = _sparse().csr_array((n, n + 2)), _sparse().csr_array((n, n + 2))
+    sums, squares = sparse().csr_array((n, n + 2)), sparse().csr_array((n, n + 2))
     at_once = max(_BATCH // samples, 1)
     for start in range(0, len(chosen), at_once):
         row = np.repeat(chosen[start : start + at_once], samples)
@@ -58,8 +58,8 @@ def local_form_factors(
         found = sides.cast(scene, side, np.column_stack([within, u[:, 1]]), ways)
         # With even angles each ray stands for cos sin pi of the hemisphere.
         weight = np.ones(len(row)) if estimator == "cosine" else np.pi * ways[:, 2] * np.sqrt(1 - ways[:, 2] ** 2)
-        sums += _sparse().coo_array((weight, (row, found)), shape=sums.shape).tocsr()
-        squares += _sparse().coo_array((weight**2, (row, found)), shape=sums.shape).tocsr()
+        sums += sparse().coo_array((weight, (row, found)), shape=sums.shape).tocsr()
+        squares += sparse().coo_array((weight**2, (row, found)), shape=sums.shape).tocsr()
     mean = (sums / samples).tocsr()
     variance = squares / samples - mean**2
     errors = variance.maximum(0).sqrt() / np.sqrt(samples - 1)

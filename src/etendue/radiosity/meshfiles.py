@@ -109,7 +109,7 @@ def _means(values: Any, group: Index, areas: Array, count: int) -> Array:
 
 
 def _by_meshio(path: Path) -> tuple[Array, Index, dict[str, Array]]:
-    meshio = _library("meshio", path)
+    meshio = library("meshio", f"reading {path}")
     try:
         mesh = meshio.read(path)
     except (Exception, SystemExit) as error:  # meshio ends the process where it knows no reader
@@ -130,7 +130,7 @@ def _by_meshio(path: Path) -> tuple[Array, Index, dict[str, Array]]:
 
 
 def _by_trimesh(path: Path) -> tuple[Array, Index, dict[str, Array]]:
-    trimesh = _library("trimesh", path)
+    trimesh = library("trimesh", f"reading {path}")
     try:
         mesh = trimesh.load(path, force="mesh", process=False)
     except Exception as error:
@@ -139,8 +139,9 @@ def _by_trimesh(path: Path) -> tuple[Array, Index, dict[str, Array]]:
     return np.asarray(mesh.vertices, dtype=np.float64), faces[:, [0, 1, 2, 2]], {}
 
 
-def _library(name: str, path: Path) -> Any:
+def library(name: str, purpose: str) -> Any:
+    """A library of the extra; raises :class:`BackendError` if it is not installed."""
     try:
         return import_module(name)
     except ImportError as error:
-        raise BackendError(f"{path} is read by {name}, which is not here: pip install 'etendue[radiosity]'") from error
+        raise BackendError(f"{purpose} takes {name}, which is not here: pip install 'etendue[radiosity]'") from error

@@ -1,0 +1,202 @@
+"""Form factors and solutions in files, for SciPy, View3D's readers, ParaView and renderers. Files appear whole or not
+at all."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from etendue.core import Array
+from etendue.film import replacing
+
+from .errors import RadiosityError
+from .formfactors import FormFactors, sparse
+from .meshfiles import library
+from .smoothing import sides, vertex_radiosity
+from .solvers import Solution
+
+#: Suffixes of files of form factors and of solutions, and what these are.
+FORM_FACTOR_FILES = {".npz": "arrays of NumPy", ".vf": "text of View3D"}
+SOLUTION_FILES = {".npz": "arrays of NumPy", ".vtu": "ParaView", ".ply": "vertex colours"}
+
+
+def check_file(path: str | os.PathLike[str], known: Collection[str]) -> str:
+    """The suffix of ``path`` in small letters; raises :class:`RadiosityError` if it is not among ``known``."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in known:
+        what = f"'{suffix}' is not known" if suffix else "it has no suffix"
+        raise RadiosityError(f"what to write to '{path}' follows from its suffix: {what}; take {', '.join(known)}")
+    return suffix
+
+
+def save_form_factors(
+    path: str | os.PathLike[str],
+    factors: FormFactors,
+    *,
+    emissivity: ArrayLike = 1.0,
+    metadata: Mapping[str, Any] | None = None,
+) -> None:
+    """Write form factors by the suffix of ``path``.
+
+    ``.npz``: the matrix, for :func:`scipy.sparse.load_npz` and :func:`read_form_factors`, with ``errors`` (the standard
+        error of each of its ``data``), ``areas``, ``sky``, ``lines``, ``emissivity`` and ``metadata`` (JSON).
+    ``.vf``: the text that View3D 3.2 writes: a heading, areas, the full matrix row by row, emissivities. It has no
+        place for the sky; rows of an open scene sum to less than 1.
+
+    emissivity: a number or (n,), only passed on. metadata: what JSON can say. Raises :class:`RadiosityError` for
+    another suffix, :class:`etendue.core.OutputError` if the file cannot be written.
+    """
+    suffix = check_file(path, FORM_FACTOR_FILES)
+    try:
+        emitted = np.broadcast_to(np.asarray(emissivity, dtype=np.float64), (len(factors),))
+    except ValueError:
+        raise RadiosityError(f"emissivity is a number or has one for each of {len(factors)} patches") from None
+    if suffix == ".vf":
+        with replacing(path) as part, part.open("w", encoding="ascii") as file:
+            file.writelines(_view3d(factors, emitted))
+        return
+    matrix, errors = factors.matrix.tocsr(copy=True), factors.errors.tocsr(copy=True)
+    matrix.sort_indices()
+    errors.sort_indices()
+    if not np.array_equal(matrix.indices, errors.indices) or not np.array_equal(matrix.indptr, errors.indptr):
+        raise RadiosityError("form factors and their errors are not of equal structure; give every entry an error")
+    # The names of the first six are those of SciPy.
+    _save_arrays(
+        path,
+        {
+            "format": np.array(b"csr"),
+            "_is_array": np.array(True),
+            "shape": np.array(matrix.shape),
+            "data": matrix.data,
+            "indices": matrix.indices,
+            "indptr": matrix.indptr,
+            "errors": errors.data,
+            "areas": factors.areas,
+            "sky": factors.sky,
+            "lines": factors.lines,
+            "emissivity": emitted,
+        },
+        metadata,
+    )
+
+
+def read_form_factors(path: str | os.PathLike[str]) -> FormFactors:
+    """What :func:`save_form_factors` wrote as ``.npz``. Raises :class:`RadiosityError` for anything else."""
+    try:
+        with np.load(path, allow_pickle=False) as saved:
+            structure, shape = (saved["indices"], saved["indptr"]), tuple(saved["shape"])
+            matrix, errors = (sparse().csr_array((saved[name], *structure), shape=shape) for name in ("data", "errors"))
+            return FormFactors(matrix, errors, saved["sky"], saved["areas"], saved["lines"])
+    except FileNotFoundError:
+        raise RadiosityError(f"there is no file of form factors '{path}'") from None
+    except (OSError, KeyError, ValueError, EOFError, AttributeError, TypeError, BadZipFile) as error:
+        raise RadiosityError(f"'{path}' is no file of form factors that save_form_factors wrote as .npz") from error
+
+
+def save_solution(
+    path: str | os.PathLike[str],
+    solution: Solution,
+    *,
+    irradiance_error: ArrayLike | None = None,
+    angle: float = 30.0,
+    metadata: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a solution by the suffix of ``path``.
+
+    ``.npz``: arrays by patch, named like those of :class:`Solution` and :class:`Patches`, the mesh, and ``metadata``.
+    ``.vtu``: for ParaView: every face with ``radiosity``, ``irradiance``, ``net_flux`` (what leaves less what arrives),
+        ``emission``, ``reflectance``, ``sky_share`` and ``patch``. A back that belongs to a patch is a face of its own.
+    ``.ply``: vertices with ``red``, ``green``, ``blue``: radiosity, linear floats, smoothed over edges of at most
+        ``angle`` degrees (:func:`vertex_radiosity`); for one or three channels.
+
+    irradiance_error: (n, c) standard error of the irradiance, such as ``segments.gather_error(solution.radiosity,
+    patches.sky)``; it is written to ``.npz`` and ``.vtu``, and reflected as ``radiosity_error``: the error of the last
+    bounce, which is nearly all of it. metadata: what JSON can say, for ``.npz``.
+
+    Raises :class:`RadiosityError` for another suffix, errors of another shape, and channels that ``.ply`` cannot show,
+    :class:`etendue.core.BackendError` without meshio, :class:`etendue.core.OutputError` if the file cannot be written.
+    """
+    suffix = check_file(path, SOLUTION_FILES)
+    patches = solution.patches
+    if suffix == ".ply":
+        if patches.channels not in (1, 3):
+            raise RadiosityError(f".ply shows one channel or three, not {patches.channels}; write .vtu or .npz")
+        smooth = vertex_radiosity(patches, solution.radiosity, angle)
+        colours = np.broadcast_to(smooth.values, (len(smooth.values), 3)).astype(np.float32)
+        data = {name: np.ascontiguousarray(c) for name, c in zip(("red", "green", "blue"), colours.T, strict=True)}
+        _write_mesh(path, "ply", smooth.vertices.astype(np.float32), smooth.faces, data, {})
+        return
+    by_patch = {
+        "radiosity": solution.radiosity,
+        "irradiance": solution.irradiance,
+        "net_flux": solution.radiosity - solution.irradiance,
+        "emission": patches.emission,
+        "reflectance": patches.reflectance,
+        "sky_share": solution.sky_share,
+    }
+    if irradiance_error is not None:
+        error = np.asarray(irradiance_error, dtype=np.float64)
+        if error.shape != solution.irradiance.shape:
+            raise RadiosityError(f"errors of the irradiance have its shape, {solution.irradiance.shape}: {error.shape}")
+        by_patch |= {"irradiance_error": error, "radiosity_error": patches.reflectance * error}
+    if suffix == ".vtu":
+        corners, patch = sides(patches)
+        cells = {name: values[patch] for name, values in by_patch.items()} | {"patch": patch}
+        _write_mesh(path, "vtu", patches.vertices, corners, {}, cells)
+        return
+    geometry = ("areas", "normals", "centres", "labels", "vertices", "faces", "front", "back", "sky")
+    rest = {name: getattr(patches, name) for name in geometry}
+    _save_arrays(path, by_patch | rest | {"residuals": np.array(solution.residuals)}, metadata)
+
+
+def _view3d(factors: FormFactors, emissivity: Array) -> Iterator[str]:
+    """Lines of View3D's text: "program version format enclosure emissivities-used patches", as its reader wants it."""
+    is_closed = int(not factors.sky.any())
+    yield f"View3D 3.2 0 {is_closed} 0 {len(factors)}\n"
+    yield _line(factors.areas)
+    matrix = factors.matrix.tocsr()
+    for i in range(len(factors)):
+        row = ["0"] * len(factors)
+        for k in range(matrix.indptr[i], matrix.indptr[i + 1]):
+            row[matrix.indices[k]] = f"{matrix.data[k]:.7g}"
+        yield " ".join(row) + "\n"
+    yield _line(emissivity)
+
+
+def _line(values: Array) -> str:
+    return " ".join(f"{value:.9g}" for value in values) + "\n"
+
+
+def _save_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Any], metadata: Mapping[str, Any] | None) -> None:
+    text = np.array(json.dumps(dict(metadata or {})))
+    with replacing(path) as part, part.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays, metadata=text)
+
+
+def _write_mesh(
+    path: str | os.PathLike[str],
+    kind: str,
+    vertices: NDArray[Any],
+    faces: NDArray[np.int64],
+    at_vertices: Mapping[str, NDArray[Any]],
+    of_faces: Mapping[str, NDArray[Any]],
+) -> None:
+    """By meshio, triangles before quadrilaterals; one column is a list of numbers."""
+    meshio = library("meshio", f"writing {path}")
+    is_triangle = faces[:, 2] == faces[:, 3]
+    groups = [("triangle", is_triangle, 3), ("quad", ~is_triangle, 4)]
+    present = [(name, chosen, corners) for name, chosen, corners in groups if chosen.any()]
+    index = np.int32 if kind == "ply" else np.int64  # PLY has no longer ones
+    blocks = [(name, faces[chosen, :corners].astype(index)) for name, chosen, corners in present]
+    flat = {n: v[:, 0] if v.ndim == 2 and v.shape[1] == 1 else v for n, v in of_faces.items()}
+    data = {name: [values[chosen] for _, chosen, _ in present] for name, values in flat.items()}
+    mesh = meshio.Mesh(vertices, blocks, point_data=dict(at_vertices), cell_data=data)
+    with replacing(path) as part:
+        mesh.write(part, file_format=kind)
