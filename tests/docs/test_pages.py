@@ -14,7 +14,7 @@ from support.run_files import SCENE, example
 
 import etendue
 from etendue import api, methods
-from etendue.cli import compare, doctor, rendering
+from etendue.cli import compare, doctor, radiosity, rendering
 from etendue.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -110,6 +110,7 @@ def folder(tmp_path_factory, variant):
     api.render(path / "scene.xml", "path", save=path / "converged.exr", checkpoint=path / "picture.checkpoint")
     (path / "experiment.toml").write_text(example((24, 18), "20, 60"))
     shutil.copy(path / "converged.exr", path / "reference.exr")
+    (path / "hall.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     (path / "results").mkdir()
     shutil.copy(path / "picture.checkpoint", path / "results" / "glass.checkpoint")
     return path
@@ -123,6 +124,8 @@ def test_commands_are_understood(command, folder, monkeypatch, capsys):
     monkeypatch.setattr(rendering, "choose_device", lambda variant, threads: None)
     monkeypatch.setattr(rendering, "render_to_files", lambda *arguments: begun.append(arguments) or 0)
     monkeypatch.setattr(compare.Comparison, "run", lambda *arguments: begun.append(arguments) or 0)
+    for name in ("factors_to_file", "solution_to_file"):
+        monkeypatch.setattr(radiosity, name, lambda *arguments: begun.append(arguments) or 0)
     monkeypatch.setattr(doctor, "run_doctor", lambda *arguments: begun.append(arguments) or 0)
     words = shlex.split(command, comments=True)[1:]
     assert main(words) == 0, capsys.readouterr().err
@@ -130,4 +133,6 @@ def test_commands_are_understood(command, folder, monkeypatch, capsys):
 
 
 def test_there_are_commands_of_every_kind():
-    assert {"render", "resume", "run", "compare", "methods", "doctor"} <= {command.split()[1] for command in COMMANDS}
+    assert {"render", "resume", "run", "compare", "methods", "doctor", "radiosity", "form-factors"} <= {
+        command.split()[1] for command in COMMANDS
+    }

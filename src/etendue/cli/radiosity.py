@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from etendue.core import BackendError, OptionError, SceneError, format_seconds, suggest
+from etendue.core import BackendError, OptionError, SceneError, format_seconds, logger, suggest
 
 from . import options as opt
 from .console import error_console, note, say
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 #: What the extra brings.
 _LIBRARIES = ("numba", "scipy", "meshio", "trimesh")
+#: Share of what patches see that may be sky without a warning: single convex solids have all of it.
+_ALL_SKY = 0.999
 #: Solvers that work on segments; the others need the matrix.
 _ON_SEGMENTS = ("jacobi", "conjugate-gradient")
 
@@ -169,8 +171,12 @@ def _cast(patches: Patches, source: str, bundles: int, seed: int) -> Segments:
         segments = ABuffer(patches, OwenSobol(4, seed=seed)).cast(bundles)
     lines = max(int(segments.counted.sum()), 1)
     sky = segments.to_sky.sum() / lines
-    open_ends = f", {100 * sky:.2g} % of what patches see is the sky" if sky > 0 else ""
+    open_ends = f", {100 * sky:.3g} % of what patches see is the sky" if sky > 0 else ""
     _note(f"{len(segments)} segments of {bundles} bundle{'' if bundles == 1 else 's'}{open_ends}")
+    if sky > _ALL_SKY:
+        logger.warning(
+            "patches see nothing but the sky: if this should be a room, its faces are turned outward; turn them round"
+        )
     return segments
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -110,12 +112,14 @@ def _means(values: Any, group: Index, areas: Array, count: int) -> Array:
 
 def _by_meshio(path: Path) -> tuple[Array, Index, dict[str, Array]]:
     meshio = library("meshio", f"reading {path}")
+    said = io.StringIO()
     try:
-        mesh = meshio.read(path)
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):  # meshio tells the terminal
+            mesh = meshio.read(path)
     except (Exception, SystemExit) as error:  # meshio ends the process where it knows no reader
-        raise PatchError(
-            f"{path} cannot be read as a mesh: {' '.join(str(error).split()) or type(error).__name__}"
-        ) from error
+        reason = said.getvalue() if isinstance(error, SystemExit) else str(error)
+        reason = " ".join(reason.split()).removeprefix("Error: ") or type(error).__name__
+        raise PatchError(f"{path} cannot be read as a mesh: {reason}") from error
     blocks = [(i, block.data) for i, block in enumerate(mesh.cells) if block.type in ("triangle", "quad")]
     faces = [data[:, [0, 1, 2, -1]] for _, data in blocks]
     cells = {

@@ -1,0 +1,158 @@
+"""`etendue form-factors` and `etendue radiosity`: files, what is said, bad input."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.patches import box
+
+from etendue.cli import radiosity as commands
+from etendue.cli.main import main
+
+meshio = pytest.importorskip("meshio")
+sparse = pytest.importorskip("scipy.sparse")
+
+SCENE = """<scene version="3.0.0">
+    <sensor type="perspective"/>
+    {light}
+    <shape type="cube"><boolean name="flip_normals" value="true"/>
+        <bsdf type="diffuse"><spectrum name="reflectance" value="{reflectance}"/></bsdf></shape>
+</scene>
+"""
+#: A lamp that hangs in the cube and shines down.
+LAMP = """<shape type="rectangle"><transform name="to_world"><scale value="0.5"/><translate z="-0.5"/></transform>
+    <bsdf type="diffuse"/><emitter type="area"><rgb name="radiance" value="1, 2, 4"/></emitter></shape>"""
+
+
+def run(command: str) -> int:
+    return main(shlex.split(command))
+
+
+def write_room(name, inward=True, walls=6):
+    vertices, faces = box((0, 0, 0), (1, 2, 3), 2, inward=inward)
+    meshio.write(name, meshio.Mesh(vertices, [("quad", faces[: 4 * walls].astype(np.int32))]))
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_room("room.ply")
+
+
+def test_form_factors_of_a_mesh(capsys):
+    command = "form-factors room.ply -o f.npz --bundles 32 --seed 3 --estimator reciprocal --reflectance 0.25"
+    assert run(command) == 0
+    out, err = capsys.readouterr()
+    assert out == "f.npz\n"
+    assert "room.ply: 24 patches of 24 faces, closed" in err and "32 bundles" in err and "form factors" in err
+    assert "sky" not in err and "warning" not in err
+    with np.load("f.npz") as arrays:
+        assert arrays["emissivity"].tolist() == [0.75] * 24
+        known = json.loads(str(arrays["metadata"]))
+        assert {"source": "room.ply", "bundles": 32, "seed": 3, "estimator": "reciprocal"}.items() <= known.items()
+        areas = arrays["areas"]
+    first = sparse.load_npz("f.npz").todense()
+    np.testing.assert_allclose(areas[:, None] * first, (areas[:, None] * first).T, atol=1e-12)
+    assert run(command) == 0  # the same seed, the same lines
+    np.testing.assert_array_equal(sparse.load_npz("f.npz").todense(), first)
+
+
+def test_form_factors_as_text_of_an_open_mesh_of_sheets(capsys):
+    write_room("open.ply", walls=5)
+    assert run("form-factors open.ply -o f.vf --bundles 16 --two-sided --max-area 0.3") == 0
+    err = capsys.readouterr().err
+    assert "% of what patches see is the sky" in err
+    patches = int(Path("f.vf").read_text().split()[5])
+    assert f"{patches} patches of {patches // 2} faces" in err and patches > 100
+
+
+def test_a_room_that_is_turned_outward_is_noticed(capsys):
+    write_room("flipped.ply", inward=False)
+    assert run("form-factors flipped.ply --bundles 8") == 0
+    assert "warning: patches see nothing but the sky" in capsys.readouterr().err
+    assert Path("factors.npz").is_file()
+
+
+@pytest.mark.parametrize("solver", ["conjugate-gradient", "direct"])
+def test_radiosity_of_a_scene(solver, capsys, variant):
+    Path("scene.xml").write_text(SCENE.format(light=LAMP, reflectance=0.5))
+    assert run(f"radiosity scene.xml -o s.vtu --bundles 128 --max-area 0.5 --solver {solver} --variant {variant}") == 0
+    out, err = capsys.readouterr()
+    assert out == "s.vtu\n"
+    assert f"{solver}: " in err and "imbalance of power" in err and "standard error of irradiance" in err
+    mesh = meshio.read("s.vtu")
+    radiosity, emission, error = (
+        np.concatenate(mesh.cell_data[name]) for name in ("radiosity", "emission", "radiosity_error")
+    )
+    assert radiosity.shape == (sum(len(block.data) for block in mesh.cells), 3) and (radiosity >= emission).all()
+    np.testing.assert_allclose(radiosity[:, 2], 4 * radiosity[:, 0], rtol=1e-5)
+    np.testing.assert_allclose(emission.max(axis=0), np.pi * np.array([1, 2, 4]), rtol=1e-5)
+    assert error.max() > 0
+
+
+def test_one_bundle_has_no_error(capsys, variant):
+    Path("scene.xml").write_text(SCENE.format(light=LAMP, reflectance=0.5))
+    assert run(f"radiosity scene.xml -o s.npz --bundles 1 --variant {variant}") == 0
+    err = capsys.readouterr().err
+    assert "1 bundle\n" in err and "standard error" not in err
+    with np.load("s.npz") as arrays:
+        assert "radiosity_error" not in arrays and json.loads(str(arrays["metadata"]))["bundles"] == 1
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("form-factors nothing.ply", "there is no mesh file nothing.ply"),
+        ("form-factors room.ply -o f.csv", "take .npz, .vf"),
+        ("form-factors room.ply -o nowhere/f.npz", "there is no folder"),
+        ("form-factors room.ply --estimator F9", "there is no estimator 'F9'"),
+        ("form-factors room.ply --reflectance 1.2", "must be in [0, 1)"),
+        ("form-factors room.ply --bundles 0", "greater than or equal to 1"),
+        ("form-factors room.ply --max-area -1", "must be a positive number"),
+        ("form-factors broken.ply", "cannot be read as a mesh"),
+        ("radiosity nothing.xml", "there is no scene file 'nothing.xml'"),
+        ("radiosity cornell-box -o s.obj", "take .npz, .vtu, .ply"),
+        ("radiosity cornell-box --solver gauss", "there is no solver 'gauss'"),
+        ("radiosity dark.xml", "no emitter"),
+        ("radiosity spot.xml", "has no surface"),
+        ("radiosity white.xml", "reflects 1.2 of the light"),
+        ("radiosity room.ply", "not a Mitsuba scene file"),
+    ],
+)
+def test_bad_input(command, message, capsys, variant):
+    """One line, before any line is cast, and no file."""
+    Path("broken.ply").write_text("ply\nformat ascii 1.0\nnonsense")
+    Path("dark.xml").write_text(SCENE.format(light="", reflectance=0.5))
+    Path("spot.xml").write_text(SCENE.format(light='<emitter type="point"/>', reflectance=0.5))
+    Path("white.xml").write_text(SCENE.format(light=LAMP, reflectance=1.2))
+    before = sorted(Path().iterdir())
+    assert run(command + (f" --variant {variant}" if "radiosity" in command else "")) in (2, 3, 5)
+    err = capsys.readouterr().err
+    assert message in err and len(err.splitlines()) == 1
+    assert sorted(Path().iterdir()) == before
+
+
+def test_a_missing_library_is_named(monkeypatch, capsys):
+    monkeypatch.setattr(commands, "find_spec", lambda name: None if name == "numba" else True)
+    for command in ("form-factors room.ply", "radiosity cornell-box"):
+        assert run(command) == 6
+        assert (
+            capsys.readouterr().err == "error: radiosity needs numba, not installed: pip install 'etendue[radiosity]'\n"
+        )
+
+
+def test_ctrl_c_keeps_the_old_file(monkeypatch, capsys):
+    from etendue.radiosity import ABuffer
+
+    def interrupted(*arguments):
+        raise KeyboardInterrupt
+
+    Path("f.npz").write_text("old")
+    monkeypatch.setattr(ABuffer, "cast", interrupted)
+    assert run("form-factors room.ply -o f.npz") == 130
+    assert "stopped; nothing was written" in capsys.readouterr().err
+    assert Path("f.npz").read_text() == "old" and len(list(Path().iterdir())) == 2
