@@ -113,6 +113,7 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("form-factors room.ply --reflectance 1.2", "must be in [0, 1)"),
         ("form-factors room.ply --bundles 0", "greater than or equal to 1"),
         ("form-factors room.ply --max-area -1", "must be a positive number"),
+        ("form-factors room.ply --max-area 1e-12", "allow larger ones"),
         ("form-factors broken.ply", "cannot be read as a mesh"),
         ("radiosity nothing.xml", "there is no scene file 'nothing.xml'"),
         ("radiosity cornell-box -o s.obj", "take .npz, .vtu, .ply"),

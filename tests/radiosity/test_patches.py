@@ -81,6 +81,11 @@ def test_subdivision_keeps_area_sides_and_properties(max_area):
     np.testing.assert_allclose(fine.normals[fronts], [[0, 0, 1]] * len(fronts), atol=1e-12)
 
 
+def test_subdivision_into_more_than_memory_holds_is_refused():
+    with pytest.raises(PatchError, match=r"faces of at most 1e-13 would be 1e\+13 or more and need 5e\+06 GB"):
+        Patches(*UNIT).subdivided(1e-13)
+
+
 def test_what_is_not_larger_is_not_cut():
     patches = cube(2)
     assert len(patches.subdivided(0.25)) == 24 and len(patches.subdivided(0.2499)) == 96

@@ -9,13 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import Array
+from etendue.core import Array, free_memory
 
 from .errors import PatchError
 from .faces import face_vectors, flat_faces
 from .subdivision import subdivide
 
 Index = NDArray[np.int64]
+
+#: Memory for each patch that subdivision makes (measured: 460).
+_BYTES = 500
 
 
 class Patches:
@@ -198,10 +201,16 @@ class Patches:
         """The same surfaces in patches of at most ``max_area``: each face larger than that is cut into equal parts.
 
         Every resulting face is a patch, and keeps reflectance and emission; ``labels`` are those of the patches here.
-        Raises :class:`PatchError` for an area that is not positive.
+        Raises :class:`PatchError` for an area that is not positive, and for more faces than memory holds.
         """
         if not np.isfinite(max_area) or max_area <= 0:
             raise PatchError(f"the largest area of a patch must be a positive number, not {max_area!r}")
+        count, free = float(self.face_areas.sum()) / max_area, free_memory()
+        if free is not None and _BYTES * count > free:
+            raise PatchError(
+                f"faces of at most {max_area:g} would be {count:.2g} or more and need {_BYTES * count / 1e9:.3g} GB; "
+                f"there are {free / 1e9:.1f}: allow larger ones"
+            )
         vertices, faces, source = subdivide(self.vertices, self.faces, max_area)
         front, back = self.front[source], self.back[source]
         sides = np.concatenate([front, back[back >= 0]])
