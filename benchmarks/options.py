@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Annotated
 
 import typer
 
-from etendue.core import use_variant
+from etendue.core import OptionError, suggest, use_variant
 
 from .measuring import console, machine, software
 
@@ -26,3 +27,12 @@ def begin(variant: str | None) -> str:
 def words(text: str) -> list[str]:
     """What stands between the commas."""
     return [word.strip() for word in text.split(",") if word.strip()]
+
+
+def named(text: str, known: Collection[str], what: str) -> list[str]:
+    """The names between the commas; raises :class:`OptionError` for one that is not known."""
+    names = words(text)
+    for name in names:
+        if name not in known:
+            raise OptionError(f"unknown {what} '{name}'; {suggest(name, known)}")
+    return names

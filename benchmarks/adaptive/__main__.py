@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from etendue.cli.options import parse_size
-from etendue.core import EtendueError, OptionError, suggest
+from etendue.core import EtendueError
 
 from ..measuring import Record
-from ..options import Variant, begin, words
+from ..options import Variant, begin, named, words
 from . import convergence as errors
 from . import sine as demonstration
 from . import single as one_path
@@ -46,11 +46,7 @@ def _publish(variant: str, keep: bool, *records: Record) -> None:
 
 def _names(text: str) -> list[str]:
     """Names of scenes; raises :class:`OptionError` for one that does not exist."""
-    names = words(text)
-    for name in names:
-        if name not in SCENES:
-            raise OptionError(f"unknown scene '{name}'; {suggest(name, SCENES)}")
-    return names
+    return named(text, SCENES, "scene")
 
 
 def _size(name: str, text: str) -> tuple[int, int]:

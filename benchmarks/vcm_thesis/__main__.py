@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from etendue.cli.options import parse_size
-from etendue.core import EtendueError, OptionError, suggest
+from etendue.core import EtendueError
 
 from ..measuring import Record
-from ..options import Rounds, Size, Variant, WarmUp, begin, words
+from ..options import Rounds, Size, Variant, WarmUp, begin, named
 from . import convergence as error_over_time
 from . import correctness as against_path
 from . import profile as profiles
@@ -45,11 +45,7 @@ def _publish(variant: str, keep: bool, *records: Record) -> None:
 
 def _names(text: str) -> list[str]:
     """Names of scenes; raises :class:`OptionError` for one that does not exist."""
-    names = words(text)
-    for name in names:
-        if name not in SCENES:
-            raise OptionError(f"unknown scene '{name}'; {suggest(name, SCENES)}")
-    return names
+    return named(text, SCENES, "scene")
 
 
 @app.command()

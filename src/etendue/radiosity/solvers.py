@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, Protocol
@@ -127,7 +129,7 @@ def solve(
     )
 
 
-class _Steps:
+class _Steps(ABC):
     """A solver between two iterations."""
 
     def __init__(self, patches: Patches, transport: Transport) -> None:
@@ -136,15 +138,9 @@ class _Steps:
         self.radiosity = self.emission.copy()
         self.irradiance = transport.gather(self.radiosity, patches.sky)
 
+    @abstractmethod
     def step(self) -> tuple[Array, Array]:
         """Radiosity and irradiance after another iteration."""
-        self.improve()
-        self.irradiance = self.transport.gather(self.radiosity, self.patches.sky)
-        return self.radiosity, self.irradiance
-
-    def improve(self) -> None:
-        """Change the radiosity."""
-        raise NotImplementedError
 
     @property
     def matrix(self) -> Any:
@@ -158,18 +154,31 @@ class _Steps:
         return self.emission + self.reflectance * self.transport.sky[:, None] * self.patches.sky
 
 
-class _Jacobi(_Steps):
+class _Gathering(_Steps):
+    """A solver that changes the radiosity; the irradiance is gathered anew."""
+
+    def step(self) -> tuple[Array, Array]:
+        self.improve()
+        self.irradiance = self.transport.gather(self.radiosity, self.patches.sky)
+        return self.radiosity, self.irradiance
+
+    @abstractmethod
+    def improve(self) -> None:
+        """Change the radiosity."""
+
+
+class _Jacobi(_Gathering):
     def improve(self) -> None:
         self.radiosity = self.emission + self.reflectance * self.irradiance
 
 
-class _GaussSeidel(_Steps):
+class _GaussSeidel(_Gathering):
     def improve(self) -> None:
         f = self.matrix
         compiled().gauss_seidel(f.indptr, f.indices, f.data, self.reflectance, self.known, self.radiosity)
 
 
-class _Southwell(_Steps):
+class _Southwell(_Gathering):
     def __init__(self, patches: Patches, transport: Transport) -> None:
         super().__init__(patches, transport)
         self.columns = self.matrix.tocsc()
@@ -217,7 +226,7 @@ class _ConjugateGradient(_Steps):
         return (self.weights * a * b).sum(axis=0)
 
 
-class _Direct(_Steps):
+class _Direct(_Gathering):
     def improve(self) -> None:
         n, free = len(self.patches), free_memory()
         if free is not None and 24 * n**2 > free:
@@ -231,7 +240,7 @@ class _Direct(_Steps):
             self.radiosity[:, c] = np.linalg.solve(system, known[:, c])
 
 
-_STEPS: dict[Solver, type[_Steps]] = {
+_STEPS: dict[Solver, Callable[[Patches, Transport], _Steps]] = {
     "jacobi": _Jacobi,
     "gauss-seidel": _GaussSeidel,
     "southwell": _Southwell,
