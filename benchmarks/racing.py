@@ -34,9 +34,9 @@ class Entrant:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def prepared(self, problem: Any, seed: int) -> Any:
-        """The estimator, ready for its first pass."""
+        """The estimator, ready for its first pass; paths as long as the scene says, like those of its reference."""
         method = methods.get(self.method)
-        estimator = method(method.Settings(**self.settings))
+        estimator = method(method.Settings(**{"max_depth": problem.max_depth} | dict(self.settings)))
         estimator.prepare(problem, seed)
         return estimator
 

@@ -77,6 +77,20 @@ def test_a_race_gives_each_the_same_samples(racing, fakes):
     assert seen == expected, "the first seed's pictures, at the last mark that a pass reaches"
 
 
+def test_paths_are_as_long_as_the_scene_says(racing):
+    from etendue import scene
+
+    def depth(settings, source):
+        entrant = racing.Entrant("path", "path", settings)
+        return entrant.prepared(scene.load(source, size=(4, 4)), 0).settings.max_depth
+
+    box = scene.bundled_scene("cornell-box").build()
+    assert depth({}, box) == box["integrator"]["max_depth"] > 0, "as of api.render, which makes the references"
+    assert depth({"max_depth": 2}, box) == 2
+    del box["integrator"]
+    assert depth({}, box) == -1
+
+
 def test_seeds_are_averaged_and_ranked(racing):
     points = [racing.Point(1.0, 4.0, 0.3, 0.1), racing.Point(1.2, 6.0, 0.4, 0.2)]
     mean = racing._mean(points)
