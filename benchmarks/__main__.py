@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from typing import Annotated
+from typing import Annotated, cast, get_args
 
 import typer
 
 from etendue import methods as known
 from etendue.cli.options import parse_pairs, parse_size
 from etendue.core import EtendueError
+from etendue.radiosity import Backend
 
 from . import choice as choice_of_auto
 from . import cost as cost_of_a_pass
@@ -18,7 +19,7 @@ from . import guided as guiding
 from . import quality as quality_over_time
 from . import rays as ray_casting
 from .measuring import Record
-from .options import Rounds, Size, Variant, WarmUp, begin, words
+from .options import Rounds, Size, Variant, WarmUp, begin, named, words
 
 app = typer.Typer(
     help="Speed, memory and quality of the methods. Run on an idle machine; without a command all are run (an hour).",
@@ -226,12 +227,16 @@ def radiosity(
     lines: Annotated[
         float | None, typer.Option(min=1, help="Lines of a bundle; two for each patch by default.")
     ] = None,
+    backends: Annotated[
+        str, typer.Option(help="auto, compiled (Numba), drjit, separated by commas.", metavar="NAME,...")
+    ] = "auto",
     variant: Variant = None,
     record: Keep = False,
 ) -> None:
     """Segments of global lines: cast, replayed and solved in a second, and the error that they leave."""
+    engines = cast("list[Backend]", named(backends, get_args(Backend), "backend"))
     chosen = begin(variant)
-    _publish(chosen, record, exchanges.measure([int(word) for word in words(cells)], bundles, lines))
+    _publish(chosen, record, exchanges.measure([int(word) for word in words(cells)], bundles, lines, engines))
 
 
 @app.callback(invoke_without_command=True)

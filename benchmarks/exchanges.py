@@ -7,10 +7,13 @@ whose difference has the square root of two times the error of either.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
+
 import numpy as np
 
 from etendue.points import OwenSobol
-from etendue.radiosity import ABuffer, Patches, Segments, box, joined, solve
+from etendue.radiosity import ABuffer, Backend, Patches, Segments, box, joined, solve
 
 from .measuring import Record, timed
 
@@ -30,18 +33,30 @@ def room(cells: int) -> Patches:
     return patches.with_properties(reflectance=0.7, emission=lamp.astype(float))
 
 
-def measure(sizes: list[int], bundles: int, lines: float | None) -> Record:
-    """Cast and replay ``bundles`` of so many ``lines`` through rooms of these numbers of cells."""
-    columns = ("patches", "segments", "cast s", "CPU s", "cast M/s", "replay M/s", "solve s", "error", "memory")
+def measure(sizes: list[int], bundles: int, lines: float | None, backends: Sequence[Backend] = ("auto",)) -> Record:
+    """Cast and replay ``bundles`` of so many ``lines`` through rooms of these numbers of cells, by these backends."""
+    columns = (
+        "patches",
+        "backend",
+        "segments",
+        "cast s",
+        "CPU s",
+        "cast M/s",
+        "replay M/s",
+        "solve s",
+        "error",
+        "memory",
+    )
     record = Record("Segments of a room with boxes", columns)
-    ABuffer(room(1)).cast(1).gather(np.ones(len(room(1))))  # compiles
-    for cells in sizes:
+    for backend in backends:
+        ABuffer(room(1), backend=backend).cast(1).gather(np.ones(len(room(1))))  # compiles
+    for cells, backend in itertools.product(sizes, backends):
         patches = room(cells)
         x, y, z = patches.centres.T
         radiosity = np.exp(2 * x) * (1 + 0.5 * np.sin(7 * y + 5 * z))
         gathered = []
         for seed in range(2):
-            engine, found = ABuffer(patches, OwenSobol(4, seed=seed), lines), list[Segments]()
+            engine, found = ABuffer(patches, OwenSobol(4, seed=seed), lines, backend), list[Segments]()
             cast = timed(lambda engine=engine, found=found: found.append(engine.cast(bundles)))
             segments = found[0]
             results: list[np.ndarray] = []
@@ -52,7 +67,14 @@ def measure(sizes: list[int], bundles: int, lines: float | None) -> Record:
         error = np.sqrt(np.mean(((gathered[0] - gathered[1]) / mean) ** 2) / 2)
         count = len(segments) / 1e6
         record.add(
-            *(str(len(patches)), f"{count:.1f} M", f"{cast.wall:.2f}", f"{cast.cpu:.2f}", f"{count / cast.wall:.1f}"),
+            *(
+                str(len(patches)),
+                engine.backend,
+                f"{count:.1f} M",
+                f"{cast.wall:.2f}",
+                f"{cast.cpu:.2f}",
+                f"{count / cast.wall:.1f}",
+            ),
             *(f"{count / replay.wall:.0f}", f"{solution.wall:.2f}", f"{error:.2g}", f"{segments.nbytes / 1e9:.2f} GB"),
         )
     record.notes += [

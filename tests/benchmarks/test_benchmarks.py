@@ -204,7 +204,8 @@ def test_choice_holds_auto_against_its_best_candidate(monkeypatch):
 
 
 def test_the_radiosity_benchmark_counts_and_solves():
-    record = module("exchanges").measure([3], 64, 500.0)
-    (row,) = record.rows
-    columns = dict(zip(record.columns, row, strict=True))
+    record = module("exchanges").measure([3], 64, 500.0, ["compiled", "drjit"])
+    columns, other = (dict(zip(record.columns, row, strict=True)) for row in record.rows)
+    assert (columns["backend"], other["backend"]) == ("compiled", "drjit")
+    assert columns["segments"] == other["segments"]
     assert columns["patches"] == "86" and 0 < float(columns["error"]) < 0.1

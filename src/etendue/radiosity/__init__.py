@@ -1,6 +1,6 @@
 """Radiosity: patches, lines through them, form factors. What sees a picture is unknown here."""
 
-from .abuffer import ABuffer
+from .abuffer import ABuffer, Backend
 from .chained import ChainedRays
 from .diagnosis import Diagnosis, diagnose
 from .engine import LineEngine
@@ -37,6 +37,7 @@ __all__ = [
     "SOLVERS",
     "STEFAN_BOLTZMANN",
     "ABuffer",
+    "Backend",
     "BoxWalls",
     "Bundles",
     "ChainedRays",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import cached_property
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -10,13 +12,22 @@ from etendue.core import Array
 from etendue.points import PointSet
 
 from .engine import LineEngine
+from .errors import RadiosityError
 from .lines import Bundles
 from .parallel import compiled, in_order
 from .patches import Patches
+from .rasteriser import Rasteriser
+from .replay import uses_cuda
 from .segments import Pairs
 
-#: Bundles of one task.
+#: What fills in the faces: loops for the CPU, or kernels of the current variant; CUDA's by itself.
+Backend = Literal["auto", "compiled", "drjit"]
+
+#: Bundles of one task of the compiled loops.
 _BUNDLES = 8
+#: Lanes and places for hits of one set of kernels on the CPU, and on a GPU, which has to be filled. A place takes some
+#: 80 bytes.
+_PLACES, _PLACES_CUDA = 1 << 21, 1 << 24
 #: The order of faces nearer to each other than this part of the scene's radius follows from how they are turned.
 _GAP = 2e-7
 #: Lines for each patch and bundle, in the mean, if their number is not given; and the fewest.
@@ -32,10 +43,23 @@ class ABuffer(LineEngine):
 
     lines: of a bundle through the bounding sphere; by default as many as meet a patch twice in the mean, and 4096 at
         least. Directions matter more than lines: have some thousand of them.
+    backend: ``compiled`` loops on the CPU (Numba), or ``drjit``, on the device of the current variant. ``auto`` takes
+        the second where that is a GPU. Both find the same segments, but for single lines that pass an edge.
+
+    Raises :class:`RadiosityError` for another backend.
     """
 
-    def __init__(self, patches: Patches, points: PointSet | None = None, lines: float | None = None) -> None:
+    def __init__(
+        self,
+        patches: Patches,
+        points: PointSet | None = None,
+        lines: float | None = None,
+        backend: Backend = "auto",
+    ) -> None:
         super().__init__(patches, points)
+        if backend not in get_args(Backend):
+            raise RadiosityError(f"the backend is one of {', '.join(get_args(Backend))}, not {backend!r}")
+        self.backend = ("drjit" if uses_cuda() else "compiled") if backend == "auto" else backend
         if lines is None:
             radius = patches.sphere[1]
             once = _LINES_PER_PATCH * 2 * np.pi * radius**2 * len(patches) / patches.areas.sum()
@@ -53,20 +77,39 @@ class ABuffer(LineEngine):
         return self.bundles.expected(self.patches.areas, count)
 
     def piece(self, count: int) -> int:
-        """See :class:`LineEngine`."""
-        return _BUNDLES
+        """See :class:`LineEngine`; of the kernels sixteen pieces at least, so that batches can be made of them."""
+        if self.backend == "compiled":
+            return _BUNDLES
+        once = max(self._rasteriser.lanes, self.expected(1).sum() + self.bundles.lines_per_point)
+        return max(min(int((_PLACES_CUDA if uses_cuda() else _PLACES) / once), -(-count // 16)), 1)
 
     def stream(self, count: int, first: int = 0) -> Iterator[Pairs]:
         """See :class:`LineEngine`."""
+        return (self._by_loops if self.backend == "compiled" else self._by_kernels)(count, first)
+
+    def _by_loops(self, count: int, first: int) -> Iterator[Pairs]:
         rasterise = compiled().rasterise
         gap = _GAP * self.bundles.radius
         # Hits of a bundle vary with its direction.
         room = int(1.2 * self.expected(1).sum()) + 1024
 
         def task(start: int, number: int) -> Callable[[], Pairs]:
-            u = self.points.block(number, start)
-            frames, shifts = self.bundles.frames(u), np.ascontiguousarray(u[:, 2:])
-            arrays = self._vertices, self._faces, self._front, self._back, frames, shifts
+            arrays = self._vertices, self._faces, self._front, self._back, *self._grids(start, number)
             return lambda: rasterise(*arrays, self.bundles.spacing, gap, len(self.patches), room)
 
         return in_order(task(*piece) for piece in self._pieces(count, first))
+
+    def _by_kernels(self, count: int, first: int) -> Iterator[Pairs]:
+        return (self._rasteriser.segments(*self._grids(*piece)) for piece in self._pieces(count, first))
+
+    def _grids(self, start: int, number: int) -> tuple[Array, Array]:
+        u = self.points.block(number, start)
+        return self.bundles.frames(u), np.ascontiguousarray(u[:, 2:])
+
+    @cached_property
+    def _rasteriser(self) -> Rasteriser:
+        sides = np.column_stack([self._front, self._back])
+        return Rasteriser(
+            *(self._vertices, self._faces, sides, len(self.patches)),
+            *(self.bundles.radius, self.bundles.spacing, _GAP * self.bundles.radius),
+        )

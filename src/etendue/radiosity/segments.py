@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -14,6 +14,7 @@ from etendue.core import Array
 from .errors import RadiosityError
 from .parallel import compiled, in_order, threads
 from .patches import Patches
+from .replay import DeviceSegments, uses_cuda
 
 Pairs = NDArray[np.uint32]
 #: How a sum over the segments of a patch becomes a mean: by their number, or by the number that its area lets expect.
@@ -44,8 +45,7 @@ class Segments:
         self.chunks = list(chunks)
         self.batches = np.asarray(batches, dtype=np.int64)
         self.expected = expected
-        ends: NDArray[np.int64] = self._sum("count_ends", np.zeros((len(patches) + 2, 3), np.int64))
-        ends = ends[: len(patches)]
+        ends = self._ends()[: len(patches)]
         #: (n,) segments of each patch: the lines that meet it.
         self.counted: NDArray[np.int64] = ends[:, 0].copy()
         #: (n,) those that lead to the sky.
@@ -141,13 +141,26 @@ class Segments:
         full[len(x)] = sky
         return full, x.shape
 
+    def _ends(self) -> NDArray[np.int64]:
+        if uses_cuda():
+            return self._on_device.ends(len(self.patches))
+        ends: NDArray[np.int64] = self._sum("count_ends", np.zeros((len(self.patches) + 2, 3), np.int64))
+        return ends
+
     def _gather(self, full: Array) -> Array:
-        if full.shape[1] == 1:
+        if uses_cuda():
+            sums: Array = self._on_device.gather(full)
+        elif full.shape[1] == 1:
             values = full[:, 0].copy()
-            sums: Array = self._sum("gather_one", np.zeros_like(values), values)[:, None]
+            sums = self._sum("gather_one", np.zeros_like(values), values)[:, None]
         else:
             sums = self._sum("gather", np.zeros_like(full), full)
         return sums[: len(self.patches)]
+
+    @cached_property
+    def _on_device(self) -> DeviceSegments:
+        """A copy, 8 bytes a segment, for as long as these segments live."""
+        return DeviceSegments(self.chunks)
 
     def _sum(self, loop: str, zero: Any, *arguments: Any) -> Any:
         """What a compiled loop over all chunks adds to ``zero``, each thread having its own."""

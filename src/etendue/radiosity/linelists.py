@@ -1,0 +1,204 @@
+"""Lists of the hits of lines, on the device: into order, and what lies between neighbours.
+
+A hit is a number of 64 bits: depth in the upper half, then the face, and last whether the line meets the back of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+#: Hits of half a line that are sorted in registers; few lines have more.
+_FEW = 4
+#: No hit, or no segment.
+_NOTHING = 0xFFFFFFFFFFFFFFFF
+
+
+@dataclass
+class Hits:
+    """Hits in the order in which they were found, and which half of which line they are: hits of the fronts of faces
+    and hits of their backs are apart, ``2 line + (key & 1)``."""
+
+    key: Any  #: UInt64
+    half: Any  #: UInt32
+
+
+@dataclass
+class Lists:
+    """Hits line by line: those of a line from ``first`` on, ``count`` of them, and room for one more."""
+
+    key: Any  #: UInt64
+    first: Any  #: UInt32, a lane for each line that has hits
+    count: Any
+
+
+def by_depth(hits: Hits, lines: int) -> Lists:
+    """The hits of each of so many lines, sorted."""
+    # Plane k has the k-th hit of each half line that has so many. All hits write to the plane at once; those that are
+    # not the one that stays there try the next. Atomic operations would take ten times as long on a CPU.
+    planes: list[Any] = []
+    halves, others = dr.zeros(mi.UInt32, 2 * lines), Hits(hits.key, hits.half)
+    while len(planes) < _FEW and len(others.key):
+        planes.append(dr.empty(mi.UInt64, 2 * lines))
+        dr.scatter(planes[-1], others.key, others.half)
+        dr.scatter(halves, dr.opaque(mi.UInt32, len(planes)), others.half)
+        dr.eval(planes[-1], halves, others)
+        rest = dr.compress(dr.gather(mi.UInt64, planes[-1], others.half) != others.key)
+        others = Hits(dr.gather(mi.UInt64, others.key, rest), dr.gather(mi.UInt32, others.half, rest))
+
+    few, many = dr.sum(dr.gather(mi.Vector2u, halves, dr.arange(mi.UInt32, lines))), dr.zeros(mi.UInt32, lines)
+    if len(others.key):
+        rank = dr.gather(mi.UInt32, few, others.half >> 1) + dr.scatter_inc(many, others.half >> 1)
+        dr.eval(few, many, rank, others)
+    count = few + many
+    first = dr.prefix_reduce(dr.ReduceOp.Add, count + dr.select(count > 0, mi.UInt32(1), 0), exclusive=True)
+    met = dr.compress(count > 0)
+    room = dr.empty(mi.UInt64, len(hits.key) + len(met))
+    lists = Lists(room, dr.gather(mi.UInt32, first, met), dr.gather(mi.UInt32, count, met))
+    _sort_few(planes, dr.gather(mi.Vector2u, halves, met), met, lists)
+    if len(others.key):
+        place = dr.gather(mi.UInt32, first, others.half >> 1) + rank
+        dr.scatter(lists.key, others.key, place, mode=dr.ReduceMode.Permute)
+        _sort_many(lists, dr.gather(mi.UInt32, many, met) > 0)
+    dr.eval(lists)
+    return lists
+
+
+def _sort_few(planes: list[Any], counts: Any, line: Any, lists: Lists) -> None:
+    """The hits in planes, in registers, by a network of comparisons [Batcher 1968]."""
+    size = 1 << (2 * len(planes) - 1).bit_length()
+    keys = [mi.UInt64(_NOTHING)] * size
+    for i, plane in enumerate(planes):
+        found = dr.gather(mi.Array2u64, plane, line)
+        for side in range(2):
+            keys[2 * i + side] = dr.select(i < counts[side], found[side], _NOTHING)
+    for i, j in _network(size):
+        keys[i], keys[j] = dr.minimum(keys[i], keys[j]), dr.maximum(keys[i], keys[j])
+    for i in range(2 * len(planes)):
+        dr.scatter(lists.key, keys[i], lists.first + i, i < counts.x + counts.y, mode=dr.ReduceMode.Permute)
+
+
+def _network(size: int) -> list[tuple[int, int]]:
+    """Pairs to compare, by odd-even merging; ``size`` a power of two."""
+    pairs = []
+    p = 1
+    while p < size:
+        k = p
+        while k >= 1:
+            for j in range(k % p, size - k, 2 * k):
+                for i in range(min(k, size - j - k)):
+                    if (i + j) // (2 * p) == (i + j + k) // (2 * p):
+                        pairs.append((i + j, i + j + k))
+            k //= 2
+        p *= 2
+    return pairs
+
+
+def _sort_many(lists: Lists, chosen: Any) -> None:
+    """All hits of the chosen lines, by counting for each those before it: any number, without memory for them."""
+    dr.eval(lists, chosen)
+    chosen = dr.compress(chosen)
+    first, count = dr.gather(mi.UInt32, lists.first, chosen), dr.gather(mi.UInt32, lists.count, chosen)
+    keys = dr.gather(mi.UInt64, lists.key, dr.arange(mi.UInt32, len(lists.key)))
+    dr.eval(first, count, keys)
+
+    def place(i: Any) -> tuple[Any]:
+        key = dr.gather(mi.UInt64, keys, first + i)
+
+        def compare(j: Any, rank: Any) -> tuple[Any, Any]:
+            return j + 1, rank + dr.select(dr.gather(mi.UInt64, keys, first + j) < key, mi.UInt32(1), 0)
+
+        _, rank = dr.while_loop((zero, zero), lambda j, _: j < count, compare, label="line lists: rank")
+        dr.scatter(lists.key, key, first + rank, mode=dr.ReduceMode.Permute)
+        return (i + 1,)
+
+    zero = dr.zeros(mi.UInt32, len(first))
+    dr.while_loop((zero,), lambda i: i < count, place, label="line lists: many hits")
+
+
+def exchanges(lists: Lists, sides: Any, sky: Any, gap: Any) -> Any:
+    """Segments of all lines as numbers of 64 bits, the near patch in the lower half.
+
+    ``sides``: two patches for each face, of front and back; ``sky`` and ``sky + 1`` stand for the sky and for the back
+    of a face. Two faces of opposite sense that are nearer than ``gap`` may be a sheet, or solids that touch (a box on
+    the floor). Rounding does not decide which comes first, but whether the line is inside a solid, behind the back of a
+    face.
+    """
+    dark = sky + 1
+    lines, first, count = _Lines(lists, sides, dark, gap), lists.first, lists.count
+    found = dr.empty(mi.UInt64, len(lists.key))
+
+    def write(i: Any, before: Any, after: Any) -> None:
+        segment = mi.UInt64(before) | (mi.UInt64(after) << 32)
+        segment = dr.select((before < sky) | (after < sky), segment, _NOTHING)
+        dr.scatter(found, segment, first + i, mode=dr.ReduceMode.Permute)
+
+    def hit(i: Any, at: Any, near: Any, far: Any, before: Any, free: Any) -> tuple[Any, ...]:
+        following, near_2, far_2 = lines.hit(i + 1)
+        close = free & lines.touch(i, at, near, far, following, near_2, far_2)
+        inside = lines.inside(i, at, near, following, before, close)
+        swap = close & (inside != (near == dark))
+        write(i, before, dr.select(swap, near_2, near))
+        before = dr.select(swap, far_2, far)
+        return (
+            i + 1,
+            dr.select(swap, at, following),
+            dr.select(swap, near, near_2),
+            dr.select(swap, far, far_2),
+            before,
+            ~close,
+        )
+
+    zero = dr.zeros(mi.UInt32, len(first))
+    state = (zero, *lines.hit(zero), sky + zero, dr.full(mi.Bool, True, len(first)))
+    *_, before, _ = dr.while_loop(state, lambda i, *_: i < count, hit, label="line lists: exchanges")
+    write(count, before, sky)
+    dr.eval(found)
+    return dr.gather(mi.UInt64, found, dr.compress(found != _NOTHING))
+
+
+class _Lines:
+    """Sorted hits of lines, a lane each."""
+
+    def __init__(self, lists: Lists, sides: Any, dark: Any, gap: Any) -> None:
+        self._key, self._first, self._count = lists.key, lists.first, lists.count
+        self._sides, self._dark, self._gap = sides, dark, gap
+
+    def hit(self, i: Any) -> tuple[Any, Any, Any]:
+        """Depth of a hit, patch of the near side and of the far side; anything behind the last."""
+        there = i < self._count
+        key = dr.gather(mi.UInt64, self._key, self._first + i, there)
+        identity = mi.UInt32(key & 0xFFFFFFFF)
+        front, back = dr.gather(mi.Vector2u, self._sides, identity >> 1, there)
+        is_back = (identity & 1) != 0
+        return mi.UInt32(key >> 32), dr.select(is_back, back, front), dr.select(is_back, front, back)
+
+    def touch(self, i: Any, at: Any, near: Any, far: Any, following: Any, near_2: Any, far_2: Any) -> Any:
+        """Whether a hit and the next are of opposite sense and nearer than the gap."""
+        enters, leaves = far == self._dark, near == self._dark
+        opposite = (enters != leaves) & (enters == (near_2 == self._dark)) & (leaves == (far_2 == self._dark))
+        return (i + 1 < self._count) & (following - at < self._gap) & opposite
+
+    def inside(self, i: Any, at: Any, near: Any, following: Any, before: Any, close: Any) -> Any:
+        """Whether the line is inside a solid before hit ``i``, which is ``close`` to the next."""
+        # Outside of everything may be a solid or the open: the first face by itself tells.
+        begins = close & (i == 0)
+
+        def pair_after(k: Any, _near: Any, _again: Any) -> tuple[Any, Any, Any]:
+            hit, following = self.hit(k), self.hit(k + 1)
+            again = self.touch(k, *hit, *following)
+            return k + dr.select(again, mi.UInt32(2), 0), hit[1], again
+
+        alone, near_alone, _ = dr.while_loop(
+            (mi.UInt32(i + 2), mi.UInt32(near), mi.Bool(begins)),
+            lambda _k, _near, again: again,
+            pair_after,
+            label="line lists: first face",
+        )
+        # A corner that is touched keeps its order, two faces in the same place are a sheet.
+        corner = (near == self._dark) & (following - at > 1)
+        at_first = dr.select(alone < self._count, near_alone == self._dark, corner)
+        return dr.select(begins, at_first, before == self._dark)
