@@ -87,6 +87,7 @@ def test_a_lightmap_and_its_mesh(output, mesh, capsys, variant):
         ("-o s.png --error-picture --bundles 1", "--error-picture needs two bundles"),
         ("-o s.exr --uv scene", "--uv is for lightmaps"),
         ("-o s.vtu --lightmap 64", "take .exr, .glb, .gltf, .obj"),
+        ("-o s.exr --lightmap 64 --uv scene", "texture coordinates overlap"),
         ("-o s.exr --lightmap 64 --uv nothing.glb", "there is no mesh file 'nothing.glb'"),
         ("-o s.exr --sensor 7", "has no sensor 7"),
         ("-o s.exr --lightmap 4", "16"),

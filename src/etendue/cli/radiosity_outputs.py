@@ -18,7 +18,7 @@ from .console import error_console, note
 
 if TYPE_CHECKING:
     from etendue.core import Array
-    from etendue.radiosity import Solution
+    from etendue.radiosity import Solution, TexturedMesh
     from etendue.scene import Problem
 
 #: Scale of pictures of errors: relative standard errors that are black and yellow.
@@ -29,10 +29,13 @@ _OWN = "scene"
 Gather = Annotated[
     int,
     typer.Option(
-        "--gather", help="Paths per pixel of a picture that gather light at what is seen; 0 shows patches.", min=0
+        "--gather",
+        help="Paths per pixel of a picture that gather light at what is seen; 0 shows patches.",
+        min=0,
+        metavar="N",
     ),
 ]
-Samples = Annotated[int, typer.Option("--spp", help="Rays per pixel of a picture without --gather.", min=1)]
+Samples = Annotated[int, typer.Option("--spp", help="Rays per pixel without --gather.", min=1, metavar="N")]
 Flat = Annotated[
     bool, typer.Option("--flat", help="In pictures and lightmaps, patches have one colour each: no smoothing.")
 ]
@@ -42,7 +45,10 @@ ErrorPicture = Annotated[
 LightmapSize = Annotated[
     int | None,
     typer.Option(
-        "--lightmap", help="Write a lightmap of at most this many texels a side, and a mesh that fits.", min=16
+        "--lightmap",
+        help="Write a lightmap of at most this many texels a side, and a mesh that fits.",
+        min=16,
+        metavar="SIZE",
     ),
 ]
 TextureCoordinates = Annotated[
@@ -93,7 +99,7 @@ class SolutionOutput:
         """Before any work: raises :class:`OptionError` for options that do not belong together, ``RadiosityError`` for
         a suffix, ``BackendError`` for a missing library, ``OutputError`` for a place that cannot be written to."""
         from etendue.film import check_writable
-        from etendue.radiosity import LIGHTMAP_MESHES, PICTURE_FILES, SOLUTION_FILES, check_file, gltf_mesh
+        from etendue.radiosity import LIGHTMAP_MESHES, PICTURE_FILES, SOLUTION_FILES, check_file
 
         known = SOLUTION_FILES | PICTURE_FILES if self.lightmap is None else {".exr": "lightmap"} | LIGHTMAP_MESHES
         check_file(self.path, known)
@@ -111,14 +117,16 @@ class SolutionOutput:
             )
         for path in self.files:
             check_writable(path)
-        if self.uv is not None and self.uv != _OWN:
-            gltf_mesh(self.uv)
 
     def load(self, found: Any, parameters: Mapping[str, str]) -> Problem:
-        """The scene, seen by the sensor that is asked for."""
+        """The scene, seen by the sensor that is asked for; texture coordinates are looked at, too, before the work."""
+        from etendue.radiosity import check_coordinates
         from etendue.scene import load
 
-        return load(found, parameters=parameters, size=self.size, sensor=self.sensor)
+        problem = load(found, parameters=parameters, size=self.size, sensor=self.sensor)
+        if self.lightmap is not None and self.uv is not None:
+            check_coordinates(self._mesh(problem), (self.lightmap, self.lightmap))
+        return problem
 
     def write(self, problem: Problem, solution: Solution, error: Array | None, metadata: Mapping[str, Any]) -> None:
         """Write all files."""
@@ -164,16 +172,21 @@ class SolutionOutput:
         write_png(self._errors, false_colour(relative, _LOW, _HIGH))
         note(error_console(), f"{self._errors.name}: relative standard error, black {_LOW:.1%} to yellow {_HIGH:.0%}")
 
+    def _mesh(self, problem: Problem) -> TexturedMesh:
+        """The mesh that ``--uv`` asks for."""
+        from etendue.radiosity import gltf_mesh, scene_mesh
+
+        assert self.uv is not None
+        return scene_mesh(problem.scene) if self.uv == _OWN else gltf_mesh(self.uv)
+
     def _write_lightmap(self, problem: Problem, solution: Solution, metadata: dict[str, Any]) -> None:
         from etendue import radiosity
 
         assert self.lightmap is not None
         size = (self.lightmap, self.lightmap)
         with error_console().status("making the lightmap"):
-            if self.uv == _OWN:
-                mesh = radiosity.scene_mesh(problem.scene)
-            elif self.uv is not None:
-                mesh = radiosity.gltf_mesh(self.uv)
+            if self.uv is not None:
+                mesh = self._mesh(problem)
             else:
                 mesh, size = radiosity.atlas(solution.patches, self.lightmap)
             made = radiosity.lightmap(solution, mesh, size, smooth=not self.flat)

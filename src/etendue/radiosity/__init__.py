@@ -9,7 +9,7 @@ from .errors import PatchError, RadiosityError
 from .formfactors import ESTIMATORS, Estimator, FormFactors, estimate, form_factors, pair_errors
 from .gltf import GltfMesh, coloured_mesh, write_gltf
 from .heat import STEFAN_BOLTZMANN, band_shares, gebhart_factors, thermal
-from .lightmaps import Lightmap, lightmap, save_lightmap
+from .lightmaps import Lightmap, check_coordinates, lightmap, save_lightmap
 from .lines import GENERATORS, BoxWalls, Bundles, GreatCircle, LineGenerator, Lines, SpherePairs
 from .local import LocalRays
 from .localfactors import area_form_factors, local_form_factors
@@ -77,6 +77,7 @@ __all__ = [
     "band_shares",
     "box",
     "breadth_first",
+    "check_coordinates",
     "check_file",
     "coloured_mesh",
     "depth_first",

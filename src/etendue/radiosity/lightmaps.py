@@ -79,12 +79,17 @@ def lightmap(
     return Lightmap(_filled(image, covered), covered)
 
 
+def check_coordinates(mesh: TexturedMesh, size: tuple[int, int]) -> None:
+    """Raises :class:`RadiosityError` if a mesh is none for a lightmap of this (width, height): if triangles overlap in
+    the texture or leave the unit square."""
+    _texels(mesh, *size)
+
+
 def save_lightmap(path: str | os.PathLike[str], made: Lightmap, metadata: dict[str, Any] | None = None) -> None:
-    """Write ``.exr``: the texture as R, G, B, floats, and ``covered`` (0 or 1) as a layer."""
+    """Write ``.exr``: the texture as R, G, B, floats, and nothing else, since texture readers take no layers."""
     if Path(path).suffix.lower() != ".exr":
         raise RadiosityError(f"a lightmap is written as .exr, not as '{path}'; change the name")
-    layers = {"image": made.values, "covered": made.covered.astype(np.float32)}
-    write_exr(path, Result(layers, {"method": "lightmap"} | (metadata or {})))
+    write_exr(path, Result({"image": made.values}, {"method": "lightmap"} | (metadata or {})))
 
 
 def _texels(mesh: TexturedMesh, width: int, height: int) -> tuple[Index, Array, Array]:
