@@ -80,6 +80,18 @@ def test_curved_shapes_have_no_holes(shape):
     np.testing.assert_allclose(values, [[0.1, 0.2, 0.3], np.full(3, 1 / np.pi)], atol=1e-5)
 
 
+def test_small_things_on_a_wide_plain():
+    """Under a roof that is a ten-thousandth of the plain above it, and on a ball as small."""
+    ground = {"type": "disk", "to_world": transform().scale(3000), "bsdf": GREY}
+    roof = {"type": "cube", "to_world": transform().translate([0, 0, 0.3]).scale([1, 1, 0.1]), "bsdf": GREY}
+    ball = {"type": "sphere", "center": [0, -1.2, 0.3], "radius": 0.2, "bsdf": GREY}
+    view = camera(size=(48, 36)) | {"to_world": transform().look_at([0, -5, 0.5], [0, 0, 0.2], [0, 0, 1]), "fov": 25}
+    scene = mi.load_dict({"type": "scene", "sensor": view, "ground": ground, "roof": roof, "ball": ball})
+    image = picture(solved(scene_patches(scene), 2.0), scene).image
+    low = ~np.isnan(hits(scene, (48, 36))[..., 0])
+    np.testing.assert_allclose(image[low & np.roll(low, 1, axis=0)], 1 / np.pi, rtol=1e-5)
+
+
 @pytest.mark.parametrize("front", [True, False])
 @pytest.mark.parametrize("kind", ["twosided", "two faces"])
 def test_each_side_of_a_sheet(kind, front):
@@ -220,6 +232,8 @@ def test_refusals(options, error, message):
     patches = scene_patches(scene)
     with pytest.raises(error, match=message):
         picture(solved(patches, 1.0), scene, **options)
+    with pytest.raises(OptionError, match="give these to load"):
+        picture(solved(patches, 1.0), load(scene, check=False), size=(8, 8))
 
 
 def test_bands_are_no_colours_and_a_picture_needs_a_sensor():

@@ -66,6 +66,8 @@ def picture(
     error = None if irradiance_error is None else np.asarray(irradiance_error, dtype=np.float64)
     if error is not None and error.shape != solution.irradiance.shape:
         raise RadiosityError(f"errors of the irradiance have its shape, {solution.irradiance.shape}: {error.shape}")
+    if isinstance(scene, Problem) and (size is not None or sensor):
+        raise OptionError("what load has returned has its sensor and size: give these to load")
     problem = scene if isinstance(scene, Problem) else load(scene, size=size, sensor=sensor, check=False)
     if gather or problem.scene.emitters():
         check(problem.scene, problem.sensor)  # without gathering, a scene may do without lights

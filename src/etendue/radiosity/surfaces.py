@@ -19,16 +19,16 @@ from .solvers import Solution
 
 Index = NDArray[np.int64]
 
-#: From how far above a point one looks down on it, and how far aside of it in two directions, in radii of the scene: at
-#: the point; a little aside, should that lie between two faces; from further up, where the true surface is curved but
-#: faces are flat; and further aside, at the rim of a disk that is a polygon here.
-_ASIDE = 6e-3
+#: Where one looks down on a point from, in radii of the scene: how far above it, and how far aside in two directions.
+#: At the point; a little aside should that lie between two faces; then from ever further up, as the true surface may
+#: be curved where faces are flat; then ever further aside, at the rim of a disk that is a polygon here.
 _LOOKS = (
-    *((1e-4, 0.0, 0.0), (1e-4, 2e-5, 0.0), (1e-4, -2e-5, 0.0), (2e-2, 0.0, 0.0)),
-    *((1e-4, _ASIDE, 0.0), (1e-4, -_ASIDE, 0.0), (1e-4, 0.0, _ASIDE), (1e-4, 0.0, -_ASIDE)),
+    *((1e-5, 0.0, 0.0), (1e-5, 2e-6, 0.0), (1e-5, -2e-6, 0.0)),
+    *((height, 0.0, 0.0) for height in (1e-4, 1e-3, 2e-2)),
+    *((1e-5, aside * x, aside * y) for aside in (6e-5, 6e-4, 6e-3) for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1))),
 )
 #: A side of a face lies this far before the face, so that of two faces in one place the right one is met.
-_LIFT = 1e-5
+_LIFT = 2e-6
 #: Least cosine between the normals of a surface and of the face that stands for it.
 _SAME_SIDE = 0.3
 
@@ -75,33 +75,36 @@ class PatchSurfaces:
         """
         import mitsuba as mi
 
-        lanes = dr.width(p)
-        place = Place(dr.zeros(mi.UInt32, lanes), dr.zeros(mi.Vector4f, lanes), dr.full(mi.Bool, False, lanes))
+        count = max(dr.width(p), dr.width(active))
+        place = Place(dr.zeros(mi.UInt32, count), dr.zeros(mi.Vector4f, count), dr.full(mi.Bool, False, count))
         local = (mi.Point3f(p) - mi.Point3f(*map(float, self._centre))) * float(1 / self._radius)
-        tangent, bitangent = mi.coordinate_system(n)
-        looking = mi.Bool(active) & dr.full(mi.Bool, True, lanes)
+        looking = mi.Bool(active) & dr.full(mi.Bool, True, count)
+        dr.eval(local, n, looking)
         for height, x, y in _LOOKS:
-            ray = mi.Ray3f(local + height * n + x * tangent + y * bitangent, -n)
-            ray.maxt = mi.Float(2 * height)
-            met = self._scene.ray_intersect_preliminary(ray, coherent=False, active=looking)
-            hit = looking & met.is_valid()
-            side = dr.gather(mi.UInt32, self._side, met.prim_index, hit)
-            towards = dr.dot(dr.gather(mi.Normal3f, self._normal, side, hit), n)
-            weights = self._weights(side, met.prim_index >= len(self.corners), met.prim_uv, hit)
-            place.side = dr.select(hit, side, place.side)
-            place.weights = dr.select(hit, weights, place.weights)
-            place.found |= hit & (towards > _SAME_SIDE)
-            looking &= ~hit
-            dr.eval(place.side, place.weights, place.found, looking)
-            if not dr.any(looking):
+            lane = dr.compress(looking)
+            if not dr.width(lane):
                 break
+            there, up = dr.gather(mi.Point3f, local, lane), dr.gather(mi.Normal3f, n, lane)
+            tangent, bitangent = mi.coordinate_system(up)
+            ray = mi.Ray3f(there + height * up + x * tangent + y * bitangent, -up)
+            ray.maxt = mi.Float(2 * height)
+            met = self._scene.ray_intersect_preliminary(ray, coherent=False)
+            hit = met.is_valid()
+            side = dr.gather(mi.UInt32, self._side, met.prim_index, hit)
+            towards = dr.dot(dr.gather(mi.Normal3f, self._normal, side, hit), up)
+            dr.scatter(place.side, side, lane, hit)
+            dr.scatter(place.weights, self._weights(side, met, hit), lane, hit)
+            dr.scatter(place.found, towards > _SAME_SIDE, lane, hit)
+            dr.scatter(looking, mi.Bool(False), lane, hit)
+            dr.eval(place.side, place.weights, place.found, looking)
         return place
 
-    def _weights(self, side: Any, is_second: Any, uv: Any, active: Any) -> Any:
+    def _weights(self, side: Any, met: Any, active: Any) -> Any:
         """Linear on triangles, bilinear on quadrilaterals, of which the triangles 0 1 2 and 0 2 3 were met."""
         import mitsuba as mi
 
-        u, v = uv.x, uv.y
+        u, v = met.prim_uv.x, met.prim_uv.y
+        is_second = met.prim_index >= len(self.corners)
         s, t = dr.select(is_second, u, u + v), dr.select(is_second, u + v, v)
         is_triangle = dr.gather(mi.UInt32, self._is_triangle, side, active) != 0
         bilinear = mi.Vector4f((1 - s) * (1 - t), s * (1 - t), s * t, (1 - s) * t)
