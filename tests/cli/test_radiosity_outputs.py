@@ -64,6 +64,20 @@ def test_arrays_and_vertex_colours(variant):
     assert Path("s.glb").read_bytes().startswith(b"glTF")
 
 
+def test_a_solution_is_written_in_other_ways(capsys, variant):
+    """Later, through another sensor or as another file: the same as at once."""
+    assert run("-o p.exr --sensor 0", variant) == 0
+    for name in ("s.npz", "s.nc"):
+        assert run(f"-o {name}", variant) == 0
+        capsys.readouterr()
+        assert run(f"-o again.exr --solution {name}", variant) == 0
+        out, err = capsys.readouterr()
+        assert out == "again.exr\n" and "segments" not in err
+        for layer in ("image", "error"):
+            np.testing.assert_allclose(read_exr("again.exr").layers[layer], read_exr("p.exr").layers[layer], atol=1e-5)
+    assert run("-o again.vtu --solution s.nc", variant) == 0 and Path("again.vtu").is_file()
+
+
 @pytest.mark.parametrize(("output", "mesh"), [("m.glb", "m.glb"), ("m.exr", "m.glb"), ("m.obj", "m.obj")])
 def test_a_lightmap_and_its_mesh(output, mesh, capsys, variant):
     pytest.importorskip("xatlas")
@@ -92,6 +106,8 @@ def test_a_lightmap_and_its_mesh(output, mesh, capsys, variant):
         ("-o s.exr --sensor 7", "has no sensor 7"),
         ("-o s.exr --lightmap 4", "16"),
         ("-o nowhere/s.exr", "there is no folder"),
+        ("-o s.exr --solution old.npz", "there is no file of a solution 'old.npz'"),
+        ("-o s.exr --solution scene.xml", "is no file of a solution"),
     ],
 )
 def test_bad_input(command, message, capsys, variant):

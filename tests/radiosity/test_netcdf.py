@@ -6,16 +6,18 @@ import json
 
 import numpy as np
 import pytest
-from support.patches import cube
+from support.patches import box, cube, joined, square
 
 from etendue.points import OwenSobol
 from etendue.radiosity import (
     ABuffer,
+    Patches,
     RadiosityError,
     form_factors,
     netcdf,
     read_form_factors,
     read_segments,
+    read_solution,
     save_form_factors,
     save_segments,
     save_solution,
@@ -83,6 +85,45 @@ def test_a_solution(tmp_path, segments):
     centres = np.stack([found[f"centre_{axis}"] for axis in "xyz"], axis=1)
     np.testing.assert_allclose(vertices[found["face_vertices"]].mean(axis=1), centres[found["front_patch"]])
     assert (found["back_patch"] == -1).all()
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".nc"])
+def test_a_solution_is_read_again(tmp_path, suffix):
+    """Sheets, triangles, groups of faces, numbers of patches: all as they were."""
+    vertices, faces = joined(
+        box((0, 0, 0), (1, 1, 1), 2, inward=True), square((0.2, 0.2, 0.5), (0.5, 0, 0), (0, 0.5, 0))
+    )
+    vertices = np.concatenate([vertices, [[0.1, 0.1, 0.2], [0.4, 0.1, 0.2], [0.1, 0.4, 0.2]]])
+    faces = np.concatenate([faces, len(vertices) - np.array([[3, 2, 1, 1]])])
+    ids = np.array([7, 7, *range(10, 33), 40])
+    sheets = np.isin(np.unique(ids), (32, 40))
+    patches = Patches(
+        vertices, faces, ids=ids, two_sided=sheets, reflectance=0.5, emission=[[1.0, 2.0]], sky=[0.5, 0.25]
+    )
+    segments = ABuffer(patches).cast(32)
+    solution = solve(patches, segments)
+    error = segments.gather_error(solution.radiosity, patches.sky)
+    save_solution(tmp_path / f"s{suffix}", solution, irradiance_error=error)
+    again, read_error = read_solution(tmp_path / f"s{suffix}")
+    np.testing.assert_allclose(read_error, error)
+    for name in ("radiosity", "irradiance", "sky_share", "residuals"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(solution, name))
+    for name in ("vertices", "faces", "front", "back", "labels", "areas", "normals", "reflectance", "emission", "sky"):
+        np.testing.assert_array_equal(getattr(again.patches, name), getattr(patches, name))
+    save_solution(tmp_path / f"s{suffix}", solution)
+    assert read_solution(tmp_path / f"s{suffix}")[1] is None
+
+
+@pytest.mark.parametrize("name", ["s.npz", "s.nc"])
+def test_other_files_are_no_solutions(tmp_path, segments, name):
+    with pytest.raises(RadiosityError, match="there is no file of a solution"):
+        read_solution(tmp_path / name)
+    (tmp_path / name).write_bytes(b"something else")
+    with pytest.raises(RadiosityError, match="solution"):
+        read_solution(tmp_path / name)
+    save_form_factors(tmp_path / name, form_factors(segments))
+    with pytest.raises(RadiosityError, match="no file of a solution"):
+        read_solution(tmp_path / name)
 
 
 def test_refusals(tmp_path, segments, monkeypatch):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,8 +21,8 @@ from .console import error_console, note, say
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from etendue.core import Array
-    from etendue.radiosity import Patches, Segments, Solution
+    from etendue.radiosity import Patches, Segments
+    from etendue.scene import Problem
 
 #: What the extra brings.
 _LIBRARIES = ("numba", "scipy", "meshio", "trimesh")
@@ -103,6 +102,7 @@ def radiosity(
     error_picture: out.ErrorPicture = False,
     lightmap: out.LightmapSize = None,
     uv: out.TextureCoordinates = None,
+    solution: out.Solved = None,
     variant: opt.Variant = None,
     param: opt.Param = None,
     threads: opt.Threads = None,
@@ -126,10 +126,12 @@ def radiosity(
     choose_device(variant, threads)
     with _ended_by_ctrl_c():
         problem = wanted.load(found, parameters)
+        if solution is not None:
+            return wanted.write_again(problem, solution)
         patches = scene_patches(problem.scene, max_area=max_area)
         if not (patches.emission.any() or patches.sky.any()):
             raise SceneError(f"'{scene}' has no light for radiosity; give it an emitter of type 'area' or 'constant'")
-        return solution_to_file(patches, partial(wanted.write, problem), wanted.files, scene, bundles, solver, seed)
+        return solution_to_file(patches, wanted, problem, scene, bundles, solver, seed)
 
 
 def factors_to_file(patches: Patches, output: Path, source: str, bundles: int, estimator: Any, seed: int) -> int:
@@ -157,8 +159,8 @@ def factors_to_file(patches: Patches, output: Path, source: str, bundles: int, e
 
 def solution_to_file(
     patches: Patches,
-    write: Callable[[Solution, Array | None, dict[str, Any]], None],
-    files: Sequence[Path],
+    wanted: out.SolutionOutput,
+    problem: Problem,
     source: str,
     bundles: int,
     solver: Any,
@@ -172,7 +174,7 @@ def solution_to_file(
     solution = solve(patches, segments if solver in _ON_SEGMENTS else form_factors(segments), solver)
     error = segments.gather_error(solution.radiosity, patches.sky) if segments.batch_count > 1 else None
     known = _metadata(source, bundles, seed, solver=solver, imbalance=solution.imbalance)
-    write(solution, error, known)
+    wanted.write(problem, solution, error, known)
     steps = len(solution.residuals)
     parts = [f"{solver}: {steps} iteration{'' if steps == 1 else 's'}, residual {solution.residual:.1g}"]
     parts.append(f"imbalance of power {solution.imbalance:.2g}")
@@ -180,7 +182,7 @@ def solution_to_file(
         parts.append(f"standard error of irradiance {(patches.areas[:, None] * error).sum() / light:.2g} in the mean")
     _note(", ".join(parts))
     _note(f"in {format_seconds(time.perf_counter() - began)}")
-    say("\n".join(map(str, files)))
+    wanted.say()
     return 0
 
 

@@ -14,7 +14,7 @@ import typer
 from etendue.core import BackendError, OptionError
 
 from . import options as opt
-from .console import error_console, note
+from .console import error_console, note, say
 
 if TYPE_CHECKING:
     from etendue.core import Array
@@ -58,6 +58,14 @@ TextureCoordinates = Annotated[
         help="Coordinates of the lightmap: a .glb or .gltf file with TEXCOORD_1, or 'scene' for the scene's own; "
         "without this an atlas is made.",
         metavar="FILE",
+    ),
+]
+
+
+Solved = Annotated[
+    Path | None,
+    typer.Option(
+        "--solution", help="A solution of this scene, .npz or .nc, to be written in another way.", metavar="FILE"
     ),
 ]
 
@@ -138,6 +146,19 @@ class SolutionOutput:
             self._write_picture(problem, solution, error, dict(metadata))
         else:
             save_solution(self.path, solution, irradiance_error=error, metadata=metadata)
+
+    def write_again(self, problem: Problem, solved: Path) -> int:
+        """Write a solution that is in a file. Returns the exit status."""
+        from etendue.radiosity import read_solution
+
+        solution, error = read_solution(solved)
+        self.write(problem, solution, error, {"source": str(solved)})
+        self.say()
+        return 0
+
+    def say(self) -> None:
+        """Name the files on standard output, one a line."""
+        say("\n".join(map(str, self.files)))
 
     def _write_picture(
         self, problem: Problem, solution: Solution, error: Array | None, metadata: dict[str, Any]

@@ -32,6 +32,7 @@ from .scenes import scene_patches
 from .segments import Segments
 from .smoothing import VertexRadiosity, vertex_radiosity
 from .solids import box, joined
+from .solutionfiles import read_solution
 from .solvers import SOLVERS, Solution, Solver, Transport, solve
 
 __all__ = [
@@ -97,6 +98,7 @@ __all__ = [
     "read_form_factors",
     "read_patches",
     "read_segments",
+    "read_solution",
     "save_form_factors",
     "save_lightmap",
     "save_segments",

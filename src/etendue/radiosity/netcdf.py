@@ -164,6 +164,16 @@ def write_solution(
     file.write(path)
 
 
+def read_netcdf_solution(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
+    """What :func:`write_solution` wrote, by the names of :class:`Patches` and :class:`Solution`."""
+    saved = _read(path, "a solution", ("radiosity", "irradiance", "face_vertices", "front_patch", "back_patch"))
+    names = {"face_vertices": "faces", "front_patch": "front", "back_patch": "back", "label": "labels"}
+    found = {names.get(name, name): values for name, values in saved.items()}
+    found["residuals"] = found["residual"]
+    found["vertices"] = np.stack([found[f"vertex_{letter}"] for letter in "xyz"], axis=1)
+    return found
+
+
 _MEANINGS = {
     "radiosity": ("light that leaves the patch", _PER_AREA),
     "irradiance": ("light that arrives at the patch", _PER_AREA),
