@@ -126,6 +126,7 @@ def test_commands_are_understood(command, folder, monkeypatch, capsys):
     monkeypatch.setattr(compare.Comparison, "run", lambda *arguments: begun.append(arguments) or 0)
     for name in ("factors_to_file", "solution_to_file"):
         monkeypatch.setattr(radiosity, name, lambda *arguments: begun.append(arguments) or 0)
+    monkeypatch.setattr(radiosity.out.SolutionOutput, "write_again", lambda *arguments: begun.append(arguments) or 0)
     monkeypatch.setattr(doctor, "run_doctor", lambda *arguments: begun.append(arguments) or 0)
     words = shlex.split(command, comments=True)[1:]
     assert main(words) == 0, capsys.readouterr().err

@@ -15,12 +15,14 @@ import typer
 from etendue.core import BackendError, OptionError, SceneError, format_seconds, logger, suggest
 
 from . import options as opt
+from . import radiosity_outputs as out
 from .console import error_console, note, say
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from etendue.radiosity import Patches, Segments
+    from etendue.scene import Problem
 
 #: What the extra brings.
 _LIBRARIES = ("numba", "scipy", "meshio", "trimesh")
@@ -40,7 +42,7 @@ MaxArea = Annotated[
 def form_factors(
     mesh: Annotated[Path, typer.Argument(help="PLY, OBJ, STL, VTU, glTF and others.", metavar="MESH")],
     output: Annotated[
-        Path, typer.Option("-o", "--output", help=".npz (arrays), .vf (View3D's text).", metavar="FILE")
+        Path, typer.Option("-o", "--output", help=".npz or .nc (arrays), .vf (View3D's text).", metavar="FILE")
     ] = Path("factors.npz"),
     bundles: Bundles = 1024,
     estimator: Annotated[str, typer.Option("--estimator", help="F1, F2, F3, F4 or reciprocal.", metavar="NAME")] = "F1",
@@ -78,7 +80,12 @@ def radiosity(
     scene: opt.Scene,
     output: Annotated[
         Path,
-        typer.Option("-o", "--output", help=".vtu (ParaView), .ply (vertex colours) or .npz (arrays).", metavar="FILE"),
+        typer.Option(
+            "-o",
+            "--output",
+            help=".vtu (ParaView), .ply, .glb, .gltf (vertex colours), .npz, .nc (arrays); .exr, .png (a picture).",
+            metavar="FILE",
+        ),
     ] = Path("solution.vtu"),
     bundles: Bundles = 1024,
     max_area: MaxArea = None,
@@ -87,6 +94,15 @@ def radiosity(
         typer.Option("--solver", help="conjugate-gradient, jacobi, gauss-seidel, southwell or direct.", metavar="NAME"),
     ] = "conjugate-gradient",
     seed: Annotated[int, typer.Option("--seed", help="The same seed gives the same lines.", metavar="N")] = 0,
+    sensor: opt.Sensor = 0,
+    size: opt.PictureSize = None,
+    gather: out.Gather = 0,
+    spp: out.Samples = 16,
+    flat: out.Flat = False,
+    error_picture: out.ErrorPicture = False,
+    lightmap: out.LightmapSize = None,
+    uv: out.TextureCoordinates = None,
+    solution: out.Solved = None,
     variant: opt.Variant = None,
     param: opt.Param = None,
     threads: opt.Threads = None,
@@ -97,23 +113,25 @@ def radiosity(
     Ctrl-C ends it; a file that is there stays as it is.
     """
     _require_extra()
-    from etendue.film import check_writable
-    from etendue.radiosity import SOLUTION_FILES, SOLVERS, check_file, scene_patches
-    from etendue.scene import load, locate
+    from etendue.radiosity import SOLVERS, scene_patches
+    from etendue.scene import locate
 
     from .rendering import choose_device
 
     _check_name("solver", solver, SOLVERS)
-    check_file(output, SOLUTION_FILES)
-    check_writable(output)
+    wanted = out.SolutionOutput(output, size, sensor, gather, spp, flat, error_picture, lightmap, uv)
+    wanted.check()
     parameters = opt.parse_pairs(param, "-P")
     found = locate(scene, lambda text: note(error_console(), text))
     choose_device(variant, threads)
     with _ended_by_ctrl_c():
-        patches = scene_patches(load(found, parameters=parameters).scene, max_area=max_area)
+        problem = wanted.load(found, parameters)
+        if solution is not None:
+            return wanted.write_again(problem, solution)
+        patches = scene_patches(problem.scene, max_area=max_area)
         if not (patches.emission.any() or patches.sky.any()):
             raise SceneError(f"'{scene}' has no light for radiosity; give it an emitter of type 'area' or 'constant'")
-        return solution_to_file(patches, output, scene, bundles, solver, seed)
+        return solution_to_file(patches, wanted, problem, scene, bundles, solver, seed)
 
 
 def factors_to_file(patches: Patches, output: Path, source: str, bundles: int, estimator: Any, seed: int) -> int:
@@ -139,16 +157,24 @@ def factors_to_file(patches: Patches, output: Path, source: str, bundles: int, e
     return 0
 
 
-def solution_to_file(patches: Patches, output: Path, source: str, bundles: int, solver: Any, seed: int) -> int:
+def solution_to_file(
+    patches: Patches,
+    wanted: out.SolutionOutput,
+    problem: Problem,
+    source: str,
+    bundles: int,
+    solver: Any,
+    seed: int,
+) -> int:
     """Cast, solve, write, and say what came of it. Returns the exit status."""
-    from etendue.radiosity import form_factors, save_solution, solve
+    from etendue.radiosity import form_factors, solve
 
     began = time.perf_counter()
     segments = _cast(patches, source, bundles, seed)
     solution = solve(patches, segments if solver in _ON_SEGMENTS else form_factors(segments), solver)
     error = segments.gather_error(solution.radiosity, patches.sky) if segments.batch_count > 1 else None
     known = _metadata(source, bundles, seed, solver=solver, imbalance=solution.imbalance)
-    save_solution(output, solution, irradiance_error=error, metadata=known)
+    wanted.write(problem, solution, error, known)
     steps = len(solution.residuals)
     parts = [f"{solver}: {steps} iteration{'' if steps == 1 else 's'}, residual {solution.residual:.1g}"]
     parts.append(f"imbalance of power {solution.imbalance:.2g}")
@@ -156,7 +182,7 @@ def solution_to_file(patches: Patches, output: Path, source: str, bundles: int, 
         parts.append(f"standard error of irradiance {(patches.areas[:, None] * error).sum() / light:.2g} in the mean")
     _note(", ".join(parts))
     _note(f"in {format_seconds(time.perf_counter() - began)}")
-    say(str(output))
+    wanted.say()
     return 0
 
 

@@ -1,5 +1,6 @@
 """Display: tone mapping, PNG, convergence plots, projections of points, the comparison page."""
 
+from .colours import false_colour
 from .plots import Series, convergence_plot
 from .png import encode_png, write_png
 from .report import Entry, render_report, write_report
@@ -13,6 +14,7 @@ __all__ = [
     "auto_exposure",
     "convergence_plot",
     "encode_png",
+    "false_colour",
     "projection_plot",
     "render_report",
     "tonemap",

@@ -18,13 +18,22 @@ from etendue.film import replacing
 
 from .errors import RadiosityError
 from .formfactors import FormFactors, sparse
+from .gltf import coloured_mesh, write_gltf
 from .meshfiles import library
+from .netcdf import read_netcdf_form_factors, same_structure, write_form_factors, write_solution
 from .smoothing import sides, vertex_radiosity
 from .solvers import Solution
 
 #: Suffixes of files of form factors and of solutions, and what these are.
-FORM_FACTOR_FILES = {".npz": "arrays of NumPy", ".vf": "text of View3D"}
-SOLUTION_FILES = {".npz": "arrays of NumPy", ".vtu": "ParaView", ".ply": "vertex colours"}
+FORM_FACTOR_FILES = {".npz": "arrays of NumPy", ".vf": "text of View3D", ".nc": "netCDF"}
+SOLUTION_FILES = {
+    ".npz": "arrays of NumPy",
+    ".vtu": "ParaView",
+    ".ply": "vertex colours",
+    ".nc": "netCDF",
+    ".glb": "vertex colours in one file",
+    ".gltf": "the same, as text",
+}
 
 
 def check_file(path: str | os.PathLike[str], known: Collection[str]) -> str:
@@ -49,6 +58,8 @@ def save_form_factors(
         error of each of its ``data``), ``areas``, ``sky``, ``lines``, ``emissivity`` and ``metadata`` (JSON).
     ``.vf``: the text that View3D 3.2 writes: a heading, areas, the full matrix row by row, emissivities. It has no
         place for the sky; rows of an open scene sum to less than 1.
+    ``.nc``: netCDF with the same as ``.npz``: ``row_start``, ``column``, ``form_factor``, ``form_factor_error``,
+        ``area``, ``sky_share``, ``lines``, ``emissivity``.
 
     emissivity: a number or (n,), only passed on. metadata: what JSON can say. Raises :class:`RadiosityError` for
     another suffix, :class:`etendue.core.OutputError` if the file cannot be written.
@@ -62,11 +73,10 @@ def save_form_factors(
         with replacing(path) as part, part.open("w", encoding="ascii") as file:
             file.writelines(_view3d(factors, emitted))
         return
-    matrix, errors = factors.matrix.tocsr(copy=True), factors.errors.tocsr(copy=True)
-    matrix.sort_indices()
-    errors.sort_indices()
-    if not np.array_equal(matrix.indices, errors.indices) or not np.array_equal(matrix.indptr, errors.indptr):
-        raise RadiosityError("form factors and their errors are not of equal structure; give every entry an error")
+    if suffix == ".nc":
+        write_form_factors(path, factors, emitted, metadata)
+        return
+    matrix, errors = same_structure(factors)
     # The names of the first six are those of SciPy.
     _save_arrays(
         path,
@@ -88,7 +98,9 @@ def save_form_factors(
 
 
 def read_form_factors(path: str | os.PathLike[str]) -> FormFactors:
-    """What :func:`save_form_factors` wrote as ``.npz``. Raises :class:`RadiosityError` for anything else."""
+    """What :func:`save_form_factors` wrote as ``.npz`` or ``.nc``. Raises :class:`RadiosityError` for anything else."""
+    if Path(path).suffix.lower() == ".nc":
+        return read_netcdf_form_factors(path)
     try:
         with np.load(path, allow_pickle=False) as saved:
             structure, shape = (saved["indices"], saved["indptr"]), tuple(saved["shape"])
@@ -115,20 +127,25 @@ def save_solution(
         ``emission``, ``reflectance``, ``sky_share`` and ``patch``. A back that belongs to a patch is a face of its own.
     ``.ply``: vertices with ``red``, ``green``, ``blue``: radiosity, linear floats, smoothed over edges of at most
         ``angle`` degrees (:func:`vertex_radiosity`); for one or three channels.
+    ``.nc``: netCDF with arrays by patch as in ``.npz``, and the mesh, with units.
+    ``.glb``, ``.gltf``: the smooth radiosities of ``.ply`` as vertex colours of glTF (:func:`write_gltf`).
 
     irradiance_error: (n, c) standard error of the irradiance, such as ``segments.gather_error(solution.radiosity,
-    patches.sky)``; it is written to ``.npz`` and ``.vtu``, and reflected as ``radiosity_error``: the error of the last
-    bounce, which is nearly all of it. metadata: what JSON can say, for ``.npz``.
+    patches.sky)``; it is written to ``.npz``, ``.nc`` and ``.vtu``, and reflected as ``radiosity_error``: the error of
+    the last bounce, which is nearly all of it. metadata: what JSON can say, for ``.npz``, ``.nc`` and glTF.
 
     Raises :class:`RadiosityError` for another suffix, errors of another shape, and channels that ``.ply`` cannot show,
     :class:`etendue.core.BackendError` without meshio, :class:`etendue.core.OutputError` if the file cannot be written.
     """
     suffix = check_file(path, SOLUTION_FILES)
     patches = solution.patches
-    if suffix == ".ply":
+    if suffix in (".ply", ".glb", ".gltf"):
         if patches.channels not in (1, 3):
-            raise RadiosityError(f".ply shows one channel or three, not {patches.channels}; write .vtu or .npz")
+            raise RadiosityError(f"{suffix} shows one channel or three, not {patches.channels}; write .vtu or .npz")
         smooth = vertex_radiosity(patches, solution.radiosity, angle)
+        if suffix != ".ply":
+            write_gltf(path, coloured_mesh(solution, smooth), metadata)
+            return
         colours = np.broadcast_to(smooth.values, (len(smooth.values), 3)).astype(np.float32)
         data = {name: np.ascontiguousarray(c) for name, c in zip(("red", "green", "blue"), colours.T, strict=True)}
         _write_mesh(path, "ply", smooth.vertices.astype(np.float32), smooth.faces, data, {})
@@ -146,6 +163,9 @@ def save_solution(
         if error.shape != solution.irradiance.shape:
             raise RadiosityError(f"errors of the irradiance have its shape, {solution.irradiance.shape}: {error.shape}")
         by_patch |= {"irradiance_error": error, "radiosity_error": patches.reflectance * error}
+    if suffix == ".nc":
+        write_solution(path, solution, by_patch, metadata)
+        return
     if suffix == ".vtu":
         corners, patch = sides(patches)
         cells = {name: values[patch] for name, values in by_patch.items()} | {"patch": patch}

@@ -1,0 +1,176 @@
+"""Pictures of a solution as a camera sees it: the radiosities themselves, or gathered from them at what is in view."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import ArrayLike
+
+from etendue.core import Measurement, OptionError, Result
+from etendue.methods import ImageMethod, ImageSettings, Path
+from etendue.scene import Problem, check, load
+from etendue.transport import Camera
+
+from .errors import RadiosityError
+from .solvers import Solution
+from .surfaces import PatchSurfaces, SurfaceValues, check_colours, radiosity_on
+
+#: Suffixes of pictures, and what they are.
+PICTURE_FILES = {".exr": "picture with its layers", ".png": "picture, tone-mapped"}
+
+
+def picture(
+    solution: Solution,
+    scene: Any,
+    *,
+    samples: int = 16,
+    gather: int = 0,
+    smooth: bool = True,
+    angle: float = 30.0,
+    irradiance_error: ArrayLike | None = None,
+    size: tuple[int, int] | None = None,
+    sensor: int = 0,
+    seed: int = 0,
+    on_pass: Callable[[int, int], object] | None = None,
+) -> Result:
+    r"""What a sensor of ``scene`` sees of a solution: ``layers["image"]``, (height, width, 3), linear radiance.
+
+    ``scene`` is whatever :func:`etendue.scene.load` takes, or what it returns; its shapes are those that the patches
+    were made of, curved ones included. All kinds of sensor serve, and pixels are filtered as in other methods.
+
+    Without ``gather`` the picture shows the radiosity B of what is seen, as the radiance B / pi, by ``samples`` rays a
+    pixel: emission and reflectance of the patch, and the irradiance, smooth over edges of at most ``angle`` degrees;
+    with ``smooth=False`` what each patch has. Of the scene it takes nothing but the shapes.
+
+    With ``gather`` paths a pixel [Reichert 1992], the scene's own materials and lights count where the camera looks,
+    through mirrors to the first surface that is none. Light that comes from lights directly is found there anew, by
+    light points and hits as in ``path``; what it gets from surfaces is read off the solution, one ray on:
+
+    .. math:: L = L_e + \int f (L_e' + (B' - E') / \pi) |cos| d\omega
+
+    irradiance_error: see :func:`save_solution`; gives the layer ``error``, the standard error of the radiance B / pi at
+    what is seen, as the lines leave it. on_pass: called with the number of passes that are done and of all.
+
+    Raises :class:`RadiosityError` for other than one channel or three and errors of another shape,
+    :class:`etendue.core.OptionError` for numbers of samples below 1, and what loading raises.
+    """
+    check_colours(solution)
+    for name, value, least in (("samples", samples, 1), ("gather", gather, 0)):
+        if isinstance(value, bool) or not isinstance(value, int) or value < least:
+            raise OptionError(f"{name} is a whole number of at least {least}, not {value!r}")
+    error = None if irradiance_error is None else np.asarray(irradiance_error, dtype=np.float64)
+    if error is not None and error.shape != solution.irradiance.shape:
+        raise RadiosityError(f"errors of the irradiance have its shape, {solution.irradiance.shape}: {error.shape}")
+    if isinstance(scene, Problem) and (size is not None or sensor):
+        raise OptionError("what load has returned has its sensor and size: give these to load")
+    problem = scene if isinstance(scene, Problem) else load(scene, size=size, sensor=sensor, check=False)
+    if gather or problem.scene.emitters():
+        check(problem.scene, problem.sensor)  # without gathering, a scene may do without lights
+    surfaces = PatchSurfaces(solution.patches)
+    values = radiosity_on(surfaces, solution, smooth=smooth, angle=angle, emission=gather == 0)
+    method = _Gathered(surfaces, values) if gather else _Seen(surfaces, values, solution.patches.sky)
+    layers = {"image": _run(method, problem, gather or samples, seed, on_pass)}
+    if error is not None:
+        reflected = SurfaceValues(surfaces, solution.patches.reflectance * error)
+        layers["error"] = _run(_Seen(surfaces, reflected), problem, min(samples, 16), seed)
+    known = {"method": method.name, "samples": gather or samples, "smooth": smooth, "patches": len(solution.patches)}
+    return Result(layers, known)
+
+
+def _run(
+    method: ImageMethod, problem: Problem, samples: int, seed: int, on_pass: Callable[[int, int], object] | None = None
+) -> Any:
+    """The picture by ``samples`` paths a pixel, or a few more."""
+    method.prepare(problem, seed)
+    if method.samples_per_iteration > samples:
+        method.settings = dataclasses.replace(method.settings, samples_per_pass=samples)
+    passes = -(-samples // method.samples_per_iteration)
+    total: Measurement | None = None
+    for iteration in range(passes):
+        measured = method.step(iteration, seed)
+        total = measured if total is None else total + measured
+        if on_pass is not None:
+            on_pass(iteration + 1, passes)
+    assert total is not None
+    return method.develop(total).image
+
+
+class _Seen(ImageMethod):
+    """Values over pi at what the camera sees first, and of the sky beyond."""
+
+    name: ClassVar[str] = "radiosity"
+    Settings: ClassVar[type[ImageSettings]] = ImageSettings
+
+    def __init__(self, surfaces: PatchSurfaces, values: SurfaceValues, sky: ArrayLike = 0.0) -> None:
+        super().__init__()
+        self._surfaces, self._values = surfaces, values
+        self._sky = [float(value) / np.pi for value in np.broadcast_to(sky, (3,))]
+
+    def prepare(self, problem: Problem, seed: int) -> None:
+        """See :class:`ImageMethod`. Lights are not asked for: there may be none."""
+        self.problem, self.scene, self.camera = problem, problem.scene, Camera(problem)
+
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Any], dict[str, float]]:
+        """See :class:`ImageMethod`."""
+        lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
+        source = self.camera_numbers(lanes, samples, seed, iteration)
+        ray, weight, _ = self.camera.primary(lanes // samples, source)
+        si = self.scene.ray_intersect(ray, mi.RayFlags.Minimal, coherent=True)
+        hit, n = si.is_valid(), _towards(si, ray.d)
+        dr.eval(si.p, n, hit, weight)
+        value = self._values.at(self._surfaces.find(si.p, n, hit)) / np.pi
+        image = self.image(weight * dr.select(hit, value, mi.Color3f(*self._sky)))
+        count = float(len(lanes))
+        return {"image": image}, {"rays": 2 * count, "paths": count, "nonfinite": 0.0}
+
+
+class _Gathered(Path):
+    """Path tracing that ends at the second surface that is no mirror, with what the solution says it reflects."""
+
+    name: ClassVar[str] = "radiosity-gather"
+    citations: ClassVar[tuple[str, ...]] = ("Reichert1992",)
+
+    def __init__(self, surfaces: PatchSurfaces, reflected: SurfaceValues) -> None:
+        super().__init__()
+        self._surfaces, self._reflected = surfaces, reflected
+
+    def trace(self, pixel: Any, source: Any) -> Any:
+        """See :class:`Path`. What has been reached is read off the solution when all paths have ended, since it takes
+        rays of another scene."""
+        state = super().trace(pixel, source)
+        _, p, n, throughput, reached = state.parts
+        _, weight, _ = self.camera.primary(pixel, source)
+        throughput = throughput * weight
+        dr.eval(state.radiance, state.rays, p, n, throughput, reached)
+        value = self._reflected.at(self._surfaces.find(p, n, reached))
+        state.radiance += dr.select(reached, throughput * value / np.pi, 0.0)
+        return state
+
+    def parts(self, source: Any) -> list[Any]:
+        """Whether a surface has scattered that is no mirror; where the path ended: point, normal, throughput, and
+        whether it did."""
+        return [mi.Bool(False), mi.Point3f(0.0), mi.Normal3f(0.0), mi.Color3f(0.0), mi.Bool(False)]
+
+    def leave(self, s: Any, here: Any, scattered: Any) -> None:
+        """See :class:`Path`."""
+        s.parts[0] = s.parts[0] | (s.active & scattered.active & ~scattered.is_delta & ~scattered.is_null)
+
+    def finish(self, s: Any, source: Any, si: Any, bsdf: Any) -> Any:
+        """See :class:`Path`."""
+        ends = s.active & s.parts[0]
+        found = (si.p, _towards(si, s.ray.d), s.throughput)
+        for k, value in enumerate(found, start=1):
+            s.parts[k] = dr.select(ends, value, s.parts[k])
+        s.parts[4] = s.parts[4] | ends
+        s.active &= ~ends
+        return ends
+
+
+def _towards(si: Any, direction: Any) -> Any:
+    """The geometric normal on the side that rays along ``direction`` come from."""
+    return dr.select(dr.dot(si.n, direction) > 0.0, -si.n, si.n)

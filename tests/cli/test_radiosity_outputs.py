@@ -1,0 +1,123 @@
+"""`etendue radiosity`: pictures, lightmaps, netCDF and glTF; options that do not belong together."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from etendue.cli import radiosity_outputs as outputs
+from etendue.cli.main import main
+from etendue.film import read_exr, read_image
+
+io = pytest.importorskip("scipy.io")
+pytest.importorskip("trimesh")
+
+SCENE = """<scene version="3.0.0">
+    <sensor type="perspective"><float name="fov" value="60"/>
+        <transform name="to_world"><lookat origin="0, -0.9, 0.2" target="0, 1, 0" up="0, 0, 1"/></transform>
+        <film type="hdrfilm"><integer name="width" value="24"/><integer name="height" value="18"/></film></sensor>
+    <sensor type="perspective"/>
+    <shape type="cube"><boolean name="flip_normals" value="true"/><bsdf type="diffuse"/></shape>
+    <shape type="rectangle"><transform name="to_world"><scale value="0.5"/><translate z="-0.5"/></transform>
+        <bsdf type="diffuse"/><emitter type="area"><rgb name="radiance" value="1, 2, 4"/></emitter></shape>
+</scene>
+"""
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("scene.xml").write_text(SCENE)
+
+
+def run(command: str, variant: str) -> int:
+    return main(shlex.split(f"radiosity scene.xml --bundles 32 --max-area 0.5 --variant {variant} {command}"))
+
+
+def test_a_picture_with_its_error(capsys, variant):
+    assert run("-o p.exr --gather 4 --size 16x12", variant) == 0
+    assert capsys.readouterr().out == "p.exr\n"
+    made = read_exr("p.exr")
+    assert made.image.shape == (12, 16, 3) and made.image.min() >= 0 and made.layers["error"].max() > 0
+    assert made.metadata["method"] == "radiosity-gather" and made.metadata["bundles"] == 32
+    assert made.metadata["solver"] == "conjugate-gradient" and made.metadata["samples"] == 4
+
+
+def test_an_eight_bit_picture_and_its_error(capsys, variant):
+    assert run("-o p.png --error-picture --flat --spp 2", variant) == 0
+    out, err = capsys.readouterr()
+    assert out == "p.png\np-error.png\n" and "p-error.png: relative standard error, black 0.1% to yellow 100%" in err
+    assert read_image("p.png").shape == read_image("p-error.png").shape == (18, 24, 3)
+    assert np.ptp(read_image("p-error.png")) > 0
+
+
+def test_arrays_and_vertex_colours(variant):
+    assert run("-o s.nc", variant) == 0
+    with io.netcdf_file("s.nc", "r", mmap=False) as file:
+        assert {"radiosity", "radiosity_error", "vertex_x"} <= set(file.variables)
+        assert json.loads(file.metadata)["source"] == "scene.xml"
+    assert run("-o s.glb", variant) == 0
+    assert Path("s.glb").read_bytes().startswith(b"glTF")
+
+
+def test_a_solution_is_written_in_other_ways(capsys, variant):
+    """Later, through another sensor or as another file: the same as at once."""
+    assert run("-o p.exr --sensor 0", variant) == 0
+    for name in ("s.npz", "s.nc"):
+        assert run(f"-o {name}", variant) == 0
+        capsys.readouterr()
+        assert run(f"-o again.exr --solution {name}", variant) == 0
+        out, err = capsys.readouterr()
+        assert out == "again.exr\n" and "segments" not in err
+        for layer in ("image", "error"):
+            np.testing.assert_allclose(read_exr("again.exr").layers[layer], read_exr("p.exr").layers[layer], atol=1e-5)
+    assert run("-o again.vtu --solution s.nc", variant) == 0 and Path("again.vtu").is_file()
+
+
+@pytest.mark.parametrize(("output", "mesh"), [("m.glb", "m.glb"), ("m.exr", "m.glb"), ("m.obj", "m.obj")])
+def test_a_lightmap_and_its_mesh(output, mesh, capsys, variant):
+    pytest.importorskip("xatlas")
+    assert run(f"-o {output} --lightmap 128", variant) == 0
+    out, err = capsys.readouterr()
+    assert out == f"m.exr\n{mesh}\n" and "covered by surfaces" in err
+    made = read_exr("m.exr")
+    assert max(made.image.shape[:2]) <= 128 and made.image.min() > 0
+    if mesh == "m.glb":  # the map on the coordinates that were written for it
+        assert run("-o again.exr --lightmap 64 --uv m.glb", variant) == 0
+        assert read_exr("again.exr").image.shape == (64, 64, 3)
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("-o s.tiff", "take .npz, .vtu, .ply, .nc, .glb, .gltf, .exr, .png"),
+        ("-o s.vtu --gather 4", "--gather is for pictures"),
+        ("-o s.exr --lightmap 64 --uv scene --size 8x8", "--size is for pictures"),
+        ("-o s.exr --error-picture", "--error-picture is for .png"),
+        ("-o s.png --error-picture --bundles 1", "--error-picture needs two bundles"),
+        ("-o s.exr --uv scene", "--uv is for lightmaps"),
+        ("-o s.vtu --lightmap 64", "take .exr, .glb, .gltf, .obj"),
+        ("-o s.exr --lightmap 64 --uv scene", "texture coordinates overlap"),
+        ("-o s.exr --lightmap 64 --uv nothing.glb", "there is no mesh file 'nothing.glb'"),
+        ("-o s.exr --sensor 7", "has no sensor 7"),
+        ("-o s.exr --lightmap 4", "16"),
+        ("-o nowhere/s.exr", "there is no folder"),
+        ("-o s.exr --solution old.npz", "there is no file of a solution 'old.npz'"),
+        ("-o s.exr --solution scene.xml", "is no file of a solution"),
+    ],
+)
+def test_bad_input(command, message, capsys, variant):
+    assert run(command, variant) in (2, 3, 5)
+    err = capsys.readouterr().err
+    assert message in err.splitlines()[-1]
+    assert [path.name for path in Path().iterdir()] == ["scene.xml"]
+
+
+def test_a_missing_library_is_named_first(monkeypatch, capsys, variant):
+    monkeypatch.setattr(outputs, "find_spec", lambda name: None)
+    assert run("-o m.glb --lightmap 64", variant) == 6
+    assert "pip install 'etendue[lightmap]'" in capsys.readouterr().err

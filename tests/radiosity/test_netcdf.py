@@ -1,0 +1,144 @@
+"""netCDF files of form factors, segments and solutions."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from support.patches import box, cube, joined, square
+
+from etendue.points import OwenSobol
+from etendue.radiosity import (
+    ABuffer,
+    Patches,
+    RadiosityError,
+    form_factors,
+    netcdf,
+    read_form_factors,
+    read_segments,
+    read_solution,
+    save_form_factors,
+    save_segments,
+    save_solution,
+    solve,
+)
+
+io = pytest.importorskip("scipy.io")
+
+
+@pytest.fixture(scope="module")
+def segments():
+    light = np.outer(np.repeat([0, 1, 0, 0, 0, 0], 4), [1.0, 2.0])
+    return ABuffer(cube(2, reflectance=0.5, emission=light), OwenSobol(4, seed=1)).cast(32)
+
+
+def opened(path):
+    return io.netcdf_file(str(path), "r", mmap=False)
+
+
+@pytest.mark.parametrize("estimator", ["F1", "reciprocal"])
+def test_form_factors(tmp_path, segments, estimator):
+    factors = form_factors(segments, estimator)
+    save_form_factors(tmp_path / "f.nc", factors, emissivity=0.25, metadata={"seed": 1, "source": "Bögen.ply"})
+    again = read_form_factors(tmp_path / "f.nc")
+    assert abs(again.matrix - factors.matrix).max() == 0 and abs(again.errors - factors.errors).max() == 0
+    for name in ("areas", "sky", "lines"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(factors, name))
+    assert solve(segments.patches, again).residual < 1e-6
+    assert (tmp_path / "f.nc").read_bytes().startswith(b"CDF\x02")  # the classic format with 64-bit offsets
+    with opened(tmp_path / "f.nc") as file:
+        assert file.Conventions == b"CF-1.11" and json.loads(file.metadata)["source"] == "Bögen.ply"
+        assert file.variables["area"].units == b"m2" and file.variables["form_factor"].units == b"1"
+        start, column, data = (file.variables[name].data for name in ("row_start", "column", "form_factor"))
+        row = np.zeros(24)
+        row[column[start[5] : start[6]]] = data[start[5] : start[6]]
+        np.testing.assert_array_equal(row, factors.matrix.toarray()[5])
+        assert file.variables["emissivity"].data.tolist() == [0.25] * 24
+
+
+def test_segments(tmp_path, segments):
+    save_segments(tmp_path / "s.nc", segments, metadata={"bundles": 32})
+    again = read_segments(tmp_path / "s.nc", segments.patches)
+    assert len(again) == len(segments) and again.batch_count == segments.batch_count
+    values = np.random.default_rng(1).random((24, 2))
+    np.testing.assert_allclose(again.gather(values), segments.gather(values), rtol=1e-12)
+    np.testing.assert_allclose(again.gather_error(values), segments.gather_error(values), rtol=1e-9)
+    np.testing.assert_array_equal(again.expected, segments.expected)
+    with pytest.raises(RadiosityError, match="of 24 patches of other areas"):
+        read_segments(tmp_path / "s.nc", cube(3))
+
+
+def test_a_solution(tmp_path, segments):
+    solution = solve(segments.patches, segments)
+    error = segments.gather_error(solution.radiosity)
+    save_solution(tmp_path / "s.nc", solution, irradiance_error=error, metadata={"bundles": 32})
+    with opened(tmp_path / "s.nc") as file:
+        found = {name: variable.data for name, variable in file.variables.items()}
+        radiosity = file.variables["radiosity"]
+        assert radiosity.units == b"W m-2" and radiosity.dimensions == ("patch", "channel")
+        assert radiosity.coordinates == b"centre_x centre_y centre_z"
+    np.testing.assert_array_equal(found["radiosity"], solution.radiosity)
+    np.testing.assert_allclose(found["radiosity_error"], 0.5 * error)
+    np.testing.assert_allclose(found["net_flux"] * found["area"][:, None], solution.net_power)
+    vertices = np.stack([found[f"vertex_{axis}"] for axis in "xyz"], axis=1)
+    centres = np.stack([found[f"centre_{axis}"] for axis in "xyz"], axis=1)
+    np.testing.assert_allclose(vertices[found["face_vertices"]].mean(axis=1), centres[found["front_patch"]])
+    assert (found["back_patch"] == -1).all()
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".nc"])
+def test_a_solution_is_read_again(tmp_path, suffix):
+    """Sheets, triangles, groups of faces, numbers of patches: all as they were."""
+    vertices, faces = joined(
+        box((0, 0, 0), (1, 1, 1), 2, inward=True), square((0.2, 0.2, 0.5), (0.5, 0, 0), (0, 0.5, 0))
+    )
+    vertices = np.concatenate([vertices, [[0.1, 0.1, 0.2], [0.4, 0.1, 0.2], [0.1, 0.4, 0.2]]])
+    faces = np.concatenate([faces, len(vertices) - np.array([[3, 2, 1, 1]])])
+    ids = np.array([7, 7, *range(10, 33), 40])
+    sheets = np.isin(np.unique(ids), (32, 40))
+    patches = Patches(
+        vertices, faces, ids=ids, two_sided=sheets, reflectance=0.5, emission=[[1.0, 2.0]], sky=[0.5, 0.25]
+    )
+    segments = ABuffer(patches).cast(32)
+    solution = solve(patches, segments)
+    error = segments.gather_error(solution.radiosity, patches.sky)
+    save_solution(tmp_path / f"s{suffix}", solution, irradiance_error=error)
+    again, read_error = read_solution(tmp_path / f"s{suffix}")
+    np.testing.assert_allclose(read_error, error)
+    for name in ("radiosity", "irradiance", "sky_share", "residuals"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(solution, name))
+    for name in ("vertices", "faces", "front", "back", "labels", "areas", "normals", "reflectance", "emission", "sky"):
+        np.testing.assert_array_equal(getattr(again.patches, name), getattr(patches, name))
+    save_solution(tmp_path / f"s{suffix}", solution)
+    assert read_solution(tmp_path / f"s{suffix}")[1] is None
+
+
+@pytest.mark.parametrize("name", ["s.npz", "s.nc"])
+def test_other_files_are_no_solutions(tmp_path, segments, name):
+    with pytest.raises(RadiosityError, match="there is no file of a solution"):
+        read_solution(tmp_path / name)
+    (tmp_path / name).write_bytes(b"something else")
+    with pytest.raises(RadiosityError, match="solution"):
+        read_solution(tmp_path / name)
+    save_form_factors(tmp_path / name, form_factors(segments))
+    with pytest.raises(RadiosityError, match="no file of a solution"):
+        read_solution(tmp_path / name)
+
+
+def test_refusals(tmp_path, segments, monkeypatch):
+    with pytest.raises(RadiosityError, match=r"written as \.nc"):
+        save_segments(tmp_path / "s.npz", segments)
+    monkeypatch.setattr(netcdf, "_LARGEST", 1000)
+    with pytest.raises(RadiosityError, match=r"holds 2: write \.npz"):
+        save_form_factors(tmp_path / "f.nc", form_factors(segments))
+    monkeypatch.undo()
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(RadiosityError, match="there is no file of form factors"):
+        read_form_factors(tmp_path / "f.nc")
+    (tmp_path / "f.nc").write_bytes(b"no netCDF at all")
+    with pytest.raises(RadiosityError, match="no netCDF file of the classic format"):
+        read_form_factors(tmp_path / "f.nc")
+    save_segments(tmp_path / "s.nc", segments)
+    with pytest.raises(RadiosityError, match="it has no variable 'row_start'"):
+        read_form_factors(tmp_path / "s.nc")
