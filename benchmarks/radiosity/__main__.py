@@ -39,7 +39,7 @@ Out = Annotated[Path, typer.Option(help="Folder for plots.")]
 Keep = Annotated[bool, typer.Option("--record", help="Append the tables to benchmarks/radiosity/RESULTS.md.")]
 
 _OUT = Path("global-lines-output")
-_RAYS, _BUNDLES = 1 << 22, 4096
+_RAYS, _BUNDLES = 1 << 23, 4096
 _EVERY = ",".join(DRIVERS)
 _GOOD = f"{INDEPENDENT},halton,sobol"
 
@@ -68,9 +68,9 @@ def _opened(name: str, detail: float, rays: int, bundles: int) -> tuple[RayScene
 def sequences(
     scene: Scenes = "six-cubes,room",
     sequences: Sequences = _EVERY,
-    lines: Lines = 1 << 17,
-    least: Least = 1 << 11,
-    seeds: Seeds = 12,
+    lines: Lines = 1 << 19,
+    least: Least = 1 << 13,
+    seeds: Seeds = 10,
     detail: Detail = 1.0,
     rays: Rays = _RAYS,
     bundles: ReferenceBundles = _BUNDLES,
@@ -89,9 +89,9 @@ def sequences(
 def generators(
     scene: Scenes = "four-chairs",
     sequences: Sequences = _GOOD,
-    lines: Lines = 1 << 16,
-    least: Least = 1 << 11,
-    seeds: Seeds = 12,
+    lines: Lines = 1 << 17,
+    least: Least = 1 << 12,
+    seeds: Seeds = 10,
     detail: Detail = 1.0,
     rays: Rays = _RAYS,
     bundles: ReferenceBundles = _BUNDLES,
@@ -110,8 +110,8 @@ def generators(
 def direct(
     scene: Scenes = "six-cubes",
     sequences: Sequences = _GOOD,
-    lines: Lines = 1 << 16,
-    least: Least = 1 << 12,
+    lines: Lines = 1 << 17,
+    least: Least = 1 << 13,
     seeds: Seeds = 16,
     detail: Detail = 1.0,
     rays: Rays = _RAYS,
@@ -130,10 +130,12 @@ def direct(
 @app.command()
 def estimators(
     scene: Scenes = "nine-cubes,test-one",
-    lines: Annotated[str, typer.Option(help="Numbers, separated by commas.", metavar="N,...")] = "50000,100000,500000",
+    lines: Annotated[
+        str, typer.Option(help="Numbers, separated by commas.", metavar="N,...")
+    ] = "50000,100000,500000,1000000",
     seeds: Seeds = 10,
     detail: Detail = 1.0,
-    bundles: ReferenceBundles = 4096,
+    bundles: ReferenceBundles = _BUNDLES,
     out: Out = _OUT,
     variant: Variant = None,
     record: Keep = False,

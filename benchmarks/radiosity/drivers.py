@@ -1,4 +1,4 @@
-"""What draws lines in the thesis: independent numbers, sequences, and two ways to do it wrong.
+"""What draws lines: the independent numbers and sequences of the thesis, and two that show why some of these fail.
 
 Every set is moved by a random vector modulo 1, another one for each seed, or is random itself.
 """
@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any, ClassVar
+
+import numpy as np
 
 from etendue.points import (
     FaureHalton,
@@ -44,6 +46,33 @@ class ConsecutiveHalton(PointSet):
         return radical_inverse(2 * index + dimension // 2, 2 + dimension % 2)
 
 
+class ShuffledHammersley(ThesisHammersley):
+    """The same points in a random order, so that lines drawn one after the other have nothing in common."""
+
+    name = "shuffled-hammersley"
+
+    def __init__(self, dimension: int, size: int, seed: int) -> None:
+        super().__init__(dimension, size)
+        self._order = np.random.default_rng(seed).permutation(size).astype(np.uint32)
+
+    def _coordinate(self, index: Any, dimension: int) -> Any:
+        return super()._coordinate(self._order[index], dimension)
+
+
+class GoldenWeyl(PointSet):
+    """``frac(i / g^(d + 1))`` with g^5 = g + 1, the golden ratio's cousin in four dimensions: like Weyl's points, but
+    sums of small multiples of the four numbers keep away from whole ones."""
+
+    name = "golden-weyl"
+    max_dimension = 4
+
+    def _coordinate(self, index: Any, dimension: int) -> Any:
+        return np.mod(index * _GOLDEN ** -(dimension + 1.0), 1.0)
+
+
+#: The root above 1 of g^5 = g + 1.
+_GOLDEN = float(max(np.roots([1, 0, 0, 0, -1, -1]).real))
+
 #: (number of points, seed) to a set of four dimensions.
 Driver = Callable[[int, int], PointSet]
 
@@ -56,5 +85,7 @@ DRIVERS: dict[str, Driver] = {
     "owen-sobol": lambda count, seed: OwenSobol(4, seed),
     "weyl": lambda count, seed: RandomShift(Weyl(4), seed),
     "hammersley": lambda count, seed: RandomShift(ThesisHammersley(4, count), seed),
+    "shuffled hammersley": lambda count, seed: RandomShift(ShuffledHammersley(4, count, seed), seed),
+    "golden weyl": lambda count, seed: RandomShift(GoldenWeyl(4), seed),
     "consecutive halton": lambda count, seed: RandomShift(ConsecutiveHalton(4), seed),
 }
