@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,11 @@ _SLOPES = {
     "six-cubes": {"halton": -1.098, "sobol": -1.102, "hammersley": -0.884, "weyl": -1.157, INDEPENDENT: -1.0},
     "room": {"halton": -1.113, "sobol": -1.122, "hammersley": -0.874, "weyl": -1.132, INDEPENDENT: -1.0},
 }
+#: Curves of a plot, which has six styles.
+_PLOTS = {
+    "sequences": (INDEPENDENT, "halton", "scrambled halton", "sobol", "weyl", "hammersley"),
+    "causes": (INDEPENDENT, "owen-sobol", "weyl", "golden weyl", "hammersley", "shuffled hammersley"),
+}
 #: Issue 5 asks for this from Halton's or Sobol's points on six-cubes.
 _BAR = 0.65
 #: The last numbers of lines whose ratios are averaged.
@@ -42,7 +48,7 @@ def tasks(scene: RayScene, exact: Reference, names: list[str]) -> dict[str, Task
     def error(name: str, lines: int, seed: int) -> float:
         return mean_squared_error(patches, half_and_half(scene, DRIVERS[name], lines, seed).radiosity, exact.radiosity)
 
-    return {name: lambda lines, seed, name=name: error(name, lines, seed) for name in names}
+    return {name: partial(error, name) for name in names}
 
 
 def direct_tasks(scene: RayScene, exact: Reference, names: list[str]) -> dict[str, Task]:
@@ -52,7 +58,7 @@ def direct_tasks(scene: RayScene, exact: Reference, names: list[str]) -> dict[st
     def error(name: str, lines: int, seed: int) -> float:
         return mean_squared_error(patches, shot_only(scene, DRIVERS[name], lines, seed), exact.direct)
 
-    return {name: lambda lines, seed, name=name: error(name, lines, seed) for name in names}
+    return {name: partial(error, name) for name in names}
 
 
 def measure(
@@ -62,10 +68,11 @@ def measure(
     tracks = sweep(tasks(scene, exact, names), marks(lines, least), seeds)
     plain = tracks[INDEPENDENT]
     label = "mean squared error of the radiosity"
-    over_lines = {name: track.points for name, track in tracks.items()}
-    over_time = {name: track.points_in_time for name, track in tracks.items()}
-    plotting.save(out / f"sequences-lines-{title}.svg", over_lines, title, "local and as many global lines", label, 1.0)
-    plotting.save(out / f"sequences-time-{title}.svg", over_time, title, "seconds", label, 1.0)
+    for plot, shown in _PLOTS.items():
+        curves = {name: tracks[name].points for name in shown if name in tracks}
+        plotting.save(out / f"{plot}-{title}.svg", curves, title, "local and as many global lines", label, 1.0)
+    in_time = {name: tracks[name].points_in_time for name in _PLOTS["sequences"] if name in tracks}
+    plotting.save(out / f"sequences-time-{title}.svg", in_time, title, "seconds", label, 1.0)
     heading = f"{title}, {len(scene.patches)} patches, {lines} local and {lines} global lines, {seeds} seeds"
     return [_errors(heading, title, tracks, plain, exact), _slopes(heading, title, tracks)]
 

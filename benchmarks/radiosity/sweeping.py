@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from ..measuring import timed
 
 #: A squared error of a run with so many lines and a seed.
 Task = Callable[[int, int], float]
+Name = TypeVar("Name")
 #: Seeds of local lines are so far from those of global lines.
 _LOCAL = 10_000
 
@@ -87,7 +89,7 @@ def marks(most: int, least: int) -> list[int]:
     return [most >> k for k in halvings]
 
 
-def sweep(tasks: Mapping[str, Task], lines: Sequence[int], seeds: int) -> dict[str, Track]:
+def sweep(tasks: Mapping[Name, Task], lines: Sequence[int], seeds: int) -> dict[Name, Track]:
     """Every task with every number of lines and every seed, in turn, so that what else the machine does meets all
     alike. Each is tried once before the clock runs."""
     shape = seeds, len(lines)

@@ -119,19 +119,40 @@ def test_consecutive_points_are_no_lines(small):
 
 @pytest.mark.slow
 def test_sequences_against_independent_numbers(small):
-    """Errors and slopes. Measured with 740 patches and 131072 lines: see the record of the benchmark."""
-    names = ["independent", "halton", "scrambled halton", "sobol", "weyl", "hammersley"]
+    """Errors and slopes. Measured here, ratios and slopes: 0.45 to 0.48 and -1.15 to -1.22 of the good ones, 1.10
+    and -0.92 of Weyl's points, 0.56 and -1.04 of Hammersley's."""
+    good = ["halton", "sobol", "owen-sobol", "golden weyl", "shuffled hammersley"]
+    names = ["independent", *good, "scrambled halton", "weyl", "hammersley"]
     sweeping = module("sweeping")
     scene, exact = small
-    tracks = sweeping.sweep(module("sequences").tasks(scene, exact, names), sweeping.marks(1 << 15, 1 << 10), 10)
+    tracks = sweeping.sweep(module("sequences").tasks(scene, exact, names), sweeping.marks(1 << 15, 1 << 11), 8)
     plain = tracks["independent"]
     assert exact.noise < 0.02 * min(track.mean[-1] for track in tracks.values())
     assert plain.slope().value == pytest.approx(-1, abs=0.1)
-    for name in ("halton", "sobol", "weyl"):
+    for name in good:
         assert tracks[name].ratio(plain, 3).value < 0.65, name
         assert tracks[name].slope().value < -1.05, name
     assert tracks["scrambled halton"].ratio(tracks["halton"], 3).value == pytest.approx(1, abs=0.15)
-    assert tracks["hammersley"].ratio(plain, 3).value > 1.3 * tracks["halton"].ratio(plain, 3).value
+    # Lines that follow each other along Hammersley's points have much in common; Weyl's four numbers have, too.
+    assert tracks["hammersley"].ratio(tracks["shuffled hammersley"], 3).value > 1.1
+    assert tracks["hammersley"].slope().value > tracks["shuffled hammersley"].slope().value + 0.05
+    assert tracks["weyl"].ratio(plain, 3).value > 0.8
+
+
+@pytest.mark.slow
+def test_generators_are_alike():
+    """As many lines of the sphere have the same error however they are drawn; those from walls all meet the room.
+    Measured: 1.05 and 0.99 (walls: 0.81) of the error of sphere pairs, a half of it with Sobol's points."""
+    sweeping = module("sweeping")
+    scene = RayScene(module("scenes").SCENES["four-chairs"](0.5))
+    exact = module("references").reference(scene, 1 << 20, 512)
+    tasks = module("generators").tasks(scene, exact, ["independent", "sobol"])
+    tracks = sweeping.sweep(tasks, sweeping.marks(1 << 15, 1 << 12), 8)
+    plain = {name: track for (name, points), track in tracks.items() if points == "independent"}
+    for name, track in plain.items():
+        known = track.ratio(plain["sphere-pairs"], 4)
+        assert (0.65 < known.value < 0.95) if name == "box-walls" else known.value == pytest.approx(1, abs=0.15), name
+        assert tracks[name, "sobol"].ratio(track, 4).value < 0.65, name
 
 
 @pytest.mark.slow
