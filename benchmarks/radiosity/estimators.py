@@ -47,7 +47,7 @@ def measure(
         kind: np.array([np.mean([run[kind] for run in runs]) for runs in found]) for kind in ESTIMATORS
     }
     axes = "lines", "sum of squared errors of form factors"
-    curves = {kind: list(zip(map(float, counts), map(float, mean), strict=True)) for kind, mean in means.items()}
+    curves = {str(kind): list(zip(map(float, counts), map(float, mean), strict=True)) for kind, mean in means.items()}
     plotting.save(out / f"estimators-{title}.svg", curves, title, *axes, 1.0)
     record = Record(
         f"Estimators of form factors, {title}, {len(scene.patches)} patches, {seeds} seeds",

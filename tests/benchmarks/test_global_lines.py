@@ -175,7 +175,7 @@ COMMANDS = {
     "direct": _TINY,
     "estimators": ["--detail", "0.3", "--lines", "500,1000", "--seeds", "2", "--bundles", "32"],
 }
-FILES = {"sequences": 4, "generators": 1, "direct": 1, "estimators": 2}
+FILES = {"sequences": 6, "generators": 1, "direct": 1, "estimators": 2}
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -34,6 +34,18 @@ def test_with_more_lines_factors_become_reciprocal_and_closed(estimator):
     assert faults[1][0] < 0.01
 
 
+def test_estimators_of_lines_of_the_whole_scene():
+    """A line from i to j is one from j to i: what F3 and F4 then are."""
+    patches = room(2)
+    segments = ChainedRays(SpherePairs(patches), RayScene(patches), Independent(4, seed=2)).cast(1 << 13)
+    f1, f2, f3, f4 = (np.asarray(form_factors(segments, kind).matrix.todense()) for kind in ("F1", "F2", "F3", "F4"))
+    lines, areas = segments.counted.astype(float), patches.areas
+    counts = f1 * lines[:, None]
+    np.testing.assert_allclose(counts, counts.T, atol=1e-9)
+    np.testing.assert_allclose(f4, (f1 + f2) / 2, atol=1e-12)
+    np.testing.assert_allclose(f3, counts * (1 + areas / areas[:, None]) / (lines[:, None] + lines), atol=1e-12)
+
+
 def lit(patches):
     """A tenth of the room's surface shines."""
     lamp = np.linalg.norm(patches.centres - [0.5, 0.5, 1], axis=1) < 0.36
