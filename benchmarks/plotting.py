@@ -17,10 +17,12 @@ def save(
     title: str,
     x_label: str = "seconds",
     y_label: str = "RMS of luminance",
+    rate: float = 0.5,
 ) -> None:
-    """Errors over seconds or whatever else they fall with, both logarithmic, to ``path``."""
+    """Errors over seconds or whatever else they fall with, both logarithmic, to ``path``; a thin line falls as that to
+    the power of ``-rate``."""
     series = [Series(name, points) for name, points in curves.items()]
-    svg = convergence_plot(series, x_label=x_label, y_label=y_label, title=title, rate=0.5)
+    svg = convergence_plot(series, x_label=x_label, y_label=y_label, title=title, rate=rate)
     if not svg:
         return
     alone = '<svg xmlns="http://www.w3.org/2000/svg" style="background:#fff;color:#222;font-family:sans-serif" '

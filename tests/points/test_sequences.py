@@ -90,6 +90,14 @@ def test_the_other_reading_permutes_inside_each_block():
     assert abs(scrambled[5:10] - standard[5:10]).min() > 0.05
 
 
+def test_the_printed_example_of_the_other_reading():
+    """x1, x3, x2, x4, x5, x7, x6, x8 in base 4 [Castro 2002, sec. 2.2.13]."""
+    points = FaureBlockHalton(1)
+    points._bases = [4]
+    printed = np.array([1, 3, 2, 4, 5, 7, 6, 8])
+    np.testing.assert_allclose(points.block(8)[:, 0], radical_inverse(printed - 1, 4), atol=1e-15)
+
+
 @pytest.mark.parametrize("base", [0, 1, 65536])
 def test_a_base_that_is_none(base):
     for call in (lambda: faure_permutation(base), lambda: radical_inverse(np.arange(3), base)):
