@@ -15,6 +15,7 @@ from etendue.core import Array, BackendError, logger, suggest
 
 from .errors import PatchError
 from .faces import face_vectors, flat_faces, repeated
+from .heat import thermal
 from .patches import Patches
 
 Index = NDArray[np.int64]
@@ -28,6 +29,7 @@ def read_patches(
     *,
     reflectance: ArrayLike | str = 0.0,
     emission: ArrayLike | str = 0.0,
+    temperature: ArrayLike | str | None = None,
     ids: ArrayLike | str | None = None,
     two_sided: ArrayLike = False,
     sky: ArrayLike = 0.0,
@@ -37,6 +39,8 @@ def read_patches(
     reflectance, emission, ids: also the name of an array that the file has for its faces (cell data of VTK and others),
         taken face by face; a patch of several faces gets their mean by area. ``"emissivity"`` as reflectance stands for
         one minus that array.
+    temperature: in kelvin, in the same forms: patches then emit as grey bodies whose emissivity is one minus the
+        reflectance, in W/m^2 (:func:`thermal`).
 
     Triangles and quadrilaterals are taken, other cells left out. Faces without area, and those that are there twice,
     are left out with a warning. Raises :class:`PatchError` for a file that cannot be read, has no faces, or no such
@@ -45,6 +49,8 @@ def read_patches(
     path = Path(path)
     if not path.is_file():
         raise PatchError(f"there is no mesh file {path}")
+    if temperature is not None and (isinstance(emission, str) or np.any(emission)):
+        raise PatchError("patches emit by their temperature or have an emission; give one of the two")
     read = _by_trimesh if path.suffix.lower() in _TRIMESH else _by_meshio
     vertices, faces, cells = read(path)
     if len(faces) == 0:
@@ -58,7 +64,7 @@ def read_patches(
         if reflectance == "emissivity"
         else _cell_array(path, cells, reflectance)
     )
-    exitance = _cell_array(path, cells, emission)
+    exitance, kelvin = _cell_array(path, cells, emission), _cell_array(path, cells, temperature)
     if labels is not None:
         groups, inverse = np.unique(labels, return_inverse=True)
         areas = np.linalg.norm(face_vectors(vertices, faces)[0], axis=1)
@@ -66,7 +72,23 @@ def read_patches(
             rho = _means(rho, inverse, areas, len(groups))
         if isinstance(emission, str):
             exitance = _means(exitance, inverse, areas, len(groups))
-    return Patches(vertices, faces, reflectance=rho, emission=exitance, ids=labels, two_sided=two_sided, sky=sky)
+        if isinstance(temperature, str):
+            kelvin = _means(kelvin, inverse, areas, len(groups))
+    patches = Patches(vertices, faces, reflectance=rho, emission=exitance, ids=labels, two_sided=two_sided, sky=sky)
+    return patches if temperature is None else _warm(patches, np.asarray(kelvin, dtype=np.float64).ravel(), sky)
+
+
+def _warm(patches: Patches, kelvin: Array, sky: ArrayLike) -> Patches:
+    """Patches at temperatures, one or one for each front; a back has that of its front."""
+    if patches.channels > 1:
+        raise PatchError("grey bodies have one reflectance, not one for each channel: see thermal() for bands")
+    back = patches.other_side[patches.other_side >= 0]
+    fronts = len(patches) - len(back) // 2
+    if len(kelvin) not in (1, fronts, len(patches)):
+        raise PatchError(f"there are {len(kelvin)} temperatures for {fronts} patches")
+    if len(kelvin) == fronts:
+        kelvin = np.concatenate([kelvin, kelvin[back[back < fronts]]])
+    return thermal(patches, kelvin, 1 - patches.reflectance).with_properties(sky=sky)
 
 
 def sound_faces(vertices: Array, faces: Index, where: str) -> tuple[Array, Index, Index]:
@@ -78,20 +100,23 @@ def sound_faces(vertices: Array, faces: Index, where: str) -> tuple[Array, Index
     if not np.isfinite(vertices).all():
         bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
         raise PatchError(f"{where}: {len(bad)} vertices are not finite, the first is number {bad[0]}; mend the mesh")
-    quads, rows = flat_faces(vertices, faces)
+    try:
+        quads, rows = flat_faces(vertices, faces)
+    except PatchError as error:
+        raise PatchError(f"{where}: {error}") from None
     _, flat = face_vectors(vertices, quads)
     empty = np.ones(len(faces), dtype=bool)
     np.logical_and.at(empty, rows, flat)
     kept = np.flatnonzero(~empty)
     twice = repeated(vertices, faces[kept])
     kept = np.delete(kept, twice)
+    if len(kept) == 0:
+        raise PatchError(f"{where}: none of {len(faces)} faces has an area")
     if empty.any() or len(twice):
         logger.warning(
             "%s: of %d faces %d have no area and %d are there twice; they are left out",
             *(where, len(faces), np.count_nonzero(empty), len(twice)),
         )
-    if len(kept) == 0:
-        raise PatchError(f"{where}: none of {len(faces)} faces has an area")
     return vertices, faces[kept], kept
 
 
