@@ -122,6 +122,8 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("radiosity spot.xml", "has no surface"),
         ("radiosity white.xml", "reflects 1.2 of the light"),
         ("radiosity room.ply", "'room.ply' has no light; give --emission or --temperature"),
+        ("radiosity room.ply --emission 1 -o p.png", "a picture takes a scene, for its camera"),
+        ("radiosity room.ply --emission 1 -o p.exr --lightmap 64 --uv scene", "--uv scene takes a scene"),
         ("radiosity nothing.obj", "there is no mesh file nothing.obj"),
         ("radiosity room.ply --emission glow", "no array 'glow' for its faces"),
         ("radiosity room.ply --emission 1 --reflectance 1", "must be in [0, 1)"),

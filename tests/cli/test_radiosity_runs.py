@@ -140,6 +140,18 @@ def test_a_checkpoint_goes_on_to_more_of_the_same_and_to_nothing_else(capsys):
         assert message in capsys.readouterr().err.splitlines()[-1]
 
 
+def test_pictures_are_resumed_as_they_were_asked_for(capsys, variant):
+    command = "radiosity cornell-box --max-area 0.5 --size 24x16 --error-picture --flat"
+    assert run(f"{command} -o p.png --bundles 16 --checkpoint c --variant {variant}") == 0
+    before = Path("p.png").read_bytes()
+    capsys.readouterr()
+    assert run(f"resume c --bundles 64 --variant {variant}") == 0
+    names = [str(Path(name).absolute()) for name in ("p.png", "p-error.png")]
+    assert capsys.readouterr().out.split() == names
+    after = Path("p.png").read_bytes()
+    assert after != before and after[16:24] == before[16:24] == bytes([0, 0, 0, 24, 0, 0, 0, 16])
+
+
 def test_ctrl_c_before_any_line(monkeypatch, capsys):
     def interrupted(self, problem, seed):
         os.kill(os.getpid(), signal.SIGINT)

@@ -15,6 +15,7 @@ from etendue.radiosity import (
     RayScene,
     form_factors,
     local_form_factors,
+    save_segments,
     solve,
     with_local_rays,
 )
@@ -131,3 +132,5 @@ def test_what_cannot_be_mixed():
         with_local_rays(mixed)
     with pytest.raises(RadiosityError, match="cannot be added"):
         mixed + segments
+    with pytest.raises(RadiosityError, match="only segments of lines are written"):
+        save_segments("mixed.nc", mixed)
