@@ -136,6 +136,8 @@ class Request:
         for name in ("reflectance", "emission", "temperature", "ids", "sky"):
             if getattr(self, name) is not None:
                 raise OptionError(f"--{name} is for mesh files; the materials and lights of a scene say it")
+        if self.two_sided:
+            raise OptionError("--two-sided is for mesh files; in a scene, materials of type 'twosided' make sheets")
         patches = scene_patches(problem.scene, max_area=self.max_area)
         if not (patches.emission.any() or patches.sky.any()):
             raise SceneError(
