@@ -93,6 +93,16 @@ def test_temperatures_and_patches_by_number(capsys):
     np.testing.assert_allclose(saved["emission"], thermal(patches, means, 0.7).emission)
 
 
+@pytest.mark.parametrize("name", ["rho", "gap", "colour"])
+def test_patches_are_numbered_by_whole_numbers(name, capsys):
+    vertices, faces, emission, reflectance = lit_room()
+    gap, colour = np.where(emission > 0, np.nan, 1.0), np.ones((len(faces), 3))
+    arrays = {"rho": [reflectance], "gap": [gap], "colour": [colour]}
+    meshio.write("odd.vtu", meshio.Mesh(vertices, [("quad", faces)], cell_data=arrays))
+    assert run(f"form-factors odd.vtu --ids {name}") == 3
+    assert f"'{name}' has no whole number for each face" in capsys.readouterr().err
+
+
 def test_a_mesh_under_a_sky_with_channels(capsys):
     vertices, faces, *_ = lit_room()
     meshio.write("open.ply", meshio.Mesh(vertices, [("quad", faces[4:].astype(np.int32))]))

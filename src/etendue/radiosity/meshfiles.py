@@ -20,6 +20,8 @@ from .patches import Patches
 
 Index = NDArray[np.int64]
 
+#: Cells that are taken.
+_FACES = ("triangle", "quad")
 #: What trimesh reads and meshio does not.
 _TRIMESH = (".gltf", ".glb", ".3mf", ".dae")
 
@@ -42,9 +44,10 @@ def read_patches(
     temperature: in kelvin, in the same forms: patches then emit as grey bodies whose emissivity is one minus the
         reflectance, in W/m^2 (:func:`thermal`).
 
-    Triangles and quadrilaterals are taken, other cells left out. Faces without area, and those that are there twice,
-    are left out with a warning. Raises :class:`PatchError` for a file that cannot be read, has no faces, or no such
-    array, and :class:`etendue.core.BackendError` if the library that reads it is not installed.
+    Triangles and quadrilaterals are taken, lines and solids left out. Faces without area, and those that are there
+    twice, are left out with a warning. Raises :class:`PatchError` for a file that cannot be read, has no faces or other
+    ones than these, or no such array, and :class:`etendue.core.BackendError` if the library that reads it is not
+    installed.
     """
     path = Path(path)
     if not path.is_file():
@@ -126,7 +129,12 @@ def _cell_array(path: Path, cells: dict[str, Array], value: Any, whole: bool = F
     if value not in cells:
         what = suggest(value, cells) if cells else "it has no arrays for its faces"
         raise PatchError(f"{path} has no array '{value}' for its faces; {what}")
-    return np.rint(cells[value]).astype(np.int64).ravel() if whole else cells[value]
+    if not whole:
+        return cells[value]
+    labels = np.rint(cells[value]).ravel()
+    if len(labels) != len(cells[value]) or not np.array_equal(labels, cells[value].ravel()):
+        raise PatchError(f"{path}: the array '{value}' has no whole number for each face, and cannot number patches")
+    return labels.astype(np.int64)
 
 
 def _means(values: Any, group: Index, areas: Array, count: int) -> Array:
@@ -145,7 +153,13 @@ def _by_meshio(path: Path) -> tuple[Array, Index, dict[str, Array]]:
         reason = said.getvalue() if isinstance(error, SystemExit) else str(error)
         reason = " ".join(reason.split()).removeprefix("Error: ") or type(error).__name__
         raise PatchError(f"{path} cannot be read as a mesh: {reason}") from error
-    blocks = [(i, block.data) for i, block in enumerate(mesh.cells) if block.type in ("triangle", "quad")]
+    blocks = [(i, block.data) for i, block in enumerate(mesh.cells) if block.type in _FACES]
+    others = [block for block in mesh.cells if block.type not in _FACES and block.type.startswith((*_FACES, "polygon"))]
+    if others:
+        raise PatchError(
+            f"{path} has {sum(map(len, others))} faces of type {others[0].type}, without which there would be holes: "
+            "cut them into triangles or quadrilaterals"
+        )
     faces = [data[:, [0, 1, 2, -1]] for _, data in blocks]
     cells = {
         name: np.concatenate([np.asarray(arrays[i], dtype=np.float64) for i, _ in blocks])
