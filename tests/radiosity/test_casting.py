@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from support.patches import box, cube, joined, square
@@ -51,6 +53,17 @@ def test_passes_make_the_segments_of_the_engine():
     np.testing.assert_array_equal(segments.expected, same.expected)
     assert casting.shot() is None and not isinstance(segments, MixedSegments)
     assert casting.made == len(same)
+
+
+def test_engines_with_other_pieces(monkeypatch):
+    """Dr.Jit's kernels take more bundles at once: steps are as many, and make the same lines."""
+    monkeypatch.setattr(etendue.radiosity.casting, "ABuffer", partial(ABuffer, backend="drjit"))
+    casting = prepared(cube(1), most=200)
+    assert casting.samples_per_iteration == 64
+    result = run(casting, samples=200)
+    assert result.passes == 4 and casting.count == 200
+    loops = ABuffer(cube(1), OwenSobol(4, seed=3), 200).cast(200)
+    assert abs(casting.made - len(loops)) <= 3 and len(casting.segments().chunks) == 4
 
 
 def outcome(casting):

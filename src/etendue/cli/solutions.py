@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 #: Share of what patches see that may be sky without a warning: single convex solids have all of it.
 _ALL_SKY = 0.999
+#: Share that is not worth a word.
+_NO_SKY = 1e-6
 
 
 def factors_to_file(request: Request, casting: LineCasting, segments: Segments) -> None:
@@ -82,7 +84,8 @@ def segments_of(casting: LineCasting) -> Segments:
     with error_console().status("counting"):
         segments = casting.segments()
     sky = segments.to_sky.sum() / max(segments.counted.sum(), 1e-300)
-    open_ends = f", {100 * sky:.3g} % of what patches see is the sky" if sky > 0 else ""
+    # In a closed mesh no line gets out, but of a million rays one may, by their single precision.
+    open_ends = f", {100 * sky:.3g} % of what patches see is the sky" if sky > _NO_SKY else ""
     _say(f"{len(segments)} segments of {casting.count} bundle{'' if casting.count == 1 else 's'}{open_ends}")
     if isinstance(segments, MixedSegments):
         few = int(np.count_nonzero(segments.extra > 0))
