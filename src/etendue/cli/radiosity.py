@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from etendue.core import BackendError, OptionError, OutputError, format_seconds, suggest
+from etendue.core import BackendError, EtendueError, OptionError, OutputError, format_seconds, suggest
 
 from . import options as opt
 from . import radiosity_outputs as out
@@ -277,8 +277,8 @@ def _run(
                 factors_to_file(request, done.casting, segments)
             else:
                 solution_to_file(request, done.casting, segments, problem)
-        except OutputError as error:
-            raise OutputError(f"{error}{_rescued(done, checkpoint)}") from error
+        except EtendueError as error:
+            raise type(error)(f"{error}{_rescued(done, checkpoint)}") from error
     note(error_console(), f"in {format_seconds(time.perf_counter() - began)}")
     say("\n".join(map(str, request.files)))
     return done.status
@@ -330,7 +330,7 @@ def _check_patches(request: Request, patches: Patches, problem: Problem | None) 
 
 
 def _rescued(done: Cast, checkpoint: Path | None) -> str:
-    """Where the lines are if their file cannot be written: in the checkpoint, or one among the temporary files."""
+    """Where the lines are if nothing can be made of them: in the checkpoint, or one among the temporary files."""
     if checkpoint is None:
         try:
             checkpoint = Path(tempfile.mkdtemp(prefix="etendue-")) / "lines.checkpoint"
