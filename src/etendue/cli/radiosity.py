@@ -317,13 +317,15 @@ def _check(request: Request, checkpoint: Path | None) -> None:
 
 def _check_patches(request: Request, patches: Patches, problem: Problem | None) -> None:
     """What can be said before lines are cast."""
-    from etendue.radiosity import RadiosityError, check_text_size
+    from etendue.radiosity import RadiosityError, check_direct, check_text_size
 
     suffix = Path(request.output).suffix.lower()
     if suffix == ".vf":
         check_text_size(request.output, len(patches), 0)
     if request.is_factors:
         return
+    if request.kind == "direct":
+        check_direct(len(patches))
     if suffix in (".ply", ".glb", ".gltf") and patches.channels not in (1, 3):
         raise RadiosityError(f"{suffix} shows one channel or three, not {patches.channels}; write .vtu or .npz")
     request.writer.check_source(problem)

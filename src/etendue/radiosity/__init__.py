@@ -37,7 +37,7 @@ from .shot import FirstShot, first_shot, shot_at_patches, small_emitters
 from .smoothing import VertexRadiosity, vertex_radiosity
 from .solids import box, joined
 from .solutionfiles import read_solution
-from .solvers import SOLVERS, Solution, Solver, Transport, solve
+from .solvers import SOLVERS, Solution, Solver, Transport, check_direct, solve
 
 __all__ = [
     "ESTIMATORS",
@@ -87,6 +87,7 @@ __all__ = [
     "box",
     "breadth_first",
     "check_coordinates",
+    "check_direct",
     "check_file",
     "check_text_size",
     "coloured_mesh",

@@ -153,6 +153,16 @@ def solve(
     )
 
 
+def check_direct(patches: int) -> None:
+    """Raise :class:`RadiosityError` if the direct solution for so many patches does not fit into memory."""
+    free = free_memory()
+    if free is not None and 24 * patches**2 > free:
+        raise RadiosityError(
+            f"direct solution of {patches} patches needs {24e-9 * patches**2:.1f} GB, there are {free / 1e9:.1f}: take "
+            "another solver"
+        )
+
+
 def _after(shot: FirstShot, patches: Patches) -> Patches:
     """Patches that emit what was not shot, and what they reflect of the shot."""
     if shot.emission.shape != patches.emission.shape or not np.array_equal(shot.patches.areas, patches.areas):
@@ -262,12 +272,8 @@ class _ConjugateGradient(_Steps):
 
 class _Direct(_Gathering):
     def improve(self) -> None:
-        n, free = len(self.patches), free_memory()
-        if free is not None and 24 * n**2 > free:
-            raise RadiosityError(
-                f"direct solution of {n} patches needs {24e-9 * n**2:.1f} GB, there are {free / 1e9:.1f}: take another "
-                "solver"
-            )
+        n = len(self.patches)
+        check_direct(n)
         dense, known = np.asarray(self.matrix.todense()), self.known
         for c in range(known.shape[1]):
             system = np.eye(n) - self.reflectance[:, c : c + 1] * dense
