@@ -121,7 +121,33 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("radiosity dark.xml", "no emitter"),
         ("radiosity spot.xml", "has no surface"),
         ("radiosity white.xml", "reflects 1.2 of the light"),
-        ("radiosity room.ply", "not a Mitsuba scene file"),
+        ("radiosity room.ply", "'room.ply' has no light; give --emission or --temperature"),
+        ("radiosity room.ply --emission 1 -o p.png", "a picture takes a scene, for its camera"),
+        ("radiosity room.ply --emission 1 -o p.exr --lightmap 64 --uv scene", "--uv scene takes a scene"),
+        ("radiosity nothing.obj", "there is no mesh file nothing.obj"),
+        ("radiosity room.ply --emission glow", "no array 'glow' for its faces"),
+        ("radiosity room.ply --emission 1 --reflectance 1", "must be in [0, 1)"),
+        ("radiosity room.ply --emission -1", "must not be negative, nor infinite"),
+        ("radiosity room.ply --emission inf", "must not be negative, nor infinite"),
+        ("radiosity room.ply --emission 1 --temperature 300", "give one of the two"),
+        ("radiosity room.ply --temperature -3", "from 0"),
+        ("radiosity room.ply --emission 1 --sky blue", "--sky is a number"),
+        ("radiosity room.ply --emission 1,2 --reflectance 0.1,0.2,0.3", "3 channels, emission 2"),
+        ("radiosity room.ply --emission 1,2 -o s.ply", ".ply shows one channel or three"),
+        ("radiosity room.ply --emission 1 -P a=1", "-P is for scenes"),
+        ("radiosity cornell-box --reflectance 0.5", "--reflectance is for mesh files"),
+        ("radiosity room.ply --emission 1 --max-area 1e-4 --solver direct", "GB, there are"),
+        ("radiosity cornell-box --two-sided", "--two-sided is for mesh files"),
+        ("radiosity room.ply --emission 1 --error 0", "a number above 0"),
+        ("radiosity room.ply --emission 1 --time -1", "a number above 0"),
+        ("radiosity room.ply --emission 1 -o s.npz --checkpoint s.npz", "named for two outputs"),
+        ("radiosity room.ply --emission 1 --checkpoint nowhere/c", "there is no folder"),
+        ("form-factors nan.vtu", "1 vertices are not finite"),
+        ("form-factors lines.vtu", "has no triangles or quadrilaterals"),
+        ("form-factors polygon.obj", "polygon.obj has 1 faces of type polygon"),
+        ("form-factors needles.ply", "none of 2 faces has an area"),
+        ("form-factors room.ply --max-area 1e-4 -o f.vf", "write .npz, where zeros take no place"),
+        ("resume room.ply", "is not an étendue checkpoint"),
     ],
 )
 def test_bad_input(command, message, capsys, variant):
@@ -130,8 +156,14 @@ def test_bad_input(command, message, capsys, variant):
     Path("dark.xml").write_text(SCENE.format(light="", reflectance=0.5))
     Path("spot.xml").write_text(SCENE.format(light='<emitter type="point"/>', reflectance=0.5))
     Path("white.xml").write_text(SCENE.format(light=LAMP, reflectance=1.2))
+    points = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, np.nan]])
+    meshio.write("nan.vtu", meshio.Mesh(points, [("triangle", np.array([[0, 1, 3]]))]))
+    meshio.write("lines.vtu", meshio.Mesh(points[:3], [("line", np.array([[0, 1]]))]))
+    meshio.write("needles.ply", meshio.Mesh(points[:3], [("triangle", np.array([[0, 1, 2], [0, 2, 1]], np.int32))]))
+    Path("polygon.obj").write_text("v 0 0 0\nv 1 0 0\nv 1.5 1 0\nv .5 2 0\nv -.5 1 0\nf 1 2 3\nf 1 2 3 4 5\n")
+    capsys.readouterr()
     before = sorted(Path().iterdir())
-    assert run(command + (f" --variant {variant}" if "radiosity" in command else "")) in (2, 3, 5)
+    assert run(command + (f" --variant {variant}" if "radiosity" in command else "")) in (1, 2, 3, 4, 5)
     err = capsys.readouterr().err
     assert message in err and len(err.splitlines()) == 1
     assert sorted(Path().iterdir()) == before
@@ -146,14 +178,14 @@ def test_a_missing_library_is_named(monkeypatch, capsys):
         )
 
 
-def test_ctrl_c_keeps_the_old_file(monkeypatch, capsys):
-    from etendue.radiosity import ABuffer
+def test_ctrl_c_before_the_first_line_keeps_the_old_file(monkeypatch, capsys):
+    import etendue.radiosity
 
-    def interrupted(*arguments):
+    def interrupted(*arguments, **named):
         raise KeyboardInterrupt
 
     Path("f.npz").write_text("old")
-    monkeypatch.setattr(ABuffer, "cast", interrupted)
+    monkeypatch.setattr(etendue.radiosity, "read_patches", interrupted)
     assert run("form-factors room.ply -o f.npz") == 130
     assert "stopped; nothing was written" in capsys.readouterr().err
     assert Path("f.npz").read_text() == "old" and len(list(Path().iterdir())) == 2

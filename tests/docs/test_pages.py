@@ -9,6 +9,7 @@ import shutil
 from pathlib import Path
 
 import mitsuba as mi
+import numpy as np
 import pytest
 from support.run_files import SCENE, example
 
@@ -105,12 +106,16 @@ COMMANDS = sorted({command for page in PAGES for command in _COMMAND.findall(pag
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory, variant):
     """The files that the examples of the shell name."""
+    meshio = pytest.importorskip("meshio")
     path = tmp_path_factory.mktemp("shell")
     (path / "scene.xml").write_text(SCENE)
     api.render(path / "scene.xml", "path", save=path / "converged.exr", checkpoint=path / "picture.checkpoint")
     (path / "experiment.toml").write_text(example((24, 18), "20, 60"))
     shutil.copy(path / "converged.exr", path / "reference.exr")
     (path / "hall.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    triangle = np.eye(3), [("triangle", np.array([[0, 1, 2]]))]
+    for name, arrays in (("hall", {"rho": [[0.5]], "exitance": [[1.0]], "wall": [[0]]}), ("oven", {"T": [[500.0]]})):
+        meshio.write(path / f"{name}.vtu", meshio.Mesh(*triangle, cell_data=arrays))
     (path / "results").mkdir()
     shutil.copy(path / "picture.checkpoint", path / "results" / "glass.checkpoint")
     return path
@@ -124,8 +129,7 @@ def test_commands_are_understood(command, folder, monkeypatch, capsys):
     monkeypatch.setattr(rendering, "choose_device", lambda variant, threads: None)
     monkeypatch.setattr(rendering, "render_to_files", lambda *arguments: begun.append(arguments) or 0)
     monkeypatch.setattr(compare.Comparison, "run", lambda *arguments: begun.append(arguments) or 0)
-    for name in ("factors_to_file", "solution_to_file"):
-        monkeypatch.setattr(radiosity, name, lambda *arguments: begun.append(arguments) or 0)
+    monkeypatch.setattr(radiosity, "cast", lambda *arguments: begun.append(arguments) or radiosity.Cast(None, 0, print))
     monkeypatch.setattr(radiosity.out.SolutionOutput, "write_again", lambda *arguments: begun.append(arguments) or 0)
     monkeypatch.setattr(doctor, "run_doctor", lambda *arguments: begun.append(arguments) or 0)
     words = shlex.split(command, comments=True)[1:]

@@ -80,11 +80,11 @@ class Comparison:
 
         watch = history.record if self._reference is not None else None
         outcome = follow(lambda: start_job(open_job, outputs, watch), console, name)
-        if outcome.rendering is not None:
-            note(console, summary(outcome.rendering))
-            layers = {k: v for k, v in outcome.rendering.layers.items() if k != "image"}
+        if outcome.result is not None:
+            note(console, summary(outcome.result))
+            layers = {k: v for k, v in outcome.result.layers.items() if k != "image"}
             errors = history.errors(self._reference)
-            entries.append(display.Entry(name, outcome.rendering.image, outcome.rendering.metadata, errors, layers))
+            entries.append(display.Entry(name, outcome.result.image, outcome.result.metadata, errors, layers))
         return outcome.exit_code
 
     def _write(self, entries: list[display.Entry]) -> None:

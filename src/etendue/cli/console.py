@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 import time
+from collections.abc import Callable
 from types import TracebackType
 from typing import Any, Self
 
@@ -47,11 +48,12 @@ class ConsoleHandler(logging.Handler):
 
 
 class ProgressView:
-    """A live bar on a terminal, a line now and then elsewhere."""
+    """A live bar on a terminal, a line now and then elsewhere. ``words`` say what is not said of pictures."""
 
-    def __init__(self, console: Console, label: str) -> None:
+    def __init__(self, console: Console, label: str, words: Callable[[Progress], list[str]] | None = None) -> None:
         self._console = console
         self._label = label
+        self._words = words
         self._bar: RichProgress | None = None
         self._task = TaskID(0)
         self._next_line = 1.0
@@ -90,22 +92,29 @@ class ProgressView:
         if progress.passes and now >= self._next_line:
             self._next_line = min(max(now * _LINE_RATIO, 1.0), now + _LINE_EVERY)
             share = f"{100 * progress.fraction:3.0f} %  " if progress.fraction is not None else ""
-            note(self._console, f"{self._label}: {share}{progress}")
+            text = str(progress) if self._words is None else ", ".join(self._words(progress))
+            note(self._console, f"{self._label}: {share}{text}")
 
     def _fields(self, progress: Progress, prepared: bool) -> dict[str, Any]:
         if not progress.passes:
             return {"total": None, "status": "first pass, compiling" if prepared else "loading the scene"}
-        parts = [f"pass {progress.passes}", format_seconds(progress.elapsed)]
-        if progress.eta is not None:
-            parts.append(f"ETA {format_seconds(progress.eta)}")
-        if progress.rays_per_second:
-            parts.append(format_rate(progress.rays_per_second))
-        if progress.relative_error is not None:
-            parts.append(f"noise {progress.relative_error:.2g}")
+        parts = _words(progress) if self._words is None else self._words(progress)
         fields: dict[str, Any] = {"status": "  ".join(parts), "total": 1.0 if progress.fraction is not None else None}
         if progress.fraction is not None:
             fields["completed"] = progress.fraction
         return fields
+
+
+def _words(progress: Progress) -> list[str]:
+    """Of a picture, for the bar."""
+    parts = [f"pass {progress.passes}", format_seconds(progress.elapsed)]
+    if progress.eta is not None:
+        parts.append(f"ETA {format_seconds(progress.eta)}")
+    if progress.rays_per_second:
+        parts.append(format_rate(progress.rays_per_second))
+    if progress.relative_error is not None:
+        parts.append(f"noise {progress.relative_error:.2g}")
+    return parts
 
 
 def print_error(message: str) -> None:

@@ -18,7 +18,8 @@ from etendue.core import EtendueError, OptionError, describe, logger
 
 from . import options as opt
 from .console import ConsoleHandler, error_console, note, print_error, say
-from .radiosity import form_factors, radiosity
+from .lines import LINES
+from .radiosity import form_factors, radiosity, resume_lines
 
 app = typer.Typer(
     name="etendue",
@@ -157,7 +158,8 @@ def render(
 @app.command()
 def resume(
     checkpoint: Annotated[
-        Path, typer.Argument(help="File that `etendue render` or `etendue run` wrote.", metavar="CHECKPOINT")
+        Path,
+        typer.Argument(help="File that a rendering or radiosity command wrote.", metavar="CHECKPOINT"),
     ],
     output: opt.Output = None,
     method: Annotated[
@@ -171,6 +173,9 @@ def resume(
     time: opt.Time = None,
     spp: opt.Spp = None,
     error: opt.Error = None,
+    bundles: Annotated[
+        int | None, typer.Option(help="Of radiosity: stop at so many bundles of lines.", min=1, metavar="N")
+    ] = None,
     variant: opt.Variant = None,
     threads: opt.Threads = None,
     save_every: opt.SaveEvery = 60.0,
@@ -191,6 +196,12 @@ def resume(
 
     budget = Budget(time, spp, None, error)
     saved = Checkpoint.read(checkpoint)
+    if saved.method == LINES:
+        if (spp, method, define) != (None, None, None):
+            raise OptionError(f"{checkpoint} has lines for radiosity: --spp, -m and -D say nothing of them")
+        return resume_lines(saved, checkpoint, output or [], scene, bundles, time, error, save_every, variant, threads)
+    if bundles is not None:
+        raise OptionError(f"{checkpoint} has a picture: --bundles says nothing of it")
     kind = methods.get(saved.method if method is None else method)
     saved.settings_of(kind, opt.parse_pairs(define, "-D"))
     file = run_of(saved, checkpoint) if output is None else None

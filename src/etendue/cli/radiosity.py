@@ -2,41 +2,72 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib import metadata
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from etendue.core import BackendError, OptionError, SceneError, format_seconds, logger, suggest
+from etendue.core import BackendError, EtendueError, OptionError, OutputError, format_seconds, suggest
 
 from . import options as opt
 from . import radiosity_outputs as out
 from .console import error_console, note, say
+from .lines import DEFAULT_BUNDLES, Cast, Request, cast, request_of
+from .solutions import describe_patches, factors_to_file, segments_of, solution_to_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from etendue.radiosity import Patches, Segments
+    from etendue.engine import Budget, Checkpoint
+    from etendue.radiosity import Patches
     from etendue.scene import Problem
 
 #: What the extra brings.
 _LIBRARIES = ("numba", "scipy", "meshio", "trimesh")
-#: Share of what patches see that may be sky without a warning: single convex solids have all of it.
-_ALL_SKY = 0.999
-#: Solvers that work on segments; the others need the matrix.
-_ON_SEGMENTS = ("jacobi", "conjugate-gradient")
-
 Bundles = Annotated[
-    int, typer.Option("--bundles", help="Directions of parallel lines; a power of two is best.", min=1, metavar="N")
+    int | None,
+    typer.Option(
+        "--bundles",
+        help=f"Directions of parallel lines; a power of two is best. {DEFAULT_BUNDLES}, if no budget is given.",
+        min=1,
+        metavar="N",
+    ),
+]
+Error = Annotated[
+    float | None,
+    typer.Option(
+        "--error", help="Stop at this standard error: of the irradiance, relative; of a row of factors.", metavar="X"
+    ),
+]
+CheckpointFile = Annotated[
+    Path | None, typer.Option("--checkpoint", help="Keep what was cast, for `etendue resume`.", metavar="FILE")
 ]
 MaxArea = Annotated[
     float | None, typer.Option("--max-area", help="Cut faces that are larger than this.", metavar="AREA")
 ]
+Reflectance = Annotated[
+    str | None,
+    typer.Option(
+        "--reflectance",
+        help="Of a mesh: a number, one for each channel as 0.7,0.5,0.2, or an array of the file for its faces "
+        "('emissivity' counts as one minus it). 0 if not given.",
+        metavar="X|NAME",
+    ),
+]
+Ids = Annotated[
+    str | None, typer.Option("--ids", help="Of a mesh: array of the file; faces of equal number are one patch.")
+]
+TwoSided = Annotated[
+    bool, typer.Option("--two-sided", help="Faces of a mesh are sheets: their backs are patches, too.")
+]
+NoLocalRays = Annotated[bool, typer.Option("--no-local-rays", help="No rays from small patches, which few lines meet.")]
+LineSeed = Annotated[int, typer.Option("--seed", help="The same seed gives the same lines.", metavar="N")]
 
 
 def form_factors(
@@ -44,40 +75,45 @@ def form_factors(
     output: Annotated[
         Path, typer.Option("-o", "--output", help=".npz or .nc (arrays), .vf (View3D's text).", metavar="FILE")
     ] = Path("factors.npz"),
-    bundles: Bundles = 1024,
+    bundles: Bundles = None,
+    time: opt.Time = None,
+    error: Error = None,
     estimator: Annotated[str, typer.Option("--estimator", help="F1, F2, F3, F4 or reciprocal.", metavar="NAME")] = "F1",
-    reflectance: Annotated[
-        float, typer.Option("--reflectance", help="Of all faces; only passed on to the file.", metavar="X")
-    ] = 0.0,
+    reflectance: Reflectance = None,
+    ids: Ids = None,
     max_area: MaxArea = None,
-    two_sided: Annotated[
-        bool, typer.Option("--two-sided", help="Faces are sheets: their backs are patches, too.")
-    ] = False,
-    seed: Annotated[int, typer.Option("--seed", help="The same seed gives the same lines.", metavar="N")] = 0,
+    two_sided: TwoSided = False,
+    seed: LineSeed = 0,
+    no_local_rays: NoLocalRays = False,
+    checkpoint: CheckpointFile = None,
+    save_every: opt.SaveEvery = 60.0,
     threads: opt.Threads = None,
     debug: opt.Debug = False,
 ) -> int:
     """Compute the form factors (view factors) of a mesh, each face a patch, by lines through the whole scene.
 
-    A face looks to where its corners run counterclockwise. Ctrl-C ends it; a file that is there stays as it is.
+    A face looks to where its corners run counterclockwise. Stops at the first of --bundles, --time and --error that is
+    reached, or by Ctrl-C, and writes what the lines so far say.
     """
-    _require_extra()
-    from etendue.core import set_threads
-    from etendue.film import check_writable
-    from etendue.radiosity import ESTIMATORS, FORM_FACTOR_FILES, check_file, read_patches
-
-    _check_name("estimator", estimator, ESTIMATORS)
-    check_file(output, FORM_FACTOR_FILES)
-    check_writable(output)
-    set_threads(threads)
-    with _ended_by_ctrl_c():
-        patches = read_patches(mesh, reflectance=reflectance, two_sided=two_sided)
-        patches = patches if max_area is None else patches.subdivided(max_area)
-        return factors_to_file(patches, output, str(mesh), bundles, estimator, seed)
+    request = Request(
+        "form-factors",
+        str(mesh),
+        str(output),
+        estimator,
+        seed,
+        max_area,
+        two_sided,
+        reflectance,
+        ids=ids,
+        local_rays=not no_local_rays,
+    )
+    return _run(request, _budget(bundles, time, error), checkpoint, save_every, None, threads)
 
 
 def radiosity(
-    scene: opt.Scene,
+    scene: Annotated[
+        str, typer.Argument(help="Mitsuba XML file, bundled scene, or mesh (PLY, OBJ, VTU, glTF and others).")
+    ],
     output: Annotated[
         Path,
         typer.Option(
@@ -87,13 +123,33 @@ def radiosity(
             metavar="FILE",
         ),
     ] = Path("solution.vtu"),
-    bundles: Bundles = 1024,
+    bundles: Bundles = None,
+    time: opt.Time = None,
+    error: Error = None,
     max_area: MaxArea = None,
     solver: Annotated[
         str,
         typer.Option("--solver", help="conjugate-gradient, jacobi, gauss-seidel, southwell or direct.", metavar="NAME"),
     ] = "conjugate-gradient",
-    seed: Annotated[int, typer.Option("--seed", help="The same seed gives the same lines.", metavar="N")] = 0,
+    reflectance: Reflectance = None,
+    emission: Annotated[
+        str | None,
+        typer.Option("--emission", help="Of a mesh: power per area, in the same forms.", metavar="X|NAME"),
+    ] = None,
+    temperature: Annotated[
+        str | None,
+        typer.Option("--temperature", help="Of a mesh: in kelvin, for grey bodies that emit.", metavar="X|NAME"),
+    ] = None,
+    sky: Annotated[
+        str | None, typer.Option("--sky", help="Of a mesh: power per area that comes from outside.", metavar="X")
+    ] = None,
+    ids: Ids = None,
+    two_sided: TwoSided = False,
+    seed: LineSeed = 0,
+    no_shot: Annotated[
+        bool, typer.Option("--no-shot", help="Leave the light of small emitters to the lines, too.")
+    ] = False,
+    no_local_rays: NoLocalRays = False,
     sensor: opt.Sensor = 0,
     size: opt.PictureSize = None,
     gather: out.Gather = 0,
@@ -103,116 +159,187 @@ def radiosity(
     lightmap: out.LightmapSize = None,
     uv: out.TextureCoordinates = None,
     solution: out.Solved = None,
+    checkpoint: CheckpointFile = None,
+    save_every: opt.SaveEvery = 60.0,
     variant: opt.Variant = None,
     param: opt.Param = None,
     threads: opt.Threads = None,
     debug: opt.Debug = False,
 ) -> int:
-    """Compute the radiosities of a scene's surfaces, each face a patch; materials count as diffuse.
+    """Compute the radiosities of a scene's or mesh's surfaces, each face a patch; materials count as diffuse.
 
-    Ctrl-C ends it; a file that is there stays as it is.
+    Stops at the first of --bundles, --time and --error that is reached, or by Ctrl-C, and writes the solution on the
+    lines so far.
     """
-    _require_extra()
-    from etendue.radiosity import SOLVERS, scene_patches
-    from etendue.scene import locate
+    request = Request(
+        "radiosity",
+        scene,
+        str(output),
+        solver,
+        seed,
+        max_area,
+        two_sided,
+        reflectance,
+        emission,
+        temperature,
+        ids,
+        sky,
+        opt.parse_pairs(param, "-P"),
+        not no_shot,
+        not no_local_rays,
+        {
+            "size": size,
+            "sensor": sensor,
+            "gather": gather,
+            "samples": spp,
+            "flat": flat,
+            "error_picture": error_picture,
+            "lightmap": lightmap,
+            "uv": uv,
+        },
+    )
+    if solution is not None:
+        return _write_again(request, solution, variant, threads)
+    return _run(request, _budget(bundles, time, error), checkpoint, save_every, variant, threads)
 
+
+def resume_lines(
+    saved: Checkpoint,
+    checkpoint: Path,
+    output: Sequence[Path],
+    scene: str | None,
+    bundles: int | None,
+    time: float | None,
+    error: float | None,
+    save_every: float | None,
+    variant: str | None,
+    threads: int | None,
+) -> int:
+    """Go on with a checkpoint of one of these commands, and write its file anew."""
+    from etendue.engine import remaining
+
+    request = request_of(saved)
+    if len(output) > 1:
+        raise OptionError(f"etendue {request.command} writes one file, not {len(output)}")
+    request = replace(
+        request,
+        source=scene if scene is not None else request.source,
+        output=str(output[0]) if output else request.output,
+    )
+    budget = _budget(bundles, time, error) if (bundles, time, error) != (None, None, None) else None
+    return _run(
+        request,
+        budget or remaining(saved, "--bundles, --time or --error"),
+        checkpoint,
+        save_every,
+        variant,
+        threads,
+        saved,
+    )
+
+
+def _budget(bundles: int | None, seconds: float | None, error: float | None) -> Budget:
+    """A sample is a bundle, and noise the square of a standard error."""
+    from etendue.engine import Budget
+
+    Budget(seconds, bundles, None, error)  # checks what was typed, before it is squared
+    if (bundles, seconds, error) == (None, None, None):
+        bundles = DEFAULT_BUNDLES
+    return Budget(seconds, bundles, None, None if error is None else error**2)
+
+
+def _run(
+    request: Request,
+    budget: Budget,
+    checkpoint: Path | None,
+    save_every: float | None,
+    variant: str | None,
+    threads: int | None,
+    saved: Checkpoint | None = None,
+) -> int:
+    """From a request to files. Returns the exit status."""
     from .rendering import choose_device
 
-    _check_name("solver", solver, SOLVERS)
-    wanted = out.SolutionOutput(output, size, sensor, gather, spp, flat, error_picture, lightmap, uv)
-    wanted.check()
-    parameters = opt.parse_pairs(param, "-P")
-    found = locate(scene, lambda text: note(error_console(), text))
+    _check(request, checkpoint)
     choose_device(variant, threads)
-    with _ended_by_ctrl_c():
-        problem = wanted.load(found, parameters)
-        if solution is not None:
-            return wanted.write_again(problem, solution)
-        patches = scene_patches(problem.scene, max_area=max_area)
-        if not (patches.emission.any() or patches.sky.any()):
-            raise SceneError(f"'{scene}' has no light for radiosity; give it an emitter of type 'area' or 'constant'")
-        return solution_to_file(patches, wanted, problem, scene, bundles, solver, seed)
-
-
-def factors_to_file(patches: Patches, output: Path, source: str, bundles: int, estimator: Any, seed: int) -> int:
-    """Cast, count, write, and say what came of it. Returns the exit status."""
-    from etendue.radiosity import form_factors, save_form_factors
-
     began = time.perf_counter()
-    segments = _cast(patches, source, bundles, seed)
-    factors = form_factors(segments, estimator)
-    save_form_factors(
-        output,
-        factors,
-        emissivity=1 - patches.reflectance[:, 0],
-        metadata=_metadata(source, bundles, seed, estimator=estimator),
-    )
-    sums, errors = factors.row_sums(), factors.row_errors()
-    _note(
-        f"{factors.matrix.nnz} form factors ({estimator}), rows sum to {sums.min():.5g} to {sums.max():.5g}, "
-        f"standard error of a row {errors.mean():.2g} (at most {errors.max():.2g})"
-    )
-    _note(f"in {format_seconds(time.perf_counter() - began)}")
-    say(str(output))
-    return 0
+    with _ended_by_ctrl_c(checkpoint):
+        problem = request.problem()
+        patches = request.patches(problem)
+        _check_patches(request, patches, problem)
+        describe_patches(request, patches)
+        done = cast(request, patches, budget, checkpoint, save_every, saved)
+        if done.casting is None:
+            return done.status
+        segments = segments_of(done.casting)
+        try:
+            if request.is_factors:
+                factors_to_file(request, done.casting, segments)
+            else:
+                solution_to_file(request, done.casting, segments, problem)
+        except EtendueError as error:
+            raise type(error)(f"{error}{_rescued(done, checkpoint)}") from error
+    note(error_console(), f"in {format_seconds(time.perf_counter() - began)}")
+    say("\n".join(map(str, request.files)))
+    return done.status
 
 
-def solution_to_file(
-    patches: Patches,
-    wanted: out.SolutionOutput,
-    problem: Problem,
-    source: str,
-    bundles: int,
-    solver: Any,
-    seed: int,
-) -> int:
-    """Cast, solve, write, and say what came of it. Returns the exit status."""
-    from etendue.radiosity import form_factors, solve
+def _write_again(request: Request, solution: Path, variant: str | None, threads: int | None) -> int:
+    """Write a solution that is in a file. Returns the exit status."""
+    from .rendering import choose_device
 
-    began = time.perf_counter()
-    segments = _cast(patches, source, bundles, seed)
-    solution = solve(patches, segments if solver in _ON_SEGMENTS else form_factors(segments), solver)
-    error = segments.gather_error(solution.radiosity, patches.sky) if segments.batch_count > 1 else None
-    known = _metadata(source, bundles, seed, solver=solver, imbalance=solution.imbalance)
-    wanted.write(problem, solution, error, known)
-    steps = len(solution.residuals)
-    parts = [f"{solver}: {steps} iteration{'' if steps == 1 else 's'}, residual {solution.residual:.1g}"]
-    parts.append(f"imbalance of power {solution.imbalance:.2g}")
-    if error is not None and (light := (patches.areas[:, None] * solution.irradiance).sum()) > 0:
-        parts.append(f"standard error of irradiance {(patches.areas[:, None] * error).sum() / light:.2g} in the mean")
-    _note(", ".join(parts))
-    _note(f"in {format_seconds(time.perf_counter() - began)}")
-    wanted.say()
-    return 0
+    _check(request, None)
+    choose_device(variant, threads)
+    with _ended_by_ctrl_c(None):
+        problem = request.problem()
+        request.writer.check_source(problem)
+        return request.writer.write_again(problem, solution)
 
 
-def _cast(patches: Patches, source: str, bundles: int, seed: int) -> Segments:
-    """Segments, with a line on the patches before and on the segments after."""
-    from etendue.points import OwenSobol
-    from etendue.radiosity import ABuffer, diagnose
+def _check(request: Request, checkpoint: Path | None) -> None:
+    """What can be said before anything is read."""
+    _require_extra()
+    from etendue.film import check_writable
+    from etendue.radiosity import ESTIMATORS, FORM_FACTOR_FILES, SOLVERS, check_file
 
-    faces = len(patches.faces)
-    _note(f"{source}: {len(patches)} patches of {faces} face{'' if faces == 1 else 's'}, {diagnose(patches)}")
-    with error_console().status(f"casting {bundles} bundles of lines"):
-        segments = ABuffer(patches, OwenSobol(4, seed=seed)).cast(bundles)
-    lines = max(int(segments.counted.sum()), 1)
-    sky = segments.to_sky.sum() / lines
-    open_ends = f", {100 * sky:.3g} % of what patches see is the sky" if sky > 0 else ""
-    _note(f"{len(segments)} segments of {bundles} bundle{'' if bundles == 1 else 's'}{open_ends}")
-    if sky > _ALL_SKY:
-        logger.warning(
-            "patches see nothing but the sky: if this should be a room, its faces are turned outward; turn them round"
-        )
-    return segments
-
-
-def _metadata(source: str, bundles: int, seed: int, **more: Any) -> dict[str, Any]:
-    software = f"etendue {metadata.version('etendue')}"
-    return {"software": software, "source": source, "bundles": bundles, "seed": seed, **more}
+    if request.is_factors:
+        _check_name("estimator", request.kind, ESTIMATORS)
+        check_file(request.output, FORM_FACTOR_FILES)
+        check_writable(request.output)
+    else:
+        _check_name("solver", request.kind, SOLVERS)
+        request.writer.check()
+    if checkpoint is not None:
+        check_writable(checkpoint)
+        if checkpoint.resolve() in [path.resolve() for path in request.files]:
+            raise OptionError(f"'{checkpoint}' is named for two outputs; give each a name of its own")
 
 
-def _note(text: str) -> None:
-    note(error_console(), text)
+def _check_patches(request: Request, patches: Patches, problem: Problem | None) -> None:
+    """What can be said before lines are cast."""
+    from etendue.radiosity import RadiosityError, check_direct, check_text_size
+
+    suffix = Path(request.output).suffix.lower()
+    if suffix == ".vf":
+        check_text_size(request.output, len(patches), 0)
+    if request.is_factors:
+        return
+    if request.kind == "direct":
+        check_direct(len(patches))
+    if suffix in (".ply", ".glb", ".gltf") and patches.channels not in (1, 3):
+        raise RadiosityError(f"{suffix} shows one channel or three, not {patches.channels}; write .vtu or .npz")
+    request.writer.check_source(problem)
+
+
+def _rescued(done: Cast, checkpoint: Path | None) -> str:
+    """Where the lines are if nothing can be made of them: in the checkpoint, or one among the temporary files."""
+    if checkpoint is None:
+        try:
+            checkpoint = Path(tempfile.mkdtemp(prefix="etendue-")) / "lines.checkpoint"
+            done.keep(checkpoint)
+        except (OSError, OutputError):
+            return ""
+    return f"; the lines are kept: etendue resume {checkpoint} --bundles {done.casting.count if done.casting else 1}"
 
 
 def _check_name(what: str, name: str, known: Sequence[str]) -> None:
@@ -227,10 +354,11 @@ def _require_extra() -> None:
 
 
 @contextmanager
-def _ended_by_ctrl_c() -> Iterator[None]:
-    """Files are written whole, at the end: there is nothing to clean up, only something to say."""
+def _ended_by_ctrl_c(checkpoint: Path | None) -> Iterator[None]:
+    """While lines are not being cast. Files are written whole: there is nothing to clean up, only something to say."""
     try:
         yield
     except KeyboardInterrupt:
-        _note("stopped; nothing was written")
+        kept = checkpoint is not None and checkpoint.exists()
+        note(error_console(), f"stopped; {f'go on by: etendue resume {checkpoint}' if kept else 'nothing was written'}")
         raise typer.Exit(130) from None

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 #: Scale of pictures of errors: relative standard errors that are black and yellow.
 _LOW, _HIGH = 1e-3, 1.0
 #: What stands for the scene's own texture coordinates.
-_OWN = "scene"
+OWN = "scene"
 
 Gather = Annotated[
     int,
@@ -127,27 +127,37 @@ class SolutionOutput:
             check_writable(path)
 
     def load(self, found: Any, parameters: Mapping[str, str]) -> Problem:
-        """The scene, seen by the sensor that is asked for; texture coordinates are looked at, too, before the work."""
-        from etendue.radiosity import check_coordinates
+        """The scene, seen by the sensor that is asked for."""
         from etendue.scene import load
 
-        problem = load(found, parameters=parameters, size=self.size, sensor=self.sensor)
+        return load(found, parameters=parameters, size=self.size, sensor=self.sensor)
+
+    def check_source(self, problem: Problem | None) -> None:
+        """Texture coordinates are looked at before the work. Raises :class:`OptionError` for what takes a scene where
+        there is none, but a mesh."""
+        from etendue.radiosity import check_coordinates
+
+        if problem is None and (self.is_picture or self.uv == OWN):
+            what = "a picture takes a scene, for its camera" if self.is_picture else "--uv scene takes a scene"
+            raise OptionError(f"{what}; of a mesh file write one of the other kinds of files")
         if self.lightmap is not None and self.uv is not None:
             check_coordinates(self._mesh(problem), (self.lightmap, self.lightmap))
-        return problem
 
-    def write(self, problem: Problem, solution: Solution, error: Array | None, metadata: Mapping[str, Any]) -> None:
+    def write(
+        self, problem: Problem | None, solution: Solution, error: Array | None, metadata: Mapping[str, Any]
+    ) -> None:
         """Write all files."""
         from etendue.radiosity import save_solution
 
         if self.lightmap is not None:
             self._write_lightmap(problem, solution, dict(metadata))
         elif self.is_picture:
+            assert problem is not None  # see check_source
             self._write_picture(problem, solution, error, dict(metadata))
         else:
             save_solution(self.path, solution, irradiance_error=error, metadata=metadata)
 
-    def write_again(self, problem: Problem, solved: Path) -> int:
+    def write_again(self, problem: Problem | None, solved: Path) -> int:
         """Write a solution that is in a file. Returns the exit status."""
         from etendue.radiosity import read_solution
 
@@ -193,14 +203,17 @@ class SolutionOutput:
         write_png(self._errors, false_colour(relative, _LOW, _HIGH))
         note(error_console(), f"{self._errors.name}: relative standard error, black {_LOW:.1%} to yellow {_HIGH:.0%}")
 
-    def _mesh(self, problem: Problem) -> TexturedMesh:
+    def _mesh(self, problem: Problem | None) -> TexturedMesh:
         """The mesh that ``--uv`` asks for."""
         from etendue.radiosity import gltf_mesh, scene_mesh
 
         assert self.uv is not None
-        return scene_mesh(problem.scene) if self.uv == _OWN else gltf_mesh(self.uv)
+        if self.uv != OWN:
+            return gltf_mesh(self.uv)
+        assert problem is not None  # see check_source
+        return scene_mesh(problem.scene)
 
-    def _write_lightmap(self, problem: Problem, solution: Solution, metadata: dict[str, Any]) -> None:
+    def _write_lightmap(self, problem: Problem | None, solution: Solution, metadata: dict[str, Any]) -> None:
         from etendue import radiosity
 
         assert self.lightmap is not None

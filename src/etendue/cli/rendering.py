@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
 from etendue.api import start_job
-from etendue.core import OptionError, OutputError, format_rate, format_seconds, set_threads, use_variant
+from etendue.core import OptionError, OutputError, Progress, format_rate, format_seconds, set_threads, use_variant
 from etendue.engine import Cancelled, Job, RunError, Session
 from etendue.outputs import Rendering, Writer
 from etendue.scene import BundledScene
@@ -19,12 +20,14 @@ from etendue.scene import BundledScene
 from .console import ProgressView, error_console, note, say
 from .interrupts import Interrupts
 
+T = TypeVar("T")
+
 
 @dataclass
-class Outcome:
-    """A rendering, and the exit status if a signal ended it early."""
+class Outcome(Generic[T]):
+    """What a session made, and the exit status if a signal ended it early."""
 
-    rendering: Rendering | None
+    result: T | None
     exit_code: int
 
 
@@ -34,9 +37,15 @@ def choose_device(variant: str | None, threads: int | None) -> None:
     use_variant(variant)
 
 
-def follow(open_session: Callable[[], Session[Rendering]], console: Console, label: str) -> Outcome:
-    """Start a session and show its progress until it is over. Raises what the session raises."""
-    with ProgressView(console, label) as view:
+def follow(
+    open_session: Callable[[], Session[T]],
+    console: Console,
+    label: str,
+    words: Callable[[Progress], list[str]] | None = None,
+) -> Outcome[T]:
+    """Start a session and show its progress, in ``words`` of its own, until it is over. Raises what the session
+    raises."""
+    with ProgressView(console, label, words) as view:
         session = open_session()
         announced = False
 
@@ -73,8 +82,8 @@ def render_to_files(open_job: Callable[[], Job], outputs: Writer, label: str) ->
     except RunError:
         _name_files(outputs)  # the passes before the failure are in them
         raise
-    if outcome.rendering is not None:
-        note(console, summary(outcome.rendering))
+    if outcome.result is not None:
+        note(console, summary(outcome.result))
         _name_files(outputs)
     return outcome.exit_code
 

@@ -34,6 +34,10 @@ class Method(Protocol):
     method without state, a function of its arguments alone: iterations run in any order, anywhere, once each.
     ``develop`` is the only place that divides, normalises or combines.
 
+    A method whose error is not one of pixels has ``noise() -> float | None``, a variance, which budgets and progress
+    then take instead of the scatter of ``image``; ``error_cadence`` says by what share passes grow until it is asked
+    again.
+
     A method whose first ``step`` also does what no later one does (a probe) says in ``setup_seconds`` how long that
     took, so that a run with a budget in seconds is not ended by it.
     """

@@ -3,7 +3,7 @@
 from .budget import Budget
 from .checkpoint import Checkpoint
 from .fitting import fit_samples
-from .job import Job, Task, versions
+from .job import Job, Task, remaining, versions
 from .runner import Cancelled, RunError, Runner, RunResult, check_period, check_save_times
 from .session import Session
 
@@ -20,5 +20,6 @@ __all__ = [
     "check_period",
     "check_save_times",
     "fit_samples",
+    "remaining",
     "versions",
 ]

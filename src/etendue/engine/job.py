@@ -146,7 +146,7 @@ class Job:
         place = checkpoint.scene
         if scene is None and not {"source", "bundled"} & place.keys():
             raise CheckpointError("the checkpoint was made from a scene in memory; give the scene to resume it with")
-        budget = budget or _rest(checkpoint)
+        budget = budget or remaining(checkpoint)
         wanted: dict[str, Any] = {k: place[k] for k in ("size", "sensor", "parameters", "memory") if k in place}
         if "size" in wanted:
             wanted["size"] = tuple(wanted["size"])
@@ -256,13 +256,14 @@ def _settings(task: Task, problem: Problem) -> Settings:
     return task.method.Settings.from_mapping(values, owner=f"method '{task.method.name}'")
 
 
-def _rest(checkpoint: Checkpoint) -> Budget:
-    """What the interrupted run had left of its budget."""
+def remaining(checkpoint: Checkpoint, options: str = "--time, --spp or --error") -> Budget:
+    """What an interrupted run had left of its budget; ``options`` say more of it. Raises :class:`CheckpointError` if
+    that is nothing."""
     if checkpoint.stopped_by in ("seconds", "samples", "error"):
-        raise CheckpointError("the checkpoint's budget is used up; say how much more with --time, --spp or --error")
+        raise CheckpointError(f"the checkpoint's budget is used up; say how much more with {options}")
     saved = dict(checkpoint.budget)
     if "seconds" in saved:
         saved["seconds"] -= checkpoint.elapsed
         if saved["seconds"] <= 0:
-            raise CheckpointError("the checkpoint's time is used up; say how much more with --time, --spp or --error")
+            raise CheckpointError(f"the checkpoint's time is used up; say how much more with {options}")
     return Budget(**saved)

@@ -255,13 +255,16 @@ class Runner:
 
     def _update_error(self, passes: int) -> None:
         assert self._measurement is not None
-        if passes < self._next_error or "image" not in self._measurement.squares:
+        # A method whose error is not one of pixels estimates it by itself, and says how often that is worth its time.
+        estimate = getattr(self.method, "noise", None)
+        if passes < self._next_error or (estimate is None and "image" not in self._measurement.squares):
             return
-        self._error = error = self._measurement.relative_error()
-        step = math.ceil(ERROR_CADENCE * passes)
-        if self.budget.error is not None and math.isfinite(error):
+        self._error = error = self._measurement.relative_error() if estimate is None else estimate()
+        step = math.ceil(getattr(self.method, "error_cadence", ERROR_CADENCE) * passes)
+        if self.budget.error is not None and error is not None and math.isfinite(error):
             # Noise falls as 1/passes: look again no later than where the target should be reached.
-            step = min(step, math.ceil(passes * (error / self.budget.error - 1.0)))
+            least = 1 if estimate is None else math.ceil(ERROR_CADENCE * passes)
+            step = min(step, max(least, math.ceil(passes * (error / self.budget.error - 1.0))))
         self._next_error = passes + max(1, step)
 
     def _describe(self) -> Progress:

@@ -2,6 +2,7 @@
 
 from .abuffer import ABuffer, Backend
 from .atlases import LIGHTMAP_MESHES, TexturedMesh, atlas, gltf_mesh, save_textured_mesh, scene_mesh
+from .casting import CastingSettings, LineCasting, PatchProblem
 from .chained import ChainedRays
 from .diagnosis import Diagnosis, diagnose
 from .engine import LineEngine
@@ -14,7 +15,8 @@ from .lines import GENERATORS, BoxWalls, Bundles, GreatCircle, LineGenerator, Li
 from .local import LocalRays
 from .localfactors import area_form_factors, local_form_factors
 from .meshfiles import read_patches
-from .multipath import FirstShot, Multipath, first_shot, multipath, multipath_bundles
+from .mixing import MixedSegments, with_local_rays
+from .multipath import Multipath, multipath, multipath_bundles
 from .netcdf import read_segments, save_segments
 from .particles import Particles, breadth_first, depth_first
 from .patches import Patches
@@ -24,16 +26,18 @@ from .results import (
     FORM_FACTOR_FILES,
     SOLUTION_FILES,
     check_file,
+    check_text_size,
     read_form_factors,
     save_form_factors,
     save_solution,
 )
 from .scenes import scene_patches
 from .segments import Segments
+from .shot import FirstShot, first_shot, shot_at_patches, small_emitters
 from .smoothing import VertexRadiosity, vertex_radiosity
 from .solids import box, joined
 from .solutionfiles import read_solution
-from .solvers import SOLVERS, Solution, Solver, Transport, solve
+from .solvers import SOLVERS, Solution, Solver, Transport, check_direct, solve
 
 __all__ = [
     "ESTIMATORS",
@@ -48,6 +52,7 @@ __all__ = [
     "Backend",
     "BoxWalls",
     "Bundles",
+    "CastingSettings",
     "ChainedRays",
     "Diagnosis",
     "Estimator",
@@ -56,13 +61,16 @@ __all__ = [
     "GltfMesh",
     "GreatCircle",
     "Lightmap",
+    "LineCasting",
     "LineEngine",
     "LineGenerator",
     "Lines",
     "LocalRays",
+    "MixedSegments",
     "Multipath",
     "Particles",
     "PatchError",
+    "PatchProblem",
     "Patches",
     "RadiosityError",
     "RayScene",
@@ -79,7 +87,9 @@ __all__ = [
     "box",
     "breadth_first",
     "check_coordinates",
+    "check_direct",
     "check_file",
+    "check_text_size",
     "coloured_mesh",
     "depth_first",
     "diagnose",
@@ -106,8 +116,11 @@ __all__ = [
     "save_textured_mesh",
     "scene_mesh",
     "scene_patches",
+    "shot_at_patches",
+    "small_emitters",
     "solve",
     "thermal",
     "vertex_radiosity",
+    "with_local_rays",
     "write_gltf",
 ]

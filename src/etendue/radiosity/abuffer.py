@@ -83,11 +83,11 @@ class ABuffer(LineEngine):
         once = max(self._rasteriser.lanes, self.expected(1).sum() + self.bundles.lines_per_point)
         return max(min(int((_PLACES_CUDA if uses_cuda() else _PLACES) / once), -(-count // 16)), 1)
 
-    def stream(self, count: int, first: int = 0) -> Iterator[Pairs]:
+    def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
         """See :class:`LineEngine`."""
-        return (self._by_loops if self.backend == "compiled" else self._by_kernels)(count, first)
+        return (self._by_loops if self.backend == "compiled" else self._by_kernels)(self._pieces(count, first, size))
 
-    def _by_loops(self, count: int, first: int) -> Iterator[Pairs]:
+    def _by_loops(self, pieces: Iterator[tuple[int, int]]) -> Iterator[Pairs]:
         rasterise = compiled().rasterise
         gap = _GAP * self.bundles.radius
         # Hits of a bundle vary with its direction.
@@ -97,10 +97,10 @@ class ABuffer(LineEngine):
             arrays = self._vertices, self._faces, self._front, self._back, *self._grids(start, number)
             return lambda: rasterise(*arrays, self.bundles.spacing, gap, len(self.patches), room)
 
-        return in_order(task(*piece) for piece in self._pieces(count, first))
+        return in_order(task(*piece) for piece in pieces)
 
-    def _by_kernels(self, count: int, first: int) -> Iterator[Pairs]:
-        return (self._rasteriser.segments(*self._grids(*piece)) for piece in self._pieces(count, first))
+    def _by_kernels(self, pieces: Iterator[tuple[int, int]]) -> Iterator[Pairs]:
+        return (self._rasteriser.segments(*self._grids(*piece)) for piece in pieces)
 
     def _grids(self, start: int, number: int) -> tuple[Array, Array]:
         u = self.points.block(number, start)

@@ -46,9 +46,9 @@ class ChainedRays(LineEngine):
         """See :class:`LineEngine`: sixteen pieces at least, so that batches can be made of them."""
         return max(min(int(_BATCH / self.generator.lines_per_point), -(-count // 16)), 1)
 
-    def stream(self, count: int, first: int = 0) -> Iterator[Pairs]:
+    def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
         """See :class:`LineEngine`."""
-        for start, number in self._pieces(count, first):
+        for start, number in self._pieces(count, first, size):
             yield self.segments(self.generator.lines(self.points.block(number, start)))
 
     def segments(self, lines: Lines) -> Pairs:

@@ -38,9 +38,9 @@ class LineEngine(ABC):
         """Points of a piece of :meth:`stream`, when so many are cast; the last piece may have less."""
 
     @abstractmethod
-    def stream(self, count: int, first: int = 0) -> Iterator[Pairs]:
+    def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
         """The segments of ``count`` points from ``first`` on, without storing them: (k, 2) arrays in the order of the
-        points, one for each :meth:`piece`."""
+        points, one for each :meth:`piece`, or for each ``size`` points."""
 
     @abstractmethod
     def expected(self, count: int) -> Array:
@@ -65,21 +65,27 @@ class LineEngine(ABC):
         batches = min(batches, len(chunks))
         number = np.arange(len(chunks)) * batches // len(chunks)
         segments = Segments(self.patches, chunks, number, self.expected(count))
-        if len(segments.unseen):
-            logger.warning(
-                "no line has met %d of %d patches, such as patch %d: cast more, or make patches larger",
-                *(len(segments.unseen), len(self.patches), segments.unseen[0]),
-            )
-        dark = segments.to_dark.sum() / max(segments.counted.sum(), 1)
-        if dark > _DARK:
-            logger.warning(
-                "%.2g of what patches see is backs of faces, which absorb everything: faces are turned the wrong way, "
-                "or the mesh is open; see etendue.radiosity.diagnose",
-                dark,
-            )
+        warn_of_faults(segments)
         return segments
 
-    def _pieces(self, count: int, first: int) -> Iterator[tuple[int, int]]:
+    def _pieces(self, count: int, first: int, size: int | None = None) -> Iterator[tuple[int, int]]:
         """First point and number of points of each piece."""
-        size = self.piece(count)
+        size = size or self.piece(count)
         return ((start, min(size, first + count - start)) for start in range(first, first + count, size))
+
+
+def warn_of_faults(segments: Segments) -> None:
+    """Warn of patches that no line has met, and if many lines meet backs of faces."""
+    if len(segments.unseen):
+        logger.warning(
+            "no line has met %d of %d patches, such as patch %d: cast more, make patches larger, or take "
+            "with_local_rays()",
+            *(len(segments.unseen), len(segments.patches), segments.unseen[0]),
+        )
+    dark = segments.to_dark.sum() / max(segments.counted.sum(), 1)
+    if dark > _DARK:
+        logger.warning(
+            "%.2g of what patches see is backs of faces, which absorb everything: faces are turned the wrong way, "
+            "or the mesh is open; see etendue.radiosity.diagnose",
+            dark,
+        )

@@ -133,12 +133,18 @@ def form_factors(segments: Segments, estimator: Estimator = "F1") -> FormFactors
     begin, columns, counts = loops.merge_rows(starts, columns, n)
     upper = sparse().csr_array((counts, columns.astype(np.int64), begin), shape=(n, n))
     counts = (upper + upper.T).tocsr()
+    if segments.correction is not None:
+        counts = (counts + segments.correction[:n, :n]).tocsr()
     counts.sort_indices()
     lines = segments.expected if estimator == "reciprocal" else segments.counted.astype(np.float64)
     matrix = estimate(counts, lines, segments.patches.areas, estimator)
     matrix.sort_indices()  # in the order of the counts
     errors = matrix.copy()
-    errors.data = matrix.data * np.sqrt(np.maximum(1 - matrix.data, 0) / counts.data)
+    found = counts.data
+    if segments.extra is not None:  # of lines and rays together, before they were weighted
+        row, column = counts.tocoo().coords
+        found = found * (1 + segments.extra[row] + segments.extra[column])
+    errors.data = matrix.data * np.sqrt(np.maximum(1 - matrix.data, 0) / found)
     sky = np.divide(segments.to_sky, lines, out=np.zeros(n), where=lines > 0)
     return FormFactors(matrix, errors, sky, segments.patches.areas, segments.counted)
 

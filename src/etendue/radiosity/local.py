@@ -44,9 +44,9 @@ class LocalRays(LineEngine):
         """See :class:`LineEngine`: sixteen pieces at least, so that batches can be made of them."""
         return max(min(_BATCH, -(-count // 16)), 1)
 
-    def stream(self, count: int, first: int = 0) -> Iterator[Pairs]:
+    def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
         """See :class:`LineEngine`."""
-        for start, number in self._pieces(count, first):
+        for start, number in self._pieces(count, first, size):
             u = self.points.block(number, start)
             side, within = self._sides.pick(u[:, 0])
             found = self._sides.cast(self.scene, side, np.column_stack([within, u[:, 1]]), cosine_law(u[:, 2:]))
@@ -63,6 +63,7 @@ class Sides:
     corners: Array  #: (s, 3, 3), in unit coordinates
     normals: Array  #: (s, 3), to the side's own half-space
     patch: Index  #: (s,) ascending
+    face: Index  #: (s,)
     edges: Array  #: (s + 1,) cumulated areas
 
     @classmethod
@@ -77,7 +78,12 @@ class Sides:
         corners = (patches.vertices[corner[row]] - centre) / radius
         normals = patches.face_normals[face[row]] * np.where(kept < len(face), 1, -1)[:, None]
         areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-        return cls(corners, normals, patch[kept], np.concatenate([[0], np.cumsum(areas)]))
+        return cls(corners, normals, patch[kept], face[row], np.concatenate([[0], np.cumsum(areas)]))
+
+    @property
+    def areas(self) -> Array:
+        """(s,) in unit coordinates."""
+        return np.diff(self.edges)
 
     def pick(self, u: Array) -> tuple[Index, Array]:
         """Sides by area from numbers in [0, 1), and what is left of the numbers, in [0, 1) again."""

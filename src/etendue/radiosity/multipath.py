@@ -10,20 +10,9 @@ from etendue.core import Array
 
 from .engine import LineEngine
 from .errors import RadiosityError
-from .local import shoot
 from .parallel import compiled
 from .patches import Patches
-from .raycasting import RayScene
-
-
-@dataclass(frozen=True)
-class FirstShot:
-    """The emission of all patches, sent once by local lines. Power (n, c) that is ``reflected`` by each patch, and
-    power (c,) that was ``absorbed`` or went ``to_sky``; together they are what was emitted."""
-
-    reflected: Array
-    absorbed: Array
-    to_sky: Array
+from .shot import FirstShot
 
 
 @dataclass(frozen=True)
@@ -40,19 +29,6 @@ class Multipath:
     sent: Array
     absorbed: Array
     to_sky: Array
-
-
-def first_shot(scene: RayScene, u: Array) -> FirstShot:
-    """Send the emission of all patches by rays of cosine density, one for each point ``u`` (N, 4), equal in power.
-
-    Raises :class:`RadiosityError` if no patch emits.
-    """
-    patches = scene.patches
-    if not patches.emission.any():
-        raise RadiosityError("no patch emits light: there is no first shot")
-    received = shoot(scene, patches.areas[:, None] * patches.emission, u)
-    absorbed = ((1 - patches.reflectance) * received[:-2]).sum(axis=0) + received[-1]
-    return FirstShot(patches.reflectance * received[:-2], absorbed, received[-2])
 
 
 def multipath(engine: LineEngine, count: int, first: int = 0, shot: FirstShot | None = None) -> Multipath:
@@ -107,7 +83,9 @@ def _own(patches: Patches, shot: FirstShot | None) -> Array:
     """Power (n, c) that patches have to send along lines."""
     if not (patches.emission.any() or patches.sky.any()):
         raise RadiosityError("no patch emits light, nor does the sky: give one an emission above zero")
-    return patches.areas[:, None] * patches.emission if shot is None else shot.reflected
+    if shot is None:
+        return patches.areas[:, None] * patches.emission
+    return patches.areas[:, None] * (patches.emission - shot.emission) + shot.reflected
 
 
 def _sky_per_line(patches: Patches, expected: Array) -> Array:
@@ -120,8 +98,8 @@ def _result(patches: Patches, shot: FirstShot | None, sent: Array, unshot: Array
     absorbed = ((1 - patches.reflectance) * received[:-2]).sum(axis=0) + received[-1]
     to_sky = received[-2]
     if shot is not None:
-        # The shot has sent what was emitted; of that, what it left to reflect is sent again by the lines.
-        sent = sent + (patches.areas[:, None] * patches.emission - shot.reflected).sum(axis=0)
+        # What the shot has sent and left to reflect is sent again by the lines.
+        sent = sent + (patches.areas[:, None] * shot.emission - shot.reflected).sum(axis=0)
         left = left + shot.reflected
         absorbed, to_sky = absorbed + shot.absorbed, to_sky + shot.to_sky
     return Multipath(left / patches.areas[:, None], unshot, sent, absorbed, to_sky)

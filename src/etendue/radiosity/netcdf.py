@@ -104,8 +104,11 @@ def save_segments(
 
     ``pairs_0``, ``pairs_1`` and so on, (segments, 2), are the batches of lines, in their order; a pair are two patches
     that see each other, counted from 0, or ``sky`` or ``dark``, which its attributes say. ``area`` and ``expected``
-    belong to patches. Raises :class:`RadiosityError` for another suffix, and for batches of more than 2 GB.
+    belong to patches. Raises :class:`RadiosityError` for another suffix, for batches of more than 2 GB, and for
+    segments with local rays, which can be mixed in again.
     """
+    if segments.correction is not None:
+        raise RadiosityError("only segments of lines are written: save them, and mix local rays in when they are read")
     if Path(path).suffix.lower() != ".nc":
         raise RadiosityError(f"segments are written as .nc, not as '{path}'; change the name")
     n = len(segments.patches)

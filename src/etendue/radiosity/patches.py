@@ -99,9 +99,11 @@ class Patches:
         ):
             bad = np.flatnonzero(~ok.all(axis=1))
             if len(bad):
-                bounds = (
-                    "must be in [0, 1): with 1 light would never be absorbed" if x is rho else "must not be negative"
-                )
+                bounds = "must not be negative, nor infinite"
+                if x is rho:
+                    bounds = "must be in [0, 1): with 1 light would never be absorbed"
+                if np.isnan(x[bad]).any():
+                    bounds = "must be numbers"
                 raise PatchError(
                     f"{name} of {len(bad)} patches {bounds}; the first is patch {bad[0]} with {x[bad[0]].tolist()}"
                 )

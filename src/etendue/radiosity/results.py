@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,8 @@ SOLUTION_FILES = {
     ".glb": "vertex colours in one file",
     ".gltf": "the same, as text",
 }
+#: Bytes of View3D's text: of a number that is not zero beside those of a zero, and the most of a file.
+_ENTRY, _MOST_TEXT = 10.0, 4e9
 
 
 def check_file(path: str | os.PathLike[str], known: Collection[str]) -> str:
@@ -43,6 +46,20 @@ def check_file(path: str | os.PathLike[str], known: Collection[str]) -> str:
         what = f"'{suffix}' is not known" if suffix else "it has no suffix"
         raise RadiosityError(f"what to write to '{path}' follows from its suffix: {what}; take {', '.join(known)}")
     return suffix
+
+
+def check_text_size(path: str | os.PathLike[str], patches: int, entries: int) -> None:
+    """Raise :class:`RadiosityError` if View3D's text of so many patches, with so many entries that are not zero, would
+    take more than 4 GB, or than there is on the disk."""
+    size = 2.0 * patches**2 + _ENTRY * min(entries, patches**2)
+    folder = Path(path).absolute().parent
+    free = shutil.disk_usage(folder).free if folder.is_dir() else np.inf
+    if size > min(free, _MOST_TEXT):
+        there = f"there are {free / 1e9:.3g}" if size > free else f"more than {_MOST_TEXT / 1e9:g} are of no use"
+        raise RadiosityError(
+            f"'{path}' would have {patches} x {patches} numbers and {size / 1e9:.3g} GB, {there}: write .npz, where "
+            "zeros take no place, or make patches larger"
+        )
 
 
 def save_form_factors(
@@ -70,6 +87,7 @@ def save_form_factors(
     except ValueError:
         raise RadiosityError(f"emissivity is a number or has one for each of {len(factors)} patches") from None
     if suffix == ".vf":
+        check_text_size(path, len(factors), factors.matrix.nnz)
         with replacing(path) as part, part.open("w", encoding="ascii") as file:
             file.writelines(_view3d(factors, emitted))
         return
@@ -130,9 +148,9 @@ def save_solution(
     ``.nc``: netCDF with arrays by patch as in ``.npz``, and the mesh, with units.
     ``.glb``, ``.gltf``: the smooth radiosities of ``.ply`` as vertex colours of glTF (:func:`write_gltf`).
 
-    irradiance_error: (n, c) standard error of the irradiance, such as ``segments.gather_error(solution.radiosity,
-    patches.sky)``; it is written to ``.npz``, ``.nc`` and ``.vtu``, and reflected as ``radiosity_error``: the error of
-    the last bounce, which is nearly all of it. metadata: what JSON can say, for ``.npz``, ``.nc`` and glTF.
+    irradiance_error: (n, c) standard error of the irradiance, such as ``solution.irradiance_error(segments)``; it is
+    written to ``.npz``, ``.nc`` and ``.vtu``, and reflected as ``radiosity_error``: the error of the last bounce, which
+    is nearly all of it. metadata: what JSON can say, for ``.npz``, ``.nc`` and glTF.
 
     Raises :class:`RadiosityError` for another suffix, errors of another shape, and channels that ``.ply`` cannot show,
     :class:`etendue.core.BackendError` without meshio, :class:`etendue.core.OutputError` if the file cannot be written.

@@ -40,6 +40,10 @@ class Segments:
     expected: (n,) how many lines should meet each patch, if it is flat.
     """
 
+    #: What local rays add, see :class:`MixedSegments`.
+    correction: Any = None
+    extra: Array | None = None
+
     def __init__(self, patches: Patches, chunks: Sequence[Pairs], batches: ArrayLike, expected: Array) -> None:
         self.patches = patches
         self.chunks = list(chunks)
@@ -47,11 +51,11 @@ class Segments:
         self.expected = expected
         ends = self._ends()[: len(patches)]
         #: (n,) segments of each patch: the lines that meet it.
-        self.counted: NDArray[np.int64] = ends[:, 0].copy()
+        self.counted: NDArray[Any] = ends[:, 0].copy()
         #: (n,) those that lead to the sky.
-        self.to_sky: NDArray[np.int64] = ends[:, 1].copy()
+        self.to_sky: NDArray[Any] = ends[:, 1].copy()
         #: (n,) those that lead to the back of a face.
-        self.to_dark: NDArray[np.int64] = ends[:, 2].copy()
+        self.to_dark: NDArray[Any] = ends[:, 2].copy()
 
     def __len__(self) -> int:
         return sum(len(chunk) for chunk in self.chunks)
@@ -84,12 +88,12 @@ class Segments:
     @property
     def sky(self) -> Array:
         """(n,) the share of the segments of each patch that lead to the sky."""
-        return self.to_sky / np.maximum(self.counted, 1)
+        return _divide(self.to_sky[:, None], self.exchange_weights)[:, 0]
 
     @property
     def dark(self) -> Array:
         """(n,) the share that lead to the back of a face: none in a closed mesh that is turned the right way."""
-        return self.to_dark / np.maximum(self.counted, 1)
+        return _divide(self.to_dark[:, None], self.exchange_weights)[:, 0]
 
     @property
     def exchange_weights(self) -> Array:
@@ -114,13 +118,13 @@ class Segments:
         if self.batch_count < 2:
             raise RadiosityError("a standard error needs two batches of lines at least")
         full, shape = self._with_sky(values, sky)
-        lines = self.counted[:, None].astype(np.float64)
-        mean = _divide(self._gather(full), lines[:, 0])
+        mean = _divide(self._gather(full), self.exchange_weights)
         squares = np.zeros_like(mean)
         for batch in range(self.batch_count):
             part = self.batch(batch)
             squares += (part._gather(full) - mean * part.counted[:, None]) ** 2
-        return (np.sqrt(squares * self.batch_count / (self.batch_count - 1)) / np.maximum(lines, 1)).reshape(shape)
+        scatter = np.sqrt(squares * self.batch_count / (self.batch_count - 1))
+        return _divide(scatter, self.exchange_weights).reshape(shape)
 
     def batch(self, number: int) -> Segments:
         """One batch."""
@@ -176,5 +180,6 @@ class Segments:
         return sum(in_order(partial(task, part) for part in parts), start=zero)
 
 
-def _divide(sums: Array, weights: Array) -> Array:
-    return np.divide(sums, weights[:, None], out=np.zeros_like(sums), where=weights[:, None] > 0)
+def _divide(sums: NDArray[Any], weights: Array) -> Array:
+    out = np.zeros(sums.shape)
+    return np.divide(sums, weights[:, None], out=out, where=weights[:, None] > 0)

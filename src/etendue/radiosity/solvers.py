@@ -16,6 +16,8 @@ from .errors import RadiosityError
 from .formfactors import FormFactors
 from .parallel import compiled
 from .patches import Patches
+from .segments import Segments
+from .shot import FirstShot
 
 Solver = Literal["jacobi", "gauss-seidel", "southwell", "conjugate-gradient", "direct"]
 SOLVERS: tuple[Solver, ...] = ("jacobi", "gauss-seidel", "southwell", "conjugate-gradient", "direct")
@@ -45,7 +47,7 @@ class Solution:
 
     ``radiosity``: (n, c) light that leaves, per area. ``irradiance``: (n, c) light that arrives. ``sky_share``: (n,).
     ``residuals``: after each iteration, the largest absolute residual of the system in units of the largest
-    emission or light from the sky.
+    emission or light from the sky; of the system that is left after a ``shot``, if one is given.
     """
 
     patches: Patches
@@ -53,6 +55,7 @@ class Solution:
     irradiance: Array
     sky_share: Array
     residuals: tuple[float, ...]
+    shot: FirstShot | None = None
 
     @property
     def residual(self) -> float:
@@ -63,12 +66,24 @@ class Solution:
     def power(self) -> dict[str, Array]:
         """(c,) each: ``emitted`` by patches, ``from_sky``, ``absorbed``, ``to_sky``."""
         areas = self.patches.areas[:, None]
+        to_sky = (areas * self.sky_share[:, None] * self._by_lines).sum(axis=0)
         return {
             "emitted": (areas * self.patches.emission).sum(axis=0),
             "from_sky": (areas * self.sky_share[:, None] * self.patches.sky).sum(axis=0),
             "absorbed": (areas * (1 - self.patches.reflectance) * self.irradiance).sum(axis=0),
-            "to_sky": (areas * self.sky_share[:, None] * self.radiosity).sum(axis=0),
+            "to_sky": to_sky if self.shot is None else to_sky + self.shot.to_sky,
         }
+
+    def irradiance_error(self, segments: Segments) -> Array:
+        """(n, c) standard error of the irradiance, that of the lines and that of the shot: of the last bounce, which is
+        nearly all of it. ``segments``: those that were solved on. Raises :class:`RadiosityError` for one batch."""
+        error = segments.gather_error(self._by_lines, self.patches.sky)
+        return error if self.shot is None else np.hypot(error, self.shot.error)
+
+    @property
+    def _by_lines(self) -> Array:
+        """Radiosity that lines carry on."""
+        return self.radiosity if self.shot is None else self.radiosity - self.shot.emission
 
     @property
     def net_power(self) -> Array:
@@ -89,6 +104,7 @@ def solve(
     transport: Transport,
     solver: Solver = "jacobi",
     *,
+    shot: FirstShot | None = None,
     tolerance: float = 1e-6,
     max_iterations: int = 1000,
 ) -> Solution:
@@ -103,8 +119,13 @@ def solve(
     ``direct``             elimination, a channel at a time; on form factors of some thousand patches
     ====================== ============================================================================================
 
-    tolerance: of the residual, see :class:`Solution`. Raises :class:`RadiosityError` if nothing emits, if a solver does
-    not work on such a transport, or has not come that far after ``max_iterations``.
+    shot: of :func:`first_shot`: light of emitters that has been sent by rays. The system is then solved for the rest,
+        to which patches contribute what they reflect of the shot: B = E + R, R = rho (D + F R) with the irradiance D
+        of the shot, which takes the place of F E.
+    tolerance: of the residual, see :class:`Solution`.
+
+    Raises :class:`RadiosityError` if nothing emits, if a solver does not work on such a transport, if a shot is of
+    other patches, or if the solver has not come that far after ``max_iterations``.
     """
     if len(transport.sky) != len(patches):
         raise RadiosityError(f"there are {len(patches)} patches, but light is carried between {len(transport.sky)}")
@@ -114,19 +135,42 @@ def solve(
         raise RadiosityError(f"there is no solver {solver!r}; there are: {', '.join(SOLVERS)}")
     if solver in ("gauss-seidel", "southwell", "direct") and not isinstance(transport, FormFactors):
         raise RadiosityError(f"{solver} needs form factors; on segments there are jacobi and conjugate-gradient")
-    steps = _STEPS[solver](patches, transport)
-    scale = max(patches.emission.max(), patches.sky.max())
+    rest = patches if shot is None else _after(shot, patches)
+    steps = _STEPS[solver](rest, transport)
+    scale = max(rest.emission.max(), rest.sky.max()) or 1.0  # nothing is left of a shot at black patches
     residuals = []
     for _ in range(max_iterations):
         radiosity, irradiance = steps.step()
-        residual = np.abs(patches.emission + patches.reflectance * irradiance - radiosity).max() / scale
+        residual = np.abs(rest.emission + rest.reflectance * irradiance - radiosity).max() / scale
         residuals.append(float(residual))
         if residual <= tolerance:
-            return Solution(patches, radiosity, irradiance, transport.sky, tuple(residuals))
+            if shot is not None:
+                radiosity, irradiance = radiosity + shot.emission, irradiance + shot.irradiance
+            return Solution(patches, radiosity, irradiance, transport.sky, tuple(residuals), shot)
     raise RadiosityError(
         f"{solver} has a residual of {residuals[-1]:.2g} after {max_iterations} iterations, not {tolerance:g}: allow "
         "more, or take conjugate-gradient where reflectance is high"
     )
+
+
+def check_direct(patches: int) -> None:
+    """Raise :class:`RadiosityError` if the direct solution for so many patches does not fit into memory."""
+    free = free_memory()
+    if free is not None and 24 * patches**2 > free:
+        raise RadiosityError(
+            f"direct solution of {patches} patches needs {24e-9 * patches**2:.1f} GB, there are {free / 1e9:.1f}: take "
+            "another solver"
+        )
+
+
+def _after(shot: FirstShot, patches: Patches) -> Patches:
+    """Patches that emit what was not shot, and what they reflect of the shot."""
+    if shot.emission.shape != patches.emission.shape or not np.array_equal(shot.patches.areas, patches.areas):
+        raise RadiosityError("the first shot is one of other patches: shoot from those that are solved for")
+    left = patches.emission - shot.emission
+    if (left < 0).any():
+        raise RadiosityError("the first shot has sent more light than patches emit: shoot again for this emission")
+    return patches.with_properties(emission=left + patches.reflectance * shot.irradiance)
 
 
 class _Steps(ABC):
@@ -228,12 +272,8 @@ class _ConjugateGradient(_Steps):
 
 class _Direct(_Gathering):
     def improve(self) -> None:
-        n, free = len(self.patches), free_memory()
-        if free is not None and 24 * n**2 > free:
-            raise RadiosityError(
-                f"direct solution of {n} patches needs {24e-9 * n**2:.1f} GB, there are {free / 1e9:.1f}: take another "
-                "solver"
-            )
+        n = len(self.patches)
+        check_direct(n)
         dense, known = np.asarray(self.matrix.todense()), self.known
         for c in range(known.shape[1]):
             system = np.eye(n) - self.reflectance[:, c : c + 1] * dense

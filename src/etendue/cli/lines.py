@@ -1,0 +1,274 @@
+"""What `etendue form-factors` and `etendue radiosity` share: what was asked for, and the casting of lines for it with
+progress, budgets, stop and checkpoint."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from etendue.core import CheckpointError, OptionError, Progress, SceneError, describe, format_seconds, logger
+
+from .console import error_console, note
+from .options import Size
+from .radiosity_outputs import OWN, SolutionOutput
+
+if TYPE_CHECKING:
+    from etendue.engine import Budget, Checkpoint, RunResult
+    from etendue.radiosity import LineCasting, Patches
+    from etendue.scene import Problem
+
+#: The method of checkpoints: the name of :class:`LineCasting`.
+LINES = "global-lines"
+#: Bundles, if no budget is given.
+DEFAULT_BUNDLES = 1024
+#: Solvers that work on segments; the others need the matrix.
+ON_SEGMENTS = ("jacobi", "conjugate-gradient")
+#: Suffixes of scene files; whatever else is no bundled scene is a mesh.
+_SCENES = (".xml", "")
+#: Share of the memory that is filled where no number of bundles was asked for.
+_MEMORY_SHARE = 0.6
+#: Of a checkpoint: the request.
+_NOTE = "lines"
+
+
+@dataclass(frozen=True)
+class Request:
+    """What was asked for, in plain values that a checkpoint keeps."""
+
+    command: str  #: "form-factors" or "radiosity"
+    source: str  #: a mesh file, a scene file or a bundled scene
+    output: str
+    kind: str  #: the estimator, or the solver
+    seed: int = 0
+    max_area: float | None = None
+    two_sided: bool = False
+    #: Of a mesh: numbers, or names of arrays of the file.
+    reflectance: str | None = None
+    emission: str | None = None
+    temperature: str | None = None
+    ids: str | None = None
+    sky: str | None = None
+    #: Of a scene.
+    parameters: dict[str, str] = field(default_factory=dict)
+    shot: bool = True
+    local_rays: bool = True
+    #: The other fields of :class:`SolutionOutput`.
+    outputs: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def is_factors(self) -> bool:
+        """Whether form factors are wanted, no solution."""
+        return self.command == "form-factors"
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All that is written."""
+        return (Path(self.output),) if self.is_factors else self.writer.files
+
+    @property
+    def wants_matrix(self) -> bool:
+        """Whether form factors are made of the segments."""
+        return self.is_factors or self.kind not in ON_SEGMENTS
+
+    @property
+    def is_mesh(self) -> bool:
+        """Whether the source is a mesh file, not a scene."""
+        return self.is_factors or Path(self.source).suffix.lower() not in _SCENES
+
+    @property
+    def writer(self) -> SolutionOutput:
+        """What writes solutions."""
+        return SolutionOutput(Path(self.output), **self.outputs)
+
+    def located(self) -> Request:
+        """With paths that hold in any folder."""
+        from etendue.scene import locate
+
+        source: Any = Path(self.source)
+        if not self.is_mesh:
+            source = locate(self.source, logger.debug)
+        place = str(source.absolute()) if isinstance(source, Path) else source.name
+        outputs = dict(self.outputs)
+        if (uv := outputs.get("uv")) is not None and uv != OWN:
+            outputs["uv"] = str(Path(uv).absolute())
+        return replace(self, source=place, output=str(Path(self.output).absolute()), outputs=outputs)
+
+    def patches(self, problem: Problem | None) -> Patches:
+        """Patches of the source. Raises :class:`OptionError` for options of the other kind of source."""
+        return self._of_mesh() if problem is None else self._of_scene(problem)
+
+    def problem(self) -> Problem | None:
+        """The scene, ``None`` for a mesh."""
+        from etendue.scene import locate
+
+        if self.is_mesh:
+            return None
+        found = locate(self.source, lambda text: note(error_console(), text))
+        return self.writer.load(found, self.parameters)
+
+    def _of_mesh(self) -> Patches:
+        from etendue.radiosity import read_patches
+
+        if self.parameters:
+            raise OptionError("-P is for scenes in XML; a mesh file has no parameters")
+        given = {name: _quantity(getattr(self, name)) for name in ("reflectance", "emission", "temperature")}
+        known = {name: value for name, value in given.items() if value is not None}
+        light: Any = _quantity(self.sky) or 0.0
+        if isinstance(light, str):
+            raise OptionError(f"--sky is a number, or one for each channel as 1,0.8,0.5, not '{light}'")
+        sky = light[0] if isinstance(light, list) else light
+        patches = read_patches(self.source, **known, ids=self.ids, two_sided=self.two_sided, sky=sky)
+        if self.command == "radiosity" and not (patches.emission.any() or patches.sky.any()):
+            raise SceneError(
+                f"'{self.source}' has no light; give --emission or --temperature (a number, or the name of an array of "
+                "the file), or --sky"
+            )
+        return patches if self.max_area is None else patches.subdivided(self.max_area)
+
+    def _of_scene(self, problem: Problem) -> Patches:
+        from etendue.radiosity import scene_patches
+
+        for name in ("reflectance", "emission", "temperature", "ids", "sky"):
+            if getattr(self, name) is not None:
+                raise OptionError(f"--{name} is for mesh files; the materials and lights of a scene say it")
+        if self.two_sided:
+            raise OptionError("--two-sided is for mesh files; in a scene, materials of type 'twosided' make sheets")
+        patches = scene_patches(problem.scene, max_area=self.max_area)
+        if not (patches.emission.any() or patches.sky.any()):
+            raise SceneError(
+                f"'{self.source}' has no light for radiosity; give it an emitter of type 'area' or 'constant'"
+            )
+        return patches
+
+    def metadata(self, casting: LineCasting, **more: Any) -> dict[str, Any]:
+        """For the files."""
+        software = f"etendue {metadata.version('etendue')}"
+        return {"software": software, "source": self.source, "bundles": casting.count, "seed": self.seed, **more}
+
+
+def _quantity(text: str | None) -> float | str | list[list[float]] | None:
+    """A number, a row of them for channels, or a name."""
+    if text is None:
+        return None
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        return text
+    return numbers[0] if len(numbers) == 1 else [numbers]
+
+
+@dataclass
+class Cast:
+    """What was cast, ``None`` if that is nothing, and the exit status. ``keep`` writes a checkpoint of it."""
+
+    casting: LineCasting | None
+    status: int
+    keep: Callable[[Path], None]
+
+
+def request_of(saved: Checkpoint) -> Request:
+    """What a checkpoint was asked for. Raises :class:`CheckpointError` if it is of another version."""
+    try:
+        request = Request(**saved.notes[_NOTE])
+        size = request.outputs.get("size")  # JSON knows no tuples
+        return replace(request, outputs=request.outputs | {"size": size and Size(*size)})
+    except (KeyError, TypeError) as error:
+        raise CheckpointError(
+            f"the checkpoint does not say what was asked for ({describe(error)}); cast the lines anew"
+        ) from None
+
+
+def cast(
+    request: Request,
+    patches: Patches,
+    budget: Budget,
+    checkpoint: Path | None,
+    save_every: float | None,
+    saved: Checkpoint | None = None,
+) -> Cast:
+    """Cast lines until the budget is used up or a signal comes, from where ``saved`` ended."""
+    from etendue.engine import Job, Runner, Session
+    from etendue.radiosity import CastingSettings, LineCasting, PatchProblem
+
+    from .rendering import follow
+
+    console = error_console()
+    problem = PatchProblem(patches, request.source)
+    goal: Any = "rows" if request.command == "form-factors" else "irradiance"
+    casting = LineCasting(
+        CastingSettings(shot=request.shot and request.command == "radiosity", local_rays=request.local_rays),
+        goal=goal if console.is_terminal or budget.error is not None else None,
+    )
+    jobs: list[Job] = []
+
+    def keep(run: RunResult, path: Path) -> None:
+        jobs[0].checkpoint(run).write(path)
+
+    def build(stop: threading.Event) -> Runner:
+        casting.prepare(problem, request.seed)
+        before = 0 if saved is None else saved.state["count"]
+        casting.most, limited = _limited(casting, budget, before, request.wants_matrix)
+        earlier = 0.0
+        if saved is not None:
+            saved.settings_of(LineCasting, casting.settings.to_dict(), request.seed)
+            saved.require_scene(problem.fingerprint)
+            casting.restore(saved.state)
+            earlier = saved.earlier + saved.elapsed
+        notes = {_NOTE: asdict(request.located())}
+        jobs.append(
+            Job(problem, casting, seed=request.seed, budget=budget, place={}, earlier=earlier, notes=notes)  # type: ignore[arg-type]
+        )
+        options: dict[str, Any] = {}
+        if checkpoint is not None and save_every is not None:
+            options = {"on_save": lambda run: keep(run, checkpoint), "save_every": save_every}
+        start = None if saved is None else saved.measurement
+        return Runner(casting, seed=request.seed, budget=limited, start=start, cancel=stop, **options)
+
+    def finish(run: RunResult) -> RunResult:
+        casting.close()
+        if checkpoint is not None:
+            keep(run, checkpoint)
+        return run
+
+    outcome = follow(lambda: Session(build, finish), console, request.command, _words(casting))
+    run = outcome.result
+    if run is None:
+        return Cast(None, outcome.exit_code, lambda path: None)
+    if budget.samples is None and run.stopped_by == "samples":
+        logger.warning(
+            "memory holds no more than these %d bundles of lines: free some, or make patches larger", casting.count
+        )
+    return Cast(casting, outcome.exit_code, lambda path: keep(run, path))
+
+
+def _limited(casting: LineCasting, budget: Budget, before: int, matrix: bool) -> tuple[int, Budget]:
+    """Bundles to end at, and a budget that says so."""
+    from etendue.engine import Budget
+    from etendue.radiosity import RadiosityError
+
+    fits = before + casting.memory(matrix)
+    most = budget.samples or before + int(_MEMORY_SHARE * casting.memory(matrix))
+    if most > fits or most < 1:
+        raise RadiosityError(
+            f"{most} bundles of lines through {len(casting.patches)} patches do not fit into memory, {fits} do: ask "
+            "for fewer (--bundles), or make patches larger"
+        )
+    return most, Budget(budget.seconds, most, None, budget.error)
+
+
+def _words(casting: LineCasting) -> Callable[[Progress], list[str]]:
+    def words(progress: Progress) -> list[str]:
+        bundles = f"{casting.count} bundle{'' if casting.count == 1 else 's'}"
+        parts = [bundles, f"{casting.made:.3g} segments", format_seconds(progress.elapsed)]
+        if progress.eta is not None:
+            parts.append(f"ETA {format_seconds(progress.eta)}")
+        if progress.relative_error is not None:
+            parts.append(f"error {math.sqrt(progress.relative_error):.2g}")
+        return parts
+
+    return words

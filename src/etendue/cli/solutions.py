@@ -1,0 +1,101 @@
+"""What `etendue form-factors` and `etendue radiosity` make of lines that were cast: files, and lines on them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from etendue.core import logger
+
+from .console import error_console, note
+from .lines import Request
+
+if TYPE_CHECKING:
+    from etendue.radiosity import FirstShot, LineCasting, Patches, Segments
+    from etendue.scene import Problem
+
+#: Share of what patches see that may be sky without a warning: single convex solids have all of it.
+_ALL_SKY = 0.999
+#: Share that is not worth a word.
+_NO_SKY = 1e-6
+
+
+def factors_to_file(request: Request, casting: LineCasting, segments: Segments) -> None:
+    """Count, write, and say what came of it."""
+    from etendue.radiosity import form_factors, save_form_factors
+
+    estimator: Any = request.kind
+    with error_console().status("counting"):
+        factors = form_factors(segments, estimator)
+        save_form_factors(
+            request.output,
+            factors,
+            emissivity=1 - casting.patches.reflectance[:, 0],
+            metadata=request.metadata(casting, estimator=estimator),
+        )
+    sums, errors = factors.row_sums(), factors.row_errors()
+    _say(
+        f"{factors.matrix.nnz} form factors ({estimator}), rows sum to {sums.min():.5g} to {sums.max():.5g}, "
+        f"standard error of a row {errors.mean():.2g} (at most {errors.max():.2g})"
+    )
+
+
+def solution_to_file(request: Request, casting: LineCasting, segments: Segments, problem: Problem | None) -> None:
+    """Solve, write, and say what came of it."""
+    from etendue.radiosity import form_factors, solve
+
+    patches, solver = casting.patches, request.kind
+    with error_console().status("solving"):
+        shot = casting.shot()
+        transport: Any = form_factors(segments) if request.wants_matrix else segments
+        solution = solve(patches, transport, solver, shot=shot)  # type: ignore[arg-type]
+        error = solution.irradiance_error(segments) if segments.batch_count > 1 else None
+    known = request.metadata(casting, solver=solver, imbalance=solution.imbalance)
+    request.writer.write(problem, solution, error, known)
+    if shot is not None:
+        _say(_of_shot(shot))
+    steps = len(solution.residuals)
+    parts = [f"{solver}: {steps} iteration{'' if steps == 1 else 's'}, residual {solution.residual:.1g}"]
+    parts.append(f"imbalance of power {solution.imbalance:.2g}")
+    if error is not None and (light := (patches.areas[:, None] * solution.irradiance).sum()) > 0:
+        parts.append(f"standard error of irradiance {(patches.areas[:, None] * error).sum() / light:.2g} in the mean")
+    _say(", ".join(parts))
+
+
+def _of_shot(shot: FirstShot) -> str:
+    emitters = int(shot.emission.any(axis=1).sum())
+    which = "one emitter" if emitters == 1 else f"{emitters} emitters"
+    return f"the light of {which} was sent by {shot.rays} rays"
+
+
+def describe_patches(request: Request, patches: Patches) -> None:
+    """A line on the patches."""
+    from etendue.radiosity import diagnose
+
+    faces = len(patches.faces)
+    _say(f"{request.source}: {len(patches)} patches of {faces} face{'' if faces == 1 else 's'}, {diagnose(patches)}")
+
+
+def segments_of(casting: LineCasting) -> Segments:
+    """What was cast, and a line on it."""
+    from etendue.radiosity import MixedSegments
+
+    with error_console().status("counting"):
+        segments = casting.segments()
+    sky = segments.to_sky.sum() / max(segments.counted.sum(), 1e-300)
+    # In a closed mesh no line gets out, but of a million rays one may, by their single precision.
+    open_ends = f", {100 * sky:.3g} % of what patches see is the sky" if sky > _NO_SKY else ""
+    _say(f"{len(segments)} segments of {casting.count} bundle{'' if casting.count == 1 else 's'}{open_ends}")
+    if isinstance(segments, MixedSegments):
+        few = int(np.count_nonzero(segments.extra > 0))
+        _say(f"{few} small patches, which few lines meet, have {segments.rays // few} local rays each")
+    if sky > _ALL_SKY:
+        logger.warning(
+            "patches see nothing but the sky: if this should be a room, its faces are turned outward; turn them round"
+        )
+    return segments
+
+
+def _say(text: str) -> None:
+    note(error_console(), text)

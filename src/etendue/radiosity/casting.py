@@ -1,0 +1,236 @@
+"""Casting of lines in passes, for what drives methods: budgets, progress, checkpoints, stops."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from etendue.core import (
+    Array,
+    CheckpointError,
+    Iterations,
+    Measurement,
+    Result,
+    free_memory,
+    seed_key,
+    setting,
+)
+from etendue.core import Settings as AnySettings
+from etendue.points import OwenSobol
+
+from .abuffer import ABuffer
+from .engine import LineEngine, warn_of_faults
+from .errors import RadiosityError
+from .mixing import with_local_rays
+from .patches import Patches
+from .raycasting import RayScene
+from .segments import Pairs, Segments
+from .shot import FirstShot, Shot, small_emitters
+from .solvers import solve
+
+#: Rays of a first shot for each segment: they take about as long as casting the segments.
+RAYS_PER_SEGMENT = 1 / 16
+#: Batches of segments, whose scatter tells errors.
+_BATCHES = 16
+#: Segments up to which an estimate of the error solves the system anew.
+_FEW_SEGMENTS = 1 << 20
+#: Least points before an error is estimated: two batches would do, but tell little.
+_LEAST_PIECES = 16
+#: "No end" of a stream, and bundles whose pieces are those of a step.
+_ENDLESS, _USUAL = 1 << 31, 1024
+
+
+@dataclass(frozen=True, kw_only=True)
+class CastingSettings(AnySettings):
+    """What of casting decides the lines."""
+
+    lines: float = setting(0.0, "lines of a bundle through the bounding sphere, 0 for the engine's choice", minimum=0)
+    shot: bool = setting(True, "send the light of small emitters by local rays")
+    local_rays: bool = setting(True, "cast local rays from patches that few lines meet")
+
+
+@dataclass(frozen=True)
+class PatchProblem:
+    """Patches as what a job works on. ``source`` says where they are from."""
+
+    patches: Patches
+    source: str = "<patches>"
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hex digest of the geometry, the properties and the sky; the same in every process."""
+        digest = hashlib.blake2b(digest_size=16)
+        p = self.patches
+        for array in (p.vertices, p.faces, p.front, p.back, p.labels, p.reflectance, p.emission, p.sky):
+            digest.update(str((array.shape, array.dtype.str)).encode() + np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+
+class LineCasting:
+    """Bundles of lines through patches, a piece of a few with each :meth:`step`; implements ``core.Method``.
+
+    What was cast is kept: :meth:`segments` and :meth:`shot` are made of it at any time, and depend on how many bundles
+    there are, not on when they were cast. A sample of a budget is a bundle, and its error the *square* of the standard
+    error that ``goal`` names, as noise of pictures is a variance:
+
+    ============== ===================================================================================================
+    ``irradiance`` of the irradiance that a solution on the segments has, mean over the surface in units of its mean
+    ``rows``       of the row of form factors of a patch, mean over patches
+    ============== ===================================================================================================
+
+    settings: see :class:`CastingSettings`. most: bundles to end at, if a budget says so: the last piece may be smaller.
+    """
+
+    name: ClassVar[str] = "global-lines"
+    Settings: ClassVar[type[AnySettings]] = CastingSettings
+    citations: ClassVar[tuple[str, ...]] = ("Sbert1993", "Carpenter1984", "Castro2002")
+    #: Growth of the number of passes from one estimate of the error to the next.
+    error_cadence: ClassVar[float] = 1.0
+
+    def __init__(
+        self,
+        settings: CastingSettings | None = None,
+        *,
+        goal: Literal["irradiance", "rows"] | None = None,
+        most: int | None = None,
+    ) -> None:
+        self._options = settings or CastingSettings()
+        self.settings: AnySettings = self._options
+        self.goal, self.most = goal, most
+        #: Bundles that were cast, and their segments.
+        self.count, self.made = 0, 0
+        self._chunks: list[Pairs] = []
+        self._stream: Iterator[Pairs] | None = None
+        self._shot: Shot | None = None
+        self._known: tuple[Array, Array] | None = None
+
+    # ------------------------------------------------------------------ the protocol of methods
+
+    @property
+    def samples_per_iteration(self) -> int:
+        """Bundles of a step."""
+        return self._size
+
+    def prepare(self, problem: PatchProblem, seed: int) -> None:
+        """Build the engine, and have its loops compiled. Raises :class:`RadiosityError` if not even one bundle fits
+        into memory."""
+        patches = self.patches = problem.patches
+        lines = self._options.lines or None
+        self.engine: LineEngine = ABuffer(patches, OwenSobol(4, seed=seed), lines)
+        self._seed, self._size = seed, self.engine.piece(_USUAL)
+        if self.memory() < 1:
+            raise RadiosityError(f"not even one bundle of lines through {len(patches)} patches fits into memory")
+        emitters = small_emitters(patches, RAYS_PER_SEGMENT) if self._options.shot else np.zeros(len(patches), bool)
+        if emitters.any():
+            points = OwenSobol(4, seed=seed_key(seed, "first shot", 0)[0])
+            self._shot = Shot(self._scene, points, emitters)
+        for _ in self.engine.stream(1):
+            pass
+
+    def step(self, iteration: int, seed: int) -> Measurement:
+        """Cast the next piece. What is measured is kept here; the sums are empty."""
+        if self._stream is None:
+            self._stream = self._pieces()
+        chunk = next(self._stream)
+        self._chunks.append(chunk)
+        self.made += len(chunk)
+        size = self.samples_per_iteration
+        whole = -(-self.count // size) * size  # see _pieces
+        self.count = min(whole + size, self.most or _ENDLESS)
+        return Measurement({}, {}, Iterations.single(iteration), counters={"rays": float(len(chunk))})
+
+    def _pieces(self) -> Iterator[Pairs]:
+        # An odd end is made whole by the next step, so that steps are as many as if the end had not been.
+        most, count = self.most or _ENDLESS, self.count
+        ahead = min(-count % self.samples_per_iteration, most - count)
+        odd = list(self.engine.stream(ahead, count, ahead)) if ahead else []
+        for piece in self.engine.stream(most - count - ahead, count + ahead, self._size):
+            yield np.concatenate([*odd, piece]) if odd else piece
+            odd = []
+
+    def develop(self, measurement: Measurement) -> Result:
+        """No picture: only how much was cast."""
+        return Result({}, {"bundles": self.count, "segments": self.made})
+
+    def state(self) -> dict[str, Any]:
+        """All that was cast."""
+        shot = None if self._shot is None else self._shot.state()
+        return {"count": self.count, "size": self._size, "chunks": list(self._chunks), "shot": shot}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Go on from a :meth:`state`. Raises :class:`CheckpointError` for one that has more bundles than asked for."""
+        if self.most is not None and state["count"] > self.most:
+            raise CheckpointError(f"the checkpoint has {state['count']} bundles, more than {self.most}")
+        # A step has the size that it had, also on a machine that would choose another.
+        self.count, self._size, self._chunks = state["count"], state["size"], list(state["chunks"])
+        self.made = sum(map(len, self._chunks))
+        if self._shot is not None and state["shot"] is not None:
+            self._shot.restore(state["shot"])
+
+    def noise(self) -> float | None:
+        """Square of the standard error so far, see ``goal``; ``None`` while it is not known."""
+        if self.goal is None or len(self._chunks) < _LEAST_PIECES:
+            return None
+        if self.goal == "rows":
+            return float(np.mean(1 / np.sqrt(self.engine.expected(self.count))) ** 2)
+        patches, segments, shot = self.patches, self._lines(), self.shot()
+        sent = 0.0 if shot is None else shot.emission
+        if self._known is None or len(segments) <= _FEW_SEGMENTS:
+            solution = solve(patches, segments, "conjugate-gradient", shot=shot, tolerance=1e-3)
+            self._known = solution.radiosity - sent, solution.irradiance
+        carried, irradiance = self._known
+        error = segments.gather_error(carried, patches.sky)
+        error = error if shot is None else np.hypot(error, shot.error)
+        areas = patches.areas[:, None]
+        light = (areas * irradiance).sum()
+        return float(((areas * error).sum() / light) ** 2) if light > 0 else None
+
+    # ------------------------------------------------------------------ what was cast
+
+    def segments(self) -> Segments:
+        """Of all bundles so far, with local rays from patches that few of them meet. Warns as
+        :meth:`LineEngine.cast` does."""
+        segments = self._lines()
+        if self._options.local_rays:
+            points = OwenSobol(4, seed=seed_key(self._seed, "local rays", 0)[0])
+            scene = self.__dict__.get("_scene")  # that of a shot, if there is one
+            segments = with_local_rays(segments, scene, points=points)
+        warn_of_faults(segments)
+        return segments
+
+    def shot(self) -> FirstShot | None:
+        """The light of small emitters, by a ray for every 16 segments; ``None`` if there is none that needs it."""
+        return None if self._shot is None else self._shot.cast(RAYS_PER_SEGMENT * self._expected_segments(self.count))
+
+    def memory(self, matrix: bool = False) -> int:
+        """Bundles whose segments fit into the memory that is free now; with ``matrix`` form factors as well."""
+        free, each = free_memory(), self._expected_segments(1)
+        if free is None:
+            return _ENDLESS
+        if not matrix:
+            return int(free / (8 * each))
+        # As form_factors reckons: a matrix of as many entries as pairs, or a full one.
+        full = 64 * len(self.patches) ** 2
+        return int(max(free / ((8 + 4 + 128) * each), (free - full) / ((8 + 4) * each)))
+
+    def close(self) -> None:
+        """Cast no more: end what is being cast ahead."""
+        if self._stream is not None:
+            self._stream.close()  # type: ignore[attr-defined]
+            self._stream = None
+
+    @cached_property
+    def _scene(self) -> RayScene:
+        return RayScene(self.patches)
+
+    def _expected_segments(self, count: int) -> float:
+        return float(self.engine.expected(count).sum()) / 2
+
+    def _lines(self) -> Segments:
+        batch = np.arange(len(self._chunks)) * min(_BATCHES, len(self._chunks)) // max(len(self._chunks), 1)
+        return Segments(self.patches, self._chunks, batch, self.engine.expected(self.count))

@@ -1,0 +1,177 @@
+"""Casting in passes: budgets, stops and checkpoints lose nothing and change nothing."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+from support.patches import box, cube, joined, square
+
+import etendue.radiosity.casting
+from etendue.core import CheckpointError
+from etendue.engine import Budget, Checkpoint, Job, Runner
+from etendue.points import OwenSobol
+from etendue.radiosity import (
+    ABuffer,
+    CastingSettings,
+    LineCasting,
+    MixedSegments,
+    Patches,
+    PatchProblem,
+    RadiosityError,
+    solve,
+)
+
+
+def lit_room(**properties):
+    """With a small lamp, and a pebble that few lines meet."""
+    lamp, pebble = square((0.47, 0.48, 0.97), (0, 0.05, 0), (0.05, 0, 0)), box((0.6, 0.3, 0.4), (0.605, 0.305, 0.405))
+    vertices, faces = joined(box((0, 0, 0), (1, 1, 1), 2, inward=True), pebble, lamp)
+    emission = np.where(np.arange(len(faces)) == len(faces) - 1, 100.0, 0.0)
+    return Patches(vertices, faces, **{"reflectance": 0.5, "emission": emission, **properties})
+
+
+def prepared(patches, seed=3, lines=200, **options):
+    casting = LineCasting(CastingSettings(lines=lines), **options)
+    casting.prepare(PatchProblem(patches), seed)
+    return casting
+
+
+def run(casting, **budget):
+    return Runner(casting, seed=3, budget=Budget(**budget)).run()
+
+
+def test_passes_make_the_segments_of_the_engine():
+    patches = cube(2)
+    casting = prepared(patches, most=20)
+    result = run(casting, samples=20)
+    assert casting.count == 20 and result.passes == 3 and result.stopped_by == "samples"
+    same = ABuffer(patches, OwenSobol(4, seed=3), 200).cast(20)
+    segments = casting.segments()
+    np.testing.assert_array_equal(np.concatenate(segments.chunks), np.concatenate(same.chunks))
+    np.testing.assert_array_equal(segments.expected, same.expected)
+    assert casting.shot() is None and not isinstance(segments, MixedSegments)
+    assert casting.made == len(same)
+
+
+def test_engines_with_other_pieces(monkeypatch):
+    """Dr.Jit's kernels take more bundles at once: steps are as many, and make the same lines."""
+    monkeypatch.setattr(etendue.radiosity.casting, "ABuffer", partial(ABuffer, backend="drjit"))
+    casting = prepared(cube(1), most=200)
+    assert casting.samples_per_iteration == 64
+    result = run(casting, samples=200)
+    assert result.passes == 4 and casting.count == 200
+    loops = ABuffer(cube(1), OwenSobol(4, seed=3), 200).cast(200)
+    assert abs(casting.made - len(loops)) <= 3 and len(casting.segments().chunks) == 4
+
+
+def outcome(casting):
+    segments = casting.segments()
+    assert isinstance(segments, MixedSegments)
+    solution = solve(casting.patches, segments, "conjugate-gradient", shot=casting.shot())
+    return solution.radiosity, solution.irradiance_error(segments)
+
+
+def test_a_run_that_is_resumed_is_the_run_that_was_not_interrupted(tmp_path):
+    """Bit by bit, through a file; looking at errors on the way changes nothing."""
+    patches = lit_room()
+    whole = prepared(patches, most=256)
+    run(whole, samples=256)
+
+    part = prepared(patches, goal="irradiance", most=256)
+    for i in range(17):
+        part.step(i, 3)
+    assert part.noise() > 0
+    job = Job(PatchProblem(patches), part, seed=3, budget=Budget(samples=256), place={})
+    stopped = job.runner(cancel=Stop(after=5)).run()
+    assert stopped.stopped_by == "cancel" and part.count == 8 * 22
+    job.checkpoint(stopped).write(tmp_path / "lines.checkpoint")
+    part.close()
+
+    saved = Checkpoint.read(tmp_path / "lines.checkpoint")
+    saved.require_scene(PatchProblem(lit_room()).fingerprint)
+    rest = prepared(patches, most=256)
+    rest.restore(saved.state)
+    while rest.count < 256:
+        rest.step(0, 3)
+    for ours, theirs in zip(outcome(rest), outcome(whole), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+class Stop:
+    """Says so after some questions."""
+
+    def __init__(self, after):
+        self.after = after
+
+    def is_set(self):
+        self.after -= 1
+        return self.after < 0
+
+
+def test_a_finished_run_can_go_on_to_any_number():
+    patches = cube(1)
+    first, whole = prepared(patches, most=20), prepared(patches, most=43)
+    start = run(first, samples=20).measurement
+    first.close()
+    first.most = 43
+    result = Runner(first, seed=3, budget=Budget(samples=43), start=start).run()
+    run(whole, samples=43)
+    assert first.count == 43 and result.passes == 6
+    a, b = (np.concatenate(x.segments().chunks) for x in (first, whole))
+    np.testing.assert_array_equal(a, b)
+    few = prepared(patches, most=8)
+    with pytest.raises(CheckpointError, match="43 bundles, more than 8"):
+        few.restore(first.state())
+
+
+def test_a_run_ends_at_an_error():
+    casting = prepared(lit_room(), goal="irradiance")
+    assert casting.noise() is None
+    result = run(casting, error=0.03**2, samples=1 << 14)
+    assert result.stopped_by == "error" and casting.count >= 128
+    segments = casting.segments()
+    solution = solve(casting.patches, segments, shot=casting.shot())
+    areas = casting.patches.areas[:, None]
+    error = (areas * solution.irradiance_error(segments)).sum() / (areas * solution.irradiance).sum()
+    assert error < 0.031
+    before = casting.count
+    casting = prepared(lit_room(), goal="irradiance")
+    run(casting, error=0.001**2, samples=1 << 14)
+    assert casting.count > before
+
+    rows = prepared(cube(2), goal="rows")
+    assert run(rows, error=0.02**2, samples=1 << 14).stopped_by == "error"
+    expected = rows.engine.expected(rows.count)
+    assert 0.7 * 0.02 < (1 / np.sqrt(expected)).mean() <= 0.02
+
+
+def test_a_run_ends_after_a_time():
+    ticks = iter(np.arange(0, 1000, 0.25))
+    casting = prepared(cube(1))
+    result = Runner(casting, seed=0, budget=Budget(seconds=6), clock=lambda: next(ticks)).run()
+    casting.close()
+    assert result.stopped_by == "seconds" and 2 < result.passes < 12 and casting.count == 8 * result.passes
+
+
+def test_a_run_takes_no_more_memory_than_there_is(monkeypatch):
+    patches = cube(1)
+    casting = prepared(patches)
+    each = casting.engine.expected(1).sum() / 2
+    monkeypatch.setattr(etendue.radiosity.casting, "free_memory", lambda: int(100.5 * 8 * each))
+    assert casting.memory() == 100 and 1 <= casting.memory(matrix=True) < 100
+    monkeypatch.setattr(etendue.radiosity.casting, "free_memory", lambda: 1000)
+    with pytest.raises(RadiosityError, match="not even one bundle"):
+        prepared(patches)
+    monkeypatch.setattr(etendue.radiosity.casting, "free_memory", lambda: None)
+    assert prepared(patches).memory() > 1e9
+
+
+def test_fingerprints_tell_patches_apart():
+    known = PatchProblem(lit_room()).fingerprint
+    assert known == PatchProblem(lit_room()).fingerprint
+    moved = lit_room()
+    moved.vertices[0] += 1e-9
+    for other in (lit_room(reflectance=0.6), lit_room(sky=1.0), lit_room(two_sided=True), moved):
+        assert PatchProblem(other).fingerprint != known
