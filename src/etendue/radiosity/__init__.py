@@ -7,6 +7,7 @@ from .chained import ChainedRays
 from .diagnosis import Diagnosis, diagnose
 from .engine import LineEngine
 from .errors import PatchError, RadiosityError
+from .exact import exact_form_factors
 from .formfactors import ESTIMATORS, Estimator, FormFactors, estimate, form_factors, pair_errors
 from .gltf import GltfMesh, coloured_mesh, write_gltf
 from .heat import STEFAN_BOLTZMANN, band_shares, gebhart_factors, thermal
@@ -94,6 +95,7 @@ __all__ = [
     "depth_first",
     "diagnose",
     "estimate",
+    "exact_form_factors",
     "first_shot",
     "form_factors",
     "gebhart_factors",
