@@ -133,6 +133,7 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("form-factors room.ply -o nowhere/f.npz", "there is no folder"),
         ("form-factors room.ply --estimator F9", "there is no estimator 'F9'"),
         ("form-factors room.ply --reflectance 1.2", "must be in [0, 1)"),
+        ("form-factors room.ply --exact --bundles 8", "--exact casts no lines"),
         ("form-factors room.ply --bundles 0", "greater than or equal to 1"),
         ("form-factors room.ply --max-area -1", "must be a positive number"),
         ("form-factors room.ply --max-area 1e-12", "allow larger ones"),
