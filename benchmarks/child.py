@@ -84,7 +84,7 @@ def view_factors(options: dict[str, Any]) -> dict[str, Any]:
     clock = [time.process_time()]
     for cells, bundles in ((4, 1), (options["cells"], options["bundles"])):
         patches = room(cells)
-        segments = ABuffer(patches, lines=options["lines"], seed=1).cast(bundles)
+        segments = ABuffer(patches, lines=options["lines"]).cast(bundles)
         gathered = segments.gather(smooth_radiosity(patches))
         if bundles == 1:
             solve(patches, segments, "conjugate-gradient", tolerance=1e-4)

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from etendue.radiosity import ABuffer, Patches, solve
+from etendue.radiosity import ABuffer, Patches, SpiralPoints, solve
 
 from .exchanges import room, smooth_radiosity
 from .measuring import Record, child, verdict
@@ -157,7 +157,7 @@ def _reference(patches: Patches, lines: float, view3d: Outcome | None) -> tuple[
     """F J and the irradiance of the room, and where they are from: many lines of other seeds."""
     gathered, irradiance = [], []
     for run in range(_RUNS):
-        segments = ABuffer(patches, lines=lines, seed=_FIRST_SEED + run).cast(_BUNDLES)
+        segments = ABuffer(patches, SpiralPoints(_FIRST_SEED + run), lines).cast(_BUNDLES)
         gathered.append(segments.gather(smooth_radiosity(patches)))
         irradiance.append(solve(patches, segments, "conjugate-gradient", tolerance=1e-6).irradiance[:, 0])
     means, parts = [], []

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from support.patches import room
 
-from etendue.points import OwenSobol, PointSetError
-from etendue.radiosity import ABuffer
+from etendue.points import OwenSobol
+from etendue.radiosity import ABuffer, SpiralPoints
 from etendue.radiosity.lines import direction
-from etendue.radiosity.spiral import SpiralPoints
 
 
 def projected_area_errors(points, size):
@@ -23,29 +22,30 @@ def projected_area_errors(points, size):
 def test_directions_are_more_even_than_those_of_a_sequence(size, share):
     spiral, sobol = (
         np.sqrt(np.mean([projected_area_errors(kind(seed), size) ** 2 for seed in range(4)]))
-        for kind in (lambda seed: SpiralPoints(size, seed), lambda seed: OwenSobol(4, seed=seed))
+        for kind in (lambda seed: SpiralPoints(seed), lambda seed: OwenSobol(4, seed=seed))
     )
     assert spiral < share * sobol
 
 
 def test_each_direction_is_even_over_seeds():
-    ways = np.array([direction(SpiralPoints(16, seed).block(1, 5)[:, :2])[0] for seed in range(400)])
+    ways = np.array([direction(SpiralPoints(seed).block(1, 2000)[:, :2])[0] for seed in range(400)])
     moments = ways.T @ ways / len(ways)
     np.testing.assert_allclose(moments, np.eye(3) / 3, atol=4 * 0.3 / 20)
 
 
 def test_parts_are_spread_too():
     """A sixteenth of the points, one after the other, is as good as so many by themselves, or nearly."""
-    ways = direction(SpiralPoints(1024, 3).block(64, 64 * 5)[:, :2])
+    ways = direction(SpiralPoints(3).block(64, 64 * 5)[:, :2])
     moments = ways.T @ ways / 64
     np.testing.assert_allclose(moments, np.eye(3) / 3, atol=0.03)
 
 
-def test_numbers_of_points_are_kept():
-    points = SpiralPoints(8, 1)
-    assert points.block(8).shape == (8, 4) and points.block(8).max() < 1
-    with pytest.raises(PointSetError, match="made for 8 points"):
-        points.block(1, 8)
+def test_points_are_functions_of_their_index():
+    points = SpiralPoints(1)
+    assert points.size is None and points.block(2048).max() < 1
+    np.testing.assert_array_equal(points.block(2048)[1000:1100], points.block(100, 1000))
+    # The next spiral is turned otherwise.
+    assert not np.allclose(points.block(8), points.block(8, 1024))
     assert not np.allclose(points.block(8), points.randomised(2).block(8))
 
 
@@ -53,21 +53,22 @@ def test_the_device_has_the_same_numbers(variant):
     import mitsuba as mi
 
     mi.set_variant(variant)
-    points = SpiralPoints(100, 4)
+    points = SpiralPoints(4)
     for d in range(4):
-        found = np.array(points.coordinate(mi.UInt32(list(range(100))), d))
-        np.testing.assert_allclose(found, points.block(100)[:, d], atol=2.0**-23)
+        found = np.array(points.coordinate(mi.UInt32(list(range(1000, 1100))), d))
+        np.testing.assert_allclose(found, points.block(100, 1000)[:, d], atol=2.0**-23)
 
 
 def test_the_rasteriser_takes_them_by_default():
     patches = room(2)
-    engine = ABuffer(patches, lines=500, seed=7)
+    assert isinstance(ABuffer(patches).points, SpiralPoints)
+    engine = ABuffer(patches, SpiralPoints(7), 500)
     first, again, more = engine.cast(64), engine.cast(64), engine.cast(64, 64)
     assert all(np.array_equal(a, b) for a, b in zip(first.chunks, again.chunks, strict=True))
     assert not np.array_equal(first.counted, more.counted)
-    assert not np.array_equal(first.counted, ABuffer(patches, lines=500, seed=8).cast(64).counted)
+    assert not np.array_equal(first.counted, ABuffer(patches, SpiralPoints(8), 500).cast(64).counted)
     x = patches.centres[:, 0]
-    exact = ABuffer(patches, lines=4096, seed=1).cast(1024).gather(x)
+    exact = ABuffer(patches, SpiralPoints(1), 4096).cast(1024).gather(x)
     # The scatter of the batches is an upper estimate.
     errors, stated = first.gather(x) - exact, first.gather_error(x)
     assert np.sqrt(np.mean((errors / stated) ** 2)) < 1.2

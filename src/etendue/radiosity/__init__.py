@@ -39,6 +39,7 @@ from .smoothing import VertexRadiosity, vertex_radiosity
 from .solids import box, joined
 from .solutionfiles import read_solution
 from .solvers import SOLVERS, Solution, Solver, Transport, check_direct, solve
+from .spiral import SpiralPoints
 
 __all__ = [
     "ESTIMATORS",
@@ -79,6 +80,7 @@ __all__ = [
     "Solution",
     "Solver",
     "SpherePairs",
+    "SpiralPoints",
     "TexturedMesh",
     "Transport",
     "VertexRadiosity",

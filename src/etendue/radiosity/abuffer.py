@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
 
-from etendue.core import Array, seed_key
+from etendue.core import Array
 from etendue.points import PointSet
 
 from .engine import LineEngine
@@ -42,7 +42,7 @@ class ABuffer(LineEngine):
     but each line of the grid keeps all faces that it meets. Sorted by depth, neighbours see each other
     [Carpenter 1984]. In double precision, no line of a closed mesh slips between two faces.
 
-    points: by default each call spreads its directions evenly over the hemisphere (:class:`SpiralPoints`, ``seed``).
+    points: by default :class:`SpiralPoints`, whose directions are spread more evenly than those of a sequence.
     lines: of a bundle through the bounding sphere; by default as many as meet a patch four times in the mean, and
         16384 at least. The square of a patch's error falls with the number of bundles times the power 3/2 of their
         lines, until there are too few directions: have some hundred, and a thousand for errors of 0.2 %.
@@ -58,13 +58,11 @@ class ABuffer(LineEngine):
         points: PointSet | None = None,
         lines: float | None = None,
         backend: Backend = "auto",
-        seed: int = 0,
     ) -> None:
-        super().__init__(patches, points)
+        super().__init__(patches, SpiralPoints() if points is None else points)
         if backend not in get_args(Backend):
             raise RadiosityError(f"the backend is one of {', '.join(get_args(Backend))}, not {backend!r}")
         self.backend = ("drjit" if uses_cuda() else "compiled") if backend == "auto" else backend
-        self._seed = seed if points is None else None
         if lines is None:
             radius = patches.sphere[1]
             once = _LINES_PER_PATCH * 2 * np.pi * radius**2 * len(patches) / patches.areas.sum()
@@ -91,24 +89,21 @@ class ABuffer(LineEngine):
 
     def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
         """See :class:`LineEngine`."""
-        grids = partial(self._grids, self.points, 0)
-        if self._seed is not None:
-            grids = partial(self._grids, SpiralPoints(count, seed_key(self._seed, "bundles", first)[0]), first)
         pieces = self._pieces(count, first, size)
         if self.backend == "drjit":
-            return (self._rasteriser.segments(*grids(*piece)) for piece in pieces)
+            return (self._rasteriser.segments(*self._grids(*piece)) for piece in pieces)
         rasterise = compiled("scanlines").rasterise
         # Hits of a bundle vary with its direction.
         room = int(1.2 * self.expected(1).sum()) + 1024
 
         def task(start: int, number: int) -> Callable[[], Pairs]:
-            arrays = self._vertices, self._faces, self._ends, *grids(start, number)
+            arrays = self._vertices, self._faces, self._ends, *self._grids(start, number)
             return lambda: rasterise(*arrays, self._spacing, len(self.patches), room)
 
         return in_order(task(*piece) for piece in pieces)
 
-    def _grids(self, points: PointSet, origin: int, start: int, number: int) -> tuple[Array, Array]:
-        u = points.block(number, start - origin)
+    def _grids(self, start: int, number: int) -> tuple[Array, Array]:
+        u = self.points.block(number, start)
         return self.bundles.frames(u), np.ascontiguousarray(u[:, 2:])
 
     @cached_property
