@@ -60,7 +60,7 @@ def measure(sizes: list[int], bundles: int, lines: float | None, backends: Seque
         radiosity = smooth_radiosity(patches)
         gathered = []
         for seed in range(2):
-            engine, found = ABuffer(patches, SpiralPoints(seed), lines, backend), list[Segments]()
+            engine, found = ABuffer(patches, SpiralPoints(seed, bundles), lines, backend), list[Segments]()
             cast = timed(lambda engine=engine, found=found: found.append(engine.cast(bundles)))
             segments = found[0]
             results: list[np.ndarray] = []

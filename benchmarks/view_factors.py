@@ -157,7 +157,7 @@ def _reference(patches: Patches, lines: float, view3d: Outcome | None) -> tuple[
     """F J and the irradiance of the room, and where they are from: many lines of other seeds."""
     gathered, irradiance = [], []
     for run in range(_RUNS):
-        segments = ABuffer(patches, SpiralPoints(_FIRST_SEED + run), lines).cast(_BUNDLES)
+        segments = ABuffer(patches, SpiralPoints(_FIRST_SEED + run, _BUNDLES), lines).cast(_BUNDLES)
         gathered.append(segments.gather(smooth_radiosity(patches)))
         irradiance.append(solve(patches, segments, "conjugate-gradient", tolerance=1e-6).irradiance[:, 0])
     means, parts = [], []

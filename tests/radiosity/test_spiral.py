@@ -22,7 +22,7 @@ def projected_area_errors(points, size):
 def test_directions_are_more_even_than_those_of_a_sequence(size, share):
     spiral, sobol = (
         np.sqrt(np.mean([projected_area_errors(kind(seed), size) ** 2 for seed in range(4)]))
-        for kind in (lambda seed: SpiralPoints(seed), lambda seed: OwenSobol(4, seed=seed))
+        for kind in (lambda seed: SpiralPoints(seed, size), lambda seed: OwenSobol(4, seed=seed))
     )
     assert spiral < share * sobol
 
@@ -41,7 +41,7 @@ def test_parts_are_spread_too():
 
 
 def test_points_are_functions_of_their_index():
-    points = SpiralPoints(1)
+    points = SpiralPoints(1, directions=1024)
     assert points.size is None and points.block(2048).max() < 1
     np.testing.assert_array_equal(points.block(2048)[1000:1100], points.block(100, 1000))
     # The next spiral is turned otherwise.

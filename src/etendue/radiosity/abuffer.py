@@ -42,7 +42,7 @@ class ABuffer(LineEngine):
     but each line of the grid keeps all faces that it meets. Sorted by depth, neighbours see each other
     [Carpenter 1984]. In double precision, no line of a closed mesh slips between two faces.
 
-    points: by default :class:`SpiralPoints`, whose directions are spread more evenly than those of a sequence.
+    points: by default :class:`SpiralPoints`, a spiral for the bundles of each call.
     lines: of a bundle through the bounding sphere; by default as many as meet a patch four times in the mean, and
         16384 at least. The square of a patch's error falls with the number of bundles times the power 3/2 of their
         lines, until there are too few directions: have some hundred, and a thousand for errors of 0.2 %.
@@ -60,6 +60,7 @@ class ABuffer(LineEngine):
         backend: Backend = "auto",
     ) -> None:
         super().__init__(patches, SpiralPoints() if points is None else points)
+        self._spirals = points is None
         if backend not in get_args(Backend):
             raise RadiosityError(f"the backend is one of {', '.join(get_args(Backend))}, not {backend!r}")
         self.backend = ("drjit" if uses_cuda() else "compiled") if backend == "auto" else backend
@@ -89,6 +90,8 @@ class ABuffer(LineEngine):
 
     def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
         """See :class:`LineEngine`."""
+        if self._spirals:
+            self.points = SpiralPoints(directions=count)
         pieces = self._pieces(count, first, size)
         if self.backend == "drjit":
             return (self._rasteriser.segments(*self._grids(*piece)) for piece in pieces)

@@ -15,32 +15,32 @@ from .lines import direction
 
 #: The golden ratio less one: the part of a turn from one direction to the next.
 _TURN = (np.sqrt(5.0) - 1) / 2
-#: Directions of a spiral.
-_SIZE = 1024
 _BELOW_ONE = 1 - 2.0**-24
 
 
 class SpiralPoints(PointSet):
     """Points of four dimensions for :class:`Bundles`: directions on spherical Fibonacci lattices [Marques 2013].
 
-    Direction ``k`` of 1024 has the height ``(k + 1/2) / 1024`` and is turned by k golden sections; then all are turned
-    together at random, so that each is even by itself. In a room with boxes they leave two thirds of the error of
-    Sobol' points. They come in the order of the radical inverse, so that each part of them is spread, too. Every 1024
-    points make a spiral of their own. The other dimensions are those of a scrambled Sobol' sequence.
+    Direction ``k`` of n has the height ``(k + 1/2) / n`` and is turned by k golden sections; then all are turned
+    together at random, so that each is even by itself. In a room with boxes 1024 leave two thirds of the error of
+    Sobol' points. They come in the order of the radical inverse, so that each part of them is spread, too, but less
+    well. The other dimensions are those of a scrambled Sobol' sequence.
+
+    directions: n, after which the next spiral begins, turned otherwise. Best is the number of bundles, if it is known.
     """
 
     name = "spiral"
     is_random = True
     citations = ("Marques2013",)
 
-    def __init__(self, seed: int = 0) -> None:
+    def __init__(self, seed: int = 0, directions: int = 1024) -> None:
         super().__init__(4)
-        self.seed = seed
+        self.seed, self.directions = seed, directions
         self._sobol = OwenSobol(4, seed=seed)
 
     def randomised(self, seed: int) -> PointSet:
         """Spirals turned otherwise."""
-        return SpiralPoints(seed)
+        return SpiralPoints(seed, self.directions)
 
     def _coordinate(self, index: Any, dimension: int) -> Any:
         if dimension > 1:
@@ -49,17 +49,18 @@ class SpiralPoints(PointSet):
             kind = dr.float32_array_t(type(index))
             return on_device(kind, self._coordinate(np.array(index), dimension).astype(np.float32))
         result = np.empty(len(index))
-        for spiral in np.unique(index // _SIZE):
-            here = index // _SIZE == spiral
-            result[here] = _ways(self.seed, int(spiral))[dimension, index[here] % _SIZE]
+        spirals, places = np.divmod(index, self.directions)
+        for spiral in np.unique(spirals):
+            here = spirals == spiral
+            result[here] = _ways(self.seed, self.directions, int(spiral))[dimension, places[here]]
         return result
 
 
 @lru_cache(16)
-def _ways(seed: int, spiral: int) -> Array:
-    """Height and turn of the directions of a spiral, (2, 1024)."""
-    k = np.argsort(np.argsort(Halton(1).block(_SIZE)[:, 0]))
-    ways = direction(np.stack([(k + 0.5) / _SIZE, np.mod(k * _TURN, 1.0)], axis=1))
+def _ways(seed: int, size: int, spiral: int) -> Array:
+    """Height and turn of the directions of a spiral, (2, size)."""
+    k = np.argsort(np.argsort(Halton(1).block(size)[:, 0]))
+    ways = direction(np.stack([(k + 0.5) / size, np.mod(k * _TURN, 1.0)], axis=1))
     turned, scale = np.linalg.qr(np.random.default_rng(seed_key(seed, "spiral", spiral)).normal(size=(3, 3)))
     ways = ways @ (turned * np.sign(np.diag(scale)))
     ways *= np.copysign(1.0, ways[:, 2:])  # a line has no sense
