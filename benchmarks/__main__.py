@@ -14,7 +14,7 @@ from etendue.radiosity import Backend
 
 from . import choice as choice_of_auto
 from . import cost as cost_of_a_pass
-from . import densities, exchanges, fresh, integrals, neighbours, sequences
+from . import densities, exchanges, fresh, integrals, neighbours, sequences, view_factors
 from . import guided as guiding
 from . import quality as quality_over_time
 from . import rays as ray_casting
@@ -225,7 +225,7 @@ def radiosity(
     ] = "20,107",
     bundles: Annotated[int, typer.Option(min=1, help="Bundles of parallel lines.")] = 1024,
     lines: Annotated[
-        float | None, typer.Option(min=1, help="Lines of a bundle; two for each patch by default.")
+        float | None, typer.Option(min=1, help="Lines of a bundle; four for each patch by default, 16384 at least.")
     ] = None,
     backends: Annotated[
         str, typer.Option(help="auto, compiled (Numba), drjit, separated by commas.", metavar="NAME,...")
@@ -237,6 +237,26 @@ def radiosity(
     engines = cast("list[Backend]", named(backends, get_args(Backend), "backend"))
     chosen = begin(variant)
     _publish(chosen, record, exchanges.measure([int(word) for word in words(cells)], bundles, lines, engines))
+
+
+@app.command("view-factors")
+def view_factors_of_a_room(
+    cells: Annotated[
+        str, typer.Option(help="Along an edge of the room, separated by commas.", metavar="N,...")
+    ] = "20,24",
+    bundles: Annotated[int, typer.Option(min=1, help="Bundles of parallel lines.")] = 1024,
+    lines: Annotated[float, typer.Option(min=1, help="Lines of a bundle.")] = 48000,
+    peer_python: Annotated[
+        str | None, typer.Option(help="A Python that has pyViewFactor 1.1.0.", metavar="PROGRAM")
+    ] = None,
+    view3d: Annotated[str | None, typer.Option("--view3d", help="The program of View3D.", metavar="PROGRAM")] = None,
+    variant: Variant = None,
+    record: Keep = False,
+) -> None:
+    """View factors by global lines, by pyViewFactor and by View3D: CPU time and errors."""
+    chosen = begin(variant)
+    sizes = [int(word) for word in words(cells)]
+    _publish(chosen, record, view_factors.measure(sizes, bundles, lines, peer_python, view3d))
 
 
 @app.callback(invoke_without_command=True)
@@ -255,6 +275,7 @@ def everything(context: typer.Context, variant: Variant = None, record: Keep = F
         integration(variant=variant, record=record)
         density(variant=variant, record=record)
         radiosity(variant=variant, record=record)
+        view_factors_of_a_room(variant=variant, record=record)
 
 
 if __name__ == "__main__":

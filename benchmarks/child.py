@@ -73,7 +73,30 @@ def memory(options: dict[str, Any]) -> dict[str, Any]:
     return outcome | {"peaks": peaks}
 
 
+def view_factors(options: dict[str, Any]) -> dict[str, Any]:
+    """CPU seconds of a first call, of global lines with F J, and of a solution; those are written to ``out``."""
+    import numpy as np
+
+    from etendue.radiosity import ABuffer, solve
+
+    from .exchanges import room, smooth_radiosity
+
+    clock = [time.process_time()]
+    for cells, bundles in ((4, 1), (options["cells"], options["bundles"])):
+        patches = room(cells)
+        segments = ABuffer(patches, lines=options["lines"]).cast(bundles)
+        gathered = segments.gather(smooth_radiosity(patches))
+        if bundles == 1:
+            solve(patches, segments, "conjugate-gradient", tolerance=1e-4)
+        clock.append(time.process_time())
+    solution = solve(patches, segments, "conjugate-gradient", tolerance=1e-4)
+    clock.append(time.process_time())
+    np.savez(options["out"], gathered=gathered, irradiance=solution.irradiance[:, 0])
+    return dict(zip(("first", "factors", "solution"), np.diff(clock).tolist(), strict=True))
+
+
 if __name__ == "__main__":
     import etendue  # noqa: F401  # before Dr.Jit: it finds the LLVM
 
-    print(json.dumps({"first-pass": first_pass, "memory": memory}[sys.argv[1]](json.loads(sys.argv[2]))))
+    COMMANDS = {"first-pass": first_pass, "memory": memory, "view-factors": view_factors}
+    print(json.dumps(COMMANDS[sys.argv[1]](json.loads(sys.argv[2]))))

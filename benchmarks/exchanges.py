@@ -12,8 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from etendue.points import OwenSobol
-from etendue.radiosity import ABuffer, Backend, Patches, Segments, box, joined, solve
+from etendue.radiosity import ABuffer, Backend, Patches, Segments, SpiralPoints, box, joined, solve
 
 from .measuring import Record, timed
 
@@ -31,6 +30,12 @@ def room(cells: int) -> Patches:
     patches = Patches(*joined(box((0, 0, 0), (1, 1, 1), cells, inward=True), *boxes))
     lamp = (patches.centres[:, 2] == 1) & (np.abs(patches.centres[:, :2] - 0.5) < 0.2).all(axis=1)
     return patches.with_properties(reflectance=0.7, emission=lamp.astype(float))
+
+
+def smooth_radiosity(patches: Patches) -> np.ndarray:
+    """J, the radiosity whose irradiance is judged."""
+    x, y, z = patches.centres.T
+    return np.exp(2 * x) * (1 + 0.5 * np.sin(7 * y + 5 * z))
 
 
 def measure(sizes: list[int], bundles: int, lines: float | None, backends: Sequence[Backend] = ("auto",)) -> Record:
@@ -52,11 +57,10 @@ def measure(sizes: list[int], bundles: int, lines: float | None, backends: Seque
         ABuffer(room(1), backend=backend).cast(1).gather(np.ones(len(room(1))))  # compiles
     for cells, backend in itertools.product(sizes, backends):
         patches = room(cells)
-        x, y, z = patches.centres.T
-        radiosity = np.exp(2 * x) * (1 + 0.5 * np.sin(7 * y + 5 * z))
+        radiosity = smooth_radiosity(patches)
         gathered = []
         for seed in range(2):
-            engine, found = ABuffer(patches, OwenSobol(4, seed=seed), lines, backend), list[Segments]()
+            engine, found = ABuffer(patches, SpiralPoints(seed, bundles), lines, backend), list[Segments]()
             cast = timed(lambda engine=engine, found=found: found.append(engine.cast(bundles)))
             segments = found[0]
             results: list[np.ndarray] = []
@@ -78,7 +82,7 @@ def measure(sizes: list[int], bundles: int, lines: float | None, backends: Seque
             *(f"{count / replay.wall:.0f}", f"{solution.wall:.2f}", f"{error:.2g}", f"{segments.nbytes / 1e9:.2f} GB"),
         )
     record.notes += [
-        f"{bundles} bundles of {'as many lines as meet each patch twice' if lines is None else f'{lines:g} lines'}",
+        f"{bundles} bundles of {'the default number of' if lines is None else f'{lines:g}'} lines",
         "error: of F J for a smooth J, relative, root mean square over patches, from the difference of two runs",
         "solve: one channel, reflectance 0.7, conjugate gradient on the segments to a residual of 1e-4",
     ]

@@ -209,3 +209,16 @@ def test_the_radiosity_benchmark_counts_and_solves():
     assert (columns["backend"], other["backend"]) == ("compiled", "drjit")
     assert columns["segments"] == other["segments"]
     assert columns["patches"] == "86" and 0 < float(columns["error"]) < 0.1
+
+
+@pytest.mark.slow
+def test_the_view_factor_benchmark_measures_lines_and_says_how_to_get_the_others(monkeypatch):
+    view_factors = module("view_factors")
+    monkeypatch.setattr(view_factors, "_RUNS", 2)
+    monkeypatch.setattr(view_factors, "_BUNDLES", 256)
+    record = view_factors.measure([4], 256, 4000, None, None)
+    assert [row[0] for row in record.rows] == ["lines", "lines, cold"]
+    for row in record.rows:
+        columns = dict(zip(record.columns, row, strict=True))
+        assert 0 < float(columns["F J error"]) < 0.1 and 0 < float(columns["error"]) < 0.1
+    assert any("how to install it" in note for note in record.notes)

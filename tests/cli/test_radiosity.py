@@ -70,6 +70,28 @@ def test_form_factors_as_text_of_an_open_mesh_of_sheets(capsys):
     assert f"{patches} patches of {patches // 2} faces" in err and patches > 100
 
 
+def test_exact_form_factors(capsys):
+    assert run("form-factors room.ply -o f.npz --exact --reflectance 0.25") == 0
+    out, err = capsys.readouterr()
+    assert out == "f.npz\n" and "form factors (exact), rows sum to" in err and "sky" not in err
+    with np.load("f.npz") as arrays:
+        assert json.loads(str(arrays["metadata"]))["estimator"] == "exact" and not arrays["errors"].any()
+        assert arrays["emissivity"].tolist() == [0.75] * 24
+    np.testing.assert_allclose(np.asarray(sparse.load_npz("f.npz").sum(axis=1)).ravel(), 1, atol=1e-6)
+    write_room("open.ply", walls=5)
+    assert run("form-factors open.ply --exact -o f.vf") == 0
+    assert "% of what patches see is the sky" in capsys.readouterr().err
+
+
+def test_exact_form_factors_of_what_is_hidden_are_refused(capsys):
+    walls, inner = box((0, 0, 0), (1, 2, 3), 1, inward=True), box((0.2, 0.2, 0.2), (0.5, 0.5, 0.5))
+    vertices, faces = np.concatenate([walls[0], inner[0]]), np.concatenate([walls[1], inner[1] + len(walls[0])])
+    meshio.write("hidden.ply", meshio.Mesh(vertices, [("quad", faces.astype(np.int32))]))
+    assert run("form-factors hidden.ply --exact") == 2
+    err = capsys.readouterr().err
+    assert "stands between faces" in err and "without --exact" in err and not Path("factors.npz").exists()
+
+
 def test_a_room_that_is_turned_outward_is_noticed(capsys):
     write_room("flipped.ply", inward=False)
     assert run("form-factors flipped.ply --bundles 8") == 0
@@ -111,6 +133,7 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("form-factors room.ply -o nowhere/f.npz", "there is no folder"),
         ("form-factors room.ply --estimator F9", "there is no estimator 'F9'"),
         ("form-factors room.ply --reflectance 1.2", "must be in [0, 1)"),
+        ("form-factors room.ply --exact --bundles 8", "--exact casts no lines"),
         ("form-factors room.ply --bundles 0", "greater than or equal to 1"),
         ("form-factors room.ply --max-area -1", "must be a positive number"),
         ("form-factors room.ply --max-area 1e-12", "allow larger ones"),

@@ -131,6 +131,7 @@ def test_commands_are_understood(command, folder, monkeypatch, capsys):
     monkeypatch.setattr(compare.Comparison, "run", lambda *arguments: begun.append(arguments) or 0)
     monkeypatch.setattr(radiosity, "cast", lambda *arguments: begun.append(arguments) or radiosity.Cast(None, 0, print))
     monkeypatch.setattr(radiosity.out.SolutionOutput, "write_again", lambda *arguments: begun.append(arguments) or 0)
+    monkeypatch.setattr(radiosity, "exact_to_file", lambda *arguments: begun.append(arguments) or 0)
     monkeypatch.setattr(doctor, "run_doctor", lambda *arguments: begun.append(arguments) or 0)
     words = shlex.split(command, comments=True)[1:]
     assert main(words) == 0, capsys.readouterr().err

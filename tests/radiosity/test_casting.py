@@ -11,7 +11,6 @@ from support.patches import box, cube, joined, square
 import etendue.radiosity.casting
 from etendue.core import CheckpointError
 from etendue.engine import Budget, Checkpoint, Job, Runner
-from etendue.points import OwenSobol
 from etendue.radiosity import (
     ABuffer,
     CastingSettings,
@@ -20,6 +19,7 @@ from etendue.radiosity import (
     Patches,
     PatchProblem,
     RadiosityError,
+    SpiralPoints,
     solve,
 )
 
@@ -47,7 +47,7 @@ def test_passes_make_the_segments_of_the_engine():
     casting = prepared(patches, most=20)
     result = run(casting, samples=20)
     assert casting.count == 20 and result.passes == 3 and result.stopped_by == "samples"
-    same = ABuffer(patches, OwenSobol(4, seed=3), 200).cast(20)
+    same = ABuffer(patches, SpiralPoints(3), 200).cast(20)
     segments = casting.segments()
     np.testing.assert_array_equal(np.concatenate(segments.chunks), np.concatenate(same.chunks))
     np.testing.assert_array_equal(segments.expected, same.expected)
@@ -62,7 +62,7 @@ def test_engines_with_other_pieces(monkeypatch):
     assert casting.samples_per_iteration == 64
     result = run(casting, samples=200)
     assert result.passes == 4 and casting.count == 200
-    loops = ABuffer(cube(1), OwenSobol(4, seed=3), 200).cast(200)
+    loops = ABuffer(cube(1), SpiralPoints(3), 200).cast(200)
     assert abs(casting.made - len(loops)) <= 3 and len(casting.segments().chunks) == 4
 
 

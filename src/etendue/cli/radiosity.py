@@ -19,7 +19,7 @@ from . import options as opt
 from . import radiosity_outputs as out
 from .console import error_console, note, say
 from .lines import DEFAULT_BUNDLES, Cast, Request, cast, request_of
-from .solutions import describe_patches, factors_to_file, segments_of, solution_to_file
+from .solutions import describe_patches, exact_to_file, factors_to_file, segments_of, solution_to_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -83,6 +83,9 @@ def form_factors(
     ids: Ids = None,
     max_area: MaxArea = None,
     two_sided: TwoSided = False,
+    exact: Annotated[
+        bool, typer.Option("--exact", help="By integrals in place of lines, if faces hide nothing from each other.")
+    ] = False,
     seed: LineSeed = 0,
     no_local_rays: NoLocalRays = False,
     checkpoint: CheckpointFile = None,
@@ -107,6 +110,10 @@ def form_factors(
         ids=ids,
         local_rays=not no_local_rays,
     )
+    if exact:
+        if (bundles, time, error, checkpoint) != (None, None, None, None):
+            raise OptionError("--exact casts no lines: leave out --bundles, --time, --error and --checkpoint")
+        return _run_exact(request, threads)
     return _run(request, _budget(bundles, time, error), checkpoint, save_every, None, threads)
 
 
@@ -282,6 +289,23 @@ def _run(
     note(error_console(), f"in {format_seconds(time.perf_counter() - began)}")
     say("\n".join(map(str, request.files)))
     return done.status
+
+
+def _run_exact(request: Request, threads: int | None) -> int:
+    """Form factors without lines. Returns the exit status."""
+    from .rendering import choose_device
+
+    _check(request, None)
+    choose_device(None, threads)
+    began = time.perf_counter()
+    with _ended_by_ctrl_c(None):
+        patches = request.patches(None)
+        _check_patches(request, patches, None)
+        describe_patches(request, patches)
+        exact_to_file(request, patches)
+    note(error_console(), f"in {format_seconds(time.perf_counter() - began)}")
+    say(request.output)
+    return 0
 
 
 def _write_again(request: Request, solution: Path, variant: str | None, threads: int | None) -> int:

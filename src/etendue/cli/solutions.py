@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,6 +40,20 @@ def factors_to_file(request: Request, casting: LineCasting, segments: Segments) 
         f"{factors.matrix.nnz} form factors ({estimator}), rows sum to {sums.min():.5g} to {sums.max():.5g}, "
         f"standard error of a row {errors.mean():.2g} (at most {errors.max():.2g})"
     )
+
+
+def exact_to_file(request: Request, patches: Patches) -> None:
+    """Integrate, write, and say what came of it."""
+    from etendue.radiosity import exact_form_factors, save_form_factors
+
+    with error_console().status("integrating over contours"):
+        factors = exact_form_factors(patches)
+        known = {"software": f"etendue {metadata.version('etendue')}", "source": request.source, "estimator": "exact"}
+        save_form_factors(request.output, factors, emissivity=1 - patches.reflectance[:, 0], metadata=known)
+    sums = factors.row_sums()
+    sky = (patches.areas * factors.sky).sum() / patches.areas.sum()
+    open_ends = f", {100 * sky:.3g} % of what patches see is the sky" if sky > 0 else ""
+    _say(f"{factors.matrix.nnz} form factors (exact), rows sum to {sums.min():.7g} to {sums.max():.7g}{open_ends}")
 
 
 def solution_to_file(request: Request, casting: LineCasting, segments: Segments, problem: Problem | None) -> None:

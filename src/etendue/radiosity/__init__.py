@@ -7,6 +7,7 @@ from .chained import ChainedRays
 from .diagnosis import Diagnosis, diagnose
 from .engine import LineEngine
 from .errors import PatchError, RadiosityError
+from .exact import exact_form_factors
 from .formfactors import ESTIMATORS, Estimator, FormFactors, estimate, form_factors, pair_errors
 from .gltf import GltfMesh, coloured_mesh, write_gltf
 from .heat import STEFAN_BOLTZMANN, band_shares, gebhart_factors, thermal
@@ -38,6 +39,7 @@ from .smoothing import VertexRadiosity, vertex_radiosity
 from .solids import box, joined
 from .solutionfiles import read_solution
 from .solvers import SOLVERS, Solution, Solver, Transport, check_direct, solve
+from .spiral import SpiralPoints
 
 __all__ = [
     "ESTIMATORS",
@@ -78,6 +80,7 @@ __all__ = [
     "Solution",
     "Solver",
     "SpherePairs",
+    "SpiralPoints",
     "TexturedMesh",
     "Transport",
     "VertexRadiosity",
@@ -94,6 +97,7 @@ __all__ = [
     "depth_first",
     "diagnose",
     "estimate",
+    "exact_form_factors",
     "first_shot",
     "form_factors",
     "gebhart_factors",

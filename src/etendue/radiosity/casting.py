@@ -32,6 +32,7 @@ from .raycasting import RayScene
 from .segments import Pairs, Segments
 from .shot import FirstShot, Shot, small_emitters
 from .solvers import solve
+from .spiral import SpiralPoints
 
 #: Rays of a first shot for each segment: they take about as long as casting the segments.
 RAYS_PER_SEGMENT = 1 / 16
@@ -121,7 +122,7 @@ class LineCasting:
         into memory."""
         patches = self.patches = problem.patches
         lines = self._options.lines or None
-        self.engine: LineEngine = ABuffer(patches, OwenSobol(4, seed=seed), lines)
+        self.engine: LineEngine = ABuffer(patches, SpiralPoints(seed), lines)
         self._seed, self._size = seed, self.engine.piece(_USUAL)
         if self.memory() < 1:
             raise RadiosityError(f"not even one bundle of lines through {len(patches)} patches fits into memory")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from importlib import import_module
 from types import ModuleType
 from typing import TypeVar
 
@@ -15,16 +16,15 @@ from etendue.core import BackendError
 T = TypeVar("T")
 
 
-def compiled() -> ModuleType:
-    """The loops compiled by Numba; raises :class:`BackendError` if that is not installed."""
+def compiled(loops: str = "compiled") -> ModuleType:
+    """The loops that Numba compiles, of one module; raises :class:`BackendError` if that is not installed."""
     try:
-        from . import compiled as loops
+        return import_module(f".{loops}", __package__)
     except ImportError as error:
         raise BackendError(
-            f"global lines on the CPU are compiled by numba, which cannot be loaded ({error}): "
+            f"loops of radiosity on the CPU are compiled by numba, which cannot be loaded ({error}): "
             "pip install 'etendue[radiosity]'"
         ) from error
-    return loops
 
 
 def threads() -> int:

@@ -1,0 +1,283 @@
+"""Loops compiled for the CPU by Numba: bundles of lines through all faces, as segments.
+
+A *segment* is a pair of patch numbers, or of one and ``n`` for the sky, ``n + 1`` for darkness (the back of a face).
+
+A *hit* is a number of 64 bits: depth before twice the face, and 1 if the line meets its back first. Depths are whole
+numbers of 32 bits from one side of the scene to the other, so that hits are sorted as they are.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+#: Depths of the scene, which has the radius 1, are from -_REACH to _REACH.
+_REACH = 1.001
+_UNIT = 2.0**31 / _REACH
+#: The order of faces nearer to each other than this follows from how they are turned, in units of depth: 2e-7 radii.
+_GAP = int(2e-7 * _UNIT)
+#: As near, two faces are in the same place.
+_SAME = 1
+_NONE = np.int32(-1)
+_HALF, _LOW = np.uint64(32), np.uint64(0xFFFFFFFF)
+#: Hits of a line up to this number are sorted without branches.
+_FEW = 8
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def rasterise(
+    vertices: Any, faces: Any, ends: Any, frames: Any, shifts: Any, spacing: Any, patches: Any, room: Any
+) -> Any:
+    """Segments (k, 2) of the lines of some bundles, line by line, each from its near end on.
+
+    vertices (v, 3) in the unit sphere; faces (f, 4), flat and convex; ends (2 f, 2): near and far patch of a face, and
+    the same of the face seen from the back, ``patches + 1`` for none; frames (b, 3, 3) as of :meth:`Bundles.frames`;
+    shifts (b, 2) of the grid in units of ``spacing``; room, the hits of a bundle to be ready for.
+
+    Each line has a list of its hits, in order of their discovery; see :func:`_settle` for those that are too near to
+    each other to be ordered by depth.
+    """
+    # What may grow is passed on as an argument: arrays that change hands in a loop are counted at every turn of it.
+    place = np.empty((len(vertices), 3))
+    heads = np.empty(1, np.int32)
+    hits, nexts = np.empty(room, np.uint64), np.empty(room, np.int32)
+    order = np.empty(64, np.uint64)
+    pairs, made = np.empty((room * (len(frames) + 3) * 3 // 5, 2), np.uint32), 0
+    for b in range(len(frames)):
+        low_x, high_x, low_y, high_y = _project(vertices, frames[b], shifts[b], spacing, place)
+        column, row = math.ceil(low_x), math.ceil(low_y)
+        columns, rows = math.ceil(high_x) - column, math.ceil(high_y) - row
+        if columns <= 0 or rows <= 0:
+            continue
+        if columns * rows > len(heads):
+            heads = np.empty(columns * rows, np.int32)
+        heads[: columns * rows] = _NONE
+        face, count, wanted = 0, 0, 0
+        while True:
+            face, count, wanted = _fill(place, faces, column, row, columns, heads, hits, nexts, face, count)
+            if face == len(faces):
+                break
+            room = max(2 * len(hits), count + wanted)
+            hits, nexts = _grown(hits, room, count), _grown(nexts, room, count)
+        if made + 2 * count + 1 > len(pairs):
+            pairs = _grown_pairs(pairs, 2 * (made + 2 * count) + 1, made)
+        line = 0
+        while True:
+            line, made = _walk(heads, columns * rows, hits, nexts, ends, order, pairs, line, made, patches)
+            if line == columns * rows:
+                break
+            order = np.empty(2 * len(order), np.uint64)
+    return pairs[:made]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _project(vertices: Any, frame: Any, shift: Any, spacing: Any, place: Any) -> Any:
+    """Write column, row and depth of the vertices to ``place`` (v, 3), and return the bounds of the first two."""
+    xx, xy, xz = frame[0, 0] / spacing, frame[0, 1] / spacing, frame[0, 2] / spacing
+    yx, yy, yz = frame[1, 0] / spacing, frame[1, 1] / spacing, frame[1, 2] / spacing
+    zx, zy, zz = frame[2, 0] * _UNIT, frame[2, 1] * _UNIT, frame[2, 2] * _UNIT
+    shift_x, shift_y = shift[0], shift[1]
+    low_x = low_y = np.inf
+    high_x = high_y = -np.inf
+    for v in range(len(vertices)):
+        px, py, pz = vertices[v, 0], vertices[v, 1], vertices[v, 2]
+        x = xx * px + xy * py + xz * pz - shift_x
+        y = yx * px + yy * py + yz * pz - shift_y
+        place[v, 0], place[v, 1], place[v, 2] = x, y, zx * px + zy * py + zz * pz + _REACH * _UNIT
+        low_x, high_x = min(low_x, x), max(high_x, x)
+        low_y, high_y = min(low_y, y), max(high_y, y)
+    return low_x, high_x, low_y, high_y
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _fill(
+    place: Any,
+    faces: Any,
+    first_column: Any,
+    first_row: Any,
+    columns: Any,
+    heads: Any,
+    hits: Any,
+    nexts: Any,
+    start: Any,
+    count: Any,
+) -> Any:
+    """Put the hits of the faces from ``start`` on into the lists.
+
+    Returns the face before which room has run out (``len(faces)`` if it has not), the number of hits, and how many more
+    that face may have.
+
+    A face covers the half-open interval of a row between its edges, and an edge is computed alike for both faces that
+    share it: a line meets exactly one of them.
+    """
+    for f in range(start, len(faces)):
+        i0, i1, i2, i3 = faces[f, 0], faces[f, 1], faces[f, 2], faces[f, 3]
+        y0, y1, y2, y3 = place[i0, 1], place[i1, 1], place[i2, 1], place[i3, 1]
+        top, end = math.ceil(min(min(y0, y1), min(y2, y3))), math.ceil(max(max(y0, y1), max(y2, y3)))
+        if top >= end:
+            continue
+        x0, x1, x2, x3 = place[i0, 0], place[i1, 0], place[i2, 0], place[i3, 0]
+        width = math.ceil(max(max(x0, x1), max(x2, x3))) - math.ceil(min(min(x0, x1), min(x2, x3)))
+        if width <= 0:
+            continue
+        if count + (end - top) * width > len(hits):
+            return f, count, (end - top) * width
+        z0, z1, z2, z3 = place[i0, 2], place[i1, 2], place[i2, 2], place[i3, 2]
+        # Normal from the diagonals; of a triangle, whose last corner is there twice, as well.
+        ax, ay, az = x2 - x0, y2 - y0, z2 - z0
+        bx, by, bz = x3 - x1, y3 - y1, z3 - z1
+        nz = ax * by - ay * bx
+        if nz == 0.0:
+            continue
+        slope_x, slope_y = -(ay * bz - az * by) / nz, -(az * bx - ax * bz) / nz
+        z_low, z_high = min(min(z0, z1), min(z2, z3)), max(max(z0, z1), max(z2, z3))
+        side = np.uint64(2 * f + (nz > 0))
+        # Edges as x over y from their lower end; those along a row are infinitely slanted, and meet none.
+        slant0, slant1, slant2, slant3 = (
+            (x1 - x0) / (y1 - y0),
+            (x2 - x1) / (y2 - y1),
+            (x3 - x2) / (y3 - y2),
+            (x0 - x3) / (y0 - y3),
+        )
+        from0, from1, from2, from3 = y0 <= y1, y1 <= y2, y2 <= y3, y3 <= y0
+        xa0, ya0 = (x0, y0) if from0 else (x1, y1)
+        xa1, ya1 = (x1, y1) if from1 else (x2, y2)
+        xa2, ya2 = (x2, y2) if from2 else (x3, y3)
+        xa3, ya3 = (x3, y3) if from3 else (x0, y0)
+        for row in range(top, end):
+            up0, up1, up2, up3 = y0 <= row, y1 <= row, y2 <= row, y3 <= row
+            e0 = xa0 + (row - ya0) * slant0
+            e1 = xa1 + (row - ya1) * slant1
+            e2 = xa2 + (row - ya2) * slant2
+            e3 = xa3 + (row - ya3) * slant3
+            left = min(
+                min(e0 if up0 != up1 else np.inf, e1 if up1 != up2 else np.inf),
+                min(e2 if up2 != up3 else np.inf, e3 if up3 != up0 else np.inf),
+            )
+            right = max(
+                max(e0 if up0 != up1 else -np.inf, e1 if up1 != up2 else -np.inf),
+                max(e2 if up2 != up3 else -np.inf, e3 if up3 != up0 else -np.inf),
+            )
+            begin, stop = math.ceil(left), math.ceil(right)
+            depth = z0 + slope_y * (row - y0) + slope_x * (begin - x0)
+            line = (row - first_row) * columns - first_column
+            for column in range(begin, stop):
+                z = np.uint64(np.int64(min(max(depth, z_low), z_high)))
+                hits[count], nexts[count] = (z << _HALF) | side, heads[line + column]
+                heads[line + column] = count
+                count += 1
+                depth += slope_x
+    return len(faces), count, 0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _walk(
+    heads: Any,
+    lines: Any,
+    hits: Any,
+    nexts: Any,
+    ends: Any,
+    order: Any,
+    pairs: Any,
+    start: Any,
+    made: Any,
+    patches: Any,
+) -> Any:
+    """Sort the hits of the lines from ``start`` on, and write the segments between them from ``pairs[made]`` on.
+
+    Returns the line whose hits ``order`` cannot hold (``lines`` if there is none) and the number of segments.
+    """
+    sky, dark = np.uint32(patches), np.uint32(patches + 1)
+    for line in range(start, lines):
+        hit = heads[line]
+        if hit < 0:
+            continue
+        count = 0
+        while hit >= 0:
+            key, at = hits[hit], count
+            if count < _FEW:
+                while at > 0:
+                    other = order[at - 1]
+                    order[at], key = max(other, key), min(other, key)
+                    at -= 1
+            else:
+                if count == len(order):
+                    return line, made
+                while at > 0 and order[at - 1] > key:
+                    order[at] = order[at - 1]
+                    at -= 1
+            order[at] = key
+            count += 1
+            hit = nexts[hit]
+        before, ordered = sky, 0
+        for k in range(count):
+            if k >= ordered and k + 1 < count and _apart(order, k) < _GAP:
+                ordered = _settle(k, before == dark, count, order, ends, dark)
+            side = order[k] & _LOW
+            after = ends[side, 0]
+            pairs[made, 0], pairs[made, 1] = before, after
+            made += (before < sky) | (after < sky)
+            before = ends[side, 1]
+        pairs[made, 0], pairs[made, 1] = before, sky
+        made += before < sky
+    return lines, made
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _apart(order: Any, k: Any) -> Any:
+    """How much deeper than hit ``k`` of a line the next is."""
+    return np.int64(order[k + 1] >> _HALF) - np.int64(order[k] >> _HALF)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _settle(k: Any, inside: Any, count: Any, order: Any, ends: Any, dark: Any) -> Any:
+    """Put hit ``k`` of a line and the next, which are near to each other, into the right order. Returns the hit from
+    which on order is still to be looked at.
+
+    Two faces of opposite sense that are so near may be a sheet, or solids that touch (a box on the floor). Rounding
+    does not decide which comes first, but whether the line is inside a solid, behind the back of a face.
+    """
+    if not _touch(k, count, order, ends, dark):
+        return k
+    leaves = ends[order[k] & _LOW, 0] == dark
+    if k == 0:
+        # Outside of everything may be a solid or the open: the first face by itself tells.
+        alone = 2
+        while _touch(alone, count, order, ends, dark):
+            alone += 2
+        if alone < count:
+            inside = ends[order[alone] & _LOW, 0] == dark
+        elif leaves:  # a corner that is touched keeps its order, two faces in the same place are a sheet
+            inside = _apart(order, k) > _SAME
+        else:
+            inside = False
+    if inside != leaves:
+        order[k], order[k + 1] = order[k + 1], order[k]
+    return k + 2
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _touch(k: Any, count: Any, order: Any, ends: Any, dark: Any) -> Any:
+    """Whether hit ``k`` of a line and the next are of opposite sense and nearly in the same place."""
+    if k + 1 >= count or _apart(order, k) >= _GAP:
+        return False
+    a, b = order[k] & _LOW, order[k + 1] & _LOW
+    enters, leaves = ends[a, 1] == dark, ends[a, 0] == dark
+    return enters != leaves and enters == (ends[b, 0] == dark) and leaves == (ends[b, 1] == dark)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _grown(array: Any, size: Any, used: Any) -> Any:
+    larger = np.empty(size, array.dtype)
+    larger[:used] = array[:used]
+    return larger
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _grown_pairs(array: Any, size: Any, used: Any) -> Any:
+    larger = np.empty((size, 2), array.dtype)
+    larger[:used] = array[:used]
+    return larger
