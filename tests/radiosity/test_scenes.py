@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -114,3 +117,9 @@ def test_a_scene_without_shapes_and_other_options():
     for options in ({"per": "wall"}, {"segments": 2}):
         with pytest.raises(EtendueError):
             scene_patches(scene, **options)
+
+
+def test_no_variant_has_to_be_set_before():
+    code = "from etendue.radiosity import scene_patches\nprint(len(scene_patches('cornell-box')))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+    assert (done.returncode, done.stdout.strip()) == (0, "30"), done.stderr

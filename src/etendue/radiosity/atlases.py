@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, BackendError, SceneError
+from etendue.core import Array, BackendError, SceneError, use_variant
 from etendue.film import replacing
 from etendue.scene import graph, load
 
@@ -98,6 +98,7 @@ def scene_mesh(scene: Any) -> TexturedMesh:
     :func:`etendue.scene.load` takes. Raises :class:`SceneError` for shapes that have none."""
     import mitsuba as mi
 
+    use_variant()
     if not isinstance(scene, mi.Scene):
         scene = load(scene).scene
     parts, offset = [], 0

@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, SceneError, UnsupportedError, logger, seed_key
+from etendue.core import Array, SceneError, UnsupportedError, logger, seed_key, use_variant
 from etendue.scene import graph, load
 
 from .errors import PatchError, RadiosityError
@@ -39,6 +39,7 @@ def scene_patches(
     """
     import mitsuba as mi
 
+    use_variant()
     if not isinstance(scene, mi.Scene):
         scene = load(scene).scene
     if per not in ("face", "shape"):
