@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,7 +27,7 @@ from etendue.points import OwenSobol
 from .abuffer import ABuffer
 from .engine import LineEngine, warn_of_faults
 from .errors import RadiosityError
-from .mixing import with_local_rays
+from .mixing import local_rays, with_local_rays
 from .patches import Patches
 from .raycasting import RayScene
 from .segments import Pairs, Segments
@@ -42,6 +43,10 @@ _BATCHES = 16
 _FEW_SEGMENTS = 1 << 20
 #: Least points before an error is estimated: two batches would do, but tell little.
 _LEAST_PIECES = 16
+#: Sums over all segments that a solution and its error need, and what a local ray takes until it is counted, seconds.
+_PASSES, _RAY_SECONDS = 16, 3e-7
+#: Chunks that are summed to see how long that takes.
+_TIMED = 64
 #: "No end" of a stream, and bundles whose pieces are those of a step.
 _ENDLESS, _USUAL = 1 << 31, 1024
 
@@ -109,6 +114,8 @@ class LineCasting:
         self._stream: Iterator[Pairs] | None = None
         self._shot: Shot | None = None
         self._known: tuple[Array, Array] | None = None
+        # Seconds of a sum for each segment, and of how many chunks that was found.
+        self._pass_seconds, self._timed = 0.0, 0
 
     # ------------------------------------------------------------------ the protocol of methods
 
@@ -130,8 +137,9 @@ class LineCasting:
         if emitters.any():
             points = OwenSobol(4, seed=seed_key(seed, "first shot", 0)[0])
             self._shot = Shot(self._scene, points, emitters)
-        for _ in self.engine.stream(1):
-            pass
+            self._shot.cast(1)
+        for chunk in self.engine.stream(1):
+            self._time_pass([chunk])
 
     def step(self, iteration: int, seed: int) -> Measurement:
         """Cast the next piece. What is measured is kept here; the sums are empty."""
@@ -143,6 +151,11 @@ class LineCasting:
         size = self.samples_per_iteration
         whole = -(-self.count // size) * size  # see _pieces
         self.count = min(whole + size, self.most or _ENDLESS)
+        if self._shot is not None:
+            self._shot.grow(self._shot_rays)
+        if len(self._chunks) >= 2 * self._timed:
+            self._timed = len(self._chunks)
+            self._pass_seconds = self._time_pass(self._chunks[-_TIMED:])
         return Measurement({}, {}, Iterations.single(iteration), counters={"rays": float(len(chunk))})
 
     def _pieces(self) -> Iterator[Pairs]:
@@ -193,6 +206,15 @@ class LineCasting:
 
     # ------------------------------------------------------------------ what was cast
 
+    @property
+    def finish_seconds(self) -> float:
+        """About how long it will take to make segments and a solution of what was cast; see ``core.Method``."""
+        rays = 0
+        if self._options.local_rays:
+            each, few = local_rays(self.engine.expected(self.count), self.made)
+            rays = each * len(few)
+        return _PASSES * self._pass_seconds * self.made + _RAY_SECONDS * rays
+
     def segments(self) -> Segments:
         """Of all bundles so far, with local rays from patches that few of them meet. Warns as
         :meth:`LineEngine.cast` does."""
@@ -206,7 +228,7 @@ class LineCasting:
 
     def shot(self) -> FirstShot | None:
         """The light of small emitters, by a ray for every 16 segments; ``None`` if there is none that needs it."""
-        return None if self._shot is None else self._shot.cast(RAYS_PER_SEGMENT * self._expected_segments(self.count))
+        return None if self._shot is None else self._shot.cast(self._shot_rays)
 
     def memory(self, matrix: bool = False) -> int:
         """Bundles whose segments fit into the memory that is free now; with ``matrix`` form factors as well."""
@@ -228,6 +250,17 @@ class LineCasting:
     @cached_property
     def _scene(self) -> RayScene:
         return RayScene(self.patches)
+
+    @property
+    def _shot_rays(self) -> float:
+        return RAYS_PER_SEGMENT * self._expected_segments(self.count)
+
+    def _time_pass(self, chunks: list[Pairs]) -> float:
+        """Seconds that a sum over segments takes for each of them."""
+        segments = Segments(self.patches, chunks, np.zeros(len(chunks)), self.engine.expected(1))
+        begin = time.perf_counter()
+        segments.gather(self.patches.emission)
+        return (time.perf_counter() - begin) / max(len(segments), 1)
 
     def _expected_segments(self, count: int) -> float:
         return float(self.engine.expected(count).sum()) / 2
