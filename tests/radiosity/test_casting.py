@@ -165,15 +165,17 @@ def test_what_follows_the_lines_is_reckoned_with():
         seconds.append(casting.finish_seconds)
     casting.close()
     assert all(s > 0 for s in seconds)
-    casting._pass_seconds = 0.0  # of the rays alone
+    casting._passes[:] = 0, 1  # of the rays alone
     assert isinstance(casting.segments(), MixedSegments)
     assert casting.finish_seconds == pytest.approx(3e-7 * casting.segments().rays)
     without = LineCasting(CastingSettings(lines=200, local_rays=False))
     without.prepare(PatchProblem(lit_room()), 3)
     without.step(0, 3)
     without.close()
-    without._pass_seconds = 1e-9
-    assert without.finish_seconds == pytest.approx(16e-9 * without.made)
+    without._passes[:] = 1, 1e9
+    without.made = 1_000_000
+    solution = solve(without.patches, without.segments(), "conjugate-gradient")
+    assert len(solution.residuals) <= 1000 * without.finish_seconds - 3 <= 2.5 * len(solution.residuals)
 
 
 def test_the_shot_is_cast_along_with_the_lines(monkeypatch):
@@ -186,7 +188,7 @@ def test_the_shot_is_cast_along_with_the_lines(monkeypatch):
     before = casting.state()["shot"]["blocks"]
     casting.shot()
     after = casting.state()["shot"]["blocks"]
-    assert after - 4 < before <= after and after > 8
+    assert after - 4 < before <= after and after > 4
 
 
 def test_a_run_takes_no_more_memory_than_there_is(monkeypatch):

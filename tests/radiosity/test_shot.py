@@ -158,15 +158,17 @@ def test_so_many_rays_give_the_same_whenever_they_are_cast():
 
 
 def test_a_shot_grows_by_what_fills_the_device(monkeypatch):
-    monkeypatch.setattr(etendue.radiosity.shot, "BATCH", 1 << 16)
+    monkeypatch.setattr(etendue.radiosity.shot, "BATCH", 1 << 17)
     patches = lamp_in_a_room()
     scene, emitters = RayScene(patches), small_emitters(patches, 1 / 16)
     grown, at_once = (Shot(scene, OwenSobol(4, seed=3), emitters) for _ in range(2))
-    rays = at_once.cast(200_000).rays
-    grown.grow(200_000)
-    blocks, size = grown.state()["blocks"], rays // at_once.state()["blocks"]
-    assert 0 <= 200_000 - blocks * size <= 1 << 16 and blocks > 2
-    np.testing.assert_array_equal(grown.cast(200_000).irradiance, at_once.cast(200_000).irradiance)
+    size = at_once.cast(1).rays // 2
+    grown.grow(7.5 * size)
+    whole = (1 << 17) // size
+    assert 1 < whole < 8 and 8 % whole and grown.state()["blocks"] == 8 // whole * whole
+    found = grown.cast(7.5 * size)
+    assert found.rays == 8 * size
+    np.testing.assert_array_equal(found.irradiance, at_once.cast(7.5 * size).irradiance)
 
 
 def test_shots_that_do_not_fit():

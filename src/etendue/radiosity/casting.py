@@ -35,16 +35,17 @@ from .shot import FirstShot, Shot, small_emitters
 from .solvers import solve
 from .spiral import SpiralPoints
 
-#: Rays of a first shot for each segment: they take about as long as casting the segments.
-RAYS_PER_SEGMENT = 1 / 16
+#: Rays of a first shot for each segment: they take half as long as casting it, and half the error is left to the lines.
+RAYS_PER_SEGMENT = 1 / 4
 #: Batches of segments, whose scatter tells errors.
 _BATCHES = 16
 #: Segments up to which an estimate of the error solves the system anew.
 _FEW_SEGMENTS = 1 << 20
 #: Least points before an error is estimated: two batches would do, but tell little.
 _LEAST_PIECES = 16
-#: Sums over all segments that a solution and its error need, and what a local ray takes until it is counted, seconds.
-_PASSES, _RAY_SECONDS = 16, 3e-7
+#: Sums over all segments that count them and find the error of a solution, the residual of a solution, and what a local
+#: ray takes until it is counted, in seconds.
+_COUNTING, _RESIDUAL, _RAY_SECONDS = 3, 1e-6, 3e-7
 #: Chunks that are summed to see how long that takes.
 _TIMED = 64
 #: "No end" of a stream, and bundles whose pieces are those of a step.
@@ -114,8 +115,8 @@ class LineCasting:
         self._stream: Iterator[Pairs] | None = None
         self._shot: Shot | None = None
         self._known: tuple[Array, Array] | None = None
-        # Seconds of a sum for each segment, and of how many chunks that was found.
-        self._pass_seconds, self._timed = 0.0, 0
+        # Seconds and segments of the sums that were timed, and the number of chunks at the last of them.
+        self._passes, self._timed = np.zeros(2), 0
 
     # ------------------------------------------------------------------ the protocol of methods
 
@@ -139,7 +140,8 @@ class LineCasting:
             self._shot = Shot(self._scene, points, emitters)
             self._shot.cast(1)
         for chunk in self.engine.stream(1):
-            self._time_pass([chunk])
+            self._time_pass([chunk])  # to have it compiled
+        self._passes[:] = 0
 
     def step(self, iteration: int, seed: int) -> Measurement:
         """Cast the next piece. What is measured is kept here; the sums are empty."""
@@ -155,7 +157,7 @@ class LineCasting:
             self._shot.grow(self._shot_rays)
         if len(self._chunks) >= 2 * self._timed:
             self._timed = len(self._chunks)
-            self._pass_seconds = self._time_pass(self._chunks[-_TIMED:])
+            self._time_pass(self._chunks[-_TIMED:])
         return Measurement({}, {}, Iterations.single(iteration), counters={"rays": float(len(chunk))})
 
     def _pieces(self) -> Iterator[Pairs]:
@@ -213,7 +215,12 @@ class LineCasting:
         if self._options.local_rays:
             each, few = local_rays(self.engine.expected(self.count), self.made)
             rays = each * len(few)
-        return _PASSES * self._pass_seconds * self.made + _RAY_SECONDS * rays
+        # What conjugate gradients leave of the error with each sum, if all patches reflected the same.
+        reflectance = np.average(self.patches.reflectance, axis=0, weights=self.patches.areas).max()
+        root = np.sqrt((1 + reflectance) / (1 - reflectance))
+        passes = _COUNTING + (np.log(_RESIDUAL / 2) / np.log((root - 1) / (root + 1)) if root > 1 else 1)
+        seconds, segments = self._passes
+        return float(passes * seconds / max(segments, 1) * self.made + _RAY_SECONDS * rays)
 
     def segments(self) -> Segments:
         """Of all bundles so far, with local rays from patches that few of them meet. Warns as
@@ -227,7 +234,7 @@ class LineCasting:
         return segments
 
     def shot(self) -> FirstShot | None:
-        """The light of small emitters, by a ray for every 16 segments; ``None`` if there is none that needs it."""
+        """The light of small emitters, by a ray for every 4 segments; ``None`` if there is none that needs it."""
         return None if self._shot is None else self._shot.cast(self._shot_rays)
 
     def memory(self, matrix: bool = False) -> int:
@@ -255,12 +262,11 @@ class LineCasting:
     def _shot_rays(self) -> float:
         return RAYS_PER_SEGMENT * self._expected_segments(self.count)
 
-    def _time_pass(self, chunks: list[Pairs]) -> float:
-        """Seconds that a sum over segments takes for each of them."""
+    def _time_pass(self, chunks: list[Pairs]) -> None:
         segments = Segments(self.patches, chunks, np.zeros(len(chunks)), self.engine.expected(1))
         begin = time.perf_counter()
         segments.gather(self.patches.emission)
-        return (time.perf_counter() - begin) / max(len(segments), 1)
+        self._passes += time.perf_counter() - begin, len(segments)
 
     def _expected_segments(self, count: int) -> float:
         return float(self.engine.expected(count).sum()) / 2

@@ -111,22 +111,22 @@ class Shot:
 
     def cast(self, rays: float) -> FirstShot:
         """What at least so many rays bring, in two blocks or more; those that were cast before are among them."""
-        lamps, wanted = self._lamps, self._wanted(rays)
         self.grow(rays)
-        self._add(max(wanted - self._blocks, 0))
+        lamps = self._lamps
+        self._add(self._missing(rays))
         m, patches = self._blocks, lamps.scene.patches
         return _shot(patches, lamps.emission, self._received / m, self._squares / m, m, m * lamps.rays)
 
     def grow(self, rays: float) -> None:
         """Cast what :meth:`cast` would, as far as it fills the device; the rest stays for later."""
-        while self._wanted(rays) - self._blocks >= self._lamps.at_once:
+        while self._missing(rays) >= self._lamps.at_once:
             self._add(self._lamps.at_once)
 
-    def _wanted(self, rays: float) -> int:
-        return max(2, int(np.ceil(rays / self._lamps.rays)))
+    def _missing(self, rays: float) -> int:
+        return max(2, int(np.ceil(rays / self._lamps.rays))) - self._blocks
 
     def _add(self, blocks: int) -> None:
-        if blocks == 0:
+        if blocks <= 0:
             return
         # Added up one by one, so that it does not matter which were asked for together.
         for found in self._lamps.light(self._blocks, blocks):
