@@ -71,6 +71,8 @@ class RayScene:
         """What rays (n, 3) meet first: a patch, ``n`` for the sky, ``n + 1`` for the back of a face."""
         import mitsuba as mi
 
+        if len(origins) == 0:  # Dr.Jit traces no empty arrays
+            return np.zeros(0, np.int64)
         return np.array(self.meets(mi.Point3f(_columns(origins)), mi.Vector3f(_columns(directions)))).astype(np.int64)
 
     def hit(self, origins: Any, directions: Any, active: Any = True) -> Any:
