@@ -43,9 +43,10 @@ _BATCHES = 16
 _FEW_SEGMENTS = 1 << 20
 #: Least points before an error is estimated: two batches would do, but tell little.
 _LEAST_PIECES = 16
-#: Sums over all segments that count them and find the error of a solution, the residual of a solution, and what a local
-#: ray takes until it is counted, in seconds.
-_COUNTING, _RESIDUAL, _RAY_SECONDS = 3, 1e-6, 3e-7
+#: Sums over all segments that count them and find the error of a solution, and the residual of a solution.
+_COUNTING, _RESIDUAL = 3, 1e-6
+#: Seconds that a local ray takes until it is counted, and that it takes to see whether a segment needs a weight for it.
+_RAY_SECONDS, _LOOK_SECONDS = 3e-7, 1e-8
 #: Chunks that are summed to see how long that takes.
 _TIMED = 64
 #: "No end" of a stream, and bundles whose pieces are those of a step.
@@ -211,16 +212,16 @@ class LineCasting:
     @property
     def finish_seconds(self) -> float:
         """About how long it will take to make segments and a solution of what was cast; see ``core.Method``."""
-        rays = 0
-        if self._options.local_rays:
-            each, few = local_rays(self.engine.expected(self.count), self.made)
-            rays = each * len(few)
+        rays, few = local_rays(self.engine.expected(self.count), self.made)
+        mixing = 0.0
+        if self._options.local_rays and len(few):
+            mixing = _RAY_SECONDS * rays * len(few) + _LOOK_SECONDS * self.made
         # What conjugate gradients leave of the error with each sum, if all patches reflected the same.
         reflectance = np.average(self.patches.reflectance, axis=0, weights=self.patches.areas).max()
         root = np.sqrt((1 + reflectance) / (1 - reflectance))
         passes = _COUNTING + (np.log(_RESIDUAL / 2) / np.log((root - 1) / (root + 1)) if root > 1 else 1)
         seconds, segments = self._passes
-        return float(passes * seconds / max(segments, 1) * self.made + _RAY_SECONDS * rays)
+        return float(passes * seconds / max(segments, 1) * self.made + mixing)
 
     def segments(self) -> Segments:
         """Of all bundles so far, with local rays from patches that few of them meet. Warns as

@@ -19,7 +19,7 @@ from .segments import Pairs, Segments
 from .sides import Sides
 from .sources import BATCH, RaySource, cosine_lanes, pairs_of
 
-#: Local rays may be this share of the segments: they then take about the time of the lines.
+#: Local rays may be this share of the segments: with what is made of them, they then take about the time of the lines.
 _SHARE = 0.125
 
 
@@ -91,7 +91,7 @@ def with_local_rays(
     from_rays: list[list[Pairs]] = [[] for _ in range(batches)]
     is_few = extra > 0
     for chunk, batch in zip(segments.chunks, segments.batches, strict=True):
-        from_lines[batch].append(chunk[is_few[chunk].any(axis=1)])
+        from_lines[batch].append(chunk[is_few[chunk[:, 0]] | is_few[chunk[:, 1]]])
     for pairs, number in _rays(scene or RayScene(segments.patches), few, rays, points or OwenSobol(4, seed=1)):
         for batch in range(batches):
             from_rays[batch].append(pairs[number * batches // rays == batch])
