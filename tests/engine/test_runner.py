@@ -74,6 +74,13 @@ def test_what_only_the_first_pass_does_is_not_predicted(timed):
     assert result.passes == 5
 
 
+def test_what_is_left_to_do_after_the_last_pass_is_a_part_of_the_time(timed):
+    method, clock = timed([1.0])
+    method.finish_seconds = 4.5
+    result = Runner(method, seed=0, budget=Budget(seconds=12.0), clock=clock).run()
+    assert (result.passes, result.stopped_by) == (7, "seconds")
+
+
 def test_first_limit_reached_stops(timed):
     method, clock = timed([1.0])
     result = Runner(method, seed=0, budget=Budget(seconds=5.0, samples=3), clock=clock).run()

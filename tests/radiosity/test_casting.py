@@ -9,6 +9,7 @@ import pytest
 from support.patches import box, cube, joined, square
 
 import etendue.radiosity.casting
+import etendue.radiosity.shot
 from etendue.core import CheckpointError
 from etendue.engine import Budget, Checkpoint, Job, Runner
 from etendue.radiosity import (
@@ -153,6 +154,41 @@ def test_a_run_ends_after_a_time():
     result = Runner(casting, seed=0, budget=Budget(seconds=6), clock=lambda: next(ticks)).run()
     casting.close()
     assert result.stopped_by == "seconds" and 2 < result.passes < 12 and casting.count == 8 * result.passes
+
+
+def test_what_follows_the_lines_is_reckoned_with():
+    """By the lines cast, and the local rays that small patches will get."""
+    casting = prepared(lit_room())
+    seconds = []
+    for i in range(16):
+        casting.step(i, 3)
+        seconds.append(casting.finish_seconds)
+    casting.close()
+    assert all(s > 0 for s in seconds)
+    casting._passes[:] = 0, 1  # of the rays alone
+    assert isinstance(casting.segments(), MixedSegments)
+    assert casting.finish_seconds == pytest.approx(3e-7 * casting.segments().rays + 1e-8 * casting.made)
+    without = LineCasting(CastingSettings(lines=200, local_rays=False))
+    without.prepare(PatchProblem(lit_room()), 3)
+    without.step(0, 3)
+    without.close()
+    without._passes[:] = 1, 1e9
+    without.made = 1_000_000
+    solution = solve(without.patches, without.segments(), "conjugate-gradient")
+    assert len(solution.residuals) <= 1000 * without.finish_seconds - 3 <= 2.5 * len(solution.residuals)
+
+
+def test_the_shot_is_cast_along_with_the_lines(monkeypatch):
+    """So that little of it is left when the time is up."""
+    monkeypatch.setattr(etendue.radiosity.shot, "BATCH", 1 << 16)
+    casting = prepared(lit_room(), lines=20_000)
+    for i in range(24):
+        casting.step(i, 3)
+    casting.close()
+    before = casting.state()["shot"]["blocks"]
+    casting.shot()
+    after = casting.state()["shot"]["blocks"]
+    assert after - 4 < before <= after and after > 4
 
 
 def test_a_run_takes_no_more_memory_than_there_is(monkeypatch):

@@ -87,6 +87,11 @@ def test_points_of_both_areas_see_what_stands_between():
     assert values[0] < 0.1 and values[1] == pytest.approx(opposite(2, 2), rel=0.02)
 
 
+def test_patches_of_one_plane_see_nothing_of_each_other():
+    values, errors = area_form_factors(RayScene(cube(2)), [[0, 1], [0, 2]], 64)
+    assert not values.any() and not errors.any()
+
+
 def test_cosine_directions_have_the_lesser_variance():
     """Of single rays: the same factor, smaller errors than with even angles."""
     scene = RayScene(cube(1))

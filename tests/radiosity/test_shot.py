@@ -148,12 +148,27 @@ def test_so_many_rays_give_the_same_whenever_they_are_cast():
     shots = [Shot(scene, OwenSobol(4, seed=3), emitters) for _ in range(3)]
     at_once = shots[0].cast(40_000)
     for rays in (1, 20_000, 40_000):
+        shots[1].grow(rays)  # little or nothing: it would not fill the device
         bit_by_bit = shots[1].cast(rays)
     assert at_once.rays == bit_by_bit.rays >= 40_000
     np.testing.assert_array_equal(at_once.irradiance, bit_by_bit.irradiance)
     np.testing.assert_array_equal(at_once.error, bit_by_bit.error)
     shots[2].restore(shots[0].state())
     np.testing.assert_array_equal(shots[2].cast(100).irradiance, at_once.irradiance)
+
+
+def test_a_shot_grows_by_what_fills_the_device(monkeypatch):
+    monkeypatch.setattr(etendue.radiosity.shot, "BATCH", 1 << 17)
+    patches = lamp_in_a_room()
+    scene, emitters = RayScene(patches), small_emitters(patches, 1 / 16)
+    grown, at_once = (Shot(scene, OwenSobol(4, seed=3), emitters) for _ in range(2))
+    size = at_once.cast(1).rays // 2
+    grown.grow(7.5 * size)
+    whole = (1 << 17) // size
+    assert 1 < whole < 8 and 8 % whole and grown.state()["blocks"] == 8 // whole * whole
+    found = grown.cast(7.5 * size)
+    assert found.rays == 8 * size
+    np.testing.assert_array_equal(found.irradiance, at_once.cast(7.5 * size).irradiance)
 
 
 def test_shots_that_do_not_fit():

@@ -39,7 +39,8 @@ class Method(Protocol):
     again.
 
     A method whose first ``step`` also does what no later one does (a probe) says in ``setup_seconds`` how long that
-    took, so that a run with a budget in seconds is not ended by it.
+    took, so that a run with a budget in seconds is not ended by it. One that leaves work for after the last ``step``
+    says in ``finish_seconds`` how long that will take; a run with a budget in seconds ends so much earlier.
     """
 
     name: ClassVar[str]

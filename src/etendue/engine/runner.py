@@ -242,9 +242,13 @@ class Runner:
             return "error"
         if self.budget.seconds is not None and self._done > 0:
             elapsed = self._clock() - self._begin
-            if elapsed + self._predict() > self.budget.seconds:
+            if elapsed + self._predict() + self._finish() > self.budget.seconds:
                 return "seconds"
         return None
+
+    def _finish(self) -> float:
+        """Seconds that the method needs after its last pass."""
+        return float(getattr(self.method, "finish_seconds", 0.0))
 
     def _predict(self) -> float:
         """Seconds that the next pass will take, on the safe side."""
@@ -279,7 +283,7 @@ class Runner:
         shares: list[float] = []
         if self.budget.seconds is not None:
             left.append(max(0.0, self.budget.seconds - elapsed))
-            shares.append(elapsed / self.budget.seconds)
+            shares.append((elapsed + self._finish()) / self.budget.seconds)
         if (allowed := self.budget.passes(self.method.samples_per_iteration)) is not None:
             left.append(max(0, allowed - passes) * per_pass)
             shares.append(passes / allowed)

@@ -9,11 +9,11 @@ import numpy as np
 
 from etendue.core import hash_mix, seed_key
 
-from .pointset import PointSet
+from .pointset import BinaryPointSet, PointSet
 from .words import Keys, below_one, is_host, unit
 
 
-class Independent(PointSet):
+class Independent(BinaryPointSet):
     """Independent uniform numbers, by hashing seed, index and dimension: plain Monte Carlo.
 
     The error of a mean falls as ``n^(-1/2)``, in any dimension and for any integrand of finite variance.
@@ -31,8 +31,8 @@ class Independent(PointSet):
         """Other independent numbers."""
         return Independent(self.dimension, seed)
 
-    def _coordinate(self, index: Any, dimension: int) -> Any:
-        return unit(_hash(index, self._keys, seed_key(self.seed, "independent", 0), dimension))
+    def _word(self, index: Any, dimension: int) -> Any:
+        return _hash(index, self._keys, seed_key(self.seed, "independent", 0), dimension)
 
 
 class LatinHypercube(PointSet):

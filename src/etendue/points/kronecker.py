@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from etendue.core import on_device
 
-from .pointset import PointSet, PointSetError
+from .pointset import BinaryPointSet, PointSet, PointSetError
 from .radical import MAX_BASES, primes
-from .words import below_one, high_product, is_host, unit
+from .words import below_one, high_product, is_host
 
 
-class Weyl(PointSet):
+class Weyl(BinaryPointSet):
     """Weyl's (Kronecker's) sequence: ``frac(i sqrt(p_d))`` with the first primes [Weyl 1916].
 
     The products are exact to 2^-32 for every index: square roots are held to 64 bits.
@@ -30,10 +30,10 @@ class Weyl(PointSet):
         super().__init__(dimension)
         self._roots = [isqrt(p << 128) & (2**64 - 1) for p in primes(dimension)]
 
-    def _coordinate(self, index: Any, dimension: int) -> Any:
+    def _word(self, index: Any, dimension: int) -> Any:
         root = self._roots[dimension]
         # The middle 32 bits of the product: what is above is whole, what is below is beyond the last place.
-        return unit(index * (root >> 32) + high_product(index, root & 0xFFFFFFFF))
+        return index * (root >> 32) + high_product(index, root & 0xFFFFFFFF)
 
 
 class PiPowers(PointSet):

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import OptionError, seed_key
 
-from .words import Keys, below_one, is_host
+from .words import Keys, below_one, doubles, is_host, unit
 
 #: An index is a word of 32 bits.
 MAX_POINTS = 1 << 32
@@ -75,15 +75,17 @@ class PointSet(ABC):
 
     def block(self, n: int, first: int = 0) -> NDArray[np.float64]:
         """``n`` points from ``first`` on: (n, dimension). Raises as :meth:`coordinate`."""
-        if not _is_whole(n) or n < 0:
-            raise PointSetError(f"{self.name}: the number of points must be a whole number from 0, not {n!r}")
-        if not _is_whole(first):
-            raise PointSetError(f"{self.name}: an index is a whole number, not {first!r}")
+        self._check_block(n, first)
         if n == 0:
             return np.empty((0, self.dimension))
-        self._checked([first, first + n - 1])  # before so many are made
         lanes = np.arange(first, first + n, dtype=np.uint32 if first + n < MAX_POINTS else np.uint64).astype(np.uint32)
         return np.stack([self._coordinate(lanes, d) for d in range(self.dimension)], axis=-1)
+
+    def lanes(self, index_type: Any, n: int, first: int = 0) -> list[Any]:
+        """The same on the device, as double precision has them: ``Float64`` for each dimension. ``index_type`` is the
+        ``UInt32`` of a device. Raises as :meth:`coordinate`."""
+        double = dr.float64_array_t(index_type)
+        return [double(np.ascontiguousarray(column)) for column in self.block(n, first).T]
 
     def randomised(self, seed: int) -> PointSet:
         """The set randomised so that each point is uniform; another ``seed`` gives independent points.
@@ -95,6 +97,14 @@ class PointSet(ABC):
     @abstractmethod
     def _coordinate(self, index: Any, dimension: int) -> Any:
         """:meth:`coordinate` for ``UInt32`` lanes, or for a ``uint32`` array of NumPy with one axis."""
+
+    def _check_block(self, n: int, first: int) -> None:
+        if not _is_whole(n) or n < 0:
+            raise PointSetError(f"{self.name}: the number of points must be a whole number from 0, not {n!r}")
+        if not _is_whole(first):
+            raise PointSetError(f"{self.name}: an index is a whole number, not {first!r}")
+        if n:
+            self._checked([first, first + n - 1])  # before so many are made
 
     def _checked(self, index: ArrayLike) -> NDArray[np.uint32]:
         lanes = np.asarray(index)
@@ -115,6 +125,24 @@ class PointSet(ABC):
     def __repr__(self) -> str:
         size = "" if self.size is None else f", size={self.size}"
         return f"{type(self).__name__}({self.dimension}{size})"
+
+
+class BinaryPointSet(PointSet):
+    """A point set whose coordinates are words of 32 bits after the point, so that the device can have all of them."""
+
+    def lanes(self, index_type: Any, n: int, first: int = 0) -> list[Any]:
+        """See :class:`PointSet`; nothing is copied."""
+        self._check_block(n, first)
+        # What the compiler does not know does not make another kernel.
+        index = dr.arange(index_type, n) + dr.opaque(index_type, first)
+        return [doubles(self._word(index, d)) for d in range(self.dimension)]
+
+    def _coordinate(self, index: Any, dimension: int) -> Any:
+        return unit(self._word(index, dimension))
+
+    @abstractmethod
+    def _word(self, index: Any, dimension: int) -> Any:
+        """The word of :meth:`_coordinate`."""
 
 
 class RandomShift(PointSet):

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from etendue.core import seed_key
 
 from .owen import scramble, sobol_2d
-from .pointset import PointSet
-from .words import Keys, is_host, reverse_bits, unit
+from .pointset import BinaryPointSet, PointSet
+from .words import Keys, is_host, reverse_bits
 
 _BITS = 32
 
@@ -63,7 +63,7 @@ def _xor(index: Any, numbers: tuple[int, ...]) -> Any:
     return x
 
 
-class Sobol(PointSet):
+class Sobol(BinaryPointSet):
     """Sobol's sequence [Sobol 1967; Joe 2008].
 
     Every 2^m points from a multiple of 2^m are a (t, m, d)-net in base 2, with t = 0 for the first two dimensions.
@@ -78,15 +78,15 @@ class Sobol(PointSet):
         """The sequence with Owen's scrambling."""
         return OwenSobol(self.dimension, seed)
 
-    def _coordinate(self, index: Any, dimension: int) -> Any:
+    def _word(self, index: Any, dimension: int) -> Any:
         if dimension == 0:
-            return unit(reverse_bits(index))
+            return reverse_bits(index)
         if dimension == 1:
-            return unit(sobol_2d(reverse_bits(index)))
-        return unit(_xor(index, direction_numbers(dimension)))
+            return sobol_2d(reverse_bits(index))
+        return _xor(index, direction_numbers(dimension))
 
 
-class OwenSobol(PointSet):
+class OwenSobol(BinaryPointSet):
     """Sobol's sequence with Owen's nested scrambling, by hashing [Owen 1995; Burley 2020].
 
     The points are nets as those of :class:`Sobol` are, each point is uniform, and for a smooth integrand the error
@@ -108,14 +108,14 @@ class OwenSobol(PointSet):
         """The sequence with another scrambling."""
         return OwenSobol(self.dimension, seed)
 
-    def _coordinate(self, index: Any, dimension: int) -> Any:
+    def _word(self, index: Any, dimension: int) -> Any:
         if dimension == 0:
             reversed_bits = index
         elif dimension == 1:
             reversed_bits = reverse_bits(sobol_2d(reverse_bits(index)))
         else:
             reversed_bits = _xor(index, _reversed_numbers(dimension))
-        return unit(reverse_bits(scramble(reversed_bits, self._keys.like(index, self._seeds[dimension]))))
+        return reverse_bits(scramble(reversed_bits, self._keys.like(index, self._seeds[dimension])))
 
 
 @functools.cache

@@ -43,6 +43,11 @@ def unit(bits: Any) -> Any:
     return dr.float32_array_t(type(bits))(bits >> 8) * 2.0**-24
 
 
+def doubles(bits: Any) -> Any:
+    """Words of the device as numbers in [0, 1), with all of their bits."""
+    return dr.float64_array_t(type(bits))(bits) * 2.0**-32
+
+
 def below_one(x: Any) -> Any:
     """``x``, where rounding has made it 1 the number before it."""
     return np.minimum(x, BELOW_ONE_64) if is_host(x) else dr.minimum(x, BELOW_ONE_32)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,7 +27,7 @@ from etendue.points import OwenSobol
 from .abuffer import ABuffer
 from .engine import LineEngine, warn_of_faults
 from .errors import RadiosityError
-from .mixing import with_local_rays
+from .mixing import local_rays, with_local_rays
 from .patches import Patches
 from .raycasting import RayScene
 from .segments import Pairs, Segments
@@ -34,14 +35,20 @@ from .shot import FirstShot, Shot, small_emitters
 from .solvers import solve
 from .spiral import SpiralPoints
 
-#: Rays of a first shot for each segment: they take about as long as casting the segments.
-RAYS_PER_SEGMENT = 1 / 16
+#: Rays of a first shot for each segment: they take half as long as casting it, and half the error is left to the lines.
+RAYS_PER_SEGMENT = 1 / 4
 #: Batches of segments, whose scatter tells errors.
 _BATCHES = 16
 #: Segments up to which an estimate of the error solves the system anew.
 _FEW_SEGMENTS = 1 << 20
 #: Least points before an error is estimated: two batches would do, but tell little.
 _LEAST_PIECES = 16
+#: Sums over all segments that count them and find the error of a solution, and the residual of a solution.
+_COUNTING, _RESIDUAL = 3, 1e-6
+#: Seconds that a local ray takes until it is counted, and that it takes to see whether a segment needs a weight for it.
+_RAY_SECONDS, _LOOK_SECONDS = 3e-7, 1e-8
+#: Chunks that are summed to see how long that takes.
+_TIMED = 64
 #: "No end" of a stream, and bundles whose pieces are those of a step.
 _ENDLESS, _USUAL = 1 << 31, 1024
 
@@ -109,6 +116,8 @@ class LineCasting:
         self._stream: Iterator[Pairs] | None = None
         self._shot: Shot | None = None
         self._known: tuple[Array, Array] | None = None
+        # Seconds and segments of the sums that were timed, and the number of chunks at the last of them.
+        self._passes, self._timed = np.zeros(2), 0
 
     # ------------------------------------------------------------------ the protocol of methods
 
@@ -130,8 +139,10 @@ class LineCasting:
         if emitters.any():
             points = OwenSobol(4, seed=seed_key(seed, "first shot", 0)[0])
             self._shot = Shot(self._scene, points, emitters)
-        for _ in self.engine.stream(1):
-            pass
+            self._shot.cast(1)
+        for chunk in self.engine.stream(1):
+            self._time_pass([chunk])  # to have it compiled
+        self._passes[:] = 0
 
     def step(self, iteration: int, seed: int) -> Measurement:
         """Cast the next piece. What is measured is kept here; the sums are empty."""
@@ -143,6 +154,11 @@ class LineCasting:
         size = self.samples_per_iteration
         whole = -(-self.count // size) * size  # see _pieces
         self.count = min(whole + size, self.most or _ENDLESS)
+        if self._shot is not None:
+            self._shot.grow(self._shot_rays)
+        if len(self._chunks) >= 2 * self._timed:
+            self._timed = len(self._chunks)
+            self._time_pass(self._chunks[-_TIMED:])
         return Measurement({}, {}, Iterations.single(iteration), counters={"rays": float(len(chunk))})
 
     def _pieces(self) -> Iterator[Pairs]:
@@ -193,6 +209,20 @@ class LineCasting:
 
     # ------------------------------------------------------------------ what was cast
 
+    @property
+    def finish_seconds(self) -> float:
+        """About how long it will take to make segments and a solution of what was cast; see ``core.Method``."""
+        rays, few = local_rays(self.engine.expected(self.count), self.made)
+        mixing = 0.0
+        if self._options.local_rays and len(few):
+            mixing = _RAY_SECONDS * rays * len(few) + _LOOK_SECONDS * self.made
+        # What conjugate gradients leave of the error with each sum, if all patches reflected the same.
+        reflectance = np.average(self.patches.reflectance, axis=0, weights=self.patches.areas).max()
+        root = np.sqrt((1 + reflectance) / (1 - reflectance))
+        passes = _COUNTING + (np.log(_RESIDUAL / 2) / np.log((root - 1) / (root + 1)) if root > 1 else 1)
+        seconds, segments = self._passes
+        return float(passes * seconds / max(segments, 1) * self.made + mixing)
+
     def segments(self) -> Segments:
         """Of all bundles so far, with local rays from patches that few of them meet. Warns as
         :meth:`LineEngine.cast` does."""
@@ -205,8 +235,8 @@ class LineCasting:
         return segments
 
     def shot(self) -> FirstShot | None:
-        """The light of small emitters, by a ray for every 16 segments; ``None`` if there is none that needs it."""
-        return None if self._shot is None else self._shot.cast(RAYS_PER_SEGMENT * self._expected_segments(self.count))
+        """The light of small emitters, by a ray for every 4 segments; ``None`` if there is none that needs it."""
+        return None if self._shot is None else self._shot.cast(self._shot_rays)
 
     def memory(self, matrix: bool = False) -> int:
         """Bundles whose segments fit into the memory that is free now; with ``matrix`` form factors as well."""
@@ -228,6 +258,16 @@ class LineCasting:
     @cached_property
     def _scene(self) -> RayScene:
         return RayScene(self.patches)
+
+    @property
+    def _shot_rays(self) -> float:
+        return RAYS_PER_SEGMENT * self._expected_segments(self.count)
+
+    def _time_pass(self, chunks: list[Pairs]) -> None:
+        segments = Segments(self.patches, chunks, np.zeros(len(chunks)), self.engine.expected(1))
+        begin = time.perf_counter()
+        segments.gather(self.patches.emission)
+        self._passes += time.perf_counter() - begin, len(segments)
 
     def _expected_segments(self, count: int) -> float:
         return float(self.engine.expected(count).sum()) / 2

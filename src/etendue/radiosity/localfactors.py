@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -12,13 +14,11 @@ from etendue.points import OwenSobol, PointSet
 
 from .errors import RadiosityError
 from .formfactors import FormFactors, sparse
-from .local import Sides, cosine_law, even_angles
 from .raycasting import STEP, RayScene
+from .sides import Sides
+from .sources import BATCH, RaySource, cosine_lanes, even_lanes
 
 Index = NDArray[np.int64]
-
-#: Rays at once.
-_BATCH = 1 << 20
 
 
 def local_form_factors(
@@ -39,7 +39,7 @@ def local_form_factors(
     scrambled Sobol' sequence; each row takes the next ``samples`` of them. Raises :class:`RadiosityError`.
     """
     n = len(scene.patches)
-    laws = {"cosine": cosine_law, "angles": even_angles}
+    laws = {"cosine": cosine_lanes, "angles": even_lanes}
     if estimator not in laws:
         raise RadiosityError(f"rays leave by 'cosine' or by 'angles', not {estimator!r}")
     chosen = np.arange(n) if rows is None else np.atleast_1d(np.asarray(rows))
@@ -47,17 +47,18 @@ def local_form_factors(
         raise RadiosityError(f"rows are numbers of patches from 0 to {n - 1}")
     if samples < 2:
         raise RadiosityError(f"a form factor and its error need two rays at least, not {samples}")
-    points, sides = points or OwenSobol(4), Sides.of(scene.patches)
+    points, source = points or OwenSobol(4), RaySource(scene, Sides.of(scene.patches))
     sums, squares = sparse().csr_array((n, n + 2)), sparse().csr_array((n, n + 2))
-    at_once = max(_BATCH // samples, 1)
+    at_once = max(BATCH // samples, 1)
     for start in range(0, len(chosen), at_once):
         row = np.repeat(chosen[start : start + at_once], samples)
-        u = points.block(len(row), start * samples)
-        side, within = sides.pick_of(row, u[:, 0])
-        ways = laws[estimator](u[:, 2:])
-        found = sides.cast(scene, side, np.column_stack([within, u[:, 1]]), ways)
+        u = points.lanes(mi.UInt32, len(row), start * samples)
+        places, ways = source.of(mi.UInt32(row.astype(np.uint32)), u[0], u[1]), laws[estimator](u[2], u[3])
         # With even angles each ray stands for cos sin pi of the hemisphere.
-        weight = np.ones(len(row)) if estimator == "cosine" else np.pi * ways[:, 2] * np.sqrt(1 - ways[:, 2] ** 2)
+        weights = dr.pi * ways.z * dr.sqrt(1 - ways.z**2) if estimator == "angles" else dr.full(mi.Float, 1, len(row))
+        hits = scene.meets(places.origin, places.directions(ways))
+        dr.eval(hits, weights)
+        found, weight = np.array(hits), np.array(weights, dtype=np.float64)
         sums += sparse().coo_array((weight, (row, found)), shape=sums.shape).tocsr()
         squares += sparse().coo_array((weight**2, (row, found)), shape=sums.shape).tocsr()
     mean = (sums / samples).tocsr()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,13 +14,12 @@ from etendue.points import OwenSobol, PointSet
 
 from .errors import RadiosityError
 from .formfactors import sparse
-from .local import Sides, cosine_law
 from .raycasting import RayScene
 from .segments import Pairs, Segments
+from .sides import Sides
+from .sources import BATCH, RaySource, cosine_lanes, pairs_of
 
-#: Rays at once.
-_BATCH = 1 << 20
-#: Local rays may be this share of the segments: they then take about the time of the lines.
+#: Local rays may be this share of the segments: with what is made of them, they then take about the time of the lines.
 _SHARE = 0.125
 
 
@@ -81,10 +81,7 @@ def with_local_rays(
     """
     if isinstance(segments, MixedSegments):
         raise RadiosityError("local rays have been mixed into these segments")
-    rays = least
-    while rays and rays * np.count_nonzero(segments.expected < rays) > _SHARE * len(segments):
-        rays //= 2
-    few = np.flatnonzero(segments.expected < rays)
+    rays, few = local_rays(segments.expected, len(segments), least)
     if len(few) == 0:
         return segments
     extra = np.zeros(len(segments.patches) + 2)  # sky and darkness send no rays
@@ -94,7 +91,7 @@ def with_local_rays(
     from_rays: list[list[Pairs]] = [[] for _ in range(batches)]
     is_few = extra > 0
     for chunk, batch in zip(segments.chunks, segments.batches, strict=True):
-        from_lines[batch].append(chunk[is_few[chunk].any(axis=1)])
+        from_lines[batch].append(chunk[is_few[chunk[:, 0]] | is_few[chunk[:, 1]]])
     for pairs, number in _rays(scene or RayScene(segments.patches), few, rays, points or OwenSobol(4, seed=1)):
         for batch in range(batches):
             from_rays[batch].append(pairs[number * batches // rays == batch])
@@ -104,6 +101,14 @@ def with_local_rays(
         for new, met in zip(from_rays, from_lines, strict=True)
     ]
     return MixedSegments(segments, corrections, extra[:-2], rays * len(few))
+
+
+def local_rays(expected: Array, segments: int, least: int = 256) -> tuple[int, NDArray[np.int64]]:
+    """How many rays :func:`with_local_rays` casts from each of which patches."""
+    rays = least
+    while rays and rays * np.count_nonzero(expected < rays) > _SHARE * segments:
+        rays //= 2
+    return rays, np.flatnonzero(expected < rays)
 
 
 def _weighted(pairs: Pairs, extra: Array, less: float = 0.0) -> Any:
@@ -116,11 +121,11 @@ def _weighted(pairs: Pairs, extra: Array, less: float = 0.0) -> Any:
 
 def _rays(scene: RayScene, patches: NDArray[np.int64], rays: int, points: PointSet) -> Iterator[tuple[Pairs, Any]]:
     """Segments (k, 2) of so many rays from each patch, and the number of each among those of its patch."""
-    sides = Sides.of(scene.patches)
-    at_once = max(_BATCH // rays, 1)
+    source = RaySource(scene, Sides.of(scene.patches))
+    at_once = max(BATCH // rays, 1)
     for start in range(0, len(patches), at_once):
-        source = np.repeat(patches[start : start + at_once], rays)
-        u = points.block(len(source), start * rays)
-        side, within = sides.pick_of(source, u[:, 0])
-        found = sides.cast(scene, side, np.column_stack([within, u[:, 1]]), cosine_law(u[:, 2:]))
-        yield np.stack([source, found], axis=1).astype(np.uint32), np.arange(len(source)) % rays
+        patch = mi.UInt32(np.repeat(patches[start : start + at_once], rays).astype(np.uint32))
+        u = points.lanes(mi.UInt32, len(patch), start * rays)
+        places = source.of(patch, u[0], u[1])
+        found = scene.meets(places.origin, places.directions(cosine_lanes(u[2], u[3])))
+        yield pairs_of(patch, found), np.arange(len(patch)) % rays

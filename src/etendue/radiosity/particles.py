@@ -11,8 +11,9 @@ from etendue.core import Array
 from etendue.points import Independent, OwenSobol, PointSet
 
 from .errors import RadiosityError
-from .local import Sides, around, cosine_law, emitted, shoot
+from .local import Emission
 from .raycasting import STEP, RayScene
+from .sides import Sides, around, cosine_law
 
 #: Most bounces of a particle.
 _MOST_BOUNCES = 10_000
@@ -48,7 +49,7 @@ def depth_first(
     if leave not in ("hit", "patch"):
         raise RadiosityError(f"particles leave from the 'hit' or the 'patch', not {leave!r}")
     n, sides = len(patches), Sides.of(patches)
-    rays = emitted(scene, power, (OwenSobol(4, seed) if points is None else points).block(particles))
+    rays = Emission(scene, power).rays((OwenSobol(4, seed) if points is None else points).block(particles))
     origins, directions, carried = rays.origins, rays.directions, rays.power
     received, cast = np.zeros((n + 2, patches.channels)), 0
     for bounce in range(_MOST_BOUNCES):
@@ -99,7 +100,7 @@ def breadth_first(
     received = np.zeros((len(patches) + 2, patches.channels))
     while unshot.sum() > tolerance * whole:
         count = max(int(np.ceil(rays * unshot.sum() / whole)), 1)
-        new = shoot(scene, unshot, sequence.block(count, cast))
+        new = Emission(scene, unshot).received(sequence.block(count, cast))
         cast += count
         received += new
         unshot = patches.reflectance * new[:-2]

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, use_variant
+from etendue.core import Array, copied_to_device, use_variant
 
 from .faces import triangles
 from .patches import Patches
@@ -45,6 +46,12 @@ class RayScene:
         parameters["faces"] = np.ascontiguousarray(corners, np.uint32).ravel()
         parameters.update()
         self._scene = mi.load_dict({"type": "scene", "patches": mesh})
+        # Of triangles on the device: the face, its normal, and the patches of its front and its back.
+        n, front, back = len(patches), patches.front[self._face], patches.back[self._face]
+        self._faces = copied_to_device(mi.UInt32, self._face)
+        self._normals = copied_to_device(mi.Float, patches.face_normals[self._face])
+        self._sides = copied_to_device(mi.UInt32, np.stack([front, np.where(back < 0, n + 1, back)], axis=1))
+        self._sky = dr.opaque(mi.UInt32, n)
 
     def local(self, points: Array) -> Array:
         """Coordinates of the scene."""
@@ -62,10 +69,43 @@ class RayScene:
 
     def first_patches(self, origins: Array, directions: Array) -> Index:
         """What rays (n, 3) meet first: a patch, ``n`` for the sky, ``n + 1`` for the back of a face."""
-        hits = self.first_hits(origins, directions)
-        found = np.full(len(origins), len(self.patches))
-        found[hits.ray] = self.sides(hits.face, directions[hits.ray])[0]
-        return found
+        import mitsuba as mi
+
+        if len(origins) == 0:  # Dr.Jit traces no empty arrays
+            return np.zeros(0, np.int64)
+        return np.array(self.meets(mi.Point3f(_columns(origins)), mi.Vector3f(_columns(directions)))).astype(np.int64)
+
+    def hit(self, origins: Any, directions: Any, active: Any = True) -> Any:
+        """The same on the device, of lanes of points and directions: a ``PreliminaryIntersection3f``."""
+        import mitsuba as mi
+
+        ray = mi.Ray3f(mi.Point3f(origins), mi.Vector3f(directions))
+        return self._scene.ray_intersect_preliminary(ray, coherent=False, active=active)
+
+    def meets(self, origins: Any, directions: Any) -> Any:
+        """:meth:`first_patches` on the device."""
+        return self.patch_of(self.hit(origins, directions), directions)
+
+    def patch_of(self, hit: Any, directions: Any) -> Any:
+        """The patch of a :meth:`hit` on the device; see :meth:`first_patches`."""
+        import mitsuba as mi
+
+        is_hit = hit.is_valid()
+        is_back = dr.dot(self.normal_of(hit), directions) > 0
+        patch = dr.gather(mi.UInt32, self._sides, 2 * hit.prim_index + dr.select(is_back, mi.UInt32(1), 0), is_hit)
+        return dr.select(is_hit, patch, self._sky)
+
+    def normal_of(self, hit: Any) -> Any:
+        """Normals of front sides, zero where nothing was met."""
+        import mitsuba as mi
+
+        return dr.gather(mi.Vector3f, self._normals, hit.prim_index, hit.is_valid())
+
+    def face_of(self, hit: Any) -> Any:
+        """Faces, 0 where nothing was met."""
+        import mitsuba as mi
+
+        return dr.gather(mi.UInt32, self._faces, hit.prim_index, hit.is_valid())
 
     def sides(self, face: Index, directions: Array) -> tuple[Index, Index]:
         """Patches of the sides of faces towards the origin of rays, and away from it; ``n + 1`` for the back of one."""

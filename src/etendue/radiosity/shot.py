@@ -13,18 +13,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array
+from etendue.core import Array, copied_to_device
 from etendue.points import Independent, OwenSobol, PointSet
 
 from .errors import RadiosityError
-from .local import Sides, around, cosine_law, shoot
+from .local import Emission
 from .patches import Patches
-from .raycasting import STEP, RayScene
-
-Index = NDArray[np.int64]
+from .raycasting import RayScene
+from .sides import Sides
+from .sources import BATCH, RaySource, cosine_lanes, pairs_of
 
 #: Parts of the points of a shot, whose scatter tells its error.
 _PARTS = 16
@@ -73,13 +75,13 @@ def first_shot(scene: RayScene, u: Array, emitters: NDArray[np.bool_] | None = N
     The error is from the scatter of 16 parts of the points. Raises :class:`RadiosityError` if no patch emits.
     """
     emission = _emission(scene.patches, emitters)
-    power = scene.patches.areas[:, None] * emission
+    source = Emission(scene, scene.patches.areas[:, None] * emission)
     parts = np.array_split(np.asarray(u, dtype=np.float64), min(_PARTS, len(u)))
     shares = np.array([len(part) for part in parts]) / len(u)
     received = np.zeros((len(scene.patches) + 2, scene.patches.channels))
     squares = np.zeros_like(received)
     for share, part in zip(shares, parts, strict=True):
-        found = shoot(scene, power, part)
+        found = source.received(part)
         received += share * found
         squares += share * found**2
     return _shot(scene.patches, emission, received, squares, len(parts), len(u))
@@ -109,14 +111,28 @@ class Shot:
 
     def cast(self, rays: float) -> FirstShot:
         """What at least so many rays bring, in two blocks or more; those that were cast before are among them."""
+        self.grow(rays)
         lamps = self._lamps
-        while self._blocks < max(2, rays / lamps.rays):
-            found = lamps.light(self._blocks)
+        self._add(self._missing(rays))
+        m, patches = self._blocks, lamps.scene.patches
+        return _shot(patches, lamps.emission, self._received / m, self._squares / m, m, m * lamps.rays)
+
+    def grow(self, rays: float) -> None:
+        """Cast what :meth:`cast` would, as far as it fills the device; the rest stays for later."""
+        while self._missing(rays) >= self._lamps.at_once:
+            self._add(self._lamps.at_once)
+
+    def _missing(self, rays: float) -> int:
+        return max(2, int(np.ceil(rays / self._lamps.rays))) - self._blocks
+
+    def _add(self, blocks: int) -> None:
+        if blocks <= 0:
+            return
+        # Added up one by one, so that it does not matter which were asked for together.
+        for found in self._lamps.light(self._blocks, blocks):
             self._received += found
             self._squares += found**2
             self._blocks += 1
-        m, patches = self._blocks, lamps.scene.patches
-        return _shot(patches, lamps.emission, self._received / m, self._squares / m, m, m * lamps.rays)
 
     def state(self) -> dict[str, Any]:
         """What :meth:`restore` takes, for a checkpoint."""
@@ -131,78 +147,87 @@ class _Lamps:
     """Emitters of a scene, ready to send blocks of rays."""
 
     def __init__(self, scene: RayScene, emission: Array, points: PointSet) -> None:
-        self.scene, self.emission, self.points, self.sides = scene, emission, points, Sides.of(scene.patches)
-        n = len(emission)
+        self.scene, self.emission, self.points = scene, emission, points
+        n, sides = len(emission), Sides.of(scene.patches)
         power = scene.patches.areas[:, None] * emission
         strength = power.sum(axis=1)
-        whole = np.bincount(self.sides.patch, self.sides.areas, n)
-        by_side = (strength / whole)[self.sides.patch] * self.sides.areas
-        self.lit = np.flatnonzero(by_side)
-        self.edges = np.concatenate([[0.0], np.cumsum(by_side[self.lit])])
-        self.colour = (power / np.where(strength > 0, strength, 1)[:, None])[self.sides.patch[self.lit]]
+        lit = sides.emitting(strength)
+        self._lamps, self._targets = RaySource(scene, lit), RaySource(scene, sides)
+        self._whole, self._colour = lit.edges[-1], power / np.where(strength > 0, strength, 1)[:, None]
         #: Rays of a block, at each patch and by the cosine law.
         self.each = 1 << int(np.ceil(np.log2(max(_BLOCK / n, 1))))
         self.shot = -(-n * self.each // _AIMED)
-        self.areas = whole
+        self._areas = copied_to_device(mi.Float, np.bincount(sides.patch, sides.areas, n))
+        self._colours = [copied_to_device(mi.Float64, column) for column in self._colour.T]
         # Each patch takes the same points, shifted by numbers of its own.
-        self.shifts = Independent(4, seed=1).block(n)
+        self._shifts = Independent(4, seed=1).lanes(mi.UInt32, n)
+        dr.eval(self._shifts)
+        self._patches, self._bits = dr.opaque(mi.UInt32, n), dr.opaque(mi.UInt32, self.each.bit_length() - 1)
 
     @property
     def rays(self) -> int:
         """Of a block."""
-        return self.each * len(self.shifts) + self.shot
+        return self.each * len(self.emission) + self.shot
 
-    def light(self, block: int) -> Array:
-        """Power (n + 2, c) that patches, the sky and backs of faces receive by a block of rays."""
-        n = len(self.emission)
-        at_patches = self.points.block(self.each, block * self.each)
-        u = np.mod(self.shifts[:, None, :] + at_patches, 1.0).reshape(-1, 4)
-        parts = self._shot(self.points.block(self.shot, block * self.shot)), self._aimed(u)
-        target, power = (np.concatenate(x) for x in zip(*parts, strict=True))
-        return np.stack([np.bincount(target, column, n + 2) for column in power.T], axis=1)
+    @property
+    def at_once(self) -> int:
+        """Blocks to ask for together, so that the device is filled."""
+        return max(BATCH // self.rays, 1)
 
-    def _shot(self, u: Array) -> tuple[Index, Array]:
-        """Rays by the cosine law: what each meets, and what it brings."""
-        scene, patches = self.scene, self.scene.patches
-        row, origins, normals = self._points(u[:, 0], u[:, 1])
-        ways = cosine_law(u[:, 2:])
-        directions = around(normals, ways)
-        hits = scene.first_hits(origins, directions)
-        found = np.full(len(u), len(patches))
-        found[hits.ray] = scene.sides(hits.face, directions[hits.ray])[0]
-        counts = np.ones(len(u), dtype=bool)
-        on_patch = np.flatnonzero(found[hits.ray] < len(patches))
-        ray, face = hits.ray[on_patch], hits.face[on_patch]
-        cosine = np.abs((patches.face_normals[face] * directions[ray]).sum(axis=1))
-        square = hits.distance[on_patch].astype(np.float64) ** 2
-        counts[ray] = ways[ray, 2] * cosine * self.areas[found[ray]] > _NEAR * np.pi * square
-        return found[counts], self.edges[-1] / self.shot * self.colour[row[counts]]
+    def light(self, first: int, count: int) -> Array:
+        """Power (count, n + 2, c) that patches, the sky and backs of faces receive by each of so many blocks."""
+        received = self._whole / self.shot * self._shot(first, count)
+        received[:, :-2] += self._whole / self.each * self._aimed(first, count)
+        return received
 
-    def _aimed(self, u: Array) -> tuple[Index, Array]:
-        """Rays to points of patches, those of a patch one after the other: those that arrive."""
-        row, origins, normals = self._points(u[:, 2], u[:, 3])
-        side, within = self.sides.pick_of(np.repeat(np.arange(len(self.emission)), self.each), u[:, 0])
-        way = self.sides.points(side, np.column_stack([within, u[:, 1]])) - origins
-        distance = np.sqrt((way**2).sum(axis=1))
-        way /= np.maximum(distance, 1e-30)[:, None]
-        cosines = (way * normals).sum(axis=1), -(way * self.sides.normals[side]).sum(axis=1)
-        ahead = np.flatnonzero((cosines[0] > 0) & (cosines[1] > 0) & (distance > 0))
-        hits = self.scene.first_hits(origins[ahead], way[ahead])
-        seen = ahead[hits.ray][hits.face == self.sides.face[side[ahead[hits.ray]]]]
-        target = self.sides.patch[side[seen]]
-        share = self.areas[target] * cosines[0][seen] * cosines[1][seen] / (np.pi * distance[seen] ** 2)
-        share[share > _NEAR] = 0.0
-        return target, (self.edges[-1] / self.each * share)[:, None] * self.colour[row[seen]]
+    def _shot(self, first: int, count: int) -> Array:
+        """What rays by the cosine law bring, (count, n + 2, c), that of one ray being 1 in all."""
+        scene, n = self.scene, len(self.emission)
+        u = self.points.lanes(mi.UInt32, count * self.shot, first * self.shot)
+        places, ways = self._lamps.any(u[0], u[1]), cosine_lanes(u[2], u[3])
+        directions = places.directions(ways)
+        hit = scene.hit(places.origin, directions)
+        found = scene.patch_of(hit, directions)
+        on_patch = found < self._patches
+        kernel = ways.z * dr.abs(dr.dot(scene.normal_of(hit), directions)) / (dr.pi * hit.t**2)
+        aimed_at = on_patch & (dr.gather(mi.Float, self._areas, found, on_patch) * kernel <= _NEAR)
+        pairs = pairs_of(self._lamps.patch_of(places.side), dr.select(aimed_at, self._patches + 2, found))
+        # A row of n + 3 for each block, the last of them for what does not count.
+        row = pairs[:, 1] + np.repeat(np.arange(count) * (n + 3), self.shot)
+        colour = self._colour[pairs[:, 0]]
+        sums = [np.bincount(row, column, count * (n + 3)).reshape(count, n + 3)[:, :-1] for column in colour.T]
+        return np.stack(sums, axis=2)
 
-    def _points(self, u: Array, v: Array) -> tuple[Index, Array, Array]:
-        """Even points of emitters, by power: rows of ``lit``, places just outside, and normals."""
-        place = u * self.edges[-1]
-        row = np.clip(np.searchsorted(self.edges, place, side="right") - 1, 0, len(self.lit) - 1)
-        within = (place - self.edges[row]) / (self.edges[row + 1] - self.edges[row])
-        side = self.lit[row]
-        normals = self.sides.normals[side]
-        points = self.sides.points(side, np.column_stack([np.clip(within, 0, np.nextafter(1, 0)), v]))
-        return row, points + STEP * normals, normals
+    def _aimed(self, first: int, count: int) -> Array:
+        """What rays to points of patches bring, (count, n, c), that of one ray being its share A K."""
+        scene, n = self.scene, len(self.emission)
+        table = self.points.lanes(mi.UInt32, count * self.each, first * self.each)
+        dr.eval(table)
+        # Lane by lane the rays at a patch, patch by patch, block by block.
+        lane = dr.arange(mi.UInt32, count * n * self.each)
+        row = lane >> self._bits
+        block = row // self._patches
+        patch = row - block * self._patches
+        point = (block << self._bits) + lane - (row << self._bits)
+        u = []
+        for points, shifts in zip(table, self._shifts, strict=True):
+            x = dr.gather(mi.Float64, points, point) + dr.gather(mi.Float64, shifts, patch)
+            u.append(dr.select(x >= 1, x - 1, x))
+        target, lamp = self._targets.of(patch, u[0], u[1]), self._lamps.any(u[2], u[3])
+        way = target.point - lamp.origin
+        square = dr.squared_norm(way)
+        way /= dr.maximum(dr.sqrt(square), 1e-30)
+        cosines = dr.dot(way, lamp.normal), -dr.dot(way, target.normal)
+        ahead = (cosines[0] > 0) & (cosines[1] > 0)
+        hit = scene.hit(lamp.origin, way, ahead)
+        seen = ahead & hit.is_valid() & (scene.face_of(hit) == self._targets.face_of(target.side))
+        share = dr.gather(mi.Float, self._areas, patch) * cosines[0] * cosines[1] / (dr.pi * square)
+        share = dr.select(seen & (share <= _NEAR), share, 0)
+        source = self._lamps.patch_of(lamp.side)
+        brought = [share * dr.gather(mi.Float64, colour, source) for colour in self._colours]
+        dr.eval(brought)
+        sums = [np.array(dr.block_reduce(dr.ReduceOp.Add, x, self.each)).reshape(count, n) for x in brought]
+        return np.stack(sums, axis=2)
 
 
 def small_emitters(patches: Patches, rays_per_segment: float) -> NDArray[np.bool_]:

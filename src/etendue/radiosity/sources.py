@@ -1,0 +1,111 @@
+"""Rays from sides of patches, made where they are traced: all from the number of a point to what a ray meets is one
+kernel. Lanes of it are arrays of the current variant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.core import Array, copied_to_device
+
+from .raycasting import STEP, RayScene
+from .sides import Sides
+
+#: Rays at once.
+BATCH = 1 << 20
+#: The largest number below 1.
+_BELOW_ONE = float(np.nextafter(1, 0))
+
+
+@dataclass(frozen=True)
+class Places:
+    """Points of sides: ``side`` (UInt32), ``point`` and ``normal`` (Point3d, Vector3d), in unit coordinates."""
+
+    side: Any
+    point: Any
+    normal: Any
+
+    @property
+    def origin(self) -> Any:
+        """Where rays start: just off the side."""
+        return self.point + STEP * self.normal
+
+    def directions(self, ways: Any) -> Any:
+        """Directions of a frame whose third axis is the normal, as of the scene."""
+        return mi.Frame3f(mi.Normal3f(self.normal)).to_world(ways)
+
+
+class RaySource:
+    """Sides on the device: of all of them, or of a patch, one is picked by its share of ``Sides.edges``."""
+
+    def __init__(self, scene: RayScene, sides: Sides) -> None:
+        self.scene, self.sides = scene, sides
+        self._corners = copied_to_device(mi.Float, sides.corners)
+        self._normals = copied_to_device(mi.Float, sides.normals)
+        self._edges = copied_to_device(mi.Float64, sides.edges)
+        self._patch = copied_to_device(mi.UInt32, sides.patch)
+        self._face = copied_to_device(mi.UInt32, sides.face)
+        starts = np.searchsorted(sides.patch, np.arange(len(scene.patches) + 1))
+        self._starts = copied_to_device(mi.UInt32, starts)
+        self._most = int(np.diff(starts).max())
+        self._count, self._whole = dr.opaque(mi.UInt32, len(sides.patch)), dr.opaque(mi.Float64, sides.edges[-1])
+
+    def patch_of(self, side: Any) -> Any:
+        """Numbers of patches."""
+        return dr.gather(mi.UInt32, self._patch, side)
+
+    def face_of(self, side: Any) -> Any:
+        """Numbers of faces."""
+        return dr.gather(mi.UInt32, self._face, side)
+
+    def any(self, u: Any, v: Any) -> Places:
+        """Places on all sides from lanes of numbers in [0, 1), as they lie by ``edges``."""
+        return self._places(u * self._whole, v, mi.UInt32(0), self._count, len(self.sides.patch))
+
+    def of(self, patch: Any, u: Any, v: Any) -> Places:
+        """Places on patches, which have sides here."""
+        first, end = dr.gather(mi.UInt32, self._starts, patch), dr.gather(mi.UInt32, self._starts, patch + 1)
+        low, high = dr.gather(mi.Float64, self._edges, first), dr.gather(mi.Float64, self._edges, end)
+        return self._places(low + u * (high - low), v, first, end, self._most)
+
+    def _places(self, place: Any, v: Any, first: Any, end: Any, most: int) -> Places:
+        side = first
+        for bit in reversed(range((most - 1).bit_length())):
+            further = side + (1 << bit)
+            is_in = further < end
+            side = dr.select(is_in & (dr.gather(mi.Float64, self._edges, further, is_in) <= place), further, side)
+        low, high = dr.gather(mi.Float64, self._edges, side), dr.gather(mi.Float64, self._edges, side + 1)
+        # What is left of the number is even again.
+        root = dr.sqrt(dr.clip((place - low) / (high - low), 0.0, _BELOW_ONE))
+        a, b, c = (mi.Point3d(dr.gather(mi.Point3f, self._corners, 3 * side + i)) for i in range(3))
+        normal = mi.Vector3d(dr.gather(mi.Vector3f, self._normals, side))
+        return Places(side, (1 - root) * a + root * (1 - v) * b + root * v * c, normal)
+
+
+def cosine_lanes(u: Any, v: Any) -> Any:
+    """Directions around the third axis of cosine density, from lanes of numbers in [0, 1)."""
+    sine, cosine = dr.sincos(dr.two_pi * mi.Float(v))
+    r = mi.Float(dr.sqrt(u))
+    return mi.Vector3f(r * cosine, r * sine, mi.Float(dr.sqrt(1 - u)))
+
+
+def even_lanes(u: Any, v: Any) -> Any:
+    """The same, evenly spread over both angles: theta = pi/2 u, phi = 2 pi v."""
+    sine, cosine = dr.sincos(dr.two_pi * mi.Float(v))
+    r, z = dr.sincos(dr.pi / 2 * mi.Float(u))
+    return mi.Vector3f(r * cosine, r * sine, z)
+
+
+def columns(u: Array) -> list[Any]:
+    """Numbers (k, d) as lanes."""
+    return [mi.Float64(np.ascontiguousarray(column)) for column in u.T]
+
+
+def pairs_of(one: Any, other: Any) -> Any:
+    """Lanes of numbers as an array (k, 2) of NumPy, worked out in one kernel."""
+    both = mi.UInt64(one) | (mi.UInt64(other) << 32)
+    return np.array(both).view(np.uint32).reshape(-1, 2)
