@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import importlib
 import math
-import re
 from pathlib import Path
 
 import mitsuba as mi
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from support.experiments import is_number, tables_of
 
 from etendue import methods
 from etendue.core import OptionError
@@ -140,27 +139,12 @@ FILES = {"sine": 2, "convergence": 3, "equal-time": 1}
 @pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_make_tables_of_numbers(command, tmp_path, monkeypatch):
-    main, measuring = module("__main__"), importlib.import_module("benchmarks.measuring")
-    tables, publish = [], measuring.Record.publish
-
-    def kept(self, variant, keep, results=None):
-        tables.append(self)
-        publish(self, variant, keep, results)
-
-    monkeypatch.setattr(measuring.Record, "publish", kept)
-    monkeypatch.setattr(main, "RESULTS", tmp_path / "RESULTS.md")
     words = [command, *COMMANDS[command], "--out", str(tmp_path)]
-    result = CliRunner().invoke(main.app, words + ([] if command == "reference" else ["--record"]))
-    assert result.exit_code == 0, result.output + repr(result.exception)
-    assert tables
-    for table in tables:
-        assert table.rows
+    words += [] if command == "reference" else ["--record"]
+    figures = {"single": slice(2, None), "warm-up": slice(2, None), "reference": slice(1, 2)}
+    for table in tables_of("adaptive", words, tmp_path, monkeypatch):
         for row in table.rows:
-            assert len(row) == len(table.columns)
-            for cell in (
-                row[2:] if command in ("single", "warm-up") else row[1:2] if command == "reference" else row[1:]
-            ):
-                assert re.search(r"\d", cell) and not re.search(r"nan|inf", cell), (table.title, row)
+            assert all(map(is_number, row[figures.get(command, slice(1, None))])), (table.title, row)
     assert (tmp_path / "RESULTS.md").exists() == (command != "reference")
     made = [p for p in tmp_path.iterdir() if p.suffix in (".svg", ".png")]
     assert len(made) == FILES.get(command, 0)

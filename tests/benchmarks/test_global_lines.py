@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from support.experiments import is_number, tables_of
 
 from etendue.core import OptionError
 from etendue.points import Halton, uniformity_score
@@ -180,23 +180,11 @@ FILES = {"sequences": 6, "generators": 1, "direct": 1, "estimators": 2}
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_make_tables_of_numbers(command, tmp_path, monkeypatch):
-    main, measuring = module("__main__"), importlib.import_module("benchmarks.measuring")
-    tables, publish = [], measuring.Record.publish
-
-    def kept(self, variant, keep, results=None):
-        tables.append(self)
-        publish(self, variant, keep, results)
-
-    monkeypatch.setattr(measuring.Record, "publish", kept)
-    monkeypatch.setattr(main, "RESULTS", tmp_path / "RESULTS.md")
-    result = CliRunner().invoke(main.app, [command, *COMMANDS[command], "--out", str(tmp_path), "--record"])
-    assert result.exit_code == 0, result.output + repr(result.exception)
+    words = [command, *COMMANDS[command], "--out", str(tmp_path), "--record"]
+    tables = tables_of("radiosity", words, tmp_path, monkeypatch)
     assert len(tables) == {"sequences": 4, "estimators": 2}.get(command, 1)
-    for table in tables:
-        assert table.rows
-        for row in table.rows:
-            assert len(row) == len(table.columns)
-            assert sum(bool(re.search(r"\d", cell)) for cell in row) >= 1 and not re.search(r"nan|inf", "".join(row))
+    for row in (row for table in tables for row in table.rows):
+        assert any(map(is_number, row)) and not re.search(r"nan|inf", "".join(row)), row
     assert (tmp_path / "RESULTS.md").exists()
     assert len(list(tmp_path.glob("*.svg"))) == FILES[command]
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import importlib
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from support.experiments import is_number, tables_of
 
 from etendue import film, methods
 
@@ -174,27 +173,12 @@ PLOTS = {"correctness", "convergence", "radius", "photons"}
 @pytest.mark.slow
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_make_tables_of_numbers(command, tmp_path, monkeypatch):
-    main, measuring = module("__main__"), importlib.import_module("benchmarks.measuring")
-    tables, publish = [], measuring.Record.publish
-
-    def kept(self, variant, keep, results=None):
-        tables.append(self)
-        publish(self, variant, keep, results)
-
-    monkeypatch.setattr(measuring.Record, "publish", kept)
-    monkeypatch.setattr(main, "RESULTS", tmp_path / "RESULTS.md")
     words = [command, *COMMANDS[command]]
     words += [] if command in ("profile", "radii") else ["--out", str(tmp_path)]
     words += [] if command == "reference" else ["--record"]
-    result = CliRunner().invoke(main.app, words)
-    assert result.exit_code == 0, result.output + repr(result.exception)
-    assert tables
-    for table in tables:
-        assert table.rows
+    for table in tables_of("vcm_thesis", words, tmp_path, monkeypatch):
         for row in table.rows:
-            assert len(row) == len(table.columns)
-            for cell in row[1:2] if command == "reference" else row[1:]:
-                assert re.search(r"\d", cell) and not re.search(r"nan|inf", cell), (table.title, row)
+            assert all(map(is_number, row[1:2] if command == "reference" else row[1:])), (table.title, row)
     assert (tmp_path / "RESULTS.md").exists() == (command != "reference")
     plots = list(tmp_path.glob("*.svg"))
     assert len(plots) == (command in PLOTS)
