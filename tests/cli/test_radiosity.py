@@ -165,7 +165,7 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("radiosity room.ply --emission 1 --time -1", "a number above 0"),
         ("radiosity room.ply --emission 1 -o s.npz --checkpoint s.npz", "named for two outputs"),
         ("radiosity room.ply --emission 1 --checkpoint nowhere/c", "there is no folder"),
-        ("form-factors nan.vtu", "1 vertices are not finite"),
+        ("form-factors nan.vtu", "vertices are not finite"),
         ("form-factors lines.vtu", "has no triangles or quadrilaterals"),
         ("form-factors polygon.obj", "polygon.obj has 1 faces of type polygon"),
         ("form-factors needles.ply", "none of 2 faces has an area"),

@@ -78,7 +78,7 @@ def test_broken_faces_are_left_out_with_a_warning(tmp_path, caplog):
         ("a.xyzzy", "nonsense", "cannot be read as a mesh"),
         ("a.glb", "nonsense", "cannot be read as a mesh"),
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\n", "no triangles or quadrilaterals"),
-        ("a.obj", "v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "1 vertices are not finite"),
+        ("a.obj", "v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "1 of 3 vertices are not finite"),
         ("a.obj", "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "none of 1 faces has an area"),
     ],
 )

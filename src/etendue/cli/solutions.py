@@ -13,7 +13,7 @@ from .console import error_console, note
 from .lines import Request
 
 if TYPE_CHECKING:
-    from etendue.radiosity import FirstShot, LineCasting, Patches, Segments
+    from etendue.radiosity import FirstShot, FormFactors, LineCasting, Patches, Segments
     from etendue.scene import Problem
 
 #: Share of what patches see that may be sky without a warning: single convex solids have all of it.
@@ -35,9 +35,9 @@ def factors_to_file(request: Request, casting: LineCasting, segments: Segments) 
             emissivity=1 - casting.patches.reflectance[:, 0],
             metadata=request.metadata(casting, estimator=estimator),
         )
-    sums, errors = factors.row_sums(), factors.row_errors()
+    errors = factors.row_errors()
     _say(
-        f"{factors.matrix.nnz} form factors ({estimator}), rows sum to {sums.min():.5g} to {sums.max():.5g}, "
+        f"{factors.matrix.nnz} form factors ({estimator}), {_rows(factors)}, "
         f"standard error of a row {errors.mean():.2g} (at most {errors.max():.2g})"
     )
 
@@ -50,10 +50,17 @@ def exact_to_file(request: Request, patches: Patches) -> None:
         factors = exact_form_factors(patches)
         known = {"software": f"etendue {metadata.version('etendue')}", "source": request.source, "estimator": "exact"}
         save_form_factors(request.output, factors, emissivity=1 - patches.reflectance[:, 0], metadata=known)
-    sums = factors.row_sums()
     sky = (patches.areas * factors.sky).sum() / patches.areas.sum()
     open_ends = f", {100 * sky:.3g} % of what patches see is the sky" if sky > 0 else ""
-    _say(f"{factors.matrix.nnz} form factors (exact), rows sum to {sums.min():.7g} to {sums.max():.7g}{open_ends}")
+    _say(f"{factors.matrix.nnz} form factors (exact), {_rows(factors)}{open_ends}")
+
+
+def _rows(factors: FormFactors) -> str:
+    """What rows sum to, what leads to the sky included."""
+    sums = factors.row_sums()
+    least, most = f"{sums.min():.7g}", f"{sums.max():.7g}"
+    whole = "rows and sky sum to" if (factors.sky > _NO_SKY).any() else "rows sum to"
+    return f"{whole} {least}" if least == most else f"{whole} {least} to {most}"
 
 
 def solution_to_file(request: Request, casting: LineCasting, segments: Segments, problem: Problem | None) -> None:

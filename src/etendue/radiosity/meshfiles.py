@@ -102,7 +102,10 @@ def sound_faces(vertices: Array, faces: Index, where: str) -> tuple[Array, Index
     """
     if not np.isfinite(vertices).all():
         bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
-        raise PatchError(f"{where}: {len(bad)} vertices are not finite, the first is number {bad[0]}; mend the mesh")
+        raise PatchError(
+            f"{where}: {len(bad)} of {len(vertices)} vertices are not finite, the first is number {bad[0]}; mend "
+            "the mesh"
+        )
     try:
         quads, rows = flat_faces(vertices, faces)
     except PatchError as error:
