@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cache
 from importlib import import_module
 from types import ModuleType
 from typing import TypeVar
@@ -32,17 +33,29 @@ def threads() -> int:
     return max(int(dr.thread_count()), 1)
 
 
+@cache
+def _pool(count: int) -> ThreadPoolExecutor:
+    """Threads that stay.
+
+    A pool of its own for each stream would be shut down with it, and a stream that was given up is
+    closed by the garbage collector in the middle of anything, also in a thread of a pool: a deadlock now and then."""
+    return ThreadPoolExecutor(count, thread_name_prefix="radiosity")
+
+
 def in_order(tasks: Iterable[Callable[[], T]]) -> Iterator[T]:
-    """Results of tasks that run side by side, in the order of the tasks, a few of which are ahead of what was taken."""
-    with ThreadPoolExecutor(threads()) as pool:
-        waiting: deque[Future[T]] = deque()
-        try:
-            for task in tasks:
-                waiting.append(pool.submit(task))
-                if len(waiting) > 2 * threads():
-                    yield waiting.popleft().result()
-            while waiting:
+    """Results of tasks that run side by side, in the order of the tasks, a few of which are ahead of what was taken.
+
+    Tasks must not use this themselves: they would wait for their own threads.
+    """
+    count = threads()
+    pool, waiting = _pool(count), deque[Future[T]]()
+    try:
+        for task in tasks:
+            waiting.append(pool.submit(task))
+            if len(waiting) > 2 * count:
                 yield waiting.popleft().result()
-        finally:
-            for future in waiting:
-                future.cancel()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        for future in waiting:
+            future.cancel()
