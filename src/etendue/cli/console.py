@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, TaskID, TextColumn
 from rich.progress import Progress as RichProgress
 
-from etendue.core import Progress, format_rate, format_seconds
+from etendue.core import Progress
 
 #: In a pipe, a line of progress comes when the time has grown by this ratio, and at least this often.
 _LINE_RATIO, _LINE_EVERY = 1.5, 60.0
@@ -98,23 +98,11 @@ class ProgressView:
     def _fields(self, progress: Progress, prepared: bool) -> dict[str, Any]:
         if not progress.passes:
             return {"total": None, "status": "first pass, compiling" if prepared else "loading the scene"}
-        parts = _words(progress) if self._words is None else self._words(progress)
+        parts = [f"pass {progress.passes}", *progress.pace] if self._words is None else self._words(progress)
         fields: dict[str, Any] = {"status": "  ".join(parts), "total": 1.0 if progress.fraction is not None else None}
         if progress.fraction is not None:
             fields["completed"] = progress.fraction
         return fields
-
-
-def _words(progress: Progress) -> list[str]:
-    """Of a picture, for the bar."""
-    parts = [f"pass {progress.passes}", format_seconds(progress.elapsed)]
-    if progress.eta is not None:
-        parts.append(f"ETA {format_seconds(progress.eta)}")
-    if progress.rays_per_second:
-        parts.append(format_rate(progress.rays_per_second))
-    if progress.relative_error is not None:
-        parts.append(f"noise {progress.relative_error:.2g}")
-    return parts
 
 
 def print_error(message: str) -> None:

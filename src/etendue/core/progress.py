@@ -25,14 +25,19 @@ class Progress:
     fraction: float | None = None
 
     def __str__(self) -> str:
-        parts = [f"pass {self.passes}", f"{self.samples} spp", format_seconds(self.elapsed)]
+        return ", ".join([f"pass {self.passes}", f"{self.samples} spp", *self.pace])
+
+    @property
+    def pace(self) -> list[str]:
+        """What is known of time, speed and noise, in words."""
+        parts = [format_seconds(self.elapsed)]
         if self.eta is not None:
             parts.append(f"ETA {format_seconds(self.eta)}")
         if self.rays_per_second:
             parts.append(format_rate(self.rays_per_second))
         if self.relative_error is not None:
             parts.append(f"noise {self.relative_error:.2g}")
-        return ", ".join(parts)
+        return parts
 
 
 def format_seconds(seconds: float) -> str:
