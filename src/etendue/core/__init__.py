@@ -18,7 +18,15 @@ from .measurement import RELATIVE_EPSILON, Array, Iterations, Measurement, warn_
 from .memory import free_memory
 from .method import Method, Result
 from .progress import Progress, format_rate, format_seconds
-from .samples import COMPONENTS_PER_VERTEX, IndependentSource, SampleSource, hash_mix, seed_key, to_unit_float
+from .samples import (
+    COMPONENTS_PER_VERTEX,
+    IndependentSource,
+    SampleSource,
+    hash_mix,
+    keyed_bits,
+    seed_key,
+    to_unit_float,
+)
 from .settings import Settings, setting
 
 __all__ = [
@@ -51,6 +59,7 @@ __all__ = [
     "format_seconds",
     "free_memory",
     "hash_mix",
+    "keyed_bits",
     "logger",
     "on_device",
     "seed_key",

@@ -65,32 +65,38 @@ def to_unit_float(bits: Any) -> Any:
     return dr.reinterpret_array(float_type, (bits >> 9) | 0x3F800000) - 1.0
 
 
+def keyed_bits(key0: Any, key1: Any, word: Any) -> Any:
+    """32 bits that ``word`` has under a key of 64 bits, its two words mixed already."""
+    x = key0 + word * 0x9E3779B9
+    x = x ^ (x >> 16)
+    x = x * 0x21F0AAAD
+    x = (x ^ (x >> 15)) + key1
+    x = x * 0x735A2D97
+    x = x ^ (x >> 15)
+    x = x * 0x9E3779B1
+    return x ^ (x >> 16)
+
+
 class IndependentSource:
     """Independent numbers by hashing. A 64-bit lane key is mixed with the dimension, so draws need no loop state.
 
-    ``lane`` is a UInt32 array, one entry per path; ``seed``, ``role`` and ``iteration`` enter as opaque scalars, so
-    that another pass does not compile another kernel.
+    ``lane`` is a UInt32 array, one entry per path, and ``high`` the upper words where lanes are numbered beyond 2^32;
+    ``seed``, ``role`` and ``iteration`` enter as opaque scalars, so that another pass does not compile another kernel.
     """
 
-    def __init__(self, lane: Any, seed: int, role: str, iteration: int) -> None:
+    def __init__(self, lane: Any, seed: int, role: str, iteration: int, high: Any = None) -> None:
         uint32 = type(lane)
         key0, key1 = seed_key(seed, role, iteration)
         k0, k1 = dr.opaque(uint32, key0), dr.opaque(uint32, key1)
-        self._key0 = hash_mix(lane + k0)
+        # The pair is as good as (high, lane): given the first word, the second leads back to the lane.
+        self._key0 = hash_mix(lane + k0 if high is None else lane + k0 + hash_mix(high))
         self._key1 = hash_mix((lane ^ self._key0) + k1)
 
     def _bits(self, vertex: Any, component: int) -> Any:
         if not 0 <= component < COMPONENTS_PER_VERTEX:
             raise ValueError(f"component {component} of a vertex: there are {COMPONENTS_PER_VERTEX}")
         dimension = type(self._key0)(vertex) * COMPONENTS_PER_VERTEX + component  # wraps, also for a Python int
-        x = self._key0 + dimension * 0x9E3779B9
-        x = x ^ (x >> 16)
-        x = x * 0x21F0AAAD
-        x = (x ^ (x >> 15)) + self._key1
-        x = x * 0x735A2D97
-        x = x ^ (x >> 15)
-        x = x * 0x9E3779B1
-        return x ^ (x >> 16)
+        return keyed_bits(self._key0, self._key1, dimension)
 
     def next_1d(self, vertex: Any, component: int) -> Any:
         """See :class:`SampleSource`."""

@@ -36,6 +36,30 @@ FULL_LANES = 1 << 17
 PILOT_PATHS = 1 << 13
 #: An array of the device holds fewer than 2^32 numbers, and a lane has a colour.
 _MAX_LANES = 1 << 30
+_WORD = 0xFFFFFFFF
+#: Light paths of one kernel at most; a pass that has more traces them in groups.
+MOST_LIGHT_LANES = 1 << 26
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """Consecutive lanes of a pass, which may have more than 2^32 of them."""
+
+    first: int
+    count: int
+
+    def part(self, index: int, parts: int) -> Lanes:
+        """One of ``parts`` nearly equal parts."""
+        first, end = self.count * index // parts, self.count * (index + 1) // parts
+        return Lanes(self.first + first, end - first)
+
+    def numbers(self, offset: int = 0) -> tuple[Any, Any]:
+        """(lower words, upper words) of ``offset`` plus the number of each lane."""
+        first = offset + self.first
+        start = dr.opaque(mi.UInt32, first & _WORD)
+        lower = start + dr.arange(mi.UInt32, self.count)
+        carry = dr.select(lower < start, mi.UInt32(1), mi.UInt32(0))
+        return lower, dr.opaque(mi.UInt32, (first >> 32) & _WORD) + carry
 
 
 @dataclass(frozen=True)
@@ -135,15 +159,19 @@ class ImageMethod(ABC):
             return IndependentSource(lanes, seed, role, iteration)
         count = dr.opaque(mi.UInt32, samples)  # a pilot has another one, and shall have the same kernel
         pixel = lanes // count
-        first = dr.opaque(mi.UInt32, (iteration * samples) & 0xFFFFFFFF)
-        return OwenSobolSource(pixel, first + (lanes - pixel * count), seed, role)
+        first = iteration * samples
+        start = dr.opaque(mi.UInt32, first & _WORD)
+        index = start + (lanes - pixel * count)
+        high = dr.opaque(mi.UInt32, (first >> 32) & _WORD) + dr.select(index < start, mi.UInt32(1), mi.UInt32(0))
+        return OwenSobolSource(pixel, index, seed, role, high)
 
-    def light_numbers(self, lanes: Any, paths: int, seed: int, iteration: int, role: str = "light") -> SampleSource:
+    def light_numbers(self, lanes: Lanes, paths: int, seed: int, iteration: int, role: str = "light") -> SampleSource:
         """Random numbers of the light paths ``lanes`` of the ``paths`` that a pass traces."""
         if self.settings.sampler == "independent":
-            return IndependentSource(lanes, seed, role, iteration)
-        first = dr.opaque(mi.UInt32, (iteration * paths) & 0xFFFFFFFF)
-        return OwenSobolSource(dr.zeros(mi.UInt32), first + lanes, seed, role)
+            lane, high = lanes.numbers()
+            return IndependentSource(lane, seed, role, iteration, high)
+        index, high = lanes.numbers(iteration * paths)
+        return OwenSobolSource(dr.zeros(mi.UInt32), index, seed, role, high)
 
     def image(self, values: Any) -> Layer:
         """Colours or scalars, consecutive lanes a pixel, summed into a (height, width, channels) image."""

@@ -43,8 +43,9 @@ from etendue.transport import (
     needs_interaction,
 )
 
+from . import base
 from . import radius as radii
-from .base import PILOT_PATHS, ImageMethod, ImageSettings, Layer, corners, keep_finite, total, with_image
+from .base import PILOT_PATHS, ImageMethod, ImageSettings, Lanes, Layer, corners, keep_finite, total, with_image
 from .store import STORE_SHARE, VertexRoom
 
 
@@ -112,19 +113,13 @@ class _Run:
     iteration: int
     seed: int
     radius: float
-    light: Any  #: numbers of the light paths, one lane each
+    light: Lanes  #: the light paths
     camera: Any  #: numbers of the camera paths
     pixel: Any  #: their pixels
     samples: int  #: of a pixel
     splats: Splats | None
     pyramid: Pyramid | None
     capacity: int  #: of the vertex store
-
-
-def _part(count: int, index: int, parts: int) -> Any:
-    """Lane numbers of one of ``parts`` nearly equal parts of ``count`` lanes."""
-    first, end = count * index // parts, count * (index + 1) // parts
-    return dr.arange(mi.UInt32, end - first) + dr.opaque(mi.UInt32, first)
 
 
 def _joined(colours: list[Any]) -> Any:
@@ -164,7 +159,8 @@ class Bidirectional(ImageMethod):
         bytes_per_vertex = LightVertices.bytes_per_vertex(
             bool(self.techniques.connection), self.techniques.merge, bool(self._more_radii)
         )
-        self._room = VertexRoom(bytes_per_vertex, problem.memory)
+        floats = LightVertices.floats_per_vertex(bool(self.techniques.connection))
+        self._room = VertexRoom(bytes_per_vertex, floats, problem.memory)
         self._pilot(seed)
         self._groups = self._count_groups()
 
@@ -194,8 +190,7 @@ class Bidirectional(ImageMethod):
         splats = self._splats()
         lanes = dr.arange(mi.UInt32, samples)
         pixel = dr.minimum(mi.UInt32((mi.Float(lanes) + 0.5) * (self.camera.pixels / samples)), self.camera.pixels - 1)
-        light = dr.arange(mi.UInt32, paths)
-        run = _Run("pilot ", 0, seed, self._first_radius, light, lanes, pixel, 1, splats, None, 64 * paths)
+        run = _Run("pilot ", 0, seed, self._first_radius, Lanes(0, paths), lanes, pixel, 1, splats, None, 64 * paths)
         radiance, counters = self._trace(run)
         self._room.per_path = counters["light_vertices"] / paths
         own = [value for name, value in radiance.items() if name not in self._more_radii]
@@ -221,12 +216,13 @@ class Bidirectional(ImageMethod):
         return bool(self.techniques.connection or self.techniques.merge)
 
     def _count_groups(self) -> int:
-        """Into how many groups the light paths of a pass are split, so that their vertices fit into memory."""
+        """Into how many groups the light paths of a pass are split, so that their vertices fit into memory, and they
+        into a kernel."""
         groups = self._room.groups(self._paths)
         if groups > 1:
             needed = self._room.bytes(self._paths) / 1e6
             logger.info("light vertices of a pass take %.0f MB: traced in %d groups", needed, groups)
-        return groups
+        return max(groups, -(-self._paths // base.MOST_LIGHT_LANES))
 
     # ------------------------------------------------------------------ a pass
 
@@ -243,11 +239,12 @@ class Bidirectional(ImageMethod):
         parts: list[dict[str, Any]] = []
         counters = {"rays": 0.0, "light_vertices": 0.0, "nonfinite": 0.0}
         for index in range(self._groups):
-            light, camera = (_part(n, index, self._groups) for n in (self._paths, self.camera.pixels * samples))
-            pixel, capacity = camera // samples, self._room.capacity(len(light))
+            light = Lanes(0, self._paths).part(index, self._groups)
+            camera, _ = Lanes(0, self.camera.pixels * samples).part(index, self._groups).numbers()
+            pixel, capacity = camera // samples, self._room.capacity(light.count)
             run = _Run("", iteration, seed, radius, light, camera, pixel, samples, splats, pyramid, capacity)
             radiance, counts = self._trace(run)
-            if not self._room.held(counts["light_vertices"], len(light)):
+            if not self._room.held(counts["light_vertices"], light.count):
                 self._groups = self._count_groups()  # the pilot guessed too low: the whole pass again, with more room
                 return self.render_pass(iteration, seed, samples)
             parts.append(radiance)
@@ -275,8 +272,8 @@ class Bidirectional(ImageMethod):
     def _trace(self, run: _Run) -> tuple[dict[str, Any], dict[str, float]]:
         """Light paths, then camera paths. Kernels are queued without waiting for one another, so that Python traces the
         next while one runs. Returns radiance by technique family, a lane a camera path, and counters."""
-        paths = len(run.light)
-        dr.make_opaque(run.light, run.camera, run.pixel)  # however they were made, pilot and passes share their kernels
+        paths = run.light.count
+        dr.make_opaque(run.camera, run.pixel)  # however they were made, pilot and passes share their kernels
         mis = self._mis(run.radius, paths)
         common = (
             self.visibility,

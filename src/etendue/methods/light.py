@@ -21,7 +21,8 @@ from etendue.scene import Problem
 from etendue.transport import LightWalk, Mis, Splats, Techniques, point_on
 from etendue.transport import dimensions as dim
 
-from .base import ImageMethod, ImageSettings, Layer, keep_finite, total
+from . import base
+from .base import ImageMethod, ImageSettings, Lanes, Layer, keep_finite, total
 
 #: Share of its length by which a shadow ray stops short of a light.
 _SHADOW_EPSILON = 1e-3
@@ -58,24 +59,22 @@ class Light(ImageMethod):
         walk = LightWalk(
             self.visibility, self.lights, self.camera, mis, max_edges, self.settings.rr_depth, mi.Float(0.0)
         )
-        scattered = Splats(self.camera.pixels)
-        lanes = dr.arange(mi.UInt32, paths)
-        rays, bad = walk.trace(paths, self.light_numbers(lanes, paths, seed, iteration), None, scattered)
-        dr.eval(rays, bad, scattered.array)
-
-        seen = Splats(self.camera.pixels)
-        source = self.light_numbers(lanes, paths, seed, iteration, "visible light")
-        seen_rays, seen_bad = self._seen_directly(source, paths, seen)
-        dr.eval(seen_rays, seen_bad, seen.array)
+        scattered, seen = Splats(self.camera.pixels), Splats(self.camera.pixels)
+        counters = {"rays": 0.0, "paths": float(paths), "nonfinite": 0.0}
+        groups = -(-paths // base.MOST_LIGHT_LANES)
+        for group in range(groups):
+            lanes = Lanes(0, paths).part(group, groups)
+            rays, bad = walk.trace(lanes.count, self.light_numbers(lanes, paths, seed, iteration), None, scattered)
+            dr.eval(rays, bad, scattered.array)
+            source = self.light_numbers(lanes, paths, seed, iteration, "visible light")
+            seen_rays, seen_bad = self._seen_directly(source, lanes.count, seen)
+            dr.eval(seen_rays, seen_bad, seen.array)
+            counters["rays"] += total(rays) + total(seen_rays)
+            counters["nonfinite"] += total(bad) + total(seen_bad)
 
         layers = {
             name: splats.sums(self.camera.height, self.camera.width)[0] * (samples / paths)
             for name, splats in (("splat", scattered), ("emission", seen))
-        }
-        counters = {
-            "rays": total(rays) + total(seen_rays),
-            "paths": float(paths),
-            "nonfinite": total(bad) + total(seen_bad),
         }
         return layers, counters
 

@@ -18,7 +18,8 @@ from etendue.density import KERNELS, HashGrid
 from etendue.scene import Problem
 from etendue.transport import Gather, LightVertices, LightWalk, Mis, Photons, Techniques, geometric_cos
 
-from .base import PILOT_PATHS, ImageMethod, total
+from . import base
+from .base import PILOT_PATHS, ImageMethod, Lanes, total
 from .store import VertexRoom
 
 #: Device memory of a photon: its record, the sorted copy, and the search structure.
@@ -27,7 +28,7 @@ _BYTES_PER_PHOTON = 48 + 48 + 32
 
 def photon_room(problem: Problem) -> VertexRoom:
     """Room for the photons of a pass."""
-    return VertexRoom(_BYTES_PER_PHOTON, problem.memory)
+    return VertexRoom(_BYTES_PER_PHOTON, LightVertices.floats_per_vertex(False), problem.memory)
 
 
 @dataclass
@@ -53,10 +54,11 @@ class PhotonTracer:
         self.room.per_path = self.photons_per_path
 
     def fitting(self, wanted: int) -> int:
-        """As many light paths, or fewer if their photons would not fit into memory."""
-        paths = min(wanted, max(1, int(self.room.most / max(self.photons_per_path, 1e-6))))
+        """As many light paths, or fewer if their photons would not fit into memory, or they into one kernel."""
+        paths = min(wanted, max(1, int(self.room.most / max(self.photons_per_path, 1e-6))), base.MOST_LIGHT_LANES)
         if paths < wanted:
-            logger.info("%d instead of %d light paths a pass: their photons fill the memory", paths, wanted)
+            why = "one pass has no more" if paths == base.MOST_LIGHT_LANES else "their photons fill the memory"
+            logger.info("%d instead of %d light paths a pass: %s", paths, wanted, why)
         return paths
 
     def shoot(self, iteration: int, seed: int, paths: int) -> Shot:
@@ -73,7 +75,7 @@ class PhotonTracer:
         rr_depth = method.settings.rr_depth
         walk = LightWalk(method.visibility, method.lights, method.camera, mis, self._edges, rr_depth, mi.Float(0.0))
         vertices = LightVertices(capacity, paths, indexed=False, connected=False)
-        source = method.light_numbers(dr.arange(mi.UInt32, paths), paths, seed, iteration, role + "light")
+        source = method.light_numbers(Lanes(0, paths), paths, seed, iteration, role + "light")
         rays, _ = walk.trace(paths, source, vertices, None)
         dr.schedule(rays)
         vertices.launch()

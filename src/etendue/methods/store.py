@@ -20,14 +20,17 @@ class VertexRoom:
     Parameters
     ----------
     bytes_per_vertex: device memory that a vertex takes, search structures included.
+    floats_per_vertex: numbers of a vertex in the one array that holds all of them.
     memory: limit of the whole run in bytes, or None.
     """
 
-    def __init__(self, bytes_per_vertex: int, memory: int | None) -> None:
+    def __init__(self, bytes_per_vertex: int, floats_per_vertex: int, memory: int | None) -> None:
         #: Vertices that a light path stores, as a pilot measured it, or a pass that it had guessed too low for.
         self.per_path = 0.0
         self._bytes_per_vertex = bytes_per_vertex
-        self._bytes = STORE_SHARE * memory if memory else _BYTES
+        # What the device's arrays can number is the limit where memory is not.
+        most = ((1 << 32) // floats_per_vertex - 2 * _PAD) * bytes_per_vertex
+        self._bytes = min(STORE_SHARE * memory if memory else _BYTES, most)
 
     def capacity(self, paths: int) -> int:
         """Vertices to make room for when so many light paths are traced."""

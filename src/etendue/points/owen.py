@@ -12,7 +12,7 @@ from typing import Any
 
 import drjit as dr
 
-from etendue.core import COMPONENTS_PER_VERTEX, hash_mix, seed_key, to_unit_float
+from etendue.core import COMPONENTS_PER_VERTEX, hash_mix, keyed_bits, seed_key, to_unit_float
 
 
 def sobol_2d(reversed_index: Any) -> Any:
@@ -42,26 +42,27 @@ class OwenSobolSource:
     Parameters
     ----------
     sequence: UInt32 per lane; lanes of one number share a sequence, such as the samples of a pixel.
-    index: UInt32 per lane, the path's place in its sequence; each (sequence, index) should occur once.
+    index: UInt32 per lane, the path's place in its sequence; each (sequence, index, high) should occur once.
     seed, role: as of ``IndependentSource``. Passes of a run go on with the sequence by their indices.
+    high: UInt32 per lane, the upper word of the place: each 2^32 points are a sequence scrambled anew.
     """
 
-    def __init__(self, sequence: Any, index: Any, seed: int, role: str) -> None:
+    def __init__(self, sequence: Any, index: Any, seed: int, role: str, high: Any = 0) -> None:
         uint32 = type(index)
-        key0, key1 = seed_key(seed, role, 0)
-        key = hash_mix(uint32(sequence) + dr.opaque(uint32, key0))
-        self._key = hash_mix(key ^ dr.opaque(uint32, key1))
+        key0, key1 = (dr.opaque(uint32, word) for word in seed_key(seed, role, 0))
+        self._key = hash_mix((hash_mix(uint32(sequence) + key0) ^ key1) + uint32(high))
         self._reversed_index = dr.brev(uint32(index))
-        self._lane_key = hash_mix(uint32(index) + self._key)
+        # The first word may be that of another lane; the second leads back to the index, both to the sequence.
+        self._lane_keys = hash_mix(uint32(index) + self._key), hash_mix(uint32(index) + key1)
 
-    def _salt(self, vertex: Any, component: int) -> Any:
+    def _dimension(self, vertex: Any, component: int) -> Any:
         if not 0 <= component < COMPONENTS_PER_VERTEX:
             raise ValueError(f"component {component} of a vertex: there are {COMPONENTS_PER_VERTEX}")
-        return (type(self._key)(vertex) * COMPONENTS_PER_VERTEX + component) * 0x9E3779B9
+        return type(self._key)(vertex) * COMPONENTS_PER_VERTEX + component
 
     def _shuffled(self, vertex: Any, component: int) -> tuple[Any, Any]:
         """(bit-reversed place of the lane in the draw's own order, seed of the draw)."""
-        seed = hash_mix(self._key ^ self._salt(vertex, component))
+        seed = hash_mix(self._key ^ (self._dimension(vertex, component) * 0x9E3779B9))
         return scramble(self._reversed_index, seed), seed
 
     @staticmethod
@@ -81,4 +82,4 @@ class OwenSobolSource:
 
     def decide(self, vertex: Any, component: int) -> Any:
         """See :class:`SampleSource`: an independent number, at a third of the cost."""
-        return to_unit_float(hash_mix(self._lane_key ^ self._salt(vertex, component)))
+        return to_unit_float(keyed_bits(*self._lane_keys, self._dimension(vertex, component)))

@@ -111,6 +111,11 @@ class LightVertices:
         bytes_ = 16 * (_PACKETS if connected else _PHOTON_PACKETS) + (4 if connected else 0)
         return bytes_ + (48 + 24 if merged else 0) + (8 if radius_free else 0)
 
+    @staticmethod
+    def floats_per_vertex(connected: bool) -> int:
+        """Numbers of a vertex in the array of records; an array has fewer than 2^32."""
+        return 4 * (_PACKETS if connected else _PHOTON_PACKETS)
+
     def _put(self, packet: int, value: Any, slot: Any, active: Any) -> None:
         dr.scatter(self._records, value, slot * self._packets + packet, active)
 
