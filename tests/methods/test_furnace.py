@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from support.running import run
 from support.scenes import field, furnace
 from support.statistics import assert_agree
+
+from etendue.scene import Problem
 
 RADIANCE, ALBEDO = 0.8, 0.5
 #: One row an unbiased estimator: method, settings.
@@ -68,6 +71,47 @@ def test_merging_inside_a_sphere(name):
     settings = {"radius": 0.01, "radius_unit": "absolute", "alpha": 1.0} | settings
     result = run(furnace("sphere", RADIANCE, ALBEDO), method, passes=6, samples=256, **settings)
     assert_agree(result.images, RADIANCE / (1 - ALBEDO), name, block=2)
+
+
+#: Every way to gather, of photons that bring all the light there is but the lamp's own.
+AT_EDGES = {
+    "vcm": ("vcm", {"connections": 0, "next_events": 0}),
+    "bpm": ("bpm", {}),
+    "bpm late": ("bpm", {"merge_first": False}),
+    "sppm photons": ("sppm", {"direct": "photons"}),
+    "sppm cone": ("sppm", {"direct": "photons", "kernel": "cone"}),
+    "pm photons": ("pm", {"direct": "photons", "photons": 20_000, "neighbours": 60}),
+    "vegas maps": ("vegas", {"maps": 1}),
+}
+
+
+@pytest.mark.parametrize("name", AT_EDGES)
+def test_merging_at_edges(name):
+    """Inside a cube, with a radius of a tenth of its side: photons of the next wall are as good as those of a plane
+    that goes on. Where three walls meet there is less wall than on a plane; pixels that see it are left out."""
+    radius = 0.2
+    method, settings = AT_EDGES[name]
+    settings = {"radius": radius, "radius_unit": "absolute"} | ({} if method == "pm" else {"alpha": 1.0}) | settings
+    problem = furnace("box", RADIANCE, ALBEDO, (16, 16))
+    result = run(problem, method, passes=6, samples=128, **settings)
+    expected = RADIANCE / (1 - ALBEDO)
+    edges, corners = (seen_near(problem, radius, walls) for walls in (2, 3))
+    assert edges.sum() > 40, "the view must show edges"
+    images = np.where(corners[..., None], expected, result.images)
+    assert_agree(images, expected, name, block=1)
+    assert_agree(np.where((edges & ~corners)[..., None], images, expected), expected, name, block=16)
+
+
+def seen_near(problem: Problem, distance: float, walls: int) -> np.ndarray:
+    """Pixels that see a point of the cube from -1 to 1 closer than ``distance`` to so many of its walls."""
+    width, height = problem.size
+    lane = np.arange(width * height * 64)
+    u = (lane % 64 % 8 + 0.5) / 8, (lane % 64 // 8 + 0.5) / 8
+    x, y = (lane // 64 % width + u[0]) / width, (lane // 64 // width + u[1]) / height
+    ray, _ = problem.sensor.sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
+    near = np.array(problem.scene.ray_intersect(ray).p)
+    close = (np.abs(near) > 1.0 - distance).sum(0) >= walls
+    return close.reshape(height, width, 64).any(-1)
 
 
 @pytest.mark.parametrize("name", [n for n in MERGING if "late" not in n])

@@ -20,7 +20,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from etendue.transport import Mis, Techniques
+from etendue.transport import GRAZING, Mis, Techniques
 
 #: Random paths for each pattern of specular vertices.
 COPIES = 8
@@ -43,7 +43,7 @@ class Paths:
             return np.exp(random.uniform(np.log(low), np.log(high), (*shape, self.lanes)))
 
         self.d2 = draw(0.2, 5.0, k)  # edge j joins x_j and x_{j+1}
-        self.cos_in = draw(0.1, 1.0, k + 1)  # at x_j, of the edge to x_{j-1}
+        self.cos_in = draw(0.2 * GRAZING, 1.0, k + 1)  # at x_j, of the edge to x_{j-1}
         self.cos_out = draw(0.1, 1.0, k + 1)  # at x_j, of the edge to x_{j+1}
         self.forward = draw(0.05, 3.0, k)  # solid-angle density at x_j of scattering on to x_{j+1}
         self.reverse = draw(0.05, 3.0, k)  # ... of scattering back to x_{j-1}
@@ -111,7 +111,8 @@ class Paths:
             result["splat", k - 1] = self.smooth(k - 1) * light_paths * self.light_density(k - 1)
         if t.merge:
             for j in range(1, k if t.merge_first else k - 1):
-                result["merge", j] = self.smooth(j) * eta * self.light_density(j) * self.camera_density(j)
+                merges = self.smooth(j) & ((self.cos_in[j] >= GRAZING) | (not t.connects))
+                result["merge", j] = merges * eta * self.light_density(j) * self.camera_density(j)
         if ("emission", 0) not in result:  # without connecting: what nothing else can make
             result["emission", 0] = np.where(sum(result.values(), np.zeros(self.lanes)) > 0.0, 0.0, hits)
         return result
@@ -142,7 +143,9 @@ class Paths:
         for j in range(1, k):
             distance = mi.Float(1.0) if j == 1 and self.light == "infinite" else d2[j - 1]
             state = light[j] = mis.hit(*state, distance, cos_in[j])
-            state = mis.scatter_light(*state, cos_out[j], forward[j], reverse[j], mi.Bool(self.is_specular(j)))
+            state = mis.scatter_light(
+                *state, cos_in[j], cos_out[j], forward[j], reverse[j], mi.Bool(self.is_specular(j))
+            )
 
         camera: dict[int, Any] = {}
         state = mis.start_camera(pixel)
@@ -164,16 +167,17 @@ class Paths:
                         pdf = pdf * d2[0] / cos_light
                     ratio = emit * cos_in[1] / (pdf * cos_light)
                     hit = mi.Float(0.0) if self.light == "delta" else reverse[1]
-                    weight = mis.next_event_weight(depth(k, 1), *camera[1], hit, forward[1], pdf, ratio)
+                    weight = mis.next_event_weight(depth(k, 1), *camera[1], cos_in[1], hit, forward[1], pdf, ratio)
                 case "connection":
                     to_light = reverse[j + 1] * cos_out[j] / d2[j]
                     to_camera = forward[j] * cos_in[j + 1] / d2[j]
                     ends = camera[j + 1], light[j]
+                    cosines = cos_in[j + 1], cos_in[j]
                     weight = mis.connection_weight(
-                        depth(k, j + 1), *ends, to_light, to_camera, forward[j + 1], reverse[j]
+                        depth(k, j + 1), *ends, *cosines, to_light, to_camera, forward[j + 1], reverse[j]
                     )
                 case "splat":
-                    weight = mis.splat_weight(*light[j], reverse[j], pixel * cos_out[j] / d2[j])
+                    weight = mis.splat_weight(*light[j], cos_in[j], reverse[j], pixel * cos_out[j] / d2[j])
                 case _:
                     weight = mis.merge_weight(depth(k, j), camera[j], light[j], reverse[j], forward[j])
             weights[family, j] = weight[-1]

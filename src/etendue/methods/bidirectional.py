@@ -335,7 +335,7 @@ class Bidirectional(ImageMethod):
         grid = HashGrid(positions, radius * max(self._factors), *self._box, held)
         squares = [(radius * factor) ** 2 for factor in self._factors]
         factors = [dr.opaque(mi.Float, 1.0 / (np.pi * square * paths)) for square in squares]
-        limits = [dr.opaque(mi.Float, square) for square in squares] if self._more_radii else []
+        limits = [dr.opaque(mi.Float, square) for square in squares]
         return Gather(grid, vertices.sorted_by(grid.destination), factors, limits)
 
 

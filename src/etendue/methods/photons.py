@@ -16,7 +16,7 @@ import mitsuba as mi
 from etendue.core import logger
 from etendue.density import KERNELS, HashGrid
 from etendue.scene import Problem
-from etendue.transport import Gather, LightVertices, LightWalk, Mis, Photons, Techniques, geometric_cos
+from etendue.transport import Gather, LightVertices, LightWalk, Mis, Photons, Techniques, unfolded
 
 from . import base
 from .base import PILOT_PATHS, ImageMethod, Lanes, total
@@ -84,15 +84,12 @@ class PhotonTracer:
 
 def reflected_by(photons: Photons, photon: Any, si: Any, bsdf: Any, limit: Any, kernel: str, active: Any) -> Any:
     """Reflected radiance that one photon stands for, times ``N pi r^2``; ``limit``: r^2."""
-    flux, direction, _, _ = photons.flux(photon, active)
-    value = bsdf.eval(mi.BSDFContext(), si, si.to_local(direction), active)
-    cos = geometric_cos(si, direction)
-    weight = dr.select(cos > 0.0, dr.rcp(dr.select(cos > 0.0, cos, 1.0)), 0.0)
+    p = photons.read(photon, active)
+    distance_squared, weight = unfolded(si, photons.position(photon, active)[0], p)
     if kernel != "uniform":
-        position, _ = photons.position(photon, active)
-        share = dr.squared_norm(position - si.p) / limit
-        weight *= KERNELS[kernel].on_disc(dr.minimum(share, 1.0))
-    return flux * value * weight
+        weight *= KERNELS[kernel].on_disc(dr.minimum(distance_squared / limit, 1.0))
+    value = p.fluence * bsdf.eval(mi.BSDFContext(), si, si.to_local(p.direction), active)
+    return dr.select(distance_squared <= limit, value * weight, 0.0)
 
 
 class PhotonGrid:
@@ -109,17 +106,18 @@ class PhotonGrid:
         self, shot: Shot, positions: Any, held: Any, radius: float, box: tuple[Any, Any], kernel: str = "uniform"
     ) -> None:
         grid = HashGrid(positions, radius, *box, held)
-        self._gather = Gather(grid, shot.vertices.sorted_by(grid.destination, held), ())
+        self._gather = Gather(grid, shot.vertices.sorted_by(grid.destination, held), (), ())
         self._paths = dr.opaque(mi.Float, shot.paths)
         self._kernel = kernel
 
     def reflected(self, si: Any, bsdf: Any, edges: Any, limit: Any, active: Any) -> tuple[Any, Any]:
-        """(radiance that a surface reflects, photons found) by the photons with at most ``edges`` edges behind them
-        within the root of ``limit``."""
+        """(radiance that a surface reflects, photons found that it reflects) by the photons with at most ``edges``
+        edges behind them within the root of ``limit``."""
 
         def visit(photon: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
             flux, found = state
-            return flux + reflected_by(self._gather.photons, photon, si, bsdf, limit, self._kernel, active), found + 1
+            value = reflected_by(self._gather.photons, photon, si, bsdf, limit, self._kernel, active)
+            return flux + value, found + dr.select(dr.all(value == 0.0), mi.UInt32(0), mi.UInt32(1))
 
         flux, found = self._gather.around(si.p, edges, visit, (mi.Color3f(0.0), mi.UInt32(0)), active, limit)
         return flux / (dr.pi * limit * self._paths), found

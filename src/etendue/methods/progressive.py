@@ -1,16 +1,20 @@
 r"""Progressive and stochastic progressive photon mapping.
 
-Each camera path has statistics of its own: R, the radius it gathers in, and N, the photons it has counted. A pass that
-finds M photons changes them to [Hachisuka 2008, eq. 6 to 11]
+Each point of ``ppm``, each pixel of ``sppm``, has statistics of its own: R, the radius that is gathered in, and N, the
+photons that were counted. A pass that finds M photons changes them to [Hachisuka 2008, eq. 6 to 11]
 
 .. math:: N' = N + \alpha M, \qquad R'^2 = R^2 \frac{N + \alpha M}{N + M}
 
 and the flux :math:`\tau` that was found so far by the same factor as :math:`R^2`, so that :math:`\tau / R^2` is a sum
 over passes: a pass adds :math:`\tau_M / (\pi R^2 N_e)` to the picture, and R and N are all that is carried on.
 
-``sppm`` looks at new points in each pass [Hachisuka 2009], so depth of field, glossy reflection and antialiasing
-converge too. ``ppm`` looks at the same points in each pass; they are found again by the same random numbers rather than
-stored, a ray each instead of some 200 bytes each.
+``sppm`` looks at new points in each pass, all those of a pixel with one R and one N [Hachisuka 2009], so depth of
+field, glossy reflection and antialiasing converge too. ``ppm`` looks at the same points in each pass; they are found
+again by the same random numbers rather than stored, a ray each instead of some 200 bytes each.
+
+Where no photon is ever found, R would stay as it began, and the grid of photons as coarse as that. So R is never above
+a radius that shrinks whatever is found, by :math:`R^2_{i+1} = R^2_i (i + \alpha) / (i + 1)` after pass i, which is
+slower than R does where photons are found in every pass [KnausZwicker 2011].
 """
 
 from __future__ import annotations
@@ -56,7 +60,7 @@ class SppmSettings(PhotonSettings):
 
 
 class Sppm(PhotonMapping):
-    """Stochastic progressive photon mapping: new points in each pass, a radius for each camera path."""
+    """Stochastic progressive photon mapping: new points in each pass, a radius for each pixel."""
 
     name: ClassVar[str] = "sppm"
     Settings: ClassVar[type[ImageSettings]] = SppmSettings
@@ -66,9 +70,13 @@ class Sppm(PhotonMapping):
         """The first radii: the same for every path, or found by the nearest photons."""
         super().prepare(problem, seed)
         first = radii.absolute_radius(self, self.settings.radius, self.settings.radius_unit, seed)
-        lanes = self.camera.pixels * self.samples_per_iteration
-        self._radius_squared = dr.full(mi.Float, first * first, lanes)
-        self._count = dr.zeros(mi.Float, lanes)
+        #: Camera paths of a pass that share R and N: those of a point, or of a pixel.
+        self._sharing = 1 if self.fixed_points else self.samples_per_iteration
+        entries = self.camera.pixels * self.samples_per_iteration // self._sharing
+        self._radius_squared = dr.full(mi.Float, first * first, entries)
+        self._count = dr.zeros(mi.Float, entries)
+        self._most = first * first  # of R^2
+        self._passes = 0
         self._box = corners(problem)
         self._tree: KdTree | None = None
         if self.settings.neighbours:
@@ -83,8 +91,8 @@ class Sppm(PhotonMapping):
         squared = dr.reinterpret_array(mi.Float, state.found)
         # Photons may lie on one spot: a radius of zero would never find another.
         squared = dr.select(state.first, self._limit, dr.maximum(squared, _LEAST_SHARE * self._limit))
-        dr.eval(squared)
-        self._radius_squared, self._tree = squared, None
+        self._radius_squared, self._tree = dr.block_sum(squared, self._sharing) / self._sharing, None
+        dr.eval(self._radius_squared)
 
     def _wanted(self, shot: Shot) -> tuple[Any, Any]:
         """(positions, which of them are gathered), one lane a slot."""
@@ -108,20 +116,30 @@ class Sppm(PhotonMapping):
         if self._tree is not None:  # only the distance is asked for; it goes where the number of photons goes
             squared = self._tree.kth_distance_squared(si.p, self.settings.neighbours, self._limit, active)
             return mi.Color3f(0.0), dr.reinterpret_array(mi.UInt32, squared)
-        limit = dr.gather(mi.Float, self._radius_squared, s.lane, active)
+        limit = dr.gather(mi.Float, self._radius_squared, s.lane // self._sharing, active)
         return self._photons.reflected(si, bsdf, self._edges - s.depth, limit, active)
 
     def finish(self, found: Any) -> None:
-        """Shrink the radii [Hachisuka 2008, eq. 6, 8]."""
-        count = self._count + self.settings.alpha * found
+        """Shrink the radii [Hachisuka 2008, eq. 6, 8; KnausZwicker 2011]."""
+        alpha = self.settings.alpha
+        found = mi.Float(dr.block_sum(found, self._sharing))
+        count = self._count + alpha * found
         all_found = self._count + found
-        self._radius_squared *= dr.select(all_found > 0.0, count / all_found, 1.0)
+        self._passes += 1
+        self._most *= (self._passes + alpha) / (self._passes + 1)
+        shrunk = self._radius_squared * dr.select(all_found > 0.0, count / all_found, 1.0)
+        self._radius_squared = dr.minimum(shrunk, dr.opaque(mi.Float, self._most))
         self._count = count
         dr.eval(self._radius_squared, self._count)
 
     def state(self) -> Mapping[str, Any]:
-        """R^2 and N of every camera path."""
-        return {"radius_squared": np.array(self._radius_squared), "count": np.array(self._count)}
+        """R^2 and N of every point or pixel, and what bounds R^2."""
+        return {
+            "radius_squared": np.array(self._radius_squared),
+            "count": np.array(self._count),
+            "most": self._most,
+            "passes": self._passes,
+        }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Inverse of :meth:`state`."""
@@ -129,6 +147,7 @@ class Sppm(PhotonMapping):
         if radius_squared.shape != (len(self._count),) or count.shape != radius_squared.shape:
             raise CheckpointError("the checkpoint's photon statistics are of another size; start anew")
         self._radius_squared, self._count = mi.Float(radius_squared), mi.Float(count)
+        self._most, self._passes = float(state["most"]), int(state["passes"])
 
 
 class Ppm(Sppm):

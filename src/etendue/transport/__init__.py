@@ -9,7 +9,8 @@ from .guiding import NOWHERE, Guide, GuidedScattered, direction_of, square_of
 from .irradiance import IrradianceCache, irradiance_gradients, stratified_hemispheres
 from .light_choice import MOST_LIGHTS, LightChoice, LocalLights
 from .light_walk import LightWalk
-from .mis import Mis, Techniques
+from .mis import GRAZING, Mis, Techniques
+from .photons import Photon, Photons, unfolded
 from .pyramid import PYRAMID_MAX, Pyramid
 from .scattering import (
     Evaluated,
@@ -26,10 +27,11 @@ from .scattering import (
     scatter_uniform,
     shadow_roulette,
 )
-from .vertices import Kind, LightVertex, LightVertices, Photons, needs_interaction
+from .vertices import Kind, LightVertex, LightVertices, needs_interaction
 from .visibility import Visibility
 
 __all__ = [
+    "GRAZING",
     "MOST_LIGHTS",
     "NOWHERE",
     "PICK_BLOCK",
@@ -52,6 +54,7 @@ __all__ = [
     "LightWalk",
     "LocalLights",
     "Mis",
+    "Photon",
     "Photons",
     "Pyramid",
     "Scattered",
@@ -82,4 +85,5 @@ __all__ = [
     "shadow_roulette",
     "square_of",
     "stratified_hemispheres",
+    "unfolded",
 ]

@@ -17,6 +17,7 @@ from . import dimensions as dim
 from .camera import Camera
 from .emission import DirectSample, emission_of_hit, is_emissive, sample_direct
 from .mis import Mis
+from .photons import Photons, unfolded
 from .pyramid import Pyramid
 from .scattering import (
     Evaluated,
@@ -29,7 +30,7 @@ from .scattering import (
     scatter_camera,
     shadow_roulette,
 )
-from .vertices import LightVertex, LightVertices, Photons
+from .vertices import LightVertex, LightVertices
 from .visibility import Visibility
 
 
@@ -85,13 +86,13 @@ class _Joined:
 class Gather:
     """The stored light vertices as merging uses them: sorted by a grid for the largest radius.
 
-    Of each radius ``factors`` holds 1 / (n_VM pi r^2), and ``squares`` r^2 where there are several.
+    Of each radius ``factors`` holds 1 / (n_VM pi r^2), and ``squares`` r^2.
     """
 
     grid: HashGrid
     photons: Photons
     factors: Sequence[Any]
-    squares: Sequence[Any] = ()
+    squares: Sequence[Any]
 
     def around(
         self,
@@ -262,14 +263,16 @@ class CameraWalk:
 
     def _next_event(self, s: _State, si: Any, direct: DirectSample, bsdf: Evaluated, u: Any) -> None:
         """s = 1 [Georgiev 2012b, eq. 44, 45]."""
+        cos = geometric_cos(si, direct.direction)
         weights = self.mis.next_event_weight(
             self._vertex(s),
             s.d_vcm,
             s.d_vc,
+            cos,
             dr.select(direct.is_delta, 0.0, bsdf.pdf),
             bsdf.reverse_pdf,
             direct.pdf,
-            direct.light_ratio * geometric_cos(si, direct.direction),
+            direct.light_ratio * cos,
         )
         count = self.mis.techniques.next_event
         alone = s.throughput * bsdf.value * direct.radiance
@@ -341,12 +344,15 @@ class CameraWalk:
         active = joined.active & ~dr.all(bsdf.value == 0.0)
         wo = vertex.si.to_local(-joined.direction)
         light = evaluate_light_end(vertex.bsdf, vertex.si, wo, active)
+        cos = geometric_cos(si, joined.direction)
         weights = self.mis.connection_weight(
             self._vertex(s),
             (s.d_vcm, s.d_vc),
             (vertex.d_vcm, vertex.d_vc),
+            cos,
+            geometric_cos(vertex.si, vertex.direction),
             bsdf.pdf * geometric_cos(vertex.si, joined.direction) * joined.inverse_square,
-            light.pdf * geometric_cos(si, joined.direction) * joined.inverse_square,
+            light.pdf * cos * joined.inverse_square,
             bsdf.reverse_pdf,
             light.reverse_pdf,
         )
@@ -382,18 +388,17 @@ class CameraWalk:
     def _merged(self, s: _State, si: Any, bsdf: Any, photon: Any, active: Any) -> list[Any]:
         """Weighted contribution of one photon, by radius."""
         assert self.gather is not None
-        throughput, direction, d_vcm, d_vc = self.gather.photons.flux(photon, active)
-        bsdf = evaluate_camera_end(bsdf, si, si.to_local(direction), active)
-        # eval carries the shading cosine; a photon's flux per area already holds the geometric one.
-        cos = geometric_cos(si, direction)
-        weights = self.mis.merge_weight(self._vertex(s), (s.d_vcm, s.d_vc), (d_vcm, d_vc), bsdf.pdf, bsdf.reverse_pdf)
-        value, divisor = throughput * bsdf.value, dr.select(cos > 0.0, cos, 1.0)
-        inside = [cos > 0.0] * len(weights)
-        if self.gather.squares:
-            distance_squared = dr.squared_norm(self.gather.photons.position(photon, active)[0] - si.p)
-            inside = [ok & (distance_squared <= square) for ok, square in zip(inside, self.gather.squares, strict=True)]
+        photons = self.gather.photons
+        p = photons.read(photon, active)
+        bsdf = evaluate_camera_end(bsdf, si, si.to_local(p.direction), active)
+        weights = self.mis.merge_weight(
+            self._vertex(s), (s.d_vcm, s.d_vc), (p.d_vcm, p.d_vc), bsdf.pdf, bsdf.reverse_pdf
+        )
+        distance_squared, share = unfolded(si, photons.position(photon, active)[0], p)
+        value = p.fluence * bsdf.value * share
+        inside = [distance_squared <= square for square in self.gather.squares]
         if self.pyramid is not None:
-            alone = value * s.throughput * (self.gather.factors[0] / divisor)
-            lights = self.gather.photons.number(photon, active) + 1
+            alone = value * s.throughput * self.gather.factors[0]
+            lights = photons.number(photon, active) + 1
             self._tell(s, lights, alone * weights[0], alone, active & inside[0], merged=True)
-        return [dr.select(ok, value * (w / divisor), 0.0) for ok, w in zip(inside, weights, strict=True)]
+        return [dr.select(ok, value * w, 0.0) for ok, w in zip(inside, weights, strict=True)]

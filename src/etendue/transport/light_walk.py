@@ -101,13 +101,14 @@ class LightWalk:
         if self.lights.has_infinite:
             distance_squared = dr.select(s.from_infinity, 1.0, distance_squared)
         on_edge = s.d_vcm, s.d_vc
-        s.d_vcm, s.d_vc = self.mis.hit(*on_edge, distance_squared, geometric_cos(si, s.ray.d))
+        light_cos = geometric_cos(si, s.ray.d)
+        s.d_vcm, s.d_vc = self.mis.hit(*on_edge, distance_squared, light_cos)
 
         bsdf = si.bsdf(s.ray)
         smooth = s.active & is_smooth(bsdf)
         if vertices is not None:
-            mis, number = (s.d_vcm, s.d_vc), self._vertex(s)
-            vertices.append(path, s.stored, s.depth, hit, si, bsdf, s.throughput, mis, s.kind, smooth, number)
+            mis, number, fluence = (s.d_vcm, s.d_vc), self._vertex(s), self.mis.fluence(light_cos)
+            vertices.append(path, s.stored, s.depth, hit, si, bsdf, s.throughput, fluence, mis, s.kind, smooth, number)
             s.stored += dr.select(smooth, mi.UInt32(1), mi.UInt32(0))
         # Going on takes an edge, and using the vertex it leads to at least one more.
         s.active &= s.depth + 1 < self.max_edges
@@ -117,9 +118,9 @@ class LightWalk:
             joined = self.camera.connect(si, self.camera.splat_aperture(source, s.depth), smooth)
             wo = si.to_local(joined.direction)
             scattered, (value,) = scatter_light(bsdf, si, source, s.depth, s.active, [(wo, joined.active)])
-            self._splat(s, si, joined, value, source, splats)
+            self._splat(s, si, joined, light_cos, value, source, splats)
         s.d_vcm, s.d_vc = self.mis.scatter_light(
-            s.d_vcm, s.d_vc, scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
+            s.d_vcm, s.d_vc, light_cos, scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
         )
         through = dr.select(s.kind == mi.UInt32(Kind.INDIRECT), s.kind, mi.UInt32(Kind.CAUSTIC))
         kind = dr.select(scattered.is_delta, through, mi.UInt32(Kind.INDIRECT))
@@ -148,11 +149,18 @@ class LightWalk:
         return s.vertex if self.visibility.transparent else s.depth
 
     def _splat(
-        self, s: _State, si: Any, joined: CameraConnection, bsdf: Evaluated, source: Any, splats: Splats
+        self,
+        s: _State,
+        si: Any,
+        joined: CameraConnection,
+        light_cos: Any,
+        bsdf: Evaluated,
+        source: Any,
+        splats: Splats,
     ) -> None:
         """Join the vertex to the camera (t = 1) [Georgiev 2012b, eq. 46, 47]."""
         area_pdf = joined.area_pdf(geometric_cos(si, joined.direction))
-        weights = self.mis.splat_weight(s.d_vcm, s.d_vc, bsdf.reverse_pdf, area_pdf)
+        weights = self.mis.splat_weight(s.d_vcm, s.d_vc, light_cos, bsdf.reverse_pdf, area_pdf)
         pixel, filter_weight, on_film = self.camera.splat_pixel(joined, source, s.depth)
         factor = joined.importance * filter_weight * cosine_ratio(si, joined.direction)
         contributions = [s.throughput * bsdf.value * (factor * weight) for weight in weights]

@@ -15,6 +15,10 @@ one: a count of zero removes the technique, from the estimator and from the weig
 the geometric normal. Russian roulette is left out of every density; that costs no bias, as the weights of a path stay
 the same whichever technique makes it.
 
+Merging divides by the cosine at which light reached a photon's surface, and near zero the quotient has no bound. A
+vertex where it is below :data:`GRAZING` is therefore no place to merge at, in the estimator and in the weights, as long
+as there are techniques that connect; merging alone bounds the quotient (:meth:`Mis.fluence`).
+
 With several merging radii at once the pair is a triple: d_vc is linear in eta_vm, so its two coefficients are carried
 instead (:class:`RadiusFree`), and a weight is a number for each radius.
 """
@@ -27,6 +31,9 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+
+#: Least geometric cosine that merging divides by.
+GRAZING = 0.02
 
 
 @dataclass(frozen=True)
@@ -140,28 +147,41 @@ class Mis:
         count = self._count(self.techniques.connection)
         return d_vcm if count == 1.0 else d_vcm * dr.select(depth == 1, 1.0, count)
 
-    def merge_area(self, depth: Any) -> Any:
-        """``eta_vm`` where camera vertex ``depth`` may merge, else 0."""
+    def fluence(self, cos: Any) -> Any:
+        """Fluence of light of unit flux per area that reaches a surface at this geometric cosine, 1 / cos, for
+        merging; 0 where a vertex is no place to merge at."""
+        bounded = dr.rcp(dr.maximum(cos, GRAZING))
+        return dr.select(cos >= GRAZING, bounded, 0.0) if self.techniques.connects else bounded
+
+    def _merge_area(self, cos: Any, depth: Any = None) -> Any:
+        """``eta_vm`` where a vertex may merge that light reaches at this geometric cosine, else 0; ``depth``: of a
+        camera vertex."""
         t = self.techniques
-        if t.merge and not t.merge_first:
-            return self._eta * dr.select(depth == 1, 0.0, 1.0)
-        return self._eta
+        if not t.merge:
+            return self._eta
+        may = self.fluence(cos) > 0.0
+        if depth is not None and not t.merge_first:
+            may &= depth != 1
+        return self._eta * dr.select(may, mi.Float(1.0), mi.Float(0.0))
 
     def _sum(self, eta: Any, d_vcm: Any, reverse_pdf: Any, d_vc: Any) -> Any:
         """Techniques that cut the sub-path at its end vertex or before, over the density of reaching it."""
         before = d_vc * self.power(reverse_pdf)
         return before + d_vcm + eta if self.techniques.connects else before + eta
 
-    def scatter_light(self, d_vcm: Any, d_vc: Any, cos: Any, pdf: Any, reverse_pdf: Any, is_delta: Any) -> Any:
-        """(d_vcm, d_vc) after scattering at a light vertex [Georgiev 2012b, eq. 34, 35; delta: 53, 54]."""
-        total = self._sum(self._eta, d_vcm, reverse_pdf, d_vc)
+    def scatter_light(
+        self, d_vcm: Any, d_vc: Any, light_cos: Any, cos: Any, pdf: Any, reverse_pdf: Any, is_delta: Any
+    ) -> Any:
+        """(d_vcm, d_vc) after scattering at a light vertex [Georgiev 2012b, eq. 34, 35; delta: 53, 54]; ``light_cos``:
+        of the direction it was reached from, ``cos``: of the one it is left in."""
+        total = self._sum(self._merge_area(light_cos), d_vcm, reverse_pdf, d_vc)
         return self._scatter(total, d_vc, cos, pdf, is_delta, self._count(self.techniques.connection))
 
     def scatter_camera(
         self, depth: Any, d_vcm: Any, d_vc: Any, cos: Any, pdf: Any, reverse_pdf: Any, is_delta: Any
     ) -> Any:
         """(d_vcm, d_vc) after scattering at camera vertex ``depth``; d_vcm stays unscaled (see :meth:`joined`)."""
-        total = self._sum(self.merge_area(depth), self.joined(depth, d_vcm), reverse_pdf, d_vc)
+        total = self._sum(self._merge_area(cos, depth), self.joined(depth, d_vcm), reverse_pdf, d_vc)
         return self._scatter(total, d_vc, cos, pdf, is_delta, 1.0)
 
     def _scatter(self, total: Any, d_vc: Any, cos: Any, pdf: Any, is_delta: Any, count: float) -> tuple[Any, Any]:
@@ -188,9 +208,17 @@ class Mis:
         return [dr.select(depth == 1, 1.0, own / (own + other)) for other in others]
 
     def next_event_weight(
-        self, depth: Any, d_vcm: Any, d_vc: Any, bsdf_pdf: Any, reverse_pdf: Any, direct_pdf: Any, light_ratio: Any
+        self,
+        depth: Any,
+        d_vcm: Any,
+        d_vc: Any,
+        cos: Any,
+        bsdf_pdf: Any,
+        reverse_pdf: Any,
+        direct_pdf: Any,
+        light_ratio: Any,
     ) -> list[Any]:
-        """A camera vertex joined to a light point [Georgiev 2012b, eq. 44, 45].
+        """A camera vertex joined to a light point, at a geometric cosine ``cos`` [Georgiev 2012b, eq. 44, 45].
 
         ``bsdf_pdf``: of scattering towards the light (0 for a light that no ray hits); ``direct_pdf``: solid-angle
         density of the light point; ``light_ratio``: emission density times cos at the vertex over ``direct_pdf`` times
@@ -198,7 +226,7 @@ class Mis:
         """
         own = self._count(self.techniques.next_event)
         hit = self.power(bsdf_pdf / direct_pdf) * self._count(self.techniques.emission)
-        camera = self._sum(self.merge_area(depth), self.joined(depth, d_vcm), reverse_pdf, d_vc)
+        camera = self._sum(self._merge_area(cos, depth), self.joined(depth, d_vcm), reverse_pdf, d_vc)
         others = camera * self.power(light_ratio) + hit
         return [own / (own + other) for other in self._at_radii(others)]
 
@@ -207,22 +235,26 @@ class Mis:
         depth: Any,
         camera: tuple[Any, Any],
         light: tuple[Any, Any],
+        camera_cos: Any,
+        light_cos: Any,
         area_pdf_to_light: Any,
         area_pdf_to_camera: Any,
         reverse_pdf_camera: Any,
         reverse_pdf_light: Any,
     ) -> list[Any]:
-        """Two inner vertices joined; ``camera`` and ``light`` are their (d_vcm, d_vc) [Georgiev 2012b, eq. 40, 41]."""
+        """Two inner vertices joined; ``camera`` and ``light`` are their (d_vcm, d_vc), ``camera_cos`` and ``light_cos``
+        the cosines at which light reaches them [Georgiev 2012b, eq. 40, 41]."""
         own = self._count(self.techniques.connection)
-        by_light = self._sum(self._eta, light[0], reverse_pdf_light, light[1])
-        by_camera = self._sum(self.merge_area(depth), self.joined(depth, camera[0]), reverse_pdf_camera, camera[1])
+        by_light = self._sum(self._merge_area(light_cos), light[0], reverse_pdf_light, light[1])
+        area = self._merge_area(camera_cos, depth)
+        by_camera = self._sum(area, self.joined(depth, camera[0]), reverse_pdf_camera, camera[1])
         others = by_light * self.power(area_pdf_to_light) + by_camera * self.power(area_pdf_to_camera)
         return [own / (own + other) for other in self._at_radii(others)]
 
-    def splat_weight(self, d_vcm: Any, d_vc: Any, reverse_pdf: Any, camera_area_pdf: Any) -> list[Any]:
-        """A light vertex joined to the camera; ``camera_area_pdf``: area density with which the pixel's camera ray
-        reaches it [Georgiev 2012b, eq. 46, 47]."""
-        eta = self._eta if self.techniques.merge_first else 0.0
+    def splat_weight(self, d_vcm: Any, d_vc: Any, light_cos: Any, reverse_pdf: Any, camera_area_pdf: Any) -> list[Any]:
+        """A light vertex joined to the camera; ``light_cos``: at which light reaches it, ``camera_area_pdf``: area
+        density with which the pixel's camera ray does [Georgiev 2012b, eq. 46, 47]."""
+        eta = self._merge_area(light_cos) if self.techniques.merge_first else 0.0
         others = self._sum(eta, d_vcm, reverse_pdf, d_vc) * self.power(camera_area_pdf / self.paths_per_sample)
         return [dr.rcp(1.0 + other) for other in self._at_radii(others)]
 

@@ -18,13 +18,14 @@ import mitsuba as mi
 from etendue.scene import materials
 
 from .mis import RadiusFree
+from .photons import Photons, depth_of, number_of, packed_direction, packed_normal, unpacked_direction
 
 #: Packets of four floats in a record: of a vertex that is connected to, and of one that is only merged with.
 _PACKETS = 6
 _PHOTON_PACKETS = 3
-#: Of the sixteen bits of a depth, those that are left to it where the vertex number takes four.
-_DEPTH_BITS = 12
-_DEPTH_MASK = (1 << _DEPTH_BITS) - 1
+#: Bits of a depth, and those that are left to it where the vertex number takes four.
+_DEPTH_BITS = 16
+_NUMBERED_DEPTH_BITS = 12
 #: Paths that are numbered together, position by position.
 _BLOCK = 16
 
@@ -56,6 +57,7 @@ class LightVertex:
 
     si: Any  #: SurfaceInteraction3f, ``wi`` towards the light side
     bsdf: Any
+    direction: Any  #: world, towards the light side
     throughput: Any
     d_vcm: Any
     d_vc: Any  #: a number, or a :class:`RadiusFree`
@@ -92,11 +94,13 @@ class LightVertices:
         self.indexed = indexed
         self.connected = connected
         self.numbered = numbered
+        self._depth_bits = _NUMBERED_DEPTH_BITS if numbered else _DEPTH_BITS
         self._packets = _PACKETS if connected else _PHOTON_PACKETS
         #: Vertices that the paths wanted to store, one number on the device; may exceed the capacity.
         self.wanted = dr.zeros(mi.UInt32, 1)
-        # One record a vertex, of packets: position, depth | index on path; throughput, d_vcm; world direction to the
-        # light side, d_vc; two packets of the surface; BSDF and path.
+        # One record a vertex, of packets: position, depth | index on path; throughput (fluence if vertices are only
+        # merged with), d_vcm; world direction to the light side, normal, d_vc; two packets of the surface; BSDF, path,
+        # fluence of unit throughput.
         self._limit = dr.opaque(mi.UInt32, capacity)  # measured, so another seed has another: no constant of a kernel
         self._records = dr.empty(mi.Float, 4 * self._packets * capacity)
         self._slopes = dr.empty(mi.Float, capacity) if radius_free else None  # the second number of d_vc
@@ -131,12 +135,14 @@ class LightVertices:
         si: Any,
         bsdf: Any,
         throughput: Any,
+        fluence: Any,
         mis: tuple[Any, Any],
         kind: Any,
         active: Any,
         number: Any = 0,
     ) -> None:
-        """Store one vertex per active lane, inside the walk; ``hit`` is the preliminary intersection,
+        """Store one vertex per active lane, inside the walk; ``hit`` is the preliminary intersection, ``fluence`` what
+        the throughput is multiplied by for merging (see :meth:`Mis.fluence`),
         ``index`` counts the vertices that the path has stored, ``kind`` is one of :class:`Kind`, ``number`` counts the
         path's vertices and is kept if the store is ``numbered``.
 
@@ -145,16 +151,18 @@ class LightVertices:
         slot = dr.scatter_inc(self.wanted, mi.UInt32(0), active)
         active = active & (slot < self._limit)
         if self.numbered:
-            depth = dr.minimum(depth, _DEPTH_MASK) | (dr.minimum(number, 15) << _DEPTH_BITS)
+            depth = dr.minimum(depth, (1 << self._depth_bits) - 1) | (dr.minimum(number, 15) << self._depth_bits)
         tag = _as_float(depth | (index << 16) | (kind << 30))
         direction = si.to_world(si.wi)
         self._put(0, mi.Vector4f(si.p.x, si.p.y, si.p.z, tag), slot, active)
-        self._put(1, mi.Vector4f(throughput.x, throughput.y, throughput.z, mis[0]), slot, active)
+        flux = throughput if self.connected else throughput * fluence
+        self._put(1, mi.Vector4f(flux.x, flux.y, flux.z, mis[0]), slot, active)
         d_vc = mis[1]
         if self._slopes is not None:
             dr.scatter(self._slopes, d_vc.b, slot, active)
             d_vc = d_vc.a
-        self._put(2, mi.Vector4f(direction.x, direction.y, direction.z, d_vc), slot, active)
+        lit = dr.select(dr.dot(si.n, direction) < 0.0, -si.n, si.n)
+        self._put(2, mi.Vector4f(*packed_direction(direction), packed_normal(lit), d_vc), slot, active)
         if not self.connected:
             return
         if self.indexed:
@@ -166,7 +174,7 @@ class LightVertices:
             first, second = mi.Vector4f(n.x, n.y, n.z, si.uv.x), mi.Vector4f(g.x, g.y, g.z, si.uv.y)
         self._put(3, first, slot, active)
         self._put(4, second, slot, active)
-        self._put(5, mi.Vector4f(_as_float(_pointer(bsdf)), _as_float(path), 0.0, 0.0), slot, active)
+        self._put(5, mi.Vector4f(_as_float(_pointer(bsdf)), _as_float(path), fluence, 0.0), slot, active)
 
     def close_paths(self, path: Any, stored: Any) -> None:
         """Record how many vertices each path has stored; called once after the walk, in the same kernel."""
@@ -216,18 +224,19 @@ class LightVertices:
         """Read whole vertices."""
         position, throughput, direction, first, second, owner = (self._get(i, slot, active) for i in range(_PACKETS))
         bsdf = dr.reinterpret_array(mi.BSDFPtr, _as_uint(owner.x))
-        world = mi.Vector3f(direction.x, direction.y, direction.z)
+        world = unpacked_direction(direction.x, direction.y)
         p = mi.Point3f(position.x, position.y, position.z)
         si = self._recompute(p, world, first, second, active) if self.indexed else _framed(p, first, second)
         si.wi = si.to_local(world)
         return LightVertex(
             si=si,
             bsdf=bsdf,
+            direction=world,
             throughput=mi.Color3f(throughput.x, throughput.y, throughput.z),
             d_vcm=throughput.w,
             d_vc=_d_vc(direction.w, self._slopes, slot, active),
-            depth=_depth(position.w, self.numbered),
-            number=_number(position.w, self.numbered),
+            depth=depth_of(position.w, self._depth_bits),
+            number=number_of(position.w, self._depth_bits),
         )
 
     def _recompute(self, p: Any, world: Any, first: Any, second: Any, active: Any) -> Any:
@@ -255,39 +264,18 @@ class LightVertices:
         position = dr.empty(mi.Float, 4 * self.capacity)
         flux = dr.empty(mi.Float, 8 * self.capacity)
         dr.scatter(position, self._get(0, slot, held), destination, held)
-        dr.scatter(flux, self._get(1, slot, held), 2 * destination, held)
+        first = self._get(1, slot, held)
+        if self.connected:
+            fluence = self._get(_PACKETS - 1, slot, held).z
+            first = mi.Vector4f(first.x * fluence, first.y * fluence, first.z * fluence, first.w)
+        dr.scatter(flux, first, 2 * destination, held)
         dr.scatter(flux, self._get(2, slot, held), 2 * destination + 1, held)
         slopes = None
         if self._slopes is not None:
             slopes = dr.empty(mi.Float, self.capacity)
             dr.scatter(slopes, dr.gather(mi.Float, self._slopes, slot, held), destination, held)
         dr.eval(position, flux, slopes)
-        return Photons(position, flux, slopes, self.numbered)
-
-
-@dataclass
-class Photons:
-    """Vertices as merging sees them, sorted for a search. Positions lie apart: most candidates fail the test."""
-
-    _position: Any
-    _flux: Any
-    _slopes: Any
-    _numbered: bool
-
-    def position(self, index: Any, active: Any) -> tuple[Any, Any]:
-        """(position, depth)."""
-        p = dr.gather(mi.Vector4f, self._position, index, active)
-        return mi.Point3f(p.x, p.y, p.z), _depth(p.w, self._numbered)
-
-    def number(self, index: Any, active: Any) -> Any:
-        """See :class:`LightVertex`."""
-        return _number(dr.gather(mi.Float, self._position, 4 * index + 3, active), self._numbered)
-
-    def flux(self, index: Any, active: Any) -> tuple[Any, Any, Any, Any]:
-        """(throughput, world direction to the light side, d_vcm, d_vc)."""
-        t = dr.gather(mi.Vector4f, self._flux, 2 * index, active)
-        d = dr.gather(mi.Vector4f, self._flux, 2 * index + 1, active)
-        return mi.Color3f(t.x, t.y, t.z), mi.Vector3f(d.x, d.y, d.z), t.w, _d_vc(d.w, self._slopes, index, active)
+        return Photons(position, flux, slopes, self._depth_bits)
 
 
 def _framed(p: Any, first: Any, second: Any) -> Any:
@@ -310,14 +298,6 @@ def _as_float(bits: Any) -> Any:
 
 def _as_uint(value: Any) -> Any:
     return dr.reinterpret_array(mi.UInt32, value)
-
-
-def _depth(tag: Any, numbered: bool) -> Any:
-    return _as_uint(tag) & (_DEPTH_MASK if numbered else 0xFFFF)
-
-
-def _number(tag: Any, numbered: bool) -> Any:
-    return (_as_uint(tag) >> _DEPTH_BITS) & 15 if numbered else _as_uint(tag) & 0xFFFF
 
 
 def _pointer(pointer: Any) -> Any:
