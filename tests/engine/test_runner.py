@@ -81,6 +81,15 @@ def test_what_is_left_to_do_after_the_last_pass_is_a_part_of_the_time(timed):
     assert (result.passes, result.stopped_by) == (7, "seconds")
 
 
+@pytest.mark.parametrize(("spent", "passes"), [(7.0, 5), (7.5, 4), (50.0, 1)])
+def test_preparation_is_a_part_of_the_time(timed, spent, passes):
+    method, clock = timed([1.0])
+    result = Runner(method, seed=0, budget=Budget(seconds=12.0), spent=spent, clock=clock).run()
+    assert (result.passes, result.stopped_by) == (passes, "seconds")
+    assert result.elapsed == pytest.approx(spent + passes)
+    assert result.measurement.counters["seconds"] == pytest.approx(spent + passes)
+
+
 def test_first_limit_reached_stops(timed):
     method, clock = timed([1.0])
     result = Runner(method, seed=0, budget=Budget(seconds=5.0, samples=3), clock=clock).run()

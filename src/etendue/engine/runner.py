@@ -59,7 +59,8 @@ class RunResult:
 
     method: Method
     measurement: Measurement
-    #: Seconds since the first pass of this run began; ``measurement.counters["seconds"]`` also has earlier runs.
+    #: Seconds of this run, preparation included; ``measurement.counters["seconds"]`` also has earlier runs, without the
+    #: time between passes.
     elapsed: float
     stopped_by: StoppedBy
     #: The times of ``save_at`` that a save is for; a pass may have passed several of them.
@@ -99,7 +100,8 @@ class Runner:
     ``start`` continues an earlier run: its measurement is taken over (added to in place), the first pass is the one
     after its last. ``on_progress`` is called after each pass, ``on_save`` with what there is so far every
     ``save_every`` seconds and after the passes that reach the seconds of ``save_at``; an exception from it is logged
-    and the run goes on. ``cancel`` is looked at between passes.
+    and the run goes on. ``cancel`` is looked at between passes. ``spent`` are the seconds that preparing the method
+    took: they count as if :meth:`run` had begun so much earlier.
     """
 
     def __init__(
@@ -114,6 +116,7 @@ class Runner:
         save_every: float | None = None,
         save_at: Sequence[float] = (),
         cancel: CancelEvent | None = None,
+        spent: float = 0.0,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         check_period(save_every)
@@ -130,6 +133,7 @@ class Runner:
         self._save_every = save_every
         self._save_at = deque(save_at)  # those to come
         self._cancel = cancel
+        self._spent = spent
         self._clock = clock
         self._lock = threading.Lock()
         self._begin = 0.0
@@ -164,7 +168,8 @@ class Runner:
         :class:`RunError` if a pass fails after others were done (the failure itself if none was), and
         :class:`Cancelled` if the run was stopped before its first pass.
         """
-        self._begin = saved = self._clock()
+        saved = self._clock()
+        self._begin = saved - self._spent
         while (reason := self._reason_to_stop()) is None:
             try:
                 self._pass()
@@ -201,7 +206,8 @@ class Runner:
         begin = self._clock()
         measured = self.method.step(iteration, self.seed)
         duration = self._clock() - begin
-        measured.counters["seconds"] = measured.counters.get("seconds", 0.0) + duration
+        seconds = duration if self._done else self._spent + duration
+        measured.counters["seconds"] = measured.counters.get("seconds", 0.0) + seconds
         self._durations.append((duration, measured.counters.get("rays", 0.0)))
         with self._lock:
             if self._measurement is None:
