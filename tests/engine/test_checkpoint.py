@@ -11,6 +11,8 @@ import time
 import zipfile
 from dataclasses import replace
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 import pytest
 
@@ -68,6 +70,15 @@ def test_a_resumed_run_is_bit_equal_to_an_uninterrupted_one(noise, checkpoint, t
     for name in whole.measurement.sums:
         assert np.array_equal(resumed.measurement.sums[name], whole.measurement.sums[name])
     assert np.array_equal(resumed.measurement.squares["image"], whole.measurement.squares["image"])
+
+
+def test_arrays_of_the_device_come_back_as_arrays_of_the_host(checkpoint, tmp_path):
+    numbers = np.arange(5, dtype=np.uint64) << np.uint64(40)
+    state = {"on": mi.UInt64(numbers), "nested": {"literal": dr.full(mi.Float, 0.5, 3)}}
+    replace(checkpoint, state=state).write(tmp_path / "a.checkpoint")
+    read = Checkpoint.read(tmp_path / "a.checkpoint").state
+    np.testing.assert_array_equal(read["on"], numbers)
+    np.testing.assert_array_equal(read["nested"]["literal"], np.full(3, 0.5, np.float32))
 
 
 def test_it_holds_no_pickle(checkpoint, tmp_path):

@@ -288,6 +288,39 @@ def test_ctrl_c_in_a_pass_keeps_those_before_it(noise):
     assert runner.interrupted().passes == 2
 
 
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+@pytest.mark.parametrize("within", ["step", "state"])
+def test_measurement_and_state_are_of_the_same_passes(noise, error, within):
+    """A pass fails after it has changed the method; or is interrupted after that, before it is added."""
+    carried = 0
+    step = noise.step
+
+    def fail(where):
+        if where == within and carried == 4:
+            raise error("on purpose")
+
+    def learn(iteration, seed):
+        nonlocal carried
+        carried += 1
+        fail("step")
+        return step(iteration, seed)
+
+    def state():
+        fail("state")
+        return {"carried": carried}
+
+    def restore(saved):
+        nonlocal carried
+        carried = saved["carried"]
+
+    noise.step, noise.state, noise.restore = learn, state, restore
+    runner = Runner(noise, seed=0, budget=Budget(iterations=6))
+    with pytest.raises((RunError, KeyboardInterrupt)):
+        runner.run()
+    left = runner.interrupted()
+    assert (left.passes, left.state, carried) == (3, {"carried": 3}, 3)
+
+
 def test_start_is_continued_and_counts(noise):
     first = Runner(noise, seed=7, budget=Budget(samples=4)).run()
     second = Runner(noise, seed=7, budget=Budget(samples=10), start=first.measurement).run()

@@ -39,7 +39,7 @@ class Checkpoint:
     seed: int
     #: Digest of the scene's parameters, sensor and film size.
     fingerprint: str
-    #: ``Method.state()``.
+    #: ``Method.state()`` after the last pass of the measurement.
     state: dict[str, Any] = field(default_factory=dict)
     #: How to find the scene again: the arguments of ``scene.load`` that are plain values.
     scene: dict[str, Any] = field(default_factory=dict)
@@ -172,12 +172,12 @@ def _select(arrays: dict[str, Any], prefix: str) -> dict[str, Any]:
 
 def _pack(value: Any, arrays: dict[str, Any]) -> Any:
     """``value`` as JSON; arrays in it move to ``arrays`` and leave a reference."""
-    if isinstance(value, np.ndarray):
-        key = f"state/{len(arrays)}"
-        arrays[key] = value
-        return {"__array__": key}
     if isinstance(value, np.generic):
         return value.item()
+    if hasattr(value, "__array__"):  # of NumPy, or of the device
+        key = f"state/{len(arrays)}"
+        arrays[key] = np.asarray(value)
+        return {"__array__": key}
     if isinstance(value, Mapping):
         return {str(k): _pack(v, arrays) for k, v in value.items()}
     if isinstance(value, (list, tuple)):

@@ -198,7 +198,7 @@ class Job:
             settings=self.method.settings.to_json(),
             seed=self.seed,
             fingerprint=self.problem.fingerprint,
-            state=dict(self.method.state()),
+            state=dict(run.state),
             scene=self.place,
             budget=self.budget.to_dict(),
             stopped_by=run.stopped_by,

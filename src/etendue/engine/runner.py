@@ -6,9 +6,9 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 from etendue.core import EtendueError, Measurement, Method, OptionError, Progress, Result, describe, logger
 
@@ -59,6 +59,8 @@ class RunResult:
 
     method: Method
     measurement: Measurement
+    #: ``method.state()`` after the last pass of the measurement, whatever has become of the method since.
+    state: Mapping[str, Any]
     #: Seconds of this run, preparation included; ``measurement.counters["seconds"]`` also has earlier runs, without the
     #: time between passes.
     elapsed: float
@@ -101,7 +103,8 @@ class Runner:
     after its last. ``on_progress`` is called after each pass, ``on_save`` with what there is so far every
     ``save_every`` seconds and after the passes that reach the seconds of ``save_at``; an exception from it is logged
     and the run goes on. ``cancel`` is looked at between passes. ``spent`` are the seconds that preparing the method
-    took: they count as if :meth:`run` had begun so much earlier.
+    took: they count as if :meth:`run` had begun so much earlier. A pass that raises, or is interrupted, is not in the
+    measurement and leaves the method as it was before.
     """
 
     def __init__(
@@ -128,6 +131,7 @@ class Runner:
         self.budget = budget
         self.progress = Progress()
         self._measurement = start
+        self._state = method.state()  # after the last pass of the measurement
         self.on_progress = on_progress
         self._on_save = on_save
         self._save_every = save_every
@@ -138,7 +142,7 @@ class Runner:
         self._lock = threading.Lock()
         self._begin = 0.0
         self._durations: deque[tuple[float, float]] = deque(maxlen=8)  # (seconds, rays) of the latest passes
-        self._adding = False  # the sums are being changed
+        self._adding = False  # sums and state are being changed
         self._done = 0  # passes of this run
         self._error: float | None = None
         self._next_error = 2
@@ -203,22 +207,34 @@ class Runner:
 
     def _pass(self) -> None:
         iteration = self._measurement.iterations.next_iteration() if self._measurement is not None else 0
-        begin = self._clock()
-        measured = self.method.step(iteration, self.seed)
-        duration = self._clock() - begin
-        seconds = duration if self._done else self._spent + duration
-        measured.counters["seconds"] = measured.counters.get("seconds", 0.0) + seconds
+        before = self._state
+        try:
+            begin = self._clock()
+            measured = self.method.step(iteration, self.seed)
+            duration = self._clock() - begin
+            seconds = duration if self._done else self._spent + duration
+            measured.counters["seconds"] = measured.counters.get("seconds", 0.0) + seconds
+            self._add(measured, self.method.state())
+        except BaseException:
+            if self._state is before:
+                self.method.restore(before)
+            raise
         self._durations.append((duration, measured.counters.get("rays", 0.0)))
+        self._done += 1
+        assert self._measurement is not None
+        self._update_error(len(self._measurement.iterations))
+        self.progress = self._describe()
+
+    def _add(self, measured: Measurement, state: Mapping[str, Any]) -> None:
+        """Add a pass, and what it has left behind, as one."""
         with self._lock:
+            self._adding = True
             if self._measurement is None:
                 self._measurement = measured
             else:
-                self._adding = True
                 self._measurement += measured
-                self._adding = False
-        self._done += 1
-        self._update_error(len(self._measurement.iterations))
-        self.progress = self._describe()
+            self._state = state
+            self._adding = False
 
     def _save(self, times: tuple[float, ...]) -> float:
         """An intermediate save; its failure, whatever it is, is reported and costs no work. Returns its seconds."""
@@ -232,7 +248,7 @@ class Runner:
 
     def _result(self, reason: StoppedBy, times: tuple[float, ...] = ()) -> RunResult:
         assert self._measurement is not None
-        return RunResult(self.method, self._measurement, self._clock() - self._begin, reason, times)
+        return RunResult(self.method, self._measurement, self._state, self._clock() - self._begin, reason, times)
 
     # ------------------------------------------------------------------ predictions
 

@@ -23,7 +23,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import CheckpointError, setting
+from etendue.core import CheckpointError, copied_to_device, setting
 from etendue.density import KdTree
 from etendue.scene import Problem
 from etendue.transport import Kind
@@ -115,20 +115,20 @@ class Sppm(PhotonMapping):
         """Shrink the radii [Hachisuka 2008, eq. 6, 8]."""
         count = self._count + self.settings.alpha * found
         all_found = self._count + found
-        self._radius_squared *= dr.select(all_found > 0.0, count / all_found, 1.0)
-        self._count = count
-        dr.eval(self._radius_squared, self._count)
+        squared = self._radius_squared * dr.select(all_found > 0.0, count / all_found, 1.0)
+        dr.eval(squared, count)
+        self._radius_squared, self._count = squared, count
 
     def state(self) -> Mapping[str, Any]:
         """R^2 and N of every camera path."""
-        return {"radius_squared": np.array(self._radius_squared), "count": np.array(self._count)}
+        return {"radius_squared": self._radius_squared, "count": self._count}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Inverse of :meth:`state`."""
         radius_squared, count = np.asarray(state["radius_squared"]), np.asarray(state["count"])
         if radius_squared.shape != (len(self._count),) or count.shape != radius_squared.shape:
             raise CheckpointError("the checkpoint's photon statistics are of another size; start anew")
-        self._radius_squared, self._count = mi.Float(radius_squared), mi.Float(count)
+        self._radius_squared, self._count = (copied_to_device(mi.Float, a) for a in (radius_squared, count))
 
 
 class Ppm(Sppm):
