@@ -155,9 +155,7 @@ class Guided(Path):
         """One pass, in the weight of its generation."""
         weight = min(1.0, self.settings.first_weight * 2.0**self._generation)
         measurement = super().step(iteration, seed)
-        for name, values in measurement.sums.items():
-            values *= weight
-            measurement.weights[name] *= weight
+        measurement.scale(weight)
         return measurement
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
