@@ -195,8 +195,9 @@ class Measurement:
     def relative_error(self, name: str = "image") -> float:
         """Noise of ``mean(name)``: mean of ``variance / (mean^2 + 0.01)`` over every entry. Noise only, not bias.
 
-        The same mean as relMSE (``film.relative_mse``) with the estimated variance in place of the squared difference.
-        NaN with fewer than two passes.
+        The same mean as relMSE (``film.relative_mse``) with the estimated variance in place of the squared difference,
+        and the picture in place of the reference: too low where single bright paths make pixels. NaN with fewer than
+        two passes.
         """
         mean = self.mean(name)
         return float(np.mean(self.variance_of_mean(name) / (mean * mean + RELATIVE_EPSILON)))
