@@ -90,7 +90,7 @@ def _record(
     record.notes += [
         f"reference: {case.note}",
         f"median of {seeds} seed{'s' if seeds > 1 else ''}, the ratio too, seed by seed; one after the other in one "
-        "process; the time begins with the first pass, compilation included",
+        "process; the time begins when the scene is loaded, compilation included",
         "settings of guided: " + (", ".join(f"{k}={v}" for k, v in settings.items()) or "defaults"),
     ]
     return record

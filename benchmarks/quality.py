@@ -132,7 +132,7 @@ def _scene(case: Case, names: Sequence[str], seconds: float, seeds: int, setting
         f"reference: {case.note}; pixels that are not finite in it are left out: "
         f"{np.count_nonzero(~np.isfinite(case.reference).all(axis=2))} of {case.size[0] * case.size[1]}",
         f"median of {seeds} seed{'s' if seeds > 1 else ''}; one process, one method after the other; the time begins "
-        "with the first pass, compilation included",
+        "when the scene is loaded, compilation included",
         "relMSE: mean of (x - ref)² / (ref² + 0.01); brightness: mean over the reference's mean, minus 1",
         "settings: " + (", ".join(f"{k}={v}" for k, v in settings.items()) or "defaults"),
     ]

@@ -149,7 +149,7 @@ def test_every_place_that_fails_is_named(tmp_path):
         Task("cornell-box", methods.get("path"), {"samples_per_pass": 2}, budget=Budget(samples=2), size=(8, 8))
     )
     with pytest.raises(OutputError, match=r"none.*; .*a\.exr"):
-        places.write(job, RunResult(job.method, job.method.step(0, 0), 1.0, "running"))
+        places.write(job, RunResult(job.method, job.method.step(0, 0), {}, 1.0, "running"))
 
 
 def rescued(error, name):

@@ -16,7 +16,7 @@ def one_pass(iteration, value, weight=1.0, replica=0):
     return Measurement(
         sums={"image": value * weight},
         weights={"image": weight},
-        squares={"image": value**2},
+        squares={"image": (value * weight) ** 2},
         iterations=Iterations.single(iteration, replica),
         counters={"rays": 10.0},
     )
@@ -101,6 +101,53 @@ def test_relative_error_predicts_the_squared_error():
         estimated.append(total.relative_error())
         actual.append(np.mean((total.mean() - 3.0) ** 2 / (9.0 + RELATIVE_EPSILON)))
     assert np.mean(estimated) == pytest.approx(np.mean(actual), rel=0.1)
+
+
+#: As ``guided`` weighs its passes.
+WEIGHTS = np.repeat([0.125, 0.25, 0.5, 1.0], [1, 2, 4, 5])
+
+
+def test_variance_of_a_weighted_mean_is_the_closed_form(passes):
+    """Whatever the order in which passes of different weights are added."""
+    each = [one_pass(i, passes[i], weight=8.0 * WEIGHTS[i]) for i in range(12)]
+    mean = np.average(passes, axis=0, weights=WEIGHTS)
+    scatter = np.tensordot(WEIGHTS**2, (passes - mean) ** 2, axes=1)
+    variance = scatter / (WEIGHTS.sum() ** 2 - (WEIGHTS**2).sum())
+    parts = [sum(each[a + 1 : b], each[a]) for a, b in ((0, 3), (3, 7), (7, 10), (10, 12))]
+    for total in (sum(each[1:], each[0]), sum(each[-2::-1], each[-1]), (parts[2] + parts[0]) + (parts[3] + parts[1])):
+        np.testing.assert_allclose(total.mean(), mean, rtol=1e-12)
+        np.testing.assert_allclose(total.variance_of_mean(), variance, rtol=1e-10)
+
+
+def test_scaling_changes_neither_mean_nor_error(passes):
+    plain = sum((one_pass(i, passes[i], WEIGHTS[i]) for i in range(1, 12)), one_pass(0, passes[0], WEIGHTS[0]))
+    scaled = plain.copy()
+    scaled.scale(3.0)
+    assert scaled.weights["image"] == pytest.approx(3.0 * WEIGHTS.sum())
+    np.testing.assert_allclose(scaled.mean(), plain.mean(), rtol=1e-12)
+    np.testing.assert_allclose(scaled.variance_of_mean(), plain.variance_of_mean(), rtol=1e-9)
+
+
+def test_equal_weights_keep_no_more_than_squares(passes):
+    total = sum((one_pass(i, passes[i], weight=0.7) for i in range(1, 12)), one_pass(0, passes[0], weight=0.7))
+    assert not total.products
+    assert (total + one_pass(12, passes[0], weight=0.8)).products.keys() == {"image"}
+
+
+@pytest.mark.parametrize("power", [0.0, 1.0, 2.0])
+def test_variance_of_a_weighted_mean_over_many_runs(power):
+    """Passes whose variance falls as a power of their weight: the mean of the estimate is the true variance if that
+    power is 1, and within the twentieth part of it otherwise."""
+    runs = 40_000
+    deviations = 0.3 * WEIGHTS ** (-0.5 * power)
+    values = 2.0 + np.random.default_rng(3).normal(0.0, 1.0, (len(WEIGHTS), runs)) * deviations[:, None]
+    each = [one_pass(i, value, weight) for i, (value, weight) in enumerate(zip(values, WEIGHTS, strict=True))]
+    total = sum(each[1:], each[0])
+    truth = (WEIGHTS**2 * deviations**2).sum() / WEIGHTS.sum() ** 2
+    estimates = total.variance_of_mean()
+    error = estimates.std() / np.sqrt(runs)
+    assert error < 0.01 * truth
+    assert abs(estimates.mean() - truth) < 4.0 * error + (0.0 if power == 1.0 else 0.05) * truth
 
 
 def test_relative_error_of_one_pass_is_unknown():

@@ -49,7 +49,7 @@ class Noise:
             sums={"image": value * n, "emission": value * n / 3},
             weights={"image": n, "emission": n},
             iterations=Iterations.single(iteration),
-            squares={"image": value * value},
+            squares={"image": (value * n) ** 2},
             counters={"rays": 100.0},
         )
 

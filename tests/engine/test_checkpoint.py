@@ -11,6 +11,8 @@ import time
 import zipfile
 from dataclasses import replace
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 import pytest
 
@@ -23,6 +25,9 @@ from etendue.engine import Budget, Checkpoint, Runner
 def checkpoint(noise):
     noise.prepare(None, 5)
     result = Runner(noise, seed=5, budget=Budget(iterations=3)).run()
+    last = noise.step(3, 5)
+    last.scale(0.5)  # so that passes differ in weight
+    result.measurement += last
     return Checkpoint(
         measurement=result.measurement,
         method="noise",
@@ -48,6 +53,8 @@ def test_round_trip(checkpoint, tmp_path):
         assert np.array_equal(read.measurement.sums[name], array)
     assert np.array_equal(read.measurement.squares["image"], checkpoint.measurement.squares["image"])
     assert read.measurement.weights == checkpoint.measurement.weights
+    assert read.measurement.squared_weights == checkpoint.measurement.squared_weights
+    assert np.array_equal(read.measurement.products["image"], checkpoint.measurement.products["image"])
     assert read.measurement.counters == checkpoint.measurement.counters
     assert read.measurement.iterations == checkpoint.measurement.iterations
     assert read.state["pilot"] == 5.5
@@ -64,10 +71,20 @@ def test_a_resumed_run_is_bit_equal_to_an_uninterrupted_one(noise, checkpoint, t
     checkpoint.write(tmp_path / "a.checkpoint")
     read = Checkpoint.read(tmp_path / "a.checkpoint")
     resumed = Runner(noise, seed=read.seed, budget=Budget(iterations=8), start=read.measurement).run()
-    whole = Runner(noise, seed=5, budget=Budget(iterations=8)).run()
+    whole = Runner(noise, seed=5, budget=Budget(iterations=8), start=checkpoint.measurement).run()
     for name in whole.measurement.sums:
         assert np.array_equal(resumed.measurement.sums[name], whole.measurement.sums[name])
     assert np.array_equal(resumed.measurement.squares["image"], whole.measurement.squares["image"])
+    assert np.array_equal(resumed.measurement.variance_of_mean(), whole.measurement.variance_of_mean())
+
+
+def test_arrays_of_the_device_come_back_as_arrays_of_the_host(checkpoint, tmp_path):
+    numbers = np.arange(5, dtype=np.uint64) << np.uint64(40)
+    state = {"on": mi.UInt64(numbers), "nested": {"literal": dr.full(mi.Float, 0.5, 3)}}
+    replace(checkpoint, state=state).write(tmp_path / "a.checkpoint")
+    read = Checkpoint.read(tmp_path / "a.checkpoint").state
+    np.testing.assert_array_equal(read["on"], numbers)
+    np.testing.assert_array_equal(read["nested"]["literal"], np.full(3, 0.5, np.float32))
 
 
 def test_it_holds_no_pickle(checkpoint, tmp_path):
@@ -147,7 +164,7 @@ def test_another_format_says_which(checkpoint, tmp_path, monkeypatch):
     monkeypatch.setattr("etendue.engine.checkpoint.FORMAT", 99)
     checkpoint.write(tmp_path / "a")
     monkeypatch.undo()
-    with pytest.raises(CheckpointError, match="has format 99, this étendue reads format 1"):
+    with pytest.raises(CheckpointError, match="has format 99, this étendue reads format 2"):
         Checkpoint.read(tmp_path / "a")
 
 

@@ -81,6 +81,15 @@ def test_what_is_left_to_do_after_the_last_pass_is_a_part_of_the_time(timed):
     assert (result.passes, result.stopped_by) == (7, "seconds")
 
 
+@pytest.mark.parametrize(("spent", "passes"), [(7.0, 5), (7.5, 4), (50.0, 1)])
+def test_preparation_is_a_part_of_the_time(timed, spent, passes):
+    method, clock = timed([1.0])
+    result = Runner(method, seed=0, budget=Budget(seconds=12.0), spent=spent, clock=clock).run()
+    assert (result.passes, result.stopped_by) == (passes, "seconds")
+    assert result.elapsed == pytest.approx(spent + passes)
+    assert result.measurement.counters["seconds"] == pytest.approx(spent + passes)
+
+
 def test_first_limit_reached_stops(timed):
     method, clock = timed([1.0])
     result = Runner(method, seed=0, budget=Budget(seconds=5.0, samples=3), clock=clock).run()
@@ -277,6 +286,39 @@ def test_ctrl_c_in_a_pass_keeps_those_before_it(noise):
     with pytest.raises(KeyboardInterrupt):
         runner.run()
     assert runner.interrupted().passes == 2
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+@pytest.mark.parametrize("within", ["step", "state"])
+def test_measurement_and_state_are_of_the_same_passes(noise, error, within):
+    """A pass fails after it has changed the method; or is interrupted after that, before it is added."""
+    carried = 0
+    step = noise.step
+
+    def fail(where):
+        if where == within and carried == 4:
+            raise error("on purpose")
+
+    def learn(iteration, seed):
+        nonlocal carried
+        carried += 1
+        fail("step")
+        return step(iteration, seed)
+
+    def state():
+        fail("state")
+        return {"carried": carried}
+
+    def restore(saved):
+        nonlocal carried
+        carried = saved["carried"]
+
+    noise.step, noise.state, noise.restore = learn, state, restore
+    runner = Runner(noise, seed=0, budget=Budget(iterations=6))
+    with pytest.raises((RunError, KeyboardInterrupt)):
+        runner.run()
+    left = runner.interrupted()
+    assert (left.passes, left.state, carried) == (3, {"carried": 3}, 3)
 
 
 def test_start_is_continued_and_counts(noise):

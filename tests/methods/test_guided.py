@@ -149,7 +149,7 @@ def test_a_state_that_does_not_fit_is_refused():
     first = prepared(lit_room(), "guided", samples_per_pass=16, **TRAINED)
     go(first, 1)
     state = dict(first.state())
-    state["found"] = state["found"][:-4]
+    state["found"] = np.array(state["found"])[:-4]
     with pytest.raises(CheckpointError, match="damaged"):
         prepared(lit_room(), "guided", samples_per_pass=16, **TRAINED).restore(state)
 
@@ -194,3 +194,13 @@ def test_a_black_picture_teaches_nothing():
     result = run(scene, "guided", passes=4, samples=4)
     assert not result.mean.any()
     assert result.measurement.counters["nonfinite"] == 0
+
+
+def test_the_noise_of_its_weighted_passes():
+    """Var m = sum w^2 (x - m)^2 / ((sum w)^2 - sum w^2), of passes of weight w and picture x."""
+    found = go(prepared(behind_a_door(), "guided", samples_per_pass=4, generations=3), 9)
+    weights = np.repeat([0.125, 0.25, 0.5, 1.0], [1, 2, 4, 2])
+    mean = np.average(found.images, axis=0, weights=weights)
+    scatter = np.tensordot(weights**2, np.square(found.images - mean), axes=1)
+    variance = scatter / (weights.sum() ** 2 - np.square(weights).sum())
+    np.testing.assert_allclose(found.measurement.variance_of_mean(), variance, rtol=1e-6, atol=1e-12)

@@ -11,7 +11,7 @@ from support.patches import box, cube, joined, square
 import etendue.radiosity.casting
 import etendue.radiosity.shot
 from etendue.core import CheckpointError
-from etendue.engine import Budget, Checkpoint, Job, Runner
+from etendue.engine import Budget, Checkpoint, Job, RunError, Runner
 from etendue.radiosity import (
     ABuffer,
     CastingSettings,
@@ -23,6 +23,7 @@ from etendue.radiosity import (
     SpiralPoints,
     solve,
 )
+from etendue.radiosity.shot import Shot
 
 
 def lit_room(**properties):
@@ -98,6 +99,36 @@ def test_a_run_that_is_resumed_is_the_run_that_was_not_interrupted(tmp_path):
         rest.step(0, 3)
     for ours, theirs in zip(outcome(rest), outcome(whole), strict=True):
         np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_piece_whose_casting_fails_is_cast_again(tmp_path, monkeypatch):
+    """After its lines were kept, and rays of the shot with them: by the same casting, and from its checkpoint."""
+    monkeypatch.setattr(etendue.radiosity.shot, "BATCH", 1 << 16)
+    patches, lines = lit_room(), 20_000
+    whole = prepared(patches, lines=lines, most=192)
+    run(whole, samples=192)
+
+    def fail(shot, rays, grow=Shot.grow):
+        grow(shot, rays)
+        if rays > 100 * whole.engine.expected(1).sum() / 8:  # a quarter of the segments of that many bundles
+            raise RuntimeError("on purpose")
+
+    part = prepared(patches, lines=lines, most=192)
+    with monkeypatch.context() as patch:
+        patch.setattr(Shot, "grow", fail)
+        with pytest.raises(RunError) as caught:
+            run(part, samples=192)
+    left = caught.value.run
+    assert 0 < left.passes < 24
+    Job(PatchProblem(patches), part, seed=3, budget=Budget(), place={}).checkpoint(left).write(tmp_path / "a")
+    saved = Checkpoint.read(tmp_path / "a")
+    rest = prepared(patches, lines=lines, most=192)
+    rest.restore(saved.state)
+    for casting, start in ((rest, saved.measurement), (part, left.measurement)):
+        result = Runner(casting, seed=3, budget=Budget(samples=192), start=start).run()
+        assert result.passes == 24
+        for ours, theirs in zip(outcome(casting), outcome(whole), strict=True):
+            np.testing.assert_array_equal(ours, theirs)
 
 
 class Stop:

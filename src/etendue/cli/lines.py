@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from importlib import metadata
@@ -210,6 +211,7 @@ def cast(
         jobs[0].checkpoint(run).write(path)
 
     def build(stop: threading.Event) -> Runner:
+        begin = time.perf_counter()
         casting.prepare(problem, request.seed)
         before = 0 if saved is None else saved.state["count"]
         casting.most, limited = _limited(casting, budget, before, request.wants_matrix)
@@ -227,7 +229,8 @@ def cast(
         if checkpoint is not None and save_every is not None:
             options = {"on_save": lambda run: keep(run, checkpoint), "save_every": save_every}
         start = None if saved is None else saved.measurement
-        return Runner(casting, seed=request.seed, budget=limited, start=start, cancel=stop, **options)
+        spent = time.perf_counter() - begin
+        return Runner(casting, seed=request.seed, budget=limited, start=start, cancel=stop, spent=spent, **options)
 
     def finish(run: RunResult) -> RunResult:
         casting.close()

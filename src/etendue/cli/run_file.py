@@ -90,7 +90,7 @@ class RunFile:
     variant: str | None
     threads: int | None
     memory: int | None
-    save_at: tuple[float, ...]  #: autosaves: seconds since the first pass began
+    save_at: tuple[float, ...]  #: autosaves: seconds since the scene was loaded
     save_every: float | None
     folder: Path
     name: str

@@ -7,6 +7,7 @@ adding the same iteration twice is an error rather than a silently wrong picture
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
@@ -89,9 +90,12 @@ class Measurement:
     """Named sums of one or more passes.
 
     ``sums[name]`` is a host float64 array of any shape (an image layer: height, width, channels); ``weights[name]`` is
-    what ``develop`` divides it by. ``squares[name]`` sums the squares of each pass's own value ``sum / weight``; it is
-    kept for the quantities whose error is wanted. ``counters`` are plain totals (rays, paths, non-finite
-    contributions, seconds).
+    what ``develop`` divides it by. ``squares[name]`` adds up the squared sum of each pass, in the same shape; it is
+    kept for the quantities whose error is wanted. ``counters`` are plain totals (rays, paths, non-finite contributions,
+    seconds).
+
+    What else an error needs comes by itself: ``squared_weights[name]``, the squared weight of each pass added up, and,
+    once passes have different weights, ``products[name]``, weight times sum of each pass added up.
     """
 
     sums: dict[str, Array]
@@ -99,6 +103,23 @@ class Measurement:
     iterations: Iterations
     squares: dict[str, Array] = field(default_factory=dict)
     counters: dict[str, float] = field(default_factory=dict)
+    squared_weights: dict[str, float] = field(default_factory=dict)
+    products: dict[str, Array] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in self.squares:  # of one pass
+            self.squared_weights.setdefault(name, self.weights[name] ** 2)
+
+    def scale(self, factor: float) -> None:
+        """Let these passes count ``factor`` times as much; their mean, and its error, stay the same."""
+        for name, values in self.sums.items():
+            values *= factor
+            self.weights[name] *= factor
+        for table in (self.squares, self.products):
+            for values in table.values():
+                values *= factor**2
+        for name in self.squared_weights:
+            self.squared_weights[name] *= factor**2
 
     def mean(self, name: str = "image") -> Array:
         """``sums[name] / weights[name]``."""
@@ -108,6 +129,10 @@ class Measurement:
         iterations = self.iterations.union(other.iterations)  # refuses overlap before anything changes
         if self._shapes() != other._shapes():
             raise EtendueError("measurements of different layers cannot be added; were the settings the same?")
+        for name in other.squares:
+            if {name} & (self.products.keys() | other.products.keys()) or not self._weighs_like(other, name):
+                self.products[name] = self._product(name) + other._product(name)
+            self.squared_weights[name] += other.squared_weights[name]
         for name, value in other.sums.items():
             self.sums[name] += value
             self.weights[name] += other.weights[name]
@@ -117,6 +142,17 @@ class Measurement:
             self.counters[name] = self.counters.get(name, 0.0) + count
         self.iterations = iterations
         return self
+
+    def _weighs_like(self, other: Measurement, name: str) -> bool:
+        """Whether all passes of both have one weight, those of each being alike."""
+        mine, theirs = (m.squared_weights[name] / m.weights[name] for m in (self, other))
+        return math.isclose(mine, theirs, rel_tol=1e-12)
+
+    def _product(self, name: str) -> Array:
+        """Weight times sum of each pass, added up."""
+        if name in self.products:
+            return self.products[name]
+        return self.squared_weights[name] / self.weights[name] * self.sums[name]
 
     def _shapes(self) -> tuple[dict[str, tuple[int, ...]], dict[str, tuple[int, ...]]]:
         return {k: v.shape for k, v in self.sums.items()}, {k: v.shape for k, v in self.squares.items()}
@@ -134,21 +170,34 @@ class Measurement:
             iterations=Iterations(self.iterations._intervals),
             squares={k: v.copy() for k, v in self.squares.items()},
             counters=dict(self.counters),
+            squared_weights=dict(self.squared_weights),
+            products={k: v.copy() for k, v in self.products.items()},
         )
 
     def variance_of_mean(self, name: str = "image") -> Array:
-        """Estimated variance of ``mean(name)`` from the scatter of the passes; needs two passes (NaN with one)."""
-        n = len(self.iterations)
-        mean = self.mean(name)
-        if n < 2:
+        r"""Estimated variance of ``mean(name)`` from the scatter of the passes; needs two passes (NaN with one).
+
+        Passes i of weight :math:`w_i` and value :math:`x_i`, which are independent and each scatter in their own way,
+        have the weighted mean m, whose variance is
+
+        .. math:: \mathrm{Var}\, m = \frac{\sum w_i^2\, \mathrm{Var}\, x_i}{(\sum w_i)^2}
+           \approx \frac{\sum w_i^2 (x_i - m)^2}{(\sum w_i)^2 - \sum w_i^2}
+
+        The estimate has no bias where the weights are equal, or the inverse of the variances.
+        """
+        mean, weight, squared_weight = self.mean(name), self.weights[name], self.squared_weights.get(name, np.nan)
+        if len(self.iterations) < 2:
             return np.full_like(mean, np.nan)
-        return np.maximum(self.squares[name] / n - mean * mean, 0.0) / (n - 1)
+        product = self.products[name] if name in self.products else squared_weight * mean
+        scatter = self.squares[name] - mean * (2.0 * product - squared_weight * mean)
+        return np.maximum(scatter, 0.0) / (weight * weight - squared_weight)
 
     def relative_error(self, name: str = "image") -> float:
         """Noise of ``mean(name)``: mean of ``variance / (mean^2 + 0.01)`` over every entry. Noise only, not bias.
 
-        The same mean as relMSE (``film.relative_mse``) with the estimated variance in place of the squared difference.
-        NaN with fewer than two passes.
+        The same mean as relMSE (``film.relative_mse``) with the estimated variance in place of the squared difference,
+        and the picture in place of the reference: too low where single bright paths make pixels. NaN with fewer than
+        two passes.
         """
         mean = self.mean(name)
         return float(np.mean(self.variance_of_mean(name) / (mean * mean + RELATIVE_EPSILON)))

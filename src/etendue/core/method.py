@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
@@ -66,10 +67,12 @@ class Method(Protocol):
         """The picture that the passes in ``measurement`` make."""
         ...
 
-    def state(self) -> dict[str, Any]:
-        """What ``prepare`` measured (pilot constants) or passes carry on: plain JSON values and arrays."""
+    def state(self) -> Mapping[str, Any]:
+        """What ``prepare`` measured (pilot constants) or passes carry on: plain JSON values, and arrays of the host or
+        of the device. No later pass changes what is in it, arrays included. It is asked for after every pass, so it
+        should cost next to nothing: a method replaces its arrays where it would change them, and lends them."""
         ...
 
-    def restore(self, state: dict[str, Any]) -> None:
-        """Inverse of :meth:`state`, called after ``prepare`` when a run is resumed."""
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Inverse of :meth:`state`, called after ``prepare`` when a run is resumed, and when a pass has failed."""
         ...

@@ -13,7 +13,7 @@ class Progress:
     passes: int = 0
     #: Camera paths per pixel in the picture.
     samples: int = 0
-    #: Seconds since the first pass of this run began.
+    #: Seconds of this run, from when the scene was loaded.
     elapsed: float = 0.0
     #: Predicted seconds until the budget is used up.
     eta: float | None = None

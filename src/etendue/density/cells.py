@@ -61,6 +61,7 @@ class Cells:
         """Halve every cell with more than ``most`` samples, and its halves, taken to hold half of them, again.
         Returns for each cell that there is now the one that it was a part of."""
         origin, held = np.arange(self.count), samples.astype(np.float64)
+        self.level = self.level.copy()  # what to_arrays() has given away stays as it is
         changed = np.zeros(self.count, bool)
         while (split := np.flatnonzero((held > most) & (self.level < FINEST))).size:
             level = self.level[split]

@@ -14,10 +14,11 @@ from etendue.core import OptionError
 class Budget:
     """Any combination of limits; the first one reached stops the run. ``None`` is no limit.
 
-    ``seconds`` count from the first pass of a run, compilation included. ``samples`` (camera paths per pixel),
-    ``iterations`` (passes) and ``error`` (:meth:`Measurement.relative_error`: noise, not bias; looked at from
-    ``runner.LEAST_PASSES_FOR_ERROR`` passes on) speak of the picture, so the passes of an earlier run that is resumed
-    count. Raises :class:`OptionError` on a limit that is not positive.
+    ``seconds`` count from when the scene is loaded: preparation, compilation and passes, not the writing of files at
+    the end. ``samples`` (camera paths per pixel), ``iterations`` (passes) and ``error``
+    (:meth:`Measurement.relative_error`: noise, not bias; looked at from ``runner.LEAST_PASSES_FOR_ERROR`` passes on)
+    speak of the picture, so the passes of an earlier run that is resumed count. Raises :class:`OptionError` on a limit
+    that is not positive.
     """
 
     seconds: float | None = None

@@ -1,8 +1,8 @@
 """Checkpoints: all that a run needs to go on as if it had never stopped, in one file.
 
-A checkpoint is a NumPy ``.npz`` archive without pickled objects: the sums and squares of the measurement as float64
-arrays, and one JSON header with everything else. Sums stay float64, so a resumed run adds in the same order to the
-same numbers as an uninterrupted one.
+A checkpoint is a NumPy ``.npz`` archive without pickled objects: the sums, squares and products of the measurement as
+float64 arrays, and one JSON header with everything else. Sums stay float64, so a resumed run adds in the same order to
+the same numbers as an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from etendue.core import CheckpointError, Iterations, Measurement, OptionError, 
 from etendue.film import replacing
 
 #: Version of the layout of the file.
-FORMAT = 1
+FORMAT = 2
 _MAGIC = "etendue checkpoint"
 _HEADER = "header"
 # What reading an archive raises if a byte of it is wrong, depending on which.
@@ -39,7 +39,7 @@ class Checkpoint:
     seed: int
     #: Digest of the scene's parameters, sensor and film size.
     fingerprint: str
-    #: ``Method.state()``.
+    #: ``Method.state()`` after the last pass of the measurement.
     state: dict[str, Any] = field(default_factory=dict)
     #: How to find the scene again: the arguments of ``scene.load`` that are plain values.
     scene: dict[str, Any] = field(default_factory=dict)
@@ -63,13 +63,14 @@ class Checkpoint:
         """
         arrays: dict[str, Any] = {}
         m = self.measurement
-        for kind, table in (("sum", m.sums), ("square", m.squares)):
+        for kind, table in (("sum", m.sums), ("square", m.squares), ("product", m.products)):
             for name, array in table.items():
                 arrays[f"{kind}/{name}"] = np.asarray(array, dtype=np.float64)
         header = {
             "magic": _MAGIC,
             "format": FORMAT,
             "weights": m.weights,
+            "squared_weights": m.squared_weights,
             "counters": m.counters,
             "iterations": m.iterations.to_json(),
             "state": _pack(self.state, arrays),
@@ -109,6 +110,8 @@ class Checkpoint:
                 iterations=Iterations.from_json(header.pop("iterations")),
                 squares=_select(arrays, "square/"),
                 counters=header.pop("counters"),
+                squared_weights=header.pop("squared_weights"),
+                products=_select(arrays, "product/"),
             )
             return cls(measurement=measurement, state=_unpack(header.pop("state"), arrays), **header)
         except (KeyError, ValueError, TypeError, AttributeError) as error:
@@ -172,12 +175,12 @@ def _select(arrays: dict[str, Any], prefix: str) -> dict[str, Any]:
 
 def _pack(value: Any, arrays: dict[str, Any]) -> Any:
     """``value`` as JSON; arrays in it move to ``arrays`` and leave a reference."""
-    if isinstance(value, np.ndarray):
-        key = f"state/{len(arrays)}"
-        arrays[key] = value
-        return {"__array__": key}
     if isinstance(value, np.generic):
         return value.item()
+    if hasattr(value, "__array__"):  # of NumPy, or of the device
+        key = f"state/{len(arrays)}"
+        arrays[key] = np.asarray(value)
+        return {"__array__": key}
     if isinstance(value, Mapping):
         return {str(k): _pack(v, arrays) for k, v in value.items()}
     if isinstance(value, (list, tuple)):

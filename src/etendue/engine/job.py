@@ -6,6 +6,7 @@ The class of the method comes from outside: the engine knows no concrete one.
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
@@ -96,6 +97,7 @@ class Job:
         place: Mapping[str, Any],
         start: Measurement | None = None,
         earlier: float = 0.0,
+        preparation: float = 0.0,
         notes: Mapping[str, Any] | None = None,
     ) -> None:
         self.problem = problem
@@ -106,6 +108,8 @@ class Job:
         self.start = start
         #: Seconds of the runs that this one goes on with, as their budgets counted them; 0 if it is the first.
         self.earlier = earlier
+        #: Seconds that preparing the method took, which are a part of the budget.
+        self.preparation = preparation
         #: What the caller wants to find in the checkpoint: plain values.
         self.notes: dict[str, Any] = dict(notes or {})
 
@@ -120,12 +124,14 @@ class Job:
             memory=task.memory,
             camera=task.camera,
         )
+        begin = time.perf_counter()
         budget = task.budget or Budget(samples=max(1, problem.spp))
         method: Method = task.method(_settings(task, problem))
         method.prepare(problem, task.seed)
         if budget.samples is not None:
             method = fit_samples(method, budget.samples, problem, task.seed)
-        return cls(problem, method, seed=task.seed, budget=budget, place=task.place())
+        preparation = time.perf_counter() - begin
+        return cls(problem, method, seed=task.seed, budget=budget, place=task.place(), preparation=preparation)
 
     @classmethod
     def resume(
@@ -158,9 +164,11 @@ class Job:
         except SceneError as error:
             raise CheckpointError(f"the scene of the checkpoint cannot be loaded: {error}") from error
         checkpoint.require_scene(problem.fingerprint)
+        begin = time.perf_counter()
         instance = method(settings)
         instance.prepare(problem, checkpoint.seed)
         instance.restore(checkpoint.state)
+        preparation = time.perf_counter() - begin
         task = Task(source, method, seed=checkpoint.seed, **wanted)
         return cls(
             problem,
@@ -170,6 +178,7 @@ class Job:
             place=task.place(),
             start=checkpoint.measurement,
             earlier=checkpoint.earlier + checkpoint.elapsed,
+            preparation=preparation,
             notes=checkpoint.notes,
         )
 
@@ -179,7 +188,7 @@ class Job:
         It takes over the measurement of a resumed job, so there is one runner per job.
         """
         start, self.start = self.start, None
-        return Runner(self.method, seed=self.seed, budget=self.budget, start=start, **options)
+        return Runner(self.method, seed=self.seed, budget=self.budget, start=start, spent=self.preparation, **options)
 
     def checkpoint(self, run: RunResult) -> Checkpoint:
         """All that is needed to go on with ``run`` later."""
@@ -189,7 +198,7 @@ class Job:
             settings=self.method.settings.to_json(),
             seed=self.seed,
             fingerprint=self.problem.fingerprint,
-            state=dict(self.method.state()),
+            state=dict(run.state),
             scene=self.place,
             budget=self.budget.to_dict(),
             stopped_by=run.stopped_by,

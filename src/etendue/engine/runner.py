@@ -6,9 +6,9 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 from etendue.core import EtendueError, Measurement, Method, OptionError, Progress, Result, describe, logger
 
@@ -59,7 +59,10 @@ class RunResult:
 
     method: Method
     measurement: Measurement
-    #: Seconds since the first pass of this run began; ``measurement.counters["seconds"]`` also has earlier runs.
+    #: ``method.state()`` after the last pass of the measurement, whatever has become of the method since.
+    state: Mapping[str, Any]
+    #: Seconds of this run, preparation included; ``measurement.counters["seconds"]`` also has earlier runs, without the
+    #: time between passes.
     elapsed: float
     stopped_by: StoppedBy
     #: The times of ``save_at`` that a save is for; a pass may have passed several of them.
@@ -99,7 +102,9 @@ class Runner:
     ``start`` continues an earlier run: its measurement is taken over (added to in place), the first pass is the one
     after its last. ``on_progress`` is called after each pass, ``on_save`` with what there is so far every
     ``save_every`` seconds and after the passes that reach the seconds of ``save_at``; an exception from it is logged
-    and the run goes on. ``cancel`` is looked at between passes.
+    and the run goes on. ``cancel`` is looked at between passes. ``spent`` are the seconds that preparing the method
+    took: they count as if :meth:`run` had begun so much earlier. A pass that raises, or is interrupted, is not in the
+    measurement and leaves the method as it was before.
     """
 
     def __init__(
@@ -114,6 +119,7 @@ class Runner:
         save_every: float | None = None,
         save_at: Sequence[float] = (),
         cancel: CancelEvent | None = None,
+        spent: float = 0.0,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         check_period(save_every)
@@ -125,16 +131,18 @@ class Runner:
         self.budget = budget
         self.progress = Progress()
         self._measurement = start
+        self._state = method.state()  # after the last pass of the measurement
         self.on_progress = on_progress
         self._on_save = on_save
         self._save_every = save_every
         self._save_at = deque(save_at)  # those to come
         self._cancel = cancel
+        self._spent = spent
         self._clock = clock
         self._lock = threading.Lock()
         self._begin = 0.0
         self._durations: deque[tuple[float, float]] = deque(maxlen=8)  # (seconds, rays) of the latest passes
-        self._adding = False  # the sums are being changed
+        self._adding = False  # sums and state are being changed
         self._done = 0  # passes of this run
         self._error: float | None = None
         self._next_error = 2
@@ -164,7 +172,8 @@ class Runner:
         :class:`RunError` if a pass fails after others were done (the failure itself if none was), and
         :class:`Cancelled` if the run was stopped before its first pass.
         """
-        self._begin = saved = self._clock()
+        saved = self._clock()
+        self._begin = saved - self._spent
         while (reason := self._reason_to_stop()) is None:
             try:
                 self._pass()
@@ -198,21 +207,34 @@ class Runner:
 
     def _pass(self) -> None:
         iteration = self._measurement.iterations.next_iteration() if self._measurement is not None else 0
-        begin = self._clock()
-        measured = self.method.step(iteration, self.seed)
-        duration = self._clock() - begin
-        measured.counters["seconds"] = measured.counters.get("seconds", 0.0) + duration
+        before = self._state
+        try:
+            begin = self._clock()
+            measured = self.method.step(iteration, self.seed)
+            duration = self._clock() - begin
+            seconds = duration if self._done else self._spent + duration
+            measured.counters["seconds"] = measured.counters.get("seconds", 0.0) + seconds
+            self._add(measured, self.method.state())
+        except BaseException:
+            if self._state is before:
+                self.method.restore(before)
+            raise
         self._durations.append((duration, measured.counters.get("rays", 0.0)))
+        self._done += 1
+        assert self._measurement is not None
+        self._update_error(len(self._measurement.iterations))
+        self.progress = self._describe()
+
+    def _add(self, measured: Measurement, state: Mapping[str, Any]) -> None:
+        """Add a pass, and what it has left behind, as one."""
         with self._lock:
+            self._adding = True
             if self._measurement is None:
                 self._measurement = measured
             else:
-                self._adding = True
                 self._measurement += measured
-                self._adding = False
-        self._done += 1
-        self._update_error(len(self._measurement.iterations))
-        self.progress = self._describe()
+            self._state = state
+            self._adding = False
 
     def _save(self, times: tuple[float, ...]) -> float:
         """An intermediate save; its failure, whatever it is, is reported and costs no work. Returns its seconds."""
@@ -226,7 +248,7 @@ class Runner:
 
     def _result(self, reason: StoppedBy, times: tuple[float, ...] = ()) -> RunResult:
         assert self._measurement is not None
-        return RunResult(self.method, self._measurement, self._clock() - self._begin, reason, times)
+        return RunResult(self.method, self._measurement, self._state, self._clock() - self._begin, reason, times)
 
     # ------------------------------------------------------------------ predictions
 

@@ -103,6 +103,7 @@ class Vegas(AdaptivePath):
             longest = o.lengths if o.max_depth < 0 else max(1, min(o.lengths, o.max_depth))
             self._groups, even = [*self._groups, LENGTH], [*even, CellGrid.even(longest, 1)]
         self._densities: list[list[Factor]] = [[factor] * rows for factor in even]
+        self._saved: list[dict[str, Array]] | None = None  # the densities as arrays, until they are moved
         self._passes = 0
         self._forget()
 
@@ -151,9 +152,10 @@ class Vegas(AdaptivePath):
         """
         for group, bins, values in found:
             place, value = np.asarray(bins), np.asarray(values, np.float64)
-            sums = self._sums[group]
+            sums = self._sums[group].copy()
             for row, weight in zip(sums, (np.square(value), value, None), strict=False):
                 row += np.bincount(place, weight, len(row))
+            self._sums[group] = sums
         self._passes += 1
         o = self.settings
         if self._passes % o.update if o.update else self._passes & (self._passes - 1):
@@ -167,15 +169,17 @@ class Vegas(AdaptivePath):
                 if (mean := values.mean()) > 0.0:
                     even = _EVEN * mean * factor.volume * factor.bins
                     densities[row] = factor.adapted(values + even, *how)
+        self._saved = None
         self._forget()
 
     def state(self) -> Mapping[str, Any]:
         """The densities, and what was found since they were moved last."""
-        densities = [
-            {name: np.stack([getattr(factor, name) for factor in rows]) for name in _FIELDS[type(rows[0])]}
-            for rows in self._densities
-        ]
-        return {"passes": self._passes, "densities": densities, "found": [sums.copy() for sums in self._sums]}
+        if self._saved is None:
+            self._saved = [
+                {name: np.stack([getattr(factor, name) for factor in rows]) for name in _FIELDS[type(rows[0])]}
+                for rows in self._densities
+            ]
+        return {"passes": self._passes, "densities": self._saved, "found": list(self._sums)}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Inverse of :meth:`state`."""
@@ -194,4 +198,4 @@ class Vegas(AdaptivePath):
             raise CheckpointError("the checkpoint's densities are of another size; start anew")
         for rows, arrays in zip(self._densities, saved, strict=True):
             rows[:] = [type(rows[0])(*parts) for parts in zip(*arrays, strict=True)]
-        self._passes, self._sums = int(state["passes"]), found
+        self._passes, self._sums, self._saved = int(state["passes"]), found, None

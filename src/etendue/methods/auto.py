@@ -74,6 +74,7 @@ class Auto(ImageMethod):
         self._choice = self.settings.choice
         self._costs: dict[str, float] = {}
         self._chosen: ImageMethod | None = None
+        self._carried: Mapping[str, Any] = {}  #: state for what was chosen, once it is prepared
         self.setup_seconds = 0.0  #: of the probe, which is a part of the first pass
 
     def step(self, iteration: int, seed: int) -> Measurement:
@@ -91,12 +92,14 @@ class Auto(ImageMethod):
         return result
 
     def state(self) -> Mapping[str, Any]:
-        """The choice, and what it was made by."""
-        return {"choice": self._choice, "costs": self._costs}
+        """The choice, what it was made by, and the state of what was chosen."""
+        chosen = self._carried if self._chosen is None else self._chosen.state()
+        return {"choice": self._choice, "costs": self._costs, "chosen": chosen}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Inverse of :meth:`state`."""
         self._choice, self._costs, self._chosen = str(state["choice"]), dict(state["costs"]), None
+        self._carried = state["chosen"]
 
     def _renderer(self, seed: int) -> ImageMethod:
         if self._chosen is None:
@@ -106,6 +109,8 @@ class Auto(ImageMethod):
                 self.setup_seconds = time.perf_counter() - begin
             self._chosen = self._method(self._choice, self.settings.samples_per_pass, self.settings.aovs)
             self._chosen.prepare(self.problem, seed)
+            if self._carried:
+                self._chosen.restore(self._carried)
         return self._chosen
 
     def _method(self, name: str, samples: int, aovs: bool) -> ImageMethod:

@@ -120,12 +120,11 @@ class ImageMethod(ABC):
             first, bad = self._first_hits(iteration, seed, samples)
             layers |= first
             counters["nonfinite"] += bad
-        value = layers["image"] * np.float32(1.0 / samples)
         return Measurement(
             sums={name: layer.astype(np.float64) for name, layer in layers.items()},
             weights=dict.fromkeys(layers, float(samples)),
             iterations=Iterations.single(iteration),
-            squares={"image": np.square(value, dtype=np.float64)},
+            squares={"image": np.square(layers["image"], dtype=np.float64)},
             counters=counters | {"samples": float(samples)},
         )
 

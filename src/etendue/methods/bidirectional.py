@@ -17,6 +17,7 @@ Limits: a caustic of a point light seen in a mirror is made by merging alone, bl
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -223,6 +224,14 @@ class Bidirectional(ImageMethod):
             needed = self._room.bytes(self._paths) / 1e6
             logger.info("light vertices of a pass take %.0f MB: traced in %d groups", needed, groups)
         return max(groups, -(-self._paths // base.MOST_LIGHT_LANES))
+
+    def state(self) -> Mapping[str, Any]:
+        """Groups of light paths, and vertices of a path, which a pass that found too little room has changed."""
+        return {"groups": self._groups, "vertices_per_path": self._room.per_path}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Inverse of :meth:`state`."""
+        self._groups, self._room.per_path = int(state["groups"]), float(state["vertices_per_path"])
 
     # ------------------------------------------------------------------ a pass
 

@@ -25,7 +25,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import CheckpointError, Measurement, Result, setting
+from etendue.core import CheckpointError, Measurement, Result, copied_to_device, setting
 from etendue.scene import LightTable, Problem
 from etendue.transport import (
     MOST_LIGHTS,
@@ -103,8 +103,10 @@ class _Records:
         packet = mi.Vector4u(scattered.place + 1, *bits, 0)
         dr.scatter(self._packets, packet, self._path * _VERTICES + (s.depth - 1), active)
 
-    def add_to(self, found: Any, seen: Any, light: Any, unit: float) -> None:
-        """Add, place by place, what the paths, which found ``light`` in all, found beyond each vertex."""
+    def deposit(self, places: int, light: Any, unit: float) -> tuple[Any, Any]:
+        """Place by place, what the paths, which found ``light`` in all, found beyond each vertex, in parts of ``unit``;
+        and how many looked there."""
+        found, seen = dr.zeros(mi.UInt64, places), dr.zeros(mi.UInt32, places)
         path = dr.arange(mi.UInt32, self.count)
         light = dr.gather(mi.Float, light, path * self._stride)
         scale = dr.opaque(mi.Float, _PARTS / unit)
@@ -118,7 +120,7 @@ class _Records:
             dr.scatter_add(seen, mi.UInt32(1), place, active, dr.ReduceMode.Direct)
             active &= value >= 1.0
             dr.scatter_add(found, mi.UInt64(value), place, active, dr.ReduceMode.Direct)
-        dr.eval(found, seen)
+        return found, seen
 
 
 class Guided(Path):
@@ -153,9 +155,7 @@ class Guided(Path):
         """One pass, in the weight of its generation."""
         weight = min(1.0, self.settings.first_weight * 2.0**self._generation)
         measurement = super().step(iteration, seed)
-        for name, values in measurement.sums.items():
-            values *= weight
-            measurement.weights[name] *= weight
+        measurement.scale(weight)
         return measurement
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
@@ -165,13 +165,15 @@ class Guided(Path):
         #: Of the light that is counted, to a unit of luminance; 0 while it is not counted.
         self._parts = dr.opaque(mi.Float, _PARTS / self._unit if training and self._unit > 0.0 else 0.0)
         self._records = _Records(lanes, self._stride(len(lanes)), training)
+        #: What points of each light bring to each cell, in the same unit.
+        self._lit = dr.zeros(mi.UInt64, self._guide.cells * self.lights.count)
         state = self.trace(lanes // samples, self.camera_numbers(lanes, samples, seed, iteration))
         radiance, bad = keep_finite(state.radiance)
         light = dr.select(dr.isfinite(state.parts[0]), state.parts[0], 0.0)
         dr.eval(radiance, state.rays, bad, light)
         if training:
             self._learn(light)
-        del self._records, self._parts
+        del self._records, self._parts, self._lit
         counters = {"rays": total(state.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
         return {"image": self.image(radiance)}, counters
 
@@ -215,7 +217,7 @@ class Guided(Path):
         parts = mi.luminance(contribution) / dr.maximum(mi.luminance(s.throughput), _FAINT) * self._parts
         parts = mi.UInt64(dr.minimum(dr.select(active & (parts >= 1.0), parts, 0.0), float(_PARTS * _MOST)))
         place = here * self.lights.count + direct.light
-        dr.scatter_add(self._brought, parts, place, active & (self._parts > 0.0), dr.ReduceMode.Direct)
+        dr.scatter_add(self._lit, parts, place, active & (self._parts > 0.0), dr.ReduceMode.Direct)
 
     def parts(self, source: Any) -> list[Any]:
         """The luminance that the path has found; what it is expected to find from here on, and was at first; the cell
@@ -254,7 +256,10 @@ class Guided(Path):
         if self._unit <= 0.0:
             self._unit = float(np.asarray(light).mean(dtype=np.float64))
         if self._unit > 0.0:
-            self._records.add_to(self._found, self._seen, light, self._unit)
+            found, seen = self._records.deposit(self._guide.places, light, self._unit)
+            self._found, self._seen = self._found + found, self._seen + seen
+        self._brought = self._brought + self._lit
+        dr.eval(self._found, self._seen, self._brought)
         self._passes += 1
         if self._passes < 1 << self._generation:
             return
@@ -287,10 +292,10 @@ class Guided(Path):
             "passes": self._passes,
             "unit": self._unit,
             "guide": self._guide.state(),
-            "found": np.array(self._found),
-            "seen": np.array(self._seen),
-            "brought": np.array(self._brought),
-            **({} if self._choice is None else {"lights": self._choice.shares.copy()}),
+            "found": self._found,
+            "seen": self._seen,
+            "brought": self._brought,
+            **({} if self._choice is None else {"lights": self._choice.shares}),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -304,7 +309,8 @@ class Guided(Path):
             int(state["passes"]),
             float(state["unit"]),
         )
-        self._found, self._seen = mi.UInt64(found), mi.UInt32(seen)
-        self._brought = mi.UInt64(np.asarray(state["brought"], np.uint64))
+        brought = np.asarray(state["brought"], np.uint64)
+        self._found, self._seen = copied_to_device(mi.UInt64, found), copied_to_device(mi.UInt32, seen)
+        self._brought = copied_to_device(mi.UInt64, brought)
         if self._choice is not None:
             self._choice.restore(state["lights"])

@@ -27,7 +27,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import CheckpointError, setting
+from etendue.core import CheckpointError, copied_to_device, setting
 from etendue.density import KdTree
 from etendue.scene import Problem
 from etendue.transport import Kind
@@ -125,18 +125,18 @@ class Sppm(PhotonMapping):
         found = mi.Float(dr.block_sum(found, self._sharing))
         count = self._count + alpha * found
         all_found = self._count + found
-        self._passes += 1
-        self._most *= (self._passes + alpha) / (self._passes + 1)
-        shrunk = self._radius_squared * dr.select(all_found > 0.0, count / all_found, 1.0)
-        self._radius_squared = dr.minimum(shrunk, dr.opaque(mi.Float, self._most))
-        self._count = count
-        dr.eval(self._radius_squared, self._count)
+        passes = self._passes + 1
+        most = self._most * (passes + alpha) / (passes + 1)
+        squared = self._radius_squared * dr.select(all_found > 0.0, count / all_found, 1.0)
+        squared = dr.minimum(squared, dr.opaque(mi.Float, most))
+        dr.eval(squared, count)
+        self._radius_squared, self._count, self._most, self._passes = squared, count, most, passes
 
     def state(self) -> Mapping[str, Any]:
         """R^2 and N of every point or pixel, and what bounds R^2."""
         return {
-            "radius_squared": np.array(self._radius_squared),
-            "count": np.array(self._count),
+            "radius_squared": self._radius_squared,
+            "count": self._count,
             "most": self._most,
             "passes": self._passes,
         }
@@ -146,7 +146,7 @@ class Sppm(PhotonMapping):
         radius_squared, count = np.asarray(state["radius_squared"]), np.asarray(state["count"])
         if radius_squared.shape != (len(self._count),) or count.shape != radius_squared.shape:
             raise CheckpointError("the checkpoint's photon statistics are of another size; start anew")
-        self._radius_squared, self._count = mi.Float(radius_squared), mi.Float(count)
+        self._radius_squared, self._count = (copied_to_device(mi.Float, a) for a in (radius_squared, count))
         self._most, self._passes = float(state["most"]), int(state["passes"])
 
 

@@ -183,6 +183,7 @@ class LineCasting:
         """Go on from a :meth:`state`. Raises :class:`CheckpointError` for one that has more bundles than asked for."""
         if self.most is not None and state["count"] > self.most:
             raise CheckpointError(f"the checkpoint has {state['count']} bundles, more than {self.most}")
+        self.close()
         # A step has the size that it had, also on a machine that would choose another.
         self.count, self._size, self._chunks = state["count"], state["size"], list(state["chunks"])
         self.made = sum(map(len, self._chunks))

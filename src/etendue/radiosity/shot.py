@@ -130,8 +130,8 @@ class Shot:
             return
         # Added up one by one, so that it does not matter which were asked for together.
         for found in self._lamps.light(self._blocks, blocks):
-            self._received += found
-            self._squares += found**2
+            self._received = self._received + found  # anew: a state() may hold the old ones
+            self._squares = self._squares + found**2
             self._blocks += 1
 
     def state(self) -> dict[str, Any]:

@@ -186,14 +186,13 @@ class Guide:
         return origin
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """What has been learned, as arrays of its own."""
-        arrays = {
+        """What has been learned, in arrays that are not changed later."""
+        return {
             "glow": self._glow,
             "share": np.array(self._share),
             **self._cells.to_arrays(),
             **self._trees.to_arrays(),
         }
-        return {name: values.copy() for name, values in arrays.items()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Inverse of :meth:`state`."""

@@ -1,0 +1,170 @@
+"""What passes carry on and what they measured are saved as one: a pass that fails, wherever it does, leaves neither.
+
+A pass is made to fail after its method has learned from it. The run goes on from the checkpoint that is left, and with
+the very method that failed, and both measure what an uninterrupted run does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support import scenes
+from support.running import prepared
+
+from etendue.core import Measurement
+from etendue.engine import Budget, Checkpoint, Job, RunError, Runner, RunResult
+from etendue.methods.adaptive_stratified import Stratified
+from etendue.methods.adaptive_vegas import Vegas
+from etendue.methods.bidirectional import Bidirectional
+from etendue.methods.guided import Guided
+from etendue.methods.progressive import Sppm
+from etendue.methods.store import VertexRoom
+from etendue.transport import LightChoice
+
+PASSES = 8
+GUIDED = {"samples_per_pass": 16, "cell_samples": 200}
+VEGAS = {"samples_per_pass": 16, "update": 2}
+#: By name: method, settings, what learns, at which of its calls a pass fails, and how. Passes of ``guided`` that end a
+#: generation are the first and the third.
+LEARNERS: dict[str, tuple[str, dict[str, Any], type, str, int, type[BaseException]]] = {
+    "guided within a generation": ("guided", GUIDED, Guided, "_learn", 5, KeyboardInterrupt),
+    "guided at the end of one": ("guided", GUIDED, Guided, "_learn", 3, RuntimeError),
+    "guided in the midst of that": ("guided", GUIDED, LightChoice, "learn", 2, KeyboardInterrupt),
+    "vegas between two changes": ("vegas", VEGAS, Vegas, "_learn", 5, RuntimeError),
+    "vegas at a change": ("vegas", VEGAS | {"tile": 8}, Vegas, "_learn", 4, KeyboardInterrupt),
+    "stratified": ("stratified", {"samples_per_pass": 64, "update": 2}, Stratified, "_plan", 2, RuntimeError),
+    "sppm": ("sppm", {"samples_per_pass": 2, "radius": 0.05}, Sppm, "finish", 4, KeyboardInterrupt),
+    "ppm": ("ppm", {"samples_per_pass": 2, "radius": 0.05}, Sppm, "finish", 4, RuntimeError),
+}
+#: Bytes: enough for the light vertices of a pass, and not for six times as many.
+MEMORY = 1_200_000
+#: Photons are summed in another order in each run.
+IN_ANY_ORDER = {"rtol": 1e-4, "atol": 1e-6}
+
+
+def failing(monkeypatch: Any, owner: type, name: str, call: int, error: type[BaseException]) -> None:
+    """Make a function raise after its ``call``-th call has done all it does."""
+    function, calls = getattr(owner, name), [0]
+
+    def fails(*args: Any, **options: Any) -> Any:
+        result = function(*args, **options)
+        calls[0] += 1
+        if calls[0] == call:
+            raise error("on purpose")
+        return result
+
+    monkeypatch.setattr(owner, name, fails)
+
+
+def finished(method: Any, start: Measurement | None = None) -> Measurement:
+    """All passes, from where ``start`` ended."""
+    return Runner(method, seed=1, budget=Budget(iterations=PASSES), start=start).run().measurement
+
+
+def broken_off(method: Any) -> RunResult:
+    """What is left by a run in which a pass fails."""
+    runner = Runner(method, seed=1, budget=Budget(iterations=PASSES))
+    try:
+        runner.run()
+    except RunError as failure:
+        return failure.run
+    except KeyboardInterrupt:
+        left = runner.interrupted()
+        assert left is not None
+        return left
+    raise AssertionError("no pass has failed")
+
+
+def saved(left: RunResult, problem: Any, path: Path) -> Checkpoint:
+    """``left`` as it is found again on disk."""
+    Job(problem, left.method, seed=1, budget=Budget(), place={}).checkpoint(left).write(path)
+    return Checkpoint.read(path)
+
+
+def assert_goes_on(new: Callable[[], Any], left: RunResult, whole: Measurement, path: Path, **near: float) -> None:
+    """From the checkpoint of ``left``, and by its method, as ``whole``; bit by bit, or as ``near`` as that."""
+    found = saved(left, left.method.problem, path)  # type: ignore[attr-defined]
+    resumed = new()
+    resumed.restore(found.state)
+    for method, start in ((resumed, found.measurement), (left.method, left.measurement)):
+        total = finished(method, start)
+        assert total.iterations == whole.iterations
+        np.testing.assert_allclose(total.mean(), whole.mean(), **(near or {"rtol": 0.0}))
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_a_pass_that_fails_as_it_learns(name, monkeypatch, tmp_path):
+    method, settings, owner, step, call, error = LEARNERS[name]
+    problem = scenes.room("mixed", "rough")
+
+    def new() -> Any:
+        return prepared(problem, method, **settings)
+
+    whole = finished(new())
+    with monkeypatch.context() as patch:
+        failing(patch, owner, step, call, error)
+        left = broken_off(new())
+    assert 0 < left.passes < PASSES
+    assert_goes_on(new, left, whole, tmp_path / "a", **(IN_ANY_ORDER if owner is Sppm else {}))
+
+
+def grouped(problem: Any, method: str) -> Any:
+    """A method that traces light paths in groups when it is told that a path stores many vertices."""
+    settings = {"choice": "bpt"} if method == "auto" else {"light_paths": 1.0}
+    return prepared(problem, method, samples_per_pass=16, **settings)
+
+
+@pytest.mark.parametrize("method", ["bpt", "auto"])
+def test_groups_of_light_paths_are_a_part_of_the_state(method, monkeypatch, tmp_path):
+    """The second pass finds more vertices than there is room for; the run ends in the fourth."""
+    problem = scenes.room("sphere", "rough")
+    problem.memory = MEMORY
+
+    def overflow(at: int) -> None:
+        held, calls = VertexRoom.held, [0]
+
+        def too_many(room: VertexRoom, wanted: float, paths: int) -> bool:
+            calls[0] += 1
+            if calls[0] == at:
+                room.per_path *= 6.0
+                return False
+            return held(room, wanted, paths)
+
+        monkeypatch.setattr(VertexRoom, "held", too_many)
+
+    overflow(at=2)
+    whole = finished(grouped(problem, method))
+    monkeypatch.undo()
+    overflow(at=2)
+    failing(monkeypatch, Bidirectional, "render_pass", 4, KeyboardInterrupt)
+    left = broken_off(grouped(problem, method))
+    monkeypatch.undo()
+    assert_goes_on(lambda: grouped(problem, method), left, whole, tmp_path / "a", **IN_ANY_ORDER)
+    plain = finished(grouped(problem, method))
+    assert np.abs(plain.mean() - whole.mean()).max() > 1e-3
+
+
+def test_groups_that_a_failing_pass_has_made_are_given_up(monkeypatch, tmp_path):
+    problem = scenes.room("sphere", "rough")
+    problem.memory = MEMORY
+    whole = finished(grouped(problem, "bpt"))
+
+    def too_many(room: VertexRoom, wanted: float, paths: int) -> bool:
+        if room.per_path < 20.0:
+            room.per_path *= 6.0
+            return False
+        raise KeyboardInterrupt
+
+    method = grouped(problem, "bpt")
+    runner = Runner(method, seed=1, budget=Budget(iterations=2))
+    runner.run()
+    monkeypatch.setattr(VertexRoom, "held", too_many)
+    more = Runner(method, seed=1, budget=Budget(iterations=PASSES), start=runner.interrupted().measurement)
+    with pytest.raises(KeyboardInterrupt):
+        more.run()
+    monkeypatch.undo()
+    assert_goes_on(lambda: grouped(problem, "bpt"), more.interrupted(), whole, tmp_path / "a", **IN_ANY_ORDER)
