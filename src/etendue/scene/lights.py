@@ -14,7 +14,8 @@ infinite   1 / (pi R^2), disc of the scene     the emitter's own (constant, envm
 beam       1 / A, uniform over the shape       1, along the normal (directionalarea)
 =========  ==================================  ====================================================================
 
-Each density is multiplied by the probability of picking the emitter, which is proportional to its emitted power.
+Each density is multiplied by the probability of picking the emitter, which is proportional to its emitted power: that of
+a texture is measured texel by texel. An emitter that is not known to be black is picked now and then whatever its power.
 A projector draws its rays by its texture and not uniformly; weights only need a density that all techniques share.
 """
 
@@ -31,9 +32,12 @@ from etendue.core import SceneError, on_device
 
 from .graph import plugin_name
 from .plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
+from .radiance import is_black, measure, varies
 
-#: Rays drawn from each emitter to estimate its power.
-_POWER_SAMPLES = 256
+#: Rays drawn from an emitter, and points of a shape, to estimate its power.
+_POWER_SAMPLES = 1 << 12
+#: Of an equal share of the picks, what every emitter gets that is not known to be black.
+_LEAST_PICK = 0.01
 
 
 @dataclass
@@ -86,11 +90,13 @@ class LightTable:
         if not np.isfinite(power).all() or (power < 0).any():
             bad = rows[int(np.argmin(np.isfinite(power) & (power >= 0)))]
             raise SceneError(f"emitter '{bad.name}' has a negative or non-finite power; correct its radiance")
-        if power.sum() <= 0:
+        lit = np.array([r.power > 0 or not is_black(e) for r, e in zip(rows, emitters, strict=True)])
+        if not lit.any():
             raise SceneError("every emitter of the scene emits nothing; give one a radiance above zero")
-        self.total_power = float(power.sum())
+        self.total_power = float(power.sum()) or 1.0
+        weight = np.where(lit, np.maximum(power, _LEAST_PICK * self.total_power / len(rows)), 0.0)
         #: (count,) probability of picking each emitter, on the host.
-        self.probabilities = pick = power / power.sum()
+        self.probabilities = pick = weight / weight.sum()
 
         self._emitters = scene.emitters_dr()
         self._pick = on_device(mi.Float, pick)
@@ -172,7 +178,8 @@ def _describe(emitter: Any, scene_radius: float) -> _Row:
     if one_direction:
         return _Row(name, "beam", _power(emitter), 1.0 / area, is_delta=True)
     exponent = float(np.asarray(emitter.exponent).ravel()[0]) if plugin_name(emitter) == "focusarea" else 0.0
-    power = _power(emitter) if exponent else _diffuse_power(emitter, area)
+    # Focus keeps the power, and makes the radiance along the normal larger.
+    power = np.pi * area * _radiance(emitter) / (0.5 * exponent + 1.0)
     return _Row(name, "area", power, 1.0 / area, exponent=exponent)
 
 
@@ -183,13 +190,13 @@ def _power(emitter: Any) -> float:
     return float(np.asarray(weight, dtype=np.float64).mean())
 
 
-def _diffuse_power(emitter: Any, area: float) -> float:
-    """The same from the radiance, as textures other than bitmaps cannot emit rays themselves."""
-    u = _weyl(_POWER_SAMPLES)
-    point = emitter.get_shape().sample_position(0.0, mi.Point2f(u[0], u[1]))
-    si = mi.SurfaceInteraction3f(point, dr.zeros(mi.Color0f))
+def _radiance(emitter: Any) -> float:
+    """Radiance of an area light along the normal, mean over its surface and the colour channels."""
+    if varies(emitter):
+        return measure(emitter).mean
+    si = dr.zeros(mi.SurfaceInteraction3f)
     si.wi = mi.Vector3f(0.0, 0.0, 1.0)
-    return float(np.pi * area * np.asarray(emitter.eval(si), dtype=np.float64).mean())
+    return float(np.asarray(emitter.eval(si), dtype=np.float64).mean())
 
 
 def _weyl(n: int) -> list[Any]:
