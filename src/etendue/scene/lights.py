@@ -6,7 +6,8 @@ four kinds of emitter:
 =========  ==================================  ====================================================================
 kind       point density p_A (per area)        direction density p_w of an emitted ray (per solid angle)
 =========  ==================================  ====================================================================
-area       1 / A, uniform over the shape       cos(theta) / pi; focusarea: (n+2) / (2 pi) cos(theta)^(n+1)
+area       1 / A, uniform over the shape; by   cos(theta) / pi; focusarea: (n+2) / (2 pi) cos(theta)^(n+1)
+           the radiance where that varies
 point      1, one point (point, spot,          uniform over the sphere, or over the cone that holds
            projector)                          every ray
 infinite   1 / (pi R^2), disc of the scene     the emitter's own (constant, envmap, sunsky), or 1 for its
@@ -14,8 +15,8 @@ infinite   1 / (pi R^2), disc of the scene     the emitter's own (constant, envm
 beam       1 / A, uniform over the shape       1, along the normal (directionalarea)
 =========  ==================================  ====================================================================
 
-Each density is multiplied by the probability of picking the emitter, which is proportional to its emitted power: that of
-a texture is measured texel by texel. An emitter that is not known to be black is picked now and then whatever its power.
+Each density is multiplied by the probability of picking the emitter, which is proportional to its emitted power; that
+of a texture is measured texel by texel. An emitter that is not known to be black is picked now and then in any case.
 A projector draws its rays by its texture and not uniformly; weights only need a density that all techniques share.
 """
 
@@ -31,8 +32,9 @@ import numpy as np
 from etendue.core import SceneError, on_device
 
 from .graph import plugin_name
+from .light_points import LightPoints
 from .plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
-from .radiance import is_black, measure, varies
+from .radiance import Cells, is_black, measure, varies
 
 #: Rays drawn from an emitter, and points of a shape, to estimate its power.
 _POWER_SAMPLES = 1 << 12
@@ -106,6 +108,8 @@ class LightTable:
         focused = any(r.exponent for r in rows)
         self._exponent = on_device(mi.Float, [r.exponent for r in rows]) if focused else None
         self._is_delta = on_device(mi.Bool, [r.is_delta for r in rows])
+        #: How points are drawn on area lights whose radiance varies; None where no light of the scene is one.
+        self.points = LightPoints([r.cells for r in rows]) if any(r.cells for r in rows) else None
         self._cdf = mi.DiscreteDistribution(on_device(mi.Float, pick))
         # A hit knows its emitter only as a pointer: registry numbers lead back to rows.
         ids = np.asarray(dr.reinterpret_array(mi.UInt32, self._emitters))
@@ -162,6 +166,7 @@ class _Row:
     direction_density: float = 0.0
     is_delta: bool = False
     exponent: float = 0.0
+    cells: Cells | None = None  #: of an area light whose radiance varies
 
 
 def _describe(emitter: Any, scene_radius: float) -> _Row:
@@ -178,9 +183,11 @@ def _describe(emitter: Any, scene_radius: float) -> _Row:
     if one_direction:
         return _Row(name, "beam", _power(emitter), 1.0 / area, is_delta=True)
     exponent = float(np.asarray(emitter.exponent).ravel()[0]) if plugin_name(emitter) == "focusarea" else 0.0
+    cells = measure(emitter) if varies(emitter) else None
+    radiance = cells.mean if cells else _radiance(emitter)
     # Focus keeps the power, and makes the radiance along the normal larger.
-    power = np.pi * area * _radiance(emitter) / (0.5 * exponent + 1.0)
-    return _Row(name, "area", power, 1.0 / area, exponent=exponent)
+    power = np.pi * area * radiance / (0.5 * exponent + 1.0)
+    return _Row(name, "area", power, 1.0 / area, exponent=exponent, cells=cells)
 
 
 def _power(emitter: Any) -> float:
@@ -191,9 +198,7 @@ def _power(emitter: Any) -> float:
 
 
 def _radiance(emitter: Any) -> float:
-    """Radiance of an area light along the normal, mean over its surface and the colour channels."""
-    if varies(emitter):
-        return measure(emitter).mean
+    """Radiance of a uniform area light along its normal, mean over the colour channels."""
     si = dr.zeros(mi.SurfaceInteraction3f)
     si.wi = mi.Vector3f(0.0, 0.0, 1.0)
     return float(np.asarray(emitter.eval(si), dtype=np.float64).mean())

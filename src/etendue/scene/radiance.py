@@ -1,7 +1,7 @@
 """The radiance of area lights over their surface, cell by cell: what a light with a texture emits, and where.
 
-A cell is a triangle of a mesh, or a square of the unit square that a rectangle, disc, sphere or cylinder draws its points
-by. Its mean radiance is that of an even set of points, as close as the texels of the texture or closer.
+A cell is a triangle of a mesh, or a piece of the unit square that a rectangle, disc, sphere or cylinder draws its
+points by. Its mean radiance is that of an even set of points, as close as the texels of the texture or closer.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ SURFACES = ("rectangle", "disk", "sphere", "cylinder")
 #: Cells along an axis of that square, least and most; a cell holds several texels of a larger texture.
 _LEAST_CELLS, _MOST_CELLS = 32, 512
 #: Points along an axis of a cell, and in a triangle, where no texels say how many are needed.
-_POINTS, _TRIANGLE_POINTS = 4, 32
+_POINTS, _TRIANGLE_POINTS = 4, 64
 #: Points to a texel in a triangle, where they are no grid.
 _TEXEL_POINTS = 4
 #: Points that are looked at together, and of all triangles of a mesh together.

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
-from etendue.scene import Light, LightTable
+from etendue.scene import Light, LightTable, surface_point, uniform_point, varies
 
 from . import dimensions as dim
 from .light_choice import LocalLights
@@ -44,7 +44,7 @@ class DirectSample:
 
 
 def emit(lights: LightTable, source: SampleSource, active: Any) -> EmittedRay:
-    """Sample a ray that leaves a light: emitter by power, then uniformly over its points and by kind in direction."""
+    """Sample a ray that leaves a light: emitter by power, then point and direction by its kind."""
     light = lights.pick(source.next_1d(0, dim.LIGHT_PICK), active)
     u_point = mi.Point2f(*source.next_2d(0, dim.LIGHT_POINT))
     u_direction = mi.Point2f(*source.next_2d(0, dim.LIGHT_DIRECTION))
@@ -60,7 +60,7 @@ def emit(lights: LightTable, source: SampleSource, active: Any) -> EmittedRay:
         active=mi.Bool(active),
     )
     if lights.has_area:
-        _emit_area(result, light, u_point, u_direction, active & light.is_area)
+        _emit_area(result, lights, light, u_point, u_direction, active & light.is_area)
     if lights.has_point:
         _emit_point(result, light, u_direction, active & light.is_point)
     if lights.has_infinite:
@@ -71,20 +71,20 @@ def emit(lights: LightTable, source: SampleSource, active: Any) -> EmittedRay:
     return result
 
 
-def _emit_area(out: EmittedRay, light: Light, u_point: Any, u_direction: Any, mask: Any) -> None:
+def _emit_area(out: EmittedRay, lights: LightTable, light: Light, u_point: Any, u_direction: Any, mask: Any) -> None:
+    place, triangle, area_density = _place(lights, light, u_point, mask)
     local = light.direction(u_direction)
     cos = mi.Frame3f.cos_theta(local)
     direction_pdf = light.direction_pdf(cos)
 
-    def emitted(emitter: Any, u: Any, wi: Any, mask: Any) -> tuple[Any, ...]:
-        si = _light_point(emitter, u, mask)
+    def emitted(emitter: Any, triangle: Any, place: Any, wi: Any, mask: Any) -> tuple[Any, ...]:
+        si = _light_point(emitter, triangle, place, mask)
         si.wi = wi
         return si.p, si.n, emitter.eval(si, mask)
 
-    p, n, radiance = dr.dispatch(light.emitter, emitted, u_point, local, mask)
+    p, n, radiance = dr.dispatch(light.emitter, emitted, triangle, place, local, mask)
     si = dr.zeros(mi.SurfaceInteraction3f)
     si.p, si.n, si.sh_frame = p, n, mi.Frame3f(n)
-    area_density = light.pick * light.area_density
     out.ray[mask] = si.spawn_ray(si.to_world(local))
     out.throughput[mask] = radiance * (cos / (area_density * direction_pdf))
     out.area_density[mask] = area_density
@@ -93,27 +93,43 @@ def _emit_area(out: EmittedRay, light: Light, u_point: Any, u_direction: Any, ma
     out.active &= ~mask | (cos > 0.0)
 
 
-def point_on(light: Light, u: Any, mask: Any) -> tuple[Any, Any, Any]:
-    """A point uniform on the shape of an area light: (position, normal, texture coordinates)."""
+def point_on(lights: LightTable, light: Light, u: Any, mask: Any) -> tuple[Any, Any]:
+    """A point drawn on an area light as emission draws it: (interaction, area density, picking included)."""
+    place, triangle, density = _place(lights, light, u, mask)
 
-    def point(emitter: Any, u: Any, mask: Any) -> tuple[Any, Any, Any]:
-        si = _light_point(emitter, u, mask)
-        return si.p, si.n, si.uv
+    def point(emitter: Any, triangle: Any, place: Any, mask: Any) -> tuple[Any, ...]:
+        si = _light_point(emitter, triangle, place, mask)
+        return si.p, si.n, si.uv, si.prim_index
 
-    return dr.dispatch(light.emitter, point, u, mask)
+    si = dr.zeros(mi.SurfaceInteraction3f, dr.width(u))
+    si.p, si.n, si.uv, si.prim_index = dr.dispatch(light.emitter, point, triangle, place, mask)
+    if lights.points is not None:  # radiance may be an attribute of the mesh
+        si.shape = light.emitter.get_shape()
+    return si, density
 
 
-def _light_point(emitter: Any, u: Any, mask: Any) -> Any:
-    """A point uniform on an emitter's shape; a call is traced for every emitter there is, those without shape too."""
+def _place(lights: LightTable | LocalLights, light: Light, u: Any, mask: Any) -> tuple[Any, Any, Any]:
+    """Where on an area light ``u`` falls: (place, triangle, area density, picking included)."""
+    density = light.pick * light.area_density
+    if lights.points is None:
+        return u, mi.UInt32(0), density
+    place, triangle, factor = lights.points.draw(light.row, u, mask)
+    return place, triangle, density * factor
+
+
+def _light_point(emitter: Any, triangle: Any, place: Any, mask: Any) -> Any:
+    """A point of an emitter's shape; a call is traced for every emitter there is, those without shape too."""
     shape = emitter.get_shape()
     if shape is None:
         return dr.zeros(mi.SurfaceInteraction3f)
-    return mi.SurfaceInteraction3f(shape.sample_position(0.0, u, mask), dr.zeros(mi.Color0f))
+    if varies(emitter):
+        return surface_point(shape, triangle, place, mask)
+    return uniform_point(shape, place, mask)
 
 
 def _emit_point(out: EmittedRay, light: Light, u_direction: Any, mask: Any) -> None:
     # The spot takes its direction from the first pair of numbers, the others from the second.
-    ray, weight = light.emitter.sample_ray(0.0, 0.5, u_direction, u_direction, mask)
+    ray, weight = _own_ray(light, mi.EmitterFlags.DeltaPosition, u_direction, mask)
     out.ray[mask] = ray
     out.throughput[mask] = weight / light.pick
     out.area_density[mask] = light.pick
@@ -121,11 +137,22 @@ def _emit_point(out: EmittedRay, light: Light, u_direction: Any, mask: Any) -> N
 
 
 def _emit_beam(out: EmittedRay, light: Light, u_point: Any, mask: Any) -> None:
-    ray, weight = light.emitter.sample_ray(0.0, 0.5, u_point, u_point, mask)
+    ray, weight = _own_ray(light, mi.EmitterFlags.DeltaDirection, u_point, mask)
     out.ray[mask] = ray
     out.throughput[mask] = weight / light.pick
     out.area_density[mask] = 0.0  # next event cannot choose the point that shines on another
     out.emission_density[mask] = light.pick * light.area_density
+
+
+def _own_ray(light: Light, kind: Any, u: Any, mask: Any) -> tuple[Any, Any]:
+    """A ray as an emitter of a kind samples it: (ray, weight)."""
+
+    def sample(emitter: Any, u: Any, mask: Any) -> tuple[Any, Any]:
+        if not mi.has_flag(emitter.flags(), kind):  # the texture of an area light may be unable to
+            return dr.zeros(mi.Ray3f), mi.Color3f(0.0)
+        return emitter.sample_ray(0.0, 0.5, u, u, mask)
+
+    return dr.dispatch(light.emitter, sample, u, mask)
 
 
 def _emit_infinite(
@@ -165,7 +192,7 @@ def sample_direct(
         active=mi.Bool(active),
     )
     if lights.has_area:
-        _direct_area(result, light, si, u_point, active & light.is_area)
+        _direct_area(result, lights, light, si, u_point, active & light.is_area)
     if lights.has_point:
         _direct_point(result, light, si, u_point, active & light.is_point)
     if lights.has_infinite:
@@ -174,19 +201,23 @@ def sample_direct(
     return result
 
 
-def _direct_area(out: DirectSample, light: Light, si: Any, u_point: Any, mask: Any) -> None:
-    def lit(emitter: Any, p: Any, u: Any, mask: Any) -> tuple[Any, ...]:
-        at_light = _light_point(emitter, u, mask)
+def _direct_area(
+    out: DirectSample, lights: LightTable | LocalLights, light: Light, si: Any, u_point: Any, mask: Any
+) -> None:
+    place, triangle, area_density = _place(lights, light, u_point, mask)
+
+    def lit(emitter: Any, p: Any, triangle: Any, place: Any, mask: Any) -> tuple[Any, ...]:
+        at_light = _light_point(emitter, triangle, place, mask)
         offset = at_light.p - p
         distance_squared = dr.squared_norm(offset)
         direction = offset * dr.rsqrt(distance_squared)
-        at_light.wi = at_light.to_local(-direction)
-        cos = mi.Frame3f.cos_theta(at_light.wi)
+        cos = -dr.dot(direction, at_light.n)
+        at_light.wi = mi.Vector3f(0.0, 0.0, cos)  # no emitter asks for more than the cosine
         return at_light.p, direction, distance_squared, cos, emitter.eval(at_light, mask & (cos > 0.0))
 
-    target, direction, distance_squared, cos, radiance = dr.dispatch(light.emitter, lit, si.p, u_point, mask)
+    target, direction, distance_squared, cos, radiance = dr.dispatch(light.emitter, lit, si.p, triangle, place, mask)
     mask = mask & (cos > 0.0)
-    pdf = light.pick * light.area_density * distance_squared / dr.select(mask, cos, 1.0)
+    pdf = area_density * distance_squared / dr.select(mask, cos, 1.0)
     out.direction[mask] = direction
     out.target[mask] = target
     out.radiance[mask] = radiance / pdf
@@ -229,6 +260,8 @@ def emission_of_hit(lights: LightTable | LocalLights, scene: Any, si: Any, activ
     light = lights.of(emitter, active)
     radiance = emitter.eval(si, active)
     point_density = light.pick * light.area_density
+    if lights.points is not None:
+        point_density *= lights.points.factor(light.row, si, active)
     area_density = point_density
     emission_density = point_density * light.direction_pdf(dr.maximum(mi.Frame3f.cos_theta(si.wi), 0.0))
     if lights.has_infinite:
