@@ -259,6 +259,35 @@ def test_next_event_and_hits_agree_about_densities(names):
         assert_close(np.array(computed)[..., mask], np.array(expected)[..., mask])
 
 
+@pytest.mark.parametrize("name", ["sphere", "speckled sphere"])
+def test_next_event_covers_the_cone_of_a_sphere(name):
+    """Uniformly, from near and far: inside a circle around its middle the share is that of the solid angles, and no
+    sample is lost."""
+    _scene, lights = stage(name)
+    x, y, z, radius = np.array(lights.row(mi.UInt32(0)).sphere, np.float64).ravel()
+    random = np.random.default_rng(6)
+    towards = random.normal(size=(3, N))
+    towards /= np.linalg.norm(towards, axis=0)
+    for factor in (1.01, 1.5, 4.0, 300.0):
+        si = dr.zeros(mi.SurfaceInteraction3f, N)
+        si.p = mi.Point3f((np.array([[x], [y], [z]]) + factor * radius * towards).astype(np.float32))
+        direct = sample_direct(lights, si, source("camera"), mi.UInt32(1), 0, dr.full(mi.Bool, True, N))
+        active = np.array(direct.active)
+        assert active.mean() > 0.999
+        cosine = -(np.array(direct.direction, np.float64) * towards).sum(0)
+        limit = np.sqrt(1.0 - 1.0 / factor**2)
+        extent = 1.0 / factor**2 / (1.0 + limit)
+        pdf = np.array(direct.pdf, np.float64)
+        np.testing.assert_allclose(pdf[active], 1.0 / (2.0 * np.pi * extent), rtol=2e-3)
+        if factor < 100.0:  # where a cosine says something
+            for share in (0.1, 0.5, 0.9):
+                assert_mean(active & (1.0 - cosine < share * extent), share, (name, factor, share))
+        across = np.array(direct.direction, np.float64)[0] + towards[0] * cosine
+        assert_mean(active & (across > 0.0), 0.5, (name, factor, "half"))
+        away = np.linalg.norm(np.array(direct.target, np.float64) - [[x], [y], [z]], axis=0)
+        np.testing.assert_allclose(away[active], radius, rtol=1e-3)
+
+
 @pytest.mark.parametrize("name", ["constant", "envmap"])
 def test_next_event_covers_the_sky(name):
     scene, lights = stage(name)

@@ -10,7 +10,7 @@ from .lights import Light, LightTable
 from .loading import integrator_of, load, locate, resized
 from .plugins import composed_bsdf, register
 from .problem import Problem
-from .radiance import surface_point, uniform_point, varies
+from .radiance import sphere_point, surface_point, uniform_point, varies
 
 __all__ = [
     "BundledScene",
@@ -31,6 +31,7 @@ __all__ = [
     "meshes",
     "register",
     "resized",
+    "sphere_point",
     "surface_point",
     "uniform_point",
     "varies",

@@ -83,16 +83,16 @@ class LightPoints:
         start = dr.select(low > 0, dr.gather(mi.Float, sums, first + dr.maximum(low, 1) - 1, active), 0.0)
         return low, dr.clip((u - start) / dr.maximum(end - start, 1e-30), 0.0, _BELOW_ONE)
 
-    def factor(self, light: Any, si: Any, active: Any) -> Any:
-        """The density by area of a point that a ray has hit, times the light's area."""
+    def factor(self, light: Any, uv: Any, triangle: Any, active: Any) -> Any:
+        """The density by area of a point, known by its texture coordinates or triangle, times the light's area."""
         width, height, _, first_cell = dr.gather(mi.Vector4u, self._heads, light, active)
         kind = dr.gather(mi.UInt32, self._kinds, light, active)
         cell = mi.UInt32(0)
         for surface in sorted(self._surfaces):
             if surface == "mesh":
-                own = si.prim_index
+                own = triangle
             else:
-                place = place_of(surface, si.uv)
+                place = place_of(surface, uv)
                 column, row = (
                     dr.minimum(mi.UInt32(dr.maximum(place[i], 0.0) * mi.Float(n)), n - 1)
                     for i, n in ((0, width), (1, height))

@@ -15,6 +15,7 @@ infinite   1 / (pi R^2), disc of the scene     the emitter's own (constant, envm
 beam       1 / A, uniform over the shape       1, along the normal (directionalarea)
 =========  ==================================  ====================================================================
 
+Next event draws a point of a spherical light by its direction, as the lit point sees it; emission as in the table.
 Each density is multiplied by the probability of picking the emitter, which is proportional to its emitted power; that
 of a texture is measured texel by texel. An emitter that is not known to be black is picked now and then in any case.
 A projector draws its rays by its texture and not uniformly; weights only need a density that all techniques share.
@@ -31,7 +32,7 @@ import numpy as np
 
 from etendue.core import SceneError, on_device
 
-from .graph import plugin_name
+from .graph import as_array, contents, plugin_name
 from .light_points import LightPoints
 from .plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
 from .radiance import Cells, is_black, measure, varies
@@ -57,6 +58,7 @@ class Light:
     is_infinite: Any
     is_beam: Any
     exponent: Any  #: focus of an area emitter around its normal; None where no light of the scene has one
+    sphere: Any  #: centre and radius of a spherical area emitter, radius 0 for others; None where there is none
 
     def direction_pdf(self, cos: Any) -> Any:
         """Solid-angle density with which an area emitter's ray leaves at ``cos`` to the normal."""
@@ -108,6 +110,8 @@ class LightTable:
         focused = any(r.exponent for r in rows)
         self._exponent = on_device(mi.Float, [r.exponent for r in rows]) if focused else None
         self._is_delta = on_device(mi.Bool, [r.is_delta for r in rows])
+        self.has_sphere = any(r.sphere[3] for r in rows)
+        self._sphere = on_device(mi.Float, np.ravel([r.sphere for r in rows])) if self.has_sphere else None
         #: How points are drawn on area lights whose radiance varies; None where no light of the scene is one.
         self.points = LightPoints([r.cells for r in rows]) if any(r.cells for r in rows) else None
         self._cdf = mi.DiscreteDistribution(on_device(mi.Float, pick))
@@ -151,6 +155,7 @@ class LightTable:
             is_infinite=kind == _KINDS.index("infinite"),
             is_beam=kind == _KINDS.index("beam"),
             exponent=None if self._exponent is None else dr.gather(mi.Float, self._exponent, row, active),
+            sphere=None if self._sphere is None else dr.gather(mi.Vector4f, self._sphere, row, active),
         )
 
 
@@ -167,6 +172,7 @@ class _Row:
     is_delta: bool = False
     exponent: float = 0.0
     cells: Cells | None = None  #: of an area light whose radiance varies
+    sphere: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  #: centre and radius of a spherical one
 
 
 def _describe(emitter: Any, scene_radius: float) -> _Row:
@@ -187,7 +193,15 @@ def _describe(emitter: Any, scene_radius: float) -> _Row:
     radiance = cells.mean if cells else _radiance(emitter)
     # Focus keeps the power, and makes the radiance along the normal larger.
     power = np.pi * area * radiance / (0.5 * exponent + 1.0)
-    return _Row(name, "area", power, 1.0 / area, exponent=exponent, cells=cells)
+    return _Row(name, "area", power, 1.0 / area, exponent=exponent, cells=cells, sphere=_sphere(emitter.get_shape()))
+
+
+def _sphere(shape: Any) -> tuple[float, float, float, float]:
+    if plugin_name(shape) != "sphere":
+        return 0.0, 0.0, 0.0, 0.0
+    place = as_array(dict(contents(shape).values)["to_world"]).astype(np.float64).reshape(4, 4)
+    x, y, z = place[:3, 3]
+    return float(x), float(y), float(z), float(np.linalg.norm(place[:3, 0]))
 
 
 def _power(emitter: Any) -> float:

@@ -100,6 +100,18 @@ def uniform_point(shape: Any, u: Any, active: Any = True) -> Any:
     return si
 
 
+def sphere_point(shape: Any, p: Any, outward: Any, like: Any) -> Any:
+    """The point ``p`` of a spherical light; ``like``: another point of it."""
+    to_world = dict(contents(shape).values)["to_world"]
+    inwards = dr.dot(like.n, like.p - to_world @ mi.Point3f(0.0)) < 0.0
+    si = dr.zeros(mi.SurfaceInteraction3f)
+    si.p, si.n = mi.Point3f(p), mi.Normal3f(dr.select(inwards, -outward, outward))
+    local = to_world.inverse() @ mi.Point3f(p)
+    turn = dr.atan2(local.y, local.x) * dr.inv_two_pi
+    si.uv = mi.Point2f(turn - dr.floor(turn), dr.acos(dr.clip(local.z, -1.0, 1.0)) * dr.inv_pi)
+    return si
+
+
 def place_of(surface: str, uv: Any) -> Any:
     """Where in the unit square a hit of texture coordinates ``uv`` on one of ``SURFACES`` lies."""
     match surface:

@@ -9,10 +9,11 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
-from etendue.scene import Light, LightTable, surface_point, uniform_point, varies
+from etendue.scene import Light, LightTable, graph, sphere_point, surface_point, uniform_point, varies
 
 from . import dimensions as dim
 from .light_choice import LocalLights
+from .spheres import cone_of, point_in, seen_density
 
 
 @dataclass
@@ -20,8 +21,11 @@ class EmittedRay:
     """A ray sampled from the lights, one lane each."""
 
     ray: Any
+    light: Any  #: its number
     throughput: Any  #: emitted radiance times cos over the density: the flux the path carries
-    area_density: Any  #: of the light point under next event, picking included (infinite: of the direction)
+    #: Of the light point under next event, picking included (infinite: of the direction). Of a spherical light it is
+    #: that of emission: next event's depends on the point that is lit (see :mod:`.spheres`).
+    area_density: Any
     emission_density: Any  #: of point and direction together, picking included
     cos_light: Any  #: 1 where the light has no surface
     is_delta: Any
@@ -51,6 +55,7 @@ def emit(lights: LightTable, source: SampleSource, active: Any) -> EmittedRay:
     n = dr.width(u_point)
     result = EmittedRay(
         ray=dr.zeros(mi.Ray3f, n),
+        light=light.row,
         throughput=dr.zeros(mi.Color3f, n),
         area_density=dr.full(mi.Float, 1.0, n),
         emission_density=dr.full(mi.Float, 1.0, n),
@@ -205,24 +210,46 @@ def _direct_area(
     out: DirectSample, lights: LightTable | LocalLights, light: Light, si: Any, u_point: Any, mask: Any
 ) -> None:
     place, triangle, area_density = _place(lights, light, u_point, mask)
+    cone = cone_of(light, si.p) if lights.has_sphere else None
+    seen = [*point_in(cone, light, u_point), cone.applies] if cone else []
 
-    def lit(emitter: Any, p: Any, triangle: Any, place: Any, mask: Any) -> tuple[Any, ...]:
+    def lit(emitter: Any, p: Any, triangle: Any, place: Any, seen: list[Any], mask: Any) -> tuple[Any, ...]:
         at_light = _light_point(emitter, triangle, place, mask)
+        if seen and _is_sphere(emitter):
+            at_light = dr.select(seen[2], sphere_point(emitter.get_shape(), seen[0], seen[1], at_light), at_light)
         offset = at_light.p - p
         distance_squared = dr.squared_norm(offset)
         direction = offset * dr.rsqrt(distance_squared)
         cos = -dr.dot(direction, at_light.n)
         at_light.wi = mi.Vector3f(0.0, 0.0, cos)  # no emitter asks for more than the cosine
-        return at_light.p, direction, distance_squared, cos, emitter.eval(at_light, mask & (cos > 0.0))
+        radiance = emitter.eval(at_light, mask & (cos > 0.0))
+        return at_light.p, at_light.uv, direction, distance_squared, cos, radiance
 
-    target, direction, distance_squared, cos, radiance = dr.dispatch(light.emitter, lit, si.p, triangle, place, mask)
+    found = dr.dispatch(light.emitter, lit, si.p, triangle, place, seen, mask)
+    target, uv, direction, distance_squared, cos, radiance = found
     mask = mask & (cos > 0.0)
     pdf = area_density * distance_squared / dr.select(mask, cos, 1.0)
+    ratio = light.direction_pdf(cos) / distance_squared
+    if cone:
+        emission = _area_density(lights, light, uv, mi.UInt32(0), mask) * light.direction_pdf(cos)
+        pdf = dr.select(cone.applies, light.pick * cone.density, pdf)
+        ratio = dr.select(cone.applies, emission / (pdf * cos), ratio)
     out.direction[mask] = direction
     out.target[mask] = target
     out.radiance[mask] = radiance / pdf
     out.pdf[mask] = pdf
-    out.light_ratio[mask] = light.direction_pdf(cos) / distance_squared
+    out.light_ratio[mask] = ratio
+
+
+def _is_sphere(emitter: Any) -> bool:
+    shape = emitter.get_shape()
+    return shape is not None and graph.plugin_name(shape) == "sphere"
+
+
+def _area_density(lights: LightTable | LocalLights, light: Light, uv: Any, triangle: Any, mask: Any) -> Any:
+    """Density by area, picking included, with which emission draws a point of an area light."""
+    density = light.pick * light.area_density
+    return density if lights.points is None else density * lights.points.factor(light.row, uv, triangle, mask)
 
 
 def _direct_point(out: DirectSample, light: Light, si: Any, u_point: Any, mask: Any) -> None:
@@ -250,20 +277,23 @@ def is_emissive(scene: Any, si: Any) -> Any:
     return dr.reinterpret_array(mi.UInt32, si.emitter(scene)) != 0
 
 
-def emission_of_hit(lights: LightTable | LocalLights, scene: Any, si: Any, active: Any) -> tuple[Any, Any, Any]:
+def emission_of_hit(
+    lights: LightTable | LocalLights, scene: Any, si: Any, active: Any, distance: Any = None
+) -> tuple[Any, Any, Any]:
     """What a ray that reached ``si`` sees of a light: (radiance, area density, emission density).
 
     ``si`` may be a miss, where the environment is seen; its densities are those of the direction [Georgiev 2012b, 43].
-    ``active`` marks the lanes whose ``si.emitter(scene)`` is not null.
+    ``active`` marks the lanes whose ``si.emitter(scene)`` is not null. ``distance`` is the length of the edge, that of
+    the ray if it is not given; the area density is that of next event from where the edge begins.
     """
     emitter = si.emitter(scene)
     light = lights.of(emitter, active)
     radiance = emitter.eval(si, active)
-    point_density = light.pick * light.area_density
-    if lights.points is not None:
-        point_density *= lights.points.factor(light.row, si, active)
-    area_density = point_density
+    area_density = point_density = _area_density(lights, light, si.uv, si.prim_index, active)
     emission_density = point_density * light.direction_pdf(dr.maximum(mi.Frame3f.cos_theta(si.wi), 0.0))
+    if lights.has_sphere:
+        back, length = si.to_world(si.wi), si.t if distance is None else distance
+        area_density = seen_density(light, si.p + back * length, -back, length, point_density)
     if lights.has_infinite:
         infinite = active & light.is_infinite
         ds = dr.zeros(mi.DirectionSample3f)
