@@ -228,7 +228,7 @@ def floor_points(n: int = N) -> Any:
     "names",
     [
         *(("rectangle",), ("sphere",), ("mesh",), ("textured",), ("constant",), ("envmap",), ("disk", "constant")),
-        *((f"speckled {shape}",) for shape in SPECKLED),
+        *((f"speckled {shape}",) for shape in ("cylinder", "sphere", "focused", "attribute")),
         ("speckled cube", "speckled disk", "rectangle"),
     ],
 )
