@@ -148,7 +148,7 @@ def _of_texture(emitter: Any, shape: Any, texture: Any) -> Cells:
         u = (mi.Float(cell % columns) + (mi.Float(point % across) + 0.5) / across) / columns
         v = (mi.Float(cell // columns) + (mi.Float(point // across) + 0.5) / along) / rows
         values = _along_normal(emitter, surface_point(shape, mi.UInt32(0), mi.Point2f(u, v)))
-        radiance[first:end] = values.reshape(-1, per_cell).mean(axis=1)
+        radiance[first:end] = np.array(dr.block_sum(values, per_cell), np.float64) / per_cell
     share = np.full((rows, columns), 1.0 / (rows * columns))
     return Cells(surface, share, radiance.reshape(rows, columns))
 
@@ -178,7 +178,7 @@ def _of_mesh(emitter: Any, shape: Any, texture: Any) -> Cells:
         u = (np.mod((number[part] + 0.5) * step, 1.0).astype(np.float32) for step in (0.7548776662, 0.5698402910))
         place = mi.warp.square_to_uniform_triangle(mi.Point2f(*(mi.Float(value) for value in u)))
         at = surface_point(shape, mi.UInt32(triangle[part].astype(np.uint32)), place)
-        radiance += np.bincount(triangle[part], _along_normal(emitter, at), len(faces))
+        radiance += np.bincount(triangle[part], np.array(_along_normal(emitter, at), np.float64), len(faces))
     columns = int(np.ceil(np.sqrt(len(faces))))
     rows = -(-len(faces) // columns)
     share, mean = np.zeros(rows * columns), np.zeros(rows * columns)
@@ -186,11 +186,10 @@ def _of_mesh(emitter: Any, shape: Any, texture: Any) -> Cells:
     return Cells("mesh", share.reshape(rows, columns), mean.reshape(rows, columns))
 
 
-def _along_normal(emitter: Any, si: Any) -> NDArray[np.float64]:
+def _along_normal(emitter: Any, si: Any) -> Any:
     """Radiance along the normals of points, mean over the channels."""
     si.wi = mi.Vector3f(0.0, 0.0, 1.0)
-    value: NDArray[np.float64] = np.asarray(emitter.eval(si), dtype=np.float64).mean(axis=0)
-    return np.broadcast_to(value, dr.width(si.p))
+    return dr.mean(emitter.eval(si)) + dr.zeros(mi.Float, dr.width(si.p))
 
 
 def _texels(texture: Any) -> tuple[float, float] | None:

@@ -36,8 +36,10 @@ class _State:
     stored: Any  #: vertices stored so far
     kind: Any  #: the :class:`Kind` of the vertex that the edge leads to
     from_infinity: Any  #: the edge being traced leaves an infinite light
-    light: Any  #: number of the light that the edge leaves, for one whose area density waits for the edge's end
-    waiting: Any  #: area density of the light point that stands for it until then; 0 afterwards, and for other lights
+    light: Any  #: number of the light that the path left; None where no light is spherical
+    waiting: (
+        Any  #: area density of the light point until the end of the first edge says another; 0 from there on, or None
+    )
     travelled: Any  #: length of the edge before the surfaces that it has crossed
     rays: Any
     nonfinite: Any
@@ -79,8 +81,8 @@ class LightWalk:
             # A beam is out of reach for next event, so what it shines on counts as a caustic.
             kind=dr.select(emitted.area_density > 0.0, mi.UInt32(Kind.DIRECT), mi.UInt32(Kind.CAUSTIC)),
             from_infinity=emitted.is_infinite,
-            light=mi.UInt32(emitted.light if waits else 0),
-            waiting=mi.Float(emitted.area_density if waits else 0.0),
+            light=mi.UInt32(emitted.light) if waits else None,
+            waiting=mi.Float(emitted.area_density) if waits else None,
             travelled=mi.Float(0.0),
             rays=dr.zeros(mi.UInt32, paths),
             nonfinite=dr.zeros(mi.UInt32, paths),
@@ -142,12 +144,14 @@ class LightWalk:
             s.d_vcm, s.d_vc = dr.select(crossed, on_edge[0], s.d_vcm), dr.select(crossed, on_edge[1], s.d_vc)
             s.travelled = dr.select(crossed, distance, 0.0)
             s.from_infinity &= crossed
-            s.waiting = dr.select(crossed, s.waiting, 0.0)
+            if waits:
+                s.waiting = dr.select(crossed, s.waiting, 0.0)
             if self.pyramid is not None:
                 s.vertex += dr.select(crossed, mi.UInt32(0), mi.UInt32(1))
         else:
             s.from_infinity = mi.Bool(False)
-            s.waiting = mi.Float(0.0)
+            if waits:
+                s.waiting = mi.Float(0.0)
         s.throughput *= scattered.weight
         s.ray = si.spawn_ray(scattered.direction)
         alive, factor = roulette(
