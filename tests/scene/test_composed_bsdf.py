@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 import pytest
+from support import scenes
+from support.running import run
 from support.statistics import assert_agree
 
 import etendue
@@ -66,6 +69,22 @@ def test_a_constant_is_a_diffuse_material(method):
     mine = pictures({"type": "twosided", "bsdf": composed_bsdf(WHITE)})
     theirs = pictures({"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.6, 0.6]}})
     assert_agree(mine, theirs, method)
+
+
+def test_a_function_that_turns_with_the_surface():
+    """A brushed plate, turned about its normal, throws light on a wall: the connections from the wall to the plate must
+    see the direction of the brush."""
+    brushed = Integrand(lambda x: 0.01 / (0.01 + (x[2] + x[5]) * (x[2] + x[5])), BOX, on="device")
+    scene: dict[str, Any] = {"type": "scene", "sensor": scenes.camera((0.0, 0.7, 1.5), (0.0, 0.7, -0.8), 40.0)}
+    scene["light"] = scenes.lamp([0.4, 0.15, 0.2], 0.1, 100.0)  # too low to reach what the camera sees
+    place = scenes.transform().rotate([1, 0, 0], -90).rotate([0, 0, 1], 60)
+    scene["plate"] = {"type": "rectangle", "to_world": place, "bsdf": composed_bsdf(brushed)}
+    wall = scenes.transform().translate([0.0, 1.0, -0.8])
+    scene["wall"] = {"type": "rectangle", "to_world": wall, "bsdf": scenes.diffuse(0.7, 0.7, 0.7)}
+    problem = scenes.load(scene)
+    mine = run(problem, "bpt", passes=8, samples=128, next_events=0).images
+    # Light tracing stores no vertex.
+    assert_agree(mine, run(problem, "light", passes=8, samples=256).images)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,8 @@ from support.statistics import assert_mean
 
 import etendue
 from etendue.core import SceneError
-from etendue.scene import load
+from etendue.integration import Box, Integrand, constant
+from etendue.scene import composed_bsdf, load
 
 N = 100_000
 BSDFS: dict[str, dict[str, Any]] = {
@@ -29,6 +30,16 @@ INCIDENT = {
     "slant": (0.5, 0.3, 0.9),
     "flat": (-0.6, 0.8, 0.25),
     "grazing": (0.2, 1.0, 0.02),
+}
+
+
+#: Materials made of functions of (u, v, light, eye): one that turns with the surface, and one that does not.
+_DIRECTIONS = Box.of([(0, 1)] * 2 + [(-1, 1)] * 6)
+COMPOSED = {
+    "composed": lambda: constant(0.3, _DIRECTIONS),
+    "composed brushed": lambda: Integrand(
+        lambda x: 0.3 / (0.2 + (x[2] + x[5]) * (x[2] + x[5])), _DIRECTIONS, on="device"
+    ),
 }
 
 
@@ -192,6 +203,28 @@ def test_components(name):
         bs, _ = bsdf.sample(by_index, interaction(wi, 500), *random_numbers(500))
         assert (np.array(bs.sampled_component) == index).all()
     np.testing.assert_allclose(sum(parts), evaluate(bsdf, wi, wo)[0], rtol=1e-4, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", [*BSDFS, *COMPOSED])
+def test_a_material_that_turns_with_its_frame_says_so(name):
+    """Connections keep no tangent of a material without the flag, so they see it turned by any angle."""
+    bsdf = composed_bsdf(COMPOSED[name]()) if name in COMPOSED else mi.load_dict(BSDFS[name])
+    wi, wo = hemisphere(2000, 10), hemisphere(2000, 11)
+    value, pdf = evaluate(bsdf, wi, wo)
+    turns = 0.0
+    for angle in (0.3, 1.2, 2.9):
+        sin, cos = np.sin(angle), np.cos(angle)
+        turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+        turned, turned_pdf = evaluate(bsdf, turn @ wi, turn @ wo)
+        turns = max(turns, np.abs(turned - value).max(), np.abs(turned_pdf - pdf).max())
+    changes = turns > 1e-3 * value.max()
+    assert changes == ("anisotropic" in name or "streak" in name or "brushed" in name)
+    flags = [bsdf.flags(), *(bsdf.flags(i) for i in range(bsdf.component_count()))]
+    said = any(mi.has_flag(f, mi.BSDFFlags.Anisotropic) for f in flags)
+    assert mi.has_flag(bsdf.flags(), mi.BSDFFlags.Anisotropic) == said
+    assert said >= changes
+    if name in BSDFS:  # a function may be flagged for nothing
+        assert said == changes
 
 
 @pytest.mark.parametrize("name", BSDFS)

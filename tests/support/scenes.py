@@ -36,10 +36,13 @@ def mesh(
     bsdf: Dict,
     normals: np.ndarray | None = None,
     colours: np.ndarray | None = None,
+    emitter: Dict | None = None,
 ) -> Any:
-    """A mesh from arrays, with vertex normals and the attribute ``vertex_color`` where given."""
+    """A mesh from arrays, with vertex normals, the attribute ``vertex_color`` and an emitter where given."""
     properties = mi.Properties()
     properties["mesh_bsdf"] = mi.load_dict(bsdf)
+    if emitter is not None:
+        properties["mesh_emitter"] = mi.load_dict(emitter)
     result = mi.Mesh("mesh", len(points), len(faces), has_vertex_normals=normals is not None, props=properties)
     parameters = mi.traverse(result)
     parameters["vertex_positions"] = np.ascontiguousarray(points, np.float32).ravel()

@@ -24,7 +24,7 @@ from etendue.transport import GRAZING, Mis, Techniques
 
 #: Random paths for each pattern of specular vertices.
 COPIES = 8
-LIGHTS = ("area", "delta", "infinite")
+LIGHTS = ("area", "delta", "infinite", "sphere")
 Key = tuple[str, int]
 
 
@@ -55,6 +55,9 @@ class Paths:
             case "area":
                 self.p_direct = pick * draw(0.1, 10.0)  # per area
                 self.p_emit = self.p_direct * self.cos_light / np.pi  # per area and solid angle
+            case "sphere":  # next event draws its points by the point that is lit
+                self.p_direct = pick * draw(0.1, 10.0)
+                self.p_emit = pick * draw(0.1, 10.0) * self.cos_light / np.pi
             case "delta":
                 self.p_direct = np.full(self.lanes, pick)
                 self.p_emit = pick * draw(0.05, 1.0)  # per solid angle
@@ -139,8 +142,11 @@ class Paths:
         direct, emit, cos_light, pixel = _floats([self.p_direct, self.p_emit, self.cos_light, self.pixel])
 
         light: dict[int, Any] = {}
-        state = mis.start_light(direct, emit, cos_light, delta)
+        waiting = mi.Float(0.7) if self.light == "sphere" else direct  # the density is known at the first hit
+        state = mis.start_light(waiting, emit, cos_light, delta)
         for j in range(1, k):
+            if j == 1 and self.light == "sphere":
+                state = mis.lit(state[0], direct / waiting), state[1]
             distance = mi.Float(1.0) if j == 1 and self.light == "infinite" else d2[j - 1]
             state = light[j] = mis.hit(*state, distance, cos_in[j])
             state = mis.scatter_light(
@@ -277,7 +283,7 @@ def test_vcm_has_every_technique():
     assert set(Paths(4, "area").products(VCM, 0.3, 12.0)) == {("emission", 0), ("next_event", 1), ("splat", 3)} | inner
 
 
-@pytest.mark.parametrize("light", ["area", "infinite"])
+@pytest.mark.parametrize("light", ["area", "infinite", "sphere"])
 @pytest.mark.parametrize("name", ["vcm", "bpt", "path", "bpm"])
 def test_a_light_seen_directly_has_weight_one(name, light):
     """Hits at the first vertex compete with nothing: no technique joins a light point to the camera."""

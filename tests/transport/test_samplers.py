@@ -37,6 +37,38 @@ SMOOTH = [
 ]
 
 
+def speckled(shape: str) -> Any:
+    """A turned lamp that is dark but for a few texels, or triangles that are lit at one corner."""
+    place = scenes.transform().translate([0.3, 1.6, -0.2]).rotate([1, 0, 0], 150).rotate([0, 1, 0], 35)
+    if shape == "attribute":
+        corners = np.array([[-0.2, 1.6, -0.7], [0.8, 1.6, -0.7], [0.8, 1.7, 0.3], [-0.2, 1.9, 0.3]])
+        colours = np.array([[0.1, 0.1, 0.1], [9.0, 6.0, 3.0], [0.1, 0.1, 0.1], [0.1, 0.1, 0.1]])
+        radiance = {"type": "mesh_attribute", "name": "vertex_color"}
+        return scenes.mesh(
+            corners,
+            np.array([[0, 1, 2], [0, 2, 3]]),
+            scenes.diffuse(0, 0, 0),
+            colours=colours,
+            emitter={"type": "area", "radiance": radiance},
+        )
+    pixels = np.full((16, 24, 3), 0.02)
+    pixels[11, 5] = [60.0, 40.0, 20.0]
+    pixels[2:4, 14:20] = [3.0, 9.0, 6.0]
+    light = {"type": "area", "radiance": scenes.bitmap(pixels)}
+    if shape == "focused":
+        return {"type": "rectangle", "to_world": place.scale([0.5, 0.3, 1.0])} | {
+            "emitter": light | {"type": "focusarea", "exponent": 3.0}
+        }
+    if shape == "cylinder":
+        return {"type": shape, "to_world": place, "p0": [0, 0, 0], "p1": [0, 0.5, 0], "radius": 0.2, "emitter": light}
+    size = [0.4, 0.4, 0.4] if shape == "sphere" else [0.5, 0.3, 0.2]
+    return {"type": shape, "to_world": place.scale(size), "emitter": light}
+
+
+#: Area lights whose radiance varies.
+SPECKLED = ("rectangle", "disk", "cylinder", "sphere", "cube", "focused", "attribute")
+
+
 def source(role: str, n: int = N) -> IndependentSource:
     return IndependentSource(dr.arange(mi.UInt32, n), 5, role, 0)
 
@@ -45,7 +77,8 @@ def stage(*emitters: str) -> tuple[Any, LightTable]:
     """A floor under the named emitters."""
     scene: dict[str, Any] = {"type": "scene", "sensor": scenes.camera()}
     for name in emitters:
-        scene[name] = scenes.EMITTERS[name]()["light"]
+        shape = name.removeprefix("speckled ")
+        scene[name.replace(" ", "-")] = speckled(shape) if shape != name else scenes.EMITTERS[name]()["light"]
     floor = {"type": "rectangle", "to_world": scenes.transform().rotate([1, 0, 0], -90).scale(2.0)}
     scene["floor"] = floor | {"bsdf": scenes.diffuse(0.5, 0.5, 0.5)}
     problem = scenes.load(scene)
@@ -72,7 +105,9 @@ def polygon_area(name: str) -> float:
     return float(np.asarray(scene.emitters()[0].get_shape().surface_area()).ravel()[0])
 
 
-@pytest.mark.parametrize("name", ["rectangle", "disk", "sphere", "mesh", "textured"])
+@pytest.mark.parametrize(
+    "name", ["rectangle", "disk", "sphere", "mesh", "textured", *(f"speckled {shape}" for shape in SPECKLED)]
+)
 def test_emission_of_area_lights(name):
     """E[cos / p] over rays is area times pi, in total and in every part of the shape and the hemisphere."""
     scene, lights = stage(name)
@@ -84,17 +119,39 @@ def test_emission_of_area_lights(name):
         inside = (cos >= low) & (cos < high)
         assert_mean(inside * cos * inverse, area * np.pi * (high**2 - low**2), (name, low))
     centre = np.asarray(scene.emitters()[0].get_shape().bbox().center(), np.float64).ravel()
-    if name != "mesh":
+    if name not in ("mesh", "speckled attribute"):
         assert_mean((origin[0] > centre[0]) * cos * inverse, area * np.pi / 2, (name, "half"))
     # What a path carries is radiance cos / p.
     live = inverse > 0.0
     le = np.array(emitted.throughput, np.float64)[:, live] / (cos * inverse)[live]
-    if name != "textured":
+    if name.startswith("speckled"):
+        assert le.max() > 2.0
+    elif name != "textured":
         expected = np.array(scenes.EMITTERS[name]()["light"]["emitter"]["radiance"]["value"], np.float64)
         np.testing.assert_allclose(le, np.broadcast_to(expected[:, None], le.shape), rtol=1e-3)
     else:
         assert le.min() > 2.9
         assert le.max() < 10.1
+
+
+@pytest.mark.parametrize("shape", SPECKLED)
+def test_points_are_drawn_where_the_light_is_bright(shape):
+    """In proportion to the radiance of a cell, but for one in twenty: what rays carry hardly varies. A cell of a mesh
+    is a triangle."""
+    scene, lights = stage(f"speckled {shape}")
+    emitted, _, _, _ = rays(lights)
+    carried = np.array(dr.select(emitted.active, emitted.throughput, 0.0), np.float64).mean(0)
+    emitter = scene.emitters()[0]
+    if shape == "attribute":  # which a point drawn by Mitsuba has not
+        assert carried.mean() == pytest.approx(lights.total_power, rel=0.05)
+        return
+    assert_mean(carried, lights.total_power, shape, sigmas=5.0)
+    u = mi.Point2f(*source("light").next_2d(0, 1))
+    si = mi.SurfaceInteraction3f(emitter.get_shape().sample_position(0.0, u), mi.Color0f())
+    si.wi = mi.Vector3f(0.0, 0.0, 1.0)
+    uniform = np.array(emitter.eval(si), np.float64).mean(0)
+    gain = (uniform.std() / uniform.mean()) / (carried.std() / carried.mean())
+    assert gain > (1.05 if shape == "cube" else 3.0), gain
 
 
 def test_emission_of_a_point_light():
@@ -168,14 +225,22 @@ def floor_points(n: int = N) -> Any:
 
 
 @pytest.mark.parametrize(
-    "names", [("rectangle",), ("sphere",), ("mesh",), ("textured",), ("constant",), ("envmap",), ("disk", "constant")]
+    "names",
+    [
+        *(("rectangle",), ("sphere",), ("mesh",), ("textured",), ("constant",), ("envmap",), ("disk", "constant")),
+        *((f"speckled {shape}",) for shape in ("cylinder", "sphere", "focused", "attribute")),
+        ("speckled cube", "speckled disk", "rectangle"),
+    ],
 )
 def test_next_event_and_hits_agree_about_densities(names):
     """A ray sent to where next event points meets the light; both give it the same densities and radiance."""
     scene, lights = stage(*names)
     si = scene.ray_intersect(floor_points())
     direct = sample_direct(lights, si, source("camera"), mi.UInt32(1), 0, si.is_valid())
-    hit = scene.ray_intersect(si.spawn_ray(direct.direction), direct.active)
+    ray = si.spawn_ray(direct.direction)
+    if not lights.has_infinite:  # from where it starts, a little beside the point
+        ray.d = dr.normalize(direct.target - ray.o)
+    hit = scene.ray_intersect(ray, direct.active)
     seen = direct.active & is_emissive(scene, hit)
     # The nearest light on the way is the one that was drawn: its distance says so.
     infinite = ~hit.is_valid()
@@ -192,6 +257,35 @@ def test_next_event_and_hits_agree_about_densities(names):
     pairs = ((pdf, direct.pdf), (emission_density, ratio), (radiance, direct.radiance * direct.pdf))
     for computed, expected in pairs:
         assert_close(np.array(computed)[..., mask], np.array(expected)[..., mask])
+
+
+@pytest.mark.parametrize("name", ["sphere", "speckled sphere"])
+def test_next_event_covers_the_cone_of_a_sphere(name):
+    """Uniformly, from near and far: inside a circle around its middle the share is that of the solid angles, and no
+    sample is lost."""
+    _scene, lights = stage(name)
+    x, y, z, radius = np.array(lights.row(mi.UInt32(0)).sphere, np.float64).ravel()
+    random = np.random.default_rng(6)
+    towards = random.normal(size=(3, N))
+    towards /= np.linalg.norm(towards, axis=0)
+    for factor in (1.01, 1.5, 4.0, 300.0):
+        si = dr.zeros(mi.SurfaceInteraction3f, N)
+        si.p = mi.Point3f((np.array([[x], [y], [z]]) + factor * radius * towards).astype(np.float32))
+        direct = sample_direct(lights, si, source("camera"), mi.UInt32(1), 0, dr.full(mi.Bool, True, N))
+        active = np.array(direct.active)
+        assert active.mean() > 0.999
+        cosine = -(np.array(direct.direction, np.float64) * towards).sum(0)
+        limit = np.sqrt(1.0 - 1.0 / factor**2)
+        extent = 1.0 / factor**2 / (1.0 + limit)
+        pdf = np.array(direct.pdf, np.float64)
+        np.testing.assert_allclose(pdf[active], 1.0 / (2.0 * np.pi * extent), rtol=2e-3)
+        if factor < 100.0:  # where a cosine says something
+            for share in (0.1, 0.5, 0.9):
+                assert_mean(active & (1.0 - cosine < share * extent), share, (name, factor, share))
+        across = np.array(direct.direction, np.float64)[0] + towards[0] * cosine
+        assert_mean(active & (across > 0.0), 0.5, (name, factor, "half"))
+        away = np.linalg.norm(np.array(direct.target, np.float64) - [[x], [y], [z]], axis=0)
+        np.testing.assert_allclose(away[active], radius, rtol=1e-3)
 
 
 @pytest.mark.parametrize("name", ["constant", "envmap"])

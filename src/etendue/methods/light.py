@@ -87,9 +87,9 @@ class Light(ImageMethod):
         active &= ~light.is_delta & (self.max_edges() > 0)
 
         si = dr.zeros(mi.SurfaceInteraction3f, paths)
-        density = light.pick * light.area_density  # per area; per solid angle from the camera for the environment
+        density = mi.Float(light.pick)  # per area; per solid angle from the camera for the environment
         if self.lights.has_area:
-            si.p, si.n, si.uv = point_on(light, u, active & light.is_area)
+            si, density = point_on(self.lights, light, u, active & light.is_area)
         if self.lights.has_infinite:
             eye = dr.zeros(mi.Interaction3f)
             eye.p = self.camera.origin

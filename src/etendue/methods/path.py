@@ -113,8 +113,8 @@ class Path(ImageMethod):
 
         # ---- The edge ends on a light
         on_light = s.active & is_emissive(self.scene, si)
-        radiance, area_density, _ = emission_of_hit(self.lights_of_edge(s), self.scene, si, on_light)
         distance = s.travelled + si.t
+        radiance, area_density, _ = emission_of_hit(self.lights_of_edge(s), self.scene, si, on_light, distance)
         solid_angle = dr.select(si.is_valid(), dr.square(distance) / dr.abs(dr.dot(si.n, s.ray.d)), 1.0)
         weight = self._hit_weight(s.pdf, area_density * solid_angle)
         self.add(s, source, s.throughput * radiance * weight, on_light, False)

@@ -227,7 +227,7 @@ class PhotonMapping(ImageMethod):
         """Light that the edge ends on: all of it from the camera through specular surfaces, its share against next
         event after a smooth one; what comes through more surfaces after that is in the photons."""
         on_light = s.active & is_emissive(self.scene, si)
-        radiance, area_density, _ = emission_of_hit(self.lights, self.scene, si, on_light)
+        radiance, area_density, _ = emission_of_hit(self.lights, self.scene, si, on_light, distance)
         cos = geometric_cos(si, s.ray.d)
         direct_pdf = dr.select(si.is_valid(), area_density * dr.square(distance) / cos, area_density)
         shared = dr.rcp(1.0 + direct_pdf / s.pdf) if self.settings.direct == "next_event" else mi.Float(0.0)

@@ -10,6 +10,7 @@ from .lights import Light, LightTable
 from .loading import integrator_of, load, locate, resized
 from .plugins import composed_bsdf, register
 from .problem import Problem
+from .radiance import sphere_point, surface_point, uniform_point, varies
 
 __all__ = [
     "BundledScene",
@@ -30,4 +31,8 @@ __all__ = [
     "meshes",
     "register",
     "resized",
+    "sphere_point",
+    "surface_point",
+    "uniform_point",
+    "varies",
 ]

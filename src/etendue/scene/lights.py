@@ -6,7 +6,8 @@ four kinds of emitter:
 =========  ==================================  ====================================================================
 kind       point density p_A (per area)        direction density p_w of an emitted ray (per solid angle)
 =========  ==================================  ====================================================================
-area       1 / A, uniform over the shape       cos(theta) / pi; focusarea: (n+2) / (2 pi) cos(theta)^(n+1)
+area       1 / A, uniform over the shape; by   cos(theta) / pi; focusarea: (n+2) / (2 pi) cos(theta)^(n+1)
+           the radiance where that varies
 point      1, one point (point, spot,          uniform over the sphere, or over the cone that holds
            projector)                          every ray
 infinite   1 / (pi R^2), disc of the scene     the emitter's own (constant, envmap, sunsky), or 1 for its
@@ -14,7 +15,9 @@ infinite   1 / (pi R^2), disc of the scene     the emitter's own (constant, envm
 beam       1 / A, uniform over the shape       1, along the normal (directionalarea)
 =========  ==================================  ====================================================================
 
-Each density is multiplied by the probability of picking the emitter, which is proportional to its emitted power.
+Next event draws a point of a spherical light by its direction, as the lit point sees it; emission as in the table.
+Each density is multiplied by the probability of picking the emitter, which is proportional to its emitted power; that
+of a texture is measured texel by texel. An emitter that is not known to be black is picked now and then in any case.
 A projector draws its rays by its texture and not uniformly; weights only need a density that all techniques share.
 """
 
@@ -29,11 +32,15 @@ import numpy as np
 
 from etendue.core import SceneError, on_device
 
-from .graph import plugin_name
+from .graph import as_array, contents, plugin_name
+from .light_points import LightPoints
 from .plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
+from .radiance import Cells, is_black, measure, varies
 
-#: Rays drawn from each emitter to estimate its power.
-_POWER_SAMPLES = 256
+#: Rays drawn from an emitter, and points of a shape, to estimate its power.
+_POWER_SAMPLES = 1 << 12
+#: Of an equal share of the picks, what every emitter gets that is not known to be black.
+_LEAST_PICK = 0.01
 
 
 @dataclass
@@ -51,6 +58,7 @@ class Light:
     is_infinite: Any
     is_beam: Any
     exponent: Any  #: focus of an area emitter around its normal; None where no light of the scene has one
+    sphere: Any  #: centre and radius of a spherical area emitter, radius 0 for others; None where there is none
 
     def direction_pdf(self, cos: Any) -> Any:
         """Solid-angle density with which an area emitter's ray leaves at ``cos`` to the normal."""
@@ -86,11 +94,13 @@ class LightTable:
         if not np.isfinite(power).all() or (power < 0).any():
             bad = rows[int(np.argmin(np.isfinite(power) & (power >= 0)))]
             raise SceneError(f"emitter '{bad.name}' has a negative or non-finite power; correct its radiance")
-        if power.sum() <= 0:
+        lit = np.array([r.power > 0 or not is_black(e) for r, e in zip(rows, emitters, strict=True)])
+        if not lit.any():
             raise SceneError("every emitter of the scene emits nothing; give one a radiance above zero")
-        self.total_power = float(power.sum())
+        self.total_power = float(power.sum()) or 1.0
+        weight = np.where(lit, np.maximum(power, _LEAST_PICK * self.total_power / len(rows)), 0.0)
         #: (count,) probability of picking each emitter, on the host.
-        self.probabilities = pick = power / power.sum()
+        self.probabilities = pick = weight / weight.sum()
 
         self._emitters = scene.emitters_dr()
         self._pick = on_device(mi.Float, pick)
@@ -100,6 +110,10 @@ class LightTable:
         focused = any(r.exponent for r in rows)
         self._exponent = on_device(mi.Float, [r.exponent for r in rows]) if focused else None
         self._is_delta = on_device(mi.Bool, [r.is_delta for r in rows])
+        self.has_sphere = any(r.sphere[3] for r in rows)
+        self._sphere = on_device(mi.Float, np.ravel([r.sphere for r in rows])) if self.has_sphere else None
+        #: How points are drawn on area lights whose radiance varies; None where no light of the scene is one.
+        self.points = LightPoints([r.cells for r in rows]) if any(r.cells for r in rows) else None
         self._cdf = mi.DiscreteDistribution(on_device(mi.Float, pick))
         # A hit knows its emitter only as a pointer: registry numbers lead back to rows.
         ids = np.asarray(dr.reinterpret_array(mi.UInt32, self._emitters))
@@ -141,6 +155,7 @@ class LightTable:
             is_infinite=kind == _KINDS.index("infinite"),
             is_beam=kind == _KINDS.index("beam"),
             exponent=None if self._exponent is None else dr.gather(mi.Float, self._exponent, row, active),
+            sphere=None if self._sphere is None else dr.gather(mi.Vector4f, self._sphere, row, active),
         )
 
 
@@ -156,6 +171,8 @@ class _Row:
     direction_density: float = 0.0
     is_delta: bool = False
     exponent: float = 0.0
+    cells: Cells | None = None  #: of an area light whose radiance varies
+    sphere: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  #: centre and radius of a spherical one
 
 
 def _describe(emitter: Any, scene_radius: float) -> _Row:
@@ -172,8 +189,19 @@ def _describe(emitter: Any, scene_radius: float) -> _Row:
     if one_direction:
         return _Row(name, "beam", _power(emitter), 1.0 / area, is_delta=True)
     exponent = float(np.asarray(emitter.exponent).ravel()[0]) if plugin_name(emitter) == "focusarea" else 0.0
-    power = _power(emitter) if exponent else _diffuse_power(emitter, area)
-    return _Row(name, "area", power, 1.0 / area, exponent=exponent)
+    cells = measure(emitter) if varies(emitter) else None
+    radiance = cells.mean if cells else _radiance(emitter)
+    # Focus keeps the power, and makes the radiance along the normal larger.
+    power = np.pi * area * radiance / (0.5 * exponent + 1.0)
+    return _Row(name, "area", power, 1.0 / area, exponent=exponent, cells=cells, sphere=_sphere(emitter.get_shape()))
+
+
+def _sphere(shape: Any) -> tuple[float, float, float, float]:
+    if plugin_name(shape) != "sphere":
+        return 0.0, 0.0, 0.0, 0.0
+    place = as_array(dict(contents(shape).values)["to_world"]).astype(np.float64).reshape(4, 4)
+    x, y, z = place[:3, 3]
+    return float(x), float(y), float(z), float(np.linalg.norm(place[:3, 0]))
 
 
 def _power(emitter: Any) -> float:
@@ -183,13 +211,11 @@ def _power(emitter: Any) -> float:
     return float(np.asarray(weight, dtype=np.float64).mean())
 
 
-def _diffuse_power(emitter: Any, area: float) -> float:
-    """The same from the radiance, as textures other than bitmaps cannot emit rays themselves."""
-    u = _weyl(_POWER_SAMPLES)
-    point = emitter.get_shape().sample_position(0.0, mi.Point2f(u[0], u[1]))
-    si = mi.SurfaceInteraction3f(point, dr.zeros(mi.Color0f))
+def _radiance(emitter: Any) -> float:
+    """Radiance of a uniform area light along its normal, mean over the colour channels."""
+    si = dr.zeros(mi.SurfaceInteraction3f)
     si.wi = mi.Vector3f(0.0, 0.0, 1.0)
-    return float(np.pi * area * np.asarray(emitter.eval(si), dtype=np.float64).mean())
+    return float(np.asarray(emitter.eval(si), dtype=np.float64).mean())
 
 
 def _weyl(n: int) -> list[Any]:

@@ -192,7 +192,7 @@ class CameraWalk:
         on_edge = s.d_vcm, s.d_vc
         d_vcm, d_vc = self.mis.hit(*on_edge, dr.square(distance), cos)
         s.d_vcm, s.d_vc = dr.select(valid, d_vcm, s.d_vcm), dr.select(valid, d_vc, s.d_vc)
-        self._emission(s, si)
+        self._emission(s, si, distance)
         s.active &= valid
 
         bsdf = si.bsdf(s.ray)
@@ -249,11 +249,11 @@ class CameraWalk:
         """Number of the vertex at the end of the edge, the sensor being 0."""
         return s.vertex if self.visibility.transparent else s.depth
 
-    def _emission(self, s: _State, si: Any) -> None:
+    def _emission(self, s: _State, si: Any, distance: Any) -> None:
         """s = 0 [Georgiev 2012b, eq. 43]."""
         scene = self.visibility.scene
         on_light = s.active & is_emissive(scene, si)
-        radiance, area_density, emission_density = emission_of_hit(self.lights, scene, si, on_light)
+        radiance, area_density, emission_density = emission_of_hit(self.lights, scene, si, on_light, distance)
         weights = self.mis.emission_weight(self._vertex(s), s.d_vcm, s.d_vc, area_density, emission_density)
         alone = s.throughput * radiance
         values = [alone * weight for weight in weights]

@@ -17,6 +17,7 @@ from .emission import emit
 from .mis import Mis
 from .pyramid import Pyramid
 from .scattering import Evaluated, cosine_ratio, geometric_cos, is_smooth, roulette, scatter_light, shadow_roulette
+from .spheres import seen_density
 from .vertices import Kind, LightVertices
 from .visibility import Visibility
 
@@ -35,6 +36,10 @@ class _State:
     stored: Any  #: vertices stored so far
     kind: Any  #: the :class:`Kind` of the vertex that the edge leads to
     from_infinity: Any  #: the edge being traced leaves an infinite light
+    light: Any  #: number of the light that the path left; None where no light is spherical
+    waiting: (
+        Any  #: area density of the light point until the end of the first edge says another; 0 from there on, or None
+    )
     travelled: Any  #: length of the edge before the surfaces that it has crossed
     rays: Any
     nonfinite: Any
@@ -63,6 +68,7 @@ class LightWalk:
             emitted.area_density, emitted.emission_density, emitted.cos_light, emitted.is_delta
         )
         path = dr.arange(mi.UInt32, paths)
+        waits = self._waits
         state = _State(
             active=emitted.active & (self.max_edges > 1),
             ray=emitted.ray,
@@ -75,6 +81,8 @@ class LightWalk:
             # A beam is out of reach for next event, so what it shines on counts as a caustic.
             kind=dr.select(emitted.area_density > 0.0, mi.UInt32(Kind.DIRECT), mi.UInt32(Kind.CAUSTIC)),
             from_infinity=emitted.is_infinite,
+            light=mi.UInt32(emitted.light) if waits else None,
+            waiting=mi.Float(emitted.area_density) if waits else None,
             travelled=mi.Float(0.0),
             rays=dr.zeros(mi.UInt32, paths),
             nonfinite=dr.zeros(mi.UInt32, paths),
@@ -91,6 +99,7 @@ class LightWalk:
 
     def _edge(self, s: _State, path: Any, source: Any, vertices: LightVertices | None, splats: Splats | None) -> _State:
         """Trace one edge; splat, store and scatter at its end."""
+        waits = self._waits
         hit = self.visibility.scene.ray_intersect_preliminary(s.ray, active=s.active)
         si = hit.compute_surface_interaction(s.ray, active=s.active)
         s.rays += 1
@@ -102,7 +111,13 @@ class LightWalk:
             distance_squared = dr.select(s.from_infinity, 1.0, distance_squared)
         on_edge = s.d_vcm, s.d_vc
         light_cos = geometric_cos(si, s.ray.d)
-        s.d_vcm, s.d_vc = self.mis.hit(*on_edge, distance_squared, light_cos)
+        d_vcm = s.d_vcm
+        if waits:
+            light = self.lights.row(s.light, s.active & (s.waiting > 0.0))
+            waiting = dr.select(s.waiting > 0.0, s.waiting, 1.0)
+            density = seen_density(light, si.p, -s.ray.d, distance, waiting)
+            d_vcm = self.mis.lit(d_vcm, dr.select(s.waiting > 0.0, density / waiting, 1.0))
+        s.d_vcm, s.d_vc = self.mis.hit(d_vcm, s.d_vc, distance_squared, light_cos)
 
         bsdf = si.bsdf(s.ray)
         smooth = s.active & is_smooth(bsdf)
@@ -130,10 +145,14 @@ class LightWalk:
             s.d_vcm, s.d_vc = dr.select(crossed, on_edge[0], s.d_vcm), dr.select(crossed, on_edge[1], s.d_vc)
             s.travelled = dr.select(crossed, distance, 0.0)
             s.from_infinity &= crossed
+            if waits:
+                s.waiting = dr.select(crossed, s.waiting, 0.0)
             if self.pyramid is not None:
                 s.vertex += dr.select(crossed, mi.UInt32(0), mi.UInt32(1))
         else:
             s.from_infinity = mi.Bool(False)
+            if waits:
+                s.waiting = mi.Float(0.0)
         s.throughput *= scattered.weight
         s.ray = si.spawn_ray(scattered.direction)
         alive, factor = roulette(
@@ -143,6 +162,11 @@ class LightWalk:
         s.depth += 1
         s.active &= scattered.active & alive
         return s
+
+    @property
+    def _waits(self) -> bool:
+        """Whether next event draws the points of some light by the point that is lit: the end of the first edge."""
+        return self.lights.has_sphere and self.mis.techniques.next_event > 0
 
     def _vertex(self, s: _State) -> Any:
         """Number of the vertex at the end of the edge, the light point being 0; asked for by a pyramid alone."""

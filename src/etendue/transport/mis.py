@@ -117,13 +117,22 @@ class Mis:
         """(d_vcm, d_vc) of an emitted ray [Georgiev 2012b, eq. 31, 32].
 
         ``area_density``: density of the light point under next event (of the direction, for an infinite light), and
-        ``emission_density``: of point and direction together; both include the picking probability.
+        ``emission_density``: of point and direction together; both include the picking probability. Where the first
+        depends on the point that is lit, any number stands for it until :meth:`lit` knows that point.
         """
         t = self.techniques
         d_vcm = self.power(area_density / emission_density) * self._count(t.next_event)
         emission = self._count(t.emission) if t.connects else 0.0
         d_vc = dr.select(is_delta, 0.0, self.power(cos_light / emission_density) * emission)
         return d_vcm, self._start(d_vc)
+
+    def lit(self, d_vcm: Any, ratio: Any) -> Any:
+        """``d_vcm`` of an emitted ray that has met x_1; ``ratio``: density p(x_0 | x_1) of the light point under next
+        event, over the ``area_density`` that the sub-path was started with. Before :meth:`hit`.
+
+        Only d_vcm holds that density [Georgiev 2012b, eq. 31]: the techniques that d_vc stands for begin by emission.
+        """
+        return d_vcm * self.power(ratio)
 
     # ------------------------------------------------------------------ camera sub-path
 

@@ -41,8 +41,9 @@ def composed_bsdf(f: Integrand) -> Any:
             super().__init__(props)
             self.plugin_name = "composed"
             flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.SpatiallyVarying
-            self.m_components = [flags]
-            self.m_flags = flags
+            # A function does not say whether it turns with the surface: taken to, a path keeps the whole frame.
+            self.m_components = [flags | mi.BSDFFlags.Anisotropic]
+            self.m_flags = self.m_components[0]
 
         def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> tuple[Any, Any]:
             bs = mi.BSDFSample3f()

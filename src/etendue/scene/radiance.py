@@ -1,0 +1,202 @@
+"""The radiance of area lights over their surface, cell by cell: what a light with a texture emits, and where.
+
+A cell is a triangle of a mesh, or a piece of the unit square that a rectangle, disc, sphere or cylinder draws its
+points by. Its mean radiance is that of an even set of points, as close as the texels of the texture or closer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from .graph import as_array, contents, plugin_name
+
+#: Shapes that draw points uniformly by a map of the unit square that has an inverse. All other lights are meshes.
+SURFACES = ("rectangle", "disk", "sphere", "cylinder")
+#: Cells along an axis of that square, least and most; a cell holds several texels of a larger texture.
+_LEAST_CELLS, _MOST_CELLS = 32, 512
+#: Points along an axis of a cell, and in a triangle, where no texels say how many are needed.
+_POINTS, _TRIANGLE_POINTS = 4, 64
+#: Points to a texel in a triangle, where they are no grid.
+_TEXEL_POINTS = 4
+#: Points that are looked at together, and of all triangles of a mesh together.
+_CHUNK, _MOST_POINTS = 1 << 20, 1 << 24
+
+
+@dataclass
+class Cells:
+    """An area light's surface in cells, each an entry of (rows, columns) arrays. Triangles fill the rows in turn."""
+
+    surface: str  #: "mesh" or one of ``SURFACES``
+    share: NDArray[np.float64]  #: of the light's area
+    radiance: NDArray[np.float64]  #: mean over the cell and the colour channels, along the normal
+
+    @property
+    def mean(self) -> float:
+        """Mean radiance of the light."""
+        return float((self.share * self.radiance).sum())
+
+
+def varies(emitter: Any) -> bool:
+    """Whether an area light's radiance depends on the point."""
+    texture = _texture(emitter)
+    return texture is not None and (texture.is_spatially_varying() or plugin_name(texture) == "meshattribute")
+
+
+def measure(emitter: Any) -> Cells:
+    """The cells of an area light that :func:`varies`."""
+    shape, texture = emitter.get_shape(), _texture(emitter)
+    measured = _of_texture if plugin_name(shape) in SURFACES else _of_mesh
+    return measured(emitter, shape, texture)
+
+
+def is_black(emitter: Any) -> bool:
+    """Whether an emitter is known to emit nothing: a factor of its radiance is zero all over."""
+    found = contents(emitter)
+    numbers = [as_array(value) for name, value in found.values if name in ("data", "scale")]  # of an environment map
+    textures = [value for name, value in found.objects if name in ("radiance", "intensity", "irradiance", "texture")]
+    return any((array <= 0).all() for array in numbers) or any(_is_black_texture(texture) for texture in textures)
+
+
+def _is_black_texture(texture: Any) -> bool:
+    if plugin_name(texture) == "bitmap":
+        return bool((as_array(dict(contents(texture).values)["data"]) <= 0).all())
+    try:
+        return float(texture.max()) <= 0.0
+    except RuntimeError:  # a texture that does not know
+        return False
+
+
+def _texture(emitter: Any) -> Any:
+    return dict(contents(emitter).objects).get("radiance")
+
+
+# ---------------------------------------------------------------------------------------------------- points
+
+
+def surface_point(shape: Any, triangle: Any, place: Any, active: Any = True) -> Any:
+    """The point of an area light's shape that ``place`` in the unit square stands for; barycentric coordinates in
+    ``triangle`` of a mesh."""
+    kind = plugin_name(shape)
+    if kind not in SURFACES:
+        met = dr.zeros(mi.PreliminaryIntersection3f)
+        met.t = mi.Float(1.0)
+        met.prim_index, met.prim_uv, met.shape = triangle, place, mi.ShapePtr(shape)
+        ray = mi.Ray3f(mi.Point3f(0.0), mi.Vector3f(0.0, 0.0, 1.0))  # it says nothing: the triangle has its own corners
+        return shape.compute_surface_interaction(ray, met, mi.RayFlags.All, active)
+    return uniform_point(shape, place, active)
+
+
+def uniform_point(shape: Any, u: Any, active: Any = True) -> Any:
+    """The point that a shape draws by ``u``, uniform by area."""
+    si = mi.SurfaceInteraction3f(shape.sample_position(0.0, u, active), dr.zeros(mi.Color0f))
+    if plugin_name(shape) == "sphere":  # Mitsuba 3.9 forgets to turn the normal with the sphere
+        si.n = dr.normalize(dict(contents(shape).values)["to_world"] @ mi.Vector3f(si.n))
+    return si
+
+
+def sphere_point(shape: Any, p: Any, outward: Any, like: Any) -> Any:
+    """The point ``p`` of a spherical light; ``like``: another point of it."""
+    to_world = dict(contents(shape).values)["to_world"]
+    inwards = dr.dot(like.n, like.p - to_world @ mi.Point3f(0.0)) < 0.0
+    si = dr.zeros(mi.SurfaceInteraction3f)
+    si.p, si.n = mi.Point3f(p), mi.Normal3f(dr.select(inwards, -outward, outward))
+    local = to_world.inverse() @ mi.Point3f(p)
+    turn = dr.atan2(local.y, local.x) * dr.inv_two_pi
+    si.uv = mi.Point2f(turn - dr.floor(turn), dr.acos(dr.clip(local.z, -1.0, 1.0)) * dr.inv_pi)
+    return si
+
+
+def place_of(surface: str, uv: Any) -> Any:
+    """Where in the unit square a hit of texture coordinates ``uv`` on one of ``SURFACES`` lies."""
+    match surface:
+        case "rectangle":
+            return mi.Point2f(uv)
+        case "cylinder":
+            return mi.Point2f(uv.y, uv.x)
+        case "sphere":
+            return mi.Point2f(uv.x, 0.5 - 0.5 * dr.cos(dr.pi * uv.y))
+    sin, cos = dr.sincos(dr.two_pi * uv.y)
+    return mi.warp.uniform_disk_to_square_concentric(mi.Point2f(uv.x * cos, uv.x * sin))
+
+
+# ---------------------------------------------------------------------------------------------------- measuring
+
+
+def _of_texture(emitter: Any, shape: Any, texture: Any) -> Cells:
+    surface, texels = plugin_name(shape), _texels(texture)
+    if texels and surface == "cylinder":
+        texels = texels[1], texels[0]
+    columns, rows = (int(np.clip(np.ceil(n), _LEAST_CELLS, _MOST_CELLS)) for n in texels or (0, 0))
+    across, along = _POINTS, _POINTS
+    if texels and surface in ("rectangle", "cylinder"):  # else the texels lie askew
+        across, along = (max(2, int(np.ceil(n / cells))) for n, cells in zip(texels, (columns, rows), strict=True))
+    elif texels:
+        across = along = max(_POINTS, int(np.ceil(2.0 * max(texels) / min(columns, rows))))
+    radiance = np.zeros(rows * columns)
+    per_cell = across * along
+    step = max(1, _CHUNK // per_cell)
+    for first in range(0, rows * columns, step):
+        end = min(first + step, rows * columns)
+        index = dr.arange(mi.UInt32, (end - first) * per_cell)
+        cell, point = index // per_cell + first, index % per_cell
+        u = (mi.Float(cell % columns) + (mi.Float(point % across) + 0.5) / across) / columns
+        v = (mi.Float(cell // columns) + (mi.Float(point // across) + 0.5) / along) / rows
+        values = _along_normal(emitter, surface_point(shape, mi.UInt32(0), mi.Point2f(u, v)))
+        radiance[first:end] = np.array(dr.block_sum(values, per_cell), np.float64) / per_cell
+    share = np.full((rows, columns), 1.0 / (rows * columns))
+    return Cells(surface, share, radiance.reshape(rows, columns))
+
+
+def _of_mesh(emitter: Any, shape: Any, texture: Any) -> Cells:
+    values = dict(contents(shape).values)
+    faces = as_array(values["faces"]).reshape(-1, 3)
+    corners = as_array(values["vertex_positions"]).astype(np.float64).reshape(-1, 3)[faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    points = np.full(len(faces), _TRIANGLE_POINTS)
+    texels, coordinates = _texels(texture), as_array(values.get("vertex_texcoords", np.zeros(0)))
+    if texels:
+        covered = np.full(len(faces), 0.5)  # without coordinates of its own, each triangle shows half the texture
+        if coordinates.size:
+            uv = coordinates.astype(np.float64).reshape(-1, 2)[faces]
+            e, f = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]
+            covered = 0.5 * np.abs(e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0])
+        wanted = _TEXEL_POINTS * covered * texels[0] * texels[1]
+        wanted *= min(1.0, _MOST_POINTS / max(wanted.sum(), 1.0))
+        points = np.maximum(points, np.ceil(wanted).astype(np.int64))
+    triangle = np.repeat(np.arange(len(faces)), points)
+    number = np.arange(len(triangle)) - np.repeat(np.cumsum(points) - points, points)
+    radiance = np.zeros(len(faces))
+    for first in range(0, len(triangle), _CHUNK):
+        part = slice(first, first + _CHUNK)
+        # An even sequence of points in each triangle.
+        u = (np.mod((number[part] + 0.5) * step, 1.0).astype(np.float32) for step in (0.7548776662, 0.5698402910))
+        place = mi.warp.square_to_uniform_triangle(mi.Point2f(*(mi.Float(value) for value in u)))
+        at = surface_point(shape, mi.UInt32(triangle[part].astype(np.uint32)), place)
+        radiance += np.bincount(triangle[part], np.array(_along_normal(emitter, at), np.float64), len(faces))
+    columns = int(np.ceil(np.sqrt(len(faces))))
+    rows = -(-len(faces) // columns)
+    share, mean = np.zeros(rows * columns), np.zeros(rows * columns)
+    share[: len(faces)], mean[: len(faces)] = area / area.sum(), radiance / points
+    return Cells("mesh", share.reshape(rows, columns), mean.reshape(rows, columns))
+
+
+def _along_normal(emitter: Any, si: Any) -> Any:
+    """Radiance along the normals of points, mean over the channels."""
+    si.wi = mi.Vector3f(0.0, 0.0, 1.0)
+    return dr.mean(emitter.eval(si)) + dr.zeros(mi.Float, dr.width(si.p))
+
+
+def _texels(texture: Any) -> tuple[float, float] | None:
+    """Texels that the unit square of texture coordinates holds along either axis; None if the texture has none."""
+    if plugin_name(texture) != "bitmap":
+        return None
+    width, height = (int(n) for n in np.asarray(texture.resolution()).ravel())
+    turn = np.abs(as_array(dict(contents(texture).values)["to_uv"]).reshape(-1)[:9].reshape(3, 3))
+    across, along = (width * turn[0, i] + height * turn[1, i] for i in (0, 1))
+    return float(across), float(along)
