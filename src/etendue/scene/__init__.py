@@ -10,6 +10,7 @@ from .lights import Light, LightTable
 from .loading import integrator_of, load, locate, resized
 from .plugins import composed_bsdf, register
 from .problem import Problem
+from .space import RenderSpace, warn_of_offsets, warn_of_steps
 
 __all__ = [
     "BundledScene",
@@ -17,6 +18,7 @@ __all__ = [
     "Light",
     "LightTable",
     "Problem",
+    "RenderSpace",
     "bundled",
     "bundled_scene",
     "check",
@@ -30,4 +32,6 @@ __all__ = [
     "meshes",
     "register",
     "resized",
+    "warn_of_offsets",
+    "warn_of_steps",
 ]
