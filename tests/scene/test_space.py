@@ -11,7 +11,8 @@ from support.running import prepared, run
 from support.scenes import diffuse, rgb
 
 from etendue import render, resume
-from etendue.scene import Camera, RenderSpace, load
+from etendue.scene import Camera, RenderSpace, load, space
+from etendue.transport import TransportFunctions
 
 FAR = np.array([1.0, -0.5, 0.3])
 
@@ -251,6 +252,22 @@ def test_a_camera_is_put_where_it_is_asked_to_be():
     np.testing.assert_allclose(place, [2.0, -1.0, 0.602], atol=1e-9)
 
 
+@pytest.fixture(autouse=True)
+def _said_anew():
+    """What is said once is said in each test."""
+    space._warn_once.cache_clear()
+
+
+def test_a_room_in_a_large_building():
+    """A box of 2 m at 100 m from the origin, where rays start 9 mm off its walls, in a building of 220 m."""
+
+    hall = {"type": "cube", "to_world": mi.ScalarTransform4d().scale(110.0), "flip_normals": True}
+    assert load(room() | {"hall": hall}).space.is_own
+    problem = load(room(1.0, 100.0) | {"hall": hall})
+    np.testing.assert_allclose(problem.space.centre, 100.0 * FAR + [0.0, 0.0, 3.8], atol=1e-4)
+    assert problem.space.scale == 1.0
+
+
 @pytest.mark.parametrize("name", ["caustics", "cornell-box", "skylight", "stage"])
 def test_what_is_of_common_size_is_left_alone(name):
     assert load(name).space == RenderSpace()
@@ -265,11 +282,16 @@ def test_what_cannot_be_moved_is_said(caplog):
     far = room(1.0, 2e3)
     loaded = mi.load_dict(far)
     built = far | {"ball": mi.load_dict(far["ball"])}
-    text = "off its surfaces, which changes its light"
+    text = "rays start up to 0.18 off surfaces, which changes the light"
     for source, why in ((loaded, "a loaded scene is not moved"), (built, "type 'sphere' is not moved, as it is built")):
         caplog.clear()
         assert load(source).space.is_own
         assert text in caplog.text and why in caplog.text and "near the origin" in caplog.text
+    TransportFunctions(loaded)  # which has been said
+    space._warn_once.cache_clear()
+    caplog.clear()
+    TransportFunctions(loaded)
+    assert text in caplog.text
     caplog.clear()
     load(room(1.0, 0.0) | {"ball": built["ball"]})
     load(loaded)  # this has been said

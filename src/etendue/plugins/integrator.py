@@ -69,7 +69,7 @@ def _integrator_class(method: Any, variant: str) -> type:
             if isinstance(sensor, int):
                 sensor = scene.sensors()[sensor]
             check(scene, sensor)
-            warn_of_offsets(scene, "the scene")
+            warn_of_offsets(scene, sensor, "the scene")
             film = sensor.film()
             width, height = (int(v) for v in film.crop_size())
             problem = Problem(

@@ -208,7 +208,7 @@ def _from_parser(
     space = RenderSpace.of(scene, chosen)
     if not space.is_own:
         with _resolving(path), _mitsuba_errors(name):
-            scene, space = moved(scene, space, source, name, config, unmerged)
+            scene, space = moved(scene, chosen, space, source, name, config, unmerged)
         chosen = _sensor(scene, sensor, name)
     if not integrator and scene.integrator() is not None:
         # Mitsuba's parser knows the kind of a Python plugin only once it is built.
@@ -274,7 +274,7 @@ def _from_scene(scene: Any, size: Size | None, sensor: int, memory: int | None, 
             f"the scene was loaded under '{scene.variant_name()}' but '{mi.variant()}' is set; load it again"
         )
     chosen = _sensor(scene, sensor, "the scene")
-    warn_of_offsets(scene, "the scene")
+    warn_of_offsets(scene, chosen, "the scene")
     if size is not None and size != tuple(int(v) for v in chosen.film().size()):
         chosen = _resized_sensor(chosen, size)
     if check:

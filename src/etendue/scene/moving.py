@@ -13,32 +13,33 @@ from etendue.core import Array, logger
 
 from .graph import below, contents, describe, plugin_name
 from .parsing import merge_meshes, read_properties
-from .space import RenderSpace, half_diagonal, offset_share, warn_of_offsets, warn_of_steps
+from .space import SENSORS, RenderSpace, half_diagonal, largest_offset, warn_of_offsets, warn_of_steps
 
 #: Shapes that ``to_world`` places; ``shapegroup`` is placed by its instances, ``merge`` has shapes below it.
 _MESH_FILES = ("ply", "obj", "serialized")
 _SHAPES = (*_MESH_FILES, "rectangle", "cube", "disk", "sphere", "cylinder", "sdfgrid", "instance")
 _GROUPS = ("shapegroup", "merge")
-_SENSORS = ("perspective", "thinlens", "orthographic", "spherical")
 _LAMPS = ("point", "spot")  #: of an intensity in watts per steradian
 #: Parameters of sensors that are lengths, and the defaults of those that a sensor has anyway.
 _LENGTHS = ("near_clip", "far_clip", "focus_distance", "aperture_radius")
 _DEFAULTS = {"near_clip": 1e-2, "far_clip": 1e4}
 
 
-def moved(scene: Any, space: RenderSpace, source: Any, name: str, config: Any, state: Any) -> tuple[Any, RenderSpace]:
+def moved(
+    scene: Any, sensor: Any, space: RenderSpace, source: Any, name: str, config: Any, state: Any
+) -> tuple[Any, RenderSpace]:
     """The scene of the parsed ``state`` in ``space``, ``scene`` being what it is where it was given: that one, with a
     warning, where something in it cannot be moved."""
     import mitsuba as mi
 
     why = _obstacle(state, scene)
     if why is not None:
-        warn_of_offsets(scene, name, why)
+        warn_of_offsets(scene, sensor, name, why)
         return scene, RenderSpace()
-    share, size = offset_share(scene), half_diagonal(scene)
+    size = half_diagonal(scene)
     logger.info(
         f"{name} is rendered moved by {[-v for v in space.centre]} and scaled by {space.scale:g}: where it was given, "
-        f"rays would start up to {share:.2g} of its size off its surfaces. Lengths stay in its own units"
+        f"rays would start up to {largest_offset(scene):.2g} off its surfaces. Lengths stay in its own units"
     )
     if isinstance(source, Mapping):
         warn_of_steps(
@@ -59,7 +60,7 @@ def _obstacle(state: Any, scene: Any) -> str | None:
         kind = node.props.plugin_name()
         if node.type == mi.ObjectType.Shape and index not in inside and kind not in (*_SHAPES, *_GROUPS):
             return f"a shape of type '{kind}' is not moved"
-        if node.type == mi.ObjectType.Unknown and kind not in _SENSORS and "to_world" in read_properties(node.props):
+        if node.type == mi.ObjectType.Unknown and kind not in SENSORS and "to_world" in read_properties(node.props):
             return f"'{kind}' is not moved, as it is not known what it is"
         for value in read_properties(node.props).values():
             if isinstance(value, mi.Object) and (fixed := _fixed(value)):
@@ -86,7 +87,7 @@ def _move(state: Any, space: RenderSpace, scene: Any) -> None:
         match props.plugin_name():
             case kind if kind in _SHAPES and index not in inside:
                 _move_shape(props, space)
-            case kind if kind in _SENSORS:
+            case kind if kind in SENSORS:
                 _move_sensor(props, space)
             case "point" | "spot" | "projector" as kind:
                 _move_frame(props, space)
