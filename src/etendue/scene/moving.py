@@ -37,8 +37,9 @@ def moved(
         warn_of_offsets(scene, sensor, name, why)
         return scene, RenderSpace()
     size = half_diagonal(scene)
+    x, y, z = space.centre
     logger.info(
-        f"{name} is rendered moved by {[-v for v in space.centre]} and scaled by {space.scale:g}: where it was given, "
+        f"{name} is rendered around ({x:g}, {y:g}, {z:g}) and scaled by {space.scale:g}: where it was given, "
         f"rays would start up to {largest_offset(scene):.2g} off its surfaces. Lengths stay in its own units"
     )
     if isinstance(source, Mapping):

@@ -58,7 +58,8 @@ class RenderSpace:
         eye = np.asarray(sensor.world_transform().translation(), dtype=float).ravel()[:3]
         x, y, z = (float(v) for v in np.clip(eye, lower, upper))
         scale = max(_LEAST_SIZE / size, min(_LEAST_DISTANCE / distance, _LARGEST_SIZE / size))
-        return cls((x, y, z), 2.0 ** max(0, math.ceil(math.log2(scale))))
+        # Rounded where no round number lies, so that rays of another device lead to the same.
+        return cls((x, y, z), 2.0 ** max(0, round(math.log2(scale))))
 
     @property
     def is_own(self) -> bool:
