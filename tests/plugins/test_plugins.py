@@ -79,6 +79,17 @@ def test_without_spp_the_scenes_own_count_is_used(monkeypatch):
     assert sum(counted) == 12
 
 
+def test_a_line_says_that_rays_start_too_far_off(caplog):
+    scene = box({"type": "bpt", "max_depth": 2}, size=4)
+    for part in scene.values():
+        if isinstance(part, dict) and "to_world" in part:
+            part["to_world"] = mi.ScalarTransform4f().translate([3000, 0, 0]) @ part["to_world"]
+    loaded = mi.load_dict(scene)
+    for _ in range(2):
+        mi.render(loaded, spp=1)
+    assert caplog.text.count("the scene: rays start up to 0.27 off surfaces") == 1
+
+
 def count_samples(monkeypatch, name):
     """Camera paths per pixel of every pass that runs from now on."""
     counted = []

@@ -150,3 +150,16 @@ def test_a_sphere_around_all_faces_ignores_vertices_without_one():
     patches = Patches(np.concatenate([UNIT[0], [[100, 0, 0]]]), UNIT[1])
     np.testing.assert_allclose(patches.sphere[0], [0.5, 0.5, 0])
     np.testing.assert_allclose(patches.sphere[1], np.sqrt(0.5))
+
+
+@pytest.mark.parametrize("n", [2, 3, 7, 10])
+@pytest.mark.parametrize("away", [0.0, 0.1, 5e5])
+def test_parts_of_faces_meet_at_vertices(n, away):
+    """Bit for bit, or what is smooth over edges would have cracks: on a turned cube, of squares and of triangles."""
+    plain = cube(1)
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    squares = plain.faces
+    triangles = np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])
+    for faces, area in ((squares, 1.0), (triangles, 0.5)):
+        parts = Patches(plain.vertices @ turn.T + away, faces).subdivided(1.0001 * area / n**2)
+        assert len(np.unique(parts.vertices, axis=0)) == 6 * n**2 + 2

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import math
 
+import mitsuba as mi
 import numpy as np
 import pytest
 
 from etendue.core import OptionError
-from etendue.transport import IrradianceCache, irradiance_gradients, stratified_hemispheres
+from etendue.transport import (
+    IrradianceCache,
+    TransportFunctions,
+    irradiance_gradients,
+    stratified_hemispheres,
+)
 
 STRATA = (64, 192)
 COPIES = 12
@@ -116,3 +122,29 @@ def test_an_empty_cache_and_what_it_refuses():
         IrradianceCache((0.0, 1.0))
     with pytest.raises(OptionError, match="2 rings"):
         IrradianceCache((0.1, 1.0), strata=(1, 8))
+
+
+@pytest.mark.parametrize(("size", "away"), [(1e-4, 0.0), (1.0, 0.0), (1e4, 0.0), (1.0, 500.0)])
+def test_rays_start_as_near_as_the_scene_wants(size, away):
+    """Between a floor and a ceiling of radiance 1, which leave 1e-4 of the sky free, the irradiance is pi: at half a
+    unit of height, whatever the unit; and no ray meets the floor that it starts on."""
+    turn = mi.ScalarTransform4d().translate([away, away, away]).rotate([0.3, 1, 0.2], 50)
+    plane = {"type": "rectangle", "bsdf": {"type": "diffuse"}}
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "sensor": {"type": "perspective"},
+            "floor": plane | {"to_world": turn.scale(50 * size)},
+            "ceiling": plane
+            | {"to_world": turn.translate([0, 0, size / 2]).rotate([1, 0, 0], 180).scale(50 * size)}
+            | {"emitter": {"type": "area", "radiance": 1.0}},
+        }
+    )
+    functions = TransportFunctions(scene)
+    cache = IrradianceCache((0.1 * size, size), strata=(8, 24))
+    matrix = np.array(turn.matrix, dtype=float)
+    x, y = np.meshgrid(np.linspace(-3.3, 3.1, 8) * size, np.linspace(-2.9, 3.7, 8) * size)
+    position = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
+    normal = np.broadcast_to(matrix[:3, 2], position.shape)
+    cache.compute(functions.emitted, functions.distance, position, normal, 1)
+    assert cache.records[:, 6:9] == pytest.approx(np.pi, rel=1.01 / 192)  # but for one ray

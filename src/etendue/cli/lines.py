@@ -139,7 +139,7 @@ class Request:
                 raise OptionError(f"--{name} is for mesh files; the materials and lights of a scene say it")
         if self.two_sided:
             raise OptionError("--two-sided is for mesh files; in a scene, materials of type 'twosided' make sheets")
-        patches = scene_patches(problem.scene, max_area=self.max_area)
+        patches = scene_patches(problem, max_area=self.max_area)
         if not (patches.emission.any() or patches.sky.any()):
             raise SceneError(
                 f"'{self.source}' has no light for radiosity; give it an emitter of type 'area' or 'constant'"

@@ -211,7 +211,7 @@ class SolutionOutput:
         if self.uv != OWN:
             return gltf_mesh(self.uv)
         assert problem is not None  # see check_source
-        return scene_mesh(problem.scene)
+        return scene_mesh(problem)
 
     def _write_lightmap(self, problem: Problem | None, solution: Solution, metadata: dict[str, Any]) -> None:
         from etendue import radiosity

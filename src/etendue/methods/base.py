@@ -193,7 +193,8 @@ class ImageMethod(ABC):
         normal, bad_normal = keep_finite(dr.select(hit, si.sh_frame.n, 0.0))
         depth = dr.select(hit, si.t, 0.0)
         dr.eval(albedo, normal, depth, bad_albedo, bad_normal)
-        layers = {"albedo": self.image(albedo), "normal": self.image(normal), "depth": self.image(depth)}
+        distance = self.image(depth) / np.float32(self.problem.space.scale)
+        layers = {"albedo": self.image(albedo), "normal": self.image(normal), "depth": distance}
         return layers, total(bad_albedo) + total(bad_normal)
 
 

@@ -53,10 +53,10 @@ def half_diagonal(method: ImageMethod) -> float:
 
 
 def absolute_radius(method: ImageMethod, radius: float, unit: str, seed: int) -> float:
-    """``radius`` of a prepared method in scene units."""
+    """``radius`` of a prepared method in units of its render space (``Problem.space``)."""
     match unit:
         case "absolute":
-            return float(radius)
+            return float(radius * method.problem.space.scale)
         case "scene":
             return float(radius * half_diagonal(method))
     return float(radius * _pixel_footprint(method, seed))

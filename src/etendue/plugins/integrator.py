@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from etendue.core import EtendueError, Measurement, UnsupportedError, check_variant, warn_of_nonfinite
 from etendue.engine import fit_samples
 from etendue.film import LONGER, Technique
-from etendue.scene import Problem, check
+from etendue.scene import Problem, check, warn_of_offsets
 
 #: First-hit layers, and the names of their channels in a film, as Mitsuba's 'aov' integrator calls them.
 _AOV_CHANNELS = {
@@ -69,6 +69,7 @@ def _integrator_class(method: Any, variant: str) -> type:
             if isinstance(sensor, int):
                 sensor = scene.sensors()[sensor]
             check(scene, sensor)
+            warn_of_offsets(scene, sensor, "the scene")
             film = sensor.film()
             width, height = (int(v) for v in film.crop_size())
             problem = Problem(

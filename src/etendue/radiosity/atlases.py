@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from etendue.core import Array, BackendError, SceneError, use_variant
 from etendue.film import replacing
-from etendue.scene import graph, load
+from etendue.scene import graph
 
 from .errors import RadiosityError
 from .faces import triangles
 from .gltf import GltfMesh, read_texture_coordinates, write_gltf
 from .patches import Patches
+from .scenes import loaded_scene
 from .smoothing import sides
 from .tessellation import tessellate
 
@@ -57,11 +58,12 @@ def atlas(patches: Patches, size: int = 1024) -> tuple[TexturedMesh, tuple[int, 
         raise RadiosityError(f"a lightmap has at least 16 texels a side, not {size}")
     parts = list(_sheets(patches))
     options = library.PackOptions()
-    options.padding, options.texels_per_unit = _GAP, size * np.sqrt(_COVERED / patches.face_areas.sum())
+    centre, radius = patches.sphere  # xatlas has single precision, and lengths of its own below which it sees nothing
+    options.padding, options.texels_per_unit = _GAP, size * radius * np.sqrt(_COVERED / patches.face_areas.sum())
     for _ in range(_TRIALS):
         made = library.Atlas()
         for vertices, faces in parts:
-            made.add_mesh(vertices.astype(np.float32), faces.astype(np.uint32))
+            made.add_mesh(((vertices - centre) / radius).astype(np.float32), faces.astype(np.uint32))
         made.generate(library.ChartOptions(), options)
         longest = max(made.width, made.height)
         if made.atlas_count == 1 and 0 < longest <= size:
@@ -95,21 +97,18 @@ def gltf_mesh(path: str | os.PathLike[str]) -> TexturedMesh:
 
 def scene_mesh(scene: Any) -> TexturedMesh:
     """The meshes of a Mitsuba scene with their texture coordinates, taken as one atlas; ``scene`` is whatever
-    :func:`etendue.scene.load` takes. Raises :class:`SceneError` for shapes that have none."""
-    import mitsuba as mi
-
+    :func:`etendue.scene.load` takes, or what it returns. Raises :class:`SceneError` for shapes that have none."""
     use_variant()
-    if not isinstance(scene, mi.Scene):
-        scene = load(scene).scene
+    loaded, space = loaded_scene(scene)
     parts, offset = [], 0
-    for shape in scene.shapes():
+    for shape in loaded.shapes():
         if not (shape.is_mesh() and shape.has_vertex_texcoords()):
             raise SceneError(
                 f"{graph.describe(shape, 'shape')} has no texture coordinates of vertices; let an atlas be made"
             )
         vertices, faces, _ = tessellate(shape, 3)  # turned to where the shape looks
         uv = np.array(shape.vertex_texcoords_buffer(), dtype=np.float64).reshape(-1, 2)
-        parts.append((vertices, faces[:, :3] + offset, uv))
+        parts.append((space.to_scene(vertices), faces[:, :3] + offset, uv))
         offset += len(vertices)
     if not parts:
         raise SceneError("the scene has no shapes; a lightmap needs surfaces")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from etendue.core import Array, Result
 from etendue.film import write_exr
+from etendue.scene import RenderSpace
 
 from .atlases import TexturedMesh, mesh_normals
 from .errors import RadiosityError
@@ -117,7 +118,9 @@ def _texels(mesh: TexturedMesh, width: int, height: int) -> tuple[Index, Array, 
     free = owner[texel] < 0
     owner[texel[free]], weights[texel[free]] = without[free], 1 / 3
     covered = np.flatnonzero(owner >= 0)
-    points = (mesh.vertices[mesh.faces[owner[covered]]] * weights[covered][:, :, None]).sum(axis=1)
+    a, b, c = (mesh.vertices[mesh.faces[owner[covered], k]] for k in range(3))
+    # From a corner on: weights of single precision do not add up to 1, which shows far from the origin.
+    points = a + weights[covered, 1:2] * (b - a) + weights[covered, 2:] * (c - a)
     return covered, points, mesh_normals(mesh)[owner[covered]]
 
 
@@ -180,8 +183,10 @@ def _evaluate(surfaces: PatchSurfaces, values: SurfaceValues, points: Array, nor
     """Colours (k, 3) at points, and where there are any."""
     import mitsuba as mi
 
-    p, n = (np.ascontiguousarray(rows.T, dtype=np.float32) for rows in (points, normals))
-    place = surfaces.find(mi.Point3f(p), mi.Normal3f(n), True)
+    x, y, z = surfaces.patches.sphere[0]
+    space = RenderSpace((x, y, z))  # far from the origin single precision would not hold the points
+    p, n = (np.ascontiguousarray(rows.T, dtype=np.float32) for rows in (space.from_scene(points), normals))
+    place = surfaces.find(mi.Point3f(p), mi.Normal3f(n), True, space)
     return np.array(values.at(place)).T, np.array(place.found)
 
 

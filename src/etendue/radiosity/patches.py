@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import Array, free_memory
+from etendue.scene import warn_of_steps
 
 from .errors import PatchError
 from .faces import face_vectors, flat_faces
@@ -254,6 +255,9 @@ def _vertices(values: Any) -> Array:
         raise PatchError(
             f"{len(broken)} of {len(vertices)} vertices are not finite, the first is number {broken[0]}; mend the mesh"
         )
+    if len(vertices) and np.asarray(values).dtype == np.float32:
+        size = float(np.linalg.norm(np.ptp(vertices, axis=0))) / 2
+        warn_of_steps("patches", float(np.abs(vertices).max()), size, "give vertices of double precision")
     return vertices
 
 

@@ -123,7 +123,7 @@ class _Seen(ImageMethod):
         si = self.scene.ray_intersect(ray, mi.RayFlags.Minimal, coherent=True)
         hit, n = si.is_valid(), _towards(si, ray.d)
         dr.eval(si.p, n, hit, weight)
-        value = self._values.at(self._surfaces.find(si.p, n, hit)) / np.pi
+        value = self._values.at(self._surfaces.find(si.p, n, hit, self.problem.space)) / np.pi
         image = self.image(weight * dr.select(hit, value, mi.Color3f(*self._sky)))
         count = float(len(lanes))
         return {"image": image}, {"rays": 2 * count, "paths": count, "nonfinite": 0.0}
@@ -147,7 +147,7 @@ class _Gathered(Path):
         _, weight, _ = self.camera.primary(pixel, source)
         throughput = throughput * weight
         dr.eval(state.radiance, state.rays, p, n, throughput, reached)
-        value = self._reflected.at(self._surfaces.find(p, n, reached))
+        value = self._reflected.at(self._surfaces.find(p, n, reached, self.problem.space))
         state.radiance += dr.select(reached, throughput * value / np.pi, 0.0)
         return state
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array, SceneError, UnsupportedError, logger, seed_key, use_variant
-from etendue.scene import graph, load
+from etendue.scene import Problem, RenderSpace, graph, load, warn_of_steps
 
 from .errors import PatchError, RadiosityError
 from .meshfiles import sound_faces
@@ -23,7 +23,8 @@ Index = NDArray[np.int64]
 def scene_patches(
     scene: Any, *, max_area: float | None = None, per: Literal["face", "shape"] = "face", segments: int = 32
 ) -> Patches:
-    """Patches of a scene: an ``mi.Scene``, or whatever :func:`etendue.scene.load` takes. Channels are red, green, blue.
+    """Patches of a scene: an ``mi.Scene``, whatever else :func:`etendue.scene.load` takes, or what it returns. Channels
+    are red, green, blue.
 
     Each face of a shape is a patch, with the mean of its textures, or each shape is one (``per="shape"``). Rectangles
     become quadrilaterals, spheres, cylinders and disks polygons of ``segments`` sides inside them. Reflectance is that
@@ -37,11 +38,8 @@ def scene_patches(
     volumes and instances, :class:`SceneError` for a scene without shapes, :class:`PatchError` for broken meshes and
     for materials that absorb nothing. A scene without emitter is none here: form factors need no light.
     """
-    import mitsuba as mi
-
     use_variant()
-    if not isinstance(scene, mi.Scene):
-        scene = load(scene).scene
+    scene, space = loaded_scene(scene)
     if per not in ("face", "shape"):
         raise RadiosityError(f"a patch is made per 'face' or per 'shape', not {per!r}")
     if not isinstance(segments, int) or segments < 3:
@@ -55,17 +53,30 @@ def scene_patches(
     backs = np.concatenate([part.back_reflectance for part in parts])[sheets]
     emission = np.concatenate([part.emission for part in parts])
     patches = Patches(
-        np.concatenate([part.vertices for part in parts]),
+        space.to_scene(np.concatenate([part.vertices for part in parts])),
         np.concatenate([part.faces + offset for part, offset in zip(parts, offsets[:-1], strict=True)]),
         reflectance=np.concatenate([reflectance, backs]),
         emission=np.concatenate([emission, np.zeros_like(backs)]),
         two_sided=sheets,
         sky=_sky(scene),
     )
+    if space.is_own:
+        remedy = "put it near the origin, or give it as a file or as a dictionary of plugins"
+        warn_of_steps("the scene", np.abs(patches.vertices).max(), patches.sphere[1], remedy)
     shape = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
     if per == "shape":
         return _joined(patches, shape, np.array([part.is_sheet for part in parts]))
     return patches if max_area is None else patches.subdivided(max_area)
+
+
+def loaded_scene(scene: Any) -> tuple[Any, RenderSpace]:
+    """An ``mi.Scene`` of what :func:`scene_patches` takes, and its space: rays of patches have one of their own."""
+    import mitsuba as mi
+
+    if isinstance(scene, mi.Scene):
+        return scene, RenderSpace()
+    problem = scene if isinstance(scene, Problem) else load(scene)
+    return problem.scene, problem.space
 
 
 @dataclass

@@ -53,8 +53,9 @@ def _triangle(n: int) -> tuple[Array, Index]:
     inside = i + j <= n
     number = np.full((n + 1, n + 1), -1)
     number[i[inside], j[inside]] = np.arange(np.count_nonzero(inside))
-    u, v = i[inside] / n, j[inside] / n
-    weights = np.stack([1 - u - v, u, v, np.zeros_like(u)], axis=1)
+    i_in, j_in = i[inside], j[inside]
+    # Not 1 - u - v: faces that share an edge must have the same numbers on it, bit for bit, to meet at vertices.
+    weights = np.stack([n - i_in - j_in, i_in, j_in, np.zeros_like(i_in)], axis=1) / n
     i, j = i[i + j < n], j[i + j < n]
     parts = [np.stack([number[i, j], number[i + 1, j], number[i, j + 1]], axis=1)]
     i, j = i[i + j < n - 1], j[i + j < n - 1]
@@ -64,8 +65,7 @@ def _triangle(n: int) -> tuple[Array, Index]:
 
 def _quadrilateral(n: int) -> tuple[Array, Index]:
     i, j = (a.ravel() for a in np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij"))
-    u, v = i / n, j / n
-    weights = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=1)
+    weights = np.stack([(n - i) * (n - j), i * (n - j), i * j, (n - i) * j], axis=1) / n**2
     i, j = i[(i < n) & (j < n)], j[(i < n) & (j < n)]
     corner = i * (n + 1) + j
     return weights, np.stack([corner, corner + n + 1, corner + n + 2, corner + 1], axis=1)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import Array, copied_to_device, use_variant
+from etendue.scene import RenderSpace
 
 from .errors import RadiosityError
 from .faces import triangles
@@ -68,8 +69,9 @@ class PatchSurfaces:
         self._normal = copied_to_device(mi.Float, normals.astype(np.float32))
         self._is_triangle = copied_to_device(mi.UInt32, is_triangle.astype(np.uint32))
 
-    def find(self, p: Any, n: Any, active: Any) -> Place:
-        """Places of the points ``p`` of surfaces whose normals on the side that is looked at are ``n``.
+    def find(self, p: Any, n: Any, active: Any, space: RenderSpace | None = None) -> Place:
+        """Places of the points ``p`` of surfaces whose normals on the side that is looked at are ``n``. They are in
+        ``space``, by default in that of the patches.
 
         Casts rays by kernels of its own: not for use in loops of the device.
         """
@@ -77,7 +79,10 @@ class PatchSurfaces:
 
         count = max(dr.width(p), dr.width(active))
         place = Place(dr.zeros(mi.UInt32, count), dr.zeros(mi.Vector4f, count), dr.full(mi.Bool, False, count))
-        local = (mi.Point3f(p) - mi.Point3f(*map(float, self._centre))) * float(1 / self._radius)
+        space = space or RenderSpace()
+        # What is far from the origin is taken off in double precision.
+        origin = space.from_scene(self._centre)
+        local = (mi.Point3f(p) - mi.Point3f(*map(float, origin))) * float(1 / (space.scale * self._radius))
         looking = mi.Bool(active) & dr.full(mi.Bool, True, count)
         dr.eval(local, n, looking)
         for height, x, y in _LOOKS:

@@ -11,6 +11,7 @@ from .loading import integrator_of, load, locate, resized
 from .plugins import composed_bsdf, register
 from .problem import Problem
 from .radiance import sphere_point, surface_point, uniform_point, varies
+from .space import RenderSpace, warn_of_offsets, warn_of_steps
 
 __all__ = [
     "BundledScene",
@@ -18,6 +19,7 @@ __all__ = [
     "Light",
     "LightTable",
     "Problem",
+    "RenderSpace",
     "bundled",
     "bundled_scene",
     "check",
@@ -35,4 +37,6 @@ __all__ = [
     "surface_point",
     "uniform_point",
     "varies",
+    "warn_of_offsets",
+    "warn_of_steps",
 ]

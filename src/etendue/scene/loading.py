@@ -22,6 +22,7 @@ from .bundled import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene
 from .graph import contents, plugin_name
+from .moving import moved
 from .parsing import (
     Size,
     built_integrator,
@@ -33,6 +34,7 @@ from .parsing import (
     texture_details,
 )
 from .problem import Problem
+from .space import RenderSpace, warn_of_offsets
 
 #: An array of the device has fewer than 2^32 entries, and a film four channels to a pixel.
 MOST_PIXELS = 1 << 30
@@ -71,7 +73,7 @@ def load(
         raise OptionError(f"a memory bound must be above zero bytes, not {memory}")
     if not _is_loaded(source):
         found = locate(source) if isinstance(source, (str, os.PathLike)) else source
-        return _from_parser(*_parse(found, parameters), size, sensor, memory, camera, check)
+        return _from_parser(found, *_parse(found, parameters), size, sensor, memory, camera, check)
     if parameters:
         raise OptionError(_NO_VARIABLES)
     if camera is not None:
@@ -165,6 +167,7 @@ def _parse(
 
 
 def _from_parser(
+    source: Any,
     name: str,
     path: Path | None,
     config: Any,
@@ -202,10 +205,15 @@ def _from_parser(
                 scene = mi.parser.instantiate(config, unmerged)
             check_scene(scene, _sensor(scene, sensor, name))
             raise
+    space = RenderSpace.of(scene, chosen)
+    if not space.is_own:
+        with _resolving(path), _mitsuba_errors(name):
+            scene, space = moved(scene, chosen, space, source, name, config, unmerged)
+        chosen = _sensor(scene, sensor, name)
     if not integrator and scene.integrator() is not None:
         # Mitsuba's parser knows the kind of a Python plugin only once it is built.
         integrator, depth, options = built_integrator(scene.integrator())
-    return _problem(scene, chosen, integrator, depth, options, name, memory, details, check)
+    return _problem(scene, chosen, integrator, depth, options, name, memory, details, check, space)
 
 
 @contextmanager
@@ -266,6 +274,7 @@ def _from_scene(scene: Any, size: Size | None, sensor: int, memory: int | None, 
             f"the scene was loaded under '{scene.variant_name()}' but '{mi.variant()}' is set; load it again"
         )
     chosen = _sensor(scene, sensor, "the scene")
+    warn_of_offsets(scene, chosen, "the scene")
     if size is not None and size != tuple(int(v) for v in chosen.film().size()):
         chosen = _resized_sensor(chosen, size)
     if check:
@@ -351,6 +360,7 @@ def _problem(
     memory: int | None,
     details: str,
     check: bool,
+    space: RenderSpace | None = None,
 ) -> Problem:
     width, height = (int(v) for v in sensor.film().crop_size())
     if not 1 <= width * height <= MOST_PIXELS:
@@ -371,4 +381,5 @@ def _problem(
         source=name,
         memory=memory,
         details=details,
+        space=space or RenderSpace(),
     )

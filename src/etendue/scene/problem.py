@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from .fingerprint import fingerprint
+from .space import RenderSpace
 
 
 @dataclass(eq=False)
@@ -23,8 +24,10 @@ class Problem:
     source: str = "<scene>"  #: path or name it was loaded from, for people
     memory: int | None = None  #: bytes that a method may use for what it stores, ``None`` for no bound
     details: str = ""  #: parameters that only the loader sees; part of the fingerprint
+    space: RenderSpace = field(default_factory=RenderSpace)  #: coordinates of ``scene`` and ``sensor``
 
     @cached_property
     def fingerprint(self) -> str:
         """Hex digest of the scene's parameters, the sensor and the film size; the same in every process."""
-        return fingerprint(self.scene, self.sensor, self.details)
+        scale = "" if self.space.scale == 1.0 else f"\nscale={self.space.scale!r}"
+        return fingerprint(self.scene, self.sensor, self.details + scale)

@@ -20,6 +20,7 @@ import numpy as np
 
 from etendue.core import Array, OptionError
 from etendue.integration import Box, Integrand, Integrator, integral
+from etendue.scene import warn_of_offsets
 
 from .scattering import is_smooth
 
@@ -53,6 +54,7 @@ class TransportFunctions:
         if not 0 <= sensor < len(sensors):
             raise OptionError(f"the scene has {len(sensors)} sensors, number {sensor} is not among them")
         self.scene, self._sensor = scene, sensors[sensor]
+        warn_of_offsets(scene, self._sensor, "the scene")
         lower, upper = np.array(scene.bbox().min).ravel(), np.array(scene.bbox().max).ravel()
         if not np.isfinite([lower, upper]).all() or not (upper >= lower).all():
             lower, upper = np.zeros(3), np.zeros(3)

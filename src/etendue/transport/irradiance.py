@@ -21,6 +21,11 @@ from etendue.integration import Integrand
 _WIDTH = 28
 #: How far a record may lie in front of a point, in units of its reach.
 _IN_FRONT = 0.05
+#: How far above a surface rays start: in units of the least reach, and at least so much of the largest coordinate, as
+#: single precision holds neither the point nor what it lies on to less than a few 2^-24 of it.
+_LIFT, _STEPS = 1e-3, 2.0**-20
+#: How far what is not there is, in units of the greatest reach.
+_FAR = 1e12
 
 
 class IrradianceCache:
@@ -64,10 +69,11 @@ class IrradianceCache:
         """
         directions = stratified_hemispheres(normal, self.strata, seed)
         shape = directions.shape[:3]
-        origins = np.broadcast_to((position + 1e-4 * normal)[:, None, None], directions.shape)
+        lift = np.maximum(_LIFT * self.reach[0], _STEPS * np.abs(position).max(axis=1, keepdims=True))
+        origins = np.broadcast_to((position + lift * normal)[:, None, None], directions.shape)
         rays = [_column(part[..., axis]) for part in (origins, directions) for axis in range(3)]
         way = np.array(distance.evaluate(rays), dtype=np.float64).reshape(shape)
-        way = np.where(np.isfinite(way), np.maximum(way, 1e-6), 1e12)
+        way = np.where(np.isfinite(way), np.maximum(way, _LIFT * self.reach[0]), _FAR * self.reach[1])
         radiance = np.stack([np.array(v, dtype=np.float64) for v in incident.parts(incident.evaluate(rays))], axis=-1)
         self.add(position, normal, np.broadcast_to(radiance, (len(radiance), 3)).reshape(*shape, 3), way)
 

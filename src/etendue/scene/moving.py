@@ -1,0 +1,222 @@
+"""A parsed scene put into another space: every place and length in it, in double precision."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import ArrayLike
+
+from etendue.core import Array, logger
+
+from .graph import below, contents, describe, plugin_name
+from .parsing import merge_meshes, read_properties
+from .space import SENSORS, RenderSpace, half_diagonal, largest_offset, warn_of_offsets, warn_of_steps
+
+#: Shapes that ``to_world`` places; ``shapegroup`` is placed by its instances, ``merge`` has shapes below it.
+_MESH_FILES = ("ply", "obj", "serialized")
+_SHAPES = (*_MESH_FILES, "rectangle", "cube", "disk", "sphere", "cylinder", "sdfgrid", "instance")
+_GROUPS = ("shapegroup", "merge")
+_LAMPS = ("point", "spot")  #: of an intensity in watts per steradian
+#: Parameters of sensors that are lengths, and the defaults of those that a sensor has anyway.
+_LENGTHS = ("near_clip", "far_clip", "focus_distance", "aperture_radius")
+_DEFAULTS = {"near_clip": 1e-2, "far_clip": 1e4}
+
+
+def moved(
+    scene: Any, sensor: Any, space: RenderSpace, source: Any, name: str, config: Any, state: Any
+) -> tuple[Any, RenderSpace]:
+    """The scene of the parsed ``state`` in ``space``, ``scene`` being what it is where it was given: that one, with a
+    warning, where something in it cannot be moved."""
+    import mitsuba as mi
+
+    why = _obstacle(state, scene)
+    if why is not None:
+        warn_of_offsets(scene, sensor, name, why)
+        return scene, RenderSpace()
+    size = half_diagonal(scene)
+    x, y, z = space.centre
+    logger.info(
+        f"{name} is rendered around ({x:g}, {y:g}, {z:g}) and scaled by {space.scale:g}: where it was given, "
+        f"rays would start up to {largest_offset(scene):.2g} off its surfaces. Lengths stay in its own units"
+    )
+    if isinstance(source, Mapping):
+        warn_of_steps(
+            name, _largest_single(source), size, "give transforms as mi.ScalarTransform4d, or put it near the origin"
+        )
+    _move(state, space, scene)
+    warn_of_steps(name, _largest_coordinate(state, space), size, "put the vertices of its files near the origin")
+    merge_meshes(state)
+    return mi.parser.instantiate(config, state), space
+
+
+def _obstacle(state: Any, scene: Any) -> str | None:
+    """Why a parsed scene cannot be moved, ``None`` if it can; ``scene`` is what was built of it."""
+    import mitsuba as mi
+
+    inside = _shapes_of_groups(state)
+    for index, node in enumerate(state.nodes):
+        kind = node.props.plugin_name()
+        if node.type == mi.ObjectType.Shape and index not in inside and kind not in (*_SHAPES, *_GROUPS):
+            return f"a shape of type '{kind}' is not moved"
+        if node.type == mi.ObjectType.Unknown and kind not in SENSORS and "to_world" in read_properties(node.props):
+            return f"'{kind}' is not moved, as it is not known what it is"
+        for value in read_properties(node.props).values():
+            if isinstance(value, mi.Object) and (fixed := _fixed(value)):
+                return f"{fixed} is not moved, as it is built already"
+    lamps = [plugin_name(e) for e in _lamps(scene)]
+    if lamps != [node.props.plugin_name() for node in _lamp_nodes(state)]:
+        return "its point and spot lights cannot be told apart"
+    return None
+
+
+def _move(state: Any, space: RenderSpace, scene: Any) -> None:
+    """Put a parsed scene into ``space``; radiances and irradiances stay what they are. ``scene`` is what was built of
+    it where it was: intensities are read there."""
+    import mitsuba as mi
+
+    square = space.scale**2
+    for node, lamp in zip(list(_lamp_nodes(state)), _lamps(scene), strict=True):
+        texture = dict(contents(lamp).objects)["intensity"]
+        value = np.asarray(texture.eval(dr.zeros(mi.SurfaceInteraction3f)), dtype=float).ravel()
+        node.props["intensity"] = mi.ScalarColor3d(*(square * value))
+    inside = _shapes_of_groups(state)
+    for index, node in enumerate(state.nodes):
+        props = node.props
+        match props.plugin_name():
+            case kind if kind in _SHAPES and index not in inside:
+                _move_shape(props, space)
+            case kind if kind in SENSORS:
+                _move_sensor(props, space)
+            case "point" | "spot" | "projector" as kind:
+                _move_frame(props, space)
+                if kind == "projector":  # irradiance at the distance 1
+                    _scale(props, ["scale"], square, {"scale": 1.0})
+            case "bumpmap":  # heights
+                _scale(props, ["scale"], space.scale, {"scale": 1.0})
+
+
+def _largest_coordinate(state: Any, space: RenderSpace) -> float:
+    """Of the vertices in the mesh files of a scene that was moved into ``space``, about the largest coordinate, in the
+    units that the scene was given in: they have single precision."""
+    import mitsuba as mi
+
+    moved = [n for n in state.nodes if n.type == mi.ObjectType.Shape and n.props.plugin_name() in _MESH_FILES]
+    return max((float(np.abs(_matrix(n.props)[:3, 3]).max()) for n in moved), default=0.0) / space.scale
+
+
+def _largest_single(described: Mapping[str, Any]) -> float:
+    """The largest coordinate of a place among the transforms of single precision in a scene dictionary."""
+    largest = 0.0
+    for value in described.values():
+        if isinstance(value, Mapping):
+            largest = max(largest, _largest_single(value))
+        elif "Transform4f" in type(value).__name__:
+            largest = max(largest, float(np.abs(np.asarray(value.matrix, float).reshape(4, 4)[:3, 3]).max()))
+    return largest
+
+
+def _move_shape(props: Any, space: RenderSpace) -> None:
+    import mitsuba as mi
+
+    matrix = _matrix(props)
+    # Places that single precision would round come into the transform.
+    values = read_properties(props)
+    match props.plugin_name():
+        case "sphere" if "center" in values:
+            matrix = matrix @ _translation(values["center"])
+            del props["center"]
+        case "cylinder" if {"p0", "p1"} & values.keys():
+            p0, p1 = (np.asarray(values.get(k, d), float).ravel() for k, d in (("p0", (0, 0, 0)), ("p1", (0, 0, 1))))
+            matrix = matrix @ _translation(p0)
+            props["p0"], props["p1"] = mi.ScalarPoint3d(0.0), mi.ScalarPoint3d(*(p1 - p0))
+    matrix[:3, :3] *= space.scale
+    matrix[:3, 3] = space.from_scene(matrix[:3, 3])
+    props["to_world"] = mi.ScalarTransform4d(matrix)
+
+
+def _move_sensor(props: Any, space: RenderSpace) -> None:
+    import mitsuba as mi
+
+    _move_frame(props, space)
+    _scale(props, _LENGTHS, space.scale, _DEFAULTS)
+    if props.plugin_name() == "orthographic":  # its transform says how much it sees
+        matrix = _matrix(props)
+        matrix[:3, :2] *= space.scale
+        props["to_world"] = mi.ScalarTransform4d(matrix)
+
+
+def _move_frame(props: Any, space: RenderSpace) -> None:
+    """Put a sensor or a light elsewhere, of the same size and direction."""
+    import mitsuba as mi
+
+    values = read_properties(props)
+    if "position" in values:
+        props["position"] = mi.ScalarPoint3d(*space.from_scene(np.asarray(values["position"], float).ravel()))
+        return
+    matrix = _matrix(props)
+    matrix[:3, 3] = space.from_scene(matrix[:3, 3])
+    props["to_world"] = mi.ScalarTransform4d(matrix)
+
+
+def _scale(props: Any, keys: Any, factor: float, defaults: dict[str, float]) -> None:
+    values = defaults | read_properties(props)
+    for key in keys:
+        if key in values:
+            props[key] = factor * float(values[key])
+
+
+def _matrix(props: Any) -> Array:
+    transform = read_properties(props).get("to_world")
+    return np.eye(4) if transform is None else np.array(transform.matrix, dtype=np.float64).reshape(4, 4)
+
+
+def _translation(offset: ArrayLike) -> Array:
+    matrix = np.eye(4)
+    matrix[:3, 3] = np.asarray(offset, dtype=float).ravel()
+    return matrix
+
+
+def _shapes_of_groups(state: Any) -> set[int]:
+    """Indices of what lies below shape groups."""
+    import mitsuba as mi
+
+    found: set[int] = set()
+    stack = [i for i, node in enumerate(state.nodes) if node.props.plugin_name() == "shapegroup"]
+    while stack:
+        for value in read_properties(state.nodes[stack.pop()].props).values():
+            if isinstance(value, mi.Properties.ResolvedReference) and value.index() not in found:
+                found.add(value.index())
+                stack.append(value.index())
+    return found
+
+
+def _lamp_nodes(state: Any) -> Iterator[Any]:
+    """Nodes of point and spot lights, in the scene's order."""
+    import mitsuba as mi
+
+    for value in read_properties(state.root.props).values():
+        if isinstance(value, mi.Properties.ResolvedReference):
+            node = state.nodes[value.index()]
+            if node.props.plugin_name() in _LAMPS:
+                yield node
+
+
+def _lamps(scene: Any) -> list[Any]:
+    return [e for e in scene.emitters() if plugin_name(e) in _LAMPS]
+
+
+def _fixed(built: Any) -> str | None:
+    """What in an object that a dictionary brings has a place or a length of its own."""
+    import mitsuba as mi
+
+    for item in below(built):
+        kind = plugin_name(item)
+        surface = isinstance(item, mi.Emitter) and mi.has_flag(item.flags(), mi.EmitterFlags.Surface)
+        if isinstance(item, mi.Shape) or surface:
+            return describe(item, "shape" if isinstance(item, mi.Shape) else "emitter")
+        if isinstance(item, mi.Sensor) or kind in (*_LAMPS, "projector", "bumpmap"):
+            return describe(item, "sensor" if isinstance(item, mi.Sensor) else "plugin")
+    return None

@@ -1,0 +1,151 @@
+"""Render space: the coordinates that a scene is rendered in, which are its own unless rays would start too far off.
+
+Mitsuba starts a ray ``mi.math.RayEpsilon (1 + m)`` off a surface, 8.9e-5 (1 + m), m being the largest coordinate there
+(``SurfaceInteraction.offset_p``): 9 mm at 100 m from the origin, and 0.09 mm on a jewel of 2 cm in metres. In a Cornell
+box an offset of the share x of half its diagonal changes what pixels have by up to 2 x, and the light in all by x / 3.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from etendue.core import Array, logger
+
+from .graph import plugin_name
+
+#: The largest offset that is left alone, of half the scene's diagonal or of the distance of what is seen; and the least
+#: half diagonal that a scene is scaled to, the least distance, and how large the scene may become for that.
+_LARGEST_OFFSET, _LEAST_SIZE, _LEAST_DISTANCE, _LARGEST_SIZE = 2e-3, 8.0, 1.0, 1e5
+#: What is seen is looked at in scenes that reach further than this, or are smaller: in others offsets are small
+#: beside all but details. Rays a side of the film that look.
+_FARTHEST, _SMALLEST, _RAYS = 30.0, 0.3, 16
+#: The largest step between neighbouring numbers of single precision that is left unsaid, of half the diagonal.
+_LARGEST_STEP = 1e-4
+_STEP = 2.0**-24
+
+#: Sensors that see points in space, and can be moved.
+SENSORS = ("perspective", "thinlens", "orthographic", "spherical")
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class RenderSpace:
+    """Coordinates ``scale (x - centre)`` of points x of the scene as it was given."""
+
+    centre: Point = (0.0, 0.0, 0.0)
+    scale: float = 1.0
+
+    @classmethod
+    def of(cls, scene: Any, sensor: Any) -> RenderSpace:
+        """The space for a loaded scene: its own, unless the offset of rays is above 0.2 % of half its diagonal; or of
+        the distance of what ``sensor`` sees, in the median, as with a room in one wing of a large building.
+
+        Then the centre is the place of ``sensor``, or the point of the bounding box nearest to it: offsets grow with
+        the distance from the centre, as what a pixel sees does. The scale is a power of two, and 1 for all but small
+        scenes: to make one smaller would only make offsets larger beside what is near the centre.
+        """
+        share, distance = _share(scene, sensor)
+        if share <= _LARGEST_OFFSET:
+            return cls()
+        (lower, upper), size = _corners(scene), half_diagonal(scene)
+        eye = np.asarray(sensor.world_transform().translation(), dtype=float).ravel()[:3]
+        x, y, z = (float(v) for v in np.clip(eye, lower, upper))
+        scale = max(_LEAST_SIZE / size, min(_LEAST_DISTANCE / distance, _LARGEST_SIZE / size))
+        # Rounded where no round number lies, so that rays of another device lead to the same.
+        return cls((x, y, z), 2.0 ** max(0, round(math.log2(scale))))
+
+    @property
+    def is_own(self) -> bool:
+        """Whether the coordinates are those of the scene as it was given."""
+        return self == RenderSpace()
+
+    def from_scene(self, points: ArrayLike) -> Array:
+        """Points (..., 3) of the scene as it was given, in render space."""
+        return self.scale * (np.asarray(points, dtype=np.float64) - self.centre)
+
+    def to_scene(self, points: ArrayLike) -> Array:
+        """Points (..., 3) of render space, in the scene as it was given."""
+        result: Array = np.asarray(points, dtype=np.float64) / self.scale + self.centre
+        return result
+
+
+def largest_offset(scene: Any) -> float:
+    """The largest distance that rays start off surfaces in a loaded scene."""
+    import mitsuba as mi
+
+    return float(mi.math.RayEpsilon * (1 + np.abs(_corners(scene)).max()))
+
+
+def half_diagonal(scene: Any) -> float:
+    """Half the diagonal of the bounding box of a loaded scene; 0 if that is empty."""
+    lower, upper = _corners(scene)
+    return float(np.linalg.norm(upper - lower)) / 2 if (upper >= lower).all() else 0.0
+
+
+def warn_of_offsets(scene: Any, sensor: Any, name: str, why: str = "a loaded scene is not moved") -> None:
+    """Warn, once for each text, if rays in ``scene`` start so far off surfaces that its light changes."""
+    if _share(scene, sensor)[0] > _LARGEST_OFFSET:
+        _warn_once(
+            f"{name}: rays start up to {largest_offset(scene):.2g} off surfaces, which changes the light of a scene of "
+            f"this size and place, and {why}; put it near the origin at a size of 1 to 100, or give it as a file or as "
+            "a dictionary of plugins"
+        )
+
+
+def warn_of_steps(name: str, largest: float, size: float, remedy: str) -> None:
+    """Warn if single precision holds coordinates as large as ``largest`` only to steps that matter in a scene of half
+    the diagonal ``size``."""
+    if _STEP * largest > _LARGEST_STEP * size:
+        _warn_once(
+            f"{name}: single precision holds coordinates of {largest:.2g} to {2 * _STEP * largest:.2g} only, "
+            f"{2 * _STEP * largest / size:.2g} of the scene's size; {remedy}"
+        )
+
+
+@lru_cache(maxsize=256)
+def _warn_once(text: str) -> None:
+    logger.warning(text)
+
+
+def _share(scene: Any, sensor: Any) -> tuple[float, float]:
+    """The offset of rays over half the diagonal, or over the distance of what ``sensor`` sees, whichever is more; and
+    that distance where it was looked at. An offset of 0 if the bounding box is empty or not finite."""
+    (lower, upper), size = _corners(scene), half_diagonal(scene)
+    if not 0 < size < math.inf:
+        return 0.0, _LEAST_DISTANCE
+    share, seen, distance = largest_offset(scene) / size, 0.0, _LEAST_DISTANCE
+    if size < _SMALLEST or max(np.abs(lower).max(), np.abs(upper).max()) > _FARTHEST:
+        seen, distance = _seen(scene, sensor)
+    return max(share, seen), distance
+
+
+def _seen(scene: Any, sensor: Any) -> tuple[float, float]:
+    """Medians, over what a sensor sees, of the offset of rays over the distance, and of the distance; 0 and the least
+    distance if that is nothing."""
+    import mitsuba as mi
+
+    if plugin_name(sensor) not in SENSORS:
+        return 0.0, _LEAST_DISTANCE
+    place = (np.arange(_RAYS, dtype=np.float32) + 0.5) / _RAYS
+    u, v = (a.ravel() for a in np.meshgrid(place, place))
+    ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(u, v), mi.Point2f(0.5))
+    distance = np.array(scene.ray_intersect_preliminary(ray).t, dtype=float)
+    met = np.isfinite(distance) & (distance > 0)
+    if not met.any():
+        return 0.0, _LEAST_DISTANCE
+    distance = distance[met]
+    point = np.broadcast_to(ray.o, (3, len(u)))[:, met] + distance * np.broadcast_to(ray.d, (3, len(u)))[:, met]
+    offset = float(mi.math.RayEpsilon) * (1 + np.abs(point).max(axis=0))
+    return float(np.median(offset / distance)), float(np.median(distance))
+
+
+def _corners(scene: Any) -> tuple[Array, Array]:
+    box = scene.bbox()
+    return np.asarray(box.min, dtype=float).ravel(), np.asarray(box.max, dtype=float).ravel()
