@@ -113,18 +113,20 @@ class Segments:
         """Standard error of :meth:`gather` (counted), from the scatter of the batches, in the shape of ``values``.
 
         Batches of one point sequence spread more than independent ones would: the error is then an upper estimate.
-        Raises :class:`RadiosityError` for less than two batches.
+        Nothing is known of patches that only one batch has met, and their error is zero. Raises
+        :class:`RadiosityError` for less than two batches.
         """
         if self.batch_count < 2:
             raise RadiosityError("a standard error needs two batches of lines at least")
         full, shape = self._with_sky(values, sky)
         mean = _divide(self._gather(full), self.exchange_weights)
-        squares = np.zeros_like(mean)
+        squares, alike = np.zeros_like(mean), np.zeros(len(mean))
         for batch in range(self.batch_count):
             part = self.batch(batch)
             squares += (part._gather(full) - mean * part.counted[:, None]) ** 2
-        scatter = np.sqrt(squares * self.batch_count / (self.batch_count - 1))
-        return _divide(scatter, self.exchange_weights).reshape(shape)
+            alike += part.counted**2
+        # The mean takes part of the scatter away: of batches that have the shares w of the segments, the sum of w^2.
+        return np.sqrt(_divide(squares, self.exchange_weights**2 - alike)).reshape(shape)
 
     def batch(self, number: int) -> Segments:
         """One batch."""
