@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from support.patches import box, cube, joined, square
 
+import etendue.radiosity.abuffer
 import etendue.radiosity.casting
 import etendue.radiosity.shot
 from etendue.core import CheckpointError
@@ -265,3 +266,37 @@ def test_fingerprints_tell_patches_apart():
     moved.vertices[0] += 1e-9
     for other in (lit_room(reflectance=0.6), lit_room(sky=1.0), lit_room(two_sided=True), moved):
         assert PatchProblem(other).fingerprint != known
+
+
+def distant_cubes(**properties):
+    """Cubes of a metre, in fours of squares a side, at 10 km of each other, and a lit plate beside the first."""
+    plate = square((0, 0, 1.5), (0, 1, 0), (1, 0, 0))
+    vertices, faces = joined(box((0, 0, 0), (1, 1, 1), 2), box((10_000, 0, 0), (10_001, 1, 1), 2), plate)
+    emission = np.where(np.arange(len(faces)) == len(faces) - 1, 1.0, 0.0)
+    return Patches(vertices, faces, **{"reflectance": 0.5, "emission": emission, **properties})
+
+
+def test_surfaces_far_from_each_other_get_local_rays(caplog):
+    """Bundles that meet a patch four times would have 2e9 lines."""
+    patches = distant_cubes()
+    casting = prepared(patches, lines=0, replicates=4, goal="irradiance", most=64)
+    assert "local rays are cast from all patches instead" in caplog.text
+    run(casting, samples=64)
+    segments = casting.segments()
+    assert casting.made == len(segments) >= 64 * 8192 and segments.nbytes < 1e7
+    # Parallel squares in closed form, whose distance is half a side; far away there is nothing to see.
+    top = [i for i in range(24) if patches.normals[i, 2] > 0.9]
+    found = segments.gather(patches.emission)[:, 0]
+    assert found[top].mean() == pytest.approx(0.41525, rel=0.01)
+    assert found[24:48].max() < 1e-6
+
+
+def test_the_lines_of_a_bundle_are_bounded(caplog, monkeypatch):
+    patches = distant_cubes()
+    engine = ABuffer(patches)
+    assert engine.bundles.lines_per_point == pytest.approx(1 << 24, rel=1e-6) and "take LocalRays" in caplog.text
+    caplog.clear()
+    assert ABuffer(cube(2)).bundles.lines_per_point == pytest.approx(16384) and not caplog.text
+    monkeypatch.setattr(etendue.radiosity.abuffer, "free_memory", lambda: 10**8)
+    with pytest.raises(RadiosityError, match="GB on each thread"):
+        ABuffer(patches, lines=1e9)

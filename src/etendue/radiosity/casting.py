@@ -18,15 +18,17 @@ from etendue.core import (
     Measurement,
     Result,
     free_memory,
+    logger,
     seed_key,
     setting,
 )
 from etendue.core import Settings as AnySettings
 from etendue.points import OwenSobol
 
-from .abuffer import ABuffer
+from .abuffer import LINES_PER_PATCH, ABuffer
 from .engine import LineEngine, warn_of_faults
 from .errors import RadiosityError
+from .local import LocalRays
 from .mixing import local_rays, with_local_rays
 from .patches import Patches
 from .raycasting import RayScene
@@ -52,6 +54,8 @@ _COUNTING, _RESIDUAL = 3, 1e-6
 _RAY_SECONDS, _LOOK_SECONDS = 3e-7, 1e-8
 #: Chunks that are summed to see how long that takes.
 _TIMED = 64
+#: Local rays of a bundle, at least.
+_FEWEST_RAYS = 8192
 #: "No end" of a stream, and bundles whose pieces are those of a step.
 _ENDLESS, _USUAL = 1 << 31, 1024
 
@@ -147,9 +151,9 @@ class LineCasting:
         """Build the engine, and have its loops compiled. Raises :class:`RadiosityError` if not even one bundle fits
         into memory."""
         patches = self.patches = problem.patches
-        lines = self._options.lines or None
-        self.engine: LineEngine = ABuffer(patches, SpiralPoints(seed), lines)
-        self._seed, self._size = seed, self.engine.piece(_USUAL)
+        self._seed = seed
+        self.engine = self._engine_for(patches)
+        self._size = self.engine.piece(_USUAL)
         self._take_turns()
         if self.memory() < 1:
             raise RadiosityError(f"not even one bundle of lines through {len(patches)} patches fits into memory")
@@ -308,11 +312,21 @@ class LineCasting:
     def _expected_segments(self, count: int) -> float:
         return float(self.engine.expected(count).sum()) / 2
 
+    def _engine_for(self, patches: Patches) -> LineEngine:
+        """Bundles of lines; or of local rays, where there would have to be too many lines."""
+        if self._options.lines or ABuffer.suits(patches):
+            return ABuffer(patches, SpiralPoints(self._seed), self._options.lines or None)
+        logger.warning(
+            "surfaces are few in a large space, where few lines meet them: local rays are cast from all patches instead"
+        )
+        points = OwenSobol(4, seed=seed_key(self._seed, "lines", 0)[0])
+        return LocalRays(self._scene, points, max(int(LINES_PER_PATCH / 2 * len(patches)), _FEWEST_RAYS))
+
     def _take_turns(self) -> None:
         """Share the lines out among replicates, piece by piece."""
         if (number := self._options.replicates) > 1:
             sequences = [OwenSobol(4, seed=seed_key(self._seed, "lines", k)[0]) for k in range(number)]
-            self.engine.points = Replicates(sequences, self._size)
+            self.engine.points = Replicates(sequences, self._size * getattr(self.engine, "bundle", 1))
 
     def _part(self, chunks: list[Pairs]) -> Segments:
         return Segments(self.patches, chunks, np.zeros(len(chunks)), self.engine.expected(1))
