@@ -31,6 +31,8 @@ _BUNDLES = 8
 _PLACES, _PLACES_CUDA = 1 << 21, 1 << 24
 #: The order of faces nearer to each other than this follows from how they are turned, in radii of the scene.
 _GAP = 2e-7
+#: Volumes up to this are none, in units of the cubed radius.
+_VOLUME = 1e-9
 #: Lines for each patch and bundle, in the mean, if their number is not given; and the fewest.
 LINES_PER_PATCH, _FEWEST = 4.0, 16384
 #: The most lines of a bundle, if their number is not given: so many, or so many for each patch. A line of the grid
@@ -89,6 +91,7 @@ class ABuffer(LineEngine):
         self._spacing = self.bundles.spacing / self.bundles.radius
         self._vertices = (patches.vertices[used] - self.bundles.centre) / self.bundles.radius
         self._faces = np.ascontiguousarray(faces.reshape(-1, 4), dtype=np.uint32)
+        self._solid = self._is_inside()
         front, back = patches.front, np.where(patches.back < 0, len(patches) + 1, patches.back)
         self._ends = np.stack([front, back, back, front], axis=1).reshape(-1, 2).astype(np.uint32)
 
@@ -122,9 +125,18 @@ class ABuffer(LineEngine):
 
         def task(start: int, number: int) -> Callable[[], Pairs]:
             arrays = self._vertices, self._faces, self._ends, *self._grids(start, number)
-            return lambda: rasterise(*arrays, self._spacing, len(self.patches), room)
+            return lambda: rasterise(*arrays, self._spacing, len(self.patches), room, self._solid)
 
         return in_order(task(*piece) for piece in pieces)
+
+    def _is_inside(self) -> bool:
+        """Whether the faces with one side look into a space that they bound, as those of a room do, and not out of
+        solids: by the volume behind them."""
+        p = self._vertices[self._faces[self.patches.back < 0]]
+        if len(p) == 0:
+            return False
+        areas = np.cross(p[:, 2] - p[:, 0], p[:, 3] - p[:, 1]) / 2
+        return bool((p[:, 0] * areas).sum() / 3 < -_VOLUME)
 
     def _grids(self, start: int, number: int) -> tuple[Array, Array]:
         u = self.points.block(number, start)
@@ -133,7 +145,14 @@ class ABuffer(LineEngine):
     @cached_property
     def _rasteriser(self) -> Rasteriser:
         return Rasteriser(
-            self._vertices, self._faces, self._ends[::2], len(self.patches), radius=1.0, spacing=self._spacing, gap=_GAP
+            self._vertices,
+            self._faces,
+            self._ends[::2],
+            len(self.patches),
+            radius=1.0,
+            spacing=self._spacing,
+            gap=_GAP,
+            solid=self._solid,
         )
 
 
