@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from support.patches import box, cube, joined, square
 
+import etendue.radiosity.abuffer
 import etendue.radiosity.casting
 import etendue.radiosity.shot
 from etendue.core import CheckpointError
@@ -34,8 +35,8 @@ def lit_room(**properties):
     return Patches(vertices, faces, **{"reflectance": 0.5, "emission": emission, **properties})
 
 
-def prepared(patches, seed=3, lines=200, **options):
-    casting = LineCasting(CastingSettings(lines=lines), **options)
+def prepared(patches, seed=3, lines=200, replicates=1, **options):
+    casting = LineCasting(CastingSettings(lines=lines, replicates=replicates), **options)
     casting.prepare(PatchProblem(patches), seed)
     return casting
 
@@ -75,13 +76,14 @@ def outcome(casting):
     return solution.radiosity, solution.irradiance_error(segments)
 
 
-def test_a_run_that_is_resumed_is_the_run_that_was_not_interrupted(tmp_path):
+@pytest.mark.parametrize("replicates", [1, 8])
+def test_a_run_that_is_resumed_is_the_run_that_was_not_interrupted(tmp_path, replicates):
     """Bit by bit, through a file; looking at errors on the way changes nothing."""
     patches = lit_room()
-    whole = prepared(patches, most=256)
+    whole = prepared(patches, most=256, replicates=replicates)
     run(whole, samples=256)
 
-    part = prepared(patches, goal="irradiance", most=256)
+    part = prepared(patches, goal="irradiance", most=256, replicates=replicates)
     for i in range(17):
         part.step(i, 3)
     assert part.noise() > 0
@@ -93,7 +95,7 @@ def test_a_run_that_is_resumed_is_the_run_that_was_not_interrupted(tmp_path):
 
     saved = Checkpoint.read(tmp_path / "lines.checkpoint")
     saved.require_scene(PatchProblem(lit_room()).fingerprint)
-    rest = prepared(patches, most=256)
+    rest = prepared(patches, most=256, replicates=replicates)
     rest.restore(saved.state)
     while rest.count < 256:
         rest.step(0, 3)
@@ -179,6 +181,59 @@ def test_a_run_ends_at_an_error():
     assert 0.7 * 0.02 < (1 / np.sqrt(expected)).mean() <= 0.02
 
 
+def ends(patches, target, seeds, **options):
+    """Of runs to an error, all relative to the mean over the surface: what they state, and their scatter."""
+    areas, found, stated = patches.areas[:, None], [], []
+    for seed in range(seeds):
+        casting = prepared(patches, seed, goal="irradiance", **options)
+        result = Runner(casting, seed=seed, budget=Budget(error=target**2, samples=1 << 14)).run()
+        casting.close()
+        assert result.stopped_by == "error"
+        solution = solve(patches, casting.segments(), "conjugate-gradient", shot=casting.shot())
+        found.append(solution.irradiance)
+        error = (areas * solution.irradiance_error(casting.segments())).sum() / (areas * solution.irradiance).sum()
+        assert error == pytest.approx(np.sqrt(casting.noise()), rel=0.05)
+        stated.append(error)
+    scatter = (areas * np.std(found, axis=0, ddof=1)).sum() / (areas * np.mean(found, axis=0)).sum()
+    return np.mean(stated), scatter
+
+
+def glowing_cube():
+    return cube(2, reflectance=0.5, emission=np.arange(24) < 4)
+
+
+def test_a_budget_in_error_ends_where_the_scatter_over_seeds_says():
+    stated, scatter = ends(glowing_cube(), 0.012, 12, replicates=8)
+    assert stated == pytest.approx(0.012, rel=0.15) and scatter == pytest.approx(0.012, rel=0.25)
+    # Parts of one sequence tell no more than a bound.
+    stated, scatter = ends(glowing_cube(), 0.024, 6)
+    assert stated > 1.5 * scatter
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("patches", "target", "lines"), [(lit_room(), 0.002, 200), (glowing_cube(), 0.005, 200)])
+def test_budgets_in_error_end_where_the_scatter_over_30_seeds_says(patches, target, lines):
+    """With a shot, whose rays have a share in the error, and without."""
+    stated, scatter = ends(patches, target, 30, replicates=8, lines=lines)
+    assert stated == pytest.approx(target, rel=0.15) and scatter == pytest.approx(target, rel=0.25)
+
+
+def test_an_error_that_is_added_up_is_that_of_all_lines(monkeypatch):
+    """As many segments as a solution is kept for: only what is new is looked at."""
+    monkeypatch.setattr(etendue.radiosity.casting, "_FEW_SEGMENTS", 0)
+    patches = lit_room(emission=1.0)
+    casting = prepared(patches, goal="irradiance", replicates=3)
+    for i in range(40):
+        casting.step(i, 3)
+        if i in (16, 17, 25, 39):
+            carried, irradiance = casting.noise() and casting._known
+            error = casting._lines().gather_error(carried, patches.sky)
+            areas = patches.areas[:, None]
+            assert np.sqrt(casting.noise()) == pytest.approx((areas * error).sum() / (areas * irradiance).sum())
+    casting.close()
+    assert casting.shot() is None
+
+
 def test_a_run_ends_after_a_time():
     ticks = iter(np.arange(0, 1000, 0.25))
     casting = prepared(cube(1))
@@ -242,3 +297,37 @@ def test_fingerprints_tell_patches_apart():
     moved.vertices[0] += 1e-9
     for other in (lit_room(reflectance=0.6), lit_room(sky=1.0), lit_room(two_sided=True), moved):
         assert PatchProblem(other).fingerprint != known
+
+
+def distant_cubes(**properties):
+    """Cubes of a metre, in fours of squares a side, at 10 km of each other, and a lit plate beside the first."""
+    plate = square((0, 0, 1.5), (0, 1, 0), (1, 0, 0))
+    vertices, faces = joined(box((0, 0, 0), (1, 1, 1), 2), box((10_000, 0, 0), (10_001, 1, 1), 2), plate)
+    emission = np.where(np.arange(len(faces)) == len(faces) - 1, 1.0, 0.0)
+    return Patches(vertices, faces, **{"reflectance": 0.5, "emission": emission, **properties})
+
+
+def test_surfaces_far_from_each_other_get_local_rays(caplog):
+    """Bundles that meet a patch four times would have 2e9 lines."""
+    patches = distant_cubes()
+    casting = prepared(patches, lines=0, replicates=4, goal="irradiance", most=64)
+    assert "local rays are cast from all patches instead" in caplog.text
+    run(casting, samples=64)
+    segments = casting.segments()
+    assert casting.made == len(segments) >= 64 * 8192 and segments.nbytes < 1e7
+    # Parallel squares in closed form, whose distance is half a side; far away there is nothing to see.
+    top = [i for i in range(24) if patches.normals[i, 2] > 0.9]
+    found = segments.gather(patches.emission)[:, 0]
+    assert found[top].mean() == pytest.approx(0.41525, rel=0.01)
+    assert found[24:48].max() < 1e-6
+
+
+def test_the_lines_of_a_bundle_are_bounded(caplog, monkeypatch):
+    patches = distant_cubes()
+    engine = ABuffer(patches)
+    assert engine.bundles.lines_per_point == pytest.approx(1 << 24, rel=1e-6) and "take LocalRays" in caplog.text
+    caplog.clear()
+    assert ABuffer(cube(2)).bundles.lines_per_point == pytest.approx(16384) and not caplog.text
+    monkeypatch.setattr(etendue.radiosity.abuffer, "free_memory", lambda: 10**8)
+    with pytest.raises(RadiosityError, match="GB on each thread"):
+        ABuffer(patches, lines=1e9)

@@ -21,6 +21,7 @@ from etendue.radiosity import (
     RayScene,
     Segments,
     SpherePairs,
+    form_factors,
     local_form_factors,
 )
 
@@ -262,3 +263,23 @@ def test_without_numba_there_are_rays(monkeypatch):
 def test_what_does_not_fit_into_memory_is_refused_before():
     with pytest.raises(RadiosityError, match=r"GB.*cast fewer points, or take stream"):
         ABuffer(room(2), lines=1e9).cast(10_000)
+
+
+@pytest.mark.parametrize("backend", ["compiled", "drjit"])
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_box_in_a_corner_of_a_room_makes_no_loose_ends(backend, turned):
+    """Lines through the corner meet pairs of faces in the same place, and nothing else that tells their order."""
+    vertices, faces = joined(box((0, 0, 0), (1, 1, 1), 2, inward=True), box((0, 0, 0), (0.4, 0.3, 0.35)))
+    if turned:
+        axes = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+        vertices = vertices @ (axes * np.linalg.det(axes))
+    patches = Patches(vertices, faces)
+    segments = ABuffer(patches, OwenSobol(4, seed=1), 2000, backend).cast(64)
+    assert segments.to_dark.sum() == segments.to_sky.sum() == 0
+    # The sides of the box that lie at walls see them alone, the others never what they hide.
+    factors = form_factors(segments).matrix.toarray()
+    hidden = [i for i in range(24, 30) if np.all((patches.normals[i] @ (vertices - patches.centres[i]).T) < 1e-9)]
+    assert len(hidden) == 3
+    for i in hidden:
+        walls = np.abs(patches.normals[:24] + patches.normals[i]).max(axis=1) < 1e-9
+        assert factors[i, :24][walls].sum() == pytest.approx(1)

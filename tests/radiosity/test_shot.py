@@ -62,6 +62,17 @@ def test_the_solution_is_unbiased_and_has_a_fraction_of_the_error(aimed):
     assert squares[0] < (0.03 if aimed else 0.1) * squares[1]
 
 
+def test_the_error_of_a_point_sequence_is_the_scatter_over_seeds():
+    """Mean squares over the surface, both known to a tenth by 30 seeds."""
+    patches = lamp_in_a_room()
+    scene = RayScene(patches)
+    shots = [shot_at_patches(scene, 1, OwenSobol(4, seed=seed)) for seed in range(30)]
+    areas = patches.areas[:, None]
+    scatter = (areas * np.var([shot.irradiance for shot in shots], axis=0, ddof=1)).sum()
+    stated = (areas * np.mean([np.square(shot.error) for shot in shots], axis=0)).sum()
+    assert np.sqrt(stated / scatter) == pytest.approx(1, rel=0.25)
+
+
 @pytest.mark.parametrize(("pair", "near"), [(parallel_squares, 0.3), (perpendicular_squares, 0.3), (discs, 0.0)])
 def test_aimed_rays_find_form_factors_in_closed_form(pair, near, monkeypatch):
     """Far from a lamp, beside it, and by the cosine law alone; in open scenes the rest goes to the sky."""
@@ -162,7 +173,7 @@ def test_a_shot_grows_by_what_fills_the_device(monkeypatch):
     patches = lamp_in_a_room()
     scene, emitters = RayScene(patches), small_emitters(patches, 1 / 16)
     grown, at_once = (Shot(scene, OwenSobol(4, seed=3), emitters) for _ in range(2))
-    size = at_once.cast(1).rays // 2
+    size = at_once.cast(1).rays // 4
     grown.grow(7.5 * size)
     whole = (1 << 17) // size
     assert 1 < whole < 8 and 8 % whole and grown.state()["blocks"] == 8 // whole * whole

@@ -9,6 +9,7 @@ from support.patches import room
 from etendue.points import OwenSobol
 from etendue.radiosity import ABuffer, SpiralPoints
 from etendue.radiosity.lines import direction
+from etendue.radiosity.replicates import Replicates
 
 
 def projected_area_errors(points, size):
@@ -72,3 +73,13 @@ def test_the_rasteriser_takes_them_by_default():
     # The scatter of the batches is an upper estimate.
     errors, stated = first.gather(x) - exact, first.gather_error(x)
     assert np.sqrt(np.mean((errors / stated) ** 2)) < 1.2
+
+
+def test_replicates_take_turns():
+    """Five points of each of three sequences, then their next five."""
+    sequences = [OwenSobol(4, seed=seed) for seed in range(3)]
+    points = Replicates(sequences, 5).block(40)
+    for k, sequence in enumerate(sequences):
+        own = np.concatenate([points[5 * turn : 5 * turn + 5] for turn in range(k, 8, 3)])
+        np.testing.assert_array_equal(own, sequence.block(len(own)))
+    np.testing.assert_array_equal(Replicates(sequences, 5).block(7, 13), points[13:20])

@@ -60,6 +60,8 @@ class Request:
     local_rays: bool = True
     #: The other fields of :class:`SolutionOutput`.
     outputs: dict[str, Any] = field(default_factory=dict)
+    #: Whether an error ends the run, so that lines are to tell it.
+    to_error: bool = False
 
     @property
     def is_factors(self) -> bool:
@@ -194,7 +196,7 @@ def cast(
 ) -> Cast:
     """Cast lines until the budget is used up or a signal comes, from where ``saved`` ended."""
     from etendue.engine import Job, Runner, Session
-    from etendue.radiosity import CastingSettings, LineCasting, PatchProblem
+    from etendue.radiosity import REPLICATES, CastingSettings, LineCasting, PatchProblem
 
     from .rendering import follow
 
@@ -202,7 +204,11 @@ def cast(
     problem = PatchProblem(patches, request.source)
     goal: Any = "rows" if request.command == "form-factors" else "irradiance"
     casting = LineCasting(
-        CastingSettings(shot=request.shot and request.command == "radiosity", local_rays=request.local_rays),
+        CastingSettings(
+            shot=request.shot and request.command == "radiosity",
+            local_rays=request.local_rays,
+            replicates=REPLICATES if request.to_error else 1,
+        ),
         goal=goal if console.is_terminal or budget.error is not None else None,
     )
     jobs: list[Job] = []

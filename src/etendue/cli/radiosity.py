@@ -204,6 +204,7 @@ def radiosity(
             "lightmap": lightmap,
             "uv": uv,
         },
+        to_error=error is not None,
     )
     if solution is not None:
         return _write_again(request, solution, variant, threads)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-import tempfile
+import secrets
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,8 +26,9 @@ def check_writable(path: str | os.PathLike[str]) -> None:
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary path beside ``path`` that takes its place when the block ends without an error.
 
-    A reader, or a process killed in between, sees the old file or the new one, never a part of it. Raises
-    :class:`OutputError` if the folder does not exist or cannot be written, or if writing fails.
+    A reader sees the old file or the new one, never a part of it, also after the process was killed or power was lost.
+    The file is as public as any other that the process creates. Raises :class:`OutputError` if the folder does not
+    exist or cannot be written, or if writing fails.
     """
     target = Path(path)
     part = _new_part(target)
@@ -35,10 +36,8 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield part
         with part.open("rb+") as file:
             os.fsync(file.fileno())
-        mask = os.umask(0)
-        os.umask(mask)
-        part.chmod(0o666 & ~mask)  # mkstemp makes files private; a picture is as public as any other file
         part.replace(target)
+        _sync(target.parent)
     except OSError as error:
         raise _failure(target, error) from None
     finally:
@@ -60,12 +59,24 @@ def _new_part(target: Path) -> Path:
         raise OutputError(f"cannot write '{target}': '{folder}' is a file, not a folder; choose another place")
     if not folder.is_dir():
         raise OutputError(f"cannot write '{target}': there is no folder '{folder}'; create it first")
+    part = folder / f".{target.name}.{secrets.token_hex(8)}{target.suffix or '.part'}"
     try:
-        handle, name = tempfile.mkstemp(dir=folder, prefix=f".{target.name}.", suffix=target.suffix or ".part")
-        os.close(handle)
+        # The system applies the umask. It cannot be read without changing it for all threads, and mkstemp makes files
+        # private.
+        os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666))
     except OSError as error:
         raise OutputError(f"cannot write '{target}': {error.strerror}; choose a place you may write to") from None
-    return Path(name)
+    return part
+
+
+def _sync(folder: Path) -> None:
+    """Write the entries of a folder to the disk. Where the system cannot, the file is in place all the same."""
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
 
 
 def _failure(target: Path, error: OSError) -> OutputError:

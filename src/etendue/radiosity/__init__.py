@@ -2,7 +2,7 @@
 
 from .abuffer import ABuffer, Backend
 from .atlases import LIGHTMAP_MESHES, TexturedMesh, atlas, gltf_mesh, save_textured_mesh, scene_mesh
-from .casting import CastingSettings, LineCasting, PatchProblem
+from .casting import REPLICATES, CastingSettings, LineCasting, PatchProblem
 from .chained import ChainedRays
 from .diagnosis import Diagnosis, diagnose
 from .engine import LineEngine
@@ -47,6 +47,7 @@ __all__ = [
     "GENERATORS",
     "LIGHTMAP_MESHES",
     "PICTURE_FILES",
+    "REPLICATES",
     "SOLUTION_FILES",
     "SOLVERS",
     "STEFAN_BOLTZMANN",

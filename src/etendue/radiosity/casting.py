@@ -18,19 +18,22 @@ from etendue.core import (
     Measurement,
     Result,
     free_memory,
+    logger,
     seed_key,
     setting,
 )
 from etendue.core import Settings as AnySettings
 from etendue.points import OwenSobol
 
-from .abuffer import ABuffer
+from .abuffer import LINES_PER_PATCH, ABuffer
 from .engine import LineEngine, warn_of_faults
 from .errors import RadiosityError
+from .local import LocalRays
 from .mixing import local_rays, with_local_rays
 from .patches import Patches
 from .raycasting import RayScene
-from .segments import Pairs, Segments
+from .replicates import Replicates
+from .segments import Pairs, Segments, scatter
 from .shot import FirstShot, Shot, small_emitters
 from .solvers import solve
 from .spiral import SpiralPoints
@@ -39,6 +42,8 @@ from .spiral import SpiralPoints
 RAYS_PER_SEGMENT = 1 / 4
 #: Batches of segments, whose scatter tells errors.
 _BATCHES = 16
+#: Sequences of lines for runs to an error. With four, runs with few patches end at 1.2 times that error.
+REPLICATES = 8
 #: Segments up to which an estimate of the error solves the system anew.
 _FEW_SEGMENTS = 1 << 20
 #: Least points before an error is estimated: two batches would do, but tell little.
@@ -49,6 +54,8 @@ _COUNTING, _RESIDUAL = 3, 1e-6
 _RAY_SECONDS, _LOOK_SECONDS = 3e-7, 1e-8
 #: Chunks that are summed to see how long that takes.
 _TIMED = 64
+#: Local rays of a bundle, at least.
+_FEWEST_RAYS = 8192
 #: "No end" of a stream, and bundles whose pieces are those of a step.
 _ENDLESS, _USUAL = 1 << 31, 1024
 
@@ -60,6 +67,9 @@ class CastingSettings(AnySettings):
     lines: float = setting(0.0, "lines of a bundle through the bounding sphere, 0 for the engine's choice", minimum=0)
     shot: bool = setting(True, "send the light of small emitters by local rays")
     local_rays: bool = setting(True, "cast local rays from patches that few lines meet")
+    replicates: int = setting(
+        1, "independent sequences of lines, whose scatter tells the error; with one, it is an upper estimate", minimum=1
+    )
 
 
 @dataclass(frozen=True)
@@ -91,14 +101,16 @@ class LineCasting:
     ``rows``       of the row of form factors of a patch, mean over patches
     ============== ===================================================================================================
 
+    The lines are those of one sequence, whose 16 parts scatter two to nine times as much as their mean errs: what
+    ``noise`` and solutions say is then an upper estimate. To end at an error, take ``REPLICATES``: they scatter as
+    their mean errs, which is two to four times as much as one sequence of as many lines does.
+
     settings: see :class:`CastingSettings`. most: bundles to end at, if a budget says so: the last piece may be smaller.
     """
 
     name: ClassVar[str] = "global-lines"
     Settings: ClassVar[type[AnySettings]] = CastingSettings
     citations: ClassVar[tuple[str, ...]] = ("Sbert1993", "Carpenter1984", "Castro2002")
-    #: Growth of the number of passes from one estimate of the error to the next.
-    error_cadence: ClassVar[float] = 1.0
 
     def __init__(
         self,
@@ -116,10 +128,19 @@ class LineCasting:
         self._stream: Iterator[Pairs] | None = None
         self._shot: Shot | None = None
         self._known: tuple[Array, Array] | None = None
+        # What the chunks so far add to the sums of each replicate over what is known.
+        self._sums: list[tuple[Array, Array]] = []
+        self._summed = 0
         # Seconds and segments of the sums that were timed, and the number of chunks at the last of them.
         self._passes, self._timed = np.zeros(2), 0
 
     # ------------------------------------------------------------------ the protocol of methods
+
+    @property
+    def error_cadence(self) -> float:
+        """Growth of the number of passes from one estimate of the error to the next: with replicates only what is new
+        has to be looked at."""
+        return 1.0 if self._options.replicates == 1 else 0.1
 
     @property
     def samples_per_iteration(self) -> int:
@@ -130,9 +151,10 @@ class LineCasting:
         """Build the engine, and have its loops compiled. Raises :class:`RadiosityError` if not even one bundle fits
         into memory."""
         patches = self.patches = problem.patches
-        lines = self._options.lines or None
-        self.engine: LineEngine = ABuffer(patches, SpiralPoints(seed), lines)
-        self._seed, self._size = seed, self.engine.piece(_USUAL)
+        self._seed = seed
+        self.engine = self._engine_for(patches)
+        self._size = self.engine.piece(_USUAL)
+        self._take_turns()
         if self.memory() < 1:
             raise RadiosityError(f"not even one bundle of lines through {len(patches)} patches fits into memory")
         emitters = small_emitters(patches, RAYS_PER_SEGMENT) if self._options.shot else np.zeros(len(patches), bool)
@@ -186,6 +208,7 @@ class LineCasting:
         self.close()
         # A step has the size that it had, also on a machine that would choose another.
         self.count, self._size, self._chunks = state["count"], state["size"], list(state["chunks"])
+        self._take_turns()
         self.made = sum(map(len, self._chunks))
         if self._shot is not None and state["shot"] is not None:
             self._shot.restore(state["shot"])
@@ -196,17 +219,34 @@ class LineCasting:
             return None
         if self.goal == "rows":
             return float(np.mean(1 / np.sqrt(self.engine.expected(self.count))) ** 2)
-        patches, segments, shot = self.patches, self._lines(), self.shot()
-        sent = 0.0 if shot is None else shot.emission
-        if self._known is None or len(segments) <= _FEW_SEGMENTS:
-            solution = solve(patches, segments, "conjugate-gradient", shot=shot, tolerance=1e-3)
-            self._known = solution.radiosity - sent, solution.irradiance
-        carried, irradiance = self._known
-        error = segments.gather_error(carried, patches.sky)
+        patches, shot = self.patches, self.shot()
+        if self._known is None or self.made <= _FEW_SEGMENTS:
+            solution = solve(patches, self._lines(), "conjugate-gradient", shot=shot, tolerance=1e-3)
+            self._known = solution.radiosity - (0.0 if shot is None else shot.emission), solution.irradiance
+            self._sums, self._summed = [], 0
+        irradiance = self._known[1]
+        error = self._error_of_lines(self._known[0])
         error = error if shot is None else np.hypot(error, shot.error)
         areas = patches.areas[:, None]
         light = (areas * irradiance).sum()
         return float(((areas * error).sum() / light) ** 2) if light > 0 else None
+
+    def _error_of_lines(self, carried: Array) -> Array:
+        """Standard error (n, c) of the irradiance by patches of such radiosities and the sky."""
+        replicates = self._options.replicates
+        if replicates == 1:
+            return self._lines().gather_error(carried, self.patches.sky)
+        for k in range(replicates):
+            new = [i for i in range(self._summed, len(self._chunks)) if i % replicates == k]
+            found = self._part([self._chunks[i] for i in new]).sums(carried, self.patches.sky)
+            if k < len(self._sums):
+                self._sums[k] = self._sums[k][0] + found[0], self._sums[k][1] + found[1]
+            else:
+                self._sums.append(found)
+        self._summed = len(self._chunks)
+        sums, weights = (sum(parts[1:], start=parts[0]) for parts in zip(*self._sums, strict=True))
+        mean = np.divide(sums, weights[:, None], out=np.zeros_like(sums), where=weights[:, None] > 0)
+        return scatter(self._sums, mean)
 
     # ------------------------------------------------------------------ what was cast
 
@@ -265,7 +305,7 @@ class LineCasting:
         return RAYS_PER_SEGMENT * self._expected_segments(self.count)
 
     def _time_pass(self, chunks: list[Pairs]) -> None:
-        segments = Segments(self.patches, chunks, np.zeros(len(chunks)), self.engine.expected(1))
+        segments = self._part(chunks)
         begin = time.perf_counter()
         segments.gather(self.patches.emission)
         self._passes += time.perf_counter() - begin, len(segments)
@@ -273,6 +313,26 @@ class LineCasting:
     def _expected_segments(self, count: int) -> float:
         return float(self.engine.expected(count).sum()) / 2
 
+    def _engine_for(self, patches: Patches) -> LineEngine:
+        """Bundles of lines; or of local rays, where there would have to be too many lines."""
+        if self._options.lines or ABuffer.suits(patches):
+            return ABuffer(patches, SpiralPoints(self._seed), self._options.lines or None)
+        logger.warning(
+            "surfaces are few in a large space, where few lines meet them: local rays are cast from all patches instead"
+        )
+        points = OwenSobol(4, seed=seed_key(self._seed, "lines", 0)[0])
+        return LocalRays(self._scene, points, max(int(LINES_PER_PATCH / 2 * len(patches)), _FEWEST_RAYS))
+
+    def _take_turns(self) -> None:
+        """Share the lines out among replicates, piece by piece."""
+        if (number := self._options.replicates) > 1:
+            sequences = [OwenSobol(4, seed=seed_key(self._seed, "lines", k)[0]) for k in range(number)]
+            self.engine.points = Replicates(sequences, self._size * getattr(self.engine, "bundle", 1))
+
+    def _part(self, chunks: list[Pairs]) -> Segments:
+        return Segments(self.patches, chunks, np.zeros(len(chunks)), self.engine.expected(1))
+
     def _lines(self) -> Segments:
-        batch = np.arange(len(self._chunks)) * min(_BATCHES, len(self._chunks)) // max(len(self._chunks), 1)
+        order, replicates = np.arange(len(self._chunks)), self._options.replicates
+        batch = order * min(_BATCHES, len(order)) // max(len(order), 1) if replicates == 1 else order % replicates
         return Segments(self.patches, self._chunks, batch, self.engine.expected(self.count))

@@ -119,16 +119,16 @@ def _sort_many(lists: Lists, chosen: Any) -> None:
     dr.while_loop((zero,), lambda i: i < count, place, label="line lists: many hits")
 
 
-def exchanges(lists: Lists, sides: Any, sky: Any, gap: Any) -> Any:
+def exchanges(lists: Lists, sides: Any, sky: Any, gap: Any, solid: Any) -> Any:
     """Segments of all lines as numbers of 64 bits, the near patch in the lower half.
 
     ``sides``: two patches for each face, of front and back; ``sky`` and ``sky + 1`` stand for the sky and for the back
     of a face. Two faces of opposite sense that are nearer than ``gap`` may be a sheet, or solids that touch (a box on
     the floor). Rounding does not decide which comes first, but whether the line is inside a solid, behind the back of a
-    face.
+    face. ``solid``: whether the scene is the inside of something, so that lines begin there.
     """
     dark = sky + 1
-    lines, first, count = _Lines(lists, sides, dark, gap), lists.first, lists.count
+    lines, first, count = _Lines(lists, sides, dark, gap, solid), lists.first, lists.count
     found = dr.empty(mi.UInt64, len(lists.key))
 
     def write(i: Any, before: Any, after: Any) -> None:
@@ -163,9 +163,9 @@ def exchanges(lists: Lists, sides: Any, sky: Any, gap: Any) -> Any:
 class _Lines:
     """Sorted hits of lines, a lane each."""
 
-    def __init__(self, lists: Lists, sides: Any, dark: Any, gap: Any) -> None:
+    def __init__(self, lists: Lists, sides: Any, dark: Any, gap: Any, solid: Any) -> None:
         self._key, self._first, self._count = lists.key, lists.first, lists.count
-        self._sides, self._dark, self._gap = sides, dark, gap
+        self._sides, self._dark, self._gap, self._solid = sides, dark, gap, solid
 
     def hit(self, i: Any) -> tuple[Any, Any, Any]:
         """Depth of a hit, patch of the near side and of the far side; anything behind the last."""
@@ -198,7 +198,8 @@ class _Lines:
             pair_after,
             label="line lists: first face",
         )
-        # A corner that is touched keeps its order, two faces in the same place are a sheet.
-        corner = (near == self._dark) & (following - at > 1)
+        # All are pairs: in the inside of something it is a box in a corner, through whose walls the line comes and
+        # goes; else a corner that is touched keeps its order, two faces in the same place are a sheet.
+        corner = self._solid | ((near == self._dark) & (following - at > 1))
         at_first = dr.select(alone < self._count, near_alone == self._dark, corner)
         return dr.select(begins, at_first, before == self._dark)

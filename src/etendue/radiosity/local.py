@@ -24,25 +24,27 @@ class LocalRays(LineEngine):
 
     They have the density of global lines [Sbert 1993], but each end of a segment is looked for by one ray, and nothing
     behind it is found. Better than global lines where surfaces are few in a large space.
+
+    bundle: rays that count as one, each with a point of its own, for what casts lines in bundles.
     """
 
-    def __init__(self, scene: RayScene, points: PointSet | None = None) -> None:
+    def __init__(self, scene: RayScene, points: PointSet | None = None, bundle: int = 1) -> None:
         super().__init__(scene.patches, points)
-        self.scene = scene
+        self.scene, self.bundle = scene, bundle
         self._source = RaySource(scene, Sides.of(scene.patches))
 
     def expected(self, count: int) -> Array:
         """See :class:`LineEngine`: as many from a patch as to it."""
-        return 2 * count * self.patches.areas / self.patches.areas.sum()
+        return 2 * count * self.bundle * self.patches.areas / self.patches.areas.sum()
 
     def piece(self, count: int) -> int:
         """See :class:`LineEngine`: sixteen pieces at least, so that batches can be made of them."""
-        return max(min(BATCH, -(-count // 16)), 1)
+        return max(min(BATCH // self.bundle, -(-count // 16)), 1)
 
     def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
         """See :class:`LineEngine`."""
         for start, number in self._pieces(count, first, size):
-            u = self.points.lanes(mi.UInt32, number, start)
+            u = self.points.lanes(mi.UInt32, number * self.bundle, start * self.bundle)
             places = self._source.any(u[0], u[1])
             found = self.scene.meets(places.origin, places.directions(cosine_lanes(u[2], u[3])))
             pairs = pairs_of(self._source.patch_of(places.side), found)

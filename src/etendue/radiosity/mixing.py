@@ -73,8 +73,9 @@ def with_local_rays(
     """The same segments, and local rays from patches that so few lines meet that ``least`` rays tell more.
 
     Those are the patches that less than ``least`` lines should meet, by their area. There are fewer rays, by halves,
-    if they would be more than an eighth of the segments; where all patches are alike, there are none. Rays have single
-    precision: patches below 1e-5 of the scene's size are beyond them.
+    if they would be more than an eighth of the segments, but two, whose difference tells the error; where all patches
+    are alike, there are none, nor where one ray each would be too many. Rays have single precision: patches below 1e-5
+    of the scene's size are beyond them.
 
     scene: made of the patches if it is not given. points: of four dimensions, for the rays, a scrambled Sobol' sequence
     by default; not those of the lines. Raises :class:`RadiosityError` if rays were mixed in before.
@@ -108,6 +109,7 @@ def local_rays(expected: Array, segments: int, least: int = 256) -> tuple[int, N
     rays = least
     while rays and rays * np.count_nonzero(expected < rays) > _SHARE * segments:
         rays //= 2
+    rays = max(rays, 2) if rays else 0
     return rays, np.flatnonzero(expected < rays)
 
 

@@ -56,6 +56,7 @@ class Rasteriser:
         radius: float,
         spacing: float,
         gap: float,
+        solid: bool,
     ) -> None:
         use_variant()
         items = _items(vertices, faces, spacing)
@@ -67,6 +68,7 @@ class Rasteriser:
         self._sides = copied_to_device(mi.UInt32, sides)
         self._gap = dr.opaque(mi.UInt32, max(int(gap * self.unit), 1))
         self._sky = dr.opaque(mi.UInt32, patches)
+        self._solid = dr.opaque(mi.Bool, solid)
 
     def segments(self, frames: Array, shifts: Array) -> Pairs:
         """Of the lines of bundles, line by line, each from its near end on, (k, 2).
@@ -81,7 +83,7 @@ class Rasteriser:
         if number == 0:
             return np.empty((0, 2), np.uint32)
         hits = grid.fill(ends - counts, number)
-        pairs = exchanges(by_depth(hits, grid.pixels), self._sides, self._sky, self._gap)
+        pairs = exchanges(by_depth(hits, grid.pixels), self._sides, self._sky, self._gap, self._solid)
         return np.array(pairs).view(np.uint32).reshape(-1, 2)
 
 

@@ -29,13 +29,14 @@ _FEW = 8
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def rasterise(
-    vertices: Any, faces: Any, ends: Any, frames: Any, shifts: Any, spacing: Any, patches: Any, room: Any
+    vertices: Any, faces: Any, ends: Any, frames: Any, shifts: Any, spacing: Any, patches: Any, room: Any, solid: Any
 ) -> Any:
     """Segments (k, 2) of the lines of some bundles, line by line, each from its near end on.
 
     vertices (v, 3) in the unit sphere; faces (f, 4), flat and convex; ends (2 f, 2): near and far patch of a face, and
     the same of the face seen from the back, ``patches + 1`` for none; frames (b, 3, 3) as of :meth:`Bundles.frames`;
-    shifts (b, 2) of the grid in units of ``spacing``; room, the hits of a bundle to be ready for.
+    shifts (b, 2) of the grid in units of ``spacing``; room, the hits of a bundle to be ready for; solid, whether the
+    scene is the inside of something, so that lines begin behind the backs of faces.
 
     Each line has a list of its hits, in order of their discovery; see :func:`_settle` for those that are too near to
     each other to be ordered by depth.
@@ -66,7 +67,7 @@ def rasterise(
             pairs = _grown_pairs(pairs, 2 * (made + 2 * count) + 1, made)
         line = 0
         while True:
-            line, made = _walk(heads, columns * rows, hits, nexts, ends, order, pairs, line, made, patches)
+            line, made = _walk(heads, columns * rows, hits, nexts, ends, order, pairs, line, made, patches, solid)
             if line == columns * rows:
                 break
             order = np.empty(2 * len(order), np.uint64)
@@ -185,6 +186,7 @@ def _walk(
     start: Any,
     made: Any,
     patches: Any,
+    solid: Any,
 ) -> Any:
     """Sort the hits of the lines from ``start`` on, and write the segments between them from ``pairs[made]`` on.
 
@@ -215,7 +217,7 @@ def _walk(
         before, ordered = sky, 0
         for k in range(count):
             if k >= ordered and k + 1 < count and _apart(order, k) < _GAP:
-                ordered = _settle(k, before == dark, count, order, ends, dark)
+                ordered = _settle(k, before == dark, count, order, ends, dark, solid)
             side = order[k] & _LOW
             after = ends[side, 0]
             pairs[made, 0], pairs[made, 1] = before, after
@@ -233,7 +235,7 @@ def _apart(order: Any, k: Any) -> Any:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _settle(k: Any, inside: Any, count: Any, order: Any, ends: Any, dark: Any) -> Any:
+def _settle(k: Any, inside: Any, count: Any, order: Any, ends: Any, dark: Any, solid: Any) -> Any:
     """Put hit ``k`` of a line and the next, which are near to each other, into the right order. Returns the hit from
     which on order is still to be looked at.
 
@@ -250,6 +252,8 @@ def _settle(k: Any, inside: Any, count: Any, order: Any, ends: Any, dark: Any) -
             alone += 2
         if alone < count:
             inside = ends[order[alone] & _LOW, 0] == dark
+        elif solid:  # a box in a corner of a room, through whose walls the line comes and goes
+            inside = True
         elif leaves:  # a corner that is touched keeps its order, two faces in the same place are a sheet
             inside = _apart(order, k) > _SAME
         else:

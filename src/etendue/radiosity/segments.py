@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property, partial
 from typing import Any, Literal
 
@@ -36,7 +36,7 @@ class Segments:
     ----------
     patches: those that the lines were cast through; only number and areas are asked for.
     chunks: arrays (k, 2), one after the other.
-    batches: (chunks,) the batch of each chunk, ascending from 0.
+    batches: (chunks,) the batch of each chunk, from 0 on.
     expected: (n,) how many lines should meet each patch, if it is flat.
     """
 
@@ -73,7 +73,7 @@ class Segments:
     @property
     def batch_count(self) -> int:
         """Number of batches."""
-        return int(self.batches[-1]) + 1 if len(self.batches) else 0
+        return int(self.batches.max()) + 1 if len(self.batches) else 0
 
     @property
     def nbytes(self) -> int:
@@ -112,19 +112,20 @@ class Segments:
     def gather_error(self, values: ArrayLike, sky: ArrayLike = 0.0) -> Array:
         """Standard error of :meth:`gather` (counted), from the scatter of the batches, in the shape of ``values``.
 
-        Batches of one point sequence spread more than independent ones would: the error is then an upper estimate.
-        Raises :class:`RadiosityError` for less than two batches.
+        Batches of one point sequence scatter more than their mean errs: the error is then an upper estimate.
+        Nothing is known of patches that only one batch has met, and their error is zero. Raises
+        :class:`RadiosityError` for less than two batches.
         """
         if self.batch_count < 2:
             raise RadiosityError("a standard error needs two batches of lines at least")
         full, shape = self._with_sky(values, sky)
         mean = _divide(self._gather(full), self.exchange_weights)
-        squares = np.zeros_like(mean)
-        for batch in range(self.batch_count):
-            part = self.batch(batch)
-            squares += (part._gather(full) - mean * part.counted[:, None]) ** 2
-        scatter = np.sqrt(squares * self.batch_count / (self.batch_count - 1))
-        return _divide(scatter, self.exchange_weights).reshape(shape)
+        parts = (self.batch(batch) for batch in range(self.batch_count))
+        return scatter(((part._gather(full), part.counted) for part in parts), mean).reshape(shape)
+
+    def sums(self, values: ArrayLike, sky: ArrayLike = 0.0) -> tuple[Array, Array]:
+        """What :meth:`gather` (counted) divides, (n, c), by what, (n,); to be added up over segments."""
+        return self._gather(self._with_sky(values, sky)[0]), self.exchange_weights
 
     def batch(self, number: int) -> Segments:
         """One batch."""
@@ -178,6 +179,18 @@ class Segments:
             return out
 
         return sum(in_order(partial(task, part) for part in parts), start=zero)
+
+
+def scatter(parts: Iterable[tuple[Array, Array]], mean: Array) -> Array:
+    """Standard error (n, c) of a ``mean`` that is a quotient of sums, from the sums (n, c) and the weights (n,) of its
+    independent parts; zero where one part alone has a weight."""
+    squares, weight, alike = np.zeros_like(mean), np.zeros(len(mean)), np.zeros(len(mean))
+    for sums, weights in parts:
+        weight += weights
+        squares += (sums - mean * weights[:, None]) ** 2
+        alike += weights**2.0
+    # The mean takes part of the scatter away: of parts that have the shares w of the weight, the sum of w^2.
+    return np.sqrt(_divide(squares, weight**2.0 - alike))
 
 
 def _divide(sums: NDArray[Any], weights: Array) -> Array:

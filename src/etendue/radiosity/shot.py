@@ -18,18 +18,21 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, copied_to_device
+from etendue.core import Array, copied_to_device, seed_key
 from etendue.points import Independent, OwenSobol, PointSet
 
 from .errors import RadiosityError
 from .local import Emission
 from .patches import Patches
 from .raycasting import RayScene
+from .segments import scatter
 from .sides import Sides
 from .sources import BATCH, RaySource, cosine_lanes, pairs_of
 
-#: Parts of the points of a shot, whose scatter tells its error.
+#: Parts of the points of a shot that are given, whose scatter tells its error.
 _PARTS = 16
+#: Sequences of points of :class:`Shot`, independent of each other, whose scatter tells its error.
+_REPLICATES = 4
 #: Least rays of a block of :class:`Shot`, and how many of them are aimed for one by the cosine law.
 _BLOCK, _AIMED = 1 << 14, 8
 #: Share A K of the light that a patch would take at most, if all of it were as near to a lamp as the point is: above
@@ -72,19 +75,21 @@ def first_shot(scene: RayScene, u: Array, emitters: NDArray[np.bool_] | None = N
     """Send the emission of all patches, or of the ``emitters`` (n,), by rays of cosine density, one for each point
     ``u`` (N, 4), equal in power.
 
-    The error is from the scatter of 16 parts of the points. Raises :class:`RadiosityError` if no patch emits.
+    The error is from the scatter of 16 parts of the points. Parts of one sequence scatter more than independent ones
+    would: the error is then an upper estimate. Raises :class:`RadiosityError` if no patch emits.
     """
     emission = _emission(scene.patches, emitters)
     source = Emission(scene, scene.patches.areas[:, None] * emission)
     parts = np.array_split(np.asarray(u, dtype=np.float64), min(_PARTS, len(u)))
-    shares = np.array([len(part) for part in parts]) / len(u)
-    received = np.zeros((len(scene.patches) + 2, scene.patches.channels))
-    squares = np.zeros_like(received)
-    for share, part in zip(shares, parts, strict=True):
+    mean = np.zeros((len(scene.patches) + 2, scene.patches.channels))
+    squares, error = np.zeros_like(mean), np.full_like(mean, np.inf)
+    for part in parts:
         found = source.received(part)
-        received += share * found
-        squares += share * found**2
-    return _shot(scene.patches, emission, received, squares, len(parts), len(u))
+        mean += len(part) / len(u) * found
+        squares += len(part) / len(u) * found**2
+    if len(parts) > 1:
+        error = np.sqrt(np.maximum(squares - mean**2, 0) / (len(parts) - 1))
+    return _shot(scene.patches, emission, mean, error, len(u))
 
 
 def shot_at_patches(
@@ -94,8 +99,8 @@ def shot_at_patches(
     as many at each patch. The error of what a patch receives is a small part of that of :func:`first_shot`.
 
     What all patches receive is made what was sent, less what leaves the scene. points: of four dimensions, by default a
-    scrambled Sobol' sequence. The error is from the scatter of blocks of rays. Raises :class:`RadiosityError` if no
-    patch emits.
+    scrambled Sobol' sequence; they are randomised four times, and the error is from the scatter of the four shots that
+    make up this one. Raises :class:`RadiosityError` if no patch emits.
     """
     return Shot(scene, points or OwenSobol(4), emitters).cast(rays)
 
@@ -104,18 +109,21 @@ class Shot:
     """:func:`shot_at_patches`, growing block by block: so many rays give the same, whenever they are cast."""
 
     def __init__(self, scene: RayScene, points: PointSet, emitters: NDArray[np.bool_] | None) -> None:
-        self._lamps = _Lamps(scene, _emission(scene.patches, emitters), points)
+        self._lamps = _Lamps(scene, _emission(scene.patches, emitters), _replicates(points))
         self._blocks = 0
-        self._received = np.zeros((len(scene.patches) + 2, scene.patches.channels))
-        self._squares = np.zeros_like(self._received)
+        #: By each of the sequences.
+        self._received = np.zeros((_REPLICATES, len(scene.patches) + 2, scene.patches.channels))
 
     def cast(self, rays: float) -> FirstShot:
-        """What at least so many rays bring, in two blocks or more; those that were cast before are among them."""
+        """What at least so many rays bring, in a block of each sequence or more; those that were cast before are among
+        them."""
         self.grow(rays)
         lamps = self._lamps
         self._add(self._missing(rays))
-        m, patches = self._blocks, lamps.scene.patches
-        return _shot(patches, lamps.emission, self._received / m, self._squares / m, m, m * lamps.rays)
+        mean = self._received.sum(axis=0) / self._blocks
+        blocks = (np.full(len(mean), len(range(k, self._blocks, _REPLICATES))) for k in range(_REPLICATES))
+        error = scatter(zip(self._received, blocks, strict=True), mean)
+        return _shot(lamps.scene.patches, lamps.emission, mean, error, self._blocks * lamps.rays)
 
     def grow(self, rays: float) -> None:
         """Cast what :meth:`cast` would, as far as it fills the device; the rest stays for later."""
@@ -123,31 +131,31 @@ class Shot:
             self._add(self._lamps.at_once)
 
     def _missing(self, rays: float) -> int:
-        return max(2, int(np.ceil(rays / self._lamps.rays))) - self._blocks
+        return max(_REPLICATES, int(np.ceil(rays / self._lamps.rays))) - self._blocks
 
     def _add(self, blocks: int) -> None:
         if blocks <= 0:
             return
         # Added up one by one, so that it does not matter which were asked for together.
-        for found in self._lamps.light(self._blocks, blocks):
-            self._received = self._received + found  # anew: a state() may hold the old ones
-            self._squares = self._squares + found**2
-            self._blocks += 1
+        received = self._received.copy()  # anew: a state() may hold the old one
+        for block, found in self._lamps.light(self._blocks, blocks):
+            received[block % _REPLICATES] += found
+        self._received, self._blocks = received, self._blocks + blocks
 
     def state(self) -> dict[str, Any]:
         """What :meth:`restore` takes, for a checkpoint."""
-        return {"blocks": self._blocks, "received": self._received, "squares": self._squares}
+        return {"blocks": self._blocks, "received": self._received.copy()}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a :meth:`state`."""
-        self._blocks, self._received, self._squares = state["blocks"], state["received"], state["squares"]
+        self._blocks, self._received = state["blocks"], state["received"].copy()
 
 
 class _Lamps:
-    """Emitters of a scene, ready to send blocks of rays."""
+    """Emitters of a scene, ready to send blocks of rays, for each of which the next of some sequences has its turn."""
 
-    def __init__(self, scene: RayScene, emission: Array, points: PointSet) -> None:
-        self.scene, self.emission, self.points = scene, emission, points
+    def __init__(self, scene: RayScene, emission: Array, sequences: list[PointSet]) -> None:
+        self.scene, self.emission, self.sequences = scene, emission, sequences
         n, sides = len(emission), Sides.of(scene.patches)
         power = scene.patches.areas[:, None] * emission
         strength = power.sum(axis=1)
@@ -174,16 +182,30 @@ class _Lamps:
         """Blocks to ask for together, so that the device is filled."""
         return max(BATCH // self.rays, 1)
 
-    def light(self, first: int, count: int) -> Array:
-        """Power (count, n + 2, c) that patches, the sky and backs of faces receive by each of so many blocks."""
-        received = self._whole / self.shot * self._shot(first, count)
-        received[:, :-2] += self._whole / self.each * self._aimed(first, count)
-        return received
+    def light(self, first: int, count: int) -> list[tuple[int, Array]]:
+        """Numbers of so many blocks, ascending in each sequence, and the power (n + 2, c) that patches, the sky and
+        backs of faces receive by each."""
+        turns = [
+            range(first + (k - first) % len(self.sequences), first + count, len(self.sequences))
+            for k in range(len(self.sequences))
+        ]
+        received = self._whole / self.shot * self._shot(turns, count)
+        received[:, :-2] += self._whole / self.each * self._aimed(turns, count)
+        return list(zip((block for turn in turns for block in turn), received, strict=True))
 
-    def _shot(self, first: int, count: int) -> Array:
+    def _points(self, turns: list[range], size: int) -> list[Any]:
+        """Points of blocks of this size, sequence by sequence."""
+        parts = [
+            points.lanes(mi.UInt32, len(turn) * size, turn.start // len(turns) * size)
+            for points, turn in zip(self.sequences, turns, strict=True)
+            if turn
+        ]
+        return [dr.concat(list(lanes)) for lanes in zip(*parts, strict=True)]
+
+    def _shot(self, turns: list[range], count: int) -> Array:
         """What rays by the cosine law bring, (count, n + 2, c), that of one ray being 1 in all."""
         scene, n = self.scene, len(self.emission)
-        u = self.points.lanes(mi.UInt32, count * self.shot, first * self.shot)
+        u = self._points(turns, self.shot)
         places, ways = self._lamps.any(u[0], u[1]), cosine_lanes(u[2], u[3])
         directions = places.directions(ways)
         hit = scene.hit(places.origin, directions)
@@ -198,10 +220,10 @@ class _Lamps:
         sums = [np.bincount(row, column, count * (n + 3)).reshape(count, n + 3)[:, :-1] for column in colour.T]
         return np.stack(sums, axis=2)
 
-    def _aimed(self, first: int, count: int) -> Array:
+    def _aimed(self, turns: list[range], count: int) -> Array:
         """What rays to points of patches bring, (count, n, c), that of one ray being its share A K."""
         scene, n = self.scene, len(self.emission)
-        table = self.points.lanes(mi.UInt32, count * self.each, first * self.each)
+        table = self._points(turns, self.each)
         dr.eval(table)
         # Lane by lane the rays at a patch, patch by patch, block by block.
         lane = dr.arange(mi.UInt32, count * n * self.each)
@@ -257,14 +279,19 @@ def _emission(patches: Patches, emitters: NDArray[np.bool_] | None) -> Array:
     return emission
 
 
-def _shot(patches: Patches, emission: Array, mean: Array, square: Array, parts: int, rays: int) -> FirstShot:
-    """From the mean of what the parts bring, and the mean of the squares."""
+def _replicates(points: PointSet) -> list[PointSet]:
+    """The points randomised so many times; those of another seed give others."""
+    seed = int(np.bitwise_xor.reduce(points.block(1).ravel().view(np.uint64)))
+    return [points.randomised(seed_key(seed, "replicate", k)[0]) for k in range(_REPLICATES)]
+
+
+def _shot(patches: Patches, emission: Array, mean: Array, error: Array, rays: int) -> FirstShot:
+    """From what the rays bring, (n + 2, c), and its standard error."""
     areas = patches.areas[:, None]
-    scatter = np.sqrt(np.maximum(square - mean**2, 0) / (parts - 1)) if parts > 1 else np.full_like(mean, np.inf)
     sent, received, leaving = (areas * emission).sum(axis=0), mean[:-2].sum(axis=0), mean[-2:].sum(axis=0)
     # Only rays by the cosine law leave the scene: they say less than those that arrive, and give way to them.
     leaves = (leaving > 0) & (received < sent)
     outside = np.divide(sent - received, leaving, out=np.ones_like(sent), where=leaves)
     inside = np.divide(sent - outside * leaving, received, out=np.zeros_like(sent), where=received > 0)
     arrived, away = mean[:-2] * np.maximum(inside, 0), mean[-2:] * outside
-    return FirstShot(patches, emission, arrived / areas, scatter[:-2] / areas, away[0], away[1], rays)
+    return FirstShot(patches, emission, arrived / areas, error[:-2] / areas, away[0], away[1], rays)
