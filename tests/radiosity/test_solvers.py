@@ -103,8 +103,7 @@ def test_multipath_comes_to_the_direct_solution():
     scene = RayScene(patches)
     exact = solve(patches, form_factors(ABuffer(patches, OwenSobol(4, seed=1)).cast(2048), "F4")).radiosity
     forms = {"line by line": [], "after a shot": [], "bundles": [], "bundles after a shot": []}
-    # Power that is on its way in the end is missing: 1 part in 256, the number of pieces of 8 bundles.
-    lines, bundles, count = 1 << 14, 2048, 10
+    lines, bundles, count = 1 << 14, 128, 10
     for seed in range(count):
         rays = ChainedRays(SpherePairs(patches), scene, Independent(4, seed=seed))
         parallel = ABuffer(patches, Independent(4, seed=seed), 200)
@@ -123,8 +122,10 @@ def test_multipath_comes_to_the_direct_solution():
     for kind, radiosities in forms.items():
         mean, spread = np.mean(radiosities, axis=0), np.std(radiosities, axis=0, ddof=1) / np.sqrt(count)
         total = (patches.areas[:, None] * mean).sum() / (patches.areas[:, None] * exact).sum()
-        assert total == pytest.approx(1, abs=0.03), kind
-        deviation = (mean - exact) / (spread + 0.005 * exact)
+        # Of single lines, power that is on its way in the end is missing. Of bundles, none is.
+        single = "bundles" not in kind
+        assert total == pytest.approx(1, abs=0.03 if single else 0.003), kind
+        deviation = (mean - exact) / (spread + (0.005 if single else 0.001) * exact)
         assert np.sqrt((deviation**2).mean()) < 2, kind
 
 
@@ -171,10 +172,11 @@ def test_multipath_under_a_sky():
     patches = opened(lit_room(2), missing=2)
     engine = ABuffer(patches, OwenSobol(4, seed=5), 2000)
     exact = solve(patches, engine.cast(1024)).radiosity
-    result = multipath_bundles(engine, 2048)
+    result = multipath_bundles(engine, 256)
     np.testing.assert_allclose(
-        (patches.areas[:, None] * result.radiosity).sum(axis=0), (patches.areas[:, None] * exact).sum(axis=0), rtol=0.03
+        (patches.areas[:, None] * result.radiosity).sum(axis=0), (patches.areas[:, None] * exact).sum(axis=0), rtol=5e-3
     )
+    assert result.unshot.sum() < 1e-6 * result.sent.sum()
     np.testing.assert_allclose(result.sent, result.absorbed + result.to_sky + result.unshot.sum(axis=0), rtol=1e-9)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Literal, Self, get_args
 
 import numpy as np
 
@@ -68,7 +68,7 @@ class ABuffer(LineEngine):
             radius = patches.sphere[1]
             once = _LINES_PER_PATCH * 2 * np.pi * radius**2 * len(patches) / patches.areas.sum()
             lines = max(once, _FEWEST)
-        self.bundles = Bundles(patches, lines)
+        self.bundles: Bundles = Bundles(patches, lines)
         used, faces = np.unique(patches.faces, return_inverse=True)
         #: In units of the radius, as are the vertices.
         self._spacing = self.bundles.spacing / self.bundles.radius
@@ -90,8 +90,7 @@ class ABuffer(LineEngine):
 
     def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
         """See :class:`LineEngine`."""
-        if self._spirals:
-            self.points = SpiralPoints(directions=count)
+        self._take_spiral(count)
         pieces = self._pieces(count, first, size)
         if self.backend == "drjit":
             return (self._rasteriser.segments(*self._grids(*piece)) for piece in pieces)
@@ -104,6 +103,17 @@ class ABuffer(LineEngine):
             return lambda: rasterise(*arrays, self._spacing, len(self.patches), room)
 
         return in_order(task(*piece) for piece in pieces)
+
+    def shuffled(self, count: int, first: int = 0) -> Self:
+        """See :class:`LineEngine`."""
+        self._take_spiral(count)
+        engine = super().shuffled(count, first)
+        engine._spirals = False
+        return engine
+
+    def _take_spiral(self, count: int) -> None:
+        if self._spirals:
+            self.points = SpiralPoints(directions=count)
 
     def _grids(self, start: int, number: int) -> tuple[Array, Array]:
         u = self.points.block(number, start)
