@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support.patches import cube, room
 
-from etendue.points import Halton, Independent, OwenSobol, Weyl
+from etendue.points import Halton, Independent, OwenSobol
 from etendue.radiosity import (
     SOLVERS,
     ABuffer,
@@ -153,7 +153,10 @@ def test_particles_come_to_the_direct_solution(form):
 
 
 def test_point_sequences_have_less_than_two_thirds_of_the_error_of_independent_lines():
-    """Mean squared error of multipath after a first shot, at equal lines; in [Castro 2002, sec. 3.3] about a half."""
+    """Mean squared error of multipath after a first shot, at equal lines; in [Castro 2002, sec. 3.3] about a half.
+
+    Weyl's points are left out: with so few lines they have a third here, with more 0.5 to 0.7, and in other rooms more
+    than independent ones."""
     patches = lit_room(2, channels=1)
     scene, lines = RayScene(patches), 1 << 12
     exact = solve(patches, form_factors(ABuffer(patches, OwenSobol(4, seed=1)).cast(4096), "F4")).radiosity
@@ -164,7 +167,7 @@ def test_point_sequences_have_less_than_two_thirds_of_the_error_of_independent_l
         return (patches.areas[:, None] * (multipath(engine, lines, shot=shot).radiosity - exact) ** 2).sum()
 
     independent = np.mean([error(Independent(4), seed) for seed in range(8)])
-    for sequence in (Halton(4), OwenSobol(4), Weyl(4)):
+    for sequence in (Halton(4), OwenSobol(4)):
         assert np.mean([error(sequence, seed) for seed in range(8)]) < 0.65 * independent, sequence
 
 
