@@ -89,8 +89,8 @@ def multipath_bundles(engine: LineEngine, count: int, first: int = 0, shot: Firs
     that bound shares are :math:`w_i = 16 / (m_i N (1 - \rho))`: smaller ones even out u, larger ones empty it sooner.
 
     *Start-up.* The first bundles find little to send, and the last leave some: so bundles are a ring. The first ones
-    are cast once more, without own power, until a millionth of what was sent is unshot: a half to one round for mean
-    reflectances up to .6, more above, four rounds at most. What then is left is told as ``unshot``.
+    are cast once more, without own power, until a millionth of what was sent is unshot: 0.7 rounds more, or some where
+    bundles are few and reflectances high (64, 0.8: two), and four in all at most. What then is left is ``unshot``.
 
     *Order.* It is random, as successive points of a sequence lie apart on purpose; each bundle comes once. Bundles that
     are more even than independent ones would still miss the light that returns along the bundle that brought it, a
