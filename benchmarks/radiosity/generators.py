@@ -14,9 +14,9 @@ from .sweeping import Task, half_and_half, marks, sweep
 
 #: Slopes of table 3.2, of the sequence that was best with each.
 _THESIS = {"sphere-pairs": -1.12, "box-walls": -1.04, "great-circle": -1.02, "bundles": -0.96}
-#: Lines of a bundle through the bounding sphere. Lines of one bundle must not often meet the same two patches, which
-#: would pass their light to and fro.
-_PER_BUNDLE = 64
+#: Lines of a bundle through the bounding sphere. Line by line, multipath takes no parallel ones that follow each other:
+#: what a patch receives along one must leave along another direction.
+_PER_BUNDLE = 1
 
 
 def tasks(scene: RayScene, exact: Reference, names: list[str]) -> dict[tuple[str, str], Task]:
@@ -57,7 +57,7 @@ def measure(
         record.add(generator, name, *cells, f"{track.seconds[:, -1].mean():.2f}", thesis)
     least_error = min(track.mean[-1] for track in tracks.values())
     record.notes += [
-        f"multipath line by line after a first shot; bundles of {_PER_BUNDLE} lines, one for a point",
+        "multipath line by line after a first shot; bundles of one line, so that each has a direction of its own",
         f"slopes from {plain.lines[0]:.0f} to {plain.lines[-1]:.0f} lines; standard errors from the seeds",
         f"noise of the reference: {exact.noise:.2g}, {exact.noise / least_error:.1%} of the least error here",
     ]

@@ -135,11 +135,11 @@ def test_some_emitters_are_shot_and_the_others_left_to_the_lines():
     engine = ABuffer(patches, OwenSobol(4, seed=1), 1000)
     solution = solve(patches, engine.cast(1024), shot=shot)
     assert solution.imbalance < 2e-3
-    result = multipath_bundles(engine, 1024, shot=shot)
+    result = multipath_bundles(engine, 256, shot=shot)
     out = result.absorbed + result.to_sky + result.unshot.sum(axis=0)
     np.testing.assert_allclose(result.sent, out, rtol=1e-9)
     powers = [(patches.areas[:, None] * x.radiosity).sum(axis=0) for x in (solution, result)]
-    np.testing.assert_allclose(*powers, rtol=0.03)
+    np.testing.assert_allclose(*powers, rtol=0.01)
 
 
 def test_which_emitters_are_small():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support.patches import cube, room
 
-from etendue.points import Halton, Independent, OwenSobol, Weyl
+from etendue.points import Halton, Independent, OwenSobol
 from etendue.radiosity import (
     SOLVERS,
     ABuffer,
@@ -103,8 +103,7 @@ def test_multipath_comes_to_the_direct_solution():
     scene = RayScene(patches)
     exact = solve(patches, form_factors(ABuffer(patches, OwenSobol(4, seed=1)).cast(2048), "F4")).radiosity
     forms = {"line by line": [], "after a shot": [], "bundles": [], "bundles after a shot": []}
-    # Power that is on its way in the end is missing: 1 part in 256, the number of pieces of 8 bundles.
-    lines, bundles, count = 1 << 14, 2048, 10
+    lines, bundles, count = 1 << 14, 128, 10
     for seed in range(count):
         rays = ChainedRays(SpherePairs(patches), scene, Independent(4, seed=seed))
         parallel = ABuffer(patches, Independent(4, seed=seed), 200)
@@ -123,8 +122,10 @@ def test_multipath_comes_to_the_direct_solution():
     for kind, radiosities in forms.items():
         mean, spread = np.mean(radiosities, axis=0), np.std(radiosities, axis=0, ddof=1) / np.sqrt(count)
         total = (patches.areas[:, None] * mean).sum() / (patches.areas[:, None] * exact).sum()
-        assert total == pytest.approx(1, abs=0.03), kind
-        deviation = (mean - exact) / (spread + 0.005 * exact)
+        # Of single lines, power that is on its way in the end is missing. Of bundles, none is.
+        single = "bundles" not in kind
+        assert total == pytest.approx(1, abs=0.03 if single else 0.003), kind
+        deviation = (mean - exact) / (spread + (0.005 if single else 0.001) * exact)
         assert np.sqrt((deviation**2).mean()) < 2, kind
 
 
@@ -152,7 +153,10 @@ def test_particles_come_to_the_direct_solution(form):
 
 
 def test_point_sequences_have_less_than_two_thirds_of_the_error_of_independent_lines():
-    """Mean squared error of multipath after a first shot, at equal lines; in [Castro 2002, sec. 3.3] about a half."""
+    """Mean squared error of multipath after a first shot, at equal lines; in [Castro 2002, sec. 3.3] about a half.
+
+    Weyl's points are left out: with so few lines they have a third here, with more 0.5 to 0.7, and in other rooms more
+    than independent ones."""
     patches = lit_room(2, channels=1)
     scene, lines = RayScene(patches), 1 << 12
     exact = solve(patches, form_factors(ABuffer(patches, OwenSobol(4, seed=1)).cast(4096), "F4")).radiosity
@@ -163,7 +167,7 @@ def test_point_sequences_have_less_than_two_thirds_of_the_error_of_independent_l
         return (patches.areas[:, None] * (multipath(engine, lines, shot=shot).radiosity - exact) ** 2).sum()
 
     independent = np.mean([error(Independent(4), seed) for seed in range(8)])
-    for sequence in (Halton(4), OwenSobol(4), Weyl(4)):
+    for sequence in (Halton(4), OwenSobol(4)):
         assert np.mean([error(sequence, seed) for seed in range(8)]) < 0.65 * independent, sequence
 
 
@@ -171,10 +175,11 @@ def test_multipath_under_a_sky():
     patches = opened(lit_room(2), missing=2)
     engine = ABuffer(patches, OwenSobol(4, seed=5), 2000)
     exact = solve(patches, engine.cast(1024)).radiosity
-    result = multipath_bundles(engine, 2048)
+    result = multipath_bundles(engine, 256)
     np.testing.assert_allclose(
-        (patches.areas[:, None] * result.radiosity).sum(axis=0), (patches.areas[:, None] * exact).sum(axis=0), rtol=0.03
+        (patches.areas[:, None] * result.radiosity).sum(axis=0), (patches.areas[:, None] * exact).sum(axis=0), rtol=5e-3
     )
+    assert result.unshot.sum() < 1e-6 * result.sent.sum()
     np.testing.assert_allclose(result.sent, result.absorbed + result.to_sky + result.unshot.sum(axis=0), rtol=1e-9)
 
 

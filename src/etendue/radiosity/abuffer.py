@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Literal, Self, get_args
 
 import numpy as np
 
@@ -85,7 +85,7 @@ class ABuffer(LineEngine):
                 f"a bundle of {lines:.2g} lines needs {_LINE_BYTES * lines / 1e9:.2g} GB on each thread, there are "
                 f"{free / 1e9:.2g}: ask for fewer lines, or take LocalRays"
             )
-        self.bundles = Bundles(patches, lines)
+        self.bundles: Bundles = Bundles(patches, lines)
         used, faces = np.unique(patches.faces, return_inverse=True)
         #: In units of the radius, as are the vertices.
         self._spacing = self.bundles.spacing / self.bundles.radius
@@ -114,8 +114,7 @@ class ABuffer(LineEngine):
 
     def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
         """See :class:`LineEngine`."""
-        if self._spirals:
-            self.points = SpiralPoints(directions=count)
+        self._take_spiral(count)
         pieces = self._pieces(count, first, size)
         if self.backend == "drjit":
             return (self._rasteriser.segments(*self._grids(*piece)) for piece in pieces)
@@ -137,6 +136,17 @@ class ABuffer(LineEngine):
             return False
         areas = np.cross(p[:, 2] - p[:, 0], p[:, 3] - p[:, 1]) / 2
         return bool((p[:, 0] * areas).sum() / 3 < -_VOLUME)
+
+    def shuffled(self, count: int, first: int = 0) -> Self:
+        """See :class:`LineEngine`."""
+        self._take_spiral(count)
+        engine = super().shuffled(count, first)
+        engine._spirals = False
+        return engine
+
+    def _take_spiral(self, count: int) -> None:
+        if self._spirals:
+            self.points = SpiralPoints(directions=count)
 
     def _grids(self, start: int, number: int) -> tuple[Array, Array]:
         u = self.points.block(number, start)

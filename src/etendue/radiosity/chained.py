@@ -12,7 +12,7 @@ from etendue.points import PointSet
 
 from .engine import LineEngine
 from .errors import RadiosityError
-from .lines import LineGenerator, Lines, SpherePairs
+from .lines import Bundles, LineGenerator, Lines, SpherePairs
 from .raycasting import STEP, RayScene
 from .segments import Pairs
 
@@ -32,6 +32,7 @@ class ChainedRays(LineEngine):
     def __init__(self, generator: LineGenerator, scene: RayScene, points: PointSet | None = None) -> None:
         super().__init__(scene.patches, points)
         self.generator, self.scene = generator, scene
+        self.bundles = generator if isinstance(generator, Bundles) else None
 
     @classmethod
     def through(cls, scene: RayScene, points: PointSet | None = None) -> ChainedRays:

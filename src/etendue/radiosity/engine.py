@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from copy import copy
+from typing import Self
 
 import numpy as np
 
@@ -11,8 +13,10 @@ from etendue.core import Array, free_memory, logger
 from etendue.points import OwenSobol, PointSet
 
 from .errors import RadiosityError
+from .lines import Bundles
 from .patches import Patches
 from .segments import Pairs, Segments
+from .spiral import ShuffledPoints
 
 #: Share of the segments that may lead to backs of faces without a warning.
 _DARK = 0.01
@@ -27,11 +31,26 @@ class LineEngine(ABC):
     another dimension.
     """
 
+    #: What the lines of a point are: a bundle of parallel ones, or one line (``None``).
+    bundles: Bundles | None = None
+
     def __init__(self, patches: Patches, points: PointSet | None = None) -> None:
         self.patches = patches
         self.points = OwenSobol(4) if points is None else points
         if self.points.dimension != 4:
             raise RadiosityError(f"a line takes points of four dimensions, not of {self.points.dimension}")
+
+    @property
+    def shares_directions(self) -> bool:
+        """Whether lines that follow each other are parallel: bundles of more than one line."""
+        # The number is made of a distance: one line may be 1 + 1e-16 of them.
+        return self.bundles is not None and self.bundles.lines_per_point > 1 + 1e-9
+
+    def shuffled(self, count: int, first: int = 0) -> Self:
+        """An engine whose ``count`` points from ``first`` on are those of this one in a random order."""
+        engine = copy(self)
+        engine.points = ShuffledPoints(self.points, count, first)
+        return engine
 
     @abstractmethod
     def piece(self, count: int) -> int:

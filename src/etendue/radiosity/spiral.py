@@ -1,4 +1,4 @@
-"""Points for bundles, whose directions are a spiral over the hemisphere."""
+"""Points for bundles: directions on a spiral over the hemisphere; and any points in random order."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from .lines import direction
 #: The golden ratio less one: the part of a turn from one direction to the next.
 _TURN = (np.sqrt(5.0) - 1) / 2
 _BELOW_ONE = 1 - 2.0**-24
+#: Points that an order is drawn from.
+_SEEDING = 16
 
 
 class SpiralPoints(PointSet):
@@ -54,6 +56,30 @@ class SpiralPoints(PointSet):
             here = spirals == spiral
             result[here] = _ways(self.seed, self.directions, int(spiral))[dimension, places[here]]
         return result
+
+
+class ShuffledPoints(PointSet):
+    """The ``count`` points of a set from ``first`` on in a random order, at the same indices.
+
+    Neighbours of a sequence lie apart on purpose; of a random order they are nearly independent. The order is drawn
+    from the points: those of another seed have another.
+    """
+
+    name = "shuffled"
+
+    def __init__(self, base: PointSet, count: int, first: int = 0) -> None:
+        super().__init__(base.dimension)
+        self.first = first
+        points = base.block(count, first)
+        # Of 20 bits of the first ones: the last place, in which machines may differ, does not matter.
+        start = np.floor(points[:_SEEDING] * 2.0**20).astype(np.uint32)
+        self._points = points[np.random.default_rng(start.ravel()).permutation(count)]
+
+    def _coordinate(self, index: Any, dimension: int) -> Any:
+        if dr.is_jit_v(index):
+            kind = dr.float32_array_t(type(index))
+            return on_device(kind, self._coordinate(np.array(index), dimension).astype(np.float32))
+        return self._points[index - self.first, dimension]
 
 
 @lru_cache(16)
