@@ -10,12 +10,14 @@ from .lights import Light, LightTable
 from .loading import integrator_of, load, locate, resized
 from .plugins import composed_bsdf, register
 from .problem import Problem
+from .watching import Parameters, parameters, view
 
 __all__ = [
     "BundledScene",
     "Camera",
     "Light",
     "LightTable",
+    "Parameters",
     "Problem",
     "bundled",
     "bundled_scene",
@@ -28,6 +30,8 @@ __all__ = [
     "locate",
     "materials",
     "meshes",
+    "parameters",
     "register",
     "resized",
+    "view",
 ]
