@@ -18,6 +18,7 @@ from . import densities, exchanges, fresh, integrals, neighbours, sequences, vie
 from . import guided as guiding
 from . import quality as quality_over_time
 from . import rays as ray_casting
+from . import renders as short_renders
 from .measuring import Record
 from .options import Rounds, Size, Variant, WarmUp, begin, named, words
 
@@ -60,6 +61,20 @@ def cost(
     variants = [cost_of_a_pass.Variant.parse(text) for text in re.split(r"\s*,\s*(?=[a-z])", methods.strip())]
     chosen = begin(variant)
     _publish(chosen, record, cost_of_a_pass.measure(variants, parse_size(size), rounds, warm_up))
+
+
+@app.command()
+def renders(
+    methods: Methods = "bpt,vcm",
+    size: Size = "256x192",
+    rounds: Rounds = 100,
+    warm_up: WarmUp = 2,
+    variant: Variant = None,
+    record: Keep = False,
+) -> None:
+    """Many pictures of one sample by mi.render, with what was prepared kept and made anew, interleaved."""
+    chosen = begin(variant)
+    _publish(chosen, record, short_renders.measure(_names(methods), parse_size(size), rounds, warm_up))
 
 
 @app.command("first-pass")
@@ -264,6 +279,7 @@ def everything(context: typer.Context, variant: Variant = None, record: Keep = F
     """Run every benchmark in turn."""
     if context.invoked_subcommand is None:
         cost(variant=variant, record=record)
+        renders(variant=variant, record=record)
         first_pass(variant=variant, record=record)
         memory(variant=variant, record=record)
         rays(variant=variant, record=record)

@@ -59,6 +59,12 @@ def test_variants_of_settings_take_turns_with_their_method():
     assert "to the method without" not in cost.measure(variants[:1], (8, 8), rounds=1, warm_up=1).columns
 
 
+def test_short_renders_take_turns():
+    record = module("renders").measure(["light"], (8, 8), rounds=2, warm_up=1)
+    assert [row[0] for row in record.rows] == ["Mitsuba path", "light", "light, prepared anew"]
+    assert all(float(row[1]) > 0.0 for row in record.rows)
+
+
 def test_guiding_is_compared_seed_by_seed():
     (record,) = module("guided").measure(["ajar"], (12, 12), 0.3, 2, {"cell_samples": 200})
     assert [row[0] for row in record.rows] == ["Mitsuba path", "path", "guided"]

@@ -79,6 +79,7 @@ class Vegas(AdaptivePath):
     name: ClassVar[str] = "vegas"
     Settings: ClassVar[type[ImageSettings]] = VegasSettings
     citations: ClassVar[tuple[str, ...]] = ("Leeson2001", "Lepage1978", *Path.citations)
+    carries_on: ClassVar[bool] = True
 
     def __init__(self, settings: ImageSettings | None = None) -> None:
         super().__init__(settings)

@@ -67,6 +67,7 @@ class Auto(ImageMethod):
     name: ClassVar[str] = "auto"
     Settings: ClassVar[type[ImageSettings]] = AutoSettings
     citations: ClassVar[tuple[str, ...]] = (*Path.citations, *Vcm.citations)
+    carries_on: ClassVar[bool] = True
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """The probe itself belongs to the first pass, so that a budget in seconds pays for it."""

@@ -86,6 +86,9 @@ class ImageMethod(ABC):
     name: ClassVar[str]
     Settings: ClassVar[type[ImageSettings]]
     citations: ClassVar[tuple[str, ...]] = ()
+    #: Whether passes leave something behind for those after them, or begin from what the seed found in ``prepare``:
+    #: each run then wants a method that was prepared for it. Others need the seed for pilots alone.
+    carries_on: ClassVar[bool] = False
 
     def __init__(self, settings: ImageSettings | None = None) -> None:
         self.settings: Any = settings if settings is not None else self.Settings()
@@ -99,6 +102,10 @@ class ImageMethod(ABC):
         self.camera = Camera(problem)
         self.lights = LightTable(problem.scene)
         self.visibility = Visibility(problem.scene)
+
+    def bind(self, scene: Any) -> None:
+        """Take the scene that this was prepared for back, or let it go (``None``) until the next run."""
+        self.problem.scene = self.scene = self.visibility.scene = scene
 
     @property
     def samples_per_iteration(self) -> int:

@@ -129,6 +129,7 @@ class Guided(Path):
     name: ClassVar[str] = "guided"
     Settings: ClassVar[type[ImageSettings]] = GuidedSettings
     citations: ClassVar[tuple[str, ...]] = ("Muller2017", "Muller2019", "Vorba2016", "Shirley1997", *Path.citations)
+    carries_on: ClassVar[bool] = True
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """A guide that knows nothing."""

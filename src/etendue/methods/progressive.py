@@ -65,6 +65,7 @@ class Sppm(PhotonMapping):
     name: ClassVar[str] = "sppm"
     Settings: ClassVar[type[ImageSettings]] = SppmSettings
     citations: ClassVar[tuple[str, ...]] = ("Hachisuka2009", "Hachisuka2008", "Jensen1996")
+    carries_on: ClassVar[bool] = True
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """The first radii: the same for every path, or found by the nearest photons."""

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import EtendueError, Measurement, UnsupportedError, check_variant, warn_of_nonfinite
-from etendue.engine import fit_samples
 from etendue.film import LONGER, Technique
-from etendue.scene import Problem, check, warn_of_offsets
+from etendue.scene import Problem
+
+from .prepared import Prepared
 
 #: First-hit layers, and the names of their channels in a film, as Mitsuba's 'aov' integrator calls them.
 _AOV_CHANNELS = {
@@ -48,6 +49,7 @@ def _integrator_class(method: Any, variant: str) -> type:
             self.plugin_name = method.name
             self.settings = method.Settings.from_mapping(given, owner=f"integrator '{method.name}'")
             self.options = self.settings.to_dict()
+            self._prepared = Prepared(method, self.settings)
             self.timeout = float(props.get("timeout", -1.0))
             self._cancelled = False
             self._layers = list(_AOV_CHANNELS) if self.options["aovs"] else []  # beside the picture, in the film
@@ -68,8 +70,6 @@ def _integrator_class(method: Any, variant: str) -> type:
             self._cancelled = False
             if isinstance(sensor, int):
                 sensor = scene.sensors()[sensor]
-            check(scene, sensor)
-            warn_of_offsets(scene, sensor, "the scene")
             film = sensor.film()
             width, height = (int(v) for v in film.crop_size())
             problem = Problem(
@@ -82,9 +82,11 @@ def _integrator_class(method: Any, variant: str) -> type:
                 integrator_options=dict(self.options),
             )
             with dr.suspend_grad():
-                measurement = self._measure(problem, int(np.asarray(seed).ravel()[0]))
-                warn_of_nonfinite(measurement[1])
-                layers = measurement[0].develop(measurement[1]).layers
+                number = int(np.asarray(seed).ravel()[0])
+                with self._prepared.ready(problem, number) as runner:
+                    measurement = self._measure(runner, problem.spp, number)
+                    layers = runner.develop(measurement).layers
+                warn_of_nonfinite(measurement)
                 self._layers = _asked_for(self.options, layers)
                 _fill(film, problem, layers, self._layers)
                 if not develop:
@@ -95,19 +97,16 @@ def _integrator_class(method: Any, variant: str) -> type:
                     dr.sync_thread()
                 return image
 
-        def _measure(self, problem: Problem, seed: int) -> tuple[Any, Measurement]:
-            """Prepare the method and run its passes; the method and what it measured."""
-            runner = method(self.settings)
-            runner.prepare(problem, seed)
-            runner = fit_samples(runner, problem.spp, problem, seed)
-            passes = -(-problem.spp // runner.samples_per_iteration)
+        def _measure(self, runner: Any, spp: int, seed: int) -> Measurement:
+            """The passes of a picture by a prepared method."""
+            passes = -(-spp // runner.samples_per_iteration)
             start = time.perf_counter()
-            total = runner.step(0, seed)
+            total: Measurement = runner.step(0, seed)
             for iteration in range(1, passes):
                 if self._cancelled or 0 < self.timeout < time.perf_counter() - start:
                     break
                 total += runner.step(iteration, seed)
-            return runner, total
+            return total
 
         def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
             """Raises: derivatives are not computed."""

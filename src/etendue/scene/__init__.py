@@ -12,12 +12,14 @@ from .plugins import composed_bsdf, register
 from .problem import Problem
 from .radiance import sphere_point, surface_point, uniform_point, varies
 from .space import RenderSpace, warn_of_offsets, warn_of_steps
+from .watching import Parameters, parameters, view
 
 __all__ = [
     "BundledScene",
     "Camera",
     "Light",
     "LightTable",
+    "Parameters",
     "Problem",
     "RenderSpace",
     "bundled",
@@ -31,6 +33,7 @@ __all__ = [
     "locate",
     "materials",
     "meshes",
+    "parameters",
     "register",
     "resized",
     "sphere_point",
@@ -39,4 +42,5 @@ __all__ = [
     "varies",
     "warn_of_offsets",
     "warn_of_steps",
+    "view",
 ]
