@@ -40,7 +40,7 @@ __all__ = [
     "surface_point",
     "uniform_point",
     "varies",
+    "view",
     "warn_of_offsets",
     "warn_of_steps",
-    "view",
 ]
