@@ -48,3 +48,15 @@ def test_noise_of_the_points_that_ppm_looks_at():
     problem, settings = scenes.room("mixed", "rough", size=(8, 6)), {"samples_per_pass": 4, "radius": 0.05}
     firsts = range(0, 1000 * SEEDS, 1000)
     assert_reported([go(prepared(problem, "ppm", **settings), PASSES, first=i).measurement for i in firsts], "ppm")
+
+
+@pytest.mark.slow
+def test_a_budget_in_error_ends_at_the_error_over_seeds():
+    """What such a budget looks at, of runs of one length, in pixels that no single path makes."""
+    problem = scenes.room("sphere", "rough", size=(8, 6))
+    settings = METHODS["guided"] | {"sampler": "owen"}
+    seeds = range(1, SEEDS + 1)
+    runs = [go(prepared(problem, "guided", seed, **settings), PASSES, seed).measurement for seed in seeds]
+    pictures = np.stack([run.mean() for run in runs])
+    measured = np.mean(pictures.var(0, ddof=1) / (np.square(pictures.mean(0)) + RELATIVE_EPSILON))
+    assert np.mean([run.relative_error() for run in runs]) == pytest.approx(measured, rel=0.25)
