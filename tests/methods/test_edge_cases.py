@@ -3,6 +3,7 @@
 import mitsuba as mi
 import numpy as np
 import pytest
+from support.running import run
 
 import etendue
 from etendue import methods, scene
@@ -51,3 +52,20 @@ def test_only_mirrors(name, settings):
 def test_public_names():
     for name in ("render", "start", "resume", "Rendering", "Session", "Update"):
         assert callable(getattr(etendue, name))
+
+
+@pytest.mark.parametrize("method", ["bpt", "vcm"])
+def test_power_heuristic_in_millimetres(method):
+    """Weights hold squared distances by the power of two, over squared densities of glossy tails."""
+    scale = mi.ScalarTransform4f().scale(1e4)
+    box = mi.cornell_box()
+    for part in box.values():
+        if isinstance(part, dict) and "to_world" in part:
+            part["to_world"] = scale @ part["to_world"]
+    look = mi.ScalarTransform4f().look_at(origin=[0, 0, 3.9e4], target=[0, 0, 0], up=[0, 1, 0])
+    box["sensor"] |= {"near_clip": 10.0, "far_clip": 1e6, "to_world": look}
+    box["sensor"]["film"] |= {"width": 16, "height": 16}
+    box["large-box"]["bsdf"] = {"type": "roughconductor", "material": "Au", "distribution": "ggx", "alpha": 0.05}
+    measured = run(scene.load(box), method, passes=2, samples=256, heuristic="power").measurement
+    assert measured.counters["nonfinite"] == 0
+    assert measured.mean().mean() == pytest.approx(0.148, rel=0.03)  # as of the box of size 1

@@ -269,6 +269,19 @@ def test_several_radii_in_one_walk(name, light, beta):
 
 
 @pytest.mark.parametrize("light", LIGHTS)
+@pytest.mark.parametrize("unit", [1e4, 1e-4])
+def test_power_heuristic_in_other_units(light, unit):
+    """Lengths enter it by their fourth power: no sum of the recursion may leave single precision."""
+    paths = Paths(4, light, seed=3)
+    paths.d2 = paths.d2 * unit**2
+    if light != "infinite":
+        paths.p_direct = paths.p_direct / (unit**2 if light != "delta" else 1.0)
+    if light != "delta":
+        paths.p_emit = paths.p_emit / unit**2
+    assert check(paths, Techniques(beta=2), 0.3 * unit**2) > 0
+
+
+@pytest.mark.parametrize("light", LIGHTS)
 def test_a_direction_that_cannot_be_splatted(light):
     """Where the sensor has no density the splat is no technique; the others sum to one without it."""
     for k, t in itertools.product((2, 3, 4), (VCM, BPT)):
