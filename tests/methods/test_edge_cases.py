@@ -69,3 +69,14 @@ def test_power_heuristic_in_millimetres(method):
     measured = run(scene.load(box), method, passes=2, samples=256, heuristic="power").measurement
     assert measured.counters["nonfinite"] == 0
     assert measured.mean().mean() == pytest.approx(0.148, rel=0.03)  # as of the box of size 1
+
+
+@pytest.mark.parametrize("method", ["path", "sppm", "bpm", "guided"])
+def test_a_clamp_bounds_what_a_path_brings(method):
+    """One path a pixel: no pixel is brighter than the clamp, those below it stay as they are, colours too."""
+    problem = scene.load("cornell-box", size=(16, 16))
+    free, clamped = (run(problem, method, passes=1, samples=1, clamp=c).mean for c in (0.0, 0.4))
+    brightest = free.max(axis=-1, keepdims=True)
+    expected = free * np.minimum(1.0, 0.4 / np.maximum(brightest, 1e-9))
+    assert (brightest > 0.4).any() and (brightest < 0.4).any()
+    np.testing.assert_allclose(clamped, expected, rtol=1e-4, atol=1e-6)

@@ -28,7 +28,7 @@ from etendue.integration import Integrand, RecursiveStratified, Regions
 from etendue.scene import Problem
 
 from .adaptive import AdaptivePath, AdaptiveSettings, AdaptiveSource, NumberedSource, check_merge, groups
-from .base import ImageSettings, Layer, keep_finite, total
+from .base import ImageSettings, Layer, total
 from .path import Path
 
 #: Surface points whose numbers may be named.
@@ -107,7 +107,7 @@ class Stratified(AdaptivePath):
         base = self._even_choice(self.camera_numbers(lanes, samples, seed, iteration), lanes, samples)
         source = AdaptiveSource(base, self._groups, [[r] for r in regions], mi.UInt32(0), self.left_by_pick())
         state = self.trace(lanes // samples, source)
-        radiance, bad = keep_finite(state.radiance)
+        radiance, bad = self.kept(state.radiance)
         dr.eval(radiance, state.rays, bad)
         counters = {
             "rays": total(state.rays) + self._explored + mapping_rays,
@@ -152,7 +152,7 @@ class Stratified(AdaptivePath):
             source = NumberedSource(base, {})
             source.give(draws, x, self.left_by_pick())
             state = self.trace(dr.minimum(mi.UInt32(where * self.camera.pixels), self.camera.pixels - 1), source)
-            radiance, _ = keep_finite(state.radiance)
+            radiance, _ = self.kept(state.radiance)
             value = mi.luminance(radiance)
             dr.eval(value, state.rays)
             self._explored += total(state.rays)

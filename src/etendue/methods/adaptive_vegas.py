@@ -30,7 +30,7 @@ from etendue.integration import AxisBins, CellGrid, Factor, PlaneBins, bin_value
 from etendue.scene import Problem
 
 from .adaptive import LENGTH, AdaptivePath, AdaptiveSettings, AdaptiveSource, check_merge, groups
-from .base import ImageSettings, Layer, keep_finite, total
+from .base import ImageSettings, Layer, total
 from .path import Path
 
 #: What each bin gets beside what it was found to hold: this share of the mean, spread evenly over the group's
@@ -123,7 +123,7 @@ class Vegas(AdaptivePath):
         base = self.camera_numbers(lanes, samples, seed, iteration)
         source = AdaptiveSource(base, self._groups, self._densities, self._row(pixel), self.left_by_pick())
         state = self.trace(pixel, source)
-        radiance, bad = keep_finite(state.radiance)
+        radiance, bad = self.kept(state.radiance)
         parts = [dr.select(dr.isfinite(part), part, 0.0) for part in state.parts]
         found = [(drawn.group, drawn.bin, part) for drawn, part in zip(source.drawn, parts, strict=True)]
         dr.eval(radiance, state.rays, bad, found)

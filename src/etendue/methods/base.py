@@ -80,6 +80,17 @@ class ImageSettings(Settings):
     aovs: bool = setting(False, "add first-hit layers: albedo, normal, depth")
 
 
+@dataclass(frozen=True)
+class CameraSettings(ImageSettings):
+    """Settings of the methods that trace camera paths."""
+
+    clamp: float = setting(
+        0.0,
+        "most that a camera path may bring to a channel, colours kept; 0: no limit. Removes fireflies and their light",
+        minimum=0.0,
+    )
+
+
 class ImageMethod(ABC):
     """Base of the methods that render an image pass by pass. A subclass implements ``render_pass``."""
 
@@ -178,6 +189,14 @@ class ImageMethod(ABC):
             return IndependentSource(lane, seed, role, iteration, high)
         index, high = lanes.numbers(iteration * paths)
         return OwenSobolSource(dr.zeros(mi.UInt32), index, seed, role, high)
+
+    def kept(self, radiance: Any) -> tuple[Any, Any]:
+        """(radiance of camera paths that counts, mask of those that were not finite); for :class:`CameraSettings`."""
+        radiance, bad = keep_finite(radiance)
+        if self.settings.clamp > 0.0:
+            most = dr.opaque(mi.Float, self.settings.clamp)
+            radiance *= most / dr.maximum(dr.max(radiance), most)
+        return radiance, bad
 
     def image(self, values: Any) -> Layer:
         """Colours or scalars, consecutive lanes a pixel, summed into a (height, width, channels) image."""

@@ -46,12 +46,12 @@ from etendue.transport import (
 
 from . import base
 from . import radius as radii
-from .base import PILOT_PATHS, ImageMethod, ImageSettings, Lanes, Layer, corners, keep_finite, total, with_image
+from .base import PILOT_PATHS, CameraSettings, ImageMethod, ImageSettings, Lanes, Layer, corners, total, with_image
 from .store import STORE_SHARE, VertexRoom
 
 
 @dataclass(frozen=True)
-class BidirectionalSettings(ImageSettings):
+class BidirectionalSettings(CameraSettings):
     """Settings of ``bpt``, ``bpm`` and ``vcm``."""
 
     rr_depth: int = setting(2, "path edges after which Russian roulette by throughput begins", minimum=1)
@@ -315,7 +315,7 @@ class Bidirectional(ImageMethod):
         radiance, rays = walk.trace(run.pixel, source)
         bad = {}
         for name, value in radiance.items():
-            radiance[name], bad[name] = keep_finite(value)
+            radiance[name], bad[name] = self.kept(value)
         if run.pyramid:
             dr.schedule(run.pyramid.array)
         dr.eval(radiance, rays, bad)  # the one launch of the camera pass

@@ -40,7 +40,7 @@ from etendue.transport import (
 )
 from etendue.transport import dimensions as dim
 
-from .base import ImageSettings, Layer, keep_finite, total
+from .base import ImageSettings, Layer, total
 from .path import Path, PathSettings, PathState
 from .store import STORE_SHARE
 
@@ -169,7 +169,7 @@ class Guided(Path):
         #: What points of each light bring to each cell, in the same unit.
         self._lit = dr.zeros(mi.UInt64, self._guide.cells * self.lights.count)
         state = self.trace(lanes // samples, self.camera_numbers(lanes, samples, seed, iteration))
-        radiance, bad = keep_finite(state.radiance)
+        radiance, bad = self.kept(state.radiance)
         light = dr.select(dr.isfinite(state.parts[0]), state.parts[0], 0.0)
         dr.eval(radiance, state.rays, bad, light)
         if training:

@@ -37,11 +37,11 @@ from etendue.transport import (
 )
 from etendue.transport import dimensions as dim
 
-from .base import ImageMethod, ImageSettings, Layer, keep_finite, total
+from .base import CameraSettings, ImageMethod, ImageSettings, Layer, total
 
 
 @dataclass(frozen=True)
-class PathSettings(ImageSettings):
+class PathSettings(CameraSettings):
     """Settings of ``path``."""
 
     mode: str = setting(
@@ -78,7 +78,7 @@ class Path(ImageMethod):
         """See :class:`ImageMethod`."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         state = self.trace(lanes // samples, self.camera_numbers(lanes, samples, seed, iteration))
-        radiance, bad = keep_finite(state.radiance)
+        radiance, bad = self.kept(state.radiance)
         dr.eval(radiance, state.rays, bad)  # one kernel; the sums below would launch it once each
         counters = {"rays": total(state.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
         return {"image": self.image(radiance)}, counters

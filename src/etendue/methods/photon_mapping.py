@@ -34,12 +34,12 @@ from etendue.transport import (
     scatter_camera,
 )
 
-from .base import ImageMethod, ImageSettings, Layer, keep_finite, total
+from .base import CameraSettings, ImageMethod, Layer, total
 from .photons import PhotonTracer, Shot
 
 
 @dataclass(frozen=True)
-class PhotonSettings(ImageSettings):
+class PhotonSettings(CameraSettings):
     """Settings of every photon mapping method."""
 
     direct: str = setting(
@@ -134,7 +134,7 @@ class PhotonMapping(ImageMethod):
         shot = self.shoot(iteration, seed)
         self.build(shot, iteration, seed)
         state, weight = self._trace("", iteration, seed, samples)
-        radiance, bad = keep_finite(state.radiance * weight)
+        radiance, bad = self.kept(state.radiance * weight)
         dr.eval(radiance, state.rays, state.found, bad)
         self.finish(state.found)
         counters = {
