@@ -90,6 +90,26 @@ def test_preparation_is_a_part_of_the_time(timed, spent, passes):
     assert result.measurement.counters["seconds"] == pytest.approx(spent + passes)
 
 
+@pytest.mark.parametrize(
+    ("budget", "spent", "left"),
+    [
+        (Budget(seconds=12.0), 2.0, (10.0, None, None)),
+        (Budget(seconds=12.0), 50.0, (0.0, None, None)),
+        (Budget(samples=7, error=0.1), 2.0, (None, 7, 0.1)),
+    ],
+)
+def test_a_method_that_asks_is_told_what_the_budget_has_left(timed, budget, spent, left):
+    method, clock = timed([1.0])
+    told = []
+    method.plan = lambda *ahead: told.append((*ahead, clock()))
+    start = method.step(0, 0)
+    begin = clock()
+    Runner(method, seed=0, budget=budget, spent=spent, clock=clock).run()
+    Runner(method, seed=0, budget=Budget(iterations=3), start=start, clock=clock).run()
+    assert told[0] == (*left, begin)  # before the first pass
+    assert told[1][:3] == (None, 2, None)
+
+
 def test_first_limit_reached_stops(timed):
     method, clock = timed([1.0])
     result = Runner(method, seed=0, budget=Budget(seconds=5.0, samples=3), clock=clock).run()

@@ -42,6 +42,9 @@ class Method(Protocol):
     A method whose first ``step`` also does what no later one does (a probe) says in ``setup_seconds`` how long that
     took, so that a run with a budget in seconds is not ended by it. One that leaves work for after the last ``step``
     says in ``finish_seconds`` how long that will take; a run with a budget in seconds ends so much earlier.
+
+    A method that divides its work by what is ahead has ``plan(seconds, passes, error)``: it is called before the first
+    ``step`` with what the budget has left, each ``None`` where that is not limited.
     """
 
     name: ClassVar[str]

@@ -174,6 +174,7 @@ class Runner:
         """
         saved = self._clock()
         self._begin = saved - self._spent
+        self._plan()
         while (reason := self._reason_to_stop()) is None:
             try:
                 self._pass()
@@ -197,6 +198,20 @@ class Runner:
         # The pass that would have reached the end of the time was not begun: what there is stands for that time.
         seconds = self.budget.seconds if reason == "seconds" else None
         return self._result(reason, self._passed_save_times(seconds) if seconds is not None else ())
+
+    def _plan(self) -> None:
+        """Tell a method that asks for it how much is to be done."""
+        plan = getattr(self.method, "plan", None)
+        if plan is None:
+            return
+        done = len(self._measurement.iterations) if self._measurement is not None else 0
+        passes = self.budget.passes(self.method.samples_per_iteration)
+        seconds = self.budget.seconds
+        plan(
+            None if seconds is None else max(0.0, seconds - self._spent),
+            None if passes is None else max(0, passes - done),
+            self.budget.error,
+        )
 
     def _passed_save_times(self, elapsed: float) -> tuple[float, ...]:
         """The times of ``save_at`` up to ``elapsed``; each is given once."""

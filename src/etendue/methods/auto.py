@@ -1,13 +1,17 @@
 """Choose among the methods by a probe, then render by the one that needs the least time for a given error.
 
-The first pass is preceded by a few passes of each candidate on a small copy of the film; one that is far behind after
-two or four of them is given up. A candidate's cost is the time of its passes times the error of a picture of
-:data:`_PASSES` of them, which is the sum of two:
+The candidates make the first passes of the picture in turn, the simplest first, each as long as what it is predicted to
+take, compilation included, fits into :data:`_SHARE` of the work ahead. The passes of the one that is chosen are kept.
+A candidate's cost is the time of its passes times the error of a picture of :data:`_PASSES` of them, which is the sum
+of two:
 
 - the scatter of its passes, and
 - the light that it has missed: what another candidate shows in blocks of pixels and it does not. A method that cannot
   find a caustic looks noiseless; its scatter alone would recommend it. More passes make the scatter less, but what was
   never found in the probe will be missed, or a firefly, in the picture, too.
+
+Work of less than :data:`_LEAST` seconds is not worth a probe: kernels alone may take four. It is done by ``bpt`` where
+light goes by mirrors or glass from a lamp that no ray can hit, which ``path`` never finds, else by ``path``.
 
 What the error of a path costs depends on the scene: connections on or off, how many, merging on or off are most of what
 a user could set by hand. The choice is written into the picture's metadata, and kept when a run is resumed.
@@ -16,23 +20,31 @@ a user could set by hand. The choice is written into the picture's metadata, and
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import RELATIVE_EPSILON, Measurement, Result, logger, setting
-from etendue.scene import Problem, resized
+from etendue.scene import Problem, materials
 
-from .base import FULL_LANES, ImageMethod, ImageSettings, Layer
+from .base import ImageMethod, ImageSettings, Layer
 from .bidirectional import Bpt, Vcm
 from .path import Path
 
-#: Pixels of the film that is probed, and side of the blocks in which missing light is looked for.
-_PROBE_PIXELS = 128 * 128
+#: Side of the blocks of pixels in which missing light is looked for.
 _BLOCK = 4
+#: Share of the work ahead that the probe may take as predicted. It must not take more than a fifth; the rest is for
+#: predictions that were too low.
+_SHARE = 0.17
+#: Seconds of work below which nothing is probed.
+_LEAST = 20.0
+#: Bytes a pixel that the passes of the probe take before one is chosen, and what they may take without a memory limit.
+_BYTES = 600
+_ROOM = 1.2e9
 #: What is chosen from, simplest first: name, method, settings.
 CANDIDATES: dict[str, tuple[type[ImageMethod], dict[str, Any]]] = {
     "path": (Path, {}),
@@ -40,14 +52,20 @@ CANDIDATES: dict[str, tuple[type[ImageMethod], dict[str, Any]]] = {
     "bpt with 6 connections": (Bpt, {"connections": 6, "shadow_roulette": 0.05}),
     "vcm": (Vcm, {}),
 }
-#: Passes of the probe's size that a picture is taken to have.
+#: What a candidate is predicted to take: which one it is compared with, and how many times the seconds of that one's
+#: preparation and compilation, and of its pass, it takes. It is tried only where that one was.
+_PREDICTED = {
+    "bpt": ("path", 6.0, 2.0),
+    "vcm": ("bpt", 1.3, 1.5),
+    "bpt with 6 connections": ("bpt", 1.7, 1.9),
+}
+#: Passes that a picture is taken to have, where nobody says.
 _PASSES = 64
 #: A candidate must promise this much less than a simpler one.
 _WORTH_IT = 0.9
 #: A candidate with so many times the cost of the best is given up before the probe ends.
 _HOPELESS = 3.0
-#: A variant of a candidate, which is tried only where that one is still in the race after its first passes: kernels
-#: take a second or two to compile.
+#: A variant of a candidate, which is tried only where that one is still in the race after its first passes.
 _VARIANTS = {"bpt with 6 connections": "bpt"}
 
 
@@ -57,8 +75,19 @@ class AutoSettings(ImageSettings):
 
     choice: str = setting("probe", "what renders: found by a probe, or given", choices=("probe", *CANDIDATES))
     probe_passes: int = setting(
-        6, "passes that a candidate is probed with, if it is not given up before", minimum=2, maximum=1000
+        6, "passes that a candidate is probed with at most, the first ones of the picture", minimum=2, maximum=1000
     )
+
+
+@dataclass(eq=False)
+class _Tried:
+    """A candidate in the probe."""
+
+    method: ImageMethod
+    passes: list[Measurement]
+    total: Measurement  #: of the passes
+    start: float  #: seconds of preparation and compilation
+    seconds: float  #: of a pass
 
 
 class Auto(ImageMethod):
@@ -76,11 +105,19 @@ class Auto(ImageMethod):
         self._costs: dict[str, float] = {}
         self._chosen: ImageMethod | None = None
         self._carried: Mapping[str, Any] = {}  #: state for what was chosen, once it is prepared
+        self._made: dict[tuple[int, int], Measurement] = {}  #: passes of the probe, by iteration and seed
         self.setup_seconds = 0.0  #: of the probe, which is a part of the first pass
+        self.plan(None, None, None)
+
+    def plan(self, seconds: float | None, passes: int | None, error: float | None) -> None:
+        """See :class:`Method`."""
+        self._seconds, self._passes, self._error = seconds, passes, error
 
     def step(self, iteration: int, seed: int) -> Measurement:
         """One pass of what was chosen."""
-        return self._renderer(seed).step(iteration, seed)
+        renderer = self._renderer(seed)
+        made = self._made.pop((iteration, seed), None)
+        return renderer.step(iteration, seed) if made is None else made
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
@@ -100,63 +137,113 @@ class Auto(ImageMethod):
     def restore(self, state: Mapping[str, Any]) -> None:
         """Inverse of :meth:`state`."""
         self._choice, self._costs, self._chosen = str(state["choice"]), dict(state["costs"]), None
-        self._carried = state["chosen"]
+        self._carried, self._made = state["chosen"], {}
 
     def _renderer(self, seed: int) -> ImageMethod:
         if self._chosen is None:
+            begin = time.perf_counter()
             if self._choice == "probe":
-                begin = time.perf_counter()
                 self._choice = self._probe(seed)
-                self.setup_seconds = time.perf_counter() - begin
-            self._chosen = self._method(self._choice, self.settings.samples_per_pass, self.settings.aovs)
-            self._chosen.prepare(self.problem, seed)
+                told = ", ".join(f"{name} {cost:.3g}" for name, cost in self._costs.items()) or "not probed"
+                logger.info("auto: %s (cost: %s)", self._choice, told)
+            if self._chosen is None:
+                self._chosen = self._method(self._choice)
+                self._chosen.prepare(self.problem, seed)
             if self._carried:
                 self._chosen.restore(self._carried)
+            self.setup_seconds = time.perf_counter() - begin
         return self._chosen
 
-    def _method(self, name: str, samples: int, aovs: bool) -> ImageMethod:
+    def _method(self, name: str) -> ImageMethod:
         cls, settings = CANDIDATES[name]
-        common = {"max_depth": self.settings.max_depth, "sampler": self.settings.sampler}
-        return cls(cls.Settings(samples_per_pass=samples, aovs=aovs, **common, **settings))
+        own = self.settings
+        common = {"max_depth": own.max_depth, "sampler": own.sampler, "aovs": own.aovs}
+        return cls(cls.Settings(samples_per_pass=own.samples_per_pass, **common, **settings))
 
     # ------------------------------------------------------------------ the probe
 
+    def _simple(self) -> str:
+        """What renders without a probe."""
+        hidden = mi.EmitterFlags.DeltaPosition, mi.EmitterFlags.DeltaDirection
+        bent = mi.BSDFFlags.DeltaReflection, mi.BSDFFlags.DeltaTransmission
+        lamps, parts = self.scene.emitters(), [m for m in materials(self.scene) if isinstance(m, mi.BSDF)]
+        lost = any(mi.has_flag(e.flags(), f) for e in lamps for f in hidden) and any(
+            mi.has_flag(m.flags(), f) for m in parts for f in bent
+        )
+        return "bpt" if lost and self.camera.can_splat else "path"
+
     def _probe(self, seed: int) -> str:
-        """Name of the candidate with the least time times error."""
-        width, height = self.problem.size
-        scale = min(1.0, (_PROBE_PIXELS / (width * height)) ** 0.5)
-        small = resized(self.problem, (max(1, round(width * scale)), max(1, round(height * scale))))
-        samples = max(1, FULL_LANES // (small.size[0] * small.size[1]))
-        passes: dict[str, Measurement] = {}
-        seconds: dict[str, float] = {}  # of a pass
-        left: dict[str, ImageMethod] = {}
-
-        def run(names: Iterable[str], until: int) -> None:
-            """Bring candidates to so many passes, and give up those that are far behind."""
-            for name in names:
-                if name not in passes:
-                    left[name] = self._method(name, samples, aovs=False)
-                    left[name].prepare(small, seed)
-                    passes[name], seconds[name] = left[name].step(0, seed), 0.0  # compiles, so it is not timed
-                done = len(passes[name].iterations)
-                begin = time.perf_counter()
-                for iteration in range(done, until):
-                    passes[name] += left[name].step(iteration, seed)
-                seconds[name] = (seconds[name] * (done - 1) + time.perf_counter() - begin) / (until - 1)
-            self._costs = costs(seconds, passes)
-            least = min(self._costs[name] for name in left)
-            for name in [name for name in left if self._costs[name] > _HOPELESS * least]:
-                del left[name]
-
-        run([name for name in CANDIDATES if name not in _VARIANTS], 2)
-        run([name for name, base in _VARIANTS.items() if base in left], 2)
-        until = 2
-        while until < self.settings.probe_passes and len(left) > 1:
-            until = min(2 * until, self.settings.probe_passes)
-            run(list(left), until)
-        chosen = choose({name: self._costs[name] for name in CANDIDATES if name in left})
-        logger.info("auto: %s (cost %s)", chosen, ", ".join(f"{name} {c:.3g}" for name, c in self._costs.items()))
+        """Name of the candidate with the least time times error; its passes are kept."""
+        simple = self._simple()
+        room = min(_ROOM, self.problem.memory or _ROOM)
+        if (self._seconds is not None and self._seconds < _LEAST) or _BYTES * self.camera.pixels > room:
+            return simple
+        begin = time.perf_counter()
+        tried = {"path": self._try("path", seed)}
+        work = self._work(tried["path"])
+        end = begin + _SHARE * work if work >= _LEAST else begin
+        for name, (known, start, pace) in _PREDICTED.items():
+            base = tried.get(known)
+            if base is None or time.perf_counter() + start * base.start + 2.0 * pace * base.seconds > end:
+                continue
+            if name not in _VARIANTS or known in _hopeful(self._costs):
+                tried[name] = self._try(name, seed)
+                self._costs = _costs(tried)
+        for _ in range(2, self.settings.probe_passes):
+            left = [tried[name] for name in _hopeful(self._costs)]
+            if len(left) < 2 or time.perf_counter() + sum(one.seconds for one in left) > end:
+                break
+            for one in left:
+                self._step(one, seed)
+            self._costs = _costs(tried)
+        chosen = simple
+        if simple in self._costs:
+            chosen = choose({name: self._costs[name] for name in CANDIDATES if name in _hopeful(self._costs)})
+        if chosen in tried:
+            self._chosen = tried[chosen].method
+            self._made = {(i, seed): measured for i, measured in enumerate(tried[chosen].passes)}
         return chosen
+
+    def _try(self, name: str, seed: int) -> _Tried:
+        """The first two passes of a candidate, of which the first compiles."""
+        begin = time.perf_counter()
+        method = self._method(name)
+        method.prepare(self.problem, seed)
+        first = method.step(0, seed)
+        start = time.perf_counter() - begin
+        tried = _Tried(method, [first], first.copy(), start, 0.0)
+        self._step(tried, seed)
+        tried.start = max(0.0, start - tried.seconds)
+        return tried
+
+    def _step(self, tried: _Tried, seed: int) -> None:
+        begin = time.perf_counter()
+        done = len(tried.passes)
+        measured = tried.method.step(done, seed)
+        tried.passes.append(measured)
+        tried.total += measured
+        tried.seconds = (tried.seconds * (done - 1) + time.perf_counter() - begin) / done
+
+    def _work(self, tried: _Tried) -> float:
+        """Seconds that the picture will take if it is made by a candidate."""
+        limits = []
+        if self._seconds is not None:
+            limits.append(self._seconds)
+        if self._passes is not None:
+            limits.append(self._passes * tried.seconds)
+        if self._error is not None:
+            passes = len(tried.passes) * tried.total.relative_error() / self._error
+            limits.append(passes * tried.seconds)
+        return min(limits, default=_PASSES * tried.seconds)
+
+
+def _costs(tried: Mapping[str, _Tried]) -> dict[str, float]:
+    return costs({name: one.seconds for name, one in tried.items()}, {name: one.total for name, one in tried.items()})
+
+
+def _hopeful(cost: Mapping[str, float]) -> list[str]:
+    """Those that are not far behind."""
+    return [name for name, value in cost.items() if value <= _HOPELESS * min(cost.values())]
 
 
 def costs(seconds: Mapping[str, float], passes: Mapping[str, Measurement]) -> dict[str, float]:

@@ -100,6 +100,8 @@ def _integrator_class(method: Any, variant: str) -> type:
         def _measure(self, runner: Any, spp: int, seed: int) -> Measurement:
             """The passes of a picture by a prepared method."""
             passes = -(-spp // runner.samples_per_iteration)
+            if plan := getattr(runner, "plan", None):
+                plan(self.timeout if self.timeout > 0 else None, passes, None)
             start = time.perf_counter()
             total: Measurement = runner.step(0, seed)
             for iteration in range(1, passes):
