@@ -40,8 +40,8 @@ def radius(
     for r in RADII:
         on, off = (tracks[f"{r:g} mm, {word}"][-1] for word in ("on", "off"))
         costs.append(f"{r:g} mm {1.0 - (on.passes / on.seconds) / (off.passes / off.seconds):+.1%}")
-    what = "on, off: merging at the first camera vertex; passes that it costs (-: gains): "
-    passes.notes.append(what + ", ".join(costs))
+    read = "on, off: merging at the first camera vertex; passes that it costs (-: gains): "
+    passes.notes.append(read + ", ".join(costs))
     errors.notes += _errors(seeds, reference)
     return [passes, errors]
 
