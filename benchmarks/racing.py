@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -50,6 +51,12 @@ class Point:
     rms: float  #: of the difference of luminance from the reference, without the worst pixels
     untrimmed: float  #: the same with them
     samples: float = 0.0  #: camera paths of a pixel
+    error: float = math.nan  #: standard error of ``rms``, from the scatter of the seeds; not a number for one seed
+
+    @property
+    def text(self) -> str:
+        """``rms`` and, where it is known, its standard error."""
+        return f"{self.rms:.4f}" + ("" if math.isnan(self.error) else f" ± {self.error:.4f}")
 
 
 def marks(last: float, count: int = 8) -> list[float]:
@@ -118,15 +125,26 @@ class _Run:
 
 
 def _mean(points: Sequence[Point]) -> Point:
-    rows = np.array([(p.seconds, p.passes, p.rms**2, p.untrimmed**2, p.samples) for p in points]).mean(axis=0)
-    seconds, passes, rms, untrimmed, samples = map(float, rows)
-    return Point(seconds, passes, rms**0.5, untrimmed**0.5, samples)
+    rows = np.array([(p.seconds, p.passes, p.rms**2, p.untrimmed**2, p.samples) for p in points])
+    seconds, passes, square, untrimmed, samples = map(float, rows.mean(axis=0))
+    rms, error = square**0.5, math.nan
+    if len(points) > 1:
+        scatter = float(rows[:, 2].std(ddof=1)) / len(points) ** 0.5
+        error = scatter / (2.0 * rms) if rms > 0.0 else 0.0
+    return Point(seconds, passes, rms, untrimmed**0.5, samples, error)
 
 
 def order(tracks: Mapping[str, Sequence[Point]], index: int) -> str:
-    """Labels by their error at a mark, the best first; ``≈`` joins those within 3 %."""
-    ranked = sorted((points[index].rms, name) for name, points in tracks.items())
+    """Labels by their error at a mark, the best first; ``≈`` joins two that differ by less than 3 %, or by less than
+    twice the standard error of their difference."""
+    ranked = sorted(((points[index], name) for name, points in tracks.items()), key=lambda pair: pair[0].rms)
     text = ranked[0][1]
-    for (before, _), (error, name) in itertools.pairwise(ranked):
-        text += (" ≈ " if error < 1.03 * before else " < ") + name
+    for (before, _), (point, name) in itertools.pairwise(ranked):
+        noise = 0.0 if math.isnan(before.error + point.error) else 2.0 * math.hypot(before.error, point.error)
+        alike = point.rms < max(1.03 * before.rms, before.rms + noise)
+        text += (" ≈ " if alike else " < ") + name
     return text
+
+
+#: What ``±`` and ``≈`` mean, for the notes of a table.
+ORDER = "±: standard error, from the scatter of the seeds; ≈: within 3 %, or two standard errors of the difference"

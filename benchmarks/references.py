@@ -41,6 +41,7 @@ class Recipe:
     method: str
     settings: Mapping[str, Any] = field(default_factory=dict)
     remark: str = ""
+    mark: str = ""  #: in the file's name, where a scene has references of several kinds
 
     def find(self, size: tuple[int, int], folder: Path, seconds: float) -> Reference:
         """From its file in ``folder``; made in ``seconds`` if that does not exist."""
@@ -62,7 +63,8 @@ class Recipe:
         return _read(path)
 
     def _path(self, size: tuple[int, int], folder: Path) -> Path:
-        return folder / f"reference-{self.name}-{size[0]}x{size[1]}.exr"
+        mark = f"-{self.mark}" if self.mark else ""
+        return folder / f"reference-{self.name}{mark}-{size[0]}x{size[1]}.exr"
 
 
 def _read(path: Path) -> Reference:

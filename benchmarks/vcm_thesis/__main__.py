@@ -1,4 +1,4 @@
-"""``python -m benchmarks.vcm_thesis COMMAND``; without a command all of them, some fifteen minutes."""
+"""``python -m benchmarks.vcm_thesis COMMAND``; without a command all of them, about an hour."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from etendue.cli.options import parse_size
-from etendue.core import EtendueError
+from etendue.core import EtendueError, OptionError
 
 from ..measuring import Record
-from ..options import Rounds, Size, Variant, WarmUp, begin, named
+from ..options import Rounds, Size, Variant, WarmUp, begin, named, words
 from . import convergence as error_over_time
 from . import correctness as against_path
 from . import profile as profiles
@@ -29,6 +29,12 @@ Scenes = Annotated[str, typer.Option("--scene", help="Names, separated by commas
 Time = Annotated[float, typer.Option(min=0.01, help="Seconds for each method or setting.")]
 Seeds = Annotated[int, typer.Option(min=1, help="Runs of each; their mean square counts.")]
 ReferenceTime = Annotated[float, typer.Option(min=0.01, help="Seconds for a reference that is not there yet.")]
+ReferenceMethod = Annotated[
+    str, typer.Option("--reference-method", help="What makes the references: vcm, bpt, path.", metavar="NAME")
+]
+ReferenceRadius = Annotated[
+    float, typer.Option("--reference-radius", min=0.001, help="First radius of references by vcm.", metavar="MM")
+]
 Out = Annotated[Path, typer.Option(help="Folder for references and plots.")]
 Keep = Annotated[bool, typer.Option("--record", help="Append the tables to benchmarks/vcm_thesis/RESULTS.md.")]
 
@@ -48,15 +54,32 @@ def _names(text: str) -> list[str]:
     return named(text, SCENES, "scene")
 
 
+def _lengths(text: str) -> list[float]:
+    """Positive numbers between commas; raises :class:`OptionError` for anything else."""
+    try:
+        found = [float(word) for word in words(text)]
+    except ValueError:
+        found = []
+    if not found or not all(0.0 < length < float("inf") for length in found):
+        raise OptionError(f"option '--radius' takes millimetres, separated by commas, not '{text}'")
+    return found
+
+
 @app.command()
 def reference(
-    scene: Scenes = _ALL, size: Size = _SIZE, time: Time = 60.0, out: Out = _OUT, variant: Variant = None
+    scene: Scenes = _ALL,
+    size: Size = _SIZE,
+    time: Time = 60.0,
+    reference_method: ReferenceMethod = "vcm",
+    reference_radius: ReferenceRadius = 5.0,
+    out: Out = _OUT,
+    variant: Variant = None,
 ) -> None:
     """Render the references anew, each for --time seconds, and keep them in --out."""
     begin(variant)
     record = Record(f"References, {size}, {time:g} s", ("", "noise (RMS of luminance)", "made by"))
     for name in _names(scene):
-        made = references.recipe(name).make(parse_size(size), out, time)
+        made = references.recipe(name, reference_method, reference_radius).make(parse_size(size), out, time)
         record.add(name, f"{made.noise:.5f}", made.note)
     record.publish("", False)
 
@@ -65,16 +88,18 @@ def reference(
 def correctness(
     scene: Scenes = "diffuse",
     size: Size = _SIZE,
-    passes: Annotated[int, typer.Option(min=1, help="Passes of each method.")] = 128,
-    seed: Annotated[int, typer.Option(help="Of the random numbers.")] = 0,
+    passes: Annotated[int, typer.Option(min=4, help="Passes of each method.")] = 128,
+    seeds: Annotated[int, typer.Option(min=1, help="Independent runs; the tests need two.")] = 5,
+    radius: Annotated[str, typer.Option(help="First radii of vcm in millimetres.", metavar="MM[,MM...]")] = "1,12",
     out: Out = _OUT,
     variant: Variant = None,
     record: Keep = False,
 ) -> None:
-    """VCM and BPT against path tracing: does the difference fall as noise does, and has it structure?"""
+    """VCM and BPT against path tracing: does the difference fall as noise does, and has it structure? Ten minutes."""
     chosen = begin(variant)
+    millimetres = _lengths(radius)
     for name in _names(scene):
-        _publish(chosen, record, *against_path.measure(name, parse_size(size), passes, seed, out))
+        _publish(chosen, record, *against_path.measure(name, parse_size(size), passes, seeds, millimetres, out))
 
 
 @app.command()
@@ -82,8 +107,10 @@ def convergence(
     scene: Scenes = _ALL,
     size: Size = _SIZE,
     time: Time = 20.0,
-    seeds: Seeds = 1,
+    seeds: Seeds = 3,
     reference_time: ReferenceTime = 60.0,
+    reference_method: ReferenceMethod = "vcm",
+    reference_radius: ReferenceRadius = 5.0,
     out: Out = _OUT,
     variant: Variant = None,
     record: Keep = False,
@@ -91,7 +118,8 @@ def convergence(
     """The error of VCM, BPT, BPM and PT over time, and their order early and late."""
     chosen = begin(variant)
     for name in _names(scene):
-        table = error_over_time.measure(name, parse_size(size), time, seeds, out, reference_time)
+        found = references.recipe(name, reference_method, reference_radius).find(parse_size(size), out, reference_time)
+        table = error_over_time.measure(name, parse_size(size), time, seeds, out, found)
         _publish(chosen, record, table)
 
 
@@ -115,8 +143,10 @@ def radius(
     scene: Scenes = "living-room",
     size: Size = _SIZE,
     time: Time = 20.0,
-    seeds: Seeds = 1,
+    seeds: Seeds = 3,
     reference_time: ReferenceTime = 60.0,
+    reference_method: ReferenceMethod = "vcm",
+    reference_radius: ReferenceRadius = 5.0,
     out: Out = _OUT,
     variant: Variant = None,
     record: Keep = False,
@@ -124,7 +154,8 @@ def radius(
     """Radii of 5, 12 and 25 mm, with and without merging at the first camera vertex."""
     chosen = begin(variant)
     for name in _names(scene):
-        _publish(chosen, record, *sweeps.radius(name, parse_size(size), time, seeds, out, reference_time))
+        found = references.recipe(name, reference_method, reference_radius).find(parse_size(size), out, reference_time)
+        _publish(chosen, record, *sweeps.radius(name, parse_size(size), time, seeds, out, found))
 
 
 @app.command()
@@ -132,8 +163,10 @@ def photons(
     scene: Scenes = "living-room",
     size: Size = _SIZE,
     time: Time = 30.0,
-    seeds: Seeds = 1,
+    seeds: Seeds = 3,
     reference_time: ReferenceTime = 60.0,
+    reference_method: ReferenceMethod = "vcm",
+    reference_radius: ReferenceRadius = 5.0,
     out: Out = _OUT,
     variant: Variant = None,
     record: Keep = False,
@@ -141,7 +174,8 @@ def photons(
     """Four times the light paths against twice the radius, at equal time."""
     chosen = begin(variant)
     for name in _names(scene):
-        _publish(chosen, record, sweeps.photons(name, parse_size(size), time, seeds, out, reference_time))
+        found = references.recipe(name, reference_method, reference_radius).find(parse_size(size), out, reference_time)
+        _publish(chosen, record, sweeps.photons(name, parse_size(size), time, seeds, out, found))
 
 
 @app.command()

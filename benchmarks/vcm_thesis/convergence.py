@@ -6,16 +6,13 @@ from pathlib import Path
 
 from .. import plotting
 from ..measuring import Record
-from ..racing import TRIM, Entrant, marks, order, race
-from . import references
+from ..racing import ORDER, TRIM, Entrant, marks, order, race
+from ..references import Reference
 from .entrants import RADIUS, open_scene, the_four
 
 
-def measure(
-    name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference_seconds: float
-) -> Record:
+def measure(name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference: Reference) -> Record:
     """A table of one scene: RMS at four times, and the order early and late."""
-    reference = references.recipe(name).find(size, out, reference_seconds)
     times = marks(seconds)
     four = the_four()
     ours = Entrant("vcm, our settings", "vcm", {"radius": RADIUS, "radius_unit": "absolute"})
@@ -28,11 +25,12 @@ def measure(
     )
     for label, points in tracks.items():
         end = points[-1]
-        record.add(label, f"{end.passes:.0f}", *(f"{points[k].rms:.4f}" for k in shown), f"{end.untrimmed:.4f}")
+        record.add(label, f"{end.passes:.0f}", *(points[k].text for k in shown), f"{end.untrimmed:.4f}")
     early, late = shown[0], shown[-1]
     compared = {entrant.label: tracks[entrant.label] for entrant in four}
     record.notes += [
         f"best first, at {times[early]:g} s: {order(compared, early)}; at {times[late]:g} s: {order(compared, late)}",
+        ORDER,
         _conditions(seeds),
         f"RMS of the difference of luminance, without the worst {TRIM:.1%} of the pixels; reference: {reference.note}",
     ]

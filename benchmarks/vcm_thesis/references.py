@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+from etendue.core import OptionError
+
 from ..references import Recipe
 from .scenes import SCENES
 
-#: VCM with the radius of the thesis's sweep that blurs least, our other settings and other seeds than the experiments;
-#: path tracing where everything is matt: it is unbiased, and best there.
-_MERGING = {"radius": 0.005, "radius_unit": "absolute"}
+#: ``vcm`` merges like what is measured, and shares its blur; the others do not, and are noisier.
+METHODS = ("vcm", "bpt", "path")
 
 
-def recipe(scene: str) -> Recipe:
-    """That of a scene by its name."""
+def recipe(scene: str, method: str = "vcm", millimetres: float = 5.0) -> Recipe:
+    """That of a scene by its name: our settings, and other seeds than the experiments have. ``millimetres``: first
+    radius of ``vcm``. The diffuse scene always takes ``path``, which is best there."""
+    if method not in METHODS:
+        raise OptionError(f"references are made by {', '.join(METHODS)}, not by '{method}'")
     if scene == "diffuse":
         return Recipe(scene, SCENES[scene], "path")
-    return Recipe(scene, SCENES[scene], "vcm", _MERGING, ", first radius 5 mm")
+    if method != "vcm":
+        return Recipe(scene, SCENES[scene], method, mark=method)
+    settings = {"radius": millimetres / 1000.0, "radius_unit": "absolute"}
+    remark, mark = f", first radius {millimetres:g} mm", f"vcm-{millimetres:g}mm"
+    return Recipe(scene, SCENES[scene], "vcm", settings, remark, mark)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from .. import plotting
 from ..measuring import Record, interleaved, spread
-from ..racing import TRIM, Entrant, marks, race
-from . import references
+from ..racing import ORDER, TRIM, Entrant, marks, race
+from ..references import Reference
 from .entrants import RADIUS, merging, open_scene
 
 #: The radii of the sweep, in millimetres, and the one for the photons.
@@ -18,10 +18,9 @@ PHOTON_RADIUS = 0.0125
 
 
 def radius(
-    name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference_seconds: float
+    name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference: Reference
 ) -> list[Record]:
     """Passes and RMS at growing times, for each radius with and without merging at the first camera vertex."""
-    reference = references.recipe(name).find(size, out, reference_seconds)
     entrants = [
         Entrant(f"{r:g} mm, {'on' if first else 'off'}", "vcm", merging("vcm", r / 1000.0, merge_first=first))
         for r in RADII
@@ -35,22 +34,20 @@ def radius(
     errors = Record(f"Radius sweep: RMS of luminance, {what}", ("own seconds", *tracks))
     for k, at in enumerate(times):
         passes.add(f"{at:g}", *(f"{points[k].passes:.0f}" for points in tracks.values()))
-        errors.add(f"{at:g}", *(f"{points[k].rms:.4f}" for points in tracks.values()))
+        errors.add(f"{at:g}", *(points[k].text for points in tracks.values()))
     errors.add(f"{seconds:g}, all pixels", *(f"{points[-1].untrimmed:.4f}" for points in tracks.values()))
     costs = []
     for r in RADII:
         on, off = (tracks[f"{r:g} mm, {word}"][-1] for word in ("on", "off"))
         costs.append(f"{r:g} mm {1.0 - (on.passes / on.seconds) / (off.passes / off.seconds):+.1%}")
-    passes.notes.append("on, off: merging at the first camera vertex; it costs these passes: " + ", ".join(costs))
-    errors.notes.append(f"RMS without the worst {TRIM:.1%} of the pixels; reference: {reference.note}; {seeds} seed(s)")
+    read = "on, off: merging at the first camera vertex; passes that it costs (-: gains): "
+    passes.notes.append(read + ", ".join(costs))
+    errors.notes += _errors(seeds, reference)
     return [passes, errors]
 
 
-def photons(
-    name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference_seconds: float
-) -> Record:
+def photons(name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference: Reference) -> Record:
     """More light paths against a larger radius, at equal time: both have the same weights for merging."""
-    reference = references.recipe(name).find(size, out, reference_seconds)
     millimetres = 1000.0 * PHOTON_RADIUS
     entrants = [
         Entrant(label, "vcm", merging("vcm", r, merge_first=False) | {"light_paths": paths})
@@ -71,9 +68,15 @@ def photons(
     )
     for label, points in tracks.items():
         end = points[-1]
-        record.add(label, f"{end.passes:.0f}", *(f"{p.rms:.4f}" for p in points[1:]), f"{end.untrimmed:.4f}")
-    record.notes.append(f"RMS without the worst {TRIM:.1%} of the pixels; reference: {reference.note}; {seeds} seed(s)")
+        record.add(label, f"{end.passes:.0f}", *(p.text for p in points[1:]), f"{end.untrimmed:.4f}")
+    record.notes += _errors(seeds, reference)
     return record
+
+
+def _errors(seeds: int, reference: Reference) -> list[str]:
+    """How the errors of a table are to be read."""
+    what = f"RMS without the worst {TRIM:.1%} of the pixels, root of the mean of {seeds} seed{'s' if seeds > 1 else ''}"
+    return [f"{what}; reference: {reference.note}", ORDER]
 
 
 def radii(names: Sequence[str], size: tuple[int, int], rounds: int, warm_up: int) -> Record:

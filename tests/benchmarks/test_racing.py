@@ -96,8 +96,19 @@ def test_seeds_are_averaged_and_ranked(racing):
     mean = racing._mean(points)
     assert (mean.seconds, mean.passes) == (pytest.approx(1.1), 5.0)
     assert mean.rms == pytest.approx(np.sqrt(0.125)) and mean.untrimmed == pytest.approx(np.sqrt(0.025))
+    # Squares .09 and .16: their mean has a standard error of .035, and its root one of .035 / (2 sqrt(.125)).
+    assert mean.error == pytest.approx(0.035 / (2.0 * np.sqrt(0.125)))
+    assert (mean.text, points[0].text) == ("0.3536 ± 0.0495", "0.3000")
     tracks = {"a": points, "b": [points[1], points[0]], "c": [racing.Point(1.0, 1.0, 0.305, 0.5)] * 2}
     assert racing.order(tracks, 0) == "a ≈ c < b"
+
+
+def test_the_order_says_only_what_the_seeds_can_tell(racing):
+    def track(rms, error):
+        return [racing.Point(1.0, 4.0, rms, rms, error=error)]
+
+    tracks = {"a": track(0.30, 0.01), "b": track(0.32, 0.01), "c": track(0.36, 0.01)}
+    assert racing.order(tracks, 0) == "a ≈ b < c", "twice the error of a difference is 0.028"
 
 
 def test_marks_double(racing):

@@ -124,17 +124,37 @@ def test_a_reference_is_kept(tmp_path):
     assert np.array_equal(lamps, stored > white * stored.mean())
 
 
+def test_references_of_several_kinds_lie_apart(tmp_path):
+    """Methods and radii have a file each; a method that makes none is named."""
+    from etendue.core import OptionError
+
+    recipe = module("references").recipe
+    kinds = [("vcm", 5.0), ("vcm", 1.0), ("bpt", 5.0), ("path", 5.0)]
+    files = {recipe("bathroom", *kind)._path((8, 6), tmp_path) for kind in kinds}
+    assert len(files) == len(kinds)
+    assert recipe("bathroom", "vcm", 1.0).settings == {"radius": 0.001, "radius_unit": "absolute"}
+    assert not recipe("bathroom", "bpt").settings
+    assert {recipe("diffuse", *kind).method for kind in kinds} == {"path"}
+    with pytest.raises(OptionError, match="references are made by vcm, bpt, path, not by 'sppm'"):
+        recipe("bathroom", "sppm")
+
+
 def test_blocks_tell_noise_from_structure():
+    """Noise that blocks share, as light paths bring it about, and the same with a bias of 0.7 of its error."""
     correctness = module("correctness")
     rng = np.random.default_rng(2)
-    noise = [rng.normal(0.0, 0.1, (20, 20)) for _ in range(50)]
-    pattern = np.where(np.arange(20) < 10, 0.05, -0.05)
-    blocks = {"clean": noise, "odd": [values + pattern for values in noise]}
-    record = correctness._residual("a scene", blocks, 16)
-    clean, odd = (float(row[2]) for row in record.rows)
-    # The mean of z² over 400 blocks of 50 passes has a standard deviation of sqrt(2 / 400) (49 / 47), about 0.074.
-    assert clean == pytest.approx(49 / 47, abs=4 * 0.074)
-    assert odd > 10.0
+    seeds, passes, side, noise, bias = 6, 50, 20, 0.1, 0.01
+    shared = rng.normal(0.0, noise, (seeds, passes, side // 2, side)).repeat(2, 2)
+    pattern = np.where(np.arange(side) < side // 2, bias, -bias)
+    record = correctness._residual("a scene", {"clean": shared, "odd": shared + pattern}, 16, 1.0)
+    clean, odd = record.rows
+    # The mean of z^2 over 6 runs of 200 independent blocks has a standard deviation of sqrt(2 / 1200) (49 / 47).
+    assert float(clean[1].split()[0]) == pytest.approx(49 / 47, abs=4 * 0.043)
+    assert float(clean[2]) > 0.01 > float(odd[2])
+    # That of the square of the bias: noise^2 / passes over the root of 200 blocks and of 15 pairs of runs, 3.7e-6; with
+    # a bias, twice it times the standard error of the mean of all, 0.1 / sqrt(60 000), 8.2e-6.
+    assert (float(odd[6].split()[0]) / 100.0) ** 2 == pytest.approx(bias**2, abs=4 * 9e-6)
+    assert (float(clean[6].split()[0]) / 100.0) ** 2 < 4 * 3.7e-6
 
 
 @pytest.mark.slow
@@ -160,11 +180,11 @@ _TINY = ["--size", "24x18"]
 _QUICK = [*_TINY, "--time", "0.2", "--reference-time", "0.4"]
 COMMANDS = {
     "reference": [*_TINY, "--scene", "diffuse", "--time", "0.4"],
-    "correctness": [*_TINY, "--passes", "4"],
-    "convergence": [*_QUICK, "--scene", "diffuse"],
+    "correctness": [*_TINY, "--passes", "4", "--seeds", "2"],
+    "convergence": [*_QUICK, "--scene", "diffuse", "--seeds", "2"],
     "profile": [*_TINY, "--scene", "diffuse", "--rounds", "1", "--warm-up", "1"],
-    "radius": [*_QUICK, "--scene", "diffuse"],
-    "photons": [*_QUICK, "--scene", "diffuse"],
+    "radius": [*_QUICK, "--scene", "diffuse", "--seeds", "1"],
+    "photons": [*_QUICK, "--scene", "diffuse", "--seeds", "1"],
     "radii": [*_TINY, "--scene", "diffuse", "--rounds", "1", "--warm-up", "1"],
 }
 PLOTS = {"correctness", "convergence", "radius", "photons"}
@@ -184,6 +204,15 @@ def test_commands_make_tables_of_numbers(command, tmp_path, monkeypatch):
     assert len(plots) == (command in PLOTS)
     for plot in plots:
         assert plot.read_text("utf-8").startswith('<svg xmlns="http://www.w3.org/2000/svg"')
+
+
+@pytest.mark.parametrize("text", ["", "x", "1,0", "-1", "inf"])
+def test_radii_are_lengths(text):
+    from etendue.core import OptionError
+
+    assert module("__main__")._lengths("1, 12") == [1.0, 12.0]
+    with pytest.raises(OptionError, match="option '--radius' takes millimetres"):
+        module("__main__")._lengths(text)
 
 
 def test_an_unknown_scene_is_named():

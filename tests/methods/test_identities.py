@@ -12,7 +12,6 @@ from support import scenes
 from support.running import go, mitsuba_images, mitsuba_path, prepared, run
 from support.statistics import assert_agree, blocks, z_scores
 
-from etendue import methods
 from etendue.transport import Techniques
 
 #: Of the magnitude that scattered float additions in another order change a pixel.
@@ -43,21 +42,26 @@ def problem() -> Any:
     return scenes.room("mixed", "rough", rfilter="gaussian")
 
 
-@pytest.mark.parametrize("settings", [{}, {"light_source": "path", "heuristic": "power"}, {"connections": 2}], ids=str)
-def test_vcm_without_merging_is_bpt(settings):
-    settings = methods.get("bpt").Settings(samples_per_pass=4, **settings).to_dict()  # the defaults of the two differ
-    assert settings["merging"] is False
-    vcm = go(prepared(problem(), "vcm", **settings), 2).mean
-    bpt = go(prepared(problem(), "bpt", **settings), 2).mean
-    np.testing.assert_allclose(vcm, bpt, **SAME)
-
-
-def test_vcm_without_connecting_is_bpm():
-    settings = methods.get("bpm").Settings(samples_per_pass=4, radius=0.02).to_dict()
-    assert settings["connecting"] is False
-    vcm = go(prepared(problem(), "vcm", **settings), 2).mean
-    bpm = go(prepared(problem(), "bpm", **settings), 2).mean
-    np.testing.assert_allclose(vcm, bpm, **SAME)
+@pytest.mark.parametrize("settings", [{"light_source": "path", "heuristic": "power"}, {"connections": 2}], ids=str)
+def test_vcm_tends_to_bpt_with_the_radius(settings):
+    """The same paths with and without merging: what its weights take from the other techniques falls with the area
+    of its disc (under the power heuristic with the area's square), to nothing."""
+    settings = settings | {"samples_per_pass": 4, "light_paths": 1.0, "split_layers": True, "shadow_roulette": 0.0}
+    scene = scenes.room("mixed", ("diffuse", "roughconductor", "dielectric"))
+    bpt = prepared(scene, "bpt", **settings)
+    without = go(bpt, 2).mean
+    settings = {"connections": bpt.settings.connections} | settings  # the defaults of the two differ
+    settings |= {"radius_unit": "absolute", "alpha": 1.0, "eta_discount": 1.0}
+    taken = {}
+    for radius in (0.01, 0.005, 0.00005):
+        runner = prepared(scene, "vcm", radius=radius, **settings)
+        measurement = go(runner, 2).measurement
+        taken[radius] = without - (measurement.mean() - measurement.mean("merge"))
+        assert taken[radius].min() > -1e-5 * without.mean()
+    assert measurement.mean("merge").max() < SAME["atol"]
+    falls = 4.0**runner.techniques.beta
+    assert taken[0.01].sum() / taken[0.005].sum() == pytest.approx(falls, rel=0.05)
+    np.testing.assert_allclose(taken[0.00005], 0.0, atol=1e-5 * without.mean())
 
 
 def test_hits_and_next_event_alone_are_path():

@@ -1,0 +1,167 @@
+"""Every technique's share of a picture against one computed without étendue: densities and weights written out in NumPy
+for each path of a floor, a wall and a point light, and summed by quadrature."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from support import scenes
+from support.running import prepared
+from support.statistics import assert_agree
+
+from etendue.film import Technique
+
+LIGHT = np.array([0.9, 1.2, 0.3])
+FLOOR, WALL = 0.6, 0.8  # albedos
+FOV, SIZE = 20.0, (16, 12)
+#: The wall: x = -1, its normal along x, and where y and z lie.
+WALL_X, WALL_Y, WALL_Z = -1.0, (0.2, 1.4), (-0.6, 0.6)
+RADIUS, SAMPLES, LIGHT_PATHS, DISCOUNT = 0.01, 128, 4.0, 0.25
+
+
+def floor_and_wall() -> Any:
+    """A camera looks down at the floor; the wall beside it is lit, and not seen. Nothing hides anything."""
+    t = scenes.transform()
+    wall = t.translate([WALL_X, np.mean(WALL_Y), np.mean(WALL_Z)]).rotate([0, 1, 0], 90).scale([0.6, 0.6, 1.0])
+    return scenes.load(
+        {
+            "type": "scene",
+            "sensor": scenes.camera((0.0, 3.0, 0.0), (0.0, 0.0, 0.0), FOV, size=SIZE),
+            "light": {"type": "point", "position": list(LIGHT), "intensity": scenes.rgb(1, 1, 1)},
+            "floor": {
+                "type": "rectangle",
+                "to_world": t.rotate([1, 0, 0], -90).scale(2.0),
+                "bsdf": scenes.diffuse(*3 * (FLOOR,)),
+            },
+            "wall": {"type": "rectangle", "to_world": wall, "bsdf": scenes.diffuse(*3 * (WALL,))},
+        }
+    )
+
+
+@dataclass
+class Counts:
+    """Samples of each technique for a camera path; zero: not used. ``splat``: light paths for a pixel's one camera
+    path, ``merge``: light paths times the area of the disc."""
+
+    next_event: int = 1
+    connection: int = 1
+    splat: float = LIGHT_PATHS * SIZE[0] * SIZE[1]
+    merge: float = DISCOUNT * np.pi * RADIUS**2 * LIGHT_PATHS * SIZE[0] * SIZE[1] * SAMPLES
+    merge_first: bool = True
+    beta: int = 1
+
+
+def seen_points(problem: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Points of the floor, (pixels, 4, 3), two by two to a pixel by Gauss's rule, and the area density with which the
+    pixel's camera ray meets each."""
+    nodes = 0.5 + np.array([-0.5, 0.5]) / np.sqrt(3.0)
+    rows, columns, v, u = np.meshgrid(*map(np.arange, SIZE[::-1]), nodes, nodes, indexing="ij")
+    film = mi.Point2f(*((a + b).ravel() / n for a, b, n in ((columns, u, SIZE[0]), (rows, v, SIZE[1]))))
+    ray, _ = problem.sensor.sample_ray(0.0, 0.5, film, mi.Point2f(0.5))
+    origin, direction = (np.array(x).T.astype(np.float64) for x in (ray.o, ray.d))
+    points = origin - direction * (origin[:, 1:2] / direction[:, 1:2])
+    height, cos = 3.0, -direction[:, 1]
+    pixel = (2.0 * np.tan(np.deg2rad(FOV / 2)) / SIZE[0]) ** 2  # its area at distance 1
+    density = 1.0 / (pixel * cos**3) * cos / (height / cos) ** 2
+    return points.reshape(-1, 4, 3), density.reshape(-1, 4)
+
+
+def geometry(a: np.ndarray, b: np.ndarray, normal_a: Any, normal_b: Any) -> tuple[np.ndarray, ...]:
+    """(cosine at a, cosine at b, squared distance)."""
+    offset = b - a
+    square = (offset**2).sum(-1)
+    direction = offset / np.sqrt(square)[..., None]
+    return (direction @ np.array(normal_a)), -(direction @ np.array(normal_b)), square
+
+
+def shares(densities: dict[Technique, Any], beta: int) -> dict[Technique, Any]:
+    """Weights of a path's techniques, by samples times density."""
+    total = sum(value**beta for value in densities.values())
+    return {technique: value**beta / total for technique, value in densities.items()}
+
+
+def by_quadrature(problem: Any, counts: Counts) -> dict[str, np.ndarray]:
+    """The weighted layer of every technique that makes paths of two or three edges."""
+    x1, by_camera = seen_points(problem)
+    up, out = (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)
+    # camera, x1, light
+    offset = LIGHT - x1
+    square = (offset**2).sum(-1)
+    cos = offset[..., 1] / np.sqrt(square)
+    by_light = cos / (4.0 * np.pi * square)
+    two = {
+        Technique(False, 1, 2): counts.next_event * by_camera,
+        Technique(False, 2, 1): counts.splat * by_light,
+        Technique(True, 2, 2): counts.merge * counts.merge_first * by_camera * by_light,
+    }
+    radiance = FLOOR / np.pi * cos / square
+    parts = {k: (w * radiance).mean(-1) for k, w in shares(two, counts.beta).items()}
+    # camera, x1, x2, light
+    nodes, factors = np.polynomial.legendre.leggauss(16)
+    (y0, y1), (z0, z1) = WALL_Y, WALL_Z
+    y, z = (a.ravel() for a in np.meshgrid(y0 + (nodes + 1) * (y1 - y0) / 2, z0 + (nodes + 1) * (z1 - z0) / 2))
+    area = np.outer(factors, factors).ravel() * (y1 - y0) * (z1 - z0) / 4.0
+    x2 = np.stack([np.full_like(y, WALL_X), y, z], -1)
+    x1, by_camera = x1[:, :, None, :], by_camera[:, :, None]
+    cos1, cos2, square12 = geometry(x1, x2, up, out)
+    offset = LIGHT - x2
+    square = (offset**2).sum(-1)
+    cos = offset[..., 0] / np.sqrt(square)
+    by_light = cos / (4.0 * np.pi * square)
+    there, back = cos1 / np.pi * cos2 / square12, cos2 / np.pi * cos1 / square12  # x1 to x2, x2 to x1: areas
+    three = {
+        Technique(False, 1, 3): counts.next_event * by_camera * there,
+        Technique(False, 2, 2): counts.connection * by_camera * by_light,
+        Technique(False, 3, 1): counts.splat * by_light * back,
+        Technique(True, 3, 2): counts.merge * counts.merge_first * by_camera * by_light * back,
+        Technique(True, 2, 3): counts.merge * by_camera * there * by_light,
+    }
+    radiance = FLOOR * WALL / np.pi**2 * cos1 * cos2 / square12 * cos / square
+    parts |= {k: (w * radiance * area).sum(-1).mean(-1) for k, w in shares(three, counts.beta).items()}
+    return {k.layer(): value.reshape(SIZE[1], SIZE[0]) for k, value in parts.items()}
+
+
+NONE: Any = {"next_event": 0, "connection": 0, "splat": 0.0}
+#: One row a set of techniques: method, settings, the counts that they mean.
+ROWS: dict[str, tuple[str, dict[str, Any], Counts]] = {
+    "bpt": ("bpt", {"light_source": "path"}, Counts(merge=0.0)),
+    "bpm": ("bpm", {"eta_discount": DISCOUNT}, Counts(**NONE)),
+    "vcm": ("vcm", {"connections": 1}, Counts()),
+    "vcm late power": (
+        "vcm",
+        {"heuristic": "power", "merge_first": False, "next_events": 2, "connections": 3},
+        Counts(next_event=2, connection=3, merge_first=False, beta=2),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_the_share_of_every_technique(name):
+    method, settings, counts = ROWS[name]
+    problem = floor_and_wall()
+    if counts.merge:
+        settings = settings | {"radius": RADIUS, "radius_unit": "absolute", "alpha": 1.0, "eta_discount": DISCOUNT}
+    runner = prepared(
+        problem,
+        method,
+        samples_per_pass=SAMPLES,
+        light_paths=LIGHT_PATHS,
+        max_depth=3,
+        pyramid=True,
+        pyramid_depth=3,
+        **settings,
+    )
+    steps = [runner.step(i, 1) for i in range(6)]
+    expected = by_quadrature(problem, counts)
+    whole = sum(expected.values())
+    for layer, values in (expected | {"image": whole}).items():
+        if not values.any():
+            assert layer not in steps[0].sums, layer
+        elif values.mean() > 1e-4 * whole.mean():  # a share so small takes too few paths to be known
+            found = np.stack([step.mean(layer) for step in steps])
+            true = np.tile(values[None, :, :, None], (2, 1, 1, 3))
+            assert_agree(found, true, (name, layer), precision=0.05)
