@@ -143,12 +143,16 @@ def choice(
     pixels: Annotated[int, typer.Option(min=1, help="Pixels of a picture, about.")] = 65536,
     time: Annotated[float, typer.Option(help="Seconds for each picture.")] = 30.0,
     seeds: Annotated[int, typer.Option(min=1, help="Pictures of each; the median counts.")] = 1,
+    cold: Annotated[
+        float, typer.Option(min=0.0, help="Seconds in fresh processes with an empty kernel cache; 0: left out.")
+    ] = 5.0,
     variant: Variant = None,
     record: Keep = False,
 ) -> None:
-    """Error of auto after a given time, beside each of its candidates."""
+    """Error of auto after a given time, beside each of its candidates; its samples; and cold, beside path."""
     chosen = begin(variant)
-    _publish(chosen, record, choice_of_auto.measure(words(scenes), pixels, time, seeds))
+    tables = choice_of_auto.measure(words(scenes), pixels, time, seeds, cold, chosen)
+    _publish(chosen, record, *tables)
 
 
 @app.command()

@@ -73,6 +73,20 @@ def memory(options: dict[str, Any]) -> dict[str, Any]:
     return outcome | {"peaks": peaks}
 
 
+def picture(options: dict[str, Any]) -> dict[str, Any]:
+    """A picture after some seconds, written to ``out``; its samples, and what ``auto`` chose."""
+    import numpy as np
+
+    from etendue.api import render
+    from etendue.core import use_variant
+
+    use_variant(options["variant"])
+    wanted = {name: options[name] for name in ("seconds", "seed")}
+    rendering = render(options["scene"], options["method"], size=tuple(options["size"]), **wanted)
+    np.save(options["out"], rendering.image)
+    return {"samples": rendering.metadata["samples"], "chosen": rendering.metadata.get("chosen", options["method"])}
+
+
 def view_factors(options: dict[str, Any]) -> dict[str, Any]:
     """CPU seconds of a first call, of global lines with F J, and of a solution; those are written to ``out``."""
     import numpy as np
@@ -98,5 +112,5 @@ def view_factors(options: dict[str, Any]) -> dict[str, Any]:
 if __name__ == "__main__":
     import etendue  # noqa: F401  # before Dr.Jit: it finds the LLVM
 
-    COMMANDS = {"first-pass": first_pass, "memory": memory, "view-factors": view_factors}
+    COMMANDS = {"first-pass": first_pass, "memory": memory, "picture": picture, "view-factors": view_factors}
     print(json.dumps(COMMANDS[sys.argv[1]](json.loads(sys.argv[2]))))

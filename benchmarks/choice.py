@@ -1,9 +1,12 @@
-"""Whether ``auto`` chooses well: its error after a given time beside that of each candidate rendered by itself."""
+"""Whether ``auto`` chooses well: its error after a given time beside that of each candidate rendered by itself, the
+samples that its probe leaves, and a few seconds in a fresh process without kernels beside ``path``."""
 
 from __future__ import annotations
 
 import gc
+import tempfile
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,15 +17,21 @@ from etendue.core import RELATIVE_EPSILON
 from etendue.methods.auto import CANDIDATES
 from etendue.scene import bundled
 
-from .measuring import PUBLIC_SCENES, Record, console, verdict
+from .measuring import PUBLIC_SCENES, Record, child, console, verdict
 
 #: ``auto`` may need this many times the error of the best single choice.
 BAR = 1.2
+#: It must have this share of the samples that its choice makes in the same time.
+SAMPLES_BAR = 0.7
+#: Cold, it may need this many times the error of ``path``.
+COLD_BAR = 1.3
 #: Share of the brightest errors that is left out: one firefly must not decide.
 _TRIM = 0.001
 #: Of the reference: each of its two halves takes this many times the time of a picture.
 _HALF = 2.0
-PUBLIC = ("veach-bidir", "water-caustic", "cornell-box")
+PUBLIC = ("veach-bidir", "water-caustic", "cornell-box", "soda-shoppe", "grey-white-room", "wooden-staircase")
+#: Scenes without caustics that matter, whose edges merging would brighten: their reference is by ``path``.
+_BY_PATH = ("grey-white-room", "wooden-staircase")
 
 
 def sources() -> dict[str, Any]:
@@ -35,47 +44,89 @@ def sources() -> dict[str, Any]:
     return found
 
 
-def measure(names: Sequence[str], pixels: int, seconds: float, seeds: int) -> Record:
-    """One row a scene; the candidates and ``auto`` take turns, seed by seed."""
+def measure(
+    names: Sequence[str], pixels: int, seconds: float, seeds: int, cold: float = 0.0, variant: str = ""
+) -> list[Record]:
+    """One row a scene; the candidates and ``auto`` take turns, seed by seed. With ``cold`` seconds above 0 a second
+    table, of ``path`` and ``auto`` in fresh processes with an empty kernel cache."""
     known = sources()
     record = Record(
         f"Choice of auto, about {pixels} pixels, {seconds:g} s",
-        ("", *CANDIDATES, "auto", "chosen", "auto / best", "bar"),
+        ("", *CANDIDATES, "auto", "chosen", "auto / best", "bar", "samples / its choice", "bar"),
     )
+    first = Record(f"auto in {cold:g} s, cold, about {pixels} pixels", ("", "path", "auto", "chosen", "ratio", "bar"))
     worst = 0.0
     for name in names or known:
         if name not in known:
             raise SystemExit(f"no test scene '{name}'; there are {', '.join(known)}")
         size = scaled_size(known[name], pixels)
-        halves = [
-            render(known[name], "vcm", seconds=_HALF * seconds, size=size, seed=1000 + half, radius=0.002).image
-            for half in range(2)
-        ]
+        halves = _halves(name, known[name], size, _HALF * seconds)
         errors: dict[str, list[float]] = {choice: [] for choice in (*CANDIDATES, "probe")}
-        chosen = []
+        chosen, shares = [], []
         for seed in range(seeds):
+            samples: dict[str, float] = {}
             for choice, values in errors.items():
                 gc.collect()  # a scene that is still alive makes the next one's kernels larger
                 rendering = render(known[name], "auto", seconds=seconds, size=size, seed=seed, choice=choice)
                 values.append(_error(rendering.image, halves))
+                samples[choice] = rendering.metadata["samples"]
                 if choice == "probe":
                     chosen.append(str(rendering.metadata["chosen"]))
+                    shares.append(samples["probe"] / samples[chosen[-1]])
         middle = {choice: float(np.median(values)) for choice, values in errors.items()}
         ratio = middle["probe"] / min(middle[choice] for choice in CANDIDATES)
+        share = float(np.median(shares))
         worst = max(worst, ratio)
         console.print(
-            f"{name}: {', '.join(f'{k} {v:.3g}' for k, v in middle.items())}; {', '.join(chosen)}", style="dim"
+            f"{name}: {', '.join(f'{k} {v:.3g}' for k, v in middle.items())}; {', '.join(chosen)}; {share:.2f}",
+            style="dim",
         )
         cells = [f"{value:.3g}" for value in middle.values()]
-        record.add(name, *cells, ", ".join(dict.fromkeys(chosen)), f"{ratio:.2f}", verdict(ratio, BAR))
+        enough = f"≥ {SAMPLES_BAR:g}: {'reached' if share >= SAMPLES_BAR else 'missed'}"
+        names_of = ", ".join(dict.fromkeys(chosen))
+        record.add(name, *cells, names_of, f"{ratio:.2f}", verdict(ratio, BAR), f"{share:.2f}", enough)
+        if cold > 0:
+            first.add(name, *_cold(known[name], size, halves, cold, seeds, variant))
+    pictures = f"median of {seeds} seed{'s' if seeds > 1 else ''}"
     record.notes += [
         f"error: mean of (x - ref)² / (ref² + {RELATIVE_EPSILON:g}) without the worst 0.1 % of pixels, less that of "
-        f"the reference; median of {seeds} seed{'s' if seeds > 1 else ''}; the time of auto holds its probe",
-        f"reference: vcm with a first radius of 0.002, {2 * _HALF * seconds:g} s in two halves, whose difference tells "
-        "its error",
+        f"the reference; {pictures}; the time of auto holds its probe; its kernels are those that the candidates have "
+        "compiled, which come first",
+        f"reference: vcm with a first radius of 0.002 (path for {', '.join(_BY_PATH)}), {2 * _HALF * seconds:g} s in "
+        "two halves, whose difference tells its error",
         f"worst ratio {worst:.2f}",
     ]
-    return record
+    first.notes.append(
+        f"errors as above; {pictures}; a fresh process for each picture, with an empty folder for Dr.Jit's kernel cache"
+    )
+    return [record, first] if cold > 0 else [record]
+
+
+def _halves(name: str, source: Any, size: tuple[int, int], seconds: float) -> list[np.ndarray]:
+    """The reference in two halves of so many seconds."""
+    method, settings = ("path", {}) if name in _BY_PATH else ("vcm", {"radius": 0.002})
+    return [render(source, method, seconds=seconds, size=size, seed=1000 + half, **settings).image for half in range(2)]
+
+
+def _cold(
+    source: Any, size: tuple[int, int], halves: Sequence[np.ndarray], seconds: float, seeds: int, variant: str
+) -> list[str]:
+    """Cells of the second table."""
+    errors: dict[str, list[float]] = {"path": [], "auto": []}
+    chosen = []
+    for seed in range(seeds):
+        for method, values in errors.items():
+            with tempfile.TemporaryDirectory(prefix="kernels-") as folder:
+                out = Path(folder) / "picture.npy"
+                options = {"variant": variant, "scene": str(source), "size": size, "method": method}
+                options |= {"seconds": seconds, "seed": seed, "out": str(out)}
+                outcome = child("picture", options, {"DRJIT_CACHE_DIR": folder})
+                if outcome:
+                    values.append(_error(np.load(out), halves))
+                    chosen += [outcome["chosen"]] if method == "auto" else []
+    path, auto = (float(np.median(values)) for values in errors.values())
+    ratio = auto / path
+    return [f"{path:.3g}", f"{auto:.3g}", ", ".join(dict.fromkeys(chosen)), f"{ratio:.2f}", verdict(ratio, COLD_BAR)]
 
 
 def scaled_size(source: Any, pixels: int) -> tuple[int, int]:

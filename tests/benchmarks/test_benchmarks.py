@@ -197,14 +197,26 @@ def test_choice_holds_auto_against_its_best_candidate(monkeypatch):
             return types.SimpleNamespace(image=image, metadata={})
         extreme = 50.0 if seed == 2 else 1.0  # one seed of three
         image = np.full((8, 8, 3), 1.0 + extreme * offsets[settings["choice"]], np.float32)
-        return types.SimpleNamespace(image=image, metadata={"chosen": "bpt"})
+        samples = {"probe": 6, "bpt": 8}.get(settings["choice"], 10)
+        return types.SimpleNamespace(image=image, metadata={"chosen": "bpt", "samples": samples})
 
     monkeypatch.setattr(choice, "render", render)
-    row = choice.measure(["cornell-box"], pixels=64, seconds=1.0, seeds=3).rows[0]
+
+    def in_a_process(command, options, environment):
+        offset = {"path": 0.2, "auto": 0.1}[options["method"]]
+        np.save(options["out"], np.full((8, 8, 3), 1.0 + offset, np.float32))
+        assert environment["DRJIT_CACHE_DIR"] == str(Path(options["out"]).parent)
+        return {"samples": 1, "chosen": options["method"]}
+
+    monkeypatch.setattr(choice, "child", in_a_process)
+    warm, cold = choice.measure(["cornell-box"], pixels=64, seconds=1.0, seeds=3, cold=5.0)
+    row = warm.rows[0]
     own = 0.02**2 / 1.01
     expected = [offset**2 / 1.01 - own for offset in offsets.values()]
     assert [float(cell) for cell in row[1:6]] == pytest.approx(expected, rel=0.01)
-    assert row[6:] == ("bpt", f"{expected[-1] / expected[1]:.2f}", choice.verdict(expected[-1] / expected[1], 1.2))
+    ratio = expected[-1] / expected[1]
+    assert row[6:] == ("bpt", f"{ratio:.2f}", choice.verdict(ratio, 1.2), "0.75", "≥ 0.7: reached")
+    assert cold.rows[0][3:] == ("auto", "0.24", "≤ 1.3: reached")  # (0.1² - own) / (0.2² - own)
     with pytest.raises(SystemExit, match="no test scene 'nowhere'"):
         choice.measure(["nowhere"], pixels=64, seconds=1.0, seeds=1)
 
