@@ -27,6 +27,8 @@ from .photons import Shot, photon_room, reflected_by
 
 #: Light paths for each photon asked for, at most: where next to nothing is stored, more paths do not help.
 _MOST_PATHS_PER_PHOTON = 20
+#: Share of the squared distance of the last photon within which the others lie.
+_INSIDE = 1.0 - 1e-6
 
 
 @dataclass(frozen=True)
@@ -111,17 +113,15 @@ class Pm(PhotonMapping):
         """(radiance, photons) from the nearest photons of one map."""
         tree, photons = photon_map.tree, photon_map.photons
         limit = tree.kth_distance_squared(si.p, self._neighbours, self._limit, active)
+        # The disc ends at the last photon: counted too, it would make the estimate k / (k - 1) too bright.
+        rim = dr.select(limit < self._limit, limit * _INSIDE, dr.inf)
 
         def visit(photon: Any, _: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
             flux, found = state
-            _, depth = photons.position(photon, active)
-            allowed = depth + s.depth <= self._edges
+            position, depth = photons.position(photon, active)
+            allowed = (depth + s.depth <= self._edges) & (dr.squared_norm(position - si.p) < rim)
             value = reflected_by(photons, photon, si, bsdf, limit, self.settings.kernel, active)
             return flux + dr.select(allowed, value, 0.0), found + 1
 
         flux, found = tree.within(si.p, limit, (mi.Color3f(0.0), mi.UInt32(0)), visit, active)
-        if self.settings.kernel == "uniform":
-            # The disc ends at the last photon: counted in full, it makes the estimate k / (k - 1) too bright.
-            ends_there = (limit < self._limit) & (found > 1)
-            flux *= dr.select(ends_there, mi.Float(found - 1) / mi.Float(found), 1.0)
         return dr.select(limit > 0.0, flux / (dr.pi * limit * self._paths), 0.0), found
