@@ -11,6 +11,7 @@ import pytest
 from support import scenes
 from support.running import go, mitsuba_images, mitsuba_path, prepared, run
 from support.statistics import assert_agree, blocks, z_scores
+from support.tables import thinned
 
 from etendue.transport import Techniques
 
@@ -104,7 +105,7 @@ def test_layers_may_be_left_unsplit(name):
     np.testing.assert_allclose(whole.mean, split, rtol=1e-4, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", INDEPENDENT)
+@pytest.mark.parametrize("name", thinned(INDEPENDENT, ("path", "light", "bpt cache", "vcm")))
 def test_two_halves_add_to_one_run_in_any_order(name):
     method, settings = METHODS[name]
     runner = prepared(problem(), method, samples_per_pass=4, **settings)
@@ -248,7 +249,7 @@ def test_a_nan_is_counted_and_not_written(name):
     assert result.mean[:2].mean() > 0.0
 
 
-@pytest.mark.parametrize("name", ["path", "light", "bpt cache"])
+@pytest.mark.parametrize("name", thinned(("path", "light", "bpt cache"), ("light",)))
 def test_noise_falls_with_the_root_of_the_passes(name):
     """Means of n passes scatter as n^(-1/2), and so do passes of n samples: no draw is used twice."""
     method, settings = METHODS[name]
@@ -306,7 +307,7 @@ def test_clipping_planes_do_not_matter(near, far):
         assert_agree(run(clipped, method, passes=6, samples=512, seed=3).images, expected.images, method)
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", thinned(METHODS, ("light", "vcm", "sppm")))
 def test_even_points_have_the_same_mean(name):
     """Owen-scrambled points against independent numbers. A seed each: the passes of one are not independent."""
     method, settings = METHODS[name]

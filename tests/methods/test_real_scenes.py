@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from support.running import run
+from support.tables import crossed
 
 from etendue import methods
 from etendue.scene import bundled, load
 
-FAST = ("cornell-box", "cbox-spheres")
 PUBLIC = ("cornell-box", "cbox-spheres", "veach-bidir", "water-caustic", "soda-shoppe")
 #: Switches that the methods' defaults leave alone.
 SWITCHES = {
@@ -26,8 +26,7 @@ def render(problem, method, **settings):
     assert result.mean.mean() > 0.0
 
 
-@pytest.mark.parametrize("method", methods.table())
-@pytest.mark.parametrize("name", [n if n in FAST else pytest.param(n, marks=pytest.mark.slow) for n in PUBLIC])
+@pytest.mark.parametrize(("name", "method"), crossed(PUBLIC, methods.table(), 5))
 def test_public_scenes(name, method, scenes_dir):
     render(load(scenes_dir / name / "scene.xml", size=(32, 32)), method)
 

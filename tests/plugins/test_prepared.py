@@ -7,6 +7,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from support.tables import thinned
 
 from etendue import methods, plugins
 from etendue.scene import parameters
@@ -178,7 +179,7 @@ def test_what_is_not_edited_has_the_same_parameters():
     assert parameters(mi.load_dict(room())) != first
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", thinned(NAMES, ("light", "bpt", "sppm")))
 def test_the_seed_decides_whatever_came_before(name):
     scene = mi.load_dict(room(name))
     first = picture(scene, spp=2)

@@ -3,6 +3,7 @@
 import mitsuba as mi
 import numpy as np
 import pytest
+from support.tables import crossed
 
 from etendue import methods
 from etendue.scene import bundled, load
@@ -124,8 +125,7 @@ def test_building_again_gives_the_same_scene(name):
     assert load(name).fingerprint == load(name).fingerprint
 
 
-@pytest.mark.parametrize("method", methods.table())
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(("name", "method"), crossed(SCENES, methods.table(), 4))
 def test_every_method_renders_it(name, method):
     problem = load(name, size=(24, 18))
     cls = methods.get(method)

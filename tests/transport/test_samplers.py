@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from support import scenes
 from support.statistics import assert_mean
+from support.tables import crossed
 
 from etendue.core import IndependentSource
 from etendue.scene import LightTable
@@ -381,8 +382,7 @@ def test_a_mirror_keeps_the_flux():
             np.testing.assert_allclose(weight, 1.0, rtol=1e-3)
 
 
-@pytest.mark.parametrize("material", SMOOTH)
-@pytest.mark.parametrize("end", ["camera", "light"])
+@pytest.mark.parametrize(("material", "end"), crossed(SMOOTH, ["camera", "light"], 2))
 def test_the_mean_weight_of_scattering_is_the_integral(material, end):
     """Mean weight of sampled directions against the value integrated over uniform ones: samples that a BSDF gives
     up (below the horizon, by a wrong half vector) must not come back with a weight."""

@@ -1,0 +1,24 @@
+"""Tables of which the fast tests run a part: every row of a list now and then, every value of a cross in some pair."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import pytest
+
+
+def thinned(rows: Iterable[Any], fast: Sequence[Any]) -> list[Any]:
+    """The rows, those that are not in ``fast`` marked slow."""
+    rows = list(rows)
+    assert set(fast) <= set(rows), f"no rows: {set(fast) - set(rows)}"
+    return [row if row in fast else pytest.param(row, marks=pytest.mark.slow) for row in rows]
+
+
+def crossed(first: Iterable[Any], second: Iterable[Any], every: int) -> list[Any]:
+    """All pairs, of which one in ``every`` of a row and of a column is fast: (first, second) tuples."""
+    return [
+        pytest.param(a, b, marks=() if (i + j) % every == 0 else pytest.mark.slow)
+        for i, a in enumerate(first)
+        for j, b in enumerate(second)
+    ]
