@@ -28,6 +28,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.skip(reason=problem))
 
 
+def pytest_collection_finish() -> None:
+    """What is there before the first test stays: collecting garbage after each need not look at it again."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.fixture(scope="session", autouse=True)
 def variant() -> str:
     """The Mitsuba variant of this session: ``$ETENDUE_TEST_VARIANT``, else ``llvm_ad_rgb``."""

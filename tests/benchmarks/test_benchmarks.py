@@ -65,6 +65,7 @@ def test_short_renders_take_turns():
     assert all(float(row[1]) > 0.0 for row in record.rows)
 
 
+@pytest.mark.slow
 def test_guiding_is_compared_seed_by_seed():
     (record,) = module("guided").measure(["ajar"], (12, 12), 0.3, 2, {"cell_samples": 200})
     assert [row[0] for row in record.rows] == ["Mitsuba path", "path", "guided"]
@@ -221,6 +222,7 @@ def test_choice_holds_auto_against_its_best_candidate(monkeypatch):
         choice.measure(["nowhere"], pixels=64, seconds=1.0, seeds=1)
 
 
+@pytest.mark.slow
 def test_the_radiosity_benchmark_counts_and_solves():
     record = module("exchanges").measure([3], 64, 500.0, ["compiled", "drjit"])
     columns, other = (dict(zip(record.columns, row, strict=True)) for row in record.rows)

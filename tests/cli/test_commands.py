@@ -321,16 +321,21 @@ def test_a_killed_render_leaves_its_last_intermediate_save(folder):
     assert film.read_exr("a.exr").metadata["passes"] == done + 2
 
 
-def test_help_is_immediate():
-    """In processor time of the child: what a loaded machine adds is not ours."""
+def processor_seconds(*command: str) -> float:
+    """Least of three runs: what a loaded machine adds is not ours."""
     seconds = []
     for _ in range(3):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        done = subprocess.run([*COMMAND, "--help"], capture_output=True, text=True, timeout=60)
+        subprocess.run(command, capture_output=True, check=True, timeout=60)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         seconds.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-        assert "render" in done.stdout
-    assert min(seconds) < 1.0
+    return min(seconds)
+
+
+def test_help_is_immediate():
+    """Beside importing what it stands on: a variant of Mitsuba, or Numba, would add as much again."""
+    ground = processor_seconds(sys.executable, "-c", "import mitsuba, drjit, numpy, typer, rich.console")
+    assert processor_seconds(*COMMAND, "--help") < 3.2 * ground
 
 
 def test_every_paper_cited_in_the_source_is_in_the_bibliography():

@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 from support.integrals import KNOWN, assert_honest, assert_unbiased, known, runs, spread, two_peaks
+from support.tables import crossed
 
 from etendue.integration import (
     Box,
@@ -67,8 +68,7 @@ def slanted(box):
     return Warp(box, sample, lambda x: (1.0 + box.to_unit(x)[0]) * (2 / 3 / box.volume))
 
 
-@pytest.mark.parametrize("function", sorted(KNOWN))
-@pytest.mark.parametrize("name", sorted(TABLE))
+@pytest.mark.parametrize(("name", "function"), crossed(sorted(TABLE), sorted(KNOWN), 2))
 def test_unbiased_and_honest(name, function):
     f, integral = known(function)
     make, samples, freedom = TABLE[name]

@@ -11,6 +11,7 @@ from scipy import stats
 from support import scenes
 from support.running import go, mitsuba_path, prepared, replicas, run
 from support.statistics import assert_agree, assert_mean
+from support.tables import thinned
 
 from etendue import methods
 from etendue.core import CheckpointError, EtendueError, IndependentSource, OptionError
@@ -191,7 +192,7 @@ SWITCHES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", SWITCHES)
+@pytest.mark.parametrize("name", thinned(SWITCHES, list(SWITCHES)[::3]))
 def test_switches_do_not_change_the_mean(name):
     emitter = "rectangle" if "naive" in name else "mixed"
     scene = scenes.room(emitter, "rough", rfilter="gaussian")
@@ -211,7 +212,7 @@ PLANS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", PLANS)
+@pytest.mark.parametrize("name", thinned(PLANS, list(PLANS)[::2]))
 def test_plans_do_not_change_the_mean(name):
     scene = lit_room(rfilter="gaussian")
     reference = mitsuba_path(scene, passes=6, samples=256)

@@ -8,6 +8,7 @@ import pytest
 from support.running import run
 from support.scenes import field, furnace
 from support.statistics import assert_agree
+from support.tables import thinned
 
 from etendue.scene import Problem
 
@@ -85,7 +86,7 @@ AT_EDGES = {
 }
 
 
-@pytest.mark.parametrize("name", AT_EDGES)
+@pytest.mark.parametrize("name", thinned(AT_EDGES, ("bpm", "sppm photons", "pm photons")))
 def test_merging_at_edges(name):
     """Inside a cube, with a radius of a tenth of its side: photons of the next wall are as good as those of a plane
     that goes on. Where three walls meet there is less wall than on a plane; pixels that see it are left out."""
@@ -123,7 +124,7 @@ def test_merging_on_a_plane_of_constant_irradiance(name):
     assert_agree(result.images, 0.5 * 1.3, name, block=2)
 
 
-@pytest.mark.parametrize("name", NEAREST)
+@pytest.mark.parametrize("name", thinned(NEAREST, ("pm photons", "pm few neighbours")))
 def test_nearest_photons_inside_a_sphere(name):
     settings = {"photons": 200_000, "neighbours": 12} | NEAREST[name]
     result = run(furnace("sphere", RADIANCE, ALBEDO), "pm", passes=6, samples=256, **settings)

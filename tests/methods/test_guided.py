@@ -11,6 +11,7 @@ import pytest
 from support import scenes
 from support.running import go, mitsuba_path, prepared, replicas, run
 from support.statistics import assert_agree
+from support.tables import thinned
 
 from etendue.core import CheckpointError
 from etendue.scene import load
@@ -57,7 +58,7 @@ SWITCHES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", SWITCHES)
+@pytest.mark.parametrize("name", thinned(SWITCHES, list(SWITCHES)[::4]))
 def test_switches_do_not_change_the_mean(name):
     emitter = "rectangle" if name == "naive" else "mixed"
     scene = scenes.room(emitter, "rough", rfilter="gaussian")
@@ -66,7 +67,7 @@ def test_switches_do_not_change_the_mean(name):
     assert_agree(images, reference, name, precision=0.03)
 
 
-@pytest.mark.parametrize("group", ["wrapped", "specular", "transparent"])
+@pytest.mark.parametrize("group", thinned(("wrapped", "specular", "transparent"), ("specular",)))
 def test_delta_and_null_components(group):
     scene = scenes.room("rectangle", group)
     reference = replicas(scene, "path", runs=6, passes=1, samples=512, seed=40)

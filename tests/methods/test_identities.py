@@ -119,7 +119,7 @@ def test_two_halves_add_to_one_run_in_any_order(name):
     np.testing.assert_allclose(halves.variance_of_mean(), whole.variance_of_mean(), rtol=1e-3, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize("name", thinned(METHODS, ("path", "guided", "vegas", "light", "bpt cache", "vcm", "sppm")))
 def test_a_seed_gives_one_picture(name):
     method, settings = METHODS[name]
     first = run(problem(), method, passes=2, samples=4, seed=3, **settings).mean

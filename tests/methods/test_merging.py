@@ -41,7 +41,7 @@ ROWS = {
     "vegas maps": ("vegas", {"maps": 1}, "sphere"),
     "stratified maps": ("stratified", {"maps": 2, "light_paths": 2.0}, "mixed"),
 }
-FAST = ("bpm", "vcm", "sppm photons", "vegas maps")
+FAST = ("bpm", "vcm")
 
 
 @pytest.mark.parametrize("name", [n if n in FAST else pytest.param(n, marks=pytest.mark.slow) for n in ROWS])

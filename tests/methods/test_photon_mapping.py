@@ -10,6 +10,7 @@ import pytest
 from support import scenes
 from support.running import go, prepared, run
 from support.statistics import assert_agree, assert_mean, z_scores
+from support.tables import crossed, thinned
 
 from etendue import methods
 from etendue.core import CheckpointError, OptionError
@@ -223,8 +224,7 @@ def test_photons_are_as_many_as_asked_for():
 # ---------------------------------------------------------------------------------------------------- which light
 
 
-@pytest.mark.parametrize("depth", range(5))
-@pytest.mark.parametrize("name", VARIANTS)
+@pytest.mark.parametrize(("name", "depth"), crossed(VARIANTS, range(5), 4))
 def test_max_depth_counts_edges_as_path_does(name, depth):
     method, settings = VARIANTS[name]
     problem = scene(**scenes.EMITTERS["rectangle"](), ball=scenes.thing("dielectric", (0.0, 0.302, 0.0)))
@@ -237,7 +237,7 @@ def test_max_depth_counts_edges_as_path_does(name, depth):
         near(images[..., :1], reference[..., :1], 0.03, (name, depth))
 
 
-@pytest.mark.parametrize("name", VARIANTS)
+@pytest.mark.parametrize("name", thinned(VARIANTS, ("sppm", "pm")))
 def test_a_veil_before_the_lamp_is_no_vertex(name):
     """Light that comes through what does not bend it is direct light, found once; the veil's own light is added."""
     method, settings = VARIANTS[name]
@@ -248,7 +248,7 @@ def test_a_veil_before_the_lamp_is_no_vertex(name):
     near(images, run(problem, "path", passes=6, samples=256).images, 0.02, name)
 
 
-@pytest.mark.parametrize("name", ["sppm", "pm", "pm final gather"])
+@pytest.mark.parametrize("name", thinned(("sppm", "pm", "pm final gather"), ("sppm", "pm")))
 def test_light_that_a_coated_surface_mirrors_is_a_caustic(name):
     """The first vertex has a smooth component too (black here), and stores a photon; what it reflects without
     scattering is still LS+D, to be looked up where the camera sees it."""
@@ -272,7 +272,7 @@ def disk(at: list[float], towards: list[float], radius: float) -> dict[str, Any]
     return {"type": "disk", "to_world": place, "bsdf": scenes.diffuse(0, 0, 0)}
 
 
-@pytest.mark.parametrize("name", VARIANTS)
+@pytest.mark.parametrize("name", thinned(VARIANTS, ("sppm", "pm photons")))
 def test_a_beam_is_found_by_its_photons(name):
     """Next event cannot find what a directionalarea shines on: irradiance E on a white floor is E / pi to the eye."""
     method, settings = VARIANTS[name]

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from support import scenes
 from support.running import prepared
+from support.tables import thinned
 
 from etendue.core import Measurement
 from etendue.engine import Budget, Checkpoint, Job, RunError, Runner, RunResult
@@ -96,7 +97,7 @@ def assert_goes_on(new: Callable[[], Any], left: RunResult, whole: Measurement, 
         np.testing.assert_allclose(total.mean(), whole.mean(), **(near or {"rtol": 0.0}))
 
 
-@pytest.mark.parametrize("name", LEARNERS)
+@pytest.mark.parametrize("name", thinned(LEARNERS, list(LEARNERS)[::2]))
 def test_a_pass_that_fails_as_it_learns(name, monkeypatch, tmp_path):
     method, settings, owner, step, call, error = LEARNERS[name]
     problem = scenes.room("mixed", "rough")
@@ -118,7 +119,7 @@ def grouped(problem: Any, method: str) -> Any:
     return prepared(problem, method, samples_per_pass=16, **settings)
 
 
-@pytest.mark.parametrize("method", ["bpt", "auto"])
+@pytest.mark.parametrize("method", thinned(("bpt", "auto"), ("bpt",)))
 def test_groups_of_light_paths_are_a_part_of_the_state(method, monkeypatch, tmp_path):
     """The second pass finds more vertices than there is room for; the run ends in the fourth."""
     problem = scenes.room("sphere", "rough")

@@ -125,7 +125,7 @@ def test_building_again_gives_the_same_scene(name):
     assert load(name).fingerprint == load(name).fingerprint
 
 
-@pytest.mark.parametrize(("name", "method"), crossed(SCENES, methods.table(), 4))
+@pytest.mark.parametrize(("name", "method"), crossed(SCENES, methods.table(), 6))
 def test_every_method_renders_it(name, method):
     problem = load(name, size=(24, 18))
     cls = methods.get(method)

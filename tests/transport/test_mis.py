@@ -19,6 +19,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from support.tables import crossed
 
 from etendue.transport import GRAZING, Mis, Techniques
 
@@ -243,8 +244,7 @@ TABLE = {
 }
 
 
-@pytest.mark.parametrize("beta", [1, 2])
-@pytest.mark.parametrize("light", LIGHTS)
+@pytest.mark.parametrize(("light", "beta"), crossed(LIGHTS, (1, 2), 2))
 @pytest.mark.parametrize("name", TABLE)
 def test_weights_are_those_of_the_definition(name, light, beta):
     """All patterns of specular vertices, one to five edges."""
@@ -259,8 +259,7 @@ def test_any_radius_and_number_of_light_paths(eta, light_paths, beta):
         assert check(Paths(4, light, seed=5), Techniques(connection=2, beta=beta), eta, light_paths) > 0
 
 
-@pytest.mark.parametrize("beta", [1, 2])
-@pytest.mark.parametrize("light", LIGHTS)
+@pytest.mark.parametrize(("light", "beta"), crossed(LIGHTS, (1, 2), 4))
 @pytest.mark.parametrize("name", [name for name, t in TABLE.items() if t.merge])
 def test_several_radii_in_one_walk(name, light, beta):
     """The recursion without a radius, filled in last, gives the same weights."""
