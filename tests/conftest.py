@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,8 +16,15 @@ ROOT = Path(__file__).resolve().parent.parent
 SCENES = ROOT.parent / "shared" / "scenes"
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests marked ``gpu`` are skipped, with the reason, where CUDA is not usable."""
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """``--part k/n``: every n-th test from the k-th on, so that a long suite runs in parts."""
+    parser.addoption("--part", metavar="K/N", help="run the k-th of n parts of the tests, which are about equally long")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Keeps the tests of a part; tests marked ``gpu`` are skipped, with the reason, where CUDA is not usable."""
+    if config.getoption("--part"):
+        _keep_part(config, items)
     if not any(item.get_closest_marker("gpu") for item in items):
         return
     from etendue.core.backend import cuda_problem
@@ -26,6 +34,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for item in items:
             if item.get_closest_marker("gpu"):
                 item.add_marker(pytest.mark.skip(reason=problem))
+
+
+def _keep_part(config: pytest.Config, items: list[pytest.Item]) -> None:
+    part = re.fullmatch(r"(\d+)/(\d+)", config.getoption("--part"))
+    k, n = (int(part[1]), int(part[2])) if part else (0, 0)
+    if not 1 <= k <= n:
+        raise pytest.UsageError(f"--part takes k/n with 1 <= k <= n, such as 1/4, not '{config.getoption('--part')}'")
+    kept = items[k - 1 :: n]
+    config.hook.pytest_deselected(items=[item for i, item in enumerate(items) if i % n != k - 1])
+    items[:] = kept
 
 
 def pytest_collection_finish() -> None:
