@@ -1,7 +1,8 @@
 """Choose among the methods by a probe, then render by the one that needs the least time for a given error.
 
-The candidates make the first passes of the picture in turn, the simplest first, each as long as what it is predicted to
-take, compilation included, fits into :data:`_SHARE` of the work ahead. The passes of the one that is chosen are kept.
+The candidates make the first passes of the picture in turn: ``path``, then ``vcm``, which finds what nothing else does,
+then what lies between them; each if what it is predicted to take, compilation included, fits into :data:`_SHARE` of the
+work ahead. The passes of the one that is chosen are kept.
 A candidate's cost is the time of its passes times the error of a picture of :data:`_PASSES` of them, which is the sum
 of two:
 
@@ -10,8 +11,10 @@ of two:
   find a caustic looks noiseless; its scatter alone would recommend it. More passes make the scatter less, but what was
   never found in the probe will be missed, or a firefly, in the picture, too.
 
-Work of less than :data:`_LEAST` seconds is not worth a probe: kernels alone may take four. It is done by ``bpt`` where
-light goes by mirrors or glass from a lamp that no ray can hit, which ``path`` never finds, else by ``path``.
+Where ``vcm`` would not fit, mostly since kernels have to be compiled, it is taken without a comparison if there are
+mirrors or glass and lamps other than a sky: it is seldom twice as bad as the best, ``path`` may be a thousand times.
+Work of less than :data:`_LEAST` seconds is not worth a probe. It is done by ``bpt`` where light goes by mirrors or
+glass from a lamp that no ray can hit, which ``path`` never finds, else by ``path``.
 
 What the error of a path costs depends on the scene: connections on or off, how many, merging on or off are most of what
 a user could set by hand. The choice is written into the picture's metadata, and kept when a run is resumed.
@@ -41,7 +44,9 @@ _BLOCK = 4
 #: predictions that were too low.
 _SHARE = 0.17
 #: Seconds of work below which nothing is probed.
-_LEAST = 20.0
+_LEAST = 6.0
+#: Without a comparison, share of the work beside its preparation that ``path`` may have taken before ``vcm`` begins.
+_LOST = 0.2
 #: Bytes a pixel that the passes of the probe take before one is chosen, and what they may take without a memory limit.
 _BYTES = 600
 _ROOM = 1.2e9
@@ -55,8 +60,8 @@ CANDIDATES: dict[str, tuple[type[ImageMethod], dict[str, Any]]] = {
 #: What a candidate is predicted to take: which one it is compared with, and how many times the seconds of that one's
 #: preparation and compilation, and of its pass, it takes. It is tried only where that one was.
 _PREDICTED = {
-    "bpt": ("path", 6.0, 2.0),
-    "vcm": ("bpt", 1.3, 1.5),
+    "vcm": ("path", 4.0, 2.5),
+    "bpt": ("vcm", 1.0, 0.9),
     "bpt with 6 connections": ("bpt", 1.7, 1.9),
 }
 #: Passes that a picture is taken to have, where nobody says.
@@ -163,14 +168,20 @@ class Auto(ImageMethod):
     # ------------------------------------------------------------------ the probe
 
     def _simple(self) -> str:
-        """What renders without a probe."""
+        """What renders in little time."""
         hidden = mi.EmitterFlags.DeltaPosition, mi.EmitterFlags.DeltaDirection
-        bent = mi.BSDFFlags.DeltaReflection, mi.BSDFFlags.DeltaTransmission
-        lamps, parts = self.scene.emitters(), [m for m in materials(self.scene) if isinstance(m, mi.BSDF)]
-        lost = any(mi.has_flag(e.flags(), f) for e in lamps for f in hidden) and any(
-            mi.has_flag(m.flags(), f) for m in parts for f in bent
-        )
+        lost = self._has_specular() and any(mi.has_flag(e.flags(), f) for e in self.scene.emitters() for f in hidden)
         return "bpt" if lost and self.camera.can_splat else "path"
+
+    def _expects_caustics(self) -> bool:
+        """Whether there are mirrors or glass, and lamps within the scene."""
+        sky = mi.EmitterFlags.Infinite
+        return self._has_specular() and any(not mi.has_flag(e.flags(), sky) for e in self.scene.emitters())
+
+    def _has_specular(self) -> bool:
+        parts = [m for m in materials(self.scene) if isinstance(m, mi.BSDF)]
+        bent = mi.BSDFFlags.DeltaReflection, mi.BSDFFlags.DeltaTransmission
+        return any(mi.has_flag(m.flags(), f) for m in parts for f in bent)
 
     def _probe(self, seed: int) -> str:
         """Name of the candidate with the least time times error; its passes are kept."""
@@ -196,13 +207,19 @@ class Auto(ImageMethod):
             for one in left:
                 self._step(one, seed)
             self._costs = _costs(tried)
-        chosen = simple
-        if simple in self._costs:
+        if len(tried) > 1:
             chosen = choose({name: self._costs[name] for name in CANDIDATES if name in _hopeful(self._costs)})
+        else:
+            chosen = "vcm" if self._is_worth_vcm(work, time.perf_counter() - begin, tried["path"]) else simple
         if chosen in tried:
             self._chosen = tried[chosen].method
             self._made = {(i, seed): measured for i, measured in enumerate(tried[chosen].passes)}
         return chosen
+
+    def _is_worth_vcm(self, work: float, spent: float, path: _Tried) -> bool:
+        """Whether ``vcm`` is the better guess for ``work`` seconds, after ``spent`` of them on ``path``."""
+        _, start, _ = _PREDICTED["vcm"]
+        return work >= _LEAST and self._expects_caustics() and spent < _LOST * (work - start * path.start)
 
     def _try(self, name: str, seed: int) -> _Tried:
         """The first two passes of a candidate, of which the first compiles."""
