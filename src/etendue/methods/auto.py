@@ -68,8 +68,13 @@ _PREDICTED = {
 _PASSES = 64
 #: A candidate must promise this much less than a simpler one.
 _WORTH_IT = 0.9
-#: A candidate with so many times the cost of the best is given up before the probe ends.
+#: Factor on the cost where there are mirrors or glass, for caustics that a candidate finds so seldom that the probe is
+#: too short to meet them.
+_DOUBT = {"path": 2.0, "bpt": 1.5, "bpt with 6 connections": 1.5, "vcm": 0.9}
+#: Variants of a candidate with so many times the cost of the best are not tried.
 _HOPELESS = 3.0
+#: Candidates are compared by further passes if their costs are within this ratio after two.
+_CLOSE = 1.5
 #: A variant of a candidate, which is tried only where that one is still in the race after its first passes.
 _VARIANTS = {"bpt with 6 connections": "bpt"}
 
@@ -197,18 +202,19 @@ class Auto(ImageMethod):
             base = tried.get(known)
             if base is None or time.perf_counter() + start * base.start + 2.0 * pace * base.seconds > end:
                 continue
-            if name not in _VARIANTS or known in _hopeful(self._costs):
+            if name not in _VARIANTS or known in _within(_HOPELESS, self._costs):
                 tried[name] = self._try(name, seed)
                 self._costs = _costs(tried)
         for _ in range(2, self.settings.probe_passes):
-            left = [tried[name] for name in _hopeful(self._costs)]
+            left = [tried[name] for name in _within(_CLOSE, self._costs)]
             if len(left) < 2 or time.perf_counter() + sum(one.seconds for one in left) > end:
                 break
             for one in left:
                 self._step(one, seed)
             self._costs = _costs(tried)
         if len(tried) > 1:
-            chosen = choose({name: self._costs[name] for name in CANDIDATES if name in _hopeful(self._costs)})
+            doubt = _DOUBT if self._expects_caustics() else dict.fromkeys(CANDIDATES, 1.0)
+            chosen = choose({name: doubt[name] * self._costs[name] for name in CANDIDATES if name in tried})
         else:
             chosen = "vcm" if self._is_worth_vcm(work, time.perf_counter() - begin, tried["path"]) else simple
         if chosen in tried:
@@ -258,9 +264,9 @@ def _costs(tried: Mapping[str, _Tried]) -> dict[str, float]:
     return costs({name: one.seconds for name, one in tried.items()}, {name: one.total for name, one in tried.items()})
 
 
-def _hopeful(cost: Mapping[str, float]) -> list[str]:
-    """Those that are not far behind."""
-    return [name for name, value in cost.items() if value <= _HOPELESS * min(cost.values())]
+def _within(ratio: float, cost: Mapping[str, float]) -> list[str]:
+    """Those whose cost is at most so many times the least."""
+    return [name for name, value in cost.items() if value <= ratio * min(cost.values())]
 
 
 def costs(seconds: Mapping[str, float], passes: Mapping[str, Measurement]) -> dict[str, float]:
