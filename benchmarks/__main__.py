@@ -14,7 +14,7 @@ from etendue.radiosity import Backend
 
 from . import choice as choice_of_auto
 from . import cost as cost_of_a_pass
-from . import densities, exchanges, fresh, integrals, neighbours, sequences, view_factors
+from . import densities, exchanges, fresh, integrals, mitsuba_path, neighbours, sequences, view_factors
 from . import guided as guiding
 from . import quality as quality_over_time
 from . import rays as ray_casting
@@ -153,6 +153,36 @@ def choice(
     chosen = begin(variant)
     tables = choice_of_auto.measure(words(scenes), pixels, time, seeds, cold, chosen)
     _publish(chosen, record, *tables)
+
+
+@app.command("mitsuba-path")
+def beside_mitsuba(
+    part: Annotated[str, typer.Option(help="samples, time or speed; all by default.")] = "",
+    scenes: Annotated[str, typer.Option(help="Names, separated by commas.", metavar="NAMES")] = ",".join(
+        mitsuba_path.SCENES
+    ),
+    filters: Annotated[str, typer.Option(help="Filters, separated by commas.", metavar="NAMES")] = ",".join(
+        mitsuba_path.FILTERS
+    ),
+    pixels: Annotated[int, typer.Option(min=1, help="Pixels of a picture, about.")] = 16384,
+    spp: Annotated[int, typer.Option(min=16, help="Samples a pixel of `samples`.")] = 64,
+    time: Annotated[float, typer.Option(help="Seconds for each picture of `time`.")] = 30.0,
+    seeds: Annotated[int, typer.Option(min=1, help="Pictures of each; the median counts.")] = 3,
+    sides: Annotated[str, typer.Option(help="Of `speed`: the root of the number of pixels.")] = "128,256,512,1024",
+    rounds: Rounds = 7,
+    variant: Variant = None,
+    record: Keep = False,
+) -> None:
+    """Error and samples a second of path, beside Mitsuba's own path."""
+    chosen = begin(variant)
+    names = words(scenes)
+    if part in ("", "samples"):
+        _publish(chosen, record, mitsuba_path.equal_samples(names, words(filters), pixels, spp, seeds))
+    if part in ("", "time"):
+        _publish(chosen, record, mitsuba_path.equal_time([*names, "veach-bidir"], pixels, time, seeds))
+    if part in ("", "speed"):
+        for name in names:
+            _publish(chosen, record, mitsuba_path.speed(name, [int(side) for side in words(sides)], rounds))
 
 
 @app.command()

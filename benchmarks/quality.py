@@ -67,14 +67,14 @@ def find(name: str, size: tuple[int, int]) -> Case | str:
         f"the author's picture, by Tungsten, {width}x{height} averaged in blocks of {factor}; "
         "rendered with a box filter in place of the scene's, as averaging is one"
     )
-    return Case(name, str(_box_filtered(folder)), film.block_average(picture, factor), note)
+    return Case(name, str(filtered(folder)), film.block_average(picture, factor), note)
 
 
-def _box_filtered(folder: Path) -> Path:
-    """A copy of the scene file with a box filter, in a temporary folder that links to the scene's other files."""
+def filtered(folder: Path, kind: str = "box") -> Path:
+    """A copy of the scene file with another filter, in a temporary folder that links to the scene's other files."""
     text = (folder / "scene.xml").read_text()
     text = re.sub(r"<rfilter[^>]*/>", "", text)
-    text = re.sub(r"(<film [^>]*>)", r'\1<rfilter type="box"/>', text, count=1)
+    text = re.sub(r"(<film [^>]*>)", rf'\1<rfilter type="{kind}"/>', text, count=1)
     copy = Path(tempfile.mkdtemp(prefix="etendue-benchmark-"))
     atexit.register(shutil.rmtree, copy, ignore_errors=True)
     for sibling in folder.resolve().iterdir():

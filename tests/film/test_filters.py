@@ -1,4 +1,4 @@
-"""Both uses of a reconstruction filter against numerical integration, and against Mitsuba's own film."""
+"""All uses of a reconstruction filter against numerical integration, and against Mitsuba's own film."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,17 @@ def filter_matrix(mi, rfilter, size, points):
     offset = position[None, :] - np.arange(size)[:, None] - 0.5
     values = np.array(rfilter.eval(mi.Float(offset.ravel().astype(np.float32))), dtype=np.float64).reshape(offset.shape)
     values[np.abs(offset) > rfilter.radius()] = 0.0
+    values /= over_pixels(mi, rfilter, position)
     return position, values / values.sum(axis=1, keepdims=True)
+
+
+def over_pixels(mi, rfilter, position):
+    """Sum of the filter over all pixels of an endless film, relative to its mean."""
+    offset = (position % 1.0)[None, :] + np.arange(-6, 7)[:, None] - 0.5
+    values = np.array(rfilter.eval(mi.Float(offset.ravel().astype(np.float32))), dtype=np.float64).reshape(offset.shape)
+    values[np.abs(offset) > rfilter.radius()] = 0.0
+    total = values.sum(axis=0)
+    return total / total.mean()
 
 
 def expected_image(mi, rfilter, width, height):
@@ -74,23 +84,78 @@ def splat_image(mi, sampler, width, height, samples):
     return image.reshape(height, width)
 
 
+def spread_image(mi, pixel_filter, width, height, samples):
+    """Samples at the same places in all pixels."""
+    u1, u2 = lattice(samples, 2, seed=6)
+    pixel = np.arange(width * height)[:, None]
+    value = radiance(pixel % width + u1.astype(np.float64), pixel // width + u2.astype(np.float64))
+    pixels = pixel_filter.spread(mi.Float(value.ravel().astype(np.float32)), mi.Float(u1), mi.Float(u2))
+    return pixels.numpy().reshape(height, width) / samples
+
+
+def taps_image(mi, pixel_filter, width, height, samples):
+    """Samples anywhere, each for all pixels in reach."""
+    s1, s2 = lattice(samples, 2, seed=2)
+    x, y = s1 * np.float32(width), s2 * np.float32(height)
+    value = radiance(x.astype(np.float64), y.astype(np.float64))
+    image = np.zeros(width * height)
+    for index, weight, valid in pixel_filter.taps(mi.Float(x), mi.Float(y)):
+        shares = value * weight.numpy() * valid.numpy()
+        image += np.bincount(index.numpy() * valid.numpy(), weights=shares, minlength=width * height)
+    return image.reshape(height, width) * (width * height / samples)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("width, height", SIZES)
+@pytest.mark.parametrize(("image", "samples"), [(spread_image, 2048), (taps_image, 200_000)])
+def test_samples_that_count_for_all_pixels_in_reach(mi, image, samples, name, width, height):
+    from etendue.film import PixelFilter
+
+    rfilter = make_filter(mi, name)
+    got = image(mi, PixelFilter(rfilter, width, height), width, height, samples)
+    np.testing.assert_allclose(got, expected_image(mi, rfilter, width, height), rtol=2e-3)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_constant_picture_stays_one(mi, name):
+    """Whatever the place of the samples, away from the border; at the border on average."""
+    from etendue.film import PixelFilter
+
+    pixel_filter = PixelFilter(make_filter(mi, name), 16, 13)
+    for u in ((0.02, 0.97), (0.5, 0.31)):
+        pixels = pixel_filter.spread(mi.Float(np.ones(16 * 13, np.float32)), *(mi.Float([v]) for v in u)).numpy()
+        np.testing.assert_allclose(pixels.reshape(13, 16)[4:-4, 4:-4], 1.0, rtol=2e-5)
+
+
+def test_samples_of_colours_and_of_one_place_may_be_added_first(mi):
+    """Two samples a pixel at one place are one sample of their sum; colours are filtered channel by channel."""
+    from etendue.film import PixelFilter
+
+    pixel_filter = PixelFilter(make_filter(mi, "mitchell"), 5, 4)
+    values = np.random.default_rng(3).random((3, 40)).astype(np.float32)
+    two = pixel_filter.spread(mi.Color3f(*values), mi.Float([0.3, 0.3]), mi.Float([0.8, 0.8]))
+    for channel, sums in zip(two, values.reshape(3, 20, 2).sum(axis=2), strict=True):
+        one = pixel_filter.spread(mi.Float(sums), mi.Float([0.3]), mi.Float([0.8]))
+        np.testing.assert_allclose(channel.numpy(), one.numpy(), rtol=1e-5)
+
+
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("width, height", SIZES)
 def test_camera_paths_converge_to_the_convolution(mi, name, width, height):
-    from etendue.film import FilterSampler
+    from etendue.film import PixelFilter
 
     rfilter = make_filter(mi, name)
-    image = camera_image(mi, FilterSampler(rfilter, width, height), width, height, samples=30_000)
+    image = camera_image(mi, PixelFilter(rfilter, width, height), width, height, samples=30_000)
     np.testing.assert_allclose(image, expected_image(mi, rfilter, width, height), rtol=6e-3)
 
 
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("width, height", SIZES)
 def test_splats_converge_to_the_same_convolution(mi, name, width, height):
-    from etendue.film import FilterSampler
+    from etendue.film import PixelFilter
 
     rfilter = make_filter(mi, name)
-    image = splat_image(mi, FilterSampler(rfilter, width, height), width, height, samples=2_000_000)
+    image = splat_image(mi, PixelFilter(rfilter, width, height), width, height, samples=2_000_000)
     expected = expected_image(mi, rfilter, width, height)
     np.testing.assert_allclose(image, expected, atol=8e-3 * expected.max())
 
@@ -98,11 +163,11 @@ def test_splats_converge_to_the_same_convolution(mi, name, width, height):
 @pytest.mark.parametrize("name", FILTERS)
 def test_splat_probabilities_are_the_filter_at_that_position(mi, name):
     """One film position near a corner: frequencies times weights are f / Z for every pixel, lobes with their sign."""
-    from etendue.film import FilterSampler
+    from etendue.film import PixelFilter
 
     width, height, samples = 9, 6, 300_000
     rfilter = make_filter(mi, name)
-    sampler = FilterSampler(rfilter, width, height)
+    sampler = PixelFilter(rfilter, width, height)
     for x, y in [(0.2, 0.35), (8.7, 5.9), (4.26, 2.61)]:
         u1, u2 = lattice(samples, 2, seed=3)
         index, weight, valid = sampler.splat(
@@ -120,12 +185,12 @@ def test_splat_probabilities_are_the_filter_at_that_position(mi, name):
 
 
 def test_weights_are_one_without_negative_lobes_and_signed_with_them(mi):
-    from etendue.film import FilterSampler
+    from etendue.film import PixelFilter
 
     u1, u2 = lattice(20_000, 2, seed=4)
     px = mi.UInt32(np.arange(20_000) % 8)
     for name, signs in [("box", {1}), ("tent", {1}), ("gaussian", {1}), ("mitchell", {-1, 1}), ("lanczos", {-1, 1})]:
-        _, _, weight = FilterSampler(make_filter(mi, name), 8, 8).camera(px, px, mi.Float(u1), mi.Float(u2))
+        _, _, weight = PixelFilter(make_filter(mi, name), 8, 8).camera(px, px, mi.Float(u1), mi.Float(u2))
         weight = weight.numpy()
         assert set(np.sign(weight)) == signs
         if signs == {1}:
@@ -134,23 +199,23 @@ def test_weights_are_one_without_negative_lobes_and_signed_with_them(mi):
 
 @pytest.mark.parametrize("name", ["box", "gaussian", "lanczos"])
 def test_positions_off_the_film_are_not_valid(mi, name):
-    from etendue.film import FilterSampler
+    from etendue.film import PixelFilter
 
     x = np.array([-0.01, 4.01, 2.0, 2.0, 1e9, -1e9, np.nan, 2.0], dtype=np.float32)
     y = np.array([1.0, 1.0, -0.01, 3.01, 1.0, 1.0, 1.0, 1.0], dtype=np.float32)
     half = mi.Float(np.full(8, 0.5))
-    index, _, valid = FilterSampler(make_filter(mi, name), 4, 3).splat(mi.Float(x), mi.Float(y), half, half)
+    index, _, valid = PixelFilter(make_filter(mi, name), 4, 3).splat(mi.Float(x), mi.Float(y), half, half)
     assert valid.numpy().tolist() == [False] * 7 + [True]
     assert index.numpy()[:7].tolist() == [0] * 7
 
 
 def test_inversion_is_monotone_and_reaches_the_whole_support(mi):
     """Neighbouring numbers give neighbouring positions, which point sequences and Markov chains rely on."""
-    from etendue.film import FilterSampler
+    from etendue.film import PixelFilter
 
     u = np.linspace(0.0, 1.0 - 2**-24, 5000, dtype=np.float32)
     pixel = mi.UInt32(np.full(5000, 5))
-    x, _, _ = FilterSampler(make_filter(mi, "tent"), 11, 11).camera(pixel, pixel, mi.Float(u), mi.Float(u))
+    x, _, _ = PixelFilter(make_filter(mi, "tent"), 11, 11).camera(pixel, pixel, mi.Float(u), mi.Float(u))
     x = x.numpy()
     assert (np.diff(x) >= 0).all()
     assert x[0] == pytest.approx(4.5, abs=2e-3) and x[-1] == pytest.approx(6.5, abs=2e-3)
@@ -159,9 +224,9 @@ def test_inversion_is_monotone_and_reaches_the_whole_support(mi):
 def test_works_inside_a_symbolic_loop(mi):
     import drjit as dr
 
-    from etendue.film import FilterSampler
+    from etendue.film import PixelFilter
 
-    sampler = FilterSampler(make_filter(mi, "mitchell"), 6, 4)
+    sampler = PixelFilter(make_filter(mi, "mitchell"), 6, 4)
     n = 64
     u = mi.Float(lattice(n, 1, seed=5)[0])
 
@@ -179,8 +244,8 @@ def test_works_inside_a_symbolic_loop(mi):
 
 @pytest.mark.parametrize("name", ["tent", "gaussian", "mitchell", "lanczos"])
 def test_borders_agree_with_a_mitsuba_render(mi, name):
-    """A textured emitter seen head-on, by Mitsuba's film and by both samplers of ours: a Z-test per pixel."""
-    from etendue.film import FilterSampler
+    """A textured emitter seen head-on, by Mitsuba's film and by all estimators of ours: a Z-test per pixel."""
+    from etendue.film import PixelFilter
 
     width, height, spp, runs = 6, 4, 1024, 12
     rng = np.random.default_rng(7)
@@ -207,14 +272,14 @@ def test_borders_agree_with_a_mitsuba_render(mi, name):
         }
     )
     theirs = np.array([np.array(mi.render(scene, spp=spp, seed=k)) for k in range(runs)])
-    sampler = FilterSampler(scene.sensors()[0].film().rfilter(), width, height)
+    sampler = PixelFilter(scene.sensors()[0].film().rfilter(), width, height)
 
     def seen(x, y):
         ray, _ = scene.sensors()[0].sample_ray(0.0, 0.5, mi.Point2f(x / width, y / height), mi.Point2f(0.5))
         si = scene.ray_intersect(ray)
         return np.array(si.emitter(scene).eval(si)).T
 
-    camera, splat = [], []
+    camera, splat, spread, taps = [], [], [], []
     pixels = np.tile(np.arange(width * height), spp)
     n = len(pixels)
     for _ in range(runs):
@@ -229,8 +294,17 @@ def test_borders_agree_with_a_mitsuba_render(mi, name):
         value = seen(x, y) * (weight.numpy() * valid.numpy())[:, None]
         sums = [np.bincount(index.numpy(), weights=value[:, k], minlength=width * height) for k in range(3)]
         splat.append(np.stack(sums, axis=-1).reshape(height, width, 3) / spp)
+        value, image = seen(x, y), np.zeros((width * height, 3))
+        for index, weight, valid in sampler.taps(x, y):
+            np.add.at(image, index.numpy() * valid.numpy(), value * (weight.numpy() * valid.numpy())[:, None])
+        taps.append(image.reshape(height, width, 3) / spp)
+        u1, u2 = rng.random((2, spp)).astype(np.float32)
+        pixel = np.repeat(np.arange(width * height), spp)
+        places = mi.Float(pixel % width + np.tile(u1, n // spp)), mi.Float(pixel // width + np.tile(u2, n // spp))
+        value = mi.Color3f(*np.ascontiguousarray(seen(*places).T))
+        spread.append(sampler.spread(value, mi.Float(u1), mi.Float(u2)).numpy().T.reshape(height, width, 3) / spp)
 
-    for ours in (np.array(camera), np.array(splat)):
+    for ours in map(np.array, (camera, splat, spread, taps)):
         variance = (ours.var(axis=0, ddof=1) + theirs.var(axis=0, ddof=1)) / runs
         z = (ours.mean(axis=0) - theirs.mean(axis=0)) / np.sqrt(variance)
         assert np.abs(z).max() < 5.0  # 72 values, t-distributed with some 20 degrees of freedom

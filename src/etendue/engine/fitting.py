@@ -23,6 +23,14 @@ def fit_samples(method: Method, samples: int, problem: Any, seed: int) -> Method
     return fitted
 
 
+def settle_samples(method: Method) -> None:
+    """Write the samples of a pass that a prepared method has chosen into its settings: they decide the random numbers,
+    and a machine that goes on with the run may choose otherwise."""
+    if getattr(method.settings, "samples_per_pass", 1) == 0:
+        kept: Any = method
+        kept.settings = method.settings.replace(samples_per_pass=method.samples_per_iteration)
+
+
 def fitting_samples(samples: int, most: int) -> int:
     """Camera paths per pixel and pass, at most ``most``, that share ``samples`` without rest where that costs little.
 

@@ -27,7 +27,7 @@ from etendue.scene import BundledScene, Camera, Problem, bundled_scene, load, lo
 
 from .budget import Budget
 from .checkpoint import Checkpoint
-from .fitting import fit_samples
+from .fitting import fit_samples, settle_samples
 from .runner import Runner, RunResult
 
 #: Bytes below which a memory bound would have a method do nothing but start over: 16 MB.
@@ -130,6 +130,7 @@ class Job:
         method.prepare(problem, task.seed)
         if budget.samples is not None:
             method = fit_samples(method, budget.samples, problem, task.seed)
+        settle_samples(method)
         preparation = time.perf_counter() - begin
         return cls(problem, method, seed=task.seed, budget=budget, place=task.place(), preparation=preparation)
 

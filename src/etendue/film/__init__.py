@@ -10,14 +10,14 @@ from .errors import (
     rmse,
 )
 from .exr import layer_path, read_exr, read_image, write_exr, write_layers
-from .filters import FilterSampler
+from .filters import PixelFilter
 from .output import check_writable, replacing, write_bytes
 from .pyramid import LONGER, Technique
 
 __all__ = [
     "LONGER",
     "LUMINANCE",
-    "FilterSampler",
+    "PixelFilter",
     "Technique",
     "block_average",
     "check_writable",

@@ -24,11 +24,11 @@ import mitsuba as mi
 from etendue.core import OptionError, SampleSource, setting, suggest
 from etendue.integration import AxisBins, CellGrid, DeviceBackend, Factor, PlaneBins, Tabulated, warp_rows
 from etendue.scene import Problem
+from etendue.transport import Camera, is_smooth
 from etendue.transport import dimensions as dim
-from etendue.transport import is_smooth
 
 from . import radius as radii
-from .base import ImageSettings, corners
+from .base import MERGING_LANES, ImageSettings, corners
 from .path import Path, PathSettings, PathState
 from .photons import PhotonGrid, PhotonTracer
 
@@ -304,6 +304,16 @@ class AdaptivePath(Path):
         self._tracer = PhotonTracer(self, seed)
         wanted = round(o.light_paths * self.camera.pixels * self.samples_per_iteration)
         self._light_paths = self._tracer.fitting(max(1, wanted))
+
+    def full_lanes(self) -> int:
+        """See :class:`ImageMethod`."""
+        return MERGING_LANES if self.settings.maps else super().full_lanes()
+
+    def draw_film(self, named: Sequence[Group]) -> None:
+        """Give up the places that all pixels share if groups draw places on the film."""
+        film = {(0, dim.FILM), (0, dim.FILM + 1)}
+        if any(film & set(draws) for group in named for draws in group.draws):
+            self.camera = Camera(self.problem, independent=True)
 
     def map_light(self, iteration: int, seed: int) -> float:
         """Trace the photons of a pass, if paths end in maps; returns the rays that it took."""

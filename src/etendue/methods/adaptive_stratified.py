@@ -96,6 +96,7 @@ class Stratified(AdaptivePath):
         """Which numbers there are in this scene."""
         super().prepare(problem, seed)
         self._groups = groups(self.settings.parameters, _VERTICES, self.constant_numbers())
+        self.draw_film(self._groups)
         self._planned: tuple[tuple[int, int, int], Regions] | None = None
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
@@ -115,7 +116,7 @@ class Stratified(AdaptivePath):
             "nonfinite": total(bad),
             "regions": float(sum(map(len, regions))),
         }
-        return {"image": self.image(radiance)}, counters
+        return {"image": self.image(radiance, seed, iteration)}, counters
 
     def _even_choice(self, base: Any, lanes: Any, samples: int) -> Any:
         """Numbers of which the one that chooses a region is even over the samples of a pixel, as the sampler's own are

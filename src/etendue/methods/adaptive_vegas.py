@@ -94,6 +94,7 @@ class Vegas(AdaptivePath):
         super().prepare(problem, seed)
         o = self.settings
         self._groups = groups(o.groups, o.bounces, self.constant_numbers())
+        self.draw_film(self._groups)
         width, height = problem.size
         side = o.tile or max(width, height)
         self._tiles = -(-width // side), -(-height // side)
@@ -129,7 +130,7 @@ class Vegas(AdaptivePath):
         dr.eval(radiance, state.rays, bad, found)
         self._learn(found)
         counters = {"rays": total(state.rays) + mapping_rays, "paths": float(len(lanes)), "nonfinite": total(bad)}
-        return {"image": self.image(radiance)}, counters
+        return {"image": self.image(radiance, seed, iteration)}, counters
 
     def _row(self, pixel: Any) -> Any:
         """Number of the tile that a pixel is in."""

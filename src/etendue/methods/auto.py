@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from etendue.core import RELATIVE_EPSILON, Measurement, Result, logger, setting
 from etendue.scene import Problem, materials
 
-from .base import ImageMethod, ImageSettings, Layer
+from .base import MERGING_LANES, ImageMethod, ImageSettings, Layer
 from .bidirectional import Bpt, Vcm
 from .path import Path
 
@@ -167,8 +167,12 @@ class Auto(ImageMethod):
     def _method(self, name: str) -> ImageMethod:
         cls, settings = CANDIDATES[name]
         own = self.settings
-        common = {"max_depth": own.max_depth, "sampler": own.sampler, "aovs": own.aovs}
-        return cls(cls.Settings(samples_per_pass=own.samples_per_pass, **common, **settings))
+        common = {name: getattr(own, name) for name in ("max_depth", "sampler", "reconstruction", "aovs")}
+        return cls(cls.Settings(samples_per_pass=self.samples_per_iteration, **common, **settings))
+
+    def full_lanes(self) -> int:
+        """Of all candidates, so that their passes can be held against each other."""
+        return MERGING_LANES
 
     # ------------------------------------------------------------------ the probe
 

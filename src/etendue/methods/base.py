@@ -26,12 +26,20 @@ from etendue.core import (
 from etendue.points import OwenSobolSource
 from etendue.scene import LightTable, Problem
 from etendue.transport import Camera, Visibility
+from etendue.transport import dimensions as dim
 
 #: One pass's sums of a layer, (height, width, channels).
 Layer = NDArray[np.float32]
 
-#: Lanes that fill the machine: below, a pass wastes time; above, nothing is gained.
-FULL_LANES = 1 << 17
+#: Camera paths of a pass that fill two cores: fewer waste time, and a picture is to be seen within a second or so. Other
+#: machines have as many times more, up to the last figure, as a GPU.
+FULL_LANES = 1 << 19
+_MOST_FULL = 8
+#: The same where all of a pass's camera paths look at all of its photons: more of both is another estimate, not a
+#: faster one.
+MERGING_LANES = 1 << 17
+#: Camera paths of a pixel and pass at most, if nobody asks for more.
+_MOST_SAMPLES = 32
 #: Light and camera paths of a pilot pass.
 PILOT_PATHS = 1 << 13
 #: An array of the device holds fewer than 2^32 numbers, and a lane has a colour.
@@ -55,11 +63,7 @@ class Lanes:
 
     def numbers(self, offset: int = 0) -> tuple[Any, Any]:
         """(lower words, upper words) of ``offset`` plus the number of each lane."""
-        first = offset + self.first
-        start = dr.opaque(mi.UInt32, first & _WORD)
-        lower = start + dr.arange(mi.UInt32, self.count)
-        carry = dr.select(lower < start, mi.UInt32(1), mi.UInt32(0))
-        return lower, dr.opaque(mi.UInt32, (first >> 32) & _WORD) + carry
+        return _places(dr.arange(mi.UInt32, self.count), offset + self.first)
 
 
 @dataclass(frozen=True)
@@ -76,6 +80,12 @@ class ImageSettings(Settings):
         "random numbers: Owen-scrambled Sobol' points, even over the samples of a pixel and over the light paths of a "
         "pass (owen), or independent ones",
         choices=("owen", "independent"),
+    )
+    reconstruction: str = setting(
+        "neighbours",
+        "the film's filter: a sample counts for all pixels in reach, as in Mitsuba (neighbours), or for one that the "
+        "filter draws: then pixels share no noise, as denoisers ask, but have more of it (independent)",
+        choices=("neighbours", "independent"),
     )
     aovs: bool = setting(False, "add first-hit layers: albedo, normal, depth")
 
@@ -100,6 +110,8 @@ class ImageMethod(ABC):
     #: Whether passes leave something behind for those after them, or begin from what the seed found in ``prepare``:
     #: each run then wants a method that was prepared for it. Others need the seed for pilots alone.
     carries_on: ClassVar[bool] = False
+    #: Whether all camera paths of a pass lie at one place of their pixels, unless pixels are independent.
+    one_place = False
 
     def __init__(self, settings: ImageSettings | None = None) -> None:
         self.settings: Any = settings if settings is not None else self.Settings()
@@ -110,7 +122,7 @@ class ImageMethod(ABC):
             raise OptionError("a pass has more camera paths than fit; lower samples_per_pass or the size")
         self.problem = problem
         self.scene = problem.scene
-        self.camera = Camera(problem)
+        self.camera = Camera(problem, self.settings.reconstruction == "independent")
         self.lights = LightTable(problem.scene)
         self.visibility = Visibility(problem.scene)
 
@@ -127,7 +139,12 @@ class ImageMethod(ABC):
         if self.settings.samples_per_pass:
             return int(self.settings.samples_per_pass)
         width, height = problem.size
-        return min(16, max(1, FULL_LANES // (width * height)))
+        return min(_MOST_SAMPLES, max(1, self.full_lanes() // (width * height)))
+
+    def full_lanes(self) -> int:
+        """Camera paths of a pass where settings leave it open."""
+        is_cpu = dr.backend_v(mi.Float) == dr.JitBackend.LLVM
+        return FULL_LANES * (min(max(1, dr.thread_count() // 2), _MOST_FULL) if is_cpu else _MOST_FULL)
 
     def step(self, iteration: int, seed: int) -> Measurement:
         """One pass: :attr:`samples_per_iteration` camera paths per pixel."""
@@ -172,15 +189,26 @@ class ImageMethod(ABC):
 
     def camera_numbers(self, lanes: Any, samples: int, seed: int, iteration: int, role: str = "camera") -> SampleSource:
         """Random numbers of the camera paths ``lanes``, ``samples`` consecutive ones a pixel."""
-        if self.settings.sampler == "independent":
-            return IndependentSource(lanes, seed, role, iteration)
         count = dr.opaque(mi.UInt32, samples)  # a pilot has another one, and shall have the same kernel
         pixel = lanes // count
-        first = iteration * samples
-        start = dr.opaque(mi.UInt32, first & _WORD)
-        index = start + (lanes - pixel * count)
-        high = dr.opaque(mi.UInt32, (first >> 32) & _WORD) + dr.select(index < start, mi.UInt32(1), mi.UInt32(0))
-        return OwenSobolSource(pixel, index, seed, role, high)
+        number = lanes - pixel * count
+        if self.settings.sampler == "independent":
+            source: SampleSource = IndependentSource(lanes, seed, role, iteration)
+        else:
+            index, high = _places(number, iteration * samples)
+            source = OwenSobolSource(pixel, index, seed, role, high)
+        if self.camera.independent:
+            return source
+        return SharedFilm(source, self._film_numbers(number, samples, seed, iteration, role))
+
+    def _film_numbers(self, number: Any, samples: int, seed: int, iteration: int, role: str) -> SampleSource:
+        """Numbers of the film's end of the camera paths ``number`` of a pixel: the same in all pixels."""
+        if self.one_place:
+            number, samples = mi.UInt32(0), 1
+        if self.settings.sampler == "independent":
+            return IndependentSource(number, seed, role + " film", iteration)
+        index, high = _places(number, iteration * samples)
+        return OwenSobolSource(mi.UInt32(0), index, seed, role + " film", high)
 
     def light_numbers(self, lanes: Lanes, paths: int, seed: int, iteration: int, role: str = "light") -> SampleSource:
         """Random numbers of the light paths ``lanes`` of the ``paths`` that a pass traces."""
@@ -198,14 +226,22 @@ class ImageMethod(ABC):
             radiance *= most / dr.maximum(dr.max(radiance), most)
         return radiance, bad
 
-    def image(self, values: Any) -> Layer:
-        """Colours or scalars, consecutive lanes a pixel, summed into a (height, width, channels) image."""
+    def image(self, values: Any, seed: int, iteration: int) -> Layer:
+        """Colours or scalars of a pass's camera paths, consecutive lanes a pixel, summed into a (height, width,
+        channels) image by the film's filter."""
         width, height = self.problem.size
-        lanes = dr.width(values)
-        if lanes > height * width:
-            values = dr.block_sum(values, lanes // (height * width))
+        samples = max(1, dr.width(values) // (height * width))
+        if self.camera.independent:
+            pixels = dr.block_sum(values, samples) if samples > 1 else values
+        else:
+            if self.one_place and samples > 1:
+                values, samples = dr.block_sum(values, samples), 1
+            number = dr.arange(mi.UInt32, samples)
+            places = self._film_numbers(number, samples, seed, iteration, "camera").next_2d(0, dim.FILM)
+            dr.eval(values, places)
+            pixels = self.camera.filter.spread(values, *places)
         # A copy: the device reuses the memory of the raveled array at once.
-        return np.array(dr.ravel(values), np.float32).reshape(height, width, -1)
+        return np.array(dr.ravel(pixels), np.float32).reshape(height, width, -1)
 
     def _first_hits(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], float]:
         """Albedo, shading normal and distance of what the camera sees first, zeros where it sees nothing; and how many
@@ -217,11 +253,39 @@ class ImageMethod(ABC):
         hit = si.is_valid()
         albedo, bad_albedo = keep_finite(si.bsdf(ray).eval_diffuse_reflectance(si, hit) & hit)
         normal, bad_normal = keep_finite(dr.select(hit, si.sh_frame.n, 0.0))
-        depth = dr.select(hit, si.t, 0.0)
+        depth = dr.select(hit, si.t / self.problem.space.scale, 0.0)
         dr.eval(albedo, normal, depth, bad_albedo, bad_normal)
-        distance = self.image(depth) / np.float32(self.problem.space.scale)
-        layers = {"albedo": self.image(albedo), "normal": self.image(normal), "depth": distance}
+        found = {"albedo": albedo, "normal": normal, "depth": depth}
+        layers = {name: self.image(values, seed, iteration) for name, values in found.items()}
         return layers, total(bad_albedo) + total(bad_normal)
+
+
+class SharedFilm:
+    """Numbers of camera paths, those of the place in the pixel from a source of their own."""
+
+    def __init__(self, base: SampleSource, film: SampleSource) -> None:
+        self._base, self._film = base, film
+
+    def next_1d(self, vertex: Any, component: int) -> Any:
+        """See :class:`SampleSource`."""
+        return self._base.next_1d(vertex, component)
+
+    def next_2d(self, vertex: Any, component: int) -> tuple[Any, Any]:
+        """See :class:`SampleSource`."""
+        on_film = isinstance(vertex, int) and vertex == 0 and component == dim.FILM
+        return (self._film if on_film else self._base).next_2d(vertex, component)
+
+    def decide(self, vertex: Any, component: int) -> Any:
+        """See :class:`SampleSource`."""
+        return self._base.decide(vertex, component)
+
+
+def _places(number: Any, first: int) -> tuple[Any, Any]:
+    """(lower word, upper word) of ``first`` plus a number."""
+    start = dr.opaque(mi.UInt32, first & _WORD)
+    lower = start + number
+    carry = dr.select(lower < start, mi.UInt32(1), mi.UInt32(0))
+    return lower, dr.opaque(mi.UInt32, (first >> 32) & _WORD) + carry
 
 
 def keep_finite(value: Any) -> tuple[Any, Any]:

@@ -46,7 +46,18 @@ from etendue.transport import (
 
 from . import base
 from . import radius as radii
-from .base import PILOT_PATHS, CameraSettings, ImageMethod, ImageSettings, Lanes, Layer, corners, total, with_image
+from .base import (
+    MERGING_LANES,
+    PILOT_PATHS,
+    CameraSettings,
+    ImageMethod,
+    ImageSettings,
+    Lanes,
+    Layer,
+    corners,
+    total,
+    with_image,
+)
 from .store import STORE_SHARE, VertexRoom
 
 
@@ -152,6 +163,7 @@ class Bidirectional(ImageMethod):
                 "light paths cannot be joined to this sensor: what only they find is made by merging, or not at all"
             )
         self._factors = (1.0, *radii.factors(s.radii))
+        self.one_place = s.pyramid  # its pictures are filtered once, at the end of a pass
         self._check_pyramid(problem.memory)
         self._indexed = needs_interaction(problem.scene)
         self._box = corners(problem)
@@ -164,6 +176,10 @@ class Bidirectional(ImageMethod):
         self._room = VertexRoom(bytes_per_vertex, floats, problem.memory)
         self._pilot(seed)
         self._groups = self._count_groups()
+
+    def full_lanes(self) -> int:
+        """See :class:`ImageMethod`."""
+        return MERGING_LANES if self.settings.merging else super().full_lanes()
 
     def _check_pyramid(self, memory: int | None) -> None:
         """Raises :class:`OptionError` if the layers of a pyramid do not fit into memory beside the light vertices."""
@@ -259,7 +275,7 @@ class Bidirectional(ImageMethod):
             parts.append(radiance)
             counters = {name: value + counts[name] for name, value in counters.items()}
 
-        layers = {name: self.image(_joined([part[name] for part in parts])) for name in parts[0]}
+        layers = {name: self.image(_joined([part[name] for part in parts]), seed, iteration) for name in parts[0]}
         counters["paths"] = float(self.camera.pixels * samples + self._paths)
         if splats:
             # A splat is one of N / samples chances per camera path, and the layers' weight is the pass's samples.
@@ -269,7 +285,7 @@ class Bidirectional(ImageMethod):
                 layers[name] = layers[name] + image if name in layers else image
         more = {name: layers.pop(name) for name in self._more_radii}
         if pyramid:
-            more |= pyramid.layers(self.camera.height, self.camera.width)
+            more |= pyramid.layers(lambda values: self.image(values, seed, iteration))
         return with_image(layers) | more, counters
 
     def _mis(self, radius: float, paths: int) -> Mis:

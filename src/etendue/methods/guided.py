@@ -176,7 +176,7 @@ class Guided(Path):
             self._learn(light)
         del self._records, self._parts, self._lit
         counters = {"rays": total(state.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
-        return {"image": self.image(radiance)}, counters
+        return {"image": self.image(radiance, seed, iteration)}, counters
 
     def _stride(self, lanes: int) -> int:
         """One in so many paths is learned from."""

@@ -113,13 +113,13 @@ class Light(ImageMethod):
             si.wi = dr.select(light.is_infinite, joined.direction, si.wi)
         active = joined.active & (cos > 0.0)
         radiance = light.emitter.eval(si, active)
-        pixel, filter_weight, on_film = self.camera.splat_pixel(joined, source, 1)
-        contribution = radiance * (joined.importance * cos * filter_weight / density)
-        active &= on_film & ~dr.all(contribution == 0.0)
+        place = self.camera.splat_place(joined, source, 1)
+        contribution = radiance * (joined.importance * cos * place.weight / density)
+        active &= place.on_film & ~dr.all(contribution == 0.0)
         contribution, bad = keep_finite(contribution)
         bad &= active
         rays = dr.select(active, mi.UInt32(1), mi.UInt32(0))
         ray = mi.Ray3f(joined.target, -joined.direction, reach, 0.0, mi.Color0f())
         active, share = self.visibility.along(ray, dr.opaque(mi.UInt32, max(self.max_edges() - 1, 0)), active)
-        splats.add(pixel, [contribution * share], active)
+        splats.add(place, [contribution * share], active)
         return rays, bad

@@ -81,7 +81,7 @@ class Path(ImageMethod):
         radiance, bad = self.kept(state.radiance)
         dr.eval(radiance, state.rays, bad)  # one kernel; the sums below would launch it once each
         counters = {"rays": total(state.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
-        return {"image": self.image(radiance)}, counters
+        return {"image": self.image(radiance, seed, iteration)}, counters
 
     def trace(self, pixel: Any, source: Any) -> PathState:
         """A path through each of the pixels (indices y * width + x) by the numbers of ``source``."""

@@ -34,7 +34,7 @@ from etendue.transport import (
     scatter_camera,
 )
 
-from .base import CameraSettings, ImageMethod, Layer, total
+from .base import MERGING_LANES, CameraSettings, ImageMethod, Layer, total
 from .photons import PhotonTracer, Shot
 
 
@@ -108,6 +108,10 @@ class PhotonMapping(ImageMethod):
         self.tracer = PhotonTracer(self, seed)
         self._light_paths = self.tracer.fitting(self.light_paths())
 
+    def full_lanes(self) -> int:
+        """See :class:`ImageMethod`."""
+        return MERGING_LANES
+
     @abstractmethod
     def light_paths(self) -> int:
         """Light paths that a pass shall trace."""
@@ -143,7 +147,7 @@ class PhotonMapping(ImageMethod):
             "photons": float(shot.vertices.wanted[0]),
             "nonfinite": total(bad),
         }
-        return {"image": self.image(radiance)}, counters
+        return {"image": self.image(radiance, seed, 0 if self.fixed_points else iteration)}, counters
 
     def _trace(self, role: str, iteration: int, seed: int, samples: int) -> tuple[_State, Any]:
         """Camera paths: (last state, weight of the camera ray), not yet evaluated."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import EtendueError, Measurement, UnsupportedError, check_variant, warn_of_nonfinite
-from etendue.film import LONGER, Technique
+from etendue.film import LONGER, PixelFilter, Technique
 from etendue.scene import Problem
 
 from .prepared import Prepared
@@ -198,11 +198,22 @@ def _coverage(problem: Problem) -> NDArray[np.float32]:
     if problem.scene.environment() is not None:
         return np.ones((height, width, 1), np.float32)
     lanes = dr.arange(mi.UInt32, width * height * _ALPHA_RAYS)
-    pixel, number = lanes // _ALPHA_RAYS, mi.Float(lanes % _ALPHA_RAYS)
-    # A Kronecker sequence of the plastic number: even along edges of any direction, where a grid is not.
-    offset = mi.Point2f(0.5 + number * 0.7548777, 0.5 + number * 0.5698403)
-    offset -= dr.floor(offset)
-    position = (mi.Point2f(pixel % width, pixel // width) + offset) / mi.Point2f(width, height)
+    pixel, number = lanes // _ALPHA_RAYS, lanes % _ALPHA_RAYS
+    place = _alpha_places(number)
+    position = (mi.Point2f(pixel % width, pixel // width) + place) / mi.Point2f(width, height)
     ray, _ = problem.sensor.sample_ray(0.0, 0.5, position, mi.Point2f(0.5))
-    hit = np.asarray(problem.scene.ray_test(ray), dtype=np.float32)
-    return hit.reshape(height, width, _ALPHA_RAYS).mean(-1, keepdims=True)
+    hit = dr.select(problem.scene.ray_test(ray), mi.Float(1.0), 0.0)
+    places = _alpha_places(dr.arange(mi.UInt32, _ALPHA_RAYS))
+    dr.eval(hit, places)
+    covered = PixelFilter(problem.sensor.film().rfilter(), width, height).spread(hit, places.x, places.y)
+    return np.array(covered, np.float32).reshape(height, width, 1) / _ALPHA_RAYS
+
+
+def _alpha_places(number: Any) -> Any:
+    """Where rays lie in their pixels: a Kronecker sequence of the plastic number, even along edges of any direction,
+    where a grid is not."""
+    import drjit as dr
+    import mitsuba as mi
+
+    place = mi.Point2f(0.5 + mi.Float(number) * 0.7548777, 0.5 + mi.Float(number) * 0.5698403)
+    return place - dr.floor(place)

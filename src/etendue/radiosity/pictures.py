@@ -124,7 +124,7 @@ class _Seen(ImageMethod):
         hit, n = si.is_valid(), _towards(si, ray.d)
         dr.eval(si.p, n, hit, weight)
         value = self._values.at(self._surfaces.find(si.p, n, hit, self.problem.space)) / np.pi
-        image = self.image(weight * dr.select(hit, value, mi.Color3f(*self._sky)))
+        image = self.image(weight * dr.select(hit, value, mi.Color3f(*self._sky)), seed, iteration)
         count = float(len(lanes))
         return {"image": image}, {"rays": 2 * count, "paths": count, "nonfinite": 0.0}
 

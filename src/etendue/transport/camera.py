@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from etendue.core import SampleSource
-from etendue.film import FilterSampler
+from etendue.film import PixelFilter
 from etendue.scene import Problem
 
 from . import dimensions as dim
@@ -36,6 +36,15 @@ class CameraConnection:
         return self.importance * cos
 
 
+@dataclass
+class SplatPlace:
+    """Where a splat goes, one lane each."""
+
+    taps: list[tuple[Any, Any, Any]]  #: (pixel, its share, whether it is on the film)
+    weight: Any  #: of all shares
+    on_film: Any
+
+
 class Splats:
     """Images that light paths add to, on the device: sums over paths, a packet of four floats a pixel."""
 
@@ -46,11 +55,13 @@ class Splats:
         small = 16 * pixels * images * dr.thread_count() <= _EXPAND_BYTES
         self._mode = dr.ReduceMode.Expand if small else dr.ReduceMode.Auto
 
-    def add(self, pixel: Any, values: Sequence[Any], active: Any) -> None:
-        """Add a colour to a pixel of each image, in each active lane."""
+    def add(self, place: SplatPlace, values: Sequence[Any], active: Any) -> None:
+        """Add a colour to each image, in each active lane."""
         for image, value in enumerate(values):
-            packet, place = mi.Vector4f(value.x, value.y, value.z, 0.0), pixel + image * self._pixels
-            dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet, place, active, mode=self._mode)
+            packet = mi.Vector4f(value.x, value.y, value.z, 0.0)
+            for pixel, share, on_film in place.taps:
+                index = pixel + image * self._pixels
+                dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet * share, index, active & on_film, mode=self._mode)
 
     def sums(self, height: int, width: int) -> Any:
         """The images on the host, (images, height, width, 3) float32."""
@@ -58,13 +69,19 @@ class Splats:
 
 
 class Camera:
-    """Primary rays and splats of one sensor, with its film's reconstruction filter."""
+    """Primary rays and splats of one sensor, with its film's reconstruction filter.
 
-    def __init__(self, problem: Problem) -> None:
+    ``independent``: a camera path counts for its own pixel, a splat for one of the pixels in reach, so that pixels
+    share no noise. Otherwise both count for all pixels in reach; camera rays are uniform in their pixels then, and
+    ``filter.spread`` makes pixels of what they bring.
+    """
+
+    def __init__(self, problem: Problem, independent: bool = False) -> None:
         self.sensor = problem.sensor
         self.width, self.height = problem.size
         self.pixels = self.width * self.height
-        self.filter = FilterSampler(self.sensor.film().rfilter(), self.width, self.height)
+        self.filter = PixelFilter(self.sensor.film().rfilter(), self.width, self.height)
+        self.independent = independent or self.filter.is_box
         parameters = mi.traverse(self.sensor)
         self.near_clip = _scalar(parameters, "near_clip", 0.0)
         far_clip = _scalar(parameters, "far_clip", 1e4)
@@ -80,7 +97,11 @@ class Camera:
         """A camera ray through ``pixel`` (index y * width + x): (ray, weight, aperture sample)."""
         y = pixel // self.width
         x = pixel - y * self.width
-        film_x, film_y, weight = self.filter.camera(x, y, *source.next_2d(0, dim.FILM))
+        u = source.next_2d(0, dim.FILM)
+        if self.independent:
+            film_x, film_y, weight = self.filter.camera(x, y, *u)
+        else:
+            film_x, film_y, weight = mi.Float(x) + u[0], mi.Float(y) + u[1], mi.Float(1.0)
         position = mi.Point2f(film_x / self.width, film_y / self.height)
         aperture = mi.Point2f(0.5)
         if self.sensor.needs_aperture_sample():
@@ -127,10 +148,15 @@ class Camera:
             return mi.Point2f(*source.next_2d(vertex, dim.SPLAT_APERTURE))
         return mi.Point2f(0.5)
 
-    def splat_pixel(self, connection: CameraConnection, source: SampleSource, vertex: Any) -> tuple[Any, Any, Any]:
-        """Pixel that a splat goes to: (index, filter weight, on film)."""
-        u = (0.5, 0.5) if self.filter.is_box else source.next_2d(vertex, dim.SPLAT_FILTER)
-        return self.filter.splat(connection.position.x, connection.position.y, *u)
+    def splat_place(self, connection: CameraConnection, source: SampleSource, vertex: Any) -> SplatPlace:
+        """Where a splat goes."""
+        x, y = connection.position.x, connection.position.y
+        if self.independent:
+            u = (0.5, 0.5) if self.filter.is_box else source.next_2d(vertex, dim.SPLAT_FILTER)
+            pixel, weight, on_film = self.filter.splat(x, y, *u)
+            return SplatPlace([(pixel, mi.Float(1.0), on_film)], weight, on_film)
+        on_film = (x >= 0.0) & (x < float(self.width)) & (y >= 0.0) & (y < float(self.height))
+        return SplatPlace(self.filter.taps(x, y), mi.Float(1.0), on_film)
 
 
 def _joins(sensor: Any) -> bool:

@@ -185,20 +185,20 @@ class LightWalk:
         """Join the vertex to the camera (t = 1) [Georgiev 2012b, eq. 46, 47]."""
         area_pdf = joined.area_pdf(geometric_cos(si, joined.direction))
         weights = self.mis.splat_weight(s.d_vcm, s.d_vc, light_cos, bsdf.reverse_pdf, area_pdf)
-        pixel, filter_weight, on_film = self.camera.splat_pixel(joined, source, s.depth)
-        factor = joined.importance * filter_weight * cosine_ratio(si, joined.direction)
+        place = self.camera.splat_place(joined, source, s.depth)
+        factor = joined.importance * place.weight * cosine_ratio(si, joined.direction)
         contributions = [s.throughput * bsdf.value * (factor * weight) for weight in weights]
         # One splat is to its pixel's sum over paths what a camera path is to that over samples.
         lit, roulette_factor = shadow_roulette(
             contributions,
             self.dark * self.mis.paths_per_sample,
             source.decide(s.depth, dim.SPLAT_SHADOW),
-            joined.active & on_film,
+            joined.active & place.on_film,
         )
         asked = lit
         alone = s.throughput * bsdf.value * factor
         if self.pyramid is not None:  # a technique by itself wants every ray that may carry light
-            asked = joined.active & on_film & ~dr.all(alone == 0.0)
+            asked = joined.active & place.on_film & ~dr.all(alone == 0.0)
         s.rays += dr.select(asked, mi.UInt32(1), mi.UInt32(0))
         spare = self.max_edges - (s.depth + 1)
         seen, share = self.visibility.along(si.spawn_ray_to(joined.target), spare, asked)
@@ -208,10 +208,10 @@ class LightWalk:
             visible = seen & lit
             scale = dr.rcp(self.mis.paths_per_sample)
             weighted = dr.select(visible, contributions[0] * scale, 0.0)
-            self.pyramid.add(False, self._vertex(s) + 1, mi.UInt32(1), pixel, weighted, alone * (share * scale), seen)
+            self.pyramid.add_splat(self._vertex(s) + 1, place, weighted, alone * (share * scale), seen)
         finite = mi.Bool(True)
         for contribution in contributions:
             finite &= dr.all(dr.isfinite(contribution))
         s.nonfinite += dr.select(visible & ~finite, mi.UInt32(1), mi.UInt32(0))
         visible &= finite
-        splats.add(pixel, contributions, visible)
+        splats.add(place, contributions, visible)
