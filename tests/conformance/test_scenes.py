@@ -8,6 +8,7 @@ import time
 import numpy as np
 import pytest
 from support import scenes
+from support.tables import thinned
 
 import etendue
 from etendue.scene import bundled
@@ -22,7 +23,7 @@ def plain(**parts):
     return {"type": "scene", "sensor": scenes.camera(), "light": light, "floor": floor} | parts
 
 
-@pytest.mark.parametrize("name", bundled())
+@pytest.mark.parametrize("name", thinned(bundled(), ("caustics", "cornell-box", "skylight")))
 def test_bundled_scenes_pass(name):
     began = time.monotonic()
     report = etendue.check(name)

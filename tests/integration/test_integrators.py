@@ -68,7 +68,7 @@ def slanted(box):
     return Warp(box, sample, lambda x: (1.0 + box.to_unit(x)[0]) * (2 / 3 / box.volume))
 
 
-@pytest.mark.parametrize(("name", "function"), crossed(sorted(TABLE), sorted(KNOWN), 2))
+@pytest.mark.parametrize(("name", "function"), crossed(sorted(TABLE), sorted(KNOWN), 4))
 def test_unbiased_and_honest(name, function):
     f, integral = known(function)
     make, samples, freedom = TABLE[name]
@@ -115,7 +115,7 @@ def test_batches_do_not_change_what_is_estimated(monkeypatch):
     f, integral = known("bell")
     whole = Stratified(6).integrate(f, 6**3 * 4, seed=3)
     monkeypatch.setattr(HostBackend, "batch", 100)
-    for make, samples, freedom in TABLE.values():
+    for make, samples, freedom in list(TABLE.values())[::2]:
         assert_honest(runs(make(f), f, samples, 60), integral, freedom=freedom)
     parts = Stratified(6).integrate(f, 6**3 * 4, seed=3)
     assert parts.samples == whole.samples and parts.value == pytest.approx(whole.value, abs=6 * whole.standard_error)

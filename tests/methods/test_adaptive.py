@@ -11,7 +11,7 @@ from scipy import stats
 from support import scenes
 from support.running import go, mitsuba_path, prepared, replicas, run
 from support.statistics import assert_agree, assert_mean
-from support.tables import thinned
+from support.tables import crossed, thinned
 
 from etendue import methods
 from etendue.core import CheckpointError, EtendueError, IndependentSource, OptionError
@@ -192,7 +192,7 @@ SWITCHES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", thinned(SWITCHES, list(SWITCHES)[::3]))
+@pytest.mark.parametrize("name", thinned(SWITCHES, list(SWITCHES)[::6]))
 def test_switches_do_not_change_the_mean(name):
     emitter = "rectangle" if "naive" in name else "mixed"
     scene = scenes.room(emitter, "rough", rfilter="gaussian")
@@ -283,8 +283,7 @@ def variance(images: np.ndarray) -> float:
     return float((images.var(0, ddof=1) / (mean**2 + 0.01)).mean())
 
 
-@pytest.mark.parametrize("bsdf_sampling", [True, False])
-@pytest.mark.parametrize("method", ["vegas", "stratified"])
+@pytest.mark.parametrize(("method", "bsdf_sampling"), crossed(["vegas", "stratified"], [True, False], 2))
 def test_it_learns_which_lamp_matters(method, bsdf_sampling):
     scene = hidden_lamps()
     settings = {"bsdf_sampling": bsdf_sampling}

@@ -75,7 +75,7 @@ def fast() -> list[tuple[str, str, str, str, str]]:
     """Rows of :func:`covering`, as few as have what the fast table is for."""
 
     def wanted(row: tuple[str, ...]) -> set[Any]:
-        return {row[0], *((row[2], i, row[i]) for i in (1, 3, 4))}
+        return {row[0], row[4], (row[2], row[1]), (row[2], row[3])}
 
     rows, left = [], set().union(*map(wanted, covering()))
     while left:

@@ -86,7 +86,7 @@ AT_EDGES = {
 }
 
 
-@pytest.mark.parametrize("name", thinned(AT_EDGES, ("bpm", "sppm photons", "pm photons")))
+@pytest.mark.parametrize("name", thinned(AT_EDGES, ("bpm", "pm photons")))
 def test_merging_at_edges(name):
     """Inside a cube, with a radius of a tenth of its side: photons of the next wall are as good as those of a plane
     that goes on. Where three walls meet there is less wall than on a plane; pixels that see it are left out."""

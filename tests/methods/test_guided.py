@@ -58,7 +58,7 @@ SWITCHES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", thinned(SWITCHES, list(SWITCHES)[::4]))
+@pytest.mark.parametrize("name", thinned(SWITCHES, list(SWITCHES)[::6]))
 def test_switches_do_not_change_the_mean(name):
     emitter = "rectangle" if name == "naive" else "mixed"
     scene = scenes.room(emitter, "rough", rfilter="gaussian")

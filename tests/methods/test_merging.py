@@ -7,6 +7,7 @@ import pytest
 from support import scenes
 from support.running import go, prepared, run
 from support.statistics import assert_agree, blocks, z_scores
+from support.tables import thinned
 
 from etendue import methods
 from etendue.core import OptionError
@@ -67,7 +68,7 @@ SEVERAL = {
 }
 
 
-@pytest.mark.parametrize("name", SEVERAL)
+@pytest.mark.parametrize("name", thinned(SEVERAL, list(SEVERAL)[::3]))
 def test_several_radii_in_one_run_are_as_many_runs(name):
     """The same paths, so the same pictures up to rounding; roulette before shadow rays would decide by all radii."""
     method, settings = SEVERAL[name]

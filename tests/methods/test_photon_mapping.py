@@ -224,7 +224,7 @@ def test_photons_are_as_many_as_asked_for():
 # ---------------------------------------------------------------------------------------------------- which light
 
 
-@pytest.mark.parametrize(("name", "depth"), crossed(VARIANTS, range(5), 4))
+@pytest.mark.parametrize(("name", "depth"), crossed(VARIANTS, range(5), 6))
 def test_max_depth_counts_edges_as_path_does(name, depth):
     method, settings = VARIANTS[name]
     problem = scene(**scenes.EMITTERS["rectangle"](), ball=scenes.thing("dielectric", (0.0, 0.302, 0.0)))

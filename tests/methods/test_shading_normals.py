@@ -9,6 +9,7 @@ import pytest
 from support import scenes
 from support.running import mitsuba_path, run
 from support.statistics import assert_agree
+from support.tables import crossed
 
 
 def tilted_floor():
@@ -63,8 +64,7 @@ def expected(name):
     return mitsuba_path(scene(name), passes=6, samples=512)
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(("name", "method"), crossed(SCENES, METHODS, 2))
 def test_methods_agree(name, method):
     reference = expected(name)
     problem = scene(name)

@@ -11,6 +11,7 @@ import pytest
 from scipy import stats
 from support import scenes
 from support.statistics import assert_mean
+from support.tables import crossed
 
 from etendue.core import IndependentSource
 from etendue.transport import NOWHERE, Guide, direction_of, scatter_camera, scatter_uniform, square_of
@@ -78,8 +79,7 @@ def surface(material: str, lanes: int = 1) -> tuple[Any, Any]:
     return scene, si
 
 
-@pytest.mark.parametrize("scatter", [scatter_camera, scatter_uniform])
-@pytest.mark.parametrize("material", MATERIALS)
+@pytest.mark.parametrize(("material", "scatter"), crossed(MATERIALS, [scatter_camera, scatter_uniform], 2))
 def test_directions_follow_the_density_that_is_claimed(material, scatter):
     """Of scattered directions in each part of the square: the mean of 1 / p is its solid angle, and where light points
     ask for it the density is the same one."""

@@ -19,7 +19,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.tables import crossed
+from support.tables import crossed, thinned
 
 from etendue.transport import GRAZING, Mis, Techniques
 
@@ -245,7 +245,7 @@ TABLE = {
 
 
 @pytest.mark.parametrize(("light", "beta"), crossed(LIGHTS, (1, 2), 2))
-@pytest.mark.parametrize("name", TABLE)
+@pytest.mark.parametrize("name", thinned(TABLE, list(TABLE)[::2]))
 def test_weights_are_those_of_the_definition(name, light, beta):
     """All patterns of specular vertices, one to five edges."""
     techniques = dataclasses.replace(TABLE[name], beta=beta)

@@ -59,3 +59,24 @@ def test_an_endless_ray_is_blocked_behind_sheets(sheets, reach):
     seen, share = visibility.along(ray, mi.UInt32(8), mi.Bool(True))
     assert np.asarray(seen).tolist() == [False, True]
     assert np.asarray(share)[0].tolist() == [0.0, 1.0]
+
+
+def test_sheets_of_instances_attenuate_and_walls_of_instances_block():
+    half = {"type": "mask", "opacity": 0.25, "bsdf": {"type": "diffuse"}}
+    right, left = (scenes.transform().translate([x, 0.0, 0.0]) for x in (1.0, -1.0))
+    scene = {
+        "type": "scene",
+        "sensor": scenes.camera(),
+        "sky": {"type": "constant"},
+        "sheet": {"type": "shapegroup", "rectangle": {"type": "rectangle", "bsdf": half}},
+        "wall": {"type": "shapegroup", "rectangle": {"type": "rectangle"}},
+        "once": {"type": "instance", "to_world": right, "group": {"type": "ref", "id": "sheet"}},
+        "twice": {"type": "instance", "to_world": right.translate([0, 0, 1]), "group": {"type": "ref", "id": "sheet"}},
+        "solid": {"type": "instance", "to_world": left, "group": {"type": "ref", "id": "wall"}},
+    }
+    visibility = Visibility(scenes.load(scene).scene)
+    starts = in_space(np.array([[1.0, 0.2, -3.0], [-1.0, 0.2, -3.0], [9.0, 0.2, -3.0]]))
+    ray = starts.spawn_ray(mi.Vector3f(0.0, 0.0, 1.0))
+    for spare, expected in ((8, [0.75**2, 0.0, 1.0]), (1, [0.0, 0.0, 1.0]), (0, [0.0, 0.0, 1.0])):
+        _, share = visibility.along(ray, mi.UInt32(spare), mi.Bool(True))
+        np.testing.assert_allclose(np.asarray(share)[0], expected, rtol=1e-5)

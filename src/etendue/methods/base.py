@@ -31,8 +31,8 @@ from etendue.transport import dimensions as dim
 #: One pass's sums of a layer, (height, width, channels).
 Layer = NDArray[np.float32]
 
-#: Camera paths of a pass that fill two cores: fewer waste time, and a picture is to be seen within a second or so. Other
-#: machines have as many times more, up to the last figure, as a GPU.
+#: Camera paths of a pass that fill two cores: fewer waste time, more make a viewer wait. Other machines have as many
+#: times more, up to the last figure, which a GPU has.
 FULL_LANES = 1 << 19
 _MOST_FULL = 8
 #: The same where all of a pass's camera paths look at all of its photons: more of both is another estimate, not a

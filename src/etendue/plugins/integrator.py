@@ -206,7 +206,7 @@ def _coverage(problem: Problem) -> NDArray[np.float32]:
     places = _alpha_places(dr.arange(mi.UInt32, _ALPHA_RAYS))
     dr.eval(hit, places)
     covered = PixelFilter(problem.sensor.film().rfilter(), width, height).spread(hit, places.x, places.y)
-    return np.array(covered, np.float32).reshape(height, width, 1) / _ALPHA_RAYS
+    return np.array(covered / _ALPHA_RAYS, np.float32).reshape(height, width, 1)
 
 
 def _alpha_places(number: Any) -> Any:

@@ -34,28 +34,25 @@ class Visibility:
         def cross(active: Any, ray: Any, share: Any, spare: Any) -> tuple[Any, Any, Any, Any]:
             hit = self.scene.ray_intersect_preliminary(ray, active=active)
             active = active & hit.is_valid()
-            thin = active & mi.has_flag(hit.shape.bsdf().flags(), mi.BSDFFlags.Null)
+            # Of an instance it is not known before a closer look which of its shapes was hit.
+            instanced = dr.reinterpret_array(mi.UInt32, hit.instance) != 0
+            thin = instanced | mi.has_flag(hit.shape.bsdf().flags(), mi.BSDFFlags.Null)
+            thin &= active & (spare > 0)
             share = dr.select(active & ~thin, 0.0, share)
 
             def behind(thin: Any, ray: Any, share: Any, hit: Any) -> tuple[Any, Any, Any]:
                 si = hit.compute_surface_interaction(ray, active=thin)
-                passed = share * si.bsdf(ray).eval_null_transmission(si, thin)
-                # Aimed anew: a ray starts a little beside the surface, and would strike a light at its end from the side.
+                share = share * si.bsdf(ray).eval_null_transmission(si, thin)
+                # Aimed anew: a ray starts beside the surface, and would strike a light at its end from the side.
                 ends = ray.maxt < dr.largest(mi.Float)  # that, or infinity, is how far an endless ray reaches
                 onward = dr.select(ends, si.spawn_ray_to(ray(dr.select(ends, ray.maxt, si.t))), si.spawn_ray(ray.d))
-                goes_on = thin & (dr.max(passed) > 0.0) & (onward.maxt > 0.0)
-                return goes_on, dr.select(goes_on, onward, ray), passed
+                thin = thin & (dr.max(share) > 0.0) & (onward.maxt > 0.0)
+                return thin, dr.select(thin, onward, ray), share
 
-            # A branch, since what lies in the way is opaque as a rule, and a surface is dear to look at closely.
-            passes, onward, passed = dr.if_stmt(
-                (thin & (spare > 0), ray, share, hit),
-                thin & (spare > 0),
-                behind,
-                lambda thin, ray, share, hit: (mi.Bool(False), mi.Ray3f(ray), mi.Color3f(share)),
-                label="crossing",
-            )
-            share = dr.select(thin, dr.select(spare > 0, passed, 0.0), share)
-            return passes, onward, share, spare - 1
+            # A branch: what lies in the way is opaque as a rule, and looking closely at a surface is dear.
+            arguments = thin, ray, share, hit
+            passes, ray, share = dr.if_stmt(arguments, thin, behind, lambda *untouched: untouched[:3], label="crossing")
+            return passes, ray, share, spare - 1
 
         start = mi.Bool(active), mi.Ray3f(ray), mi.Color3f(1.0), mi.UInt32(spare)
         _, _, share, _ = dr.while_loop(start, lambda active, *_: active, cross, label="transmittance")
