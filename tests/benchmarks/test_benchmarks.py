@@ -192,23 +192,28 @@ def test_choice_holds_auto_against_its_best_candidate(monkeypatch):
     offsets = {"path": 0.3, "bpt": 0.1, "bpt with 6 connections": 0.2, "vcm": 0.4, "probe": 0.11}
     assert offsets.keys() == {*choice.CANDIDATES, "probe"}
 
-    def render(source, method, *, seconds, size, seed, **settings):
-        if method == "vcm":  # halves of the reference, 1 on average
-            image = np.full((8, 8, 3), {1000: 1.02, 1001: 0.98}[seed], np.float32)
-            return types.SimpleNamespace(image=image, metadata={})
-        extreme = 50.0 if seed == 2 else 1.0  # one seed of three
-        image = np.full((8, 8, 3), 1.0 + extreme * offsets[settings["choice"]], np.float32)
-        samples = {"probe": 6, "bpt": 8}.get(settings["choice"], 10)
-        return types.SimpleNamespace(image=image, metadata={"chosen": "bpt", "samples": samples})
+    def render(source, method, *, seconds, size, seed, radius):
+        """Halves of the reference, 1 on average."""
+        assert method == "vcm"
+        image = np.full((8, 8, 3), {1000: 1.02, 1001: 0.98}[seed], np.float32)
+        return types.SimpleNamespace(image=image)
 
-    monkeypatch.setattr(choice, "render", render)
+    filled = set()
 
     def in_a_process(command, options, environment):
-        offset = {"path": 0.2, "auto": 0.1}[options["method"]]
-        np.save(options["out"], np.full((8, 8, 3), 1.0 + offset, np.float32))
-        assert environment["DRJIT_CACHE_DIR"] == str(Path(options["out"]).parent)
-        return {"samples": 1, "chosen": options["method"]}
+        folder, choice = Path(options["out"]).parent, options.get("choice")
+        assert environment["DRJIT_CACHE_DIR"] == str(folder)
+        if "samples" in options:
+            filled.add((folder, choice))
+        elif choice in offsets:
+            assert {(folder, name) for name in offsets if name != "probe"} <= filled, "kernels were to be there"
+        extreme = 50.0 if choice and options["seed"] == 2 else 1.0  # one seed of three
+        offset = offsets[choice] if choice else {"path": 0.2, "auto": 0.1}[options["method"]]
+        np.save(options["out"], np.full((8, 8, 3), 1.0 + extreme * offset, np.float32))
+        samples = {"probe": 6, "bpt": 8}.get(choice, 10)
+        return {"samples": samples, "chosen": "bpt" if choice else options["method"]}
 
+    monkeypatch.setattr(choice, "render", render)
     monkeypatch.setattr(choice, "child", in_a_process)
     warm, cold = choice.measure(["cornell-box"], pixels=64, seconds=1.0, seeds=3, cold=5.0)
     row = warm.rows[0]

@@ -108,13 +108,13 @@ def taps_image(mi, pixel_filter, width, height, samples):
 
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.parametrize("width, height", SIZES)
-@pytest.mark.parametrize(("image", "samples"), [(spread_image, 2048), (taps_image, 200_000)])
-def test_samples_that_count_for_all_pixels_in_reach(mi, image, samples, name, width, height):
+@pytest.mark.parametrize(("image", "samples", "rtol"), [(spread_image, 2048, 2e-3), (taps_image, 200_000, 6e-3)])
+def test_samples_that_count_for_all_pixels_in_reach(mi, image, samples, rtol, name, width, height):
     from etendue.film import PixelFilter
 
     rfilter = make_filter(mi, name)
     got = image(mi, PixelFilter(rfilter, width, height), width, height, samples)
-    np.testing.assert_allclose(got, expected_image(mi, rfilter, width, height), rtol=2e-3)
+    np.testing.assert_allclose(got, expected_image(mi, rfilter, width, height), rtol=rtol)
 
 
 @pytest.mark.parametrize("name", FILTERS)
@@ -156,7 +156,7 @@ def test_splats_converge_to_the_same_convolution(mi, name, size):
 
     width, height = size
     rfilter = make_filter(mi, name)
-    image = splat_image(mi, PixelFilter(rfilter, width, height), width, height, samples=500_000)
+    image = splat_image(mi, PixelFilter(rfilter, width, height), width, height, samples=2_000_000)
     expected = expected_image(mi, rfilter, width, height)
     np.testing.assert_allclose(image, expected, atol=8e-3 * expected.max())
 
@@ -295,18 +295,21 @@ def test_borders_agree_with_a_mitsuba_render(mi, name):
         value = seen(x, y) * (weight.numpy() * valid.numpy())[:, None]
         sums = [np.bincount(index.numpy(), weights=value[:, k], minlength=width * height) for k in range(3)]
         splat.append(np.stack(sums, axis=-1).reshape(height, width, 3) / spp)
-        value, image = seen(x, y), np.zeros((width * height, 3))
+        value, image = seen(x, y), np.zeros((3, width * height))
         for index, weight, valid in sampler.taps(x, y):
-            np.add.at(image, index.numpy() * valid.numpy(), value * (weight.numpy() * valid.numpy())[:, None])
-        taps.append(image.reshape(height, width, 3) / spp)
+            share, place = weight.numpy() * valid.numpy(), index.numpy() * valid.numpy()
+            image += [np.bincount(place, weights=value[:, k] * share, minlength=width * height) for k in range(3)]
+        taps.append(image.T.reshape(height, width, 3) / spp)
         u1, u2 = rng.random((2, spp)).astype(np.float32)
         pixel = np.repeat(np.arange(width * height), spp)
         places = mi.Float(pixel % width + np.tile(u1, n // spp)), mi.Float(pixel // width + np.tile(u2, n // spp))
         value = mi.Color3f(*np.ascontiguousarray(seen(*places).T))
         spread.append(sampler.spread(value, mi.Float(u1), mi.Float(u2)).numpy().T.reshape(height, width, 3) / spp)
 
-    for ours in map(np.array, (camera, splat, spread, taps)):
+    # Pixels of `spread` share the places of their samples, and so their errors: the mean is that of a few numbers.
+    for ours, bound in ((camera, 1.9), (splat, 1.9), (taps, 1.9), (spread, 4.0)):
+        ours = np.array(ours)
         variance = (ours.var(axis=0, ddof=1) + theirs.var(axis=0, ddof=1)) / runs
         z = (ours.mean(axis=0) - theirs.mean(axis=0)) / np.sqrt(variance)
         assert np.abs(z).max() < 5.0  # 72 values, t-distributed with some 20 degrees of freedom
-        assert np.mean(z * z) < 1.9
+        assert np.mean(z * z) < bound

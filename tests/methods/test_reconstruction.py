@@ -39,10 +39,10 @@ def test_neighbours_have_less_noise():
     gained since a pixel alone also has what its samples' places add at edges."""
     variance = {}
     for rfilter in ("box", "tent", "gaussian"):
-        problem = scenes.room("sphere", "diffuse", rfilter=rfilter)
+        problem = scenes.room("sphere", "rough", rfilter=rfilter)
         for how in ("neighbours", "independent"):
-            images = run(problem, "path", passes=24, samples=16, reconstruction=how).images
-            variance[rfilter, how] = np.median(images.var(axis=0, ddof=1))
+            images = run(problem, "path", passes=24, samples=16, clamp=0.5, reconstruction=how).images
+            variance[rfilter, how] = images.var(axis=0, ddof=1).mean()
     assert variance["box", "neighbours"] == variance["box", "independent"]
     for rfilter, share in (("tent", 4 / 9), ("gaussian", 0.32)):
         assert variance[rfilter, "neighbours"] == pytest.approx(share * variance["box", "neighbours"], rel=0.15)
@@ -51,21 +51,21 @@ def test_neighbours_have_less_noise():
 
 def test_pixels_alone_share_no_noise():
     """Correlation of neighbours over passes: the Gaussian's with itself, exp(-1 / (4 sigma^2)) = 1 / e; and none."""
-    problem = scenes.room("sphere", "diffuse", rfilter="gaussian")
+    problem = scenes.room("sphere", "rough", rfilter="gaussian")
     for how, expected in (("neighbours", np.exp(-1.0)), ("independent", 0.0)):
         images = run(problem, "path", passes=40, samples=16, reconstruction=how).images
         z = (images - images.mean(0)) / images.std(0)
-        found = np.median((z[:, :, 1:] * z[:, :, :-1]).mean(axis=0))
+        found = np.nanmedian((z[:, :, 1:] * z[:, :, :-1]).mean(axis=0))
         assert found == pytest.approx(expected, abs=0.06), how
 
 
 def test_a_sky_is_even_from_the_first_sample():
-    problem = scenes.load({"type": "scene", "sensor": scenes.camera((0, 0, 3), (0, 0, 0), 40.0, rfilter="gaussian"),
-                           "sky": {"type": "constant", "radiance": 0.7}})  # fmt: skip
-    image = run(problem, "path", passes=1, samples=1).mean
-    np.testing.assert_allclose(image[3:-3, 3:-3], 0.7, rtol=1e-5)
-    images = run(problem, "path", passes=8, samples=256).images
-    assert_agree(images, np.full_like(images, 0.7), "border", block=1)
+    behind = {"type": "rectangle", "to_world": scenes.transform().translate([0, 0, 9])}
+    camera = scenes.camera((0, 0, 3), (0, 0, 0), rfilter="gaussian")
+    problem = scenes.load(
+        {"type": "scene", "sensor": camera, "sky": {"type": "constant", "radiance": 0.7}, "wall": behind}
+    )
+    np.testing.assert_allclose(run(problem, "path", passes=1, samples=1).mean, 0.7, rtol=1e-5)
 
 
 @pytest.mark.parametrize("method", ["bpt", "vcm"])
@@ -95,8 +95,8 @@ def test_passes_in_any_order_give_the_same_bits():
 
 @pytest.mark.parametrize("samples", [1, 4, 8])
 def test_the_numbers_of_a_sample_do_not_depend_on_the_pass_it_is_in(samples):
-    """Even numbers go on from pass to pass, places in the pixel included."""
+    """Even numbers go on from pass to pass, places in the pixel included. Near the border a pass divides by its own."""
     problem = scenes.room("sphere", "rough", rfilter="tent")
     image = run(problem, "path", passes=8 // samples, samples=samples, sampler="owen").mean
     whole = run(problem, "path", passes=4, samples=2, sampler="owen").mean
-    np.testing.assert_allclose(image, whole, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(image[1:-1, 1:-1], whole[1:-1, 1:-1], rtol=1e-4, atol=1e-6)

@@ -12,7 +12,10 @@ def thinned(rows: Iterable[Any], fast: Sequence[Any]) -> list[Any]:
     """The rows, those that are not in ``fast`` marked slow."""
     rows = list(rows)
     assert set(fast) <= set(rows), f"no rows: {set(fast) - set(rows)}"
-    return [row if row in fast else pytest.param(row, marks=pytest.mark.slow) for row in rows]
+    return [
+        row if row in fast else pytest.param(*(row if isinstance(row, tuple) else (row,)), marks=pytest.mark.slow)
+        for row in rows
+    ]
 
 
 def crossed(first: Iterable[Any], second: Iterable[Any], every: int) -> list[Any]:

@@ -8,7 +8,8 @@ which is what Mitsuba's film converges to: it divides by the filter weights of t
 none outside the film (``sample_border`` off). Three estimators of the same integral live here:
 
 - Camera paths that lie at the same places in all pixels: then every path counts for all pixels in reach, and the sum is
-  a convolution with weights that the places alone decide (:meth:`PixelFilter.spread`).
+  a convolution with weights that the places alone decide (:meth:`PixelFilter.spread`). Near the border it divides by the
+  weights of a pass's own samples.
 - A path that arrives at a film position of its own accord counts for all pixels in reach (:meth:`PixelFilter.taps`).
 - Pixels that must not share noise, as denoisers ask: a camera path picks its film position from ``|f|`` around its own
   pixel [Ernst 2006] (:meth:`PixelFilter.camera`), a splat one of the pixels in reach (:meth:`PixelFilter.splat`).
@@ -96,6 +97,7 @@ class _Axis:
         integral, magnitude = table.integrals(size)
         cumulative = np.concatenate([[0.0], np.cumsum(np.abs(table.values))]) / BINS_PER_PIXEL
         self.cumulative = on_device(mi.Float, cumulative)
+        self.host_values = table.values.astype(np.float32)
         self.values = on_device(mi.Float, table.values)
         self.inverse_integral = on_device(mi.Float, 1.0 / integral)
         self.camera_weight = on_device(mi.Float, magnitude / integral)
@@ -188,7 +190,21 @@ class _Axis:
             on_film = (source >= 0) & (source < size)
             value = dr.gather(kind, values, mi.UInt32(lane - shift * mi.Int32(stride)), on_film)
             result = result + value * dr.gather(mi.Float, weights, sample)
-        return self.normalised(result, place, True)
+        return result
+
+    def reached(self, u: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Sum of the filter over the samples of each pixel of the axis, (samples, pixels), where all pixels have
+        samples at the places ``u``; 1 away from the border."""
+        last = np.floor(u + np.float32(self.reach - 0.5)).astype(np.int64)
+        pixel = np.arange(self.size)
+        sums = np.zeros((len(u), self.size), np.float32)
+        for index in range(self.candidates):
+            shift = last - (self.candidates - 1 - index)
+            place = np.floor((u - (shift + np.float32(0.5)) + self.reach) * BINS_PER_PIXEL).astype(np.int64)
+            source = pixel - shift[:, None]
+            on_film = (source >= 0) & (source < self.size)
+            sums += self.host_values[np.clip(place, 0, self.bins - 1)][:, None] * on_film
+        return sums
 
 
 @dataclass
@@ -230,7 +246,10 @@ class PixelFilter:
 
     def spread(self, values: Any, u1: Any, u2: Any) -> Any:
         """Pixels made from samples: a lane a sample, the samples of a pixel side by side, sample j of each pixel at the
-        place (``u1[j]``, ``u2[j]``) of it. Returns a lane a pixel, sums over the samples. ``values`` is evaluated."""
+        place (``u1[j]``, ``u2[j]``) of it. Returns a lane a pixel, sums over the samples. ``values`` is evaluated.
+
+        As in Mitsuba, the samples of a pixel near the border count by their shares of the filter that they found, so
+        that a constant picture stays one: few samples have another expectation there than many."""
         samples = dr.width(u1)
         if not self.is_box:
             count, width = dr.opaque(mi.UInt32, samples), dr.opaque(mi.UInt32, self.width)
@@ -239,7 +258,9 @@ class PixelFilter:
             sample, y = lane - pixel * count, pixel // width
             rows = self._x.convolve(values, self._x.offsets(u1), sample, pixel - y * width, count)
             dr.eval(rows)
-            values = self._y.convolve(rows, self._y.offsets(u2), sample, y, count * width)
+            shares = self._y.reached(np.array(u2)).T @ self._x.reached(np.array(u1)) / np.float32(samples)
+            share = dr.gather(mi.Float, mi.Float(shares.ravel()), pixel)
+            values = self._y.convolve(rows, self._y.offsets(u2), sample, y, count * width) / share
         return dr.block_sum(values, samples) if samples > 1 else values
 
     def taps(self, x: Any, y: Any) -> list[tuple[Any, Any, Any]]:
