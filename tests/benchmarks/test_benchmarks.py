@@ -111,7 +111,7 @@ def test_every_ray_is_recorded(name):
 def test_a_record_is_appended(tmp_path, monkeypatch):
     measuring = module("measuring")
     monkeypatch.setattr(measuring, "RESULTS", tmp_path / "RESULTS.md")
-    monkeypatch.setattr(sys, "argv", ["benchmarks/__main__.py", "cost", "--size", "8x8"])
+    monkeypatch.setattr(sys, "argv", [str(measuring.ROOT / "benchmarks" / "__main__.py"), "cost", "--size", "8x8"])
     for number in range(2):
         record = measuring.Record(f"Table {number}", ("", "a|b"))
         record.add("vcm", "1.0")

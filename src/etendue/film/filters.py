@@ -8,8 +8,8 @@ which is what Mitsuba's film converges to: it divides by the filter weights of t
 none outside the film (``sample_border`` off). Three estimators of the same integral live here:
 
 - Camera paths that lie at the same places in all pixels: then every path counts for all pixels in reach, and the sum is
-  a convolution with weights that the places alone decide (:meth:`PixelFilter.spread`). Near the border it divides by the
-  weights of a pass's own samples.
+  a convolution with weights that the places alone decide (:meth:`PixelFilter.spread`). Near the border it divides by
+  the weights of a pass's own samples.
 - A path that arrives at a film position of its own accord counts for all pixels in reach (:meth:`PixelFilter.taps`).
 - Pixels that must not share noise, as denoisers ask: a camera path picks its film position from ``|f|`` around its own
   pixel [Ernst 2006] (:meth:`PixelFilter.camera`), a splat one of the pixels in reach (:meth:`PixelFilter.splat`).
