@@ -136,12 +136,14 @@ def _picture(options: dict[str, Any], folder: str) -> tuple[np.ndarray, dict[str
     return np.load(out), outcome
 
 
-def scaled_size(source: Any, pixels: int) -> tuple[int, int]:
-    """A size of about so many pixels, of the shape of the scene's own."""
+def scaled_size(source: Any, pixels: int, larger: bool = False) -> tuple[int, int]:
+    """A size of about so many pixels, of the shape of the scene's own; not above that unless ``larger``."""
     from etendue import scene
 
     width, height = scene.load(source).size
-    scale = min(1.0, (pixels / (width * height)) ** 0.5)
+    scale = (pixels / (width * height)) ** 0.5
+    if not larger:
+        scale = min(1.0, scale)
     return max(1, round(width * scale)), max(1, round(height * scale))
 
 

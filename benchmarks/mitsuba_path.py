@@ -46,7 +46,7 @@ def _problem(name: str, pixels: int, kind: str | None = None) -> Problem:
     else:
         folder = PUBLIC_SCENES / name
         source = folder / "scene.xml" if kind is None else filtered(folder, kind)
-    return scene.load(source, size=scaled_size(source, pixels))
+    return scene.load(source, size=scaled_size(source, pixels, larger=True))
 
 
 def _by_mitsuba(problem: Problem, spp: int, seed: int) -> np.ndarray:
