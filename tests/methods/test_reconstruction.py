@@ -35,17 +35,18 @@ def test_both_ways_have_the_same_mean(name, rfilter):
 
 
 def test_neighbours_have_less_noise():
-    """By the integral of the squared filter: 4 / 9 for a tent, 1 / (4 pi 0.25) = 0.32 for an endless Gaussian; more is
-    gained since a pixel alone also has what its samples' places add at edges."""
+    """By the integral of the squared filter: 4 / 9 for a tent, 1 / (4 pi 0.25) = 0.32 for an endless Gaussian; at edges
+    by more, as places in the pixel are even within a pass."""
     variance = {}
     for rfilter in ("box", "tent", "gaussian"):
         problem = scenes.room("sphere", "rough", rfilter=rfilter)
         for how in ("neighbours", "independent"):
             images = run(problem, "path", passes=24, samples=16, clamp=0.5, reconstruction=how).images
             variance[rfilter, how] = images.var(axis=0, ddof=1).mean()
-    assert variance["box", "neighbours"] == variance["box", "independent"]
+    box = variance["box", "neighbours"]
+    assert box == variance["box", "independent"]
     for rfilter, share in (("tent", 4 / 9), ("gaussian", 0.32)):
-        assert variance[rfilter, "neighbours"] == pytest.approx(share * variance["box", "neighbours"], rel=0.15)
+        assert 0.6 * share * box < variance[rfilter, "neighbours"] < 1.1 * share * box
         assert variance[rfilter, "neighbours"] < variance[rfilter, "independent"] / 2
 
 

@@ -202,11 +202,12 @@ class ImageMethod(ABC):
         return SharedFilm(source, self._film_numbers(number, samples, seed, iteration, role))
 
     def _film_numbers(self, number: Any, samples: int, seed: int, iteration: int, role: str) -> SampleSource:
-        """Numbers of the film's end of the camera paths ``number`` of a pixel: the same in all pixels."""
+        """Numbers of the film's end of the camera paths ``number`` of a pixel: the same in all pixels, and even at
+        least within a pass, since what they lack all pixels lack."""
         if self.one_place:
             number, samples = mi.UInt32(0), 1
         if self.settings.sampler == "independent":
-            return IndependentSource(number, seed, role + " film", iteration)
+            return OwenSobolSource(mi.UInt32(0), number, seed, role + " film", dr.opaque(mi.UInt32, iteration))
         index, high = _places(number, iteration * samples)
         return OwenSobolSource(mi.UInt32(0), index, seed, role + " film", high)
 
