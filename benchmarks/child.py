@@ -81,7 +81,7 @@ def picture(options: dict[str, Any]) -> dict[str, Any]:
     from etendue.core import use_variant
 
     use_variant(options["variant"])
-    wanted = {name: options[name] for name in ("seconds", "samples", "seed", "choice") if name in options}
+    wanted = {name: options[name] for name in ("seconds", "seed", "choice") if name in options}
     rendering = render(options["scene"], options["method"], size=tuple(options["size"]), **wanted)
     np.save(options["out"], rendering.image)
     return {"samples": rendering.metadata["samples"], "chosen": rendering.metadata.get("chosen", options["method"])}

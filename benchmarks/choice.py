@@ -25,6 +25,8 @@ BAR = 1.2
 SAMPLES_BAR = 0.7
 #: Cold, it may need this many times the error of ``path``.
 COLD_BAR = 1.3
+#: Seconds of the pictures that fill the kernel cache.
+_FILL = 0.1
 #: Share of the brightest errors that is left out: one firefly must not decide.
 _TRIM = 0.001
 #: Of the reference: each of its two halves takes this many times the time of a picture.
@@ -66,7 +68,7 @@ def measure(
         with tempfile.TemporaryDirectory(prefix="kernels-") as folder:
             common = {"variant": variant, "scene": str(known[name]), "size": size, "method": "auto"}
             for choice in CANDIDATES:  # fills the kernel cache
-                _picture(common | {"choice": choice, "samples": 1, "seed": 0}, folder)
+                _picture(common | {"choice": choice, "seconds": _FILL, "seed": 0}, folder)
             for seed in range(seeds):
                 samples: dict[str, float] = {}
                 for choice, values in errors.items():
@@ -93,7 +95,7 @@ def measure(
     pictures = f"median of {seeds} seed{'s' if seeds > 1 else ''}"
     record.notes += [
         f"error: mean of (x - ref)² / (ref² + {RELATIVE_EPSILON:g}) without the worst 0.1 % of pixels, less that of "
-        f"the reference; {pictures}; a process each, with a kernel cache that a sample by each candidate has filled; "
+        f"the reference; {pictures}; a process each, with a kernel cache that a pass by each candidate has filled; "
         "the time of auto holds its probe",
         f"reference: vcm with a first radius of 0.002 (path for {', '.join(_BY_PATH)}), {2 * _HALF * seconds:g} s in "
         "two halves, whose difference tells its error",

@@ -119,13 +119,25 @@ def test_samples_that_count_for_all_pixels_in_reach(mi, image, samples, rtol, na
 
 @pytest.mark.parametrize("name", FILTERS)
 def test_a_constant_picture_stays_one(mi, name):
-    """Whatever the place of the samples, away from the border; at the border on average."""
+    """Whatever the place of the samples, at the border too."""
     from etendue.film import PixelFilter
 
     pixel_filter = PixelFilter(make_filter(mi, name), 16, 13)
     for u in ((0.02, 0.97), (0.5, 0.31)):
         pixels = pixel_filter.spread(mi.Float(np.ones(16 * 13, np.float32)), *(mi.Float([v]) for v in u)).numpy()
-        np.testing.assert_allclose(pixels.reshape(13, 16)[4:-4, 4:-4], 1.0, rtol=2e-5)
+        np.testing.assert_allclose(pixels, 1.0, rtol=2e-5)
+
+
+@pytest.mark.parametrize("narrow", [{"type": "gaussian", "stddev": 0.1}, {"type": "tent", "radius": 0.4}])
+def test_a_filter_that_misses_samples_leaves_pixels_alone(mi, narrow):
+    """A sample at the corner of its pixel is in reach of none."""
+    from etendue.film import PixelFilter
+
+    pixel_filter = PixelFilter(mi.load_dict(narrow), 5, 4)
+    assert pixel_filter.has_gaps
+    values = np.arange(20, dtype=np.float32)
+    corner = mi.Float([0.01])
+    np.testing.assert_array_equal(pixel_filter.spread(mi.Float(values), corner, corner).numpy(), values)
 
 
 def test_samples_of_colours_and_of_one_place_may_be_added_first(mi):

@@ -55,7 +55,7 @@ def test_pixels_alone_share_no_noise():
     problem = scenes.room("sphere", "rough", rfilter="gaussian")
     for how, expected in (("neighbours", np.exp(-1.0)), ("independent", 0.0)):
         images = run(problem, "path", passes=40, samples=16, reconstruction=how).images
-        z = (images - images.mean(0)) / images.std(0)
+        z = (images - images.mean(0)) / np.maximum(images.std(0), 1e-9)
         found = np.nanmedian((z[:, :, 1:] * z[:, :, :-1]).mean(axis=0))
         assert found == pytest.approx(expected, abs=0.06), how
 
@@ -101,3 +101,11 @@ def test_the_numbers_of_a_sample_do_not_depend_on_the_pass_it_is_in(samples):
     image = run(problem, "path", passes=8 // samples, samples=samples, sampler="owen").mean
     whole = run(problem, "path", passes=4, samples=2, sampler="owen").mean
     np.testing.assert_allclose(image[1:-1, 1:-1], whole[1:-1, 1:-1], rtol=1e-4, atol=1e-6)
+
+
+def test_a_narrow_filter_gives_a_picture():
+    """Places that no pixel reaches would divide by zero, were they shared."""
+    narrow = scenes.camera(rfilter="gaussian")
+    narrow["film"]["rfilter"]["stddev"] = 0.1
+    scene = scenes.load({"type": "scene", "sensor": narrow, "wall": {"type": "rectangle"}, "sky": {"type": "constant"}})
+    assert np.isfinite(run(scene, "path", passes=2, samples=1).mean).all()

@@ -2,7 +2,7 @@
 
 from .budget import Budget
 from .checkpoint import Checkpoint
-from .fitting import fit_samples
+from .fitting import fit_samples, settle_samples
 from .job import Job, Task, remaining, versions
 from .runner import Cancelled, RunError, Runner, RunResult, check_period, check_save_times
 from .session import Session
@@ -21,5 +21,6 @@ __all__ = [
     "check_save_times",
     "fit_samples",
     "remaining",
+    "settle_samples",
     "versions",
 ]

@@ -15,9 +15,9 @@ none outside the film (``sample_border`` off). Three estimators of the same inte
   pixel [Ernst 2006] (:meth:`PixelFilter.camera`), a splat one of the pixels in reach (:meth:`PixelFilter.splat`).
 
 All read one table of ``f``, constant on bins that have the film's border among their edges, so that their expectations
-are equal, not merely close. In the table ``f`` is divided by its own sum over all pixels, so that a sample's weights
-add up to 1 and a constant picture stays one; for tents, cubic splines and boxes that sum is 1 anyway, for Mitsuba's
-Gaussian within 1.5 %.
+are equal, not merely close, save for the first one near the border. In the table ``f`` is divided by its own sum over
+all pixels, so that a sample's weights add up to 1 and a constant picture stays one; for tents, cubic splines and boxes
+that sum is 1 anyway, for Mitsuba's Gaussian within 1.5 %.
 
 Filters are separable, so everything below is done per axis. Negative lobes carry their sign in the weight.
 """
@@ -62,7 +62,9 @@ class FilterTable:
             raise OptionError("the film's reconstruction filter has no finite, non-zero values; use another rfilter")
         self.values /= self.values.sum() / BINS_PER_PIXEL  # unit integral: only ratios matter, and float32 likes 1
         over_pixels = self.values.reshape(-1, BINS_PER_PIXEL).sum(axis=0)
-        if np.abs(over_pixels - 1.0).max() < _NEAR_ONE:
+        #: Whether some positions are hardly in reach of any pixel.
+        self.has_gaps = bool(np.abs(over_pixels - 1.0).max() >= _NEAR_ONE)
+        if not self.has_gaps:
             self.values /= np.tile(over_pixels, self.candidates)
 
     @property
@@ -87,7 +89,7 @@ class FilterTable:
 
 
 class _Axis:
-    """The sampler along one axis of ``size`` pixels; device tables and nothing else."""
+    """The filter along one axis of ``size`` pixels: tables, and what is asked of them."""
 
     def __init__(self, table: FilterTable, size: int) -> None:
         self.size = size
@@ -193,8 +195,8 @@ class _Axis:
         return result
 
     def reached(self, u: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Sum of the filter over the samples of each pixel of the axis, (samples, pixels), where all pixels have
-        samples at the places ``u``; 1 away from the border."""
+        """Where all pixels have samples at the places ``u``: sum of the filter, for each place and pixel of the axis,
+        over the samples in reach, (samples, pixels); 1 away from the border."""
         last = np.floor(u + np.float32(self.reach - 0.5)).astype(np.int64)
         pixel = np.arange(self.size)
         sums = np.zeros((len(u), self.size), np.float32)
@@ -212,7 +214,7 @@ class Spread:
     """How the samples of a pixel count for those around, along one axis, an entry a sample."""
 
     last: Any  #: the farthest pixel that a sample counts for, relative to its own
-    values: list[Any]  #: of the filter there, and before it; nearest last
+    values: list[Any]  #: of the filter at the pixels before it, and there
 
 
 class PixelFilter:
@@ -227,8 +229,11 @@ class PixelFilter:
         self.width, self.height = int(width), int(height)
         #: The box filter needs neither a table nor random numbers for a splat.
         self.is_box = bool(rfilter.is_box_filter())
+        #: Whether a sample may be in reach of no pixel: :meth:`spread` takes such a filter for a box.
+        self.has_gaps = False
         if not self.is_box:
             table = FilterTable(rfilter)
+            self.has_gaps = table.has_gaps
             self._x = _Axis(table, self.width)
             self._y = self._x if self.width == self.height else _Axis(table, self.height)
 
@@ -251,7 +256,7 @@ class PixelFilter:
         As in Mitsuba, the samples of a pixel near the border count by their shares of the filter that they found, so
         that a constant picture stays one: few samples have another expectation there than many."""
         samples = dr.width(u1)
-        if not self.is_box:
+        if not (self.is_box or self.has_gaps):
             count, width = dr.opaque(mi.UInt32, samples), dr.opaque(mi.UInt32, self.width)
             lane = dr.arange(mi.UInt32, dr.width(values))
             pixel = lane // count

@@ -28,7 +28,7 @@ from etendue.transport import Camera, is_smooth
 from etendue.transport import dimensions as dim
 
 from . import radius as radii
-from .base import MERGING_LANES, ImageSettings, corners
+from .base import STEP_LANES, ImageSettings, corners
 from .path import Path, PathSettings, PathState
 from .photons import PhotonGrid, PhotonTracer
 
@@ -307,7 +307,7 @@ class AdaptivePath(Path):
 
     def full_lanes(self) -> int:
         """See :class:`ImageMethod`."""
-        return MERGING_LANES if self.settings.maps else super().full_lanes()
+        return STEP_LANES if self.settings.maps else super().full_lanes()
 
     def draw_film(self, named: Sequence[Group]) -> None:
         """Give up the places that all pixels share if groups draw places on the film."""

@@ -30,7 +30,7 @@ from etendue.integration import AxisBins, CellGrid, Factor, PlaneBins, bin_value
 from etendue.scene import Problem
 
 from .adaptive import LENGTH, AdaptivePath, AdaptiveSettings, AdaptiveSource, check_merge, groups
-from .base import ImageSettings, Layer, total
+from .base import STEP_LANES, ImageSettings, Layer, total
 from .path import Path
 
 #: What each bin gets beside what it was found to hold: this share of the mean, spread evenly over the group's
@@ -108,6 +108,10 @@ class Vegas(AdaptivePath):
         self._saved: list[dict[str, Array]] | None = None  # the densities as arrays, until they are moved
         self._passes = 0
         self._forget()
+
+    def full_lanes(self) -> int:
+        """See :class:`ImageMethod`."""
+        return STEP_LANES
 
     def _forget(self) -> None:
         """Begin to learn anew."""

@@ -23,7 +23,7 @@ a user could set by hand. The choice is written into the picture's metadata, and
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 from etendue.core import RELATIVE_EPSILON, Measurement, Result, logger, setting
 from etendue.scene import Problem, materials
 
-from .base import MERGING_LANES, ImageMethod, ImageSettings, Layer
+from .base import STEP_LANES, ImageMethod, ImageSettings, Layer
 from .bidirectional import Bpt, Vcm
 from .path import Path
 
@@ -172,7 +172,7 @@ class Auto(ImageMethod):
 
     def full_lanes(self) -> int:
         """Of all candidates, so that their passes can be held against each other."""
-        return MERGING_LANES
+        return STEP_LANES
 
     # ------------------------------------------------------------------ the probe
 
@@ -210,21 +210,25 @@ class Auto(ImageMethod):
                 tried[name] = self._try(name, seed)
                 self._costs = _costs(tried)
         for _ in range(2, self.settings.probe_passes):
-            left = [tried[name] for name in _within(_CLOSE, self._costs)]
+            left = [tried[name] for name in _within(_CLOSE, self._weighed())]
             if len(left) < 2 or time.perf_counter() + sum(one.seconds for one in left) > end:
                 break
             for one in left:
                 self._step(one, seed)
             self._costs = _costs(tried)
         if len(tried) > 1:
-            doubt = _DOUBT if self._expects_caustics() else dict.fromkeys(CANDIDATES, 1.0)
-            chosen = choose({name: doubt[name] * self._costs[name] for name in CANDIDATES if name in tried})
+            chosen = choose(self._weighed())
         else:
             chosen = "vcm" if self._is_worth_vcm(work, time.perf_counter() - begin, tried["path"]) else simple
         if chosen in tried:
             self._chosen = tried[chosen].method
             self._made = {(i, seed): measured for i, measured in enumerate(tried[chosen].passes)}
         return chosen
+
+    def _weighed(self) -> dict[str, float]:
+        """Costs with their doubts, the simplest candidate first."""
+        doubt = _DOUBT if self._expects_caustics() else dict.fromkeys(CANDIDATES, 1.0)
+        return {name: doubt[name] * self._costs[name] for name in CANDIDATES if name in self._costs}
 
     def _is_worth_vcm(self, work: float, spent: float, path: _Tried) -> bool:
         """Whether ``vcm`` is the better guess for ``work`` seconds, after ``spent`` of them on ``path``."""
@@ -265,7 +269,7 @@ class Auto(ImageMethod):
 
 
 def _costs(tried: Mapping[str, _Tried]) -> dict[str, float]:
-    return costs({name: one.seconds for name, one in tried.items()}, {name: one.total for name, one in tried.items()})
+    return costs({name: one.seconds for name, one in tried.items()}, {name: one.passes for name, one in tried.items()})
 
 
 def _within(ratio: float, cost: Mapping[str, float]) -> list[str]:
@@ -273,22 +277,26 @@ def _within(ratio: float, cost: Mapping[str, float]) -> list[str]:
     return [name for name, value in cost.items() if value <= ratio * min(cost.values())]
 
 
-def costs(seconds: Mapping[str, float], passes: Mapping[str, Measurement]) -> dict[str, float]:
-    """Seconds of a pass times the error of a picture of :data:`_PASSES` passes, by candidate."""
-    pictures = {name: _blocks(m.mean()) for name, m in passes.items()}
-    noise = {name: _blocks(m.variance_of_mean("image")) for name, m in passes.items()}
+def costs(seconds: Mapping[str, float], passes: Mapping[str, Sequence[Measurement]]) -> dict[str, float]:
+    """Seconds of a pass times the error of a picture of :data:`_PASSES` passes, by candidate. A pass is as long as the
+    others of its candidate."""
+    blocks = {name: np.stack([_blocks(m.mean()) for m in each]) for name, each in passes.items()}
+    pictures = {name: each.mean(axis=0) for name, each in blocks.items()}
+    #: Of the mean of a block, whose pixels may share samples.
+    uncertain = {name: each.var(axis=0, ddof=1) / len(each) for name, each in blocks.items()}
     # Relative to what most candidates see: a bright speck must not excuse itself by its own brightness.
     level = np.median(list(pictures.values()), axis=0)
     result = {}
-    for name, measurement in passes.items():
+    for name, each in passes.items():
         missed = np.zeros_like(level)
         for other in passes:
             # Beyond three standard errors: a lone bright sample of the other's is as uncertain as it is bright.
-            doubt = 9.0 * (noise[name] + noise[other]) / _BLOCK**2
+            doubt = 9.0 * (uncertain[name] + uncertain[other])
             gap = np.square(np.maximum(pictures[other] - pictures[name], 0.0)) - doubt
             missed = np.maximum(missed, gap / (np.square(pictures[other]) + RELATIVE_EPSILON))
-        scatter = noise[name] / (np.square(level) + RELATIVE_EPSILON)
-        error = scatter.mean() * len(measurement.iterations) / _PASSES + missed.mean()
+        noise = _blocks(np.stack([m.mean() for m in each]).var(axis=0, ddof=1))  # of a pixel in one pass
+        scatter = noise / (np.square(level) + RELATIVE_EPSILON)
+        error = scatter.mean() / _PASSES + missed.mean()
         result[name] = seconds[name] * _PASSES * float(error)
     return result
 

@@ -35,9 +35,11 @@ Layer = NDArray[np.float32]
 #: times more, up to the last figure, which a GPU has.
 FULL_LANES = 1 << 19
 _MOST_FULL = 8
-#: The same where all of a pass's camera paths look at all of its photons: more of both is another estimate, not a
-#: faster one.
-MERGING_LANES = 1 << 17
+#: The same where passes are steps: where something is learned after each, or all camera paths of a pass look at all of
+#: its photons.
+STEP_LANES = 1 << 17
+#: Memory that a camera path takes until its pass is a picture.
+_LANE_BYTES = 64
 #: Camera paths of a pixel and pass at most, if nobody asks for more.
 _MOST_SAMPLES = 32
 #: Light and camera paths of a pilot pass.
@@ -139,7 +141,10 @@ class ImageMethod(ABC):
         if self.settings.samples_per_pass:
             return int(self.settings.samples_per_pass)
         width, height = problem.size
-        return min(_MOST_SAMPLES, max(1, self.full_lanes() // (width * height)))
+        lanes = self.full_lanes()
+        if problem.memory:
+            lanes = min(lanes, problem.memory // _LANE_BYTES)
+        return min(_MOST_SAMPLES, max(1, lanes // (width * height)))
 
     def full_lanes(self) -> int:
         """Camera paths of a pass where settings leave it open."""

@@ -47,8 +47,8 @@ from etendue.transport import (
 from . import base
 from . import radius as radii
 from .base import (
-    MERGING_LANES,
     PILOT_PATHS,
+    STEP_LANES,
     CameraSettings,
     ImageMethod,
     ImageSettings,
@@ -179,7 +179,7 @@ class Bidirectional(ImageMethod):
 
     def full_lanes(self) -> int:
         """See :class:`ImageMethod`."""
-        return MERGING_LANES if self.settings.merging else super().full_lanes()
+        return STEP_LANES if self.settings.merging or self.settings.pyramid else super().full_lanes()
 
     def _check_pyramid(self, memory: int | None) -> None:
         """Raises :class:`OptionError` if the layers of a pyramid do not fit into memory beside the light vertices."""

@@ -40,7 +40,7 @@ from etendue.transport import (
 )
 from etendue.transport import dimensions as dim
 
-from .base import ImageSettings, Layer, total
+from .base import STEP_LANES, ImageSettings, Layer, total
 from .path import Path, PathSettings, PathState
 from .store import STORE_SHARE
 
@@ -144,6 +144,10 @@ class Guided(Path):
         self._passes = 0  # of this generation
         self._unit = 0.0  # mean light of a path, once it is known
         self._forget()
+
+    def full_lanes(self) -> int:
+        """See :class:`ImageMethod`."""
+        return STEP_LANES
 
     def _forget(self) -> None:
         self._found = dr.zeros(mi.UInt64, self._guide.places)

@@ -34,7 +34,7 @@ from etendue.transport import (
     scatter_camera,
 )
 
-from .base import MERGING_LANES, CameraSettings, ImageMethod, Layer, total
+from .base import STEP_LANES, CameraSettings, ImageMethod, Layer, total
 from .photons import PhotonTracer, Shot
 
 
@@ -110,7 +110,7 @@ class PhotonMapping(ImageMethod):
 
     def full_lanes(self) -> int:
         """See :class:`ImageMethod`."""
-        return MERGING_LANES
+        return STEP_LANES
 
     @abstractmethod
     def light_paths(self) -> int:

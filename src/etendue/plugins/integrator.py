@@ -22,8 +22,9 @@ _AOV_CHANNELS = {
     "normal": ("sh_normal.X", "sh_normal.Y", "sh_normal.Z"),
     "depth": ("depth.T",),
 }
-#: Rays per pixel that measure its coverage, for films with an alpha channel.
-_ALPHA_RAYS = 32
+#: Rays per pixel that measure its coverage, for films with an alpha channel, and how often so many are cast.
+_ALPHA_RAYS = 8
+_ALPHA_PARTS = 4
 
 
 def integrator_class(method: Any) -> type:
@@ -197,16 +198,20 @@ def _coverage(problem: Problem) -> NDArray[np.float32]:
     width, height = problem.size
     if problem.scene.environment() is not None:
         return np.ones((height, width, 1), np.float32)
-    lanes = dr.arange(mi.UInt32, width * height * _ALPHA_RAYS)
-    pixel, number = lanes // _ALPHA_RAYS, lanes % _ALPHA_RAYS
-    place = _alpha_places(number)
-    position = (mi.Point2f(pixel % width, pixel // width) + place) / mi.Point2f(width, height)
-    ray, _ = problem.sensor.sample_ray(0.0, 0.5, position, mi.Point2f(0.5))
-    hit = dr.select(problem.scene.ray_test(ray), mi.Float(1.0), 0.0)
-    places = _alpha_places(dr.arange(mi.UInt32, _ALPHA_RAYS))
-    dr.eval(hit, places)
-    covered = PixelFilter(problem.sensor.film().rfilter(), width, height).spread(hit, places.x, places.y)
-    return np.array(covered / _ALPHA_RAYS, np.float32).reshape(height, width, 1)
+    reconstruction = PixelFilter(problem.sensor.film().rfilter(), width, height)
+    covered = mi.Float(0.0)
+    for part in range(_ALPHA_PARTS):  # of the rays, for memory
+        first, count = dr.opaque(mi.UInt32, part * _ALPHA_RAYS), _ALPHA_RAYS
+        lanes = dr.arange(mi.UInt32, width * height * count)
+        pixel = lanes // count
+        place = _alpha_places(first + (lanes - pixel * count))
+        position = (mi.Point2f(pixel % width, pixel // width) + place) / mi.Point2f(width, height)
+        ray, _ = problem.sensor.sample_ray(0.0, 0.5, position, mi.Point2f(0.5))
+        hit = dr.select(problem.scene.ray_test(ray), mi.Float(1.0), 0.0)
+        places = _alpha_places(first + dr.arange(mi.UInt32, count))
+        dr.eval(hit, places)
+        covered += reconstruction.spread(hit, places.x, places.y)
+    return np.array(covered / (_ALPHA_PARTS * _ALPHA_RAYS), np.float32).reshape(height, width, 1)
 
 
 def _alpha_places(number: Any) -> Any:

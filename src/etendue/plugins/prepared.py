@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from etendue.core import Method
-from etendue.engine import fit_samples
+from etendue.engine import fit_samples, settle_samples
 from etendue.scene import Parameters, Problem, check, parameters, view, warn_of_offsets
 
 #: Sensors and sample counts that are kept at most.
@@ -72,4 +72,5 @@ class Prepared:
             seed = _PILOT_SEED
         method.prepare(problem, seed)
         fitted: Any = fit_samples(method, problem.spp, problem, seed)
+        settle_samples(fitted)
         return _Kept(problem.sensor, seen, fitted, dict(fitted.state()))

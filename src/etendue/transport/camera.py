@@ -41,7 +41,7 @@ class SplatPlace:
     """Where a splat goes, one lane each."""
 
     taps: list[tuple[Any, Any, Any]]  #: (pixel, its share, whether it is on the film)
-    weight: Any  #: of all shares
+    weight: Any  #: factor beside the shares
     on_film: Any
 
 
@@ -81,7 +81,7 @@ class Camera:
         self.width, self.height = problem.size
         self.pixels = self.width * self.height
         self.filter = PixelFilter(self.sensor.film().rfilter(), self.width, self.height)
-        self.independent = independent or self.filter.is_box
+        self.independent = independent or self.filter.is_box or self.filter.has_gaps
         parameters = mi.traverse(self.sensor)
         self.near_clip = _scalar(parameters, "near_clip", 0.0)
         far_clip = _scalar(parameters, "far_clip", 1e4)

@@ -92,7 +92,7 @@ class Pyramid:
         lanes = dr.arange(mi.UInt32, self._pixels)
         sums = []
         for slot, technique in enumerate([*self.techniques, None, *self.techniques, None]):
-            packet = dr.gather(mi.Vector4f, self.array, lanes + slot * self._pixels)
+            packet = dr.gather(mi.Vector4f, self.array, lanes + dr.opaque(mi.UInt32, slot * self._pixels))
             colour = mi.Color3f(packet.x, packet.y, packet.z)
             splats = slot == 2 * self._longer + 1 or (technique is not None and technique.t == 1 and technique.s > 0)
             sums.append(np.array(dr.ravel(colour)).reshape(-1, 3) if splats else image(colour))
