@@ -293,7 +293,7 @@ def test_a_second_signal_aborts_at_once(folder):
     process = start(
         *shlex.split("render cornell-box -m path --size 1024x1024 -D samples_per_pass=32 --spp 320 -o a.exr")
     )
-    time.sleep(3.0)  # inside the first pass, which takes many times as long
+    time.sleep(6.0)  # inside the first pass, also where starting takes long; it takes many times as long
     process.send_signal(signal.SIGINT)
     time.sleep(0.3)
     process.send_signal(signal.SIGINT)
