@@ -99,7 +99,6 @@ class _Axis:
         integral, magnitude = table.integrals(size)
         cumulative = np.concatenate([[0.0], np.cumsum(np.abs(table.values))]) / BINS_PER_PIXEL
         self.cumulative = on_device(mi.Float, cumulative)
-        self.host_values = table.values.astype(np.float32)
         self.values = on_device(mi.Float, table.values)
         self.inverse_integral = on_device(mi.Float, 1.0 / integral)
         self.camera_weight = on_device(mi.Float, magnitude / integral)
@@ -194,18 +193,14 @@ class _Axis:
             result = result + value * dr.gather(mi.Float, weights, sample)
         return result
 
-    def reached(self, u: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Where all pixels have samples at the places ``u``: sum of the filter, for each place and pixel of the axis,
-        over the samples in reach, (samples, pixels); 1 away from the border."""
-        last = np.floor(u + np.float32(self.reach - 0.5)).astype(np.int64)
-        pixel = np.arange(self.size)
-        sums = np.zeros((len(u), self.size), np.float32)
-        for index in range(self.candidates):
-            shift = last - (self.candidates - 1 - index)
-            place = np.floor((u - (shift + np.float32(0.5)) + self.reach) * BINS_PER_PIXEL).astype(np.int64)
-            source = pixel - shift[:, None]
-            on_film = (source >= 0) & (source < self.size)
-            sums += self.host_values[np.clip(place, 0, self.bins - 1)][:, None] * on_film
+    def reached(self, spread: Spread) -> NDArray[np.float32]:
+        """Sum of the filter, for each place of samples and pixel of the axis, over the samples in reach, (samples,
+        pixels); 1 away from the border."""
+        last, pixel = np.array(spread.last), np.arange(self.size)
+        sums = np.zeros((len(last), self.size), np.float32)
+        for index, values in enumerate(spread.values):
+            source = pixel - (last - (self.candidates - 1 - index))[:, None]
+            sums += np.array(values)[:, None] * ((source >= 0) & (source < self.size))
         return sums
 
 
@@ -261,11 +256,12 @@ class PixelFilter:
             lane = dr.arange(mi.UInt32, dr.width(values))
             pixel = lane // count
             sample, y = lane - pixel * count, pixel // width
-            rows = self._x.convolve(values, self._x.offsets(u1), sample, pixel - y * width, count)
+            across, down = self._x.offsets(u1), self._y.offsets(u2)
+            rows = self._x.convolve(values, across, sample, pixel - y * width, count)
             dr.eval(rows)
-            shares = self._y.reached(np.array(u2)).T @ self._x.reached(np.array(u1)) / np.float32(samples)
+            shares = self._y.reached(down).T @ self._x.reached(across) / np.float32(samples)
             share = dr.gather(mi.Float, mi.Float(shares.ravel()), pixel)
-            values = self._y.convolve(rows, self._y.offsets(u2), sample, y, count * width) / share
+            values = self._y.convolve(rows, down, sample, y, count * width) / share
         return dr.block_sum(values, samples) if samples > 1 else values
 
     def taps(self, x: Any, y: Any) -> list[tuple[Any, Any, Any]]:
