@@ -16,7 +16,7 @@ from support.tables import crossed, thinned
 from etendue import methods
 from etendue.core import CheckpointError, EtendueError, IndependentSource, OptionError
 from etendue.integration import AxisBins, CellGrid, HostBackend, PlaneBins
-from etendue.methods.adaptive import LENGTH, AdaptiveSource, Group, groups
+from etendue.methods.adaptive.dimensions import LENGTH, AdaptiveSource, Group, groups
 from etendue.scene import LightTable
 from etendue.transport import dimensions as dim
 

@@ -18,11 +18,11 @@ from support.tables import thinned
 
 from etendue.core import Measurement
 from etendue.engine import Budget, Checkpoint, Job, RunError, Runner, RunResult
-from etendue.methods.adaptive_stratified import Stratified
-from etendue.methods.adaptive_vegas import Vegas
+from etendue.methods.adaptive.stratified import Stratified
+from etendue.methods.adaptive.vegas import Vegas
 from etendue.methods.bidirectional import Bidirectional
 from etendue.methods.guided import Guided
-from etendue.methods.progressive import Sppm
+from etendue.methods.photon.progressive import Sppm
 from etendue.methods.store import VertexRoom
 from etendue.transport import LightChoice
 

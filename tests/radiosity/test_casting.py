@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from support.patches import box, cube, joined, square
 
-import etendue.radiosity.abuffer
 import etendue.radiosity.casting
-import etendue.radiosity.shot
+import etendue.radiosity.lines.abuffer
+import etendue.radiosity.solvers.shot
 from etendue.core import CheckpointError
 from etendue.engine import Budget, Checkpoint, Job, RunError, Runner
 from etendue.radiosity import (
@@ -24,7 +24,7 @@ from etendue.radiosity import (
     SpiralPoints,
     solve,
 )
-from etendue.radiosity.shot import Shot
+from etendue.radiosity.solvers.shot import Shot
 
 
 def lit_room(**properties):
@@ -105,7 +105,7 @@ def test_a_run_that_is_resumed_is_the_run_that_was_not_interrupted(tmp_path, rep
 
 def test_a_piece_whose_casting_fails_is_cast_again(tmp_path, monkeypatch):
     """After its lines were kept, and rays of the shot with them: by the same casting, and from its checkpoint."""
-    monkeypatch.setattr(etendue.radiosity.shot, "BATCH", 1 << 16)
+    monkeypatch.setattr(etendue.radiosity.solvers.shot, "BATCH", 1 << 16)
     patches, lines = lit_room(), 20_000
     whole = prepared(patches, lines=lines, most=192)
     run(whole, samples=192)
@@ -266,7 +266,7 @@ def test_what_follows_the_lines_is_reckoned_with():
 
 def test_the_shot_is_cast_along_with_the_lines(monkeypatch):
     """So that little of it is left when the time is up."""
-    monkeypatch.setattr(etendue.radiosity.shot, "BATCH", 1 << 16)
+    monkeypatch.setattr(etendue.radiosity.solvers.shot, "BATCH", 1 << 16)
     casting = prepared(lit_room(), lines=20_000)
     for i in range(24):
         casting.step(i, 3)
@@ -328,6 +328,6 @@ def test_the_lines_of_a_bundle_are_bounded(caplog, monkeypatch):
     assert engine.bundles.lines_per_point == pytest.approx(1 << 24, rel=1e-6) and "take LocalRays" in caplog.text
     caplog.clear()
     assert ABuffer(cube(2)).bundles.lines_per_point == pytest.approx(16384) and not caplog.text
-    monkeypatch.setattr(etendue.radiosity.abuffer, "free_memory", lambda: 10**8)
+    monkeypatch.setattr(etendue.radiosity.lines.abuffer, "free_memory", lambda: 10**8)
     with pytest.raises(RadiosityError, match="GB on each thread"):
         ABuffer(patches, lines=1e9)

@@ -149,6 +149,6 @@ def test_what_is_hidden_is_refused():
 
 
 def test_more_than_memory_holds(monkeypatch):
-    monkeypatch.setattr("etendue.radiosity.exact.free_memory", lambda: 1000.0)
+    monkeypatch.setattr("etendue.radiosity.factors.exact.free_memory", lambda: 1000.0)
     with pytest.raises(RadiosityError, match="cast lines"):
         exact_form_factors(cube(1))

@@ -251,7 +251,7 @@ def test_what_cannot_be_cast():
 def test_without_numba_there_are_rays(monkeypatch):
     """The loops for the CPU need it; what is said tells how to get it."""
     monkeypatch.setitem(sys.modules, "numba", None)
-    monkeypatch.delitem(sys.modules, "etendue.radiosity.compiled", raising=False)
+    monkeypatch.delitem(sys.modules, "etendue.radiosity.kernels", raising=False)
     monkeypatch.delattr(etendue.radiosity, "compiled", raising=False)
     patches = cube(1)
     with pytest.raises(BackendError, match="numba"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from etendue.radiosity.spiral import ShuffledPoints, SpiralPoints
 from support.patches import adjacent, cube, opposite, room
 
 from etendue.points import Halton, Independent, OwenSobol
@@ -20,7 +21,6 @@ from etendue.radiosity import (
     multipath,
     multipath_bundles,
 )
-from etendue.radiosity.spiral import ShuffledPoints, SpiralPoints
 
 
 def lit_cube(reflectance=0.6):

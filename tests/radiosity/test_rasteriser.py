@@ -10,8 +10,9 @@ import pytest
 from support.patches import box, cube, joined, room, square
 
 from etendue.points import Independent, OwenSobol
-from etendue.radiosity import ABuffer, Patches, RadiosityError, Segments, abuffer, segments
-from etendue.radiosity.replay import DeviceSegments
+from etendue.radiosity import ABuffer, Patches, RadiosityError, Segments
+from etendue.radiosity.lines import abuffer, segments
+from etendue.radiosity.lines.replay import DeviceSegments
 
 WALLS, FINE_WALLS = (box((0, 0, 0), (1, 1, 1), cells, inward=True) for cells in (1, 3))
 
@@ -143,7 +144,7 @@ def test_sums_on_the_device_are_those_of_the_compiled_loops(monkeypatch):
 
 
 def test_sums_over_many_segments_take_several_kernels(monkeypatch):
-    monkeypatch.setattr("etendue.radiosity.replay._BLOCK", 10)
+    monkeypatch.setattr("etendue.radiosity.lines.replay._BLOCK", 10)
     chunks = [np.random.default_rng(k).integers(0, 5, (k, 2), dtype=np.uint32) for k in (3, 9, 0, 4, 12)]
     values = np.arange(1.0, 6.0)[:, None]
     i, j = np.concatenate(chunks).T

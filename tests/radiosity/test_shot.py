@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.patches import BOXES, box, cube, discs, joined, parallel_squares, perpendicular_squares, room, square
 
-import etendue.radiosity.shot
+import etendue.radiosity.solvers.shot
 from etendue.points import Independent, OwenSobol
 from etendue.radiosity import (
     SOLVERS,
@@ -21,7 +21,7 @@ from etendue.radiosity import (
     small_emitters,
     solve,
 )
-from etendue.radiosity.shot import Shot
+from etendue.radiosity.solvers.shot import Shot
 
 
 def lamp_in_a_room(walls=2, missing=0, **properties):
@@ -76,7 +76,7 @@ def test_the_error_of_a_point_sequence_is_the_scatter_over_seeds():
 @pytest.mark.parametrize(("pair", "near"), [(parallel_squares, 0.3), (perpendicular_squares, 0.3), (discs, 0.0)])
 def test_aimed_rays_find_form_factors_in_closed_form(pair, near, monkeypatch):
     """Far from a lamp, beside it, and by the cosine law alone; in open scenes the rest goes to the sky."""
-    monkeypatch.setattr(etendue.radiosity.shot, "_NEAR", near)
+    monkeypatch.setattr(etendue.radiosity.solvers.shot, "_NEAR", near)
     (vertices, faces), exact = pair()
     ids = np.repeat([0, 1], len(faces) // 2)
     patches = Patches(vertices, faces, ids=ids, emission=[1.0, 0.0])
@@ -169,7 +169,7 @@ def test_so_many_rays_give_the_same_whenever_they_are_cast():
 
 
 def test_a_shot_grows_by_what_fills_the_device(monkeypatch):
-    monkeypatch.setattr(etendue.radiosity.shot, "BATCH", 1 << 17)
+    monkeypatch.setattr(etendue.radiosity.solvers.shot, "BATCH", 1 << 17)
     patches = lamp_in_a_room()
     scene, emitters = RayScene(patches), small_emitters(patches, 1 / 16)
     grown, at_once = (Shot(scene, OwenSobol(4, seed=3), emitters) for _ in range(2))

@@ -8,8 +8,8 @@ from support.patches import room
 
 from etendue.points import OwenSobol
 from etendue.radiosity import ABuffer, SpiralPoints
-from etendue.radiosity.lines import direction
-from etendue.radiosity.replicates import Replicates
+from etendue.radiosity.lines.generators import direction
+from etendue.radiosity.lines.replicates import Replicates
 
 
 def projected_area_errors(points, size):

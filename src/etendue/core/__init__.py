@@ -13,6 +13,7 @@ from .errors import (
     describe,
     suggest,
 )
+from .extras import library, sparse
 from .log import logger
 from .measurement import RELATIVE_EPSILON, Array, Iterations, Measurement, warn_of_nonfinite
 from .memory import free_memory
@@ -60,11 +61,13 @@ __all__ = [
     "free_memory",
     "hash_mix",
     "keyed_bits",
+    "library",
     "logger",
     "on_device",
     "seed_key",
     "set_threads",
     "setting",
+    "sparse",
     "suggest",
     "to_unit_float",
     "use_variant",

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from etendue.core import OptionError, suggest
 
-from .adaptive_stratified import Stratified
-from .adaptive_vegas import Vegas
+from .adaptive.stratified import Stratified
+from .adaptive.vegas import Vegas
 from .auto import Auto
 from .base import ImageMethod, ImageSettings
 from .bidirectional import Bidirectional, Bpm, Bpt, Vcm
 from .guided import Guided
 from .light import Light
 from .path import Path
-from .photon_map import Pm
-from .progressive import Ppm, Sppm
+from .photon.map import Pm
+from .photon.progressive import Ppm, Sppm
 
 _METHODS: dict[str, type[ImageMethod]] = {
     cls.name: cls for cls in (Auto, Path, Guided, Vegas, Stratified, Light, Pm, Ppm, Sppm, Bpt, Bpm, Vcm)

@@ -1,29 +1,45 @@
-"""Radiosity: patches, lines through them, form factors, solutions, and what others can do with them."""
+"""Radiosity: lines through patches, form factors, solutions, and what others can do with them.
 
-from .abuffer import ABuffer, Backend
-from .atlases import LIGHTMAP_MESHES, TexturedMesh, atlas, gltf_mesh, save_textured_mesh, scene_mesh
+Patches, their meshes and maps are of :mod:`etendue.surfaces`, files of glTF of :mod:`etendue.formats`; what radiosity
+takes of them is here, too.
+"""
+
+from etendue.formats import GltfMesh, write_gltf
+from etendue.surfaces import (
+    LIGHTMAP_MESHES,
+    STEFAN_BOLTZMANN,
+    Diagnosis,
+    Lightmap,
+    PatchError,
+    Patches,
+    RayScene,
+    TexturedMesh,
+    VertexRadiosity,
+    atlas,
+    band_shares,
+    box,
+    check_coordinates,
+    diagnose,
+    gltf_mesh,
+    joined,
+    read_patches,
+    save_lightmap,
+    save_textured_mesh,
+    scene_mesh,
+    scene_patches,
+    thermal,
+    vertex_radiosity,
+)
+
 from .casting import REPLICATES, CastingSettings, LineCasting, PatchProblem
-from .chained import ChainedRays
-from .diagnosis import Diagnosis, diagnose
-from .engine import LineEngine
-from .errors import PatchError, RadiosityError
-from .exact import exact_form_factors
-from .formfactors import ESTIMATORS, Estimator, FormFactors, estimate, form_factors, pair_errors
-from .gltf import GltfMesh, coloured_mesh, write_gltf
-from .heat import STEFAN_BOLTZMANN, band_shares, gebhart_factors, thermal
-from .lightmaps import Lightmap, check_coordinates, lightmap, save_lightmap
-from .lines import GENERATORS, BoxWalls, Bundles, GreatCircle, LineGenerator, Lines, SpherePairs
-from .local import LocalRays
-from .localfactors import area_form_factors, local_form_factors
-from .meshfiles import read_patches
-from .mixing import MixedSegments, with_local_rays
-from .multipath import Multipath, multipath, multipath_bundles
-from .netcdf import read_segments, save_segments
-from .particles import Particles, breadth_first, depth_first
-from .patches import Patches
-from .pictures import PICTURE_FILES, picture
-from .raycasting import RayScene
-from .results import (
+from .errors import RadiosityError
+from .factors.exact import exact_form_factors
+from .factors.formfactors import ESTIMATORS, Estimator, FormFactors, estimate, form_factors, pair_errors
+from .factors.gebhart import gebhart_factors
+from .factors.localfactors import area_form_factors, local_form_factors
+from .files.colours import coloured_mesh
+from .files.netcdf import read_segments, save_segments
+from .files.results import (
     FORM_FACTOR_FILES,
     SOLUTION_FILES,
     check_file,
@@ -32,14 +48,21 @@ from .results import (
     save_form_factors,
     save_solution,
 )
-from .scenes import scene_patches
-from .segments import Segments
-from .shot import FirstShot, first_shot, shot_at_patches, small_emitters
-from .smoothing import VertexRadiosity, vertex_radiosity
-from .solids import box, joined
-from .solutionfiles import read_solution
-from .solvers import SOLVERS, Solution, Solver, Transport, check_direct, solve
-from .spiral import SpiralPoints
+from .files.solutionfiles import read_solution
+from .lightmaps import lightmap
+from .lines.abuffer import ABuffer, Backend
+from .lines.chained import ChainedRays
+from .lines.engine import LineEngine
+from .lines.generators import GENERATORS, BoxWalls, Bundles, GreatCircle, LineGenerator, Lines, SpherePairs
+from .lines.local import LocalRays
+from .lines.mixing import MixedSegments, with_local_rays
+from .lines.segments import Segments
+from .lines.spiral import SpiralPoints
+from .pictures import PICTURE_FILES, picture
+from .solvers.multipath import Multipath, multipath, multipath_bundles
+from .solvers.particles import Particles, breadth_first, depth_first
+from .solvers.shot import FirstShot, first_shot, shot_at_patches, small_emitters
+from .solvers.system import SOLVERS, Solution, Solver, Transport, check_direct, solve
 
 __all__ = [
     "ESTIMATORS",

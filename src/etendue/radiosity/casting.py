@@ -24,19 +24,18 @@ from etendue.core import (
 )
 from etendue.core import Settings as AnySettings
 from etendue.points import OwenSobol
+from etendue.surfaces import Patches, RayScene
 
-from .abuffer import LINES_PER_PATCH, ABuffer
-from .engine import LineEngine, warn_of_faults
 from .errors import RadiosityError
-from .local import LocalRays
-from .mixing import local_rays, with_local_rays
-from .patches import Patches
-from .raycasting import RayScene
-from .replicates import Replicates
-from .segments import Pairs, Segments, scatter
-from .shot import FirstShot, Shot, small_emitters
-from .solvers import solve
-from .spiral import SpiralPoints
+from .lines.abuffer import LINES_PER_PATCH, ABuffer
+from .lines.engine import LineEngine, warn_of_faults
+from .lines.local import LocalRays
+from .lines.mixing import local_rays, with_local_rays
+from .lines.replicates import Replicates
+from .lines.segments import Pairs, Segments, scatter
+from .lines.spiral import SpiralPoints
+from .solvers.shot import FirstShot, Shot, small_emitters
+from .solvers.system import solve
 
 #: Rays of a first shot for each segment: they take half as long as casting it, and half the error is left to the lines.
 RAYS_PER_SEGMENT = 1 / 4

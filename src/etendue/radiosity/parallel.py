@@ -17,7 +17,7 @@ from etendue.core import BackendError
 T = TypeVar("T")
 
 
-def compiled(loops: str = "compiled") -> ModuleType:
+def compiled(loops: str = "kernels") -> ModuleType:
     """The loops that Numba compiles, of one module; raises :class:`BackendError` if that is not installed."""
     try:
         return import_module(f".{loops}", __package__)

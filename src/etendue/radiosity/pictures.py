@@ -14,11 +14,12 @@ from numpy.typing import ArrayLike
 from etendue.core import Measurement, OptionError, Result
 from etendue.methods import ImageMethod, ImageSettings, Path
 from etendue.scene import Problem, check, load
+from etendue.surfaces import PatchSurfaces, SurfaceValues
 from etendue.transport import Camera
 
 from .errors import RadiosityError
-from .solvers import Solution
-from .surfaces import PatchSurfaces, SurfaceValues, check_colours, radiosity_on
+from .solvers.system import Solution
+from .solvers.values import check_colours, radiosity_on
 
 #: Suffixes of pictures, and what they are.
 PICTURE_FILES = {".exr": "picture with its layers", ".png": "picture, tone-mapped"}

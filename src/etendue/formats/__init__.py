@@ -1,0 +1,20 @@
+"""File formats: arrays, meshes and matrices as other programs read them. What is in them is not known here."""
+
+from .arrays import save_arrays
+from .errors import FormatError
+from .gltf import GltfMesh, read_texture_coordinates, write_gltf
+from .meshes import write_mesh
+from .netcdf import NetcdfFile, read_netcdf
+from .view3d import view3d_lines
+
+__all__ = [
+    "FormatError",
+    "GltfMesh",
+    "NetcdfFile",
+    "read_netcdf",
+    "read_texture_coordinates",
+    "save_arrays",
+    "view3d_lines",
+    "write_gltf",
+    "write_mesh",
+]

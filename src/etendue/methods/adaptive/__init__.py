@@ -1,0 +1,1 @@
+"""Path tracing whose random numbers adapt: densities after VEGAS, and recursive stratification."""

@@ -1,0 +1,207 @@
+r"""Path tracing with learned densities of its random numbers, after VEGAS.
+
+A path is a point u of a hypercube, and its contribution a function f(u). The numbers of some groups of dimensions are
+drawn from a density :math:`p(u) = \prod_g p_g(u_g)` that is the product of one density for each group,
+
+.. math:: L = \frac 1 N \sum_i \frac{f(u_i)}{p(u_i)}
+
+and after 1, 2, 4, … passes every :math:`p_g` is moved towards equal shares of what its bins were found to hold of
+:math:`(f / p)^2`, f being luminance here. A contribution is divided by the densities of those numbers only that it
+depends on: light that reaches the first vertex directly has nothing to do with the second direction. Groups of one and
+two dimensions have movable bins, larger ones a grid of cells. All pixels of the image, or of a tile, share the
+densities [Lepage 1978; Leeson 2001, sec. 5.5].
+
+A pass is an unbiased estimate whatever the passes before it have taught, and all passes count alike: weighting them by
+their inverse variances would make bright pixels of lucky passes count less.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.core import Array, CheckpointError, OptionError, setting
+from etendue.integration import AxisBins, CellGrid, Factor, PlaneBins, bin_values
+from etendue.scene import Problem
+
+from ..base import STEP_LANES, ImageSettings, Layer, total
+from ..path import Path
+from .dimensions import LENGTH, AdaptivePath, AdaptiveSettings, AdaptiveSource, check_merge, groups
+
+#: What each bin gets beside what it was found to hold: this share of the mean, spread evenly over the group's
+#: dimensions. What was missed so far is found again, and no weight is much above its inverse.
+_EVEN = 0.1
+#: What makes a density again, by its kind.
+_FIELDS: dict[type[Any], tuple[str, ...]] = {
+    AxisBins: ("edges",),
+    PlaneBins: ("edges", "inner"),
+    CellGrid: ("probability",),
+}
+
+
+@dataclass(frozen=True)
+class VegasSettings(AdaptiveSettings):
+    """Settings of ``vegas``."""
+
+    groups: str = setting(
+        "light; bounce1; bounce2",
+        "which numbers adapt, groups between semicolons: film, lens, and of each vertex light, lobe, bounce, roulette",
+    )
+    bounces: int = setting(2, "vertices of a path whose numbers may adapt; later ones stay independent", minimum=1)
+    learning: str = setting(
+        "importance",
+        "what bins shall have in common: their contributions, or their deviations",
+        choices=("importance", "stratified"),
+    )
+    bins: int = setting(0, "bins on each axis of a group; 0 takes what the samples of a pass can fill", minimum=0)
+    tile: int = setting(0, "side in pixels of the tiles that learn densities of their own; 0: the image", minimum=0)
+    update: int = setting(
+        0, "passes between two changes of the densities; 0: they change after 1, 2, 4, 8, … passes", minimum=0
+    )
+    smoothing: bool = setting(True, "mix neighbouring bins")
+    damping: float = setting(0.75, "exponent that draws shares of bins together; 0: as found", minimum=0.0)
+    inertia: float = setting(0.5, "share of the new in a grid of cells", above=0.0, maximum=1.0)
+    stabilise: int = setting(
+        0, "passes after which smoothing, damping and inertia are switched off; 0: never", minimum=0
+    )
+    one_path: bool = setting(False, "count one path of a drawn length only, rather than one of each length")
+    lengths: int = setting(6, "lengths that one_path draws from; the last stands for all longer ones", minimum=1)
+
+
+class Vegas(AdaptivePath):
+    """Path tracing whose random numbers are drawn from densities that it learns, after VEGAS."""
+
+    name: ClassVar[str] = "vegas"
+    Settings: ClassVar[type[ImageSettings]] = VegasSettings
+    citations: ClassVar[tuple[str, ...]] = ("Leeson2001", "Lepage1978", *Path.citations)
+    carries_on: ClassVar[bool] = True
+
+    def __init__(self, settings: ImageSettings | None = None) -> None:
+        super().__init__(settings)
+        o = self.settings  # complaints come before the scene is loaded
+        groups(o.groups, o.bounces)
+        check_merge(o.groups, o.merge)
+        if o.maps and o.one_path:
+            raise OptionError("one_path counts one length of a path, and photons have any; set maps to 0")
+
+    def prepare(self, problem: Problem, seed: int) -> None:
+        """Uniform densities."""
+        super().prepare(problem, seed)
+        o = self.settings
+        self._groups = groups(o.groups, o.bounces, self.constant_numbers())
+        self.draw_film(self._groups)
+        width, height = problem.size
+        side = o.tile or max(width, height)
+        self._tiles = -(-width // side), -(-height // side)
+        rows = self._tiles[0] * self._tiles[1]
+        samples = min(side, width) * min(side, height) * self.samples_per_iteration
+        even = [g.even(o.bins, samples) for g in self._groups]
+        if o.one_path:
+            longest = o.lengths if o.max_depth < 0 else max(1, min(o.lengths, o.max_depth))
+            self._groups, even = [*self._groups, LENGTH], [*even, CellGrid.even(longest, 1)]
+        self._densities: list[list[Factor]] = [[factor] * rows for factor in even]
+        self._saved: list[dict[str, Array]] | None = None  # the densities as arrays, until they are moved
+        self._passes = 0
+        self._forget()
+
+    def full_lanes(self) -> int:
+        """See :class:`ImageMethod`."""
+        return STEP_LANES
+
+    def _forget(self) -> None:
+        """Begin to learn anew."""
+        kinds = 3 if self.settings.learning == "stratified" else 1
+        self._sums: list[Array] = [np.zeros((kinds, len(d) * d[0].bins)) for d in self._densities]
+
+    # ------------------------------------------------------------------ a pass
+
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
+        """See :class:`ImageMethod`."""
+        mapping_rays = self.map_light(iteration, seed)
+        lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
+        pixel = lanes // samples
+        base = self.camera_numbers(lanes, samples, seed, iteration)
+        source = AdaptiveSource(base, self._groups, self._densities, self._row(pixel), self.left_by_pick())
+        state = self.trace(pixel, source)
+        radiance, bad = self.kept(state.radiance)
+        parts = [dr.select(dr.isfinite(part), part, 0.0) for part in state.parts]
+        found = [(drawn.group, drawn.bin, part) for drawn, part in zip(source.drawn, parts, strict=True)]
+        dr.eval(radiance, state.rays, bad, found)
+        self._learn(found)
+        counters = {"rays": total(state.rays) + mapping_rays, "paths": float(len(lanes)), "nonfinite": total(bad)}
+        return {"image": self.image(radiance, seed, iteration)}, counters
+
+    def _row(self, pixel: Any) -> Any:
+        """Number of the tile that a pixel is in."""
+        if self._tiles == (1, 1):
+            return mi.UInt32(0)
+        y = pixel // self.camera.width
+        x = pixel - y * self.camera.width
+        return y // self.settings.tile * self._tiles[0] + x // self.settings.tile
+
+    def parts(self, source: Any) -> list[Any]:
+        """For each draw of a group the luminance that depends on it."""
+        return [mi.Float(0.0) for _ in source.drawn]
+
+    # ------------------------------------------------------------------ learning
+
+    def _learn(self, found: list[tuple[int, Any, Any]]) -> None:
+        """Deposit what a pass found, and move the densities if it is time to.
+
+        The sums are made on the host: additions on the device come in another order in each run, and a bin that differs
+        in the last place sends a path elsewhere.
+        """
+        for group, bins, values in found:
+            place, value = np.asarray(bins), np.asarray(values, np.float64)
+            sums = self._sums[group].copy()
+            for row, weight in zip(sums, (np.square(value), value, None), strict=False):
+                row += np.bincount(place, weight, len(row))
+            self._sums[group] = sums
+        self._passes += 1
+        o = self.settings
+        if self._passes % o.update if o.update else self._passes & (self._passes - 1):
+            return
+        steady = bool(o.stabilise) and self._passes > o.stabilise
+        how = (False, None, 1.0) if steady else (o.smoothing, o.damping or None, o.inertia)
+        for number, densities in enumerate(self._densities):
+            sums = self._sums[number].reshape(-1, len(densities), densities[0].bins)
+            for row, factor in enumerate(densities):
+                values = bin_values(factor, sums[:, row], 1, o.learning, steady)
+                if (mean := values.mean()) > 0.0:
+                    even = _EVEN * mean * factor.volume * factor.bins
+                    densities[row] = factor.adapted(values + even, *how)
+        self._saved = None
+        self._forget()
+
+    def state(self) -> Mapping[str, Any]:
+        """The densities, and what was found since they were moved last."""
+        if self._saved is None:
+            self._saved = [
+                {name: np.stack([getattr(factor, name) for factor in rows]) for name in _FIELDS[type(rows[0])]}
+                for rows in self._densities
+            ]
+        return {"passes": self._passes, "densities": self._saved, "found": list(self._sums)}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Inverse of :meth:`state`."""
+        found = [np.array(sums, float) for sums in state["found"]]
+        fields = [_FIELDS[type(rows[0])] for rows in self._densities]
+        saved = [
+            [np.asarray(arrays.get(name, ()), float) for name in names]
+            for names, arrays in zip(fields, state["densities"], strict=False)
+        ]
+        here = [
+            [(len(rows), *getattr(rows[0], name).shape) for name in names]
+            for names, rows in zip(fields, self._densities, strict=True)
+        ]
+        same = [[a.shape for a in arrays] for arrays in saved] == here
+        if not same or [sums.shape for sums in found] != [sums.shape for sums in self._sums]:
+            raise CheckpointError("the checkpoint's densities are of another size; start anew")
+        for rows, arrays in zip(self._densities, saved, strict=True):
+            rows[:] = [type(rows[0])(*parts) for parts in zip(*arrays, strict=True)]
+        self._passes, self._sums, self._saved = int(state["passes"]), found, None

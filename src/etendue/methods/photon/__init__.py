@@ -1,0 +1,1 @@
+"""Photon mapping: by a map of the nearest, progressive, and stochastic progressive."""

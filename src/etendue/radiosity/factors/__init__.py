@@ -1,0 +1,1 @@
+"""Form factors: counted from lines, by local rays, and exact."""

@@ -1,0 +1,138 @@
+"""Exact form factors of surfaces that hide nothing from each other."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array, free_memory, sparse
+from etendue.surfaces import Patches, diagnose, face_vectors
+
+from ..errors import RadiosityError
+from ..parallel import compiled, in_order, threads
+from .formfactors import FormFactors
+
+Index = NDArray[np.int64]
+
+#: A vertex is behind a face if it is further behind than this, in radii of the scene.
+_BEHIND = 1e-6
+#: Bytes for each pair of patches.
+_BYTES = 48
+#: Row sums of closed scenes are 1 up to this; less is the sky.
+_CLOSED = 1e-6
+
+
+def exact_form_factors(patches: Patches) -> FormFactors:
+    """Form factors by contour integrals [Sparrow 1963], with errors of about 1e-8 (1e-6 from meshes in single
+    precision), for patches that hide nothing from each other: the walls of a convex room, plates side by side or
+    facing each other, a convex body on the floor. Time and memory grow with the square of their number.
+
+    Faces that are partly behind each other's plane exchange with the rest. What a row lacks to 1 is the sky, or backs
+    of faces.
+
+    Raises :class:`RadiosityError` if a face stands between two others or lies on another, and for more patches than fit
+    into memory: take lines (:class:`ABuffer`) for those. :class:`etendue.core.BackendError` without Numba.
+    """
+    n, loops = len(patches), compiled("factors.contours")
+    need, free = _BYTES * (n + 1) ** 2, free_memory()
+    if free is not None and need > free:
+        raise RadiosityError(
+            f"form factors of {n} patches need {need / 1e9:.1f} GB, there are {free / 1e9:.1f}: cast lines (ABuffer, "
+            "or without --exact)"
+        )
+    centre, radius = patches.sphere
+    corners = (patches.vertices[patches.faces] - centre) / radius
+    planes = np.column_stack([patches.face_normals, (patches.face_normals * corners.mean(axis=1)).sum(axis=1)])
+    upper, lower = loops.overlapping(corners, planes)
+    if upper >= 0:
+        raise RadiosityError(
+            f"faces {upper} and {lower} lie on each other; exact form factors are for surfaces that hide nothing from "
+            "each other: remove one, or cast lines (ABuffer, or without --exact)"
+        )
+    faces, patch, turned = _sides(patches)
+    sides, of = corners[faces], planes[faces]
+    sides[turned], of[turned] = sides[turned, ::-1], -of[turned]
+    blocking = np.flatnonzero(_may_block(corners, planes))
+    exchange = np.zeros((n + 1, n + 1))
+
+    def task(rows: Index) -> tuple[int, int, int]:
+        return loops.exchange_rows(sides, of, patch, corners[blocking], int(rows[0]), int(rows[-1]) + 1, exchange)
+
+    for a, b, blocker in in_order(partial(task, rows) for rows in _tasks(patch[patch < n])):
+        if blocker >= 0:
+            raise RadiosityError(
+                f"face {blocking[blocker]} stands between faces {faces[a]} and {faces[b]}; exact form factors are for "
+                "surfaces that hide nothing from each other: cast lines (ABuffer, or without --exact)"
+            )
+    exchange *= radius**2
+    dark = exchange[:n, n] / patches.areas
+    matrix = sparse().csr_array((exchange + exchange.T)[:n, :n] / patches.areas[:, None])
+    errors = matrix.copy()
+    errors.data = np.zeros_like(errors.data)
+    sky = 1 - np.asarray(matrix.sum(axis=1)).ravel() - dark
+    sky[sky < _CLOSED] = 0.0
+    return FormFactors(matrix, errors, sky, patches.areas, np.zeros(n, np.int64))
+
+
+def _sides(patches: Patches) -> tuple[Index, Index, NDArray[np.bool_]]:
+    """Face and patch of every side in ascending order of patches, and whether it is a back. Backs that are no patch
+    come last, as patch ``n``; those that cannot be seen are left out."""
+    count, n = len(patches.faces), len(patches)
+    back = np.where((patches.back < 0) & ~_hidden_backs(patches), n, patches.back)
+    patch = np.concatenate([patches.front, back])
+    order = np.argsort(patch, kind="stable")
+    order = order[patch[order] >= 0]
+    return order % count, patch[order], order >= count
+
+
+def _hidden_backs(patches: Patches) -> NDArray[np.bool_]:
+    """(f,) whether a face is of a closed surface that has everything else on its front."""
+    from scipy.sparse.csgraph import connected_components
+
+    _, place = np.unique(patches.vertices, axis=0, return_inverse=True)
+    place = place.reshape(-1)
+    corners = place[patches.faces]
+    _, part = connected_components(
+        sparse().coo_array(
+            (np.ones(corners[:, 1:].size), (np.repeat(corners[:, 0], 3), corners[:, 1:].ravel())),
+            shape=(place.max() + 1, place.max() + 1),
+        )
+    )
+    part = part[corners[:, 0]]
+    found = diagnose(patches)
+    faulty = place[np.concatenate([found.open_edges, found.crowded_edges, found.flipped_edges]).ravel()]
+    hidden = np.zeros(len(corners), dtype=bool)
+    points = patches.vertices[patches.faces]
+    for k in np.unique(part):
+        ours = part == k
+        if np.isin(corners[ours], faulty).any() or (patches.back[ours] >= 0).any():
+            continue
+        surface, others = points[ours], points[~ours].reshape(-1, 3)
+        vectors, _ = face_vectors(patches.vertices, patches.faces[ours])
+        outward = (vectors * surface.mean(axis=1)).sum() > 0
+        low, high = surface.min(axis=(0, 1)), surface.max(axis=(0, 1))
+        inside = ((others > low) & (others < high)).all(axis=1)
+        hidden[ours] = not inside.any() if outward else inside.all()
+    return hidden
+
+
+def _may_block(corners: Array, planes: Array) -> NDArray[np.bool_]:
+    """(f,) whether a face has vertices on both sides of its plane."""
+    vertices = np.unique(corners.reshape(-1, 3), axis=0)
+    both = np.empty(len(corners), dtype=bool)
+    for start in range(0, len(corners), 256):
+        some = slice(start, start + 256)
+        height = vertices @ planes[some, :3].T - planes[some, 3]
+        both[some] = (height < -_BEHIND).any(axis=0) & (height > _BEHIND).any(axis=0)
+    return both
+
+
+def _tasks(patch: Index) -> list[Index]:
+    """Runs of sides, of whole patches and about equal in work, more than there are threads."""
+    starts = np.flatnonzero(np.diff(patch, prepend=-1))
+    remaining = len(patch) - starts
+    number = (1 - (remaining / len(patch)) ** 2) * 16 * threads()
+    first = starts[np.flatnonzero(np.diff(number.astype(np.int64), prepend=-1))]
+    return np.split(np.arange(len(patch)), first[1:])

@@ -1,0 +1,189 @@
+"""Form factors as sparse matrices: from counted lines, by four estimators, and what can be mended about them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from etendue.core import Array, free_memory, sparse
+
+from ..errors import RadiosityError
+from ..lines.segments import Segments
+from ..parallel import compiled
+
+#: How counts become form factors, see :func:`estimate`.
+Estimator = Literal["F1", "F2", "F3", "F4", "reciprocal"]
+ESTIMATORS: tuple[Estimator, ...] = ("F1", "F2", "F3", "F4", "reciprocal")
+
+
+@dataclass(frozen=True)
+class FormFactors:
+    """F_ij, the share of the light that leaves patch ``i`` and arrives at patch ``j`` directly.
+
+    ``matrix``, ``errors``: (n, n) CSR arrays of SciPy: F, and the standard error of each entry, of equal structure.
+    ``sky``: (n,) the share that leaves the scene. ``areas``: (n,). ``lines``: (n,) lines or rays behind each row.
+    """
+
+    matrix: Any
+    errors: Any
+    sky: Array
+    areas: Array
+    lines: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.areas)
+
+    def gather(self, values: ArrayLike, sky: ArrayLike = 0.0) -> Array:
+        """F values: the mean over what each patch sees, (n,) or (n, c); ``sky`` is the value of the sky."""
+        x = np.asarray(values, dtype=np.float64)
+        if x.ndim not in (1, 2) or len(x) != len(self):
+            raise RadiosityError(f"values have one row for each of {len(self)} patches, not shape {x.shape}")
+        light = self.sky if x.ndim == 1 else self.sky[:, None]
+        return self.matrix @ x + light * np.asarray(sky)
+
+    def row_sums(self) -> Array:
+        """(n,) with the sky; 1 in a closed scene, up to the error."""
+        return np.asarray(self.matrix.sum(axis=1)).ravel() + self.sky
+
+    def row_errors(self) -> Array:
+        """(n,) root of the summed squares of the standard errors of a row. That of a mean over the row, such as an
+        irradiance, is at most this times the largest value."""
+        return np.sqrt(np.asarray((self.errors**2).sum(axis=1)).ravel())
+
+    def reciprocity_error(self) -> float:
+        """Largest ``|A_i F_ij - A_j F_ji|``, in units of the largest ``A_i F_ij``."""
+        exchange = self._exchange()
+        largest = exchange.max() if exchange.nnz else 0.0
+        return float(abs(exchange - exchange.T).max() / largest) if largest else 0.0
+
+    def normalised(self) -> FormFactors:
+        """With every row sum 1, for closed scenes: each row divided by its sum."""
+        sums = self.row_sums()
+        scale = np.divide(1.0, sums, out=np.zeros_like(sums), where=sums > 0)
+        rows = _diagonal(scale)
+        return replace(self, matrix=rows @ self.matrix, errors=rows @ self.errors, sky=self.sky * scale)
+
+    def repaired(self) -> FormFactors:
+        """With every row sum 1 and ``A_i F_ij = A_j F_ji``, by the smallest change.
+
+        The mean of ``A_i F_ij`` and ``A_j F_ji`` is changed by the least sum of squares relative to itself, so that
+        zeros stay. The sky is kept as it is. Raises :class:`RadiosityError` where some factor would become negative:
+        then there are too few lines.
+        """
+        from scipy.sparse.linalg import lsmr
+
+        exchange = self._exchange()
+        exchange = ((exchange + exchange.T) / 2).tocsr()
+        sums = np.asarray(exchange.sum(axis=1)).ravel()
+        missing = self.areas * (1 - self.sky) - sums
+        # Changes S_ij (x_i + x_j) are the least ones; rows then ask for (diag(sums) + S) x = missing.
+        system = _diagonal(sums) + exchange
+        x = lsmr(system, missing, atol=1e-14, btol=1e-14, maxiter=20 * len(self))[0]
+        changed = exchange.tocoo()
+        factor = 1 + x[changed.row] + x[changed.col]
+        if (factor < 0).any():
+            raise RadiosityError("these form factors are too noisy to be repaired: cast more lines")
+        changed.data = changed.data * factor / self.areas[changed.row]
+        return replace(self, matrix=changed.tocsr())
+
+    def transposed(self) -> FormFactors:
+        """What the other patch says: A_j F_ji / A_i in place of F_ij. Radiosities that solve the system of these are
+        powers, by area, that solve the system of powers of F: light that is shot, where F gathers it."""
+        areas = _diagonal(self.areas)
+        shot, errors = ((_diagonal(1 / self.areas) @ x.T.tocsr() @ areas).tocsr() for x in (self.matrix, self.errors))
+        return replace(self, matrix=shot, errors=errors)
+
+    @property
+    def exchange_weights(self) -> Array | None:
+        """(n,) what makes the exchange symmetric, areas or lines: weight_i F_ij = weight_j F_ji; ``None`` if neither
+        does."""
+        for weights in (self.areas, self.lines.astype(np.float64)):
+            exchange = _diagonal(weights) @ self.matrix
+            if exchange.nnz == 0 or abs(exchange - exchange.T).max() <= 1e-9 * exchange.max():
+                return weights
+        return None
+
+    def _exchange(self) -> Any:
+        return _diagonal(self.areas) @ self.matrix
+
+
+def form_factors(segments: Segments, estimator: Estimator = "F1") -> FormFactors:
+    """Form factors of segments, see :func:`estimate`; for some ten thousand patches at most: with more, most pairs have
+    one segment, and the segments themselves take less memory.
+
+    Errors are those of independent lines. Raises :class:`RadiosityError` if they do not fit into memory.
+    """
+    n, loops = len(segments.patches), compiled()
+    need, free = 4 * len(segments) + 64 * min(2 * len(segments), n**2), free_memory()
+    if free is not None and need > free:
+        raise RadiosityError(
+            f"form factors of {n} patches and {len(segments)} segments need {need / 1e9:.1f} GB; there are "
+            f"{free / 1e9:.1f}: solve on the segments, or cast fewer lines"
+        )
+    rows = np.zeros(n, np.int64)
+    for chunk in segments.chunks:
+        loops.count_rows(chunk, n, rows)
+    starts = np.concatenate([[0], np.cumsum(rows)])
+    columns, ends = np.empty(starts[-1], np.uint32), starts[:-1].copy()
+    for chunk in segments.chunks:
+        loops.fill_rows(chunk, n, ends, columns)
+    begin, columns, counts = loops.merge_rows(starts, columns, n)
+    upper = sparse().csr_array((counts, columns.astype(np.int64), begin), shape=(n, n))
+    counts = (upper + upper.T).tocsr()
+    if segments.correction is not None:
+        counts = (counts + segments.correction[:n, :n]).tocsr()
+    counts.sort_indices()
+    lines = segments.expected if estimator == "reciprocal" else segments.counted.astype(np.float64)
+    matrix = estimate(counts, lines, segments.patches.areas, estimator)
+    matrix.sort_indices()  # in the order of the counts
+    errors = matrix.copy()
+    found = counts.data
+    if segments.extra is not None:  # of lines and rays together, before they were weighted
+        row, column = counts.tocoo().coords
+        found = found * (1 + segments.extra[row] + segments.extra[column])
+    errors.data = matrix.data * np.sqrt(np.maximum(1 - matrix.data, 0) / found)
+    sky = np.divide(segments.to_sky, lines, out=np.zeros(n), where=lines > 0)
+    return FormFactors(matrix, errors, sky, segments.patches.areas, segments.counted)
+
+
+def estimate(counts: Any, lines: Array, areas: Array, estimator: Estimator) -> Any:
+    """Form factors from ``counts`` r_ij of lines that lead from i to j, and ``lines`` r_i through each patch
+    [Castro 2002, sec. 4.2.4].
+
+    ==============  =========================================  =====================================================
+    ``F1``          ``r_ij / r_i``                             rows sum to 1 in a closed scene, to rounding
+    ``F2``          ``(A_j / A_i) r_ji / r_j``                 what the other patch says, by reciprocity
+    ``F3``          mean of both, weighted by ``r_i, r_j``
+    ``F4``          mean of both, weighted by ``r_ij, r_ji``   the least error
+    ``reciprocal``  ``r_ij / r_i``, ``r_i`` as expected        ``A_i F_ij = A_j F_ji`` to rounding
+    ==============  =========================================  =====================================================
+    """
+    if estimator not in ESTIMATORS:
+        raise RadiosityError(f"there is no estimator {estimator!r} of form factors; there are: {', '.join(ESTIMATORS)}")
+    per_line = np.divide(1.0, lines, out=np.zeros(len(lines)), where=np.asarray(lines) > 0)
+    own = _diagonal(per_line) @ counts
+    if estimator in ("F1", "reciprocal"):
+        return own.tocsr()
+    transposed = counts.T.tocsr()
+    other = _diagonal(1 / areas) @ transposed @ _diagonal(areas * per_line)
+    if estimator == "F2":
+        return other.tocsr()
+    if estimator == "F3":
+        result = (_diagonal(lines) @ own + other @ _diagonal(lines)).tocoo()
+        result.data = result.data / (lines[result.row] + lines[result.col])
+        return result.tocsr()
+    weights = (counts + transposed).tocsr()
+    weights.data = 1 / weights.data
+    return ((counts * own + transposed * other) * weights).tocsr()
+
+
+def pair_errors(estimated: FormFactors, exact: FormFactors) -> float:
+    """Sum over all pairs of the squared differences, the measure FFE [Castro 2002, sec. 4.3]."""
+    return float(((estimated.matrix - exact.matrix) ** 2).sum())
+
+
+def _diagonal(values: Array) -> Any:
+    return sparse().diags_array(values).tocsr()

@@ -1,0 +1,110 @@
+"""Form factors by local lines: the three classical estimators."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from etendue.core import Array, sparse
+from etendue.points import OwenSobol, PointSet
+from etendue.surfaces import BATCH, STEP, RayScene, RaySource, Sides, cosine_lanes, even_lanes
+
+from ..errors import RadiosityError
+from .formfactors import FormFactors
+
+Index = NDArray[np.int64]
+
+
+def local_form_factors(
+    scene: RayScene,
+    samples: int,
+    estimator: Literal["cosine", "angles"] = "cosine",
+    rows: ArrayLike | None = None,
+    points: PointSet | None = None,
+) -> FormFactors:
+    """Form factors from ``samples`` rays of each patch, or of the patches ``rows`` alone.
+
+    ========== ================================== ==================================================
+    ``cosine`` directions of cosine density       F_ij = hits of j / N
+    ``angles`` angles theta and phi evenly spread F_ij = pi / N times the sum of cos theta sin theta
+    ========== ================================== ==================================================
+
+    [Castro 2002, sec. 2.3.1]. Errors are those of independent rays. ``points`` of four dimensions, by default a
+    scrambled Sobol' sequence; each row takes the next ``samples`` of them. Raises :class:`RadiosityError`.
+    """
+    n = len(scene.patches)
+    laws = {"cosine": cosine_lanes, "angles": even_lanes}
+    if estimator not in laws:
+        raise RadiosityError(f"rays leave by 'cosine' or by 'angles', not {estimator!r}")
+    chosen = np.arange(n) if rows is None else np.atleast_1d(np.asarray(rows))
+    if chosen.dtype.kind not in "iu" or chosen.size == 0 or chosen.min() < 0 or chosen.max() >= n:
+        raise RadiosityError(f"rows are numbers of patches from 0 to {n - 1}")
+    if samples < 2:
+        raise RadiosityError(f"a form factor and its error need two rays at least, not {samples}")
+    points, source = points or OwenSobol(4), RaySource(scene, Sides.of(scene.patches))
+    sums, squares = sparse().csr_array((n, n + 2)), sparse().csr_array((n, n + 2))
+    at_once = max(BATCH // samples, 1)
+    for start in range(0, len(chosen), at_once):
+        row = np.repeat(chosen[start : start + at_once], samples)
+        u = points.lanes(mi.UInt32, len(row), start * samples)
+        places, ways = source.of(mi.UInt32(row.astype(np.uint32)), u[0], u[1]), laws[estimator](u[2], u[3])
+        # With even angles each ray stands for cos sin pi of the hemisphere.
+        weights = dr.pi * ways.z * dr.sqrt(1 - ways.z**2) if estimator == "angles" else dr.full(mi.Float, 1, len(row))
+        hits = scene.meets(places.origin, places.directions(ways))
+        dr.eval(hits, weights)
+        found, weight = np.array(hits), np.array(weights, dtype=np.float64)
+        sums += sparse().coo_array((weight, (row, found)), shape=sums.shape).tocsr()
+        squares += sparse().coo_array((weight**2, (row, found)), shape=sums.shape).tocsr()
+    mean = (sums / samples).tocsr()
+    variance = squares / samples - mean**2
+    errors = variance.maximum(0).sqrt() / np.sqrt(samples - 1)
+    lines = np.zeros(n, np.int64)
+    lines[chosen] = samples
+    sky = np.asarray(mean[:, [n]].todense()).ravel()
+    return FormFactors(mean[:, :n].tocsr(), errors.tocsr()[:, :n], sky, scene.patches.areas, lines)
+
+
+def area_form_factors(
+    scene: RayScene, pairs: ArrayLike, samples: int, points: PointSet | None = None
+) -> tuple[Array, Array]:
+    """Form factors F_ij of ``pairs`` (k, 2), from even points on both patches, and standard errors: (k,), (k,).
+
+    F_ij = A_j / (pi N) times the sum of V cos cos' / r^2 [Castro 2002, sec. 2.3.1]. The variance is infinite for
+    patches that share an edge. Other arguments as in :func:`local_form_factors`.
+    """
+    chosen = np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
+    n = len(scene.patches)
+    if chosen.size == 0 or chosen.min() < 0 or chosen.max() >= n:
+        raise RadiosityError(f"pairs are numbers of patches from 0 to {n - 1}")
+    if samples < 2:
+        raise RadiosityError(f"a form factor and its error need two rays at least, not {samples}")
+    points, sides = points or OwenSobol(4), Sides.of(scene.patches)
+    values, errors = np.empty(len(chosen)), np.empty(len(chosen))
+    for k, (i, j) in enumerate(chosen):
+        u = points.block(samples, k * samples)
+        ends = []
+        for patch, first in ((i, 0), (j, 2)):
+            side, within = sides.pick_of(np.full(samples, patch), u[:, first])
+            ends.append((side, sides.points(side, np.column_stack([within, u[:, first + 1]]))))
+        (from_side, a), (to_side, b) = ends
+        kernel = _seen_kernel(scene, sides, from_side, a, to_side, b, int(j))
+        x = scene.patches.areas[j] / scene.radius**2 / np.pi * kernel
+        values[k], errors[k] = x.mean(), x.std(ddof=1) / np.sqrt(samples)
+    return values, errors
+
+
+def _seen_kernel(scene: RayScene, sides: Sides, from_side: Index, a: Array, to_side: Index, b: Array, to: int) -> Array:
+    """V cos cos' / r^2 between points, in unit coordinates."""
+    way = b - a
+    square = (way**2).sum(axis=1)
+    way /= np.sqrt(square)[:, None]
+    cosines = (way * sides.normals[from_side]).sum(axis=1), -(way * sides.normals[to_side]).sum(axis=1)
+    faces = (cosines[0] > 0) & (cosines[1] > 0)
+    seen = np.zeros(len(a), dtype=bool)
+    found = scene.first_patches(a[faces] + STEP * sides.normals[from_side[faces]], way[faces])
+    seen[np.flatnonzero(faces)] = found == to
+    return np.where(seen, cosines[0] * cosines[1] / np.maximum(square, 1e-300), 0.0)

@@ -1,0 +1,1 @@
+"""Form factors, segments and solutions in files."""

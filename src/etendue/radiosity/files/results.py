@@ -1,0 +1,193 @@
+"""Form factors and solutions in files, for SciPy, View3D's readers, ParaView and renderers. Files appear whole or not
+at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from etendue.core import sparse
+from etendue.film import replacing
+from etendue.formats import save_arrays, view3d_lines, write_gltf, write_mesh
+from etendue.surfaces import face_sides, vertex_radiosity
+
+from ..errors import RadiosityError
+from ..factors.formfactors import FormFactors
+from ..solvers.system import Solution
+from .colours import coloured_mesh
+from .netcdf import read_netcdf_form_factors, same_structure, write_form_factors, write_solution
+
+#: Suffixes of files of form factors and of solutions, and what these are.
+FORM_FACTOR_FILES = {".npz": "arrays of NumPy", ".vf": "text of View3D", ".nc": "netCDF"}
+SOLUTION_FILES = {
+    ".npz": "arrays of NumPy",
+    ".vtu": "ParaView",
+    ".ply": "vertex colours",
+    ".nc": "netCDF",
+    ".glb": "vertex colours in one file",
+    ".gltf": "the same, as text",
+}
+#: Bytes of View3D's text: of a number that is not zero beside those of a zero, and the most of a file.
+_ENTRY, _MOST_TEXT = 10.0, 4e9
+
+
+def check_file(path: str | os.PathLike[str], known: Collection[str]) -> str:
+    """The suffix of ``path`` in small letters; raises :class:`RadiosityError` if it is not among ``known``."""
+    suffix = Path(path).suffix.lower()
+    if suffix not in known:
+        what = f"'{suffix}' is not known" if suffix else "it has no suffix"
+        raise RadiosityError(f"what to write to '{path}' follows from its suffix: {what}; take {', '.join(known)}")
+    return suffix
+
+
+def check_text_size(path: str | os.PathLike[str], patches: int, entries: int) -> None:
+    """Raise :class:`RadiosityError` if View3D's text of so many patches, with so many entries that are not zero, would
+    take more than 4 GB, or than there is on the disk."""
+    size = 2.0 * patches**2 + _ENTRY * min(entries, patches**2)
+    folder = Path(path).absolute().parent
+    free = shutil.disk_usage(folder).free if folder.is_dir() else np.inf
+    if size > min(free, _MOST_TEXT):
+        there = f"there are {free / 1e9:.3g}" if size > free else f"more than {_MOST_TEXT / 1e9:g} are of no use"
+        raise RadiosityError(
+            f"'{path}' would have {patches} x {patches} numbers and {size / 1e9:.3g} GB, {there}: write .npz, where "
+            "zeros take no place, or make patches larger"
+        )
+
+
+def save_form_factors(
+    path: str | os.PathLike[str],
+    factors: FormFactors,
+    *,
+    emissivity: ArrayLike = 1.0,
+    metadata: Mapping[str, Any] | None = None,
+) -> None:
+    """Write form factors by the suffix of ``path``.
+
+    ``.npz``: the matrix, for :func:`scipy.sparse.load_npz` and :func:`read_form_factors`, with ``errors`` (the standard
+        error of each of its ``data``), ``areas``, ``sky``, ``lines``, ``emissivity`` and ``metadata`` (JSON).
+    ``.vf``: the text that View3D 3.2 writes: a heading, areas, the full matrix row by row, emissivities. It has no
+        place for the sky; rows of an open scene sum to less than 1.
+    ``.nc``: netCDF with the same as ``.npz``: ``row_start``, ``column``, ``form_factor``, ``form_factor_error``,
+        ``area``, ``sky_share``, ``lines``, ``emissivity``.
+
+    emissivity: a number or (n,), only passed on. metadata: what JSON can say. Raises :class:`RadiosityError` for
+    another suffix, :class:`etendue.core.OutputError` if the file cannot be written.
+    """
+    suffix = check_file(path, FORM_FACTOR_FILES)
+    try:
+        emitted = np.broadcast_to(np.asarray(emissivity, dtype=np.float64), (len(factors),))
+    except ValueError:
+        raise RadiosityError(f"emissivity is a number or has one for each of {len(factors)} patches") from None
+    if suffix == ".vf":
+        check_text_size(path, len(factors), factors.matrix.nnz)
+        with replacing(path) as part, part.open("w", encoding="ascii") as file:
+            file.writelines(view3d_lines(factors.matrix.tocsr(), factors.areas, emitted, not factors.sky.any()))
+        return
+    if suffix == ".nc":
+        write_form_factors(path, factors, emitted, metadata)
+        return
+    matrix, errors = same_structure(factors)
+    # The names of the first six are those of SciPy.
+    save_arrays(
+        path,
+        {
+            "format": np.array(b"csr"),
+            "_is_array": np.array(True),
+            "shape": np.array(matrix.shape),
+            "data": matrix.data,
+            "indices": matrix.indices,
+            "indptr": matrix.indptr,
+            "errors": errors.data,
+            "areas": factors.areas,
+            "sky": factors.sky,
+            "lines": factors.lines,
+            "emissivity": emitted,
+        },
+        metadata,
+    )
+
+
+def read_form_factors(path: str | os.PathLike[str]) -> FormFactors:
+    """What :func:`save_form_factors` wrote as ``.npz`` or ``.nc``. Raises :class:`RadiosityError` for anything else."""
+    if Path(path).suffix.lower() == ".nc":
+        return read_netcdf_form_factors(path)
+    try:
+        with np.load(path, allow_pickle=False) as saved:
+            structure, shape = (saved["indices"], saved["indptr"]), tuple(saved["shape"])
+            matrix, errors = (sparse().csr_array((saved[name], *structure), shape=shape) for name in ("data", "errors"))
+            return FormFactors(matrix, errors, saved["sky"], saved["areas"], saved["lines"])
+    except FileNotFoundError:
+        raise RadiosityError(f"there is no file of form factors '{path}'") from None
+    except (OSError, KeyError, ValueError, EOFError, AttributeError, TypeError, BadZipFile) as error:
+        raise RadiosityError(f"'{path}' is no file of form factors that save_form_factors wrote as .npz") from error
+
+
+def save_solution(
+    path: str | os.PathLike[str],
+    solution: Solution,
+    *,
+    irradiance_error: ArrayLike | None = None,
+    angle: float = 30.0,
+    metadata: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a solution by the suffix of ``path``.
+
+    ``.npz``: arrays by patch, named like those of :class:`Solution` and :class:`Patches`, the mesh, and ``metadata``.
+    ``.vtu``: for ParaView: every face with ``radiosity``, ``irradiance``, ``net_flux`` (what leaves less what arrives),
+        ``emission``, ``reflectance``, ``sky_share`` and ``patch``. A back that belongs to a patch is a face of its own.
+    ``.ply``: vertices with ``red``, ``green``, ``blue``: radiosity, linear floats, smoothed over edges of at most
+        ``angle`` degrees (:func:`vertex_radiosity`); for one or three channels.
+    ``.nc``: netCDF with arrays by patch as in ``.npz``, and the mesh, with units.
+    ``.glb``, ``.gltf``: the smooth radiosities of ``.ply`` as vertex colours of glTF (:func:`write_gltf`).
+
+    irradiance_error: (n, c) standard error of the irradiance, such as ``solution.irradiance_error(segments)``; it is
+    written to ``.npz``, ``.nc`` and ``.vtu``, and reflected as ``radiosity_error``: the error of the last bounce, which
+    is nearly all of it. metadata: what JSON can say, for ``.npz``, ``.nc`` and glTF.
+
+    Raises :class:`RadiosityError` for another suffix, errors of another shape, and channels that ``.ply`` cannot show,
+    :class:`etendue.core.BackendError` without meshio, :class:`etendue.core.OutputError` if the file cannot be written.
+    """
+    suffix = check_file(path, SOLUTION_FILES)
+    patches = solution.patches
+    if suffix in (".ply", ".glb", ".gltf"):
+        if patches.channels not in (1, 3):
+            raise RadiosityError(f"{suffix} shows one channel or three, not {patches.channels}; write .vtu or .npz")
+        smooth = vertex_radiosity(patches, solution.radiosity, angle)
+        if suffix != ".ply":
+            write_gltf(path, coloured_mesh(solution, smooth), metadata)
+            return
+        colours = np.broadcast_to(smooth.values, (len(smooth.values), 3)).astype(np.float32)
+        data = {name: np.ascontiguousarray(c) for name, c in zip(("red", "green", "blue"), colours.T, strict=True)}
+        write_mesh(path, "ply", smooth.vertices.astype(np.float32), smooth.faces, data, {})
+        return
+    by_patch = {
+        "radiosity": solution.radiosity,
+        "irradiance": solution.irradiance,
+        "net_flux": solution.radiosity - solution.irradiance,
+        "emission": patches.emission,
+        "reflectance": patches.reflectance,
+        "sky_share": solution.sky_share,
+    }
+    if irradiance_error is not None:
+        error = np.asarray(irradiance_error, dtype=np.float64)
+        if error.shape != solution.irradiance.shape:
+            raise RadiosityError(f"errors of the irradiance have its shape, {solution.irradiance.shape}: {error.shape}")
+        by_patch |= {"irradiance_error": error, "radiosity_error": patches.reflectance * error}
+    if suffix == ".nc":
+        write_solution(path, solution, by_patch, metadata)
+        return
+    if suffix == ".vtu":
+        corners, patch = face_sides(patches)
+        cells = {name: values[patch] for name, values in by_patch.items()} | {"patch": patch}
+        write_mesh(path, "vtu", patches.vertices, corners, {}, cells)
+        return
+    geometry = ("areas", "normals", "centres", "labels", "vertices", "faces", "front", "back", "sky")
+    rest = {name: getattr(patches, name) for name in geometry}
+    save_arrays(path, by_patch | rest | {"residuals": np.array(solution.residuals)}, metadata)

@@ -1,0 +1,65 @@
+"""Solutions read again from their files, to be looked at without being computed once more."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array
+from etendue.surfaces import Patches
+
+from ..errors import RadiosityError
+from ..solvers.system import Solution
+from .netcdf import read_netcdf_solution
+
+#: What is taken from a file.
+_NEEDED = (
+    *("vertices", "faces", "front", "back", "labels", "reflectance", "emission", "sky"),
+    *("radiosity", "irradiance", "sky_share", "residuals"),
+)
+
+
+def read_solution(path: str | os.PathLike[str]) -> tuple[Solution, Array | None]:
+    """The solution that :func:`save_solution` wrote as ``.npz`` or ``.nc``, with its patches; and the standard error of
+    the irradiance, if it was saved, else ``None``. Raises :class:`RadiosityError` for anything else."""
+    try:
+        saved = read_netcdf_solution(path) if Path(path).suffix.lower() == ".nc" else _read_arrays(path)
+        front, back = saved["front"].astype(np.int64), saved["back"]
+        two_sided = np.zeros(int(front.max()) + 1, dtype=bool)
+        two_sided[front[back >= 0]] = True
+        patches = Patches(
+            saved["vertices"],
+            saved["faces"].astype(np.int64),
+            reflectance=saved["reflectance"],
+            emission=saved["emission"],
+            ids=front,
+            two_sided=two_sided,
+            sky=saved["sky"],
+        )
+        patches.labels = saved["labels"].astype(np.int64)
+        numbers = (saved["radiosity"], saved["irradiance"], saved["sky_share"])
+        if any(len(values) != len(patches) for values in numbers):
+            raise RadiosityError(f"'{path}' has other numbers of patches in its arrays; it is damaged")
+        solution = Solution(patches, *numbers, tuple(saved["residuals"].tolist()))
+    except (KeyError, ValueError, IndexError) as error:
+        raise _foreign(path) from error
+    return solution, saved.get("irradiance_error")
+
+
+def _read_arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
+    try:
+        with np.load(path, allow_pickle=False) as saved:
+            return {name: saved[name] for name in (*_NEEDED, "irradiance_error") if name in saved}
+    except FileNotFoundError:
+        raise RadiosityError(f"there is no file of a solution '{path}'") from None
+    except (OSError, ValueError, EOFError, AttributeError, TypeError, BadZipFile) as error:
+        raise _foreign(path) from error
+
+
+def _foreign(path: str | os.PathLike[str]) -> RadiosityError:
+    return RadiosityError(f"'{path}' is no file of a solution that save_solution wrote as .npz or .nc")

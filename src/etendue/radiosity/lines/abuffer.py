@@ -1,0 +1,172 @@
+"""Bundles of parallel lines by rasterising the faces: every hit of every line, without a ray."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import cached_property
+from typing import Literal, Self, get_args
+
+import numpy as np
+
+from etendue.core import Array, free_memory, logger
+from etendue.points import PointSet
+from etendue.surfaces import Patches
+
+from ..errors import RadiosityError
+from ..parallel import compiled, in_order
+from .engine import LineEngine
+from .generators import Bundles
+from .rasteriser import Rasteriser
+from .replay import uses_cuda
+from .segments import Pairs
+from .spiral import SpiralPoints
+
+#: What fills in the faces: loops for the CPU, or kernels of the current variant; CUDA's by itself.
+Backend = Literal["auto", "compiled", "drjit"]
+
+#: Bundles of one task of the compiled loops.
+_BUNDLES = 8
+#: Lanes and places for hits of one set of kernels on the CPU, and on a GPU, which has to be filled. A place takes some
+#: 80 bytes.
+_PLACES, _PLACES_CUDA = 1 << 21, 1 << 24
+#: The order of faces nearer to each other than this follows from how they are turned, in radii of the scene.
+_GAP = 2e-7
+#: Volumes up to this are none, in units of the cubed radius.
+_VOLUME = 1e-9
+#: Lines for each patch and bundle, in the mean, if their number is not given; and the fewest.
+LINES_PER_PATCH, _FEWEST = 4.0, 16384
+#: The most lines of a bundle, if their number is not given: so many, or so many for each patch. A line of the grid
+#: takes some bytes on each thread, whether it meets a face or not.
+_MOST, _MOST_PER_PATCH, _LINE_BYTES = 1 << 24, 32, 8
+
+
+class ABuffer(LineEngine):
+    """Lines in parallel bundles, one for each point (:class:`Bundles`).
+
+    For each bundle all faces are projected along its direction and filled in row by row, like triangles of a picture,
+    but each line of the grid keeps all faces that it meets. Sorted by depth, neighbours see each other
+    [Carpenter 1984]. In double precision, no line of a closed mesh slips between two faces.
+
+    points: by default :class:`SpiralPoints`, a spiral for the bundles of each call.
+    lines: of a bundle through the bounding sphere; by default as many as meet a patch four times in the mean, and
+        16384 at least. Where surfaces are few in a large space that would be too many for the memory: there are 2^24
+        or 32 for each patch then, which is said, and :class:`LocalRays` are better. The square of a patch's error falls
+        with the number of bundles times the power 3/2 of their lines, until there are too few directions: have some
+        hundred, and a thousand for errors of 0.2 %.
+    backend: ``compiled`` loops on the CPU (Numba), or ``drjit``, on the device of the current variant. ``auto`` takes
+        the second where that is a GPU. Both find the same segments, but for single lines that pass an edge.
+
+    Raises :class:`RadiosityError` for another backend, and for more lines than fit into memory.
+    """
+
+    def __init__(
+        self,
+        patches: Patches,
+        points: PointSet | None = None,
+        lines: float | None = None,
+        backend: Backend = "auto",
+    ) -> None:
+        super().__init__(patches, SpiralPoints() if points is None else points)
+        self._spirals = points is None
+        if backend not in get_args(Backend):
+            raise RadiosityError(f"the backend is one of {', '.join(get_args(Backend))}, not {backend!r}")
+        self.backend = ("drjit" if uses_cuda() else "compiled") if backend == "auto" else backend
+        if lines is None:
+            wanted, most = _wanted(patches)
+            if wanted > most:
+                logger.warning(
+                    "bundles have %.2g lines in place of %.2g: surfaces are few in a large space, and few lines meet "
+                    "them; take LocalRays",
+                    *(most, wanted),
+                )
+            lines = min(wanted, most)
+        if (free := free_memory()) is not None and _LINE_BYTES * lines > free:
+            raise RadiosityError(
+                f"a bundle of {lines:.2g} lines needs {_LINE_BYTES * lines / 1e9:.2g} GB on each thread, there are "
+                f"{free / 1e9:.2g}: ask for fewer lines, or take LocalRays"
+            )
+        self.bundles: Bundles = Bundles(patches, lines)
+        used, faces = np.unique(patches.faces, return_inverse=True)
+        #: In units of the radius, as are the vertices.
+        self._spacing = self.bundles.spacing / self.bundles.radius
+        self._vertices = (patches.vertices[used] - self.bundles.centre) / self.bundles.radius
+        self._faces = np.ascontiguousarray(faces.reshape(-1, 4), dtype=np.uint32)
+        self._solid = self._is_inside()
+        front, back = patches.front, np.where(patches.back < 0, len(patches) + 1, patches.back)
+        self._ends = np.stack([front, back, back, front], axis=1).reshape(-1, 2).astype(np.uint32)
+
+    @staticmethod
+    def suits(patches: Patches) -> bool:
+        """Whether bundles of lines in any moderate number meet the patches; if not, take :class:`LocalRays`."""
+        wanted, most = _wanted(patches)
+        return wanted <= most
+
+    def expected(self, count: int) -> Array:
+        """See :class:`LineEngine`."""
+        return self.bundles.expected(self.patches.areas, count)
+
+    def piece(self, count: int) -> int:
+        """See :class:`LineEngine`; of the kernels sixteen pieces at least, so that batches can be made of them."""
+        if self.backend == "compiled":
+            return _BUNDLES
+        once = max(self._rasteriser.lanes, self.expected(1).sum() + self.bundles.lines_per_point)
+        return max(min(int((_PLACES_CUDA if uses_cuda() else _PLACES) / once), -(-count // 16)), 1)
+
+    def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
+        """See :class:`LineEngine`."""
+        self._take_spiral(count)
+        pieces = self._pieces(count, first, size)
+        if self.backend == "drjit":
+            return (self._rasteriser.segments(*self._grids(*piece)) for piece in pieces)
+        rasterise = compiled("lines.scanlines").rasterise
+        # Hits of a bundle vary with its direction.
+        room = int(1.2 * self.expected(1).sum()) + 1024
+
+        def task(start: int, number: int) -> Callable[[], Pairs]:
+            arrays = self._vertices, self._faces, self._ends, *self._grids(start, number)
+            return lambda: rasterise(*arrays, self._spacing, len(self.patches), room, self._solid)
+
+        return in_order(task(*piece) for piece in pieces)
+
+    def _is_inside(self) -> bool:
+        """Whether the faces with one side look into a space that they bound, as those of a room do, and not out of
+        solids: by the volume behind them."""
+        p = self._vertices[self._faces[self.patches.back < 0]]
+        if len(p) == 0:
+            return False
+        areas = np.cross(p[:, 2] - p[:, 0], p[:, 3] - p[:, 1]) / 2
+        return bool((p[:, 0] * areas).sum() / 3 < -_VOLUME)
+
+    def shuffled(self, count: int, first: int = 0) -> Self:
+        """See :class:`LineEngine`."""
+        self._take_spiral(count)
+        engine = super().shuffled(count, first)
+        engine._spirals = False
+        return engine
+
+    def _take_spiral(self, count: int) -> None:
+        if self._spirals:
+            self.points = SpiralPoints(directions=count)
+
+    def _grids(self, start: int, number: int) -> tuple[Array, Array]:
+        u = self.points.block(number, start)
+        return self.bundles.frames(u), np.ascontiguousarray(u[:, 2:])
+
+    @cached_property
+    def _rasteriser(self) -> Rasteriser:
+        return Rasteriser(
+            self._vertices,
+            self._faces,
+            self._ends[::2],
+            len(self.patches),
+            radius=1.0,
+            spacing=self._spacing,
+            gap=_GAP,
+            solid=self._solid,
+        )
+
+
+def _wanted(patches: Patches) -> tuple[float, float]:
+    """Lines of a bundle that meet a patch some times in the mean, and the most that there may be."""
+    sparse = 2 * np.pi * patches.sphere[1] ** 2 / patches.areas.sum()
+    return max(LINES_PER_PATCH * sparse * len(patches), _FEWEST), max(_MOST, _MOST_PER_PATCH * len(patches))

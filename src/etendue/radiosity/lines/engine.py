@@ -1,0 +1,110 @@
+"""What casts lines: engines that turn points of a set into segments."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from copy import copy
+from typing import Self
+
+import numpy as np
+
+from etendue.core import Array, free_memory, logger
+from etendue.points import OwenSobol, PointSet
+from etendue.surfaces import Patches
+
+from ..errors import RadiosityError
+from .generators import Bundles
+from .segments import Pairs, Segments
+from .spiral import ShuffledPoints
+
+#: Share of the segments that may lead to backs of faces without a warning.
+_DARK = 0.01
+
+
+class LineEngine(ABC):
+    """Casts lines through patches, as many as there are points of a set of four dimensions.
+
+    points: by default a scrambled Sobol' sequence.
+
+    The same points give the same segments, on any number of threads. Raises :class:`RadiosityError` for points of
+    another dimension.
+    """
+
+    #: What the lines of a point are: a bundle of parallel ones, or one line (``None``).
+    bundles: Bundles | None = None
+
+    def __init__(self, patches: Patches, points: PointSet | None = None) -> None:
+        self.patches = patches
+        self.points = OwenSobol(4) if points is None else points
+        if self.points.dimension != 4:
+            raise RadiosityError(f"a line takes points of four dimensions, not of {self.points.dimension}")
+
+    @property
+    def shares_directions(self) -> bool:
+        """Whether lines that follow each other are parallel: bundles of more than one line."""
+        # The number is made of a distance: one line may be 1 + 1e-16 of them.
+        return self.bundles is not None and self.bundles.lines_per_point > 1 + 1e-9
+
+    def shuffled(self, count: int, first: int = 0) -> Self:
+        """An engine whose ``count`` points from ``first`` on are those of this one in a random order."""
+        engine = copy(self)
+        engine.points = ShuffledPoints(self.points, count, first)
+        return engine
+
+    @abstractmethod
+    def piece(self, count: int) -> int:
+        """Points of a piece of :meth:`stream`, when so many are cast; the last piece may have less."""
+
+    @abstractmethod
+    def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
+        """The segments of ``count`` points from ``first`` on, without storing them: (k, 2) arrays in the order of the
+        points, one for each :meth:`piece`, or for each ``size`` points."""
+
+    @abstractmethod
+    def expected(self, count: int) -> Array:
+        """(n,) how many segments each patch should have, were it flat, for ``count`` points."""
+
+    def cast(self, count: int, first: int = 0, batches: int = 16) -> Segments:
+        """The segments of ``count`` points from ``first`` on, in at most so many batches.
+
+        Warns of patches that no line has met, and if many lines meet backs of faces.
+
+        Raises :class:`RadiosityError` for less than one point, and if the segments do not fit into memory.
+        """
+        if count < 1:
+            raise RadiosityError(f"there is nothing to cast: {count} points")
+        need, free = 4 * float(self.expected(count).sum()), free_memory()
+        if free is not None and need > free:
+            raise RadiosityError(
+                f"segments of {count} points need {need / 1e9:.1f} GB, there are {free / 1e9:.1f}: cast fewer points, "
+                "or take stream()"
+            )
+        chunks = list(self.stream(count, first))
+        batches = min(batches, len(chunks))
+        number = np.arange(len(chunks)) * batches // len(chunks)
+        segments = Segments(self.patches, chunks, number, self.expected(count))
+        warn_of_faults(segments)
+        return segments
+
+    def _pieces(self, count: int, first: int, size: int | None = None) -> Iterator[tuple[int, int]]:
+        """First point and number of points of each piece."""
+        size = size or self.piece(count)
+        return ((start, min(size, first + count - start)) for start in range(first, first + count, size))
+
+
+def warn_of_faults(segments: Segments) -> None:
+    """Warn of patches that no line has met, and if many lines meet backs of faces."""
+    if len(segments.unseen):
+        logger.warning(
+            "no line has met %d of %d patches, such as patch %d: cast more, make patches larger, or take "
+            "with_local_rays()",
+            *(len(segments.unseen), len(segments.patches), segments.unseen[0]),
+        )
+    dark = segments.to_dark.sum() / max(segments.counted.sum(), 1)
+    if dark > _DARK:
+        logger.warning(
+            "%.2g of what patches see is backs of faces, which absorb everything: faces are turned the wrong way, "
+            "or the mesh is open; see etendue.radiosity.diagnose",
+            dark,
+        )

@@ -1,0 +1,208 @@
+"""Global lines: lines through a scene whose density is that of integral geometry, and four ways to draw them.
+
+Lines are spread evenly if their number through a piece of surface does not depend on where the piece is and how it is
+turned. A line of a convex body of surface ``S`` then meets a flat patch of area ``A`` inside it with probability
+``2 A / S``, and leaves every patch in directions of cosine density, so that the share of the lines through patch ``i``
+that next meet patch ``j`` is the form factor [Sbert 1993].
+
+Each generator maps a point of the unit cube of four dimensions to a line, so that any point set of four dimensions can
+drive it [Castro 2002, sec. 3.4]:
+
+==================== ================================================================================================
+:class:`SpherePairs` through two points of a sphere around the scene
+:class:`BoxWalls`    from a point of the walls of a box around the scene, by the cosine law; no line misses the box
+:class:`GreatCircle` of an even direction, through a point of the disc across it
+:class:`Bundles`     of an even direction, in a square grid across it at a random place: many lines for one point
+==================== ================================================================================================
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from etendue.core import Array
+from etendue.surfaces import Patches, across
+
+from ..errors import RadiosityError
+
+#: Lines begin this far outside the body, in radii: a face on its surface is met.
+_MARGIN = 0.05
+#: Grids are turned by this angle (radians): walls along the axes are not to be along the rows of a grid.
+_TURN = 0.4
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Rays that begin outside the scene: ``origins`` and unit ``directions``, (n, 3)."""
+
+    origins: Array
+    directions: Array
+
+    def __len__(self) -> int:
+        return len(self.origins)
+
+
+class LineGenerator(ABC):
+    """Lines through patches, from points of the unit cube of four dimensions."""
+
+    name: ClassVar[str]
+    citations: ClassVar[tuple[str, ...]] = ("Sbert1993", "Castro2002")
+
+    def __init__(self, patches: Patches) -> None:
+        self.centre, self.radius = patches.sphere
+        #: Surface of the convex body that the lines fill.
+        self.surface = 4 * np.pi * self.radius**2
+
+    @abstractmethod
+    def lines(self, u: Array) -> Lines:
+        """Lines of the points ``u`` (n, 4)."""
+
+    @property
+    def lines_per_point(self) -> float:
+        """Lines through the body that one point gives, in the mean."""
+        return 1.0
+
+    def expected(self, areas: Array, points: int) -> Array:
+        """How many of the lines of ``points`` points meet flat patches of these areas, in the mean: 2 A / S of each."""
+        return points * self.lines_per_point * 2 * areas / self.surface
+
+    def _outside(self, points: Array, directions: Array) -> Lines:
+        return Lines(points - _MARGIN * self.radius * directions, directions)
+
+
+class SpherePairs(LineGenerator):
+    """Through two independent, evenly spread points of the bounding sphere. Four dimensions of equal rank."""
+
+    name = "sphere-pairs"
+
+    def lines(self, u: Array) -> Lines:
+        """See :class:`LineGenerator`."""
+        first, second = _on_sphere(u[:, 0], u[:, 1]), _on_sphere(u[:, 2], u[:, 3])
+        way = second - first
+        length = np.linalg.norm(way, axis=1, keepdims=True)
+        same = length[:, 0] < 1e-9  # no line through a point and itself: take a tangent, which meets nothing
+        way[same], length[same] = across(first[same])[0], 1.0
+        return self._outside(self.centre + self.radius * first, way / length)
+
+
+class BoxWalls(LineGenerator):
+    """From an even point of the walls of the box around the scene, into it by the cosine law."""
+
+    name = "box-walls"
+
+    def __init__(self, patches: Patches) -> None:
+        super().__init__(patches)
+        self.lower, upper = patches.bounds
+        # What is flat gets a thickness, or a box would have no volume to point into.
+        self.sides = np.maximum(upper - self.lower, 1e-3 * self.radius)
+        walls = np.prod(self.sides) / self.sides
+        self.surface = float(2 * walls.sum())
+        self._edges = np.concatenate([[0.0], np.cumsum(np.repeat(walls, 2))]) / self.surface
+
+    def lines(self, u: Array) -> Lines:
+        """See :class:`LineGenerator`."""
+        wall = np.minimum(np.searchsorted(self._edges, u[:, 0], side="right") - 1, 5)
+        first = (u[:, 0] - self._edges[wall]) / (self._edges[wall + 1] - self._edges[wall])
+        axis, is_upper = wall // 2, wall % 2
+        rows = np.arange(len(u))
+        place, way = np.empty((len(u), 3)), np.empty((len(u), 3))
+        place[rows, axis] = is_upper
+        place[rows, (axis + 1) % 3], place[rows, (axis + 2) % 3] = first, u[:, 1]
+        # A point of the unit disc, raised to the hemisphere, has cosine density.
+        r, phi = np.sqrt(u[:, 2]), 2 * np.pi * u[:, 3]
+        way[rows, axis] = np.sqrt(1 - u[:, 2]) * (1 - 2 * is_upper)
+        way[rows, (axis + 1) % 3], way[rows, (axis + 2) % 3] = r * np.cos(phi), r * np.sin(phi)
+        return self._outside(self.lower + place * self.sides, way)
+
+
+class GreatCircle(LineGenerator):
+    """Of an even direction, through an even point of the disc across it through the centre of the bounding sphere."""
+
+    name = "great-circle"
+
+    def lines(self, u: Array) -> Lines:
+        """See :class:`LineGenerator`."""
+        way = direction(u)
+        a, b = across(way)
+        r, phi = np.sqrt(u[:, 2:3]), 2 * np.pi * u[:, 3:4]
+        point = r * np.cos(phi) * a + r * np.sin(phi) * b - np.sqrt(1 - r**2) * way
+        return self._outside(self.centre + self.radius * point, way)
+
+
+class Bundles(LineGenerator):
+    """Parallel lines across a plane of even direction, in a square grid whose place is even.
+
+    lines: how many of a bundle go through the bounding sphere, in the mean. The grid is turned against the axes of the
+        scene, alike in bundles of nearly the same direction: what one counts too much of a patch, the next lacks.
+
+    Raises :class:`RadiosityError` for less than one line.
+    """
+
+    name = "bundles"
+
+    def __init__(self, patches: Patches, lines: float = 4096) -> None:
+        super().__init__(patches)
+        if not np.isfinite(lines) or lines < 1:
+            raise RadiosityError(f"a bundle has one line at least, not {lines!r}")
+        #: Distance of neighbouring lines.
+        self.spacing = float(self.radius * np.sqrt(np.pi / lines))
+
+    @property
+    def lines_per_point(self) -> float:
+        """See :class:`LineGenerator`."""
+        return float(np.pi * self.radius**2 / self.spacing**2)
+
+    def most(self, patches: Patches) -> Array:
+        """(n,) the most lines of a bundle that meet each patch, whatever its direction and place.
+
+        A convex figure of area A and perimeter P holds at most ``A + P / 2 + 1`` points of the square grid of spacing 1
+        [Nosarzewska 1948]; a face is not larger than itself in any direction.
+        """
+        corners = patches.vertices[patches.faces] / self.spacing
+        perimeters = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).sum(axis=1)
+        hits = patches.face_areas / self.spacing**2 + perimeters / 2 + 1
+        sheets = patches.back >= 0
+        most = np.zeros(len(patches))
+        np.add.at(most, patches.front, hits)
+        np.add.at(most, patches.back[sheets], hits[sheets])
+        return most
+
+    def frames(self, u: Array) -> Array:
+        """Rows of each (n, 3, 3): two axes of the grid, and the direction."""
+        way = direction(u)
+        a, b = across(way)
+        cosine, sine = np.cos(_TURN), np.sin(_TURN)
+        return np.stack([cosine * a + sine * b, cosine * b - sine * a, way], axis=1)
+
+    def lines(self, u: Array) -> Lines:
+        """See :class:`LineGenerator`: those of a bundle one after the other, row by row."""
+        reach = int(np.ceil(self.radius / self.spacing)) + 1
+        j, i = (x.ravel() for x in np.meshgrid(*[np.arange(-reach, reach + 1)] * 2, indexing="ij"))
+        frames, grid = self.frames(u), np.column_stack([i, j])
+        place = (grid + u[:, None, 2:]) * self.spacing
+        square = (place**2).sum(axis=2)
+        bundle, line = np.nonzero(square < self.radius**2)
+        depth = -np.sqrt(self.radius**2 - square[bundle, line])
+        local = np.column_stack([place[bundle, line], depth])
+        origins = self.centre + (local[:, None] @ frames[bundle])[:, 0]
+        return self._outside(origins, frames[bundle, 2])
+
+
+def direction(u: Array) -> Array:
+    """Even directions (n, 3) of a hemisphere, from two columns: a line has no sense."""
+    z, phi = u[:, 0], 2 * np.pi * u[:, 1]
+    r = np.sqrt(1 - z**2)
+    return np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=1)
+
+
+def _on_sphere(u: Array, v: Array) -> Array:
+    z, phi = 1 - 2 * u, 2 * np.pi * v
+    r = np.sqrt(np.maximum(1 - z**2, 0))
+    return np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=1)
+
+
+GENERATORS: dict[str, type[LineGenerator]] = {kind.name: kind for kind in (SpherePairs, BoxWalls, GreatCircle, Bundles)}

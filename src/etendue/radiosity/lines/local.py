@@ -1,0 +1,92 @@
+"""Local lines: from points of the patches into their hemispheres, to what they meet first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array
+from etendue.points import PointSet
+from etendue.surfaces import BATCH, RayScene, RaySource, Sides, columns, cosine_lanes, pairs_of
+
+from .engine import LineEngine
+from .segments import Pairs
+
+
+class LocalRays(LineEngine):
+    """Rays from even points of all patches by the cosine law; each makes a segment for both of its ends.
+
+    They have the density of global lines [Sbert 1993], but each end of a segment is looked for by one ray, and nothing
+    behind it is found. Better than global lines where surfaces are few in a large space.
+
+    bundle: rays that count as one, each with a point of its own, for what casts lines in bundles.
+    """
+
+    def __init__(self, scene: RayScene, points: PointSet | None = None, bundle: int = 1) -> None:
+        super().__init__(scene.patches, points)
+        self.scene, self.bundle = scene, bundle
+        self._source = RaySource(scene, Sides.of(scene.patches))
+
+    def expected(self, count: int) -> Array:
+        """See :class:`LineEngine`: as many from a patch as to it."""
+        return 2 * count * self.bundle * self.patches.areas / self.patches.areas.sum()
+
+    def piece(self, count: int) -> int:
+        """See :class:`LineEngine`: sixteen pieces at least, so that batches can be made of them."""
+        return max(min(BATCH // self.bundle, -(-count // 16)), 1)
+
+    def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
+        """See :class:`LineEngine`."""
+        for start, number in self._pieces(count, first, size):
+            u = self.points.lanes(mi.UInt32, number * self.bundle, start * self.bundle)
+            places = self._source.any(u[0], u[1])
+            found = self.scene.meets(places.origin, places.directions(cosine_lanes(u[2], u[3])))
+            pairs = pairs_of(self._source.patch_of(places.side), found)
+            # A patch gets as many lines from another as it sends there, but none from the sky: these count twice.
+            yield np.concatenate([pairs, pairs[pairs[:, 1] >= len(self.patches)]])
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Rays that carry power: origins and unit directions (k, 3) in unit coordinates, power (k, c)."""
+
+    origins: Array
+    directions: Array
+    power: Array
+
+
+class Emission:
+    """Rays of cosine density that carry the ``power`` (n, c) of patches.
+
+    Rays are shared out by power, all channels together, and have the colour of their source. They are scaled so that of
+    each channel all power is sent.
+    """
+
+    def __init__(self, scene: RayScene, power: Array) -> None:
+        self.scene, self.power = scene, power
+        self._source = RaySource(scene, Sides.of(scene.patches).emitting(power.sum(axis=1)))
+
+    def rays(self, u: Array) -> Rays:
+        """One for each point ``u`` (k, 4)."""
+        lanes = columns(u)
+        places = self._source.any(lanes[0], lanes[1])
+        directions = np.array(places.directions(cosine_lanes(lanes[2], lanes[3])), dtype=np.float64).T
+        source = np.array(self._source.patch_of(places.side))
+        return Rays(np.array(places.origin).T, directions, self._carried(source))
+
+    def received(self, u: Array) -> Array:
+        """Power (n + 2, c) that patches, the sky and the backs of faces receive by such rays."""
+        lanes, n = columns(u), len(self.power)
+        places = self._source.any(lanes[0], lanes[1])
+        found = self.scene.meets(places.origin, places.directions(cosine_lanes(lanes[2], lanes[3])))
+        pairs = pairs_of(self._source.patch_of(places.side), found)
+        return np.stack([np.bincount(pairs[:, 1], column, n + 2) for column in self._carried(pairs[:, 0]).T], axis=1)
+
+    def _carried(self, source: NDArray[np.uint32]) -> Array:
+        carried = self.power[source] / self.power[source].sum(axis=1, keepdims=True)
+        sent = carried.sum(axis=0)
+        return carried * np.divide(self.power.sum(axis=0), sent, out=np.zeros_like(sent), where=sent > 0)

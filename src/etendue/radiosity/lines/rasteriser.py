@@ -1,0 +1,212 @@
+"""Bundles of parallel lines by Dr.Jit: the same code fills pixels on the cores of a CPU and on a GPU.
+
+What :mod:`etendue.radiosity.kernels` does for one bundle after the other, some kernels do for many at once:
+
+1. a lane for each face of each bundle counts its hits, which makes room for them;
+2. the same lanes write their hits, each with its line;
+3. hits find their place on the line, and a lane for each line sorts them and writes what lies between neighbours
+   (:mod:`.linelists`).
+
+Coordinates are in double precision, or lines would slip between faces that are cut differently. A hit is one number of
+64 bits: its depth in fixed point, then its face, so that order does not depend on which lane came first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array, copied_to_device, use_variant
+
+from .linelists import Hits, by_depth, exchanges
+from .segments import Pairs
+
+#: Rows of a face that one lane fills. Larger faces are shared out, or all lanes would wait for one.
+_ROWS = 8
+#: Depths span the bounding sphere and a little more.
+_DEPTHS, _MARGIN = 2.0**32, 1.01
+
+
+class Rasteriser:
+    """Faces on the device of the current variant.
+
+    vertices: (v, 3) around the centre of a sphere of ``radius`` that holds them.
+    faces: (f, 4) rows of them, flat and convex.
+    sides: (f, 2) the patch of the front and of the back, ``patches + 1`` for none.
+    patches: their number.
+    spacing: of neighbouring lines.
+    gap: of faces whose order rounding may not decide, a length.
+
+    Attributes
+    ----------
+    lanes: of one bundle, when its faces are filled in.
+    """
+
+    def __init__(
+        self,
+        vertices: Array,
+        faces: NDArray[np.uint32],
+        sides: NDArray[np.uint32],
+        patches: int,
+        radius: float,
+        spacing: float,
+        gap: float,
+        solid: bool,
+    ) -> None:
+        use_variant()
+        items = _items(vertices, faces, spacing)
+        self.lanes = len(items)
+        self.items = copied_to_device(mi.UInt32, items)
+        self.vertices = copied_to_device(mi.Float64, np.column_stack([vertices, np.ones(len(vertices))]))
+        self.extent = np.stack([vertices.min(axis=0), vertices.max(axis=0)])
+        self.spacing, self.unit = spacing, _DEPTHS / (2 * _MARGIN * radius)
+        self._sides = copied_to_device(mi.UInt32, sides)
+        self._gap = dr.opaque(mi.UInt32, max(int(gap * self.unit), 1))
+        self._sky = dr.opaque(mi.UInt32, patches)
+        self._solid = dr.opaque(mi.Bool, solid)
+
+    def segments(self, frames: Array, shifts: Array) -> Pairs:
+        """Of the lines of bundles, line by line, each from its near end on, (k, 2).
+
+        frames: (b, 3, 3) as of :meth:`Bundles.frames`; shifts: (b, 2) of their grids, in units of the spacing.
+        """
+        grid = _Grid(self, frames, shifts)
+        counts = grid.count()
+        ends = dr.prefix_reduce(dr.ReduceOp.Add, counts, exclusive=False)
+        dr.eval(counts, ends)
+        number = int(ends[-1])
+        if number == 0:
+            return np.empty((0, 2), np.uint32)
+        hits = grid.fill(ends - counts, number)
+        pairs = exchanges(by_depth(hits, grid.pixels), self._sides, self._sky, self._gap, self._solid)
+        return np.array(pairs).view(np.uint32).reshape(-1, 2)
+
+
+class _Grid:
+    """Lines of some bundles: pixels of one image for each bundle, large enough for the box around the scene."""
+
+    def __init__(self, faces: Rasteriser, frames: Array, shifts: Array) -> None:
+        self._faces = faces
+        axes = np.concatenate([frames[:, :2] / faces.spacing, frames[:, 2:] * faces.unit], axis=1)
+        moved = np.concatenate([-shifts, np.full((len(frames), 1), _DEPTHS / 2)], axis=1)
+        middle, half = faces.extent.mean(axis=0), np.diff(faces.extent, axis=0)[0] / 2
+        centre, reach = axes[:, :2] @ middle + moved[:, :2], np.abs(axes[:, :2]) @ half
+        # One line more on each side than the box needs: rounding must not lead out of the image.
+        first = np.floor(centre - reach).astype(np.int64) - 1
+        columns, rows = (np.ceil(centre + reach).astype(np.int64) + 2 - first).T
+        begin = np.concatenate([[0], np.cumsum(columns * rows)])
+        self.pixels, self._bundles = int(begin[-1]), len(frames)
+        # Of the pixel in row 0 and column 0, modulo 2**32.
+        origin = begin[:-1] - first[:, 1] * columns - first[:, 0]
+        self._axes = copied_to_device(mi.Float64, np.concatenate([axes, moved[:, :, None]], axis=2))
+        self._rows = copied_to_device(mi.UInt32, np.column_stack([columns, origin & 0xFFFFFFFF]).astype(np.uint32))
+
+    def count(self) -> Any:
+        """Hits of each lane."""
+        _, counts = self._rows_of(lambda count, stop, column, *_: count + mi.UInt32(stop - column))
+        return counts
+
+    def fill(self, places: Any, number: int) -> Hits:
+        """All hits, those of each lane from its place on."""
+        keys, halves = dr.empty(mi.UInt64, number), dr.empty(mi.UInt32, number)
+
+        def row(place: Any, stop: Any, column: Any, half: Any, key: Any) -> Any:
+            def column_of(column: Any, place: Any) -> tuple[Any, Any]:
+                dr.scatter(keys, key(column), place, mode=dr.ReduceMode.Permute)
+                dr.scatter(halves, half + 2 * mi.UInt32(column), place, mode=dr.ReduceMode.Permute)
+                return column + 1, place + 1
+
+            _, place = dr.while_loop(
+                (column, place), lambda column, _: column < stop, column_of, label="rasteriser: columns"
+            )
+            return place
+
+        _ = self._rows_of(row, places)
+        dr.eval(keys, halves)
+        return Hits(keys, halves)
+
+    def _rows_of(self, visit: Callable[..., Any], state: Any = None) -> Any:
+        faces, lanes = self._faces, self._faces.lanes
+        lane = dr.arange(mi.UInt32, self._bundles * lanes)
+        bundle = mi.UInt32((mi.Float64(lane) + 0.5) * dr.opaque(mi.Float64, 1 / lanes))
+        item = lane - bundle * dr.opaque(mi.UInt32, lanes)
+        corners = dr.gather(mi.Vector4u, faces.items, 2 * item)
+        share = dr.gather(mi.Vector4u, faces.items, 2 * item + 1)
+        axes = [dr.gather(mi.Vector4d, self._axes, 3 * bundle + i) for i in range(3)]
+        line = dr.gather(mi.Vector2u, self._rows, bundle)
+        x, y, z = zip(*[_projected(axes, dr.gather(mi.Vector4d, faces.vertices, c)) for c in corners], strict=True)
+        edges = [_edge(x[i], y[i], x[(i + 1) % 4], y[(i + 1) % 4]) for i in range(4)]
+
+        # Normal from the diagonals; of a triangle, whose last corner is there twice, as well.
+        a, b = mi.Vector3d(*(c[2] - c[0] for c in (x, y, z))), mi.Vector3d(*(c[3] - c[1] for c in (x, y, z)))
+        normal = dr.cross(a, b)
+        slope_x, slope_y = -normal.x / normal.z, -normal.y / normal.z
+        low_z, high_z = _least(z), _greatest(z)
+        is_back = dr.select(normal.z > 0, mi.UInt32(1), 0)
+        identity = mi.UInt64((share[0] << 1) | is_back)
+
+        top, end = _up(_least(y)), _up(_greatest(y))
+        end = dr.select((normal.z != 0) & (_up(_least(x)) < _up(_greatest(x))), end, top)
+
+        def row_of(row: Any, state: Any) -> tuple[Any, Any]:
+            at = mi.Float64(row)
+            left, right = mi.Float64(dr.inf), mi.Float64(-dr.inf)
+            for edge_x, low_y, high_y, slope in edges:
+                crossed = (low_y <= at) & (at < high_y)
+                crossing = dr.fma(at - low_y, slope, edge_x)
+                left = dr.select(crossed & (crossing < left), crossing, left)
+                right = dr.select(crossed & (crossing > right), crossing, right)
+            seen = left < right
+            column, stop = _up(dr.select(seen, left, 0)), _up(dr.select(seen, right, 0))
+            half = 2 * (line[1] + mi.UInt32(row) * line[0]) + is_back
+            depth = dr.fma(slope_y, at - y[0], z[0])
+
+            def key(column: Any) -> Any:
+                exact = dr.fma(slope_x, mi.Float64(column) - x[0], depth)
+                return (mi.UInt64(dr.clip(exact, low_z, high_z)) << 32) | identity
+
+            return row + mi.Int32(share[2]), visit(state, stop, column, half, key)
+
+        first = top + mi.Int32(share[1])
+        state = dr.zeros(mi.UInt32, dr.width(lane)) if state is None else state
+        return dr.while_loop((first, state), lambda row, _: row < end, row_of, label="rasteriser: rows")
+
+
+def _items(vertices: Array, faces: NDArray[np.uint32], spacing: float) -> NDArray[np.uint32]:
+    """What a lane works at, (i, 8): four corners, the face, and the first row and the step of its share of rows."""
+    rows = np.linalg.norm(np.ptp(vertices[faces], axis=1), axis=1) / spacing  # at most, in any direction
+    shares = np.maximum(np.ceil(rows / _ROWS), 1).astype(np.int64)
+    face = np.repeat(np.arange(len(faces)), shares)
+    share = np.arange(len(face)) - np.repeat(np.cumsum(shares) - shares, shares)
+    return np.column_stack([faces[face], face, share, shares[face], np.zeros_like(face)]).astype(np.uint32)
+
+
+def _projected(axes: list[Any], vertex: Any) -> tuple[Any, Any, Any]:
+    """Column, row and depth of a vertex. Spelt out: every face that has it must get the same numbers."""
+    x, y, z = (dr.fma(a.x, vertex.x, dr.fma(a.y, vertex.y, dr.fma(a.z, vertex.z, a.w))) for a in axes)
+    return x, y, z
+
+
+def _edge(x: Any, y: Any, to_x: Any, to_y: Any) -> tuple[Any, Any, Any, Any]:
+    """Lower end of an edge, upper row, and its slope, the same for both faces that share it."""
+    turned = y > to_y
+    low_x, high_x = dr.select(turned, to_x, x), dr.select(turned, x, to_x)
+    low_y, high_y = dr.select(turned, to_y, y), dr.select(turned, y, to_y)
+    return low_x, low_y, high_y, (high_x - low_x) / (high_y - low_y)
+
+
+def _up(x: Any) -> Any:
+    return mi.Int32(dr.ceil(x))
+
+
+def _least(values: Any) -> Any:
+    return dr.minimum(dr.minimum(values[0], values[1]), dr.minimum(values[2], values[3]))
+
+
+def _greatest(values: Any) -> Any:
+    return dr.maximum(dr.maximum(values[0], values[1]), dr.maximum(values[2], values[3]))

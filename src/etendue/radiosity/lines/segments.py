@@ -1,0 +1,198 @@
+"""Segments: what lines through a scene are reduced to, pairs of patches that see each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property, partial
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from etendue.core import Array
+from etendue.surfaces import Patches
+
+from ..errors import RadiosityError
+from ..parallel import compiled, in_order, threads
+from .replay import DeviceSegments, uses_cuda
+
+Pairs = NDArray[np.uint32]
+#: How a sum over the segments of a patch becomes a mean: by their number, or by the number that its area lets expect.
+Normalisation = Literal["counted", "expected"]
+
+
+class Segments:
+    """Pieces of lines between two patches that face each other, 8 bytes each, in the order of the lines.
+
+    A segment is a pair of patch numbers. ``n`` stands for the sky, where a line ends that meets nothing, and ``n + 1``
+    for darkness: the back of a face that has one side. So every line through a patch is in one of its segments.
+    Of the segments of patch ``i`` the share that lead to ``j`` estimates the form factor F_ij, and whatever is a sum
+    over form factors is a run over the segments, at some hundred million in a second: a bounce, another band, another
+    hour.
+
+    Parts of the lines are kept apart as ``batches``, whose differences tell errors.
+
+    Attributes
+    ----------
+    patches: those that the lines were cast through; only number and areas are asked for.
+    chunks: arrays (k, 2), one after the other.
+    batches: (chunks,) the batch of each chunk, from 0 on.
+    expected: (n,) how many lines should meet each patch, if it is flat.
+    """
+
+    #: What local rays add, see :class:`MixedSegments`.
+    correction: Any = None
+    extra: Array | None = None
+
+    def __init__(self, patches: Patches, chunks: Sequence[Pairs], batches: ArrayLike, expected: Array) -> None:
+        self.patches = patches
+        self.chunks = list(chunks)
+        self.batches = np.asarray(batches, dtype=np.int64)
+        self.expected = expected
+        ends = self._ends()[: len(patches)]
+        #: (n,) segments of each patch: the lines that meet it.
+        self.counted: NDArray[Any] = ends[:, 0].copy()
+        #: (n,) those that lead to the sky.
+        self.to_sky: NDArray[Any] = ends[:, 1].copy()
+        #: (n,) those that lead to the back of a face.
+        self.to_dark: NDArray[Any] = ends[:, 2].copy()
+
+    def __len__(self) -> int:
+        return sum(len(chunk) for chunk in self.chunks)
+
+    def __repr__(self) -> str:
+        return f"Segments({len(self)} of {len(self.patches)} patches, {self.batch_count} batches)"
+
+    def __add__(self, other: Segments) -> Segments:
+        """Those of both, whose batches stay apart. Raises :class:`RadiosityError` if the patches are not the same."""
+        if len(self.patches) != len(other.patches) or not np.array_equal(self.patches.areas, other.patches.areas):
+            raise RadiosityError("segments of different patches cannot be put together")
+        batches = np.concatenate([self.batches, other.batches + self.batch_count])
+        return Segments(self.patches, self.chunks + other.chunks, batches, self.expected + other.expected)
+
+    @property
+    def batch_count(self) -> int:
+        """Number of batches."""
+        return int(self.batches.max()) + 1 if len(self.batches) else 0
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the pairs."""
+        return sum(chunk.nbytes for chunk in self.chunks)
+
+    @property
+    def unseen(self) -> NDArray[np.int64]:
+        """Patches that no line has met: nothing is known of them."""
+        return np.flatnonzero(self.counted == 0)
+
+    @property
+    def sky(self) -> Array:
+        """(n,) the share of the segments of each patch that lead to the sky."""
+        return _divide(self.to_sky[:, None], self.exchange_weights)[:, 0]
+
+    @property
+    def dark(self) -> Array:
+        """(n,) the share that lead to the back of a face: none in a closed mesh that is turned the right way."""
+        return _divide(self.to_dark[:, None], self.exchange_weights)[:, 0]
+
+    @property
+    def exchange_weights(self) -> Array:
+        """(n,) what makes the exchange symmetric: weight_i F_ij = weight_j F_ji."""
+        return self.counted.astype(np.float64)
+
+    def gather(self, values: ArrayLike, sky: ArrayLike = 0.0, normalisation: Normalisation = "counted") -> Array:
+        """Mean of ``values`` (n, c) or (n,) over what each patch sees: F values, the irradiance if these are
+        radiosities.
+
+        ``sky`` is the value of the sky, a number or (c,). A patch that no line has met gets zero.
+        """
+        full, shape = self._with_sky(values, sky)
+        return _divide(self._gather(full), self._weights(normalisation)).reshape(shape)
+
+    def gather_error(self, values: ArrayLike, sky: ArrayLike = 0.0) -> Array:
+        """Standard error of :meth:`gather` (counted), from the scatter of the batches, in the shape of ``values``.
+
+        Batches of one point sequence scatter more than their mean errs: the error is then an upper estimate.
+        Nothing is known of patches that only one batch has met, and their error is zero. Raises
+        :class:`RadiosityError` for less than two batches.
+        """
+        if self.batch_count < 2:
+            raise RadiosityError("a standard error needs two batches of lines at least")
+        full, shape = self._with_sky(values, sky)
+        mean = _divide(self._gather(full), self.exchange_weights)
+        parts = (self.batch(batch) for batch in range(self.batch_count))
+        return scatter(((part._gather(full), part.counted) for part in parts), mean).reshape(shape)
+
+    def sums(self, values: ArrayLike, sky: ArrayLike = 0.0) -> tuple[Array, Array]:
+        """What :meth:`gather` (counted) divides, (n, c), by what, (n,); to be added up over segments."""
+        return self._gather(self._with_sky(values, sky)[0]), self.exchange_weights
+
+    def batch(self, number: int) -> Segments:
+        """One batch."""
+        chosen = [chunk for chunk, of in zip(self.chunks, self.batches, strict=True) if of == number]
+        return Segments(self.patches, chosen, np.zeros(len(chosen)), self.expected / self.batch_count)
+
+    def _weights(self, normalisation: Normalisation) -> Array:
+        if normalisation not in ("counted", "expected"):
+            raise RadiosityError(f"sums are divided by the 'counted' or the 'expected' lines, not {normalisation!r}")
+        return self.exchange_weights if normalisation == "counted" else self.expected
+
+    def _with_sky(self, values: ArrayLike, sky: ArrayLike) -> tuple[Array, tuple[int, ...]]:
+        x = np.asarray(values, dtype=np.float64)
+        if x.ndim not in (1, 2) or len(x) != len(self.patches):
+            raise RadiosityError(f"values have one row for each of {len(self.patches)} patches, not shape {x.shape}")
+        full = np.zeros((len(x) + 2, 1 if x.ndim == 1 else x.shape[1]))
+        full[: len(x)] = x.reshape(len(x), -1)
+        full[len(x)] = sky
+        return full, x.shape
+
+    def _ends(self) -> NDArray[np.int64]:
+        if uses_cuda():
+            return self._on_device.ends(len(self.patches))
+        ends: NDArray[np.int64] = self._sum("count_ends", np.zeros((len(self.patches) + 2, 3), np.int64))
+        return ends
+
+    def _gather(self, full: Array) -> Array:
+        if uses_cuda():
+            sums: Array = self._on_device.gather(full)
+        elif full.shape[1] == 1:
+            values = full[:, 0].copy()
+            sums = self._sum("gather_one", np.zeros_like(values), values)[:, None]
+        else:
+            sums = self._sum("gather", np.zeros_like(full), full)
+        return sums[: len(self.patches)]
+
+    @cached_property
+    def _on_device(self) -> DeviceSegments:
+        """A copy, 8 bytes a segment, for as long as these segments live."""
+        return DeviceSegments(self.chunks)
+
+    def _sum(self, loop: str, zero: Any, *arguments: Any) -> Any:
+        """What a compiled loop over all chunks adds to ``zero``, each thread having its own."""
+        add = getattr(compiled(), loop)
+        parts = np.array_split(np.arange(len(self.chunks)), threads())
+
+        def task(part: NDArray[np.int64]) -> Any:
+            out = zero.copy()
+            for k in part:
+                add(self.chunks[k], *arguments, out)
+            return out
+
+        return sum(in_order(partial(task, part) for part in parts), start=zero)
+
+
+def scatter(parts: Iterable[tuple[Array, Array]], mean: Array) -> Array:
+    """Standard error (n, c) of a ``mean`` that is a quotient of sums, from the sums (n, c) and the weights (n,) of its
+    independent parts; zero where one part alone has a weight."""
+    squares, weight, alike = np.zeros_like(mean), np.zeros(len(mean)), np.zeros(len(mean))
+    for sums, weights in parts:
+        weight += weights
+        squares += (sums - mean * weights[:, None]) ** 2
+        alike += weights**2.0
+    # The mean takes part of the scatter away: of parts that have the shares w of the weight, the sum of w^2.
+    return np.sqrt(_divide(squares, weight**2.0 - alike))
+
+
+def _divide(sums: NDArray[Any], weights: Array) -> Array:
+    out = np.zeros(sums.shape)
+    return np.divide(sums, weights[:, None], out=out, where=weights[:, None] > 0)

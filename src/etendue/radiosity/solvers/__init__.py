@@ -1,0 +1,1 @@
+"""Solutions of the radiosity system: solvers, first shot, multipath, particles."""

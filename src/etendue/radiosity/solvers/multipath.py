@@ -1,0 +1,176 @@
+"""Multipath: light sent along global lines as they are cast, without form factors [Sbert 1996]."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from etendue.core import Array
+from etendue.surfaces import Patches
+
+from ..errors import RadiosityError
+from ..lines.engine import LineEngine
+from ..lines.segments import Pairs
+from ..parallel import compiled
+from .shot import FirstShot
+
+#: Shares of a patch's power that a round of bundles takes from it, if what it sends never came back. More of them make
+#: the last round shorter, and the result noisier.
+_SHARES = 16.0
+#: Power on its way in the end, of what was sent; and the most rounds to get there.
+_LEFT, _ROUNDS = 1e-6, 4
+
+
+@dataclass(frozen=True)
+class Multipath:
+    """What lines have exchanged.
+
+    ``radiosity``: (n, c). ``unshot``: (n, c) power that patches have received and not sent on. Power (c,): ``sent`` of
+    their own by patches and sky, ``absorbed`` and gone ``to_sky``; what was sent is absorbed, in the sky or unshot. A
+    first shot is included.
+    """
+
+    radiosity: Array
+    unshot: Array
+    sent: Array
+    absorbed: Array
+    to_sky: Array
+
+
+def multipath(engine: LineEngine, count: int, first: int = 0, shot: FirstShot | None = None) -> Multipath:
+    """Exchange power segment by segment, in the order in which lines were cast [Castro 2002, sec. 2.3.4].
+
+    Along a segment each end sends what it has unshot, and of its own power the share for one line; what the other end
+    reflects of it replaces what that had unshot. One line so advances many paths, and a path serves all its beginnings.
+    What a patch receives along one line leaves along the next that meets it: that must have another direction.
+
+    The lines of ``count`` points from ``first`` on are cast through the patches of the engine. shot: of
+    :func:`first_shot`; the patches it has lit are then the sources. Power that is on its way in the end stays unshot.
+
+    Raises :class:`RadiosityError` if nothing emits, for less than one point, and for an engine whose successive lines
+    are parallel (:attr:`LineEngine.shares_directions`): light would go to and fro between the same patches.
+    """
+    patches, own = engine.patches, _own(engine.patches, shot, count)
+    if engine.shares_directions:
+        raise RadiosityError(
+            f"multipath line by line needs a direction for each line, those of {type(engine).__name__} come in "
+            "parallel bundles: take multipath_bundles(), or one line a bundle"
+        )
+    expected = engine.expected(count)
+    reflectance, per_line, unshot, received = np.zeros((4, len(patches) + 2, patches.channels))
+    reflectance[:-2] = patches.reflectance
+    per_line[:-2] = own / expected[:, None]
+    per_line[-2] = _sky_per_line(patches, expected)
+    lines = np.zeros((len(patches) + 2, 3), np.int64)
+    for chunk in engine.stream(count, first):
+        compiled().multipath(chunk, reflectance, per_line, unshot, received)
+        compiled().count_ends(chunk, lines)
+    return _result(patches, shot, (per_line * lines[:, :1]).sum(axis=0), unshot[:-2], received)
+
+
+def multipath_bundles(engine: LineEngine, count: int, first: int = 0, shot: FirstShot | None = None) -> Multipath:
+    r"""Exchange power bundle by bundle: each line takes a share of what its patch has unshot, and what the patch
+    receives waits for the bundles to come.
+
+    A bundle has :math:`C_{ij}` segments between patches i and j, :math:`n_i` in all at i. With a part p of the own
+    power for each of N bundles, and w_i the share for a line, the unshot power u and the received r become
+
+    .. math:: u \leftarrow u + p, \quad \Delta r = C w u, \quad u \leftarrow u - n w u + \rho\, \Delta r.
+
+    *No bias.* :math:`E\,C_{ij} = m_i F_{ij}`, and a bundle knows nothing of those that have brought u. Of all that i
+    sends j so gets F_ij in the mean, whatever w is, and all that i sends is own + rho r but for u in the end. Where
+    that is gone, :math:`r = F^T (own + \rho r)` in the mean. A share of u / n_i instead would give all directions the
+    same power, where those across a patch have the most lines.
+
+    *Bounded variance.* A bundle has at most ``most_i`` lines through a patch (:meth:`Bundles.most`). With
+    :math:`w_i \le 1 / most_i` none sends more than it has: u is never negative, and its sum grows by p alone. Below
+    that bound shares are :math:`w_i = 16 / (m_i N (1 - \rho))`: smaller ones even out u, larger ones empty it sooner.
+
+    *Start-up.* The first bundles find little to send, and the last leave some: so bundles are a ring. The first ones
+    are cast once more, without own power, until a millionth of what was sent is unshot: 0.7 rounds more, or some where
+    bundles are few and reflectances high (64, 0.8: two), and four in all at most. What then is left is ``unshot``.
+
+    *Order.* It is random, as successive points of a sequence lie apart on purpose; each bundle comes once. Bundles that
+    are more even than independent ones would still miss the light that returns along the bundle that brought it, a
+    part in N: it may leave at once, with the weight 1 / N. What remains is a part of the noise.
+
+    Arguments and result as of :func:`multipath`. The result depends on the points of the engine alone, not on how many
+    are cast at once; backends differ by single lines. Raises :class:`RadiosityError` if nothing emits, for less than
+    one point, and for an engine without bundles.
+    """
+    patches, own, bundles = engine.patches, _own(engine.patches, shot, count), engine.bundles
+    if bundles is None:
+        raise RadiosityError(
+            f"multipath_bundles takes bundles of parallel lines, such as those of ABuffer; {type(engine).__name__} has "
+            "single lines: take multipath()"
+        )
+    expected, most = engine.expected(1)[:, None], bundles.most(patches)[:, None]
+    reflected = (patches.areas[:, None] * patches.reflectance).sum(axis=0).max() / patches.areas.sum()
+    for_line = np.minimum(_SHARES / (count * (1 - reflected) * expected), 1 / most)
+    at_once = np.minimum(1 / (count * expected), 1 / most)
+
+    sky = _sky_per_line(patches, engine.expected(count))
+    values, received = np.zeros((2, len(patches) + 2, patches.channels))
+    sent, unshot = np.zeros(patches.channels), np.zeros_like(own)
+    for done, chunk in enumerate(_rounds(engine.shuffled(count, first), count, first)):
+        ends = np.zeros((len(values), 3), np.int64)
+        compiled().count_ends(chunk, ends)
+        lines = ends[:-2, :1]
+        values[-2] = 0
+        if done < count:
+            unshot += own / count
+            values[-2] = sky
+            sent += own.sum(axis=0) / count + sky * ends[-2, 0]
+        values[:-2] = for_line * unshot
+        unshot -= lines * values[:-2]
+        found = _received(chunk, values)
+        fresh = patches.reflectance * found[:-2]
+        values[:-2], values[-2] = at_once * fresh, 0
+        again = _received(chunk, values)
+        unshot += fresh - lines * values[:-2] + patches.reflectance * again[:-2]
+        received += found + again
+        if done + 1 >= count and (unshot.sum(axis=0) <= _LEFT * sent).all():
+            break
+    return _result(patches, shot, sent, unshot, received)
+
+
+def _rounds(engine: LineEngine, count: int, first: int) -> Iterator[Pairs]:
+    """The segments of each bundle, one round after the other."""
+    for _ in range(_ROUNDS):
+        yield from engine.stream(count, first, 1)
+
+
+def _received(pairs: Pairs, values: Array) -> Array:
+    sums = np.zeros_like(values)
+    compiled().gather(pairs, values, sums)
+    return sums
+
+
+def _own(patches: Patches, shot: FirstShot | None, count: int) -> Array:
+    """Power (n, c) that patches have to send along the lines of so many points."""
+    if count < 1:
+        raise RadiosityError(f"there is nothing to cast: {count} points")
+    if not (patches.emission.any() or patches.sky.any()):
+        raise RadiosityError("no patch emits light, nor does the sky: give one an emission above zero")
+    if shot is None:
+        return patches.areas[:, None] * patches.emission
+    return patches.areas[:, None] * (patches.emission - shot.emission) + shot.reflected
+
+
+def _sky_per_line(patches: Patches, expected: Array) -> Array:
+    # A_i times the sky is what would come to a patch that sees nothing else, along all of its lines.
+    return patches.sky * patches.areas.sum() / expected.sum()
+
+
+def _result(patches: Patches, shot: FirstShot | None, sent: Array, unshot: Array, received: Array) -> Multipath:
+    left = patches.areas[:, None] * patches.emission + patches.reflectance * received[:-2]
+    absorbed = ((1 - patches.reflectance) * received[:-2]).sum(axis=0) + received[-1]
+    to_sky = received[-2]
+    if shot is not None:
+        # What the shot has sent and left to reflect is sent again by the lines.
+        sent = sent + (patches.areas[:, None] * shot.emission - shot.reflected).sum(axis=0)
+        left = left + shot.reflected
+        absorbed, to_sky = absorbed + shot.absorbed, to_sky + shot.to_sky
+    return Multipath(left / patches.areas[:, None], unshot, sent, absorbed, to_sky)

@@ -1,0 +1,294 @@
+"""First shot: the light of emitters sent once by local rays, so that lines need not find a lamp that few of them
+meet.
+
+:func:`first_shot` is the classical one, rays that leave emitters by the cosine law. :func:`shot_at_patches` aims most
+of them: from even points of the emitters (by power) to even points of each patch, as many for each. Such a ray brings
+Phi A K / m, if m are aimed at a patch of area A, with K = cos cos' / (pi r^2): where A K is small, that is all but the
+same for all. Near a lamp K has no bound. What has A K above a limit is therefore left to rays by the cosine law, each
+of which brings Phi / N. Each pair of points has one way, so that nothing counts twice.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array, copied_to_device, seed_key
+from etendue.points import Independent, OwenSobol, PointSet
+from etendue.surfaces import BATCH, Patches, RayScene, RaySource, Sides, cosine_lanes, pairs_of
+
+from ..errors import RadiosityError
+from ..lines.local import Emission
+from ..lines.segments import scatter
+
+#: Parts of the points of a shot that are given, whose scatter tells its error.
+_PARTS = 16
+#: Sequences of points of :class:`Shot`, independent of each other, whose scatter tells its error.
+_REPLICATES = 4
+#: Least rays of a block of :class:`Shot`, and how many of them are aimed for one by the cosine law.
+_BLOCK, _AIMED = 1 << 14, 8
+#: Share A K of the light that a patch would take at most, if all of it were as near to a lamp as the point is: above
+#: that, rays by the cosine law are better.
+_NEAR = 0.3
+#: Emitters are shot if that takes most of the variance of direct light away.
+_MOST = 0.5
+
+
+@dataclass(frozen=True)
+class FirstShot:
+    """Light of emitters, sent once by local lines.
+
+    ``emission``: (n, c) that was sent, zero for patches whose light was not. ``irradiance``, ``error``: (n, c) what
+    comes of it to each patch, and its standard error (infinite for a single ray). Power (c,): what went ``to_sky`` and
+    to backs of faces, which is ``lost``; with what patches receive, it is what was sent. ``rays``: how many.
+    """
+
+    patches: Patches
+    emission: Array
+    irradiance: Array
+    error: Array
+    to_sky: Array
+    lost: Array
+    rays: int
+
+    @property
+    def reflected(self) -> Array:
+        """(n, c) power that each patch reflects of it."""
+        return self.patches.areas[:, None] * self.patches.reflectance * self.irradiance
+
+    @property
+    def absorbed(self) -> Array:
+        """(c,) power that patches and backs of faces absorb of it."""
+        areas = self.patches.areas[:, None]
+        return (areas * (1 - self.patches.reflectance) * self.irradiance).sum(axis=0) + self.lost
+
+
+def first_shot(scene: RayScene, u: Array, emitters: NDArray[np.bool_] | None = None) -> FirstShot:
+    """Send the emission of all patches, or of the ``emitters`` (n,), by rays of cosine density, one for each point
+    ``u`` (N, 4), equal in power.
+
+    The error is from the scatter of 16 parts of the points. Parts of one sequence scatter more than independent ones
+    would: the error is then an upper estimate. Raises :class:`RadiosityError` if no patch emits.
+    """
+    emission = _emission(scene.patches, emitters)
+    source = Emission(scene, scene.patches.areas[:, None] * emission)
+    parts = np.array_split(np.asarray(u, dtype=np.float64), min(_PARTS, len(u)))
+    mean = np.zeros((len(scene.patches) + 2, scene.patches.channels))
+    squares, error = np.zeros_like(mean), np.full_like(mean, np.inf)
+    for part in parts:
+        found = source.received(part)
+        mean += len(part) / len(u) * found
+        squares += len(part) / len(u) * found**2
+    if len(parts) > 1:
+        error = np.sqrt(np.maximum(squares - mean**2, 0) / (len(parts) - 1))
+    return _shot(scene.patches, emission, mean, error, len(u))
+
+
+def shot_at_patches(
+    scene: RayScene, rays: float, points: PointSet | None = None, emitters: NDArray[np.bool_] | None = None
+) -> FirstShot:
+    """Send the emission of all patches, or of the ``emitters`` (n,), by so many rays or some more, most of them aimed:
+    as many at each patch. The error of what a patch receives is a small part of that of :func:`first_shot`.
+
+    What all patches receive is made what was sent, less what leaves the scene. points: of four dimensions, by default a
+    scrambled Sobol' sequence; they are randomised four times, and the error is from the scatter of the four shots that
+    make up this one. Raises :class:`RadiosityError` if no patch emits.
+    """
+    return Shot(scene, points or OwenSobol(4), emitters).cast(rays)
+
+
+class Shot:
+    """:func:`shot_at_patches`, growing block by block: so many rays give the same, whenever they are cast."""
+
+    def __init__(self, scene: RayScene, points: PointSet, emitters: NDArray[np.bool_] | None) -> None:
+        self._lamps = _Lamps(scene, _emission(scene.patches, emitters), _replicates(points))
+        self._blocks = 0
+        #: By each of the sequences.
+        self._received = np.zeros((_REPLICATES, len(scene.patches) + 2, scene.patches.channels))
+
+    def cast(self, rays: float) -> FirstShot:
+        """What at least so many rays bring, in a block of each sequence or more; those that were cast before are among
+        them."""
+        self.grow(rays)
+        lamps = self._lamps
+        self._add(self._missing(rays))
+        mean = self._received.sum(axis=0) / self._blocks
+        blocks = (np.full(len(mean), len(range(k, self._blocks, _REPLICATES))) for k in range(_REPLICATES))
+        error = scatter(zip(self._received, blocks, strict=True), mean)
+        return _shot(lamps.scene.patches, lamps.emission, mean, error, self._blocks * lamps.rays)
+
+    def grow(self, rays: float) -> None:
+        """Cast what :meth:`cast` would, as far as it fills the device; the rest stays for later."""
+        while self._missing(rays) >= self._lamps.at_once:
+            self._add(self._lamps.at_once)
+
+    def _missing(self, rays: float) -> int:
+        return max(_REPLICATES, int(np.ceil(rays / self._lamps.rays))) - self._blocks
+
+    def _add(self, blocks: int) -> None:
+        if blocks <= 0:
+            return
+        # Added up one by one, so that it does not matter which were asked for together.
+        received = self._received.copy()  # anew: a state() may hold the old one
+        for block, found in self._lamps.light(self._blocks, blocks):
+            received[block % _REPLICATES] += found
+        self._received, self._blocks = received, self._blocks + blocks
+
+    def state(self) -> dict[str, Any]:
+        """What :meth:`restore` takes, for a checkpoint."""
+        return {"blocks": self._blocks, "received": self._received.copy()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a :meth:`state`."""
+        self._blocks, self._received = state["blocks"], state["received"].copy()
+
+
+class _Lamps:
+    """Emitters of a scene, ready to send blocks of rays, for each of which the next of some sequences has its turn."""
+
+    def __init__(self, scene: RayScene, emission: Array, sequences: list[PointSet]) -> None:
+        self.scene, self.emission, self.sequences = scene, emission, sequences
+        n, sides = len(emission), Sides.of(scene.patches)
+        power = scene.patches.areas[:, None] * emission
+        strength = power.sum(axis=1)
+        lit = sides.emitting(strength)
+        self._lamps, self._targets = RaySource(scene, lit), RaySource(scene, sides)
+        self._whole, self._colour = lit.edges[-1], power / np.where(strength > 0, strength, 1)[:, None]
+        #: Rays of a block, at each patch and by the cosine law.
+        self.each = 1 << int(np.ceil(np.log2(max(_BLOCK / n, 1))))
+        self.shot = -(-n * self.each // _AIMED)
+        self._areas = copied_to_device(mi.Float, np.bincount(sides.patch, sides.areas, n))
+        self._colours = [copied_to_device(mi.Float64, column) for column in self._colour.T]
+        # Each patch takes the same points, shifted by numbers of its own.
+        self._shifts = Independent(4, seed=1).lanes(mi.UInt32, n)
+        dr.eval(self._shifts)
+        self._patches, self._bits = dr.opaque(mi.UInt32, n), dr.opaque(mi.UInt32, self.each.bit_length() - 1)
+
+    @property
+    def rays(self) -> int:
+        """Of a block."""
+        return self.each * len(self.emission) + self.shot
+
+    @property
+    def at_once(self) -> int:
+        """Blocks to ask for together, so that the device is filled."""
+        return max(BATCH // self.rays, 1)
+
+    def light(self, first: int, count: int) -> list[tuple[int, Array]]:
+        """Numbers of so many blocks, ascending in each sequence, and the power (n + 2, c) that patches, the sky and
+        backs of faces receive by each."""
+        turns = [
+            range(first + (k - first) % len(self.sequences), first + count, len(self.sequences))
+            for k in range(len(self.sequences))
+        ]
+        received = self._whole / self.shot * self._shot(turns, count)
+        received[:, :-2] += self._whole / self.each * self._aimed(turns, count)
+        return list(zip((block for turn in turns for block in turn), received, strict=True))
+
+    def _points(self, turns: list[range], size: int) -> list[Any]:
+        """Points of blocks of this size, sequence by sequence."""
+        parts = [
+            points.lanes(mi.UInt32, len(turn) * size, turn.start // len(turns) * size)
+            for points, turn in zip(self.sequences, turns, strict=True)
+            if turn
+        ]
+        return [dr.concat(list(lanes)) for lanes in zip(*parts, strict=True)]
+
+    def _shot(self, turns: list[range], count: int) -> Array:
+        """What rays by the cosine law bring, (count, n + 2, c), that of one ray being 1 in all."""
+        scene, n = self.scene, len(self.emission)
+        u = self._points(turns, self.shot)
+        places, ways = self._lamps.any(u[0], u[1]), cosine_lanes(u[2], u[3])
+        directions = places.directions(ways)
+        hit = scene.hit(places.origin, directions)
+        found = scene.patch_of(hit, directions)
+        on_patch = found < self._patches
+        kernel = ways.z * dr.abs(dr.dot(scene.normal_of(hit), directions)) / (dr.pi * hit.t**2)
+        aimed_at = on_patch & (dr.gather(mi.Float, self._areas, found, on_patch) * kernel <= _NEAR)
+        pairs = pairs_of(self._lamps.patch_of(places.side), dr.select(aimed_at, self._patches + 2, found))
+        # A row of n + 3 for each block, the last of them for what does not count.
+        row = pairs[:, 1] + np.repeat(np.arange(count) * (n + 3), self.shot)
+        colour = self._colour[pairs[:, 0]]
+        sums = [np.bincount(row, column, count * (n + 3)).reshape(count, n + 3)[:, :-1] for column in colour.T]
+        return np.stack(sums, axis=2)
+
+    def _aimed(self, turns: list[range], count: int) -> Array:
+        """What rays to points of patches bring, (count, n, c), that of one ray being its share A K."""
+        scene, n = self.scene, len(self.emission)
+        table = self._points(turns, self.each)
+        dr.eval(table)
+        # Lane by lane the rays at a patch, patch by patch, block by block.
+        lane = dr.arange(mi.UInt32, count * n * self.each)
+        row = lane >> self._bits
+        block = row // self._patches
+        patch = row - block * self._patches
+        point = (block << self._bits) + lane - (row << self._bits)
+        u = []
+        for points, shifts in zip(table, self._shifts, strict=True):
+            x = dr.gather(mi.Float64, points, point) + dr.gather(mi.Float64, shifts, patch)
+            u.append(dr.select(x >= 1, x - 1, x))
+        target, lamp = self._targets.of(patch, u[0], u[1]), self._lamps.any(u[2], u[3])
+        way = target.point - lamp.origin
+        square = dr.squared_norm(way)
+        way /= dr.maximum(dr.sqrt(square), 1e-30)
+        cosines = dr.dot(way, lamp.normal), -dr.dot(way, target.normal)
+        ahead = (cosines[0] > 0) & (cosines[1] > 0)
+        hit = scene.hit(lamp.origin, way, ahead)
+        seen = ahead & hit.is_valid() & (scene.face_of(hit) == self._targets.face_of(target.side))
+        share = dr.gather(mi.Float, self._areas, patch) * cosines[0] * cosines[1] / (dr.pi * square)
+        share = dr.select(seen & (share <= _NEAR), share, 0)
+        source = self._lamps.patch_of(lamp.side)
+        brought = [share * dr.gather(mi.Float64, colour, source) for colour in self._colours]
+        dr.eval(brought)
+        sums = [np.array(dr.block_reduce(dr.ReduceOp.Add, x, self.each)).reshape(count, n) for x in brought]
+        return np.stack(sums, axis=2)
+
+
+def small_emitters(patches: Patches, rays_per_segment: float) -> NDArray[np.bool_]:
+    """(n,) the emitters whose light is better shot, if there are so many rays for each segment of global lines.
+
+    A ray from an emitter tells as much of its light as a line that meets it, and more if it is aimed. Rays are shared
+    out by power, lines by area: the brightest emitters are taken, as long as each gets more rays than lines; but none,
+    if others keep half of the variance, in the mean over equal patches the sum of ``E^2 A``.
+    """
+    strength, areas = patches.emission.sum(axis=1), patches.areas
+    order = np.argsort(-strength, kind="stable")
+    ranked = strength[order]
+    power = np.cumsum(ranked * areas[order])
+    alike = np.searchsorted(-ranked, -ranked, side="right") - 1  # the last one of equal strength
+    # Of s segments, 2 s A / sum(A) meet a patch; of r s rays, r s E A / power leave it.
+    taken = order[(ranked > 0) & (ranked * rays_per_segment * areas.sum() >= 2 * power[alike])]
+    chosen = np.zeros(len(patches), dtype=bool)
+    chosen[taken] = True
+    variance = strength**2 * areas
+    return chosen if variance[chosen].sum() > _MOST * variance.sum() else np.zeros_like(chosen)
+
+
+def _emission(patches: Patches, emitters: NDArray[np.bool_] | None) -> Array:
+    emission = patches.emission if emitters is None else np.where(emitters[:, None], patches.emission, 0.0)
+    if not emission.any():
+        raise RadiosityError("no patch emits light: there is no first shot")
+    return emission
+
+
+def _replicates(points: PointSet) -> list[PointSet]:
+    """The points randomised so many times; those of another seed give others."""
+    seed = int(np.bitwise_xor.reduce(points.block(1).ravel().view(np.uint64)))
+    return [points.randomised(seed_key(seed, "replicate", k)[0]) for k in range(_REPLICATES)]
+
+
+def _shot(patches: Patches, emission: Array, mean: Array, error: Array, rays: int) -> FirstShot:
+    """From what the rays bring, (n + 2, c), and its standard error."""
+    areas = patches.areas[:, None]
+    sent, received, leaving = (areas * emission).sum(axis=0), mean[:-2].sum(axis=0), mean[-2:].sum(axis=0)
+    # Only rays by the cosine law leave the scene: they say less than those that arrive, and give way to them.
+    leaves = (leaving > 0) & (received < sent)
+    outside = np.divide(sent - received, leaving, out=np.ones_like(sent), where=leaves)
+    inside = np.divide(sent - outside * leaving, received, out=np.zeros_like(sent), where=received > 0)
+    arrived, away = mean[:-2] * np.maximum(inside, 0), mean[-2:] * outside
+    return FirstShot(patches, emission, arrived / areas, error[:-2] / areas, away[0], away[1], rays)

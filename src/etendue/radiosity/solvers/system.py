@@ -1,0 +1,289 @@
+"""The radiosity system B = E + rho F B, solved on form factors or on segments."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from etendue.core import Array, free_memory
+from etendue.surfaces import Patches
+
+from ..errors import RadiosityError
+from ..factors.formfactors import FormFactors
+from ..lines.segments import Segments
+from ..parallel import compiled
+from .shot import FirstShot
+
+Solver = Literal["jacobi", "gauss-seidel", "southwell", "conjugate-gradient", "direct"]
+SOLVERS: tuple[Solver, ...] = ("jacobi", "gauss-seidel", "southwell", "conjugate-gradient", "direct")
+
+
+class Transport(Protocol):
+    """What carries light from patch to patch: :class:`FormFactors` or :class:`Segments`."""
+
+    @property
+    def sky(self) -> Array:
+        """(n,) the share of the light of each patch that leaves the scene."""
+        ...
+
+    @property
+    def exchange_weights(self) -> Array | None:
+        """(n,) ``w`` with w_i F_ij = w_j F_ji, or ``None`` if there are none."""
+        ...
+
+    def gather(self, values: Array, sky: Array) -> Array:
+        """F values, with the value of the sky; (n, c)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Radiosities of patches.
+
+    ``radiosity``: (n, c) light that leaves, per area. ``irradiance``: (n, c) light that arrives. ``sky_share``: (n,).
+    ``residuals``: after each iteration, the largest absolute residual of the system in units of the largest
+    emission or light from the sky; of the system that is left after a ``shot``, if one is given.
+    """
+
+    patches: Patches
+    radiosity: Array
+    irradiance: Array
+    sky_share: Array
+    residuals: tuple[float, ...]
+    shot: FirstShot | None = None
+
+    @property
+    def residual(self) -> float:
+        """The last one."""
+        return self.residuals[-1]
+
+    @cached_property
+    def power(self) -> dict[str, Array]:
+        """(c,) each: ``emitted`` by patches, ``from_sky``, ``absorbed``, ``to_sky``."""
+        areas = self.patches.areas[:, None]
+        to_sky = (areas * self.sky_share[:, None] * self._by_lines).sum(axis=0)
+        return {
+            "emitted": (areas * self.patches.emission).sum(axis=0),
+            "from_sky": (areas * self.sky_share[:, None] * self.patches.sky).sum(axis=0),
+            "absorbed": (areas * (1 - self.patches.reflectance) * self.irradiance).sum(axis=0),
+            "to_sky": to_sky if self.shot is None else to_sky + self.shot.to_sky,
+        }
+
+    def irradiance_error(self, segments: Segments) -> Array:
+        """(n, c) standard error of the irradiance, that of the lines and that of the shot: of the last bounce, which is
+        nearly all of it. ``segments``: those that were solved on. Raises :class:`RadiosityError` for one batch."""
+        error = segments.gather_error(self._by_lines, self.patches.sky)
+        return error if self.shot is None else np.hypot(error, self.shot.error)
+
+    @property
+    def _by_lines(self) -> Array:
+        """Radiosity that lines carry on."""
+        return self.radiosity if self.shot is None else self.radiosity - self.shot.emission
+
+    @property
+    def net_power(self) -> Array:
+        """(n, c) power that each patch sends less what arrives: its heat, if it is kept at its temperature."""
+        return self.patches.areas[:, None] * (self.radiosity - self.irradiance)
+
+    @property
+    def imbalance(self) -> float:
+        """Power that comes in less what goes out, as a share of the first: zero if form factors are reciprocal and
+        their rows sum to 1, else of the size of their errors."""
+        come = self.power["emitted"] + self.power["from_sky"]
+        gone = self.power["absorbed"] + self.power["to_sky"]
+        return float(np.abs(come - gone).sum() / come.sum())
+
+
+def solve(
+    patches: Patches,
+    transport: Transport,
+    solver: Solver = "jacobi",
+    *,
+    shot: FirstShot | None = None,
+    tolerance: float = 1e-6,
+    max_iterations: int = 1000,
+) -> Solution:
+    """Radiosities of patches whose light is carried by form factors or segments.
+
+    ====================== ============================================================================================
+    ``jacobi``             one bounce of all light in an iteration; on segments as well
+    ``gauss-seidel``       the same, each patch seeing what was found before it; on form factors
+    ``southwell``          progressive shooting: the patch of most unshot power first [Cohen 1988]; on form factors. An
+                           iteration is as many shots as there are patches
+    ``conjugate-gradient`` few iterations at high reflectance; on segments, and on form factors that are reciprocal
+    ``direct``             elimination, a channel at a time; on form factors of some thousand patches
+    ====================== ============================================================================================
+
+    shot: of :func:`first_shot`: light of emitters that has been sent by rays. The system is then solved for the rest,
+        to which patches contribute what they reflect of the shot: B = E + R, R = rho (D + F R) with the irradiance D
+        of the shot, which takes the place of F E.
+    tolerance: of the residual, see :class:`Solution`.
+
+    Raises :class:`RadiosityError` if nothing emits, if a solver does not work on such a transport, if a shot is of
+    other patches, or if the solver has not come that far after ``max_iterations``.
+    """
+    if len(transport.sky) != len(patches):
+        raise RadiosityError(f"there are {len(patches)} patches, but light is carried between {len(transport.sky)}")
+    if not (patches.emission.any() or patches.sky.any()):
+        raise RadiosityError("no patch emits light, nor does the sky: give one an emission above zero")
+    if solver not in SOLVERS:
+        raise RadiosityError(f"there is no solver {solver!r}; there are: {', '.join(SOLVERS)}")
+    if solver in ("gauss-seidel", "southwell", "direct") and not isinstance(transport, FormFactors):
+        raise RadiosityError(f"{solver} needs form factors; on segments there are jacobi and conjugate-gradient")
+    rest = patches if shot is None else _after(shot, patches)
+    steps = _STEPS[solver](rest, transport)
+    scale = max(rest.emission.max(), rest.sky.max()) or 1.0  # nothing is left of a shot at black patches
+    residuals = []
+    for _ in range(max_iterations):
+        radiosity, irradiance = steps.step()
+        residual = np.abs(rest.emission + rest.reflectance * irradiance - radiosity).max() / scale
+        residuals.append(float(residual))
+        if residual <= tolerance:
+            if shot is not None:
+                radiosity, irradiance = radiosity + shot.emission, irradiance + shot.irradiance
+            return Solution(patches, radiosity, irradiance, transport.sky, tuple(residuals), shot)
+    raise RadiosityError(
+        f"{solver} has a residual of {residuals[-1]:.2g} after {max_iterations} iterations, not {tolerance:g}: allow "
+        "more, or take conjugate-gradient where reflectance is high"
+    )
+
+
+def check_direct(patches: int) -> None:
+    """Raise :class:`RadiosityError` if the direct solution for so many patches does not fit into memory."""
+    free = free_memory()
+    if free is not None and 24 * patches**2 > free:
+        raise RadiosityError(
+            f"direct solution of {patches} patches needs {24e-9 * patches**2:.1f} GB, there are {free / 1e9:.1f}: take "
+            "another solver"
+        )
+
+
+def _after(shot: FirstShot, patches: Patches) -> Patches:
+    """Patches that emit what was not shot, and what they reflect of the shot."""
+    if shot.emission.shape != patches.emission.shape or not np.array_equal(shot.patches.areas, patches.areas):
+        raise RadiosityError("the first shot is one of other patches: shoot from those that are solved for")
+    left = patches.emission - shot.emission
+    if (left < 0).any():
+        raise RadiosityError("the first shot has sent more light than patches emit: shoot again for this emission")
+    return patches.with_properties(emission=left + patches.reflectance * shot.irradiance)
+
+
+class _Steps(ABC):
+    """A solver between two iterations."""
+
+    def __init__(self, patches: Patches, transport: Transport) -> None:
+        self.patches, self.transport = patches, transport
+        self.emission, self.reflectance = patches.emission, patches.reflectance
+        self.radiosity = self.emission.copy()
+        self.irradiance = transport.gather(self.radiosity, patches.sky)
+
+    @abstractmethod
+    def step(self) -> tuple[Array, Array]:
+        """Radiosity and irradiance after another iteration."""
+
+    @property
+    def matrix(self) -> Any:
+        """F as CSR; :func:`solve` has seen to it that there is one."""
+        assert isinstance(self.transport, FormFactors)
+        return self.transport.matrix
+
+    @property
+    def known(self) -> Array:
+        """What is emitted, and reflected of the sky."""
+        return self.emission + self.reflectance * self.transport.sky[:, None] * self.patches.sky
+
+
+class _Gathering(_Steps):
+    """A solver that changes the radiosity; the irradiance is gathered anew."""
+
+    def step(self) -> tuple[Array, Array]:
+        self.improve()
+        self.irradiance = self.transport.gather(self.radiosity, self.patches.sky)
+        return self.radiosity, self.irradiance
+
+    @abstractmethod
+    def improve(self) -> None:
+        """Change the radiosity."""
+
+
+class _Jacobi(_Gathering):
+    def improve(self) -> None:
+        self.radiosity = self.emission + self.reflectance * self.irradiance
+
+
+class _GaussSeidel(_Gathering):
+    def improve(self) -> None:
+        f = self.matrix
+        compiled().gauss_seidel(f.indptr, f.indices, f.data, self.reflectance, self.known, self.radiosity)
+
+
+class _Southwell(_Gathering):
+    def __init__(self, patches: Patches, transport: Transport) -> None:
+        super().__init__(patches, transport)
+        self.columns = self.matrix.tocsc()
+        self.radiosity = self.known
+        self.unshot = self.radiosity.copy()
+
+    def improve(self) -> None:
+        f, areas = self.columns, self.patches.areas
+        compiled().shoot(
+            *(f.indptr, f.indices, f.data, areas, self.reflectance, self.unshot, self.radiosity), len(areas)
+        )
+
+
+class _ConjugateGradient(_Steps):
+    """With B = E + sqrt(rho) y and symmetric W F: (W - sqrt(rho) W F sqrt(rho)) y = sqrt(rho) W H(E), preconditioned by
+    W. All channels go side by side."""
+
+    def __init__(self, patches: Patches, transport: Transport) -> None:
+        super().__init__(patches, transport)
+        weights = transport.exchange_weights
+        if weights is None:
+            raise RadiosityError(
+                "conjugate-gradient needs reciprocal form factors (estimator 'F1' or 'reciprocal', or repaired()), or "
+                "segments"
+            )
+        self.weights, self.root = weights[:, None], np.sqrt(self.reflectance)
+        self.residual = self.root * self.irradiance  # divided by W: preconditioned
+        self.direction = self.residual.copy()
+        self.square = self._dot(self.residual, self.residual)
+
+    def step(self) -> tuple[Array, Array]:
+        gathered = self.transport.gather(self.root * self.direction, np.zeros(1))
+        product = self.direction - self.root * gathered
+        curvature = self._dot(self.direction, product)
+        length = np.divide(self.square, curvature, out=np.zeros_like(self.square), where=curvature > 0)
+        self.radiosity = self.radiosity + length * self.root * self.direction
+        self.irradiance = self.irradiance + length * gathered
+        self.residual = self.residual - length * product
+        before, self.square = self.square, self._dot(self.residual, self.residual)
+        ratio = np.divide(self.square, before, out=np.zeros_like(before), where=before > 0)
+        self.direction = self.residual + ratio * self.direction
+        return self.radiosity, self.irradiance
+
+    def _dot(self, a: Array, b: Array) -> Array:
+        return (self.weights * a * b).sum(axis=0)
+
+
+class _Direct(_Gathering):
+    def improve(self) -> None:
+        n = len(self.patches)
+        check_direct(n)
+        dense, known = np.asarray(self.matrix.todense()), self.known
+        for c in range(known.shape[1]):
+            system = np.eye(n) - self.reflectance[:, c : c + 1] * dense
+            self.radiosity[:, c] = np.linalg.solve(system, known[:, c])
+
+
+_STEPS: dict[Solver, Callable[[Patches, Transport], _Steps]] = {
+    "jacobi": _Jacobi,
+    "gauss-seidel": _GaussSeidel,
+    "southwell": _Southwell,
+    "conjugate-gradient": _ConjugateGradient,
+    "direct": _Direct,
+}

@@ -1,0 +1,34 @@
+"""A solution as a function on its surfaces, for pictures and lightmaps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from etendue.surfaces import PatchSurfaces, SurfaceValues
+
+from ..errors import RadiosityError
+from .system import Solution
+
+
+def radiosity_on(
+    surfaces: PatchSurfaces, solution: Solution, *, smooth: bool = True, angle: float = 30.0, emission: bool = True
+) -> SurfaceValues:
+    """The radiosity of a solution as a function on its surfaces: emission and reflectance of the patch, and the smooth
+    irradiance; or that of the patch as it is. Without ``emission`` what is reflected only.
+
+    Raises :class:`RadiosityError` for other than one channel or three.
+    """
+    check_colours(solution)
+    patches = solution.patches
+    if not smooth:
+        return SurfaceValues(surfaces, solution.radiosity - (0.0 if emission else patches.emission))
+    own = patches.emission if emission else np.zeros((len(patches), 1))
+    return SurfaceValues(surfaces, own, patches.reflectance, solution.irradiance, angle)
+
+
+def check_colours(solution: Solution) -> None:
+    """Raises :class:`RadiosityError` if the channels of a solution are not one or three."""
+    if solution.patches.channels not in (1, 3):
+        raise RadiosityError(
+            f"a picture shows one channel or three, not {solution.patches.channels}; write .vtu or .npz"
+        )

@@ -1,0 +1,72 @@
+"""Surfaces: patches and faces, the meshes and scenes they come from, rays from and against them, values and maps on
+them."""
+
+from .atlases import (
+    LIGHTMAP_MESHES,
+    TexturedMesh,
+    atlas,
+    gltf_mesh,
+    mesh_normals,
+    save_textured_mesh,
+    scene_mesh,
+)
+from .diagnosis import Diagnosis, diagnose
+from .errors import PatchError, SurfaceError
+from .faces import face_vectors, triangles
+from .heat import STEFAN_BOLTZMANN, band_shares, thermal
+from .lightmaps import Lightmap, check_coordinates, lightmap_of, save_lightmap
+from .meshfiles import read_patches
+from .patches import Patches
+from .places import PatchSurfaces, Place, SurfaceValues
+from .raycasting import STEP, RayScene
+from .scenepatches import scene_patches
+from .sides import Sides, across, around, cosine_law
+from .smoothing import VertexRadiosity, face_sides, vertex_radiosity
+from .solids import box, joined
+from .sources import BATCH, RaySource, columns, cosine_lanes, even_lanes, pairs_of
+
+__all__ = [
+    "BATCH",
+    "LIGHTMAP_MESHES",
+    "STEFAN_BOLTZMANN",
+    "STEP",
+    "Diagnosis",
+    "Lightmap",
+    "PatchError",
+    "PatchSurfaces",
+    "Patches",
+    "Place",
+    "RayScene",
+    "RaySource",
+    "Sides",
+    "SurfaceError",
+    "SurfaceValues",
+    "TexturedMesh",
+    "VertexRadiosity",
+    "across",
+    "around",
+    "atlas",
+    "band_shares",
+    "box",
+    "check_coordinates",
+    "columns",
+    "cosine_lanes",
+    "cosine_law",
+    "diagnose",
+    "even_lanes",
+    "face_sides",
+    "face_vectors",
+    "gltf_mesh",
+    "joined",
+    "lightmap_of",
+    "mesh_normals",
+    "pairs_of",
+    "read_patches",
+    "save_lightmap",
+    "save_textured_mesh",
+    "scene_mesh",
+    "scene_patches",
+    "thermal",
+    "triangles",
+    "vertex_radiosity",
+]

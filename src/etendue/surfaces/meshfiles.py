@@ -1,0 +1,184 @@
+"""Patches from mesh files, read by meshio (PLY, OBJ, STL, OFF, VTK, VTU, Gmsh and more) or trimesh (glTF and more)."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from etendue.core import Array, library, logger, suggest
+
+from .errors import PatchError
+from .faces import face_vectors, flat_faces, repeated
+from .heat import thermal
+from .patches import Patches
+
+Index = NDArray[np.int64]
+
+#: Cells that are taken.
+_FACES = ("triangle", "quad")
+#: What trimesh reads and meshio does not.
+_TRIMESH = (".gltf", ".glb", ".3mf", ".dae")
+
+
+def read_patches(
+    path: str | Path,
+    *,
+    reflectance: ArrayLike | str = 0.0,
+    emission: ArrayLike | str = 0.0,
+    temperature: ArrayLike | str | None = None,
+    ids: ArrayLike | str | None = None,
+    two_sided: ArrayLike = False,
+    sky: ArrayLike = 0.0,
+) -> Patches:
+    """Patches of a mesh file, with the arguments of :class:`Patches`.
+
+    reflectance, emission, ids: also the name of an array that the file has for its faces (cell data of VTK and others),
+        taken face by face; a patch of several faces gets their mean by area. ``"emissivity"`` as reflectance stands for
+        one minus that array.
+    temperature: in kelvin, in the same forms: patches then emit as grey bodies whose emissivity is one minus the
+        reflectance, in W/m^2 (:func:`thermal`).
+
+    Triangles and quadrilaterals are taken, lines and solids left out. Faces without area, and those that are there
+    twice, are left out with a warning. Raises :class:`PatchError` for a file that cannot be read, has no faces or other
+    ones than these, or no such array, and :class:`etendue.core.BackendError` if the library that reads it is not
+    installed.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise PatchError(f"there is no mesh file {path}")
+    if temperature is not None and (isinstance(emission, str) or np.any(emission)):
+        raise PatchError("patches emit by their temperature or have an emission; give one of the two")
+    read = _by_trimesh if path.suffix.lower() in _TRIMESH else _by_meshio
+    vertices, faces, cells = read(path)
+    if len(faces) == 0:
+        raise PatchError(f"{path} has no triangles or quadrilaterals")
+    vertices, faces, kept = sound_faces(vertices, faces, str(path))
+    cells = {name: values[kept] for name, values in cells.items()}
+
+    labels = _cell_array(path, cells, ids, whole=True)
+    rho = (
+        1 - _cell_array(path, cells, reflectance)
+        if reflectance == "emissivity"
+        else _cell_array(path, cells, reflectance)
+    )
+    exitance, kelvin = _cell_array(path, cells, emission), _cell_array(path, cells, temperature)
+    if labels is not None:
+        groups, inverse = np.unique(labels, return_inverse=True)
+        areas = np.linalg.norm(face_vectors(vertices, faces)[0], axis=1)
+        if isinstance(reflectance, str):
+            rho = _means(rho, inverse, areas, len(groups))
+        if isinstance(emission, str):
+            exitance = _means(exitance, inverse, areas, len(groups))
+        if isinstance(temperature, str):
+            kelvin = _means(kelvin, inverse, areas, len(groups))
+    patches = Patches(vertices, faces, reflectance=rho, emission=exitance, ids=labels, two_sided=two_sided, sky=sky)
+    return patches if temperature is None else _warm(patches, np.asarray(kelvin, dtype=np.float64).ravel(), sky)
+
+
+def _warm(patches: Patches, kelvin: Array, sky: ArrayLike) -> Patches:
+    """Patches at temperatures, one or one for each front; a back has that of its front."""
+    if patches.channels > 1:
+        raise PatchError("grey bodies have one reflectance, not one for each channel: see thermal() for bands")
+    back = patches.other_side[patches.other_side >= 0]
+    fronts = len(patches) - len(back) // 2
+    if len(kelvin) not in (1, fronts, len(patches)):
+        raise PatchError(f"there are {len(kelvin)} temperatures for {fronts} patches")
+    if len(kelvin) == fronts:
+        kelvin = np.concatenate([kelvin, kelvin[back[back < fronts]]])
+    return thermal(patches, kelvin, 1 - patches.reflectance).with_properties(sky=sky)
+
+
+def sound_faces(vertices: Array, faces: Index, where: str) -> tuple[Array, Index, Index]:
+    """Vertices, faces (m, 4) without those that have no area or are there twice, and which are left.
+
+    Two faces at the same place that look into opposite directions are both kept. Warns; raises :class:`PatchError` if
+    none is left.
+    """
+    if not np.isfinite(vertices).all():
+        bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+        raise PatchError(
+            f"{where}: {len(bad)} of {len(vertices)} vertices are not finite, the first is number {bad[0]}; mend "
+            "the mesh"
+        )
+    try:
+        quads, rows = flat_faces(vertices, faces)
+    except PatchError as error:
+        raise PatchError(f"{where}: {error}") from None
+    _, flat = face_vectors(vertices, quads)
+    empty = np.ones(len(faces), dtype=bool)
+    np.logical_and.at(empty, rows, flat)
+    kept = np.flatnonzero(~empty)
+    twice = repeated(vertices, faces[kept])
+    kept = np.delete(kept, twice)
+    if len(kept) == 0:
+        raise PatchError(f"{where}: none of {len(faces)} faces has an area")
+    if empty.any() or len(twice):
+        logger.warning(
+            "%s: of %d faces %d have no area and %d are there twice; they are left out",
+            *(where, len(faces), np.count_nonzero(empty), len(twice)),
+        )
+    return vertices, faces[kept], kept
+
+
+def _cell_array(path: Path, cells: dict[str, Array], value: Any, whole: bool = False) -> Any:
+    if not isinstance(value, str):
+        return value
+    if value not in cells:
+        what = suggest(value, cells) if cells else "it has no arrays for its faces"
+        raise PatchError(f"{path} has no array '{value}' for its faces; {what}")
+    if not whole:
+        return cells[value]
+    labels = np.rint(cells[value]).ravel()
+    if len(labels) != len(cells[value]) or not np.array_equal(labels, cells[value].ravel()):
+        raise PatchError(f"{path}: the array '{value}' has no whole number for each face, and cannot number patches")
+    return labels.astype(np.int64)
+
+
+def _means(values: Any, group: Index, areas: Array, count: int) -> Array:
+    columns = np.asarray(values, dtype=np.float64).reshape(len(group), -1).T
+    weight = np.bincount(group, areas, count)
+    return np.stack([np.bincount(group, column * areas, count) / weight for column in columns], axis=1)
+
+
+def _by_meshio(path: Path) -> tuple[Array, Index, dict[str, Array]]:
+    meshio = library("meshio", f"reading {path}")
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):  # meshio tells the terminal
+            mesh = meshio.read(path)
+    except (Exception, SystemExit) as error:  # meshio ends the process where it knows no reader
+        reason = said.getvalue() if isinstance(error, SystemExit) else str(error)
+        reason = " ".join(reason.split()).removeprefix("Error: ") or type(error).__name__
+        raise PatchError(f"{path} cannot be read as a mesh: {reason}") from error
+    blocks = [(i, block.data) for i, block in enumerate(mesh.cells) if block.type in _FACES]
+    others = [block for block in mesh.cells if block.type not in _FACES and block.type.startswith((*_FACES, "polygon"))]
+    if others:
+        raise PatchError(
+            f"{path} has {sum(map(len, others))} faces of type {others[0].type}, without which there would be holes: "
+            "cut them into triangles or quadrilaterals"
+        )
+    faces = [data[:, [0, 1, 2, -1]] for _, data in blocks]
+    cells = {
+        name: np.concatenate([np.asarray(arrays[i], dtype=np.float64) for i, _ in blocks])
+        for name, arrays in mesh.cell_data.items()
+        if blocks
+    }
+    points = np.asarray(mesh.points, dtype=np.float64)
+    if points.shape[1] == 2:
+        points = np.pad(points, ((0, 0), (0, 1)))
+    return points, np.concatenate([np.empty((0, 4), np.int64), *faces]).astype(np.int64), cells
+
+
+def _by_trimesh(path: Path) -> tuple[Array, Index, dict[str, Array]]:
+    trimesh = library("trimesh", f"reading {path}")
+    try:
+        mesh = trimesh.load(path, force="mesh", process=False)
+    except Exception as error:
+        raise PatchError(f"{path} cannot be read as a mesh: {' '.join(str(error).split())}") from error
+    faces = np.asarray(mesh.faces, dtype=np.int64).reshape(-1, 3)
+    return np.asarray(mesh.vertices, dtype=np.float64), faces[:, [0, 1, 2, 2]], {}

@@ -1,0 +1,119 @@
+"""Rays against patches by Mitsuba: one mesh, centred and of unit size, since rays have single precision."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array, copied_to_device, use_variant
+
+from .faces import triangles
+from .patches import Patches
+
+Index = NDArray[np.int64]
+
+#: A ray goes on this far from where it was, in radii. Less, and it meets the same face again; more, and it skips thin
+#: gaps.
+STEP = 1e-6
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What rays meet first: of those that meet something the ray, the distance in radii, and the face. Host arrays."""
+
+    ray: Index
+    distance: NDArray[np.float32]
+    face: Index
+
+
+class RayScene:
+    """Patches as a scene for rays. ``centre`` and ``radius`` lead from their coordinates to those of the scene."""
+
+    def __init__(self, patches: Patches) -> None:
+        use_variant()
+        import mitsuba as mi
+
+        self.patches = patches
+        self.centre, self.radius = patches.sphere
+        corners, self._face = triangles(patches.faces)
+        mesh = mi.Mesh("patches", len(patches.vertices), len(corners))
+        parameters = mi.traverse(mesh)
+        parameters["vertex_positions"] = np.ascontiguousarray(self.local(patches.vertices), np.float32).ravel()
+        parameters["faces"] = np.ascontiguousarray(corners, np.uint32).ravel()
+        parameters.update()
+        self._scene = mi.load_dict({"type": "scene", "patches": mesh})
+        # Of triangles on the device: the face, its normal, and the patches of its front and its back.
+        n, front, back = len(patches), patches.front[self._face], patches.back[self._face]
+        self._faces = copied_to_device(mi.UInt32, self._face)
+        self._normals = copied_to_device(mi.Float, patches.face_normals[self._face])
+        self._sides = copied_to_device(mi.UInt32, np.stack([front, np.where(back < 0, n + 1, back)], axis=1))
+        self._sky = dr.opaque(mi.UInt32, n)
+
+    def local(self, points: Array) -> Array:
+        """Coordinates of the scene."""
+        return (points - self.centre) / self.radius
+
+    def first_hits(self, origins: Array, directions: Array) -> Hits:
+        """Closest hits of rays (n, 3), in coordinates of the scene."""
+        import mitsuba as mi
+
+        ray = mi.Ray3f(mi.Point3f(_columns(origins)), mi.Vector3f(_columns(directions)))
+        pi = self._scene.ray_intersect_preliminary(ray, coherent=False)
+        distance, triangle = np.array(pi.t), np.array(pi.prim_index)
+        hit = np.flatnonzero(np.isfinite(distance))
+        return Hits(hit, distance[hit], self._face[triangle[hit]])
+
+    def first_patches(self, origins: Array, directions: Array) -> Index:
+        """What rays (n, 3) meet first: a patch, ``n`` for the sky, ``n + 1`` for the back of a face."""
+        import mitsuba as mi
+
+        if len(origins) == 0:  # Dr.Jit traces no empty arrays
+            return np.zeros(0, np.int64)
+        return np.array(self.meets(mi.Point3f(_columns(origins)), mi.Vector3f(_columns(directions)))).astype(np.int64)
+
+    def hit(self, origins: Any, directions: Any, active: Any = True) -> Any:
+        """The same on the device, of lanes of points and directions: a ``PreliminaryIntersection3f``."""
+        import mitsuba as mi
+
+        ray = mi.Ray3f(mi.Point3f(origins), mi.Vector3f(directions))
+        return self._scene.ray_intersect_preliminary(ray, coherent=False, active=active)
+
+    def meets(self, origins: Any, directions: Any) -> Any:
+        """:meth:`first_patches` on the device."""
+        return self.patch_of(self.hit(origins, directions), directions)
+
+    def patch_of(self, hit: Any, directions: Any) -> Any:
+        """The patch of a :meth:`hit` on the device; see :meth:`first_patches`."""
+        import mitsuba as mi
+
+        is_hit = hit.is_valid()
+        is_back = dr.dot(self.normal_of(hit), directions) > 0
+        patch = dr.gather(mi.UInt32, self._sides, 2 * hit.prim_index + dr.select(is_back, mi.UInt32(1), 0), is_hit)
+        return dr.select(is_hit, patch, self._sky)
+
+    def normal_of(self, hit: Any) -> Any:
+        """Normals of front sides, zero where nothing was met."""
+        import mitsuba as mi
+
+        return dr.gather(mi.Vector3f, self._normals, hit.prim_index, hit.is_valid())
+
+    def face_of(self, hit: Any) -> Any:
+        """Faces, 0 where nothing was met."""
+        import mitsuba as mi
+
+        return dr.gather(mi.UInt32, self._faces, hit.prim_index, hit.is_valid())
+
+    def face_sides(self, face: Index, directions: Array) -> tuple[Index, Index]:
+        """Patches of the sides of faces towards the origin of rays, and away from it; ``n + 1`` for the back of one."""
+        front, back = self.patches.front[face], self.patches.back[face]
+        back = np.where(back < 0, len(self.patches) + 1, back)
+        is_back = (self.patches.face_normals[face] * directions).sum(axis=1) > 0
+        return np.where(is_back, back, front), np.where(is_back, front, back)
+
+
+def _columns(rows: Array) -> Any:
+    return np.ascontiguousarray(rows.T, dtype=np.float32)

@@ -1,0 +1,193 @@
+"""Patches of a Mitsuba scene."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import drjit as dr
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array, SceneError, UnsupportedError, logger, seed_key, use_variant
+from etendue.scene import Problem, RenderSpace, graph, load, warn_of_steps
+
+from .errors import PatchError, SurfaceError
+from .meshfiles import sound_faces
+from .patches import Patches
+from .tessellation import face_means, tessellate
+
+Index = NDArray[np.int64]
+
+
+def scene_patches(
+    scene: Any, *, max_area: float | None = None, per: Literal["face", "shape"] = "face", segments: int = 32
+) -> Patches:
+    """Patches of a scene: an ``mi.Scene``, whatever else :func:`etendue.scene.load` takes, or what it returns. Channels
+    are red, green, blue.
+
+    Each face of a shape is a patch, with the mean of its textures, or each shape is one (``per="shape"``). Rectangles
+    become quadrilaterals, spheres, cylinders and disks polygons of ``segments`` sides inside them. Reflectance is that
+    of a diffuse material; another that reflects counts as diffuse with the same hemispherical albedo, which is said in
+    a warning. A ``twosided`` material makes sheets. Area lights emit from their fronts; a ``constant`` light is the
+    sky.
+
+    max_area: faces larger than that are cut, see :meth:`Patches.subdivided`; textures are read before.
+
+    Raises :class:`UnsupportedError` for materials that transmit, lights that are not diffuse or have no area, curves,
+    volumes and instances, :class:`SceneError` for a scene without shapes, :class:`PatchError` for broken meshes and
+    for materials that absorb nothing. A scene without emitter is none here: form factors need no light.
+    """
+    use_variant()
+    scene, space = loaded_scene(scene)
+    if per not in ("face", "shape"):
+        raise SurfaceError(f"a patch is made per 'face' or per 'shape', not {per!r}")
+    if not isinstance(segments, int) or segments < 3:
+        raise SurfaceError(f"a circle needs three segments at least, not {segments!r}")
+    parts = [_part(shape, segments) for shape in scene.shapes()]
+    if not parts:
+        raise SceneError("the scene has no shapes; a radiosity problem needs surfaces")
+    offsets = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    sheets = np.concatenate([np.full(len(part.faces), part.is_sheet) for part in parts])
+    reflectance = np.concatenate([part.reflectance for part in parts])
+    backs = np.concatenate([part.back_reflectance for part in parts])[sheets]
+    emission = np.concatenate([part.emission for part in parts])
+    patches = Patches(
+        space.to_scene(np.concatenate([part.vertices for part in parts])),
+        np.concatenate([part.faces + offset for part, offset in zip(parts, offsets[:-1], strict=True)]),
+        reflectance=np.concatenate([reflectance, backs]),
+        emission=np.concatenate([emission, np.zeros_like(backs)]),
+        two_sided=sheets,
+        sky=_sky(scene),
+    )
+    if space.is_own:
+        remedy = "put it near the origin, or give it as a file or as a dictionary of plugins"
+        warn_of_steps("the scene", np.abs(patches.vertices).max(), patches.sphere[1], remedy)
+    shape = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
+    if per == "shape":
+        return _joined(patches, shape, np.array([part.is_sheet for part in parts]))
+    return patches if max_area is None else patches.subdivided(max_area)
+
+
+def loaded_scene(scene: Any) -> tuple[Any, RenderSpace]:
+    """An ``mi.Scene`` of what :func:`scene_patches` takes, and its space: rays of patches have one of their own."""
+    import mitsuba as mi
+
+    if isinstance(scene, mi.Scene):
+        return scene, RenderSpace()
+    problem = scene if isinstance(scene, Problem) else load(scene)
+    return problem.scene, problem.space
+
+
+@dataclass
+class _Part:
+    """One shape."""
+
+    vertices: Array
+    faces: Index
+    reflectance: Array  # (m, 3), fronts
+    back_reflectance: Array
+    emission: Array
+    is_sheet: bool
+
+
+def _part(shape: Any, segments: int) -> _Part:
+    import mitsuba as mi
+
+    points, faces, at = tessellate(shape, segments)
+    bsdf = shape.bsdf()
+    is_sheet = bool(mi.has_flag(bsdf.flags(), mi.BSDFFlags.BackSide))
+    front = face_means(_albedo(bsdf, at), len(faces))
+    if is_sheet:
+        at.wi = mi.Vector3f(0, 0, -1)
+        back = face_means(_albedo(bsdf, at), len(faces))
+    else:
+        back = np.zeros_like(front)
+    brightest = max(front.max(initial=0), back.max(initial=0))
+    if brightest >= 1:
+        raise PatchError(
+            f"{graph.describe(bsdf, 'material')} reflects {brightest:.3g} of the light: radiosity needs less than 1"
+        )
+    emission = np.zeros_like(front)
+    if shape.emitter() is not None:
+        if graph.plugin_name(shape.emitter()) != "area":
+            raise UnsupportedError(
+                f"{graph.describe(shape.emitter(), 'emitter')} does not emit evenly into all directions; radiosity "
+                "needs an area light of type 'area'"
+            )
+        at.wi = mi.Vector3f(0, 0, 1)
+        emission = np.pi * face_means(shape.emitter().eval(at), len(faces))
+    vertices, faces, kept = sound_faces(points, faces, graph.describe(shape, "shape"))
+    return _Part(vertices, faces, front[kept], back[kept], emission[kept], is_sheet)
+
+
+def _albedo(bsdf: Any, at: Any) -> Any:
+    """Share of the light that is reflected on the side of ``at.wi``."""
+    import mitsuba as mi
+
+    flags = bsdf.flags()
+    if mi.has_flag(flags, mi.BSDFFlags.Transmission) or mi.has_flag(flags, mi.BSDFFlags.Null):
+        raise UnsupportedError(
+            f"{graph.describe(bsdf, 'material')} lets light through, which radiosity cannot have; replace it by an "
+            "opaque one, or render the picture by 'path' or 'vcm'"
+        )
+    if not (mi.has_flag(flags, mi.BSDFFlags.Glossy) or mi.has_flag(flags, mi.BSDFFlags.Delta)):
+        return bsdf.eval_diffuse_reflectance(at)
+    logger.warning("%s counts as diffuse, with the same albedo", graph.describe(bsdf, "material"))
+    return _hemispherical_albedo(bsdf, at)
+
+
+def _hemispherical_albedo(bsdf: Any, at: Any, directions: int = 16) -> Any:
+    """Mean over light that comes evenly from everywhere, by random numbers that are the same for every face."""
+    import mitsuba as mi
+
+    side = dr.sign(at.wi.z)
+    generator = mi.PCG32(size=dr.width(at.p), initstate=seed_key(0, "albedo", 0)[0])
+    total = dr.zeros(mi.Spectrum, dr.width(at.p))
+    context = mi.BSDFContext()
+    for _ in range(directions):
+        u = mi.Point2f(generator.next_float32(), generator.next_float32())
+        at.wi = mi.warp.square_to_cosine_hemisphere(u)
+        at.wi.z *= side
+        u = mi.Point2f(generator.next_float32(), generator.next_float32())
+        total += bsdf.sample(context, at, generator.next_float32(), u)[1]
+    return total / directions
+
+
+def _sky(scene: Any) -> Array:
+    light = np.zeros(3)
+    for emitter in scene.emitters():
+        kind = graph.plugin_name(emitter)
+        if kind == "constant":
+            import mitsuba as mi
+
+            light += np.pi * np.array(emitter.eval(dr.zeros(mi.SurfaceInteraction3f)), dtype=np.float64).ravel()
+        elif emitter.get_shape() is None:
+            raise UnsupportedError(
+                f"{graph.describe(emitter, 'emitter')} has no surface; radiosity takes area lights of type 'area', and "
+                "'constant' as the sky"
+            )
+    return light
+
+
+def _joined(patches: Patches, shape: Index, sheets: NDArray[np.bool_]) -> Patches:
+    """One patch for each shape, with means by area."""
+    faces = len(shape)
+    group = np.concatenate([shape, shape[patches.other_side[:faces] >= 0]])
+    is_back = np.arange(len(patches)) >= faces
+    order = np.cumsum(sheets) - 1 + len(sheets)
+    group = np.where(is_back, order[group], group)
+    weight = np.bincount(group, patches.areas)
+
+    def means(values: Array) -> Array:
+        return np.stack([np.bincount(group, column * patches.areas) / weight for column in values.T], axis=1)
+
+    return Patches(
+        patches.vertices,
+        patches.faces,
+        reflectance=means(patches.reflectance),
+        emission=means(patches.emission),
+        ids=shape[patches.labels[patches.front]],
+        two_sided=sheets,
+        sky=patches.sky,
+    )
