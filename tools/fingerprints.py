@@ -44,7 +44,8 @@ def room() -> Any:
     count = len(faces)
     emission = np.zeros((count, 3))
     emission[0] = 1.0, 2.0, 3.0
-    return r.Patches(vertices, faces, reflectance=np.full((count, 3), (0.3, 0.5, 0.7)), emission=emission).subdivided(0.1)
+    reflectance = np.full((count, 3), (0.3, 0.5, 0.7))
+    return r.Patches(vertices, faces, reflectance=reflectance, emission=emission).subdivided(0.1)
 
 
 def radiosities() -> Iterator[tuple[str, Any]]:
@@ -57,7 +58,7 @@ def radiosities() -> Iterator[tuple[str, Any]]:
     engines: dict[str, Any] = {
         "A-buffer": r.ABuffer(patches, OwenSobol(4, seed=1), 500),
         "A-buffer by Dr.Jit": r.ABuffer(patches, OwenSobol(4, seed=1), 500, backend="drjit"),
-        "local rays": r.LocalRays(rays, OwenSobol(5, seed=2)),
+        "local rays": r.LocalRays(rays, OwenSobol(4, seed=2)),
     }
     for name, generator in (("pairs", r.SpherePairs), ("circle", r.GreatCircle), ("walls", r.BoxWalls)):
         engines[name] = r.ChainedRays(generator(patches), rays, OwenSobol(4, seed=3))
@@ -80,7 +81,7 @@ def radiosities() -> Iterator[tuple[str, Any]]:
     yield "multipath by bundles", r.multipath_bundles(r.ABuffer(patches, Independent(4, seed=5), 200), 64).radiosity
     yield "particles by bounces", r.breadth_first(rays, 1 << 12, Independent(4, seed=6)).radiosity
     yield "particles by paths", r.depth_first(rays, 1 << 12, Independent(4, seed=6), seed=6).radiosity
-    yield "factors of local rays", r.local_form_factors(rays, 1 << 8, OwenSobol(4, seed=7)).matrix.toarray()
+    yield "factors of local rays", r.local_form_factors(rays, 1 << 8, points=OwenSobol(4, seed=7)).matrix.toarray()
     yield "vertices", r.vertex_radiosity(patches, r.solve(patches, segments).radiosity).values
 
 
@@ -90,7 +91,7 @@ def main(arguments: list[str]) -> int:
         from etendue.core import use_variant
 
         use_variant()
-        found = {name: np.asarray(values) for make in (pictures, radiosities) for name, values in make()}
+        found: dict[str, Any] = {n: np.asarray(values) for make in (pictures, radiosities) for n, values in make()}
         np.savez(arguments[1], **found)
         sys.stdout.write(f"{len(found)} arrays\n")
         return 0

@@ -19,6 +19,7 @@ from .core import (
 )
 from .engine import Session
 from .outputs import Rendering
+from .plugins import register_method as register
 
 plugins.register()  # in every Mitsuba variant that is set, now or later
 
@@ -34,6 +35,7 @@ __all__ = [
     "UnsupportedError",
     "Update",
     "check",
+    "register",
     "render",
     "resume",
     "start",

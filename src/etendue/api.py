@@ -155,8 +155,8 @@ def choose_method(
     if name is not None:
         return methods.get(name)
     named = integrator_of(scene, parameters)
-    if named in methods.table() and named != "path":
-        return methods.get(named)
+    if (method := methods.by_plugin(named)) is not None:
+        return method
     if named:
         tell(f"the scene names the integrator '{named}'; as no method was asked for, vcm renders it")
     return methods.get("vcm")

@@ -9,7 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support import scenes
 from support.statistics import assert_agree
+
+import etendue
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))
@@ -51,6 +54,29 @@ def test_composed_brdf_is_reciprocal():
     uv = np.random.default_rng(1).random((2, 1000))
     there, back = (np.array(f.evaluate([*uv, *v[a], *v[b]])) for a, b in ((0, 1), (1, 0)))
     assert there == pytest.approx(back, abs=1e-9) and there.min() >= 0
+
+
+@pytest.mark.parametrize("reach", [0.0, 0.4])
+def test_occlusion(reach):
+    """Of a white floor under a white sky it is the picture by path, two edges long; a plate half a unit above hides a
+    part of the sky, but nothing within a smaller reach."""
+    turn = scenes.transform()
+    white = scenes.diffuse(1.0, 1.0, 1.0)
+    floor = {
+        "type": "scene",
+        "sensor": scenes.camera((0.0, 0.4, 1.2), (0.5, 0.0, 0.0), 15.0, size=(12, 12)),
+        "sky": {"type": "constant", "radiance": scenes.rgb(1.0, 1.0, 1.0)},
+        "ground": {"type": "rectangle", "to_world": turn.rotate([1, 0, 0], -90).scale(5), "bsdf": white},
+    }
+    place = turn.translate([0.5, 0.5, 0.0]).rotate([1, 0, 0], 90).scale(0.5)
+    plated = floor | {"plate": {"type": "rectangle", "to_world": place, "bsdf": white}}
+    options, by_path, found = {"size": (12, 12), "samples": 64}, [], []
+    for seed in range(6):
+        found.append(example("occlusion").run(plated, seed=seed, reach=reach, **options))
+        seen = plated if reach == 0.0 else floor
+        by_path.append(etendue.render(seen, "path", seed=50 + seed, max_depth=2, **options).image)
+    assert_agree(np.stack(found).astype(float), np.stack(by_path).astype(float), reach)
+    assert (np.mean(found) < 0.8) == (reach == 0.0)
 
 
 def test_ray_tracers():

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from support.patches import cube
 
+from etendue.formats import FormatError
 from etendue.points import OwenSobol
 from etendue.radiosity import (
     ABuffer,
     GltfMesh,
     Patches,
     RadiosityError,
+    SurfaceError,
     coloured_mesh,
     gltf_mesh,
     read_patches,
@@ -148,12 +150,12 @@ def test_second_texture_coordinates_of_placed_meshes(tmp_path):
 
 def test_refusals(tmp_path, solution):
     save_solution(tmp_path / "s.glb", solution)
-    with pytest.raises(RadiosityError, match="no second texture coordinates"):
+    with pytest.raises(SurfaceError, match="no second texture coordinates"):
         gltf_mesh(tmp_path / "s.glb")
-    with pytest.raises(RadiosityError, match="there is no mesh file"):
+    with pytest.raises(FormatError, match="there is no mesh file"):
         gltf_mesh(tmp_path / "nothing.glb")
     (tmp_path / "broken.glb").write_bytes(b"glTF and no more")
-    with pytest.raises(RadiosityError, match="cannot be read as glTF"):
+    with pytest.raises(FormatError, match="cannot be read as glTF"):
         gltf_mesh(tmp_path / "broken.glb")
     bands = solution.patches.with_properties([[0.5] * 4], [[1.0] * 4], 0.0)
     with pytest.raises(RadiosityError, match="one channel or three, not 4"):

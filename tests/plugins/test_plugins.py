@@ -17,7 +17,7 @@ from etendue.core import UnsupportedError
 from etendue.film import read_exr
 from etendue.scene import load
 
-NAMES = [name for name in methods.table() if name not in ("path", "stratified")]
+NAMES = [method.plugin_name() for method in methods.OWN if method.plugin_name()]
 
 
 @pytest.fixture(autouse=True, scope="module")

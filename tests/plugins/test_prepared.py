@@ -12,7 +12,7 @@ from support.tables import thinned
 from etendue import methods, plugins
 from etendue.scene import parameters
 
-NAMES = [name for name in methods.table() if name not in ("path", "stratified")]
+NAMES = [method.plugin_name() for method in methods.OWN if method.plugin_name()]
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -12,7 +12,7 @@ from etendue.radiosity import (
     STEFAN_BOLTZMANN,
     ABuffer,
     Patches,
-    RadiosityError,
+    SurfaceError,
     band_shares,
     box,
     form_factors,
@@ -99,6 +99,6 @@ def test_a_warm_sky():
     ],
 )
 def test_what_cannot_be(options, words):
-    with pytest.raises(RadiosityError) as error:
+    with pytest.raises(SurfaceError) as error:
         thermal(Patches(*OUTER), **{"temperatures": 300, "emissivity": 0.5, **options})
     assert words in str(error.value)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from etendue.radiosity.spiral import ShuffledPoints, SpiralPoints
 from support.patches import adjacent, cube, opposite, room
 
 from etendue.points import Halton, Independent, OwenSobol
@@ -21,6 +20,7 @@ from etendue.radiosity import (
     multipath,
     multipath_bundles,
 )
+from etendue.radiosity.lines.spiral import ShuffledPoints, SpiralPoints
 
 
 def lit_cube(reflectance=0.6):

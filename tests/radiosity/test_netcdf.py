@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from support.patches import box, cube, joined, square
 
+from etendue.formats import FormatError, netcdf
 from etendue.points import OwenSobol
 from etendue.radiosity import (
     ABuffer,
     Patches,
     RadiosityError,
     form_factors,
-    netcdf,
     read_form_factors,
     read_segments,
     read_solution,
@@ -114,15 +114,15 @@ def test_a_solution_is_read_again(tmp_path, suffix):
     assert read_solution(tmp_path / f"s{suffix}")[1] is None
 
 
-@pytest.mark.parametrize("name", ["s.npz", "s.nc"])
-def test_other_files_are_no_solutions(tmp_path, segments, name):
-    with pytest.raises(RadiosityError, match="there is no file of a solution"):
+@pytest.mark.parametrize(("name", "error"), [("s.npz", RadiosityError), ("s.nc", FormatError)])
+def test_other_files_are_no_solutions(tmp_path, segments, name, error):
+    with pytest.raises(error, match="there is no file of a solution"):
         read_solution(tmp_path / name)
     (tmp_path / name).write_bytes(b"something else")
-    with pytest.raises(RadiosityError, match="solution"):
+    with pytest.raises(error, match="solution"):
         read_solution(tmp_path / name)
     save_form_factors(tmp_path / name, form_factors(segments))
-    with pytest.raises(RadiosityError, match="no file of a solution"):
+    with pytest.raises(error, match="no file of a solution"):
         read_solution(tmp_path / name)
 
 
@@ -130,15 +130,15 @@ def test_refusals(tmp_path, segments, monkeypatch):
     with pytest.raises(RadiosityError, match=r"written as \.nc"):
         save_segments(tmp_path / "s.npz", segments)
     monkeypatch.setattr(netcdf, "_LARGEST", 1000)
-    with pytest.raises(RadiosityError, match=r"holds 2: write \.npz"):
+    with pytest.raises(FormatError, match=r"holds 2: write \.npz"):
         save_form_factors(tmp_path / "f.nc", form_factors(segments))
     monkeypatch.undo()
     assert not list(tmp_path.iterdir())
-    with pytest.raises(RadiosityError, match="there is no file of form factors"):
+    with pytest.raises(FormatError, match="there is no file of form factors"):
         read_form_factors(tmp_path / "f.nc")
     (tmp_path / "f.nc").write_bytes(b"no netCDF at all")
-    with pytest.raises(RadiosityError, match="no netCDF file of the classic format"):
+    with pytest.raises(FormatError, match="no netCDF file of the classic format"):
         read_form_factors(tmp_path / "f.nc")
     save_segments(tmp_path / "s.nc", segments)
-    with pytest.raises(RadiosityError, match="it has no variable 'row_start'"):
+    with pytest.raises(FormatError, match="it has no variable 'row_start'"):
         read_form_factors(tmp_path / "s.nc")

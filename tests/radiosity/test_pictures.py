@@ -11,7 +11,7 @@ from support.scenes import camera, diffuse, mesh, rgb, transform
 from etendue.core import EtendueError, OptionError, SceneError
 from etendue.methods import Path
 from etendue.points import OwenSobol
-from etendue.radiosity import ABuffer, Patches, RadiosityError, Solution, picture, scene_patches, solve
+from etendue.radiosity import ABuffer, Patches, RadiosityError, Solution, SurfaceError, picture, scene_patches, solve
 from etendue.scene import load
 
 GREY = diffuse(0.5, 0.5, 0.5)
@@ -224,7 +224,7 @@ def test_one_channel_and_other_meshes():
         ({"gather": -1}, OptionError, "gather is a whole number of at least 0"),
         ({"irradiance_error": np.ones(3)}, RadiosityError, "have its shape"),
         ({"sensor": 3}, EtendueError, "no sensor 3"),
-        ({"angle": 200}, RadiosityError, "0 to 180 degrees"),
+        ({"angle": 200}, SurfaceError, "0 to 180 degrees"),
     ],
 )
 def test_refusals(options, error, message):

@@ -14,6 +14,7 @@ from etendue.radiosity import (
     ABuffer,
     Patches,
     RadiosityError,
+    SurfaceError,
     form_factors,
     read_form_factors,
     read_patches,
@@ -80,7 +81,7 @@ def test_smoothing_keeps_the_sides_of_a_sheet_apart():
     ("values", "angle", "message"), [([1.0], 30, "one row for each of 24"), (np.ones(24), 200, "0 to 180 degrees")]
 )
 def test_smoothing_refuses(values, angle, message):
-    with pytest.raises(RadiosityError, match=message):
+    with pytest.raises(SurfaceError, match=message):
         vertex_radiosity(cube(2), values, angle)
 
 

@@ -14,9 +14,9 @@ from etendue.radiosity import (
     Patches,
     RadiosityError,
     Solution,
+    SurfaceError,
     TexturedMesh,
     atlas,
-    atlases,
     gltf_mesh,
     lightmap,
     picture,
@@ -24,6 +24,7 @@ from etendue.radiosity import (
     save_textured_mesh,
     scene_mesh,
 )
+from etendue.surfaces import atlases
 
 pytest.importorskip("scipy.ndimage")
 
@@ -207,22 +208,22 @@ def test_a_mesh_of_mitsuba_with_its_own_coordinates():
     ],
 )
 def test_coordinates_that_are_no_atlas(uv, message):
-    with pytest.raises(RadiosityError, match=message):
+    with pytest.raises(SurfaceError, match=message):
         lightmap(solved(grid(1, reflectance=0.5), 1.0), plane(uv), (32, 32))
 
 
 def test_refusals(tmp_path, monkeypatch):
     solution, mesh = solved(grid(1, reflectance=0.5), 1.0), plane([[0, 0], [1, 0], [1, 1], [0, 1]])
     away = TexturedMesh(mesh.vertices + np.array([0, 0, 3]), mesh.faces, mesh.uv)
-    with pytest.raises(RadiosityError, match="no patch is where the mesh"):
+    with pytest.raises(SurfaceError, match="no patch is where the mesh"):
         lightmap(solution, away, (8, 8))
     with pytest.raises(RadiosityError, match="of 'radiosity' or 'irradiance'"):
         lightmap(solution, mesh, (8, 8), quantity="light")
-    with pytest.raises(RadiosityError, match="at least one texel"):
+    with pytest.raises(SurfaceError, match="at least one texel"):
         lightmap(solution, mesh, (0, 8))
-    with pytest.raises(RadiosityError, match=r"written as \.glb, \.gltf, \.obj"):
+    with pytest.raises(SurfaceError, match=r"written as \.glb, \.gltf, \.obj"):
         save_textured_mesh(tmp_path / "m.stl", mesh)
-    with pytest.raises(RadiosityError, match=r"written as \.exr"):
+    with pytest.raises(SurfaceError, match=r"written as \.exr"):
         save_lightmap(tmp_path / "m.png", lightmap(solution, mesh, (8, 8)))
     monkeypatch.setitem(__import__("sys").modules, "xatlas", None)
     with pytest.raises(BackendError, match=r"pip install 'etendue\[lightmap\]'"):
@@ -232,8 +233,8 @@ def test_refusals(tmp_path, monkeypatch):
 
 def test_an_atlas_needs_room():
     pytest.importorskip("xatlas")
-    with pytest.raises(RadiosityError, match="at least 16 texels"):
+    with pytest.raises(SurfaceError, match="at least 16 texels"):
         atlas(cube(1), 8)
     apart = joined(*(square((2 * k, 0, 0), (1, 0, 0), (0, 1, 0)) for k in range(64)))
-    with pytest.raises(RadiosityError, match="no room for 128 triangles; make it larger"):
+    with pytest.raises(SurfaceError, match="no room for 128 triangles; make it larger"):
         atlas(Patches(*apart), 16)

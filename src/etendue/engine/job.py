@@ -253,7 +253,7 @@ def _settings(task: Task, problem: Problem) -> Settings:
     """The given settings over those that the scene's integrator names over the defaults."""
     known = task.method.Settings.names()
     from_scene: dict[str, Any] = {"max_depth": problem.max_depth}
-    if problem.integrator == task.method.name:
+    if problem.integrator and problem.integrator in (task.method.name, task.method.plugin):
         unknown = sorted(problem.integrator_options.keys() - set(known))
         if unknown:
             logger.warning(

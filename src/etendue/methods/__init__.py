@@ -2,37 +2,20 @@
 
 from __future__ import annotations
 
-from etendue.core import OptionError, suggest
-
 from .adaptive.stratified import Stratified
 from .adaptive.vegas import Vegas
 from .auto import Auto
-from .base import ImageMethod, ImageSettings
+from .base import ImageMethod, ImageSettings, Layer, total
 from .bidirectional import Bidirectional, Bpm, Bpt, Vcm
 from .guided import Guided
 from .light import Light
 from .path import Path
 from .photon.map import Pm
 from .photon.progressive import Ppm, Sppm
-
-_METHODS: dict[str, type[ImageMethod]] = {
-    cls.name: cls for cls in (Auto, Path, Guided, Vegas, Stratified, Light, Pm, Ppm, Sppm, Bpt, Bpm, Vcm)
-}
-
-
-def table() -> dict[str, type[ImageMethod]]:
-    """Name to class, in the order of the manual."""
-    return dict(_METHODS)
-
-
-def get(name: str) -> type[ImageMethod]:
-    """The class of a method. Raises :class:`OptionError` with the nearest name if there is none."""
-    if name in _METHODS:
-        return _METHODS[name]
-    raise OptionError(f"no method '{name}'; {suggest(name, _METHODS)}")
-
+from .registry import OWN, by_plugin, get, register, table
 
 __all__ = [
+    "OWN",
     "Auto",
     "Bidirectional",
     "Bpm",
@@ -40,6 +23,7 @@ __all__ = [
     "Guided",
     "ImageMethod",
     "ImageSettings",
+    "Layer",
     "Light",
     "Path",
     "Pm",
@@ -48,6 +32,9 @@ __all__ = [
     "Stratified",
     "Vcm",
     "Vegas",
+    "by_plugin",
     "get",
+    "register",
     "table",
+    "total",
 ]

@@ -109,6 +109,8 @@ class ImageMethod(ABC):
     name: ClassVar[str]
     Settings: ClassVar[type[ImageSettings]]
     citations: ClassVar[tuple[str, ...]] = ()
+    #: Name of the Mitsuba integrator where that is not ``name``; "" where Mitsuba has an own one that does the same.
+    plugin: ClassVar[str | None] = None
     #: Whether passes leave something behind for those after them, or begin from what the seed found in ``prepare``:
     #: each run then wants a method that was prepared for it. Others need the seed for pilots alone.
     carries_on: ClassVar[bool] = False
@@ -117,6 +119,11 @@ class ImageMethod(ABC):
 
     def __init__(self, settings: ImageSettings | None = None) -> None:
         self.settings: Any = settings if settings is not None else self.Settings()
+
+    @classmethod
+    def plugin_name(cls) -> str:
+        """Name of the Mitsuba integrator, "" for none."""
+        return cls.name if cls.plugin is None else cls.plugin
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """Build the tables that every pass shares."""

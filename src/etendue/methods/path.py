@@ -71,6 +71,7 @@ class Path(ImageMethod):
     """Path tracing with next event estimation and multiple importance sampling."""
 
     name: ClassVar[str] = "path"
+    plugin: ClassVar[str | None] = ""
     Settings: ClassVar[type[ImageSettings]] = PathSettings
     citations: ClassVar[tuple[str, ...]] = ("Kajiya1986", "Veach1997")
 

@@ -47,8 +47,8 @@ def _integrator_class(method: Any, variant: str) -> type:
             given = {name: props[name] for name in method.Settings.names() if name in props}
             if props.get("hide_emitters", False):
                 raise UnsupportedError(f"{method.name} has no 'hide_emitters'; remove it, or hide the emitter's shape")
-            self.plugin_name = method.name
-            self.settings = method.Settings.from_mapping(given, owner=f"integrator '{method.name}'")
+            self.plugin_name = method.plugin_name()
+            self.settings = method.Settings.from_mapping(given, owner=f"integrator '{method.plugin_name()}'")
             self.options = self.settings.to_dict()
             self._prepared = Prepared(method, self.settings)
             self.timeout = float(props.get("timeout", -1.0))
@@ -79,7 +79,7 @@ def _integrator_class(method: Any, variant: str) -> type:
                 size=(width, height),
                 spp=int(spp) or int(sensor.sampler().sample_count()),
                 max_depth=self.options["max_depth"],
-                integrator=method.name,
+                integrator=method.plugin_name(),
                 integrator_options=dict(self.options),
             )
             with dr.suspend_grad():
@@ -143,7 +143,7 @@ def _integrator_class(method: Any, variant: str) -> type:
 
         def to_string(self) -> str:
             rows = ",\n".join(f"  {name} = {value}" for name, value in self.options.items())
-            return f"{method.name}[\n{rows}\n]"
+            return f"{method.plugin_name()}[\n{rows}\n]"
 
     EtendueIntegrator.__name__ = f"{method.name.capitalize()}Integrator"
     EtendueIntegrator.__qualname__ = EtendueIntegrator.__name__

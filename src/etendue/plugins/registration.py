@@ -9,13 +9,11 @@ from etendue.core import logger
 
 from .integrator import integrator_class
 
-#: Mitsuba has an integrator 'path' and a sampler 'stratified' of its own, which must stay what they are.
-_MITSUBAS_OWN = ("path", "stratified")
-
 
 def register() -> None:
-    """Make all methods but ``path`` and ``stratified`` known to ``mi.load_dict``, ``mi.load_file`` and ``mi.render``,
-    and the materials, emitters and sensors of :func:`etendue.scene.register`.
+    """Make all methods but ``path``, which Mitsuba has itself, known to ``mi.load_dict``, ``mi.load_file`` and
+    ``mi.render``, ``stratified`` as ``stratified_path``; and the materials, emitters and sensors of
+    :func:`etendue.scene.register`.
 
     May be called before or after ``mi.set_variant`` and any number of times. Under variants that are not supported the
     plugins are known as well, and raise one clear error when one is asked for.
@@ -27,13 +25,28 @@ def register() -> None:
         _register("", mi.variant())
 
 
+def register_method(method: Any) -> Any:
+    """Add a method of one's own, a subclass of ``etendue.methods.ImageMethod``, to étendue under its ``name``; usable
+    as a decorator. It is then in :func:`etendue.render` and the other functions, and a Mitsuba integrator.
+
+    For the command line, and other processes, a package names it as an entry point of the group ``etendue.methods``.
+    Raises :class:`OptionError` for a name that is taken, and for what is no method.
+    """
+    import mitsuba as mi
+
+    methods.register(method)
+    if mi.variant() is not None and method.plugin_name():
+        mi.register_integrator(method.plugin_name(), _constructor(method))
+    return method
+
+
 def _register(old: str | None, new: str | None) -> None:
     """Mitsuba's variant callback: register with the variant that is current."""
     import mitsuba as mi
 
-    for name, method in methods.table().items():
-        if name not in _MITSUBAS_OWN:
-            mi.register_integrator(name, _constructor(method))
+    for method in methods.table().values():
+        if method.plugin_name():
+            mi.register_integrator(method.plugin_name(), _constructor(method))
     scene.register()
     logger.debug("registered with Mitsuba under %s", new)
 

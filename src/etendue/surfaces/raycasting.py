@@ -107,7 +107,7 @@ class RayScene:
 
         return dr.gather(mi.UInt32, self._faces, hit.prim_index, hit.is_valid())
 
-    def face_sides(self, face: Index, directions: Array) -> tuple[Index, Index]:
+    def sides(self, face: Index, directions: Array) -> tuple[Index, Index]:
         """Patches of the sides of faces towards the origin of rays, and away from it; ``n + 1`` for the back of one."""
         front, back = self.patches.front[face], self.patches.back[face]
         back = np.where(back < 0, len(self.patches) + 1, back)

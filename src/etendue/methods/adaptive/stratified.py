@@ -65,6 +65,7 @@ class Stratified(AdaptivePath):
     """Path tracing whose random numbers are stratified recursively, where light varies."""
 
     name: ClassVar[str] = "stratified"
+    plugin: ClassVar[str | None] = "stratified_path"  # Mitsuba has a sampler 'stratified'
     Settings: ClassVar[type[ImageSettings]] = StratifiedSettings
     citations: ClassVar[tuple[str, ...]] = ("Leeson2001", "Press1990", *Path.citations)
 

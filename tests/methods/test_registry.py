@@ -1,0 +1,111 @@
+"""Methods of other packages: registered by a program, or found by an entry point."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import etendue
+from etendue import methods
+from etendue.core import OptionError
+from etendue.methods import Path as PathMethod
+from etendue.methods import registry
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "occlusion.py"
+
+
+@pytest.fixture
+def own(monkeypatch):
+    """A method that is there for one test."""
+    monkeypatch.setattr(registry, "_methods", dict(registry._methods))
+
+    class Mine(PathMethod):
+        """Path tracing by another name."""
+
+        name = "mine"
+        plugin = None
+
+    return Mine
+
+
+def test_a_registered_method_is_a_method(own, tmp_path):
+    etendue.register(own)
+    assert methods.get("mine") is own and list(methods.table())[-1] == "mine"
+    options = {"samples": 4, "size": (8, 8), "seed": 3, "samples_per_pass": 2}
+    mine = etendue.render("cornell-box", "mine", checkpoint=tmp_path / "a.checkpoint", **options)
+    np.testing.assert_array_equal(mine.image, etendue.render("cornell-box", "path", **options).image)
+    assert etendue.resume(tmp_path / "a.checkpoint", samples=6).metadata["method"] == "mine"
+
+
+def test_a_registered_method_is_a_mitsuba_integrator(own):
+    etendue.register(own)
+    scene = mi.cornell_box()
+    scene["integrator"] = {"type": "mine", "max_depth": 3}
+    scene["sensor"]["film"] |= {"width": 8, "height": 8}
+    assert np.array(mi.render(mi.load_dict(scene), spp=4)).mean() > 0.0
+    assert etendue.render(scene, samples=2).metadata["method"] == "mine"
+
+
+def test_registered_twice(own):
+    assert etendue.register(own) is own
+    etendue.register(own)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "text"),
+    [
+        ({"name": "path"}, "the name 'path' is taken by etendue.methods.path"),
+        ({"name": "My method"}, "small letters"),
+        ({"citations": ("Nobody2020",)}, "cites Nobody2020"),
+    ],
+)
+def test_what_cannot_be_registered(own, attributes, text):
+    for key, value in attributes.items():
+        setattr(own, key, value)
+    with pytest.raises(OptionError, match=text):
+        etendue.register(own)
+
+
+@pytest.mark.parametrize("thing", [int, object(), "path"])
+def test_what_is_no_method(thing):
+    with pytest.raises(OptionError, match="subclass of"):
+        etendue.register(thing)
+
+
+@pytest.fixture
+def package(tmp_path):
+    """An installed package with one method that works, and one that cannot be loaded."""
+    (tmp_path / "occluded.py").write_text(EXAMPLE.read_text("utf-8"), "utf-8")
+    info = tmp_path / "occluded-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: occluded\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[etendue.methods]\nocclusion = occluded:Occlusion\nbroken = occluded:Missing\n"
+    )
+    return tmp_path
+
+
+def command(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    code = f"import sys; sys.path.insert(0, {str(folder)!r}); from etendue.cli.main import main; sys.exit(main())"
+    return subprocess.run(
+        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, cwd=folder, timeout=300
+    )
+
+
+def test_an_entry_point_is_in_the_command_line(package):
+    listed = command(package, "methods")
+    assert "occlusion" in listed.stdout and "Share of the hemisphere" in listed.stdout
+    assert "method 'broken' of another package cannot be loaded: occluded:Missing" in listed.stderr
+    assert "reach" in command(package, "methods", "occlusion").stdout
+    made = command(
+        package, *["compare", "cornell-box", "-m", "path,occlusion", "--spp", "2", "--size", "8x8", "-o", "page.html"]
+    )
+    assert made.returncode == 0, made.stderr
+    assert "occlusion" in (package / "page.html").read_text("utf-8")
+    refused = command(package, *["render", "cornell-box", "-m", "broken", "--spp", "1", "-o", "a.exr"])
+    assert refused.returncode == 2 and "method 'broken' cannot be loaded: occluded:Missing" in refused.stderr
