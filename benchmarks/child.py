@@ -21,9 +21,9 @@ def _peak() -> float:
 
 
 def _open(options: dict[str, Any]) -> tuple[Any, dict[str, float]]:
-    """The prepared method, and the seconds of each step on the way."""
+    """A replica of the prepared method, and the seconds of each step on the way."""
     from etendue import methods, scene
-    from etendue.core import use_variant
+    from etendue.core import Replica, use_variant
 
     use_variant(options["variant"])
     clock = [time.perf_counter()]
@@ -35,25 +35,25 @@ def _open(options: dict[str, Any]) -> tuple[Any, dict[str, float]]:
     estimator.prepare(problem, 0)
     clock.append(time.perf_counter())
     seconds = {"import": clock[0] - _START, "load": clock[1] - clock[0], "prepare": clock[2] - clock[1]}
-    return estimator, seconds | {"loaded_bytes": loaded}
+    return Replica(estimator, 0), seconds | {"loaded_bytes": loaded}
 
 
 def first_pass(options: dict[str, Any]) -> dict[str, Any]:
     """Seconds of the first pass and of those after it, and how many kernels the later ones compiled."""
     import drjit as dr
 
-    estimator, outcome = _open(options)
+    replica, outcome = _open(options)
     seconds = []
     for iteration in range(options["passes"]):
         start = time.perf_counter()
-        estimator.step(iteration, 0)
+        replica.step(iteration)
         seconds.append(time.perf_counter() - start)
     # Two passes more, with the history on, as it costs time: the kernels that are not found in memory.
     dr.kernel_history_clear()
     new = launched = 0
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         for iteration in range(options["passes"], options["passes"] + 2):
-            estimator.step(iteration, 0)
+            replica.step(iteration)
         for kernel in dr.kernel_history():
             if kernel["type"] == dr.KernelType.JIT:
                 launched += 1
@@ -63,11 +63,11 @@ def first_pass(options: dict[str, Any]) -> dict[str, Any]:
 
 def memory(options: dict[str, Any]) -> dict[str, Any]:
     """Peak resident memory after each pass."""
-    estimator, outcome = _open(options)
+    replica, outcome = _open(options)
     peaks = []
     total = None
     for iteration in range(options["passes"]):
-        measured = estimator.step(iteration, 0)
+        measured = replica.step(iteration)
         total = measured if total is None else total + measured
         peaks.append(_peak())
     return outcome | {"peaks": peaks}

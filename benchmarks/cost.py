@@ -9,6 +9,7 @@ from typing import Any
 
 from etendue import methods, scene
 from etendue.cli.options import parse_pairs
+from etendue.core import Replica
 
 from .measuring import COST_SCENE, COST_SETTINGS, Clock, Record, interleaved, spread, verdict
 
@@ -75,7 +76,7 @@ def measure(
         for label, extra in rows.items():
             estimator = method(method.Settings.from_mapping({**COST_SETTINGS[variant.method], **extra}))
             estimator.prepare(problem, 0)
-            tasks[label] = lambda number, estimator=estimator: estimator.step(number, 0)
+            tasks[label] = Replica(estimator, 0).step
             stated = size == BAR_SIZE and source == COST_SCENE and not variant.settings
             bars[label] = BARS.get(variant.method) if stated else None
     times = interleaved(tasks, rounds, warm_up)

@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from etendue import film, methods, scene
+from etendue.core import Replica
 from etendue.scene import Problem, bundled
 
 from .choice import scaled_size
@@ -66,10 +67,11 @@ def _by_us(problem: Problem, spp: int, seed: int, sampler: str) -> np.ndarray:
     method = methods.get("path")
     path = method(method.Settings(max_depth=problem.max_depth, sampler=sampler, samples_per_pass=min(spp, 16)))
     path.prepare(problem, seed)
-    total = path.step(0, seed)
+    replica = Replica(path, seed)
+    total = replica.step(0)
     for iteration in range(1, spp // path.samples_per_iteration):
-        total += path.step(iteration, seed)
-    return path.develop(total).image
+        total += replica.step(iteration)
+    return replica.develop(total).image
 
 
 def _error(image: np.ndarray, halves: Sequence[np.ndarray]) -> float:
@@ -180,14 +182,15 @@ def _timed_us(problem: Problem, seconds: float, seed: int) -> tuple[np.ndarray, 
     method = methods.get("path")
     path = method(method.Settings(max_depth=problem.max_depth))
     path.prepare(problem, seed)
-    path.step(10_000, seed)  # compiles
+    replica = Replica(path, seed)
+    replica.step(10_000)  # compiles
     begin = time.perf_counter()
-    total, count, took = path.step(0, seed), 1, 0.0
+    total, count, took = replica.step(0), 1, 0.0
     while time.perf_counter() - begin + took <= seconds:
         began = time.perf_counter()
-        total += path.step(count, seed)
+        total += replica.step(count)
         count, took = count + 1, time.perf_counter() - began
-    return path.develop(total).image, float(count * path.samples_per_iteration)
+    return replica.develop(total).image, float(count * path.samples_per_iteration)
 
 
 def speed(name: str, sides: Sequence[int], rounds: int) -> Record:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue import film, methods, scene
-from etendue.core import Measurement
+from etendue.core import Measurement, Replica
 
 #: Share of the pixels, the worst, that errors leave out: a few pixels with a sliver of a lamp's mirror image in
 #: them are as noisy by every method, and would drown all else.
@@ -95,8 +95,8 @@ class _Run:
 
     def __init__(self, entrant: Entrant, problem: scene.Problem, seed: int, by: str) -> None:
         self.label, self.seed, self.by = entrant.label, seed, by
-        entrant.prepared(problem, seed).step(0, seed + _WARM_UP)
-        self.estimator = entrant.prepared(problem, seed)  # anew: some learn
+        Replica(entrant.prepared(problem, seed), seed + _WARM_UP).step(0)
+        self.replica = Replica(entrant.prepared(problem, seed), seed)  # anew: some learn
         self.measurement: Measurement | None = None
         self.seconds = 0.0
         self.samples = 0
@@ -111,13 +111,13 @@ class _Run:
         """A pass, and a point for each mark that it reaches."""
         start = time.perf_counter()
         done = len(self.measurement.iterations) if self.measurement else 0
-        measured = self.estimator.step(done, self.seed)
+        measured = self.replica.step(done)
         self.seconds += time.perf_counter() - start
-        self.samples += self.estimator.samples_per_iteration
+        self.samples += self.replica.method.samples_per_iteration
         self.measurement = measured if self.measurement is None else self.measurement + measured
         reached = [mark for mark in at[len(self.points) :] if mark <= self.progress]
         if reached:
-            image = self.estimator.develop(self.measurement).image
+            image = self.replica.develop(self.measurement).image
             rms, untrimmed = film.luminance_rmse(image, reference, TRIM), film.luminance_rmse(image, reference)
             if look is not None:
                 look(self.label, len(self.points) + len(reached) - 1, image)

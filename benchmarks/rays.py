@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from etendue import methods, scene
+from etendue.core import Replica
 
 from .measuring import COST_SCENE, COST_SETTINGS, Record, interleaved, spread
 
@@ -102,10 +103,10 @@ def _record(estimator: Any) -> tuple[Any, Any]:
     """The closest-hit and the shadow rays of the first pass."""
     counting = _Recorder(), _Recorder()
     with _recorded(*counting):
-        estimator.step(0, 0)
+        Replica(estimator, 0).step(0)
     recorders = _Recorder(counting[0].counts()), _Recorder(counting[1].counts())
     with _recorded(*recorders):
-        estimator.step(0, 0)
+        Replica(estimator, 0).step(0)
     return recorders[0].rays(), recorders[1].rays()
 
 
@@ -139,7 +140,7 @@ def measure(names: Sequence[str], size: tuple[int, int], rounds: int, warm_up: i
 
         times = interleaved(
             {
-                "pass": lambda number, estimator=estimator: estimator.step(0, 0),
+                "pass": lambda number, estimator=estimator: Replica(estimator, 0).step(0),
                 "closest": lambda number, cast=cast: cast(number, "closest"),
                 "shadow": lambda number, cast=cast: cast(number, "shadow"),
                 "full": lambda number, cast=cast: cast(number, "full"),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from etendue import film, scene
+from etendue.core import Replica
 
 from ..measuring import Record
 from ..racing import TRIM, Entrant, Image
@@ -54,10 +55,10 @@ def _mean_error(
     """(RMS over seeds, rays of a sample)."""
     squares, rays = [], 0.0
     for seed in range(seeds):
-        estimator = entrant.prepared(problem, seed)
+        replica = Replica(entrant.prepared(problem, seed), seed)
         total: Any = None
         for number in range(passes):
-            measured = estimator.step(number, seed)
+            measured = replica.step(number)
             total = measured if total is None else total + measured
         squares.append(film.luminance_rmse(total.mean("image"), reference, TRIM) ** 2)
         rays += total.counters["rays"] / total.counters["paths"]

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue import film
+from etendue.core import Replica
 
 from .. import plotting
 from ..measuring import Record
@@ -71,14 +72,14 @@ class _Run:
 
 
 def _run(problem: Any, entrants: Sequence[Entrant], passes: int, seed: int, factor: int) -> _Run:
-    estimators = {entrant.label: entrant.prepared(problem, seed) for entrant in entrants}
-    others = [label for label in estimators if label != "path"]
+    # A seed each: the random numbers of a role are the same in every method.
+    replicas = {e.label: Replica(e.prepared(problem, seed), seed + 1000 * k) for k, e in enumerate(entrants)}
+    others = [label for label in replicas if label != "path"]
     sums: dict[str, Any] = {}
     run = _Run({label: [] for label in others}, {label: [] for label in others}, 0.0)
     for number in range(passes):
-        # A seed each: the random numbers of a role are the same in every method.
-        for k, (label, estimator) in enumerate(estimators.items()):
-            measured = estimator.step(number, seed + 1000 * k)
+        for label, replica in replicas.items():
+            measured = replica.step(number)
             sums[label] = measured if label not in sums else sums[label] + measured
             values = film.block_average(measured.mean("image") @ np.array(film.LUMINANCE), factor)
             if label == "path":

@@ -6,6 +6,8 @@ import statistics
 from collections.abc import Sequence
 from typing import Any
 
+from etendue.core import Replica
+
 from ..measuring import Record, interleaved
 from ..racing import Entrant
 from .entrants import RADIUS, merging, open_scene
@@ -45,19 +47,19 @@ def measure(names: Sequence[str], size: tuple[int, int], seconds: float, rounds:
 def _row(name: str, size: tuple[int, int], seconds: float, rounds: int, warm_up: int) -> list[str]:
     problem = open_scene(name, size)
     settings = merging("vcm", merge_first=False, samples_per_pass=1)
-    full = Entrant("vcm", "vcm", settings).prepared(problem, 0)
-    bare = Entrant("without", "vcm", settings | {"merging": False}).prepared(problem, 0)
+    full = Replica(Entrant("vcm", "vcm", settings).prepared(problem, 0), 0)
+    bare = Replica(Entrant("without", "vcm", settings | {"merging": False}).prepared(problem, 0), 0)
     rays = []
 
     def whole(number: int) -> None:
-        rays.append(full.step(number, 0).counters["rays"])
+        rays.append(full.step(number).counters["rays"])
 
-    times = interleaved({"full": whole, "bare": lambda number: bare.step(number, 0)}, rounds, warm_up)
+    times = interleaved({"full": whole, "bare": bare.step}, rounds, warm_up)
     wall = {key: [clock.wall for clock in clocks] for key, clocks in times.items()}
     a_pass = statistics.median(wall["full"])
     merge = statistics.median(a - b for a, b in zip(wall["full"], wall["bare"], strict=True))
     light, grid = _kernels(full)
-    counters = full.step(0, 0).counters
+    counters = full.step(0).counters
     pixels = size[0] * size[1]
     light_length, camera_length, camera_ends = _lengths(problem, size)
     photons = counters["light_vertices"]
@@ -75,7 +77,7 @@ def _row(name: str, size: tuple[int, int], seconds: float, rounds: int, warm_up:
     ]
 
 
-def _kernels(estimator: Any) -> tuple[float, float]:
+def _kernels(replica: Replica) -> tuple[float, float]:
     """Seconds of the light walk, and of what is launched between it and the camera walk: the grid.
 
     The two walks are the kernels with the most operations.
@@ -84,7 +86,7 @@ def _kernels(estimator: Any) -> tuple[float, float]:
 
     dr.kernel_history_clear()
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        estimator.step(1, 0)
+        replica.step(1)
         launched = dr.kernel_history()
     size = [kernel.get("operation_count") or 0 for kernel in launched]
     first, second = sorted(sorted(range(len(size)), key=lambda k: -size[k])[:2])
@@ -102,7 +104,7 @@ def _lengths(problem: Any, size: tuple[int, int]) -> tuple[float, float, float]:
     edges, met, ends = _camera_walk(merger)
     pixels = size[0] * size[1]
     # In a closed scene every edge ends on a surface.
-    return merger.step(0, 0).counters["rays"] / pixels - edges, met, ends
+    return Replica(merger, 0).step(0).counters["rays"] / pixels - edges, met, ends
 
 
 def _camera_walk(estimator: Any) -> tuple[float, float, float]:

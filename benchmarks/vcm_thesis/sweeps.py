@@ -6,6 +6,8 @@ import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
+from etendue.core import Replica
+
 from .. import plotting
 from ..measuring import Record, interleaved, spread
 from ..racing import ORDER, TRIM, Entrant, marks, race
@@ -94,8 +96,9 @@ def radii(names: Sequence[str], size: tuple[int, int], rounds: int, warm_up: int
             "three": merging("vcm", RADIUS, radii="0.5,2"),
             "largest": merging("vcm", 2 * RADIUS),
         }
-        estimators = {key: Entrant(key, "vcm", settings).prepared(problem, 0) for key, settings in wanted.items()}
-        tasks = {key: lambda n, estimator=estimator: estimator.step(n, 0) for key, estimator in estimators.items()}
+        tasks = {
+            key: Replica(Entrant(key, "vcm", settings).prepared(problem, 0), 0).step for key, settings in wanted.items()
+        }
         wall = {key: [c.wall for c in clocks] for key, clocks in interleaved(tasks, rounds, warm_up).items()}
 
         def ratio(a: str, b: str, wall: dict[str, list[float]] = wall) -> str:

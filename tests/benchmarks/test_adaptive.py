@@ -12,7 +12,7 @@ import pytest
 from support.experiments import is_number, tables_of
 
 from etendue import methods
-from etendue.core import OptionError
+from etendue.core import OptionError, Replica
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("cornell", "cornell-specular", "ring", "sitting-room")
@@ -35,8 +35,8 @@ def test_scenes_are_lit(name):
     """Every pixel finds light, and it is finite."""
     assert tuple(module("scenes").SCENES) == NAMES == tuple(module("scenes").SIZES)
     problem = module("scenes").open_scene(name, (24, 18))
-    estimator = module("entrants").ours()[0].prepared(problem, 0)
-    total = estimator.step(0, 0) + estimator.step(1, 0)
+    replica = Replica(module("entrants").ours()[0].prepared(problem, 0), 0)
+    total = replica.step(0) + replica.step(1)
     assert total.counters["nonfinite"] == 0
     image = total.mean("image")
     assert np.mean(image[:, 6:-6].sum(axis=2) > 0.0) > 0.99  # a Cornell box does not fill a wide picture

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from etendue import methods, scene
-from etendue.core import OptionError
+from etendue.core import OptionError, Replica
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -101,7 +101,7 @@ def test_every_ray_is_recorded(name):
     before = mi.Scene.ray_intersect, mi.Scene.ray_test
     closest, shadow = module("rays")._record(estimator)
     assert (mi.Scene.ray_intersect, mi.Scene.ray_test) == before
-    counted = estimator.step(0, 0).counters["rays"]
+    counted = Replica(estimator, 0).step(0).counters["rays"]
     assert closest.o.x.shape[0] + shadow.o.x.shape[0] == pytest.approx(counted, rel=1e-3)
     for rays in (closest, shadow):
         assert np.isfinite(np.asarray(rays.o)).all()

@@ -26,12 +26,15 @@ class Fake:
     def __init__(self, clock, cost):
         self.clock, self.cost, self.turns = clock, cost, []
 
-    def step(self, iteration, seed):
+    def start(self):
+        return {}
+
+    def step(self, iteration, seed, state):
         self.clock.now += self.cost
         self.turns.append(iteration)
-        return FakeMeasurement([iteration])
+        return types.SimpleNamespace(measurement=FakeMeasurement([iteration]), state=state)
 
-    def develop(self, measurement):
+    def develop(self, measurement, state):
         self.clock.now += 100.0  # looking at the picture is nobody's time
         return types.SimpleNamespace(image=np.full((2, 2, 3), float(len(measurement.iterations))))
 

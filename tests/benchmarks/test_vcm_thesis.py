@@ -10,6 +10,7 @@ import pytest
 from support.experiments import is_number, tables_of
 
 from etendue import film, methods
+from etendue.core import Replica
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("mirror-balls", "living-room", "bathroom", "diffuse")
@@ -91,8 +92,8 @@ def test_scenes_are_lit_and_their_caustics_are_reflected(name):
     seen in mirrors or through glass."""
     entrants = module("entrants")
     settings = entrants.merging("vcm", 0.002, merge_first=False, split_layers=True)
-    estimator = entrants.Entrant("vcm", "vcm", settings).prepared(entrants.open_scene(name, (64, 48)), 0)
-    total = estimator.step(0, 0) + estimator.step(1, 0)
+    replica = Replica(entrants.Entrant("vcm", "vcm", settings).prepared(entrants.open_scene(name, (64, 48)), 0), 0)
+    total = replica.step(0) + replica.step(1)
     assert total.counters["nonfinite"] == 0
     image, merge = total.mean("image"), total.mean("merge")
     assert np.mean(image.sum(axis=2) > 0.0) > 0.99
@@ -165,7 +166,8 @@ def test_lengths_add_up():
     rays = {}
     for paths in (1.0, 2.0):
         settings = entrants.merging("bpm", samples_per_pass=1) | {"light_paths": paths}
-        rays[paths] = entrants.Entrant("bpm", "bpm", settings).prepared(problem, 0).step(0, 0).counters["rays"]
+        merger = entrants.Entrant("bpm", "bpm", settings).prepared(problem, 0)
+        rays[paths] = Replica(merger, 0).step(0).counters["rays"]
     light, camera, ends = profile._lengths(problem, (96, 72))
     pixels = 96 * 72
     # Path lengths vary by about their mean: the difference of two sets of 7000 paths is good to 3 %.

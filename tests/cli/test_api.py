@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from etendue import api, film, methods, outputs
-from etendue.core import CheckpointError, OptionError, OutputError, SceneError
+from etendue.core import CheckpointError, OptionError, OutputError, Replica, SceneError
 from etendue.engine import Budget, Job, RunError, RunResult, Task
 
 SMALL = {"size": (16, 12), "samples_per_pass": 2}
@@ -149,7 +149,7 @@ def test_every_place_that_fails_is_named(tmp_path):
         Task("cornell-box", methods.get("path"), {"samples_per_pass": 2}, budget=Budget(samples=2), size=(8, 8))
     )
     with pytest.raises(OutputError, match=r"none.*; .*a\.exr"):
-        places.write(job, RunResult(job.method, job.method.step(0, 0), {}, 1.0, "running"))
+        places.write(job, RunResult(job.method, Replica(job.method, 0).step(0), {}, 1.0, "running"))
 
 
 def rescued(error, name):

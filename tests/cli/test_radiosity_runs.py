@@ -53,11 +53,11 @@ def interrupt_after(steps, monkeypatch):
     """Ctrl-C while lines are cast."""
     cast = LineCasting.step
 
-    def step(self, iteration, seed):
+    def step(self, iteration, seed, state):
         if iteration == steps:
             os.kill(os.getpid(), signal.SIGINT)
             time.sleep(0.3)  # for the main thread to hear it
-        return cast(self, iteration, seed)
+        return cast(self, iteration, seed, state)
 
     monkeypatch.setattr(LineCasting, "step", step)
 

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from etendue.core import Iterations, Measurement, Result, Settings, setting
+from etendue.core import Iterations, Measurement, Pass, Result, Settings, State, setting
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,7 @@ class Noise:
     name: ClassVar[str] = "noise"
     Settings: ClassVar[type[Settings]] = NoiseSettings
     citations: ClassVar[tuple[str, ...]] = ()
+    carries_on: ClassVar[bool] = False
 
     def __init__(self, settings: NoiseSettings | None = None) -> None:
         self.settings = settings or NoiseSettings()
@@ -41,8 +42,17 @@ class Noise:
     def prepare(self, problem: Any, seed: int) -> None:
         self.pilot = float(seed) + 0.5
 
-    def step(self, iteration: int, seed: int) -> Measurement:
+    def start(self) -> State:
+        return {"pilot": self.pilot, "table": np.arange(3.0), "nested": {"list": [1, np.float32(2.0)]}}
+
+    def enter(self, state: State) -> None:
+        self.pilot = state["pilot"]
+
+    def step(self, iteration: int, seed: int, state: State) -> Pass:
         self.before_pass(iteration)
+        return Pass(self.measured(iteration, seed), state)
+
+    def measured(self, iteration: int, seed: int) -> Measurement:
         n = float(self.samples_per_iteration)
         value = np.random.default_rng([seed, iteration]).gamma(2.0, 0.5, self.shape)
         return Measurement(
@@ -53,14 +63,8 @@ class Noise:
             counters={"rays": 100.0},
         )
 
-    def develop(self, measurement: Measurement) -> Result:
+    def develop(self, measurement: Measurement, state: State) -> Result:
         return Result({name: measurement.mean(name).astype(np.float32) for name in measurement.sums})
-
-    def state(self) -> dict[str, Any]:
-        return {"pilot": self.pilot, "table": np.arange(3.0), "nested": {"list": [1, np.float32(2.0)]}}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        self.pilot = state["pilot"]
 
 
 class Clock:

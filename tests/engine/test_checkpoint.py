@@ -25,7 +25,7 @@ from etendue.engine import Budget, Checkpoint, Runner
 def checkpoint(noise):
     noise.prepare(None, 5)
     result = Runner(noise, seed=5, budget=Budget(iterations=3)).run()
-    last = noise.step(3, 5)
+    last = noise.measured(3, 5)
     last.scale(0.5)  # so that passes differ in weight
     result.measurement += last
     return Checkpoint(
@@ -34,7 +34,7 @@ def checkpoint(noise):
         settings=noise.settings.to_json(),
         seed=5,
         fingerprint="abc",
-        state=noise.state(),
+        state=dict(noise.start()),
         scene={"source": "/somewhere/sçene.xml", "size": [4, 5]},
         budget={"seconds": 60.0},
         stopped_by="cancel",

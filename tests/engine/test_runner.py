@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 
-from etendue.core import OptionError, OutputError
+from etendue.core import OptionError, OutputError, Pass
 from etendue.engine import Budget, Cancelled, RunError, Runner
 from etendue.engine.runner import LEAST_PASSES_FOR_ERROR
 
@@ -102,7 +102,7 @@ def test_a_method_that_asks_is_told_what_the_budget_has_left(timed, budget, spen
     method, clock = timed([1.0])
     told = []
     method.plan = lambda *ahead: told.append((*ahead, clock()))
-    start = method.step(0, 0)
+    start = method.measured(0, 0)
     begin = clock()
     Runner(method, seed=0, budget=budget, spent=spent, clock=clock).run()
     Runner(method, seed=0, budget=Budget(iterations=3), start=start, clock=clock).run()
@@ -152,9 +152,9 @@ def test_passes_that_found_no_light_do_not_end_a_run(noise):
 
 def test_accumulation_is_the_sum_of_the_passes(noise):
     result = Runner(noise, seed=3, budget=Budget(iterations=5)).run()
-    expected = noise.step(0, 3)
+    expected = noise.measured(0, 3)
     for iteration in range(1, 5):
-        expected += noise.step(iteration, 3)
+        expected += noise.measured(iteration, 3)
     assert np.array_equal(result.measurement.sums["image"], expected.sums["image"])
     assert result.result.image.dtype == np.float32
     assert result.measurement.counters["rays"] == 500.0
@@ -286,7 +286,7 @@ def test_a_failing_pass_loses_no_work(noise):
     assert caught.value.run.stopped_by == "failure"
     assert np.array_equal(
         caught.value.run.measurement.sums["image"],
-        (noise.__class__().step(0, 0) + noise.__class__().step(1, 0) + noise.__class__().step(2, 0)).sums["image"],
+        (noise.measured(0, 0) + noise.measured(1, 0) + noise.measured(2, 0)).sums["image"],
     )
 
 
@@ -309,36 +309,28 @@ def test_ctrl_c_in_a_pass_keeps_those_before_it(noise):
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
-@pytest.mark.parametrize("within", ["step", "state"])
-def test_measurement_and_state_are_of_the_same_passes(noise, error, within):
-    """A pass fails after it has changed the method; or is interrupted after that, before it is added."""
-    carried = 0
-    step = noise.step
+def test_measurement_and_state_are_of_the_same_passes(noise, error):
+    """A pass fails after it has begun to change what it carries on."""
+    carried = []
 
-    def fail(where):
-        if where == within and carried == 4:
+    def learn(iteration, seed, state):
+        carried.append(iteration)
+        if iteration == 3:
             raise error("on purpose")
+        return Pass(noise.measured(iteration, seed), {"passes": state.get("passes", 0) + 1})
 
-    def learn(iteration, seed):
-        nonlocal carried
-        carried += 1
-        fail("step")
-        return step(iteration, seed)
-
-    def state():
-        fail("state")
-        return {"carried": carried}
-
-    def restore(saved):
-        nonlocal carried
-        carried = saved["carried"]
-
-    noise.step, noise.state, noise.restore = learn, state, restore
+    noise.step = learn
     runner = Runner(noise, seed=0, budget=Budget(iterations=6))
     with pytest.raises((RunError, KeyboardInterrupt)):
         runner.run()
     left = runner.interrupted()
-    assert (left.passes, left.state, carried) == (3, {"carried": 3}, 3)
+    assert (left.passes, left.state, carried) == (3, {"passes": 3}, [0, 1, 2, 3])
+
+
+def test_a_run_that_carries_on_wants_its_state(noise):
+    noise.carries_on = True
+    with pytest.raises(OptionError, match="give the state"):
+        Runner(noise, seed=0, budget=Budget(iterations=6), start=noise.measured(0, 0))
 
 
 def test_start_is_continued_and_counts(noise):

@@ -9,7 +9,7 @@ import pytest
 from support import scenes
 from support.running import go, prepared
 
-from etendue.core import Iterations, Measurement
+from etendue.core import Iterations, Measurement, Pass
 from etendue.methods import auto
 from etendue.methods.auto import CANDIDATES, choose, costs
 
@@ -88,14 +88,14 @@ class Clock:
             def prepare(self, problem, seed):
                 clock.now += start
 
-            def step(self, iteration, seed):
+            def start(self):
+                return {}
+
+            def step(self, iteration, seed, state):
                 clock.now += seconds
                 clock.steps.append((name, iteration))
                 random = np.random.default_rng((iteration, seed))
-                return measured([np.ones(SIZE) + noise * random.standard_normal(SIZE)], iteration)[0]
-
-            def state(self):
-                return {}
+                return Pass(measured([np.ones(SIZE) + noise * random.standard_normal(SIZE)], iteration)[0], state)
 
         return Candidate()
 

@@ -7,6 +7,7 @@ from support.running import run
 
 import etendue
 from etendue import methods, scene
+from etendue.core import Replica
 
 CAMERA = {
     "type": "perspective",
@@ -25,7 +26,7 @@ def _mean(problem, name, **settings):
     cls = methods.get(name)
     method = cls(cls.Settings(max_depth=6, samples_per_pass=16, **settings))
     method.prepare(problem, 0)
-    return method.step(0, 0).mean()
+    return Replica(method, 0).step(0).mean()
 
 
 @pytest.mark.parametrize("name", ["path", "pm", "ppm", "sppm", "bpt", "bpm", "vcm"])

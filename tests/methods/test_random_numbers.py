@@ -9,6 +9,7 @@ import pytest
 from support.scenes import furnace
 
 from etendue import methods
+from etendue.core import Replica
 from etendue.methods import base, store
 from etendue.methods.base import ImageMethod
 
@@ -85,7 +86,7 @@ def test_decisions_of_more_than_two_to_the_32_lanes_differ():
 
 
 def picture(name: str, **settings: object) -> tuple[np.ndarray, dict[str, float]]:
-    measured = prepared(name, **settings).step(0, 5)
+    measured = Replica(prepared(name, **settings), 5).step(0)
     return measured.mean(), measured.counters
 
 

@@ -16,7 +16,7 @@ from support import scenes
 from support.running import prepared
 from support.tables import thinned
 
-from etendue.core import Measurement
+from etendue.core import Measurement, Replica
 from etendue.engine import Budget, Checkpoint, Job, RunError, Runner, RunResult
 from etendue.methods.adaptive.stratified import Stratified
 from etendue.methods.adaptive.vegas import Vegas
@@ -61,9 +61,9 @@ def failing(monkeypatch: Any, owner: type, name: str, call: int, error: type[Bas
     monkeypatch.setattr(owner, name, fails)
 
 
-def finished(method: Any, start: Measurement | None = None) -> Measurement:
-    """All passes, from where ``start`` ended."""
-    return Runner(method, seed=1, budget=Budget(iterations=PASSES), start=start).run().measurement
+def finished(method: Any, start: Measurement | None = None, state: Any = None) -> Measurement:
+    """All passes, from where ``start`` ended, in which ``state``."""
+    return Runner(method, seed=1, budget=Budget(iterations=PASSES), start=start, state=state).run().measurement
 
 
 def broken_off(method: Any) -> RunResult:
@@ -89,10 +89,8 @@ def saved(left: RunResult, problem: Any, path: Path) -> Checkpoint:
 def assert_goes_on(new: Callable[[], Any], left: RunResult, whole: Measurement, path: Path, **near: float) -> None:
     """From the checkpoint of ``left``, and by its method, as ``whole``; bit by bit, or as ``near`` as that."""
     found = saved(left, left.method.problem, path)  # type: ignore[attr-defined]
-    resumed = new()
-    resumed.restore(found.state)
-    for method, start in ((resumed, found.measurement), (left.method, left.measurement)):
-        total = finished(method, start)
+    for method, start, state in ((new(), found.measurement, found.state), (left.method, left.measurement, left.state)):
+        total = finished(method, start, state)
         assert total.iterations == whole.iterations
         np.testing.assert_allclose(total.mean(), whole.mean(), **(near or {"rtol": 0.0}))
 
@@ -103,7 +101,7 @@ def test_a_pass_that_fails_as_it_learns(name, monkeypatch, tmp_path):
     problem = scenes.room("mixed", "rough")
 
     def new() -> Any:
-        return prepared(problem, method, **settings)
+        return prepared(problem, method, **settings).method
 
     whole = finished(new())
     with monkeypatch.context() as patch:
@@ -116,7 +114,7 @@ def test_a_pass_that_fails_as_it_learns(name, monkeypatch, tmp_path):
 def grouped(problem: Any, method: str) -> Any:
     """A method that traces light paths in groups when it is told that a path stores many vertices."""
     settings = {"choice": "bpt"} if method == "auto" else {"light_paths": 1.0}
-    return prepared(problem, method, samples_per_pass=16, **settings)
+    return prepared(problem, method, samples_per_pass=16, **settings).method
 
 
 @pytest.mark.parametrize("method", thinned(("bpt", "auto"), ("bpt",)))
@@ -164,8 +162,46 @@ def test_groups_that_a_failing_pass_has_made_are_given_up(monkeypatch, tmp_path)
     runner = Runner(method, seed=1, budget=Budget(iterations=2))
     runner.run()
     monkeypatch.setattr(VertexRoom, "held", too_many)
-    more = Runner(method, seed=1, budget=Budget(iterations=PASSES), start=runner.interrupted().measurement)
+    begun = runner.interrupted()
+    more = Runner(method, seed=1, budget=Budget(iterations=PASSES), start=begun.measurement, state=begun.state)
     with pytest.raises(KeyboardInterrupt):
         more.run()
     monkeypatch.undo()
     assert_goes_on(lambda: grouped(problem, "bpt"), more.interrupted(), whole, tmp_path / "a", **IN_ANY_ORDER)
+
+
+#: Methods whose passes carry on: name, method, settings, how near replicas are.
+CARRYING = {
+    "guided": ("guided", GUIDED, {}),
+    "vegas": ("vegas", VEGAS, {}),
+    "sppm": ("sppm", {"samples_per_pass": 2, "radius": 0.05}, IN_ANY_ORDER),
+    "ppm": ("ppm", {"samples_per_pass": 2, "radius": 0.05}, IN_ANY_ORDER),
+    "auto": ("auto", {"samples_per_pass": 4, "choice": "path"}, {}),
+    "bpt": ("bpt", {"samples_per_pass": 4}, IN_ANY_ORDER),
+}
+
+
+@pytest.mark.parametrize("name", thinned(CARRYING, ("guided", "vegas", "sppm")))
+def test_replicas_share_a_method(name):
+    """In turn, each from its own state, as each alone; and a pass from a state that was kept is that pass again."""
+    method, settings, near = CARRYING[name]
+    problem = scenes.room("mixed", "rough")
+
+    def new() -> Any:
+        return prepared(problem, method, **settings).method
+
+    def same(a: Measurement, b: Measurement) -> None:
+        np.testing.assert_allclose(a.mean(), b.mean(), **(near or {"rtol": 0.0}))
+
+    alone = {}
+    for seed in (1, 2):
+        replica = Replica(new(), seed)
+        alone[seed] = [replica.step(iteration) for iteration in range(4)]
+    shared = new()
+    replicas, kept = {seed: Replica(shared, seed) for seed in alone}, {}
+    for iteration in range(4):
+        for seed, replica in replicas.items():
+            kept[seed] = replica.state
+            same(replica.step(iteration), alone[seed][iteration])
+    for seed in alone:
+        same(shared.step(3, seed, kept[seed]).measurement, alone[seed][3])

@@ -7,11 +7,12 @@ from functools import partial
 import numpy as np
 import pytest
 from support.patches import box, cube, joined, square
+from support.running import Stepped
 
 import etendue.radiosity.casting
 import etendue.radiosity.lines.abuffer
 import etendue.radiosity.solvers.shot
-from etendue.core import CheckpointError
+from etendue.core import CheckpointError, Replica
 from etendue.engine import Budget, Checkpoint, Job, RunError, Runner
 from etendue.radiosity import (
     ABuffer,
@@ -38,11 +39,11 @@ def lit_room(**properties):
 def prepared(patches, seed=3, lines=200, replicates=1, **options):
     casting = LineCasting(CastingSettings(lines=lines, replicates=replicates), **options)
     casting.prepare(PatchProblem(patches), seed)
-    return casting
+    return Stepped(casting)
 
 
 def run(casting, **budget):
-    return Runner(casting, seed=3, budget=Budget(**budget)).run()
+    return Runner(casting.method, seed=3, budget=Budget(**budget)).run()
 
 
 def test_passes_make_the_segments_of_the_engine():
@@ -87,7 +88,7 @@ def test_a_run_that_is_resumed_is_the_run_that_was_not_interrupted(tmp_path, rep
     for i in range(17):
         part.step(i, 3)
     assert part.noise() > 0
-    job = Job(PatchProblem(patches), part, seed=3, budget=Budget(samples=256), place={})
+    job = Job(PatchProblem(patches), part.method, seed=3, budget=Budget(samples=256), place={}, state=part.state())
     stopped = job.runner(cancel=Stop(after=5)).run()
     assert stopped.stopped_by == "cancel" and part.count == 8 * 22
     job.checkpoint(stopped).write(tmp_path / "lines.checkpoint")
@@ -122,12 +123,13 @@ def test_a_piece_whose_casting_fails_is_cast_again(tmp_path, monkeypatch):
             run(part, samples=192)
     left = caught.value.run
     assert 0 < left.passes < 24
-    Job(PatchProblem(patches), part, seed=3, budget=Budget(), place={}).checkpoint(left).write(tmp_path / "a")
+    Job(PatchProblem(patches), part.method, seed=3, budget=Budget(), place={}).checkpoint(left).write(tmp_path / "a")
     saved = Checkpoint.read(tmp_path / "a")
     rest = prepared(patches, lines=lines, most=192)
     rest.restore(saved.state)
-    for casting, start in ((rest, saved.measurement), (part, left.measurement)):
-        result = Runner(casting, seed=3, budget=Budget(samples=192), start=start).run()
+    for casting, begun in ((rest, saved), (part, left)):
+        start, state = begun.measurement, begun.state
+        result = Runner(casting.method, seed=3, budget=Budget(samples=192), start=start, state=state).run()
         assert result.passes == 24
         for ours, theirs in zip(outcome(casting), outcome(whole), strict=True):
             np.testing.assert_array_equal(ours, theirs)
@@ -147,17 +149,18 @@ class Stop:
 def test_a_finished_run_can_go_on_to_any_number():
     patches = cube(1)
     first, whole = prepared(patches, most=20), prepared(patches, most=43)
-    start = run(first, samples=20).measurement
+    begun = run(first, samples=20)
     first.close()
     first.most = 43
-    result = Runner(first, seed=3, budget=Budget(samples=43), start=start).run()
+    start, state = begun.measurement, begun.state
+    result = Runner(first.method, seed=3, budget=Budget(samples=43), start=start, state=state).run()
     run(whole, samples=43)
     assert first.count == 43 and result.passes == 6
     a, b = (np.concatenate(x.segments().chunks) for x in (first, whole))
     np.testing.assert_array_equal(a, b)
     few = prepared(patches, most=8)
     with pytest.raises(CheckpointError, match="43 bundles, more than 8"):
-        few.restore(first.state())
+        few.restore(result.state)
 
 
 def test_a_run_ends_at_an_error():
@@ -186,7 +189,7 @@ def ends(patches, target, seeds, **options):
     areas, found, stated = patches.areas[:, None], [], []
     for seed in range(seeds):
         casting = prepared(patches, seed, goal="irradiance", **options)
-        result = Runner(casting, seed=seed, budget=Budget(error=target**2, samples=1 << 14)).run()
+        result = Runner(casting.method, seed=seed, budget=Budget(error=target**2, samples=1 << 14)).run()
         casting.close()
         assert result.stopped_by == "error"
         solution = solve(patches, casting.segments(), "conjugate-gradient", shot=casting.shot())
@@ -237,7 +240,7 @@ def test_an_error_that_is_added_up_is_that_of_all_lines(monkeypatch):
 def test_a_run_ends_after_a_time():
     ticks = iter(np.arange(0, 1000, 0.25))
     casting = prepared(cube(1))
-    result = Runner(casting, seed=0, budget=Budget(seconds=6), clock=lambda: next(ticks)).run()
+    result = Runner(casting.method, seed=0, budget=Budget(seconds=6), clock=lambda: next(ticks)).run()
     casting.close()
     assert result.stopped_by == "seconds" and 2 < result.passes < 12 and casting.count == 8 * result.passes
 
@@ -256,7 +259,7 @@ def test_what_follows_the_lines_is_reckoned_with():
     assert casting.finish_seconds == pytest.approx(3e-7 * casting.segments().rays + 1e-8 * casting.made)
     without = LineCasting(CastingSettings(lines=200, local_rays=False))
     without.prepare(PatchProblem(lit_room()), 3)
-    without.step(0, 3)
+    Replica(without, 3).step(0)
     without.close()
     without._passes[:] = 1, 1e9
     without.made = 1_000_000
@@ -271,9 +274,9 @@ def test_the_shot_is_cast_along_with_the_lines(monkeypatch):
     for i in range(24):
         casting.step(i, 3)
     casting.close()
-    before = casting.state()["shot"]["blocks"]
+    before = casting.method._left()["shot"]["blocks"]
     casting.shot()
-    after = casting.state()["shot"]["blocks"]
+    after = casting.method._left()["shot"]["blocks"]
     assert after - 4 < before <= after and after > 4
 
 

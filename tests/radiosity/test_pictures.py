@@ -8,7 +8,7 @@ import pytest
 from support.patches import box, joined
 from support.scenes import camera, diffuse, mesh, rgb, transform
 
-from etendue.core import EtendueError, OptionError, SceneError
+from etendue.core import EtendueError, OptionError, Replica, SceneError
 from etendue.methods import Path
 from etendue.points import OwenSobol
 from etendue.radiosity import ABuffer, Patches, RadiosityError, Solution, SurfaceError, picture, scene_patches, solve
@@ -179,10 +179,11 @@ def small_room():
 def path_picture(problem, passes, samples=16):
     method = Path(Path.Settings(samples_per_pass=samples))
     method.prepare(problem, 5)
-    total = method.step(0, 5)
+    replica = Replica(method, 5)
+    total = replica.step(0)
     for iteration in range(1, passes):
-        total += method.step(iteration, 5)
-    return method.develop(total).image
+        total += replica.step(iteration)
+    return replica.develop(total).image
 
 
 def test_pictures_agree_with_path():

@@ -6,6 +6,7 @@ import pytest
 from support.tables import crossed
 
 from etendue import methods
+from etendue.core import Replica
 from etendue.scene import bundled, load
 from etendue.scene.meshes import brilliant, height_field, lathe, smooth
 
@@ -114,7 +115,7 @@ def test_the_room_behind_the_door_is_closed_and_lit_indirectly():
         cls = methods.get("path")
         runner = cls(cls.Settings(max_depth=depth, samples_per_pass=64))
         runner.prepare(problem, 1)
-        return runner.step(0, 1).mean().mean()
+        return Replica(runner, 1).step(0).mean().mean()
 
     assert brightness(2) == 0.0
     assert brightness(3) < 0.3 * brightness(12)
@@ -131,9 +132,10 @@ def test_every_method_renders_it(name, method):
     cls = methods.get(method)
     runner = cls(cls.Settings.from_mapping({"max_depth": 6, "samples_per_pass": 8}))
     runner.prepare(problem, 1)
-    measurement = runner.step(0, 1)
+    replica = Replica(runner, 1)
+    measurement = replica.step(0)
     assert measurement.counters["nonfinite"] == 0
-    picture = runner.develop(measurement).image
+    picture = replica.develop(measurement).image
     assert picture.shape == (18, 24, 3)
     assert np.isfinite(picture).all()
     assert picture.mean() > 1e-3

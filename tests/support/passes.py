@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from etendue import methods
-from etendue.core import Measurement
+from etendue.core import Measurement, Pass, State
 
 
 def watch(
@@ -21,11 +21,11 @@ def watch(
     method = methods.get(name)
     step = method.step
 
-    def watched(self: Any, iteration: int, seed: int) -> Measurement:
+    def watched(self: Any, iteration: int, seed: int, state: State) -> Pass:
         before(self, iteration)
-        measured = step(self, iteration, seed)
-        after(measured)
-        return measured
+        made = step(self, iteration, seed, state)
+        after(made.measurement)
+        return made
 
     monkeypatch.setattr(method, "step", watched)
 

@@ -24,14 +24,42 @@ class Run:
         return self.measurement.mean()
 
 
+class Stepped:
+    """A prepared method and the state after its last pass: what is asked of it, and set, is the method's."""
+
+    def __init__(self, method: Any) -> None:
+        self.__dict__.update(method=method, _state=None)
+
+    def step(self, iteration: int, seed: int) -> Measurement:
+        made = self.method.step(iteration, seed, self.state())
+        self.__dict__["_state"] = made.state
+        return made.measurement
+
+    def state(self) -> Any:
+        return self.method.start() if self._state is None else self._state
+
+    def restore(self, state: Any) -> None:
+        self.method.enter(state)
+        self.__dict__["_state"] = state
+
+    def develop(self, measurement: Measurement) -> Any:
+        return self.method.develop(measurement, self.state())
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.__dict__["method"], name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        setattr(self.method, name, value)
+
+
 def prepared(problem: Any, method: str, seed: int = 1, **settings: Any) -> Any:
-    """A method made ready for ``problem``; with independent numbers unless asked otherwise, as the passes of an even
-    sequence are not independent of each other, which the tests of agreement need."""
+    """A method made ready for ``problem``, to be stepped; with independent numbers unless asked otherwise, as the passes
+    of an even sequence are not independent of each other, which the tests of agreement need."""
     cls = methods.get(method)
     settings = {"sampler": "independent"} | settings
     result = cls(cls.Settings.from_mapping(settings))
     result.prepare(problem, seed)
-    return result
+    return Stepped(result)
 
 
 def run(

@@ -225,7 +225,7 @@ def cast(
         if saved is not None:
             saved.settings_of(LineCasting, casting.settings.to_dict(), request.seed)
             saved.require_scene(problem.fingerprint)
-            casting.restore(saved.state)
+            casting.enter(saved.state)
             earlier = saved.earlier + saved.elapsed
         notes = {_NOTE: asdict(request.located())}
         jobs.append(
@@ -234,11 +234,13 @@ def cast(
         options: dict[str, Any] = {}
         if checkpoint is not None and save_every is not None:
             options = {"on_save": lambda run: keep(run, checkpoint), "save_every": save_every}
-        start = None if saved is None else saved.measurement
+        if saved is not None:
+            options |= {"start": saved.measurement, "state": saved.state}
         spent = time.perf_counter() - begin
-        return Runner(casting, seed=request.seed, budget=limited, start=start, cancel=stop, spent=spent, **options)
+        return Runner(casting, seed=request.seed, budget=limited, cancel=stop, spent=spent, **options)
 
     def finish(run: RunResult) -> RunResult:
+        casting.enter(run.state)  # after a pass that failed it may be in none
         casting.close()
         if checkpoint is not None:
             keep(run, checkpoint)

@@ -17,7 +17,7 @@ from .extras import library, sparse
 from .log import logger
 from .measurement import RELATIVE_EPSILON, Array, Iterations, Measurement, warn_of_nonfinite
 from .memory import free_memory
-from .method import Method, Result
+from .method import Carrying, Method, Pass, Replica, Result, State
 from .progress import Progress, format_rate, format_seconds
 from .samples import (
     COMPONENTS_PER_VERTEX,
@@ -35,6 +35,7 @@ __all__ = [
     "RELATIVE_EPSILON",
     "Array",
     "BackendError",
+    "Carrying",
     "CheckpointError",
     "EtendueError",
     "IndependentSource",
@@ -43,11 +44,14 @@ __all__ = [
     "Method",
     "OptionError",
     "OutputError",
+    "Pass",
     "Progress",
+    "Replica",
     "Result",
     "SampleSource",
     "SceneError",
     "Settings",
+    "State",
     "UnsupportedError",
     "bibliography",
     "bibtex",

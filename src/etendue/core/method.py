@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +27,29 @@ class Result:
         return self.layers["image"]
 
 
+#: What passes carry on, by name: plain JSON values, and arrays of the host or of the device. A value: nobody changes
+#: what is in it, arrays included. Of a method whose passes carry nothing on it is empty.
+State = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Pass:
+    """What one ``step`` made: a measurement, and the state for the next pass. They belong together: a measurement is
+    added, saved or dropped with its state."""
+
+    measurement: Measurement
+    state: State
+
+
 @runtime_checkable
 class Method(Protocol):
     """An estimator that is run pass by pass.
 
-    ``prepare`` builds tables and may run pilot passes under a seed role of its own. ``step`` is one pass and, for a
-    method without state, a function of its arguments alone: iterations run in any order, anywhere, once each.
-    ``develop`` is the only place that divides, normalises or combines.
+    ``prepare`` builds tables and may run pilot passes under a seed role of its own. ``step`` is one pass, a function of
+    its arguments alone: it takes the state that the pass before has left, at first that of ``start``, and returns its
+    own. A pass that raises leaves the state of before. Where passes carry nothing on (``carries_on`` is false),
+    iterations run in any order, anywhere, once each; else a replica's run one after the other, and replicas, which have
+    a seed and a state each, may share one method. ``develop`` is the only place that divides, normalises or combines.
 
     A method whose error is not one of pixels has ``noise() -> float | None``, a variance, which budgets and progress
     then take instead of the scatter of ``image``; ``error_cadence`` says by what share passes grow until it is asked
@@ -48,9 +64,11 @@ class Method(Protocol):
     """
 
     name: ClassVar[str]
-    Settings: ClassVar[type[AnySettings]]
+    Settings: ClassVar[Any]  #: their class
     #: Keys into ``core/bibliography.bib`` of the papers the method implements.
     citations: ClassVar[tuple[str, ...]]
+    #: Whether passes depend on what those before them left in the state.
+    carries_on: ClassVar[bool]
     settings: AnySettings
 
     @property
@@ -62,20 +80,86 @@ class Method(Protocol):
         """Build what every pass shares. ``problem`` is a ``scene.Problem`` for image methods."""
         ...
 
-    def step(self, iteration: int, seed: int) -> Measurement:
+    def start(self) -> State:
+        """The state before the first pass of a replica, with what ``prepare`` measured (pilot constants)."""
+        ...
+
+    def step(self, iteration: int, seed: int, state: State) -> Pass:
         """One pass. ``iteration`` counts from 0."""
         ...
 
+    def enter(self, state: State) -> None:
+        """Make ready for passes from ``state`` on, as ``step`` does by itself. Raises :class:`CheckpointError` for one
+        that is not of this method and problem."""
+        ...
+
+    def develop(self, measurement: Measurement, state: State) -> Result:
+        """The picture that the passes in ``measurement`` make; ``state`` is that after the last of them."""
+        ...
+
+
+class Replica:
+    """Passes of a prepared method one after the other, each from the state that the one before has left."""
+
+    def __init__(self, method: Method, seed: int, state: State | None = None) -> None:
+        self.method, self.seed = method, seed
+        #: After the last pass.
+        self.state: State = method.start() if state is None else state
+
+    def step(self, iteration: int) -> Measurement:
+        """The next pass. If it raises, the state is that of before."""
+        made = self.method.step(iteration, self.seed, self.state)
+        self.state = made.state
+        return made.measurement
+
     def develop(self, measurement: Measurement) -> Result:
-        """The picture that the passes in ``measurement`` make."""
-        ...
+        """The picture of passes of this replica."""
+        return self.method.develop(measurement, self.state)
 
-    def state(self) -> Mapping[str, Any]:
-        """What ``prepare`` measured (pilot constants) or passes carry on: plain JSON values, and arrays of the host or
-        of the device. No later pass changes what is in it, arrays included. It is asked for after every pass, so it
-        should cost next to nothing: a method replaces its arrays where it would change them, and lends them."""
-        ...
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Inverse of :meth:`state`, called after ``prepare`` when a run is resumed, and when a pass has failed."""
-        ...
+class Carrying:
+    """For methods whose arrays of the device are their state: kernels read them from the object, which each ``step``
+    brings into the state that it is given, unless that is the one that it has returned last.
+
+    A subclass has ``_take(state)``, which copies a state into the object and raises :class:`CheckpointError` if it
+    does not fit, ``_left()``, its inverse, and ``_step(iteration, seed)``. It replaces its arrays where it would change
+    them, so that those of earlier states stay what they were. ``prepare`` begins with :meth:`_forget_states`.
+    """
+
+    _held: State | None = None  #: the state that the object is in
+    _first: State | None = None  #: that in which ``prepare`` left it
+
+    def start(self) -> State:
+        """See :class:`Method`."""
+        if self._first is None:
+            self._first = self._held = self._left()
+        return self._first
+
+    def enter(self, state: State) -> None:
+        """See :class:`Method`."""
+        self.start()
+        if state is not self._held:
+            self._held = None  # a state that does not fit may leave the object anywhere
+            self._take(state)
+            self._held = state
+
+    def step(self, iteration: int, seed: int, state: State) -> Pass:
+        """See :class:`Method`."""
+        self.enter(state)
+        self._held = None  # and so may a pass that raises
+        measurement = self._step(iteration, seed)
+        self._held = self._left()
+        return Pass(measurement, self._held)
+
+    def _forget_states(self) -> None:
+        self._held = self._first = None
+
+    def _take(self, state: State) -> None:
+        raise NotImplementedError
+
+    def _left(self) -> State:
+        raise NotImplementedError
+
+    if TYPE_CHECKING:  # that of the other base class is found behind this one
+
+        def _step(self, iteration: int, seed: int) -> Measurement: ...

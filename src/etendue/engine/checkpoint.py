@@ -39,7 +39,7 @@ class Checkpoint:
     seed: int
     #: Digest of the scene's parameters, sensor and film size.
     fingerprint: str
-    #: ``Method.state()`` after the last pass of the measurement.
+    #: Of the method, after the last pass of the measurement.
     state: dict[str, Any] = field(default_factory=dict)
     #: How to find the scene again: the arguments of ``scene.load`` that are plain values.
     scene: dict[str, Any] = field(default_factory=dict)

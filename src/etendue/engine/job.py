@@ -21,6 +21,7 @@ from etendue.core import (
     Result,
     SceneError,
     Settings,
+    State,
     logger,
 )
 from etendue.scene import BundledScene, Camera, Problem, bundled_scene, load, locate
@@ -96,6 +97,7 @@ class Job:
         budget: Budget,
         place: Mapping[str, Any],
         start: Measurement | None = None,
+        state: State | None = None,
         earlier: float = 0.0,
         preparation: float = 0.0,
         notes: Mapping[str, Any] | None = None,
@@ -105,7 +107,7 @@ class Job:
         self.seed = seed
         self.budget = budget
         self.place = dict(place)
-        self.start = start
+        self.start, self.state = start, state
         #: Seconds of the runs that this one goes on with, as their budgets counted them; 0 if it is the first.
         self.earlier = earlier
         #: Seconds that preparing the method took, which are a part of the budget.
@@ -168,7 +170,7 @@ class Job:
         begin = time.perf_counter()
         instance = method(settings)
         instance.prepare(problem, checkpoint.seed)
-        instance.restore(checkpoint.state)
+        instance.enter(checkpoint.state)
         preparation = time.perf_counter() - begin
         task = Task(source, method, seed=checkpoint.seed, **wanted)
         return cls(
@@ -178,6 +180,7 @@ class Job:
             budget=budget,
             place=task.place(),
             start=checkpoint.measurement,
+            state=checkpoint.state,
             earlier=checkpoint.earlier + checkpoint.elapsed,
             preparation=preparation,
             notes=checkpoint.notes,
@@ -189,7 +192,8 @@ class Job:
         It takes over the measurement of a resumed job, so there is one runner per job.
         """
         start, self.start = self.start, None
-        return Runner(self.method, seed=self.seed, budget=self.budget, start=start, spent=self.preparation, **options)
+        options |= {"start": start, "state": self.state, "spent": self.preparation}
+        return Runner(self.method, seed=self.seed, budget=self.budget, **options)
 
     def checkpoint(self, run: RunResult) -> Checkpoint:
         """All that is needed to go on with ``run`` later."""

@@ -6,11 +6,22 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Literal, Protocol
 
-from etendue.core import EtendueError, Measurement, Method, OptionError, Progress, Result, describe, logger
+from etendue.core import (
+    EtendueError,
+    Measurement,
+    Method,
+    OptionError,
+    Pass,
+    Progress,
+    Result,
+    State,
+    describe,
+    logger,
+)
 
 from .budget import Budget
 
@@ -59,8 +70,8 @@ class RunResult:
 
     method: Method
     measurement: Measurement
-    #: ``method.state()`` after the last pass of the measurement, whatever has become of the method since.
-    state: Mapping[str, Any]
+    #: After the last pass of the measurement.
+    state: State
     #: Seconds of this run, preparation included; ``measurement.counters["seconds"]`` also has earlier runs, without the
     #: time between passes.
     elapsed: float
@@ -81,7 +92,7 @@ class RunResult:
     @property
     def result(self) -> Result:
         """The picture, developed anew at each call."""
-        return self.method.develop(self.measurement)
+        return self.method.develop(self.measurement, self.state)
 
 
 class RunError(EtendueError):
@@ -99,12 +110,12 @@ class Cancelled(EtendueError):
 class Runner:
     """One run of a prepared method. :meth:`run` blocks; the other members may be used from other threads meanwhile.
 
-    ``start`` continues an earlier run: its measurement is taken over (added to in place), the first pass is the one
-    after its last. ``on_progress`` is called after each pass, ``on_save`` with what there is so far every
+    ``start`` and ``state`` continue an earlier run: its measurement is taken over (added to in place), the first pass
+    is the one after its last. ``on_progress`` is called after each pass, ``on_save`` with what there is so far every
     ``save_every`` seconds and after the passes that reach the seconds of ``save_at``; an exception from it is logged
     and the run goes on. ``cancel`` is looked at between passes. ``spent`` are the seconds that preparing the method
     took: they count as if :meth:`run` had begun so much earlier. A pass that raises, or is interrupted, is not in the
-    measurement and leaves the method as it was before.
+    measurement and leaves the state as it was before.
     """
 
     def __init__(
@@ -114,6 +125,7 @@ class Runner:
         seed: int,
         budget: Budget,
         start: Measurement | None = None,
+        state: State | None = None,
         on_progress: Callable[[Progress], None] | None = None,
         on_save: Callable[[RunResult], None] | None = None,
         save_every: float | None = None,
@@ -126,12 +138,14 @@ class Runner:
         check_save_times(save_at)
         if not budget and cancel is None:
             raise OptionError("a run needs a budget: seconds, samples, passes or error")
+        if start is not None and state is None and method.carries_on:
+            raise OptionError(f"passes of {method.name} carry on from each other: give the state after those of start")
         self.method = method
         self.seed = seed
         self.budget = budget
         self.progress = Progress()
         self._measurement = start
-        self._state = method.state()  # after the last pass of the measurement
+        self._state = method.start() if state is None else state  # after the last pass of the measurement
         self.on_progress = on_progress
         self._on_save = on_save
         self._save_every = save_every
@@ -154,7 +168,7 @@ class Runner:
     def snapshot(self) -> Result | None:
         """The picture so far, ``None`` before the first pass is done."""
         with self._lock:
-            return self.method.develop(self._measurement) if self._measurement is not None else None
+            return self.method.develop(self._measurement, self._state) if self._measurement is not None else None
 
     def interrupted(self) -> RunResult | None:
         """What was done before an exception that is no ``Exception`` (Ctrl-C) left :meth:`run`.
@@ -222,33 +236,27 @@ class Runner:
 
     def _pass(self) -> None:
         iteration = self._measurement.iterations.next_iteration() if self._measurement is not None else 0
-        before = self._state
-        try:
-            begin = self._clock()
-            measured = self.method.step(iteration, self.seed)
-            duration = self._clock() - begin
-            seconds = duration if self._done else self._spent + duration
-            measured.counters["seconds"] = measured.counters.get("seconds", 0.0) + seconds
-            self._add(measured, self.method.state())
-        except BaseException:
-            if self._state is before:
-                self.method.restore(before)
-            raise
+        begin = self._clock()
+        made = self.method.step(iteration, self.seed, self._state)
+        duration = self._clock() - begin
+        seconds, measured = duration if self._done else self._spent + duration, made.measurement
+        measured.counters["seconds"] = measured.counters.get("seconds", 0.0) + seconds
+        self._add(made)
         self._durations.append((duration, measured.counters.get("rays", 0.0)))
         self._done += 1
         assert self._measurement is not None
         self._update_error(len(self._measurement.iterations))
         self.progress = self._describe()
 
-    def _add(self, measured: Measurement, state: Mapping[str, Any]) -> None:
+    def _add(self, made: Pass) -> None:
         """Add a pass, and what it has left behind, as one."""
         with self._lock:
             self._adding = True
             if self._measurement is None:
-                self._measurement = measured
+                self._measurement = made.measurement
             else:
-                self._measurement += measured
-            self._state = state
+                self._measurement += made.measurement
+            self._state = made.state
             self._adding = False
 
     def _save(self, times: tuple[float, ...]) -> float:

@@ -31,7 +31,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import RELATIVE_EPSILON, Measurement, Result, logger, setting
+from etendue.core import RELATIVE_EPSILON, Carrying, Measurement, Pass, Result, State, logger, setting
 from etendue.scene import Problem, materials
 
 from .base import STEP_LANES, ImageMethod, ImageSettings, Layer
@@ -94,13 +94,13 @@ class _Tried:
     """A candidate in the probe."""
 
     method: ImageMethod
-    passes: list[Measurement]
+    passes: list[Pass]
     total: Measurement  #: of the passes
     start: float  #: seconds of preparation and compilation
     seconds: float  #: of a pass
 
 
-class Auto(ImageMethod):
+class Auto(Carrying, ImageMethod):
     """The method and the switches that a probe recommends."""
 
     name: ClassVar[str] = "auto"
@@ -110,12 +110,13 @@ class Auto(ImageMethod):
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """The probe itself belongs to the first pass, so that a budget in seconds pays for it."""
+        self._forget_states()
         super().prepare(problem, seed)
         self._choice = self.settings.choice
         self._costs: dict[str, float] = {}
         self._chosen: ImageMethod | None = None
-        self._carried: Mapping[str, Any] = {}  #: state for what was chosen, once it is prepared
-        self._made: dict[tuple[int, int], Measurement] = {}  #: passes of the probe, by iteration and seed
+        self._carried: State = {}  #: of what was chosen
+        self._made: dict[tuple[int, int], Pass] = {}  #: passes of the probe, by iteration and seed
         self.setup_seconds = 0.0  #: of the probe, which is a part of the first pass
         self.plan(None, None, None)
 
@@ -123,29 +124,30 @@ class Auto(ImageMethod):
         """See :class:`Method`."""
         self._seconds, self._passes, self._error = seconds, passes, error
 
-    def step(self, iteration: int, seed: int) -> Measurement:
+    def _step(self, iteration: int, seed: int) -> Measurement:
         """One pass of what was chosen."""
         renderer = self._renderer(seed)
         made = self._made.pop((iteration, seed), None)
-        return renderer.step(iteration, seed) if made is None else made
+        if made is None:
+            made = renderer.step(iteration, seed, self._carried)
+        self._carried = made.state
+        return made.measurement
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         return self._renderer(seed).render_pass(iteration, seed, samples)
 
-    def develop(self, measurement: Measurement) -> Result:
+    def develop(self, measurement: Measurement, state: State) -> Result:
         """Mean over the passes; the metadata say what was chosen and what the candidates' costs were."""
-        result = super().develop(measurement)
-        result.metadata |= {"chosen": self._choice, "probe": self._costs}
+        result = super().develop(measurement, state)
+        result.metadata |= {"chosen": state["choice"], "probe": state["costs"]}
         return result
 
-    def state(self) -> Mapping[str, Any]:
+    def _left(self) -> State:
         """The choice, what it was made by, and the state of what was chosen."""
-        chosen = self._carried if self._chosen is None else self._chosen.state()
-        return {"choice": self._choice, "costs": self._costs, "chosen": chosen}
+        return {"choice": self._choice, "costs": self._costs, "chosen": self._carried}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Inverse of :meth:`state`."""
+    def _take(self, state: State) -> None:
         self._choice, self._costs, self._chosen = str(state["choice"]), dict(state["costs"]), None
         self._carried, self._made = state["chosen"], {}
 
@@ -159,8 +161,7 @@ class Auto(ImageMethod):
             if self._chosen is None:
                 self._chosen = self._method(self._choice)
                 self._chosen.prepare(self.problem, seed)
-            if self._carried:
-                self._chosen.restore(self._carried)
+            self._carried = self._carried or self._chosen.start()
             self.setup_seconds = time.perf_counter() - begin
         return self._chosen
 
@@ -214,7 +215,7 @@ class Auto(ImageMethod):
             if len(left) < 2 or time.perf_counter() + sum(one.seconds for one in left) > end:
                 break
             for one in left:
-                self._step(one, seed)
+                self._try_again(one, seed)
             self._costs = _costs(tried)
         if len(tried) > 1:
             chosen = choose(self._weighed())
@@ -240,19 +241,19 @@ class Auto(ImageMethod):
         begin = time.perf_counter()
         method = self._method(name)
         method.prepare(self.problem, seed)
-        first = method.step(0, seed)
+        first = method.step(0, seed, method.start())
         start = time.perf_counter() - begin
-        tried = _Tried(method, [first], first.copy(), start, 0.0)
-        self._step(tried, seed)
+        tried = _Tried(method, [first], first.measurement.copy(), start, 0.0)
+        self._try_again(tried, seed)
         tried.start = max(0.0, start - tried.seconds)
         return tried
 
-    def _step(self, tried: _Tried, seed: int) -> None:
+    def _try_again(self, tried: _Tried, seed: int) -> None:
         begin = time.perf_counter()
         done = len(tried.passes)
-        measured = tried.method.step(done, seed)
-        tried.passes.append(measured)
-        tried.total += measured
+        made = tried.method.step(done, seed, tried.passes[-1].state)
+        tried.passes.append(made)
+        tried.total += made.measurement
         tried.seconds = (tried.seconds * (done - 1) + time.perf_counter() - begin) / done
 
     def _work(self, tried: _Tried) -> float:
@@ -269,7 +270,10 @@ class Auto(ImageMethod):
 
 
 def _costs(tried: Mapping[str, _Tried]) -> dict[str, float]:
-    return costs({name: one.seconds for name, one in tried.items()}, {name: one.passes for name, one in tried.items()})
+    return costs(
+        {name: one.seconds for name, one in tried.items()},
+        {name: [made.measurement for made in one.passes] for name, one in tried.items()},
+    )
 
 
 def _within(ratio: float, cost: Mapping[str, float]) -> list[str]:

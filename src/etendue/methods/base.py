@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -18,9 +17,11 @@ from etendue.core import (
     Iterations,
     Measurement,
     OptionError,
+    Pass,
     Result,
     SampleSource,
     Settings,
+    State,
     setting,
 )
 from etendue.points import OwenSobolSource
@@ -158,8 +159,18 @@ class ImageMethod(ABC):
         is_cpu = dr.backend_v(mi.Float) == dr.JitBackend.LLVM
         return FULL_LANES * (min(max(1, dr.thread_count() // 2), _MOST_FULL) if is_cpu else _MOST_FULL)
 
-    def step(self, iteration: int, seed: int) -> Measurement:
+    def start(self) -> State:
+        """Nothing is carried from pass to pass."""
+        return {}
+
+    def enter(self, state: State) -> None:  # noqa: B027 (a method without state need not override it)
+        """See :class:`etendue.core.Method`."""
+
+    def step(self, iteration: int, seed: int, state: State) -> Pass:
         """One pass: :attr:`samples_per_iteration` camera paths per pixel."""
+        return Pass(self._step(iteration, seed), state)
+
+    def _step(self, iteration: int, seed: int) -> Measurement:
         samples = self.samples_per_iteration
         layers, counters = self.render_pass(iteration, seed, samples)
         layers = with_image(layers)
@@ -181,17 +192,10 @@ class ImageMethod(ABC):
 
         The layers are the technique families that the image is the sum of; or the image, and any others."""
 
-    def develop(self, measurement: Measurement) -> Result:
+    def develop(self, measurement: Measurement, state: State) -> Result:
         """Mean over the passes, layer by layer."""
         layers = {name: measurement.mean(name).astype(np.float32) for name in measurement.sums}
         return Result(layers, {"method": self.name, "settings": self.settings.to_dict()})
-
-    def state(self) -> Mapping[str, Any]:
-        """Nothing is carried from pass to pass."""
-        return {}
-
-    def restore(self, state: Mapping[str, Any]) -> None:  # noqa: B027 (a method without state need not override it)
-        """Inverse of :meth:`state`."""
 
     # ------------------------------------------------------------------ helpers of the subclasses
 

@@ -17,7 +17,6 @@ Limits: a caustic of a point light seen in a mirror is made by merging alone, bl
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -25,7 +24,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import IndependentSource, OptionError, free_memory, logger, setting
+from etendue.core import Carrying, IndependentSource, OptionError, State, free_memory, logger, setting
 from etendue.density import HashGrid
 from etendue.scene import Problem
 from etendue.transport import (
@@ -139,7 +138,7 @@ def _joined(colours: list[Any]) -> Any:
     return colours[0] if len(colours) == 1 else mi.Color3f(*(dr.concat([c[i] for c in colours]) for i in range(3)))
 
 
-class Bidirectional(ImageMethod):
+class Bidirectional(Carrying, ImageMethod):
     """The estimator; ``bpt``, ``bpm`` and ``vcm`` are this with other defaults."""
 
     Settings: ClassVar[type[ImageSettings]] = BidirectionalSettings
@@ -147,6 +146,7 @@ class Bidirectional(ImageMethod):
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """Tables, merge radius, and a pilot light pass that measures how much room the vertices of a pass take."""
+        self._forget_states()
         super().prepare(problem, seed)
         s = self.settings
         self.techniques = Techniques(
@@ -241,12 +241,11 @@ class Bidirectional(ImageMethod):
             logger.info("light vertices of a pass take %.0f MB: traced in %d groups", needed, groups)
         return max(groups, -(-self._paths // base.MOST_LIGHT_LANES))
 
-    def state(self) -> Mapping[str, Any]:
+    def _left(self) -> State:
         """Groups of light paths, and vertices of a path, which a pass that found too little room has changed."""
         return {"groups": self._groups, "vertices_per_path": self._room.per_path}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Inverse of :meth:`state`."""
+    def _take(self, state: State) -> None:
         self._groups, self._room.per_path = int(state["groups"]), float(state["vertices_per_path"])
 
     # ------------------------------------------------------------------ a pass

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -25,7 +25,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import CheckpointError, Measurement, Result, copied_to_device, setting
+from etendue.core import Carrying, CheckpointError, Measurement, Result, State, copied_to_device, setting
 from etendue.scene import LightTable, Problem
 from etendue.transport import (
     MOST_LIGHTS,
@@ -123,7 +123,7 @@ class _Records:
         return found, seen
 
 
-class Guided(Path):
+class Guided(Carrying, Path):
     """Path tracing guided by a density over directions that it learns, cell by cell of the scene."""
 
     name: ClassVar[str] = "guided"
@@ -133,6 +133,7 @@ class Guided(Path):
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """A guide that knows nothing."""
+        self._forget_states()
         super().prepare(problem, seed)
         box = problem.scene.bbox()
         lower, upper = (np.asarray(corner, np.float64).ravel().tolist() for corner in (box.min, box.max))
@@ -156,10 +157,10 @@ class Guided(Path):
 
     # ------------------------------------------------------------------ a pass
 
-    def step(self, iteration: int, seed: int) -> Measurement:
+    def _step(self, iteration: int, seed: int) -> Measurement:
         """One pass, in the weight of its generation."""
         weight = min(1.0, self.settings.first_weight * 2.0**self._generation)
-        measurement = super().step(iteration, seed)
+        measurement = super()._step(iteration, seed)
         measurement.scale(weight)
         return measurement
 
@@ -283,14 +284,14 @@ class Guided(Path):
         self._passes = 0
         self._forget()
 
-    def develop(self, measurement: Measurement) -> Result:
+    def develop(self, measurement: Measurement, state: State) -> Result:
         """Weighted mean over the passes; the metadata say how large the guide is."""
-        result = super().develop(measurement)
-        guide = self._guide
-        result.metadata["guide"] = {"generation": self._generation, "cells": guide.cells, "places": guide.places}
+        result = super().develop(measurement, state)
+        size = {"cells": self._guide.cells, "places": len(state["found"])}
+        result.metadata["guide"] = {"generation": state["generation"]} | size
         return result
 
-    def state(self) -> Mapping[str, Any]:
+    def _left(self) -> State:
         """The guide, and what was found since it was changed last."""
         return {
             "generation": self._generation,
@@ -303,8 +304,7 @@ class Guided(Path):
             **({} if self._choice is None else {"lights": self._choice.shares}),
         }
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Inverse of :meth:`state`."""
+    def _take(self, state: State) -> None:
         found, seen = np.asarray(state["found"], np.uint64), np.asarray(state["seen"], np.uint32)
         self._guide.restore(state["guide"])
         if (len(found), len(seen)) != (self._guide.places, self._guide.places):

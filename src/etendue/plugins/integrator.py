@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import EtendueError, Measurement, UnsupportedError, check_variant, warn_of_nonfinite
+from etendue.core import EtendueError, Measurement, Replica, UnsupportedError, check_variant, warn_of_nonfinite
 from etendue.film import LONGER, PixelFilter, Technique
 from etendue.scene import Problem
 
@@ -84,9 +84,10 @@ def _integrator_class(method: Any, variant: str) -> type:
             )
             with dr.suspend_grad():
                 number = int(np.asarray(seed).ravel()[0])
-                with self._prepared.ready(problem, number) as runner:
-                    measurement = self._measure(runner, problem.spp, number)
-                    layers = runner.develop(measurement).layers
+                with self._prepared.ready(problem, number) as ready:
+                    replica = Replica(ready, number)
+                    measurement = self._measure(replica, problem.spp)
+                    layers = replica.develop(measurement).layers
                 warn_of_nonfinite(measurement)
                 self._layers = _asked_for(self.options, layers)
                 _fill(film, problem, layers, self._layers)
@@ -98,17 +99,17 @@ def _integrator_class(method: Any, variant: str) -> type:
                     dr.sync_thread()
                 return image
 
-        def _measure(self, runner: Any, spp: int, seed: int) -> Measurement:
-            """The passes of a picture by a prepared method."""
-            passes = -(-spp // runner.samples_per_iteration)
-            if plan := getattr(runner, "plan", None):
+        def _measure(self, replica: Replica, spp: int) -> Measurement:
+            """The passes of a picture."""
+            passes = -(-spp // replica.method.samples_per_iteration)
+            if plan := getattr(replica.method, "plan", None):
                 plan(self.timeout if self.timeout > 0 else None, passes, None)
             start = time.perf_counter()
-            total: Measurement = runner.step(0, seed)
+            total = replica.step(0)
             for iteration in range(1, passes):
                 if self._cancelled or 0 < self.timeout < time.perf_counter() - start:
                     break
-                total += runner.step(iteration, seed)
+                total += replica.step(iteration)
             return total
 
         def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:

@@ -22,7 +22,6 @@ class _Kept:
     sensor: Any  #: held, so that no other has its id()
     seen: Parameters  #: its parameters, as they were
     method: Any  #: ready for passes; or not prepared, where each run needs a fresh one
-    start: dict[str, Any]  #: its state before the first pass
 
 
 class Prepared:
@@ -56,7 +55,6 @@ class Prepared:
             kept.method.prepare(problem, seed)
         else:
             kept.method.bind(problem.scene)
-            kept.method.restore(kept.start)
         yield kept.method
         if self._kind.carries_on:
             kept.method = self._kind(kept.method.settings)  # which say how many samples a pass has
@@ -73,4 +71,4 @@ class Prepared:
         method.prepare(problem, seed)
         fitted: Any = fit_samples(method, problem.spp, problem, seed)
         settle_samples(fitted)
-        return _Kept(problem.sensor, seen, fitted, dict(fitted.state()))
+        return _Kept(problem.sensor, seen, fitted)

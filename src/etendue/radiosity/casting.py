@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from etendue.core import (
     Array,
+    Carrying,
     CheckpointError,
     Iterations,
     Measurement,
     Result,
+    State,
     free_memory,
     logger,
     seed_key,
@@ -88,7 +90,7 @@ class PatchProblem:
         return digest.hexdigest()
 
 
-class LineCasting:
+class LineCasting(Carrying):
     """Bundles of lines through patches, a piece of a few with each :meth:`step`; implements ``core.Method``.
 
     What was cast is kept: :meth:`segments` and :meth:`shot` are made of it at any time, and depend on how many bundles
@@ -108,6 +110,7 @@ class LineCasting:
     """
 
     name: ClassVar[str] = "global-lines"
+    carries_on: ClassVar[bool] = True
     Settings: ClassVar[type[AnySettings]] = CastingSettings
     citations: ClassVar[tuple[str, ...]] = ("Sbert1993", "Carpenter1984", "Castro2002")
 
@@ -149,6 +152,7 @@ class LineCasting:
     def prepare(self, problem: PatchProblem, seed: int) -> None:
         """Build the engine, and have its loops compiled. Raises :class:`RadiosityError` if not even one bundle fits
         into memory."""
+        self._forget_states()
         patches = self.patches = problem.patches
         self._seed = seed
         self.engine = self._engine_for(patches)
@@ -165,7 +169,7 @@ class LineCasting:
             self._time_pass([chunk])  # to have it compiled
         self._passes[:] = 0
 
-    def step(self, iteration: int, seed: int) -> Measurement:
+    def _step(self, iteration: int, seed: int) -> Measurement:
         """Cast the next piece. What is measured is kept here; the sums are empty."""
         if self._stream is None:
             self._stream = self._pieces()
@@ -191,17 +195,16 @@ class LineCasting:
             yield np.concatenate([*odd, piece]) if odd else piece
             odd = []
 
-    def develop(self, measurement: Measurement) -> Result:
+    def develop(self, measurement: Measurement, state: State) -> Result:
         """No picture: only how much was cast."""
-        return Result({}, {"bundles": self.count, "segments": self.made})
+        return Result({}, {"bundles": state["count"], "segments": sum(map(len, state["chunks"]))})
 
-    def state(self) -> dict[str, Any]:
+    def _left(self) -> State:
         """All that was cast."""
         shot = None if self._shot is None else self._shot.state()
         return {"count": self.count, "size": self._size, "chunks": list(self._chunks), "shot": shot}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from a :meth:`state`. Raises :class:`CheckpointError` for one that has more bundles than asked for."""
+    def _take(self, state: State) -> None:
         if self.most is not None and state["count"] > self.most:
             raise CheckpointError(f"the checkpoint has {state['count']} bundles, more than {self.most}")
         self.close()
@@ -209,6 +212,7 @@ class LineCasting:
         self.count, self._size, self._chunks = state["count"], state["size"], list(state["chunks"])
         self._take_turns()
         self.made = sum(map(len, self._chunks))
+        self._known, self._sums, self._summed = None, [], 0
         if self._shot is not None and state["shot"] is not None:
             self._shot.restore(state["shot"])
 

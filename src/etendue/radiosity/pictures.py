@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from etendue.core import Measurement, OptionError, Result
+from etendue.core import Measurement, OptionError, Replica, Result
 from etendue.methods import ImageMethod, ImageSettings, Path
 from etendue.scene import Problem, check, load
 from etendue.surfaces import PatchSurfaces, SurfaceValues
@@ -92,13 +92,14 @@ def _run(
         method.settings = dataclasses.replace(method.settings, samples_per_pass=samples)
     passes = -(-samples // method.samples_per_iteration)
     total: Measurement | None = None
+    replica = Replica(method, seed)
     for iteration in range(passes):
-        measured = method.step(iteration, seed)
+        measured = replica.step(iteration)
         total = measured if total is None else total + measured
         if on_pass is not None:
             on_pass(iteration + 1, passes)
     assert total is not None
-    return method.develop(total).image
+    return replica.develop(total).image
 
 
 class _Seen(ImageMethod):

@@ -17,7 +17,6 @@ their inverse variances would make bright pixels of lucky passes count less.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -25,7 +24,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import Array, CheckpointError, OptionError, setting
+from etendue.core import Array, Carrying, CheckpointError, OptionError, State, setting
 from etendue.integration import AxisBins, CellGrid, Factor, PlaneBins, bin_values
 from etendue.scene import Problem
 
@@ -73,7 +72,7 @@ class VegasSettings(AdaptiveSettings):
     lengths: int = setting(6, "lengths that one_path draws from; the last stands for all longer ones", minimum=1)
 
 
-class Vegas(AdaptivePath):
+class Vegas(Carrying, AdaptivePath):
     """Path tracing whose random numbers are drawn from densities that it learns, after VEGAS."""
 
     name: ClassVar[str] = "vegas"
@@ -91,6 +90,7 @@ class Vegas(AdaptivePath):
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """Uniform densities."""
+        self._forget_states()
         super().prepare(problem, seed)
         o = self.settings
         self._groups = groups(o.groups, o.bounces, self.constant_numbers())
@@ -178,7 +178,7 @@ class Vegas(AdaptivePath):
         self._saved = None
         self._forget()
 
-    def state(self) -> Mapping[str, Any]:
+    def _left(self) -> State:
         """The densities, and what was found since they were moved last."""
         if self._saved is None:
             self._saved = [
@@ -187,8 +187,7 @@ class Vegas(AdaptivePath):
             ]
         return {"passes": self._passes, "densities": self._saved, "found": list(self._sums)}
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Inverse of :meth:`state`."""
+    def _take(self, state: State) -> None:
         found = [np.array(sums, float) for sums in state["found"]]
         fields = [_FIELDS[type(rows[0])] for rows in self._densities]
         saved = [

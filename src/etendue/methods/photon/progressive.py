@@ -19,7 +19,6 @@ slower than R does where photons are found in every pass [KnausZwicker 2011].
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -27,7 +26,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import CheckpointError, copied_to_device, setting
+from etendue.core import Carrying, CheckpointError, State, copied_to_device, setting
 from etendue.density import KdTree
 from etendue.scene import Problem
 from etendue.transport import Kind
@@ -59,7 +58,7 @@ class SppmSettings(PhotonSettings):
     alpha: float = setting(2.0 / 3.0, "share of the photons found that is kept in N", above=0.0, maximum=1.0)
 
 
-class Sppm(PhotonMapping):
+class Sppm(Carrying, PhotonMapping):
     """Stochastic progressive photon mapping: new points in each pass, a radius for each pixel."""
 
     name: ClassVar[str] = "sppm"
@@ -69,6 +68,7 @@ class Sppm(PhotonMapping):
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """The first radii: the same for every path, or found by the nearest photons."""
+        self._forget_states()
         super().prepare(problem, seed)
         first = radii.absolute_radius(self, self.settings.radius, self.settings.radius_unit, seed)
         #: Camera paths of a pass that share R and N: those of a point, or of a pixel.
@@ -133,7 +133,7 @@ class Sppm(PhotonMapping):
         dr.eval(squared, count)
         self._radius_squared, self._count, self._most, self._passes = squared, count, most, passes
 
-    def state(self) -> Mapping[str, Any]:
+    def _left(self) -> State:
         """R^2 and N of every point or pixel, and what bounds R^2."""
         return {
             "radius_squared": self._radius_squared,
@@ -142,8 +142,7 @@ class Sppm(PhotonMapping):
             "passes": self._passes,
         }
 
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Inverse of :meth:`state`."""
+    def _take(self, state: State) -> None:
         radius_squared, count = np.asarray(state["radius_squared"]), np.asarray(state["count"])
         if radius_squared.shape != (len(self._count),) or count.shape != radius_squared.shape:
             raise CheckpointError("the checkpoint's photon statistics are of another size; start anew")
