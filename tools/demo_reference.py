@@ -1,4 +1,4 @@
-"""Make the reference picture of the demonstration scene, ``src/etendue/scene/data/caustics.exr``.
+"""Make the reference picture of the demonstration scene, ``src/etendue/scene/builtin/data/caustics.exr``.
 
     python tools/demo_reference.py [--samples 1400]
 
@@ -19,7 +19,7 @@ import OpenEXR
 import etendue
 from etendue import film
 
-TARGET = Path(__file__).parents[1] / "src" / "etendue" / "scene" / "data" / "caustics.exr"
+TARGET = Path(__file__).parents[1] / "src" / "etendue" / "scene" / "builtin" / "data" / "caustics.exr"
 SETTINGS: dict[str, Any] = {
     "light_paths": 1.0,
     "radius": 1.0,

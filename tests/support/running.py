@@ -53,8 +53,8 @@ class Stepped:
 
 
 def prepared(problem: Any, method: str, seed: int = 1, **settings: Any) -> Any:
-    """A method made ready for ``problem``, to be stepped; with independent numbers unless asked otherwise, as the passes
-    of an even sequence are not independent of each other, which the tests of agreement need."""
+    """A method made ready for ``problem``, to be stepped; with independent numbers unless asked otherwise, as passes of
+    an even sequence are not independent of each other, which the tests of agreement need."""
     cls = methods.get(method)
     settings = {"sampler": "independent"} | settings
     result = cls(cls.Settings.from_mapping(settings))

@@ -1,16 +1,16 @@
 """Scenes: loading, the capability check, fingerprints, bundled scenes, the light table, Mitsuba plugins of our own."""
 
 from . import graph, meshes
-from .bundled import BundledScene, bundled, bundled_scene
+from .builtin.table import BundledScene, bundled, bundled_scene
 from .camera import Camera
 from .capability import check
 from .fingerprint import fingerprint
 from .graph import materials
-from .lights import Light, LightTable
+from .lamps.radiance import sphere_point, surface_point, uniform_point, varies
+from .lamps.table import Light, LightTable
 from .loading import integrator_of, load, locate, resized
 from .plugins import composed_bsdf, register
 from .problem import Problem
-from .radiance import sphere_point, surface_point, uniform_point, varies
 from .space import RenderSpace, warn_of_offsets, warn_of_steps
 from .watching import Parameters, parameters, view
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from etendue.core import OptionError, SceneError, UnsupportedError, logger, suggest, use_variant
 
-from .bundled import BundledScene, bundled
+from .builtin.table import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene
 from .graph import contents, plugin_name

@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from .graph import as_array, contents, plugin_name
+from ..graph import as_array, contents, plugin_name
 
 #: Shapes that draw points uniformly by a map of the unit square that has an inverse. All other lights are meshes.
 SURFACES = ("rectangle", "disk", "sphere", "cylinder")

@@ -32,9 +32,9 @@ import numpy as np
 
 from etendue.core import SceneError, on_device
 
-from .graph import as_array, contents, plugin_name
-from .light_points import LightPoints
-from .plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
+from ..graph import as_array, contents, plugin_name
+from ..plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
+from .points import LightPoints
 from .radiance import Cells, is_black, measure, varies
 
 #: Rays drawn from an emitter, and points of a shape, to estimate its power.

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .meshes import Points, brilliant, height_field, lathe, mesh, smooth
+from ..meshes import Points, brilliant, height_field, lathe, mesh, smooth
 
 Vector = tuple[float, float, float]
 

@@ -1,0 +1,1 @@
+"""The scenes that étendue brings along, built by code."""

@@ -1,0 +1,1 @@
+"""Lights: their power, choice and points, as tables that kernels read."""
