@@ -20,7 +20,7 @@ from etendue.core import bibliography
 SOURCE = Path(etendue.__file__).parent
 ROOMS = (
     *("core", "points", "integration", "density", "film", "scene", "formats", "surfaces", "transport", "conformance"),
-    *("methods", "radiosity", "engine", "distributed", "display", "viewer", "plugins", "cli"),
+    *("methods", "radiosity", "engine", "distributed", "jobs", "display", "viewer", "plugins", "cli"),
 )
 #: Siblings: one stands after the other in the list, but may not import it.
 FORBIDDEN = {

@@ -20,6 +20,7 @@ from .core import (
 from .engine import Session
 from .outputs import Rendering
 from .plugins import register_method as register
+from .solving import FormFactorResult, RadiosityResult, compute_form_factors, solve_radiosity
 
 plugins.register()  # in every Mitsuba variant that is set, now or later
 
@@ -27,16 +28,20 @@ __all__ = [
     "BackendError",
     "CheckpointError",
     "EtendueError",
+    "FormFactorResult",
     "OptionError",
     "OutputError",
+    "RadiosityResult",
     "Rendering",
     "SceneError",
     "Session",
     "UnsupportedError",
     "Update",
     "check",
+    "compute_form_factors",
     "register",
     "render",
     "resume",
+    "solve_radiosity",
     "start",
 ]

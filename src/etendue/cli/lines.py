@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from importlib import metadata
@@ -31,8 +30,6 @@ DEFAULT_BUNDLES = 1024
 ON_SEGMENTS = ("jacobi", "conjugate-gradient")
 #: Suffixes of scene files; whatever else is no bundled scene is a mesh.
 _SCENES = (".xml", "")
-#: Share of the memory that is filled where no number of bundles was asked for.
-_MEMORY_SHARE = 0.6
 #: Of a checkpoint: the request.
 _NOTE = "lines"
 
@@ -195,53 +192,38 @@ def cast(
     saved: Checkpoint | None = None,
 ) -> Cast:
     """Cast lines until the budget is used up or a signal comes, from where ``saved`` ended."""
-    from etendue.engine import Job, Runner, Session
-    from etendue.radiosity import REPLICATES, CastingSettings, LineCasting, PatchProblem
+    from etendue.engine import Runner, Session
+    from etendue.jobs import LinesJob, LinesTask
 
     from .rendering import follow
 
     console = error_console()
-    problem = PatchProblem(patches, request.source)
-    goal: Any = "rows" if request.command == "form-factors" else "irradiance"
-    casting = LineCasting(
-        CastingSettings(
-            shot=request.shot and request.command == "radiosity",
-            local_rays=request.local_rays,
-            replicates=REPLICATES if request.to_error else 1,
-        ),
-        goal=goal if console.is_terminal or budget.error is not None else None,
+    task = LinesTask(
+        patches,
+        "rows" if request.is_factors else "irradiance",
+        budget,
+        request.source,
+        request.seed,
+        shot=request.shot and not request.is_factors,
+        local_rays=request.local_rays,
+        to_error=request.to_error,
+        is_watched=console.is_terminal,
+        needs_matrix=request.wants_matrix,
+        notes={_NOTE: asdict(request.located())},
     )
-    jobs: list[Job] = []
+    job = LinesJob(task, saved)
+    casting = job.casting
 
     def keep(run: RunResult, path: Path) -> None:
-        jobs[0].checkpoint(run).write(path)
+        job.checkpoint(run).write(path)
 
     def build(stop: threading.Event) -> Runner:
-        begin = time.perf_counter()
-        casting.prepare(problem, request.seed)
-        before = 0 if saved is None else saved.state["count"]
-        casting.most, limited = _limited(casting, budget, before, request.wants_matrix)
-        earlier = 0.0
-        if saved is not None:
-            saved.settings_of(LineCasting, casting.settings.to_dict(), request.seed)
-            saved.require_scene(problem.fingerprint)
-            casting.enter(saved.state)
-            earlier = saved.earlier + saved.elapsed
-        notes = {_NOTE: asdict(request.located())}
-        jobs.append(
-            Job(problem, casting, seed=request.seed, budget=budget, place={}, earlier=earlier, notes=notes)  # type: ignore[arg-type]
-        )
-        options: dict[str, Any] = {}
-        if checkpoint is not None and save_every is not None:
-            options = {"on_save": lambda run: keep(run, checkpoint), "save_every": save_every}
-        if saved is not None:
-            options |= {"start": saved.measurement, "state": saved.state}
-        spent = time.perf_counter() - begin
-        return Runner(casting, seed=request.seed, budget=limited, cancel=stop, spent=spent, **options)
+        if checkpoint is None or save_every is None:
+            return job.runner(cancel=stop)
+        return job.runner(cancel=stop, on_save=lambda run: keep(run, checkpoint), save_every=save_every)
 
     def finish(run: RunResult) -> RunResult:
-        casting.enter(run.state)  # after a pass that failed it may be in none
-        casting.close()
+        job.finish(run)
         if checkpoint is not None:
             keep(run, checkpoint)
         return run
@@ -250,26 +232,11 @@ def cast(
     run = outcome.result
     if run is None:
         return Cast(None, outcome.exit_code, lambda path: None)
-    if budget.samples is None and run.stopped_by == "samples":
+    if job.is_full(run):
         logger.warning(
             "memory holds no more than these %d bundles of lines: free some, or make patches larger", casting.count
         )
     return Cast(casting, outcome.exit_code, lambda path: keep(run, path))
-
-
-def _limited(casting: LineCasting, budget: Budget, before: int, matrix: bool) -> tuple[int, Budget]:
-    """Bundles to end at, and a budget that says so."""
-    from etendue.engine import Budget
-    from etendue.radiosity import RadiosityError
-
-    fits = before + casting.memory(matrix)
-    most = budget.samples or before + int(_MEMORY_SHARE * casting.memory(matrix))
-    if most > fits or most < 1:
-        raise RadiosityError(
-            f"{most} bundles of lines through {len(casting.patches)} patches do not fit into memory, {fits} do: ask "
-            "for fewer (--bundles), or make patches larger"
-        )
-    return most, Budget(budget.seconds, most, None, budget.error)
 
 
 def _words(casting: LineCasting) -> Callable[[Progress], list[str]]:

@@ -134,18 +134,18 @@ class Shot:
         if blocks <= 0:
             return
         # Added up one by one, so that it does not matter which were asked for together.
-        received = self._received.copy()  # anew: a state() may hold the old one
+        received = self._received.copy()  # anew: a state holds the old one
         for block, found in self._lamps.light(self._blocks, blocks):
             received[block % _REPLICATES] += found
         self._received, self._blocks = received, self._blocks + blocks
 
     def state(self) -> dict[str, Any]:
         """What :meth:`restore` takes, for a checkpoint."""
-        return {"blocks": self._blocks, "received": self._received.copy()}
+        return {"blocks": self._blocks, "received": self._received}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a :meth:`state`."""
-        self._blocks, self._received = state["blocks"], state["received"].copy()
+        self._blocks, self._received = state["blocks"], state["received"]
 
 
 class _Lamps:
