@@ -206,7 +206,7 @@ def speed(name: str, sides: Sequence[int], rounds: int) -> Record:
         path = method(method.Settings(max_depth=problem.max_depth))
         path.prepare(problem, 0)
         most = (1 << 26) // (side * side)
-        tasks: dict[Any, Any] = {"path": partial(path.step, seed=0)}
+        tasks: dict[Any, Any] = {"path": Replica(path, 0).step}
         for part in _PASSES:
             if part <= most:
                 tasks[part] = partial(_pass, problem, integrator, part)

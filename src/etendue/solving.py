@@ -94,7 +94,8 @@ def compute_form_factors(
     seconds, bundles, error: the first one reached ends the casting; ``error`` is the standard error of the row of a
         patch, mean over patches. Without any, 1024 bundles.
     lines: of a bundle through the bounding sphere; 0 for as many as suit the patches.
-    callback: called with a :class:`etendue.core.Progress` after each piece of lines; ``False`` ends the casting.
+    callback: called with a :class:`etendue.core.Progress` after each piece of lines; ``False`` ends the casting. Its
+        ``samples`` are bundles, its ``relative_error`` is the square of what ``error`` means.
     save: file of the form factors, ``.npz``, ``.nc`` or ``.vf``.
     checkpoint: file for ``resume``, written at the end and, with ``save_every``, every so many seconds.
     resume: a checkpoint of the same patches, seed and options to go on with; ``bundles`` and ``error`` speak of all.
@@ -103,7 +104,14 @@ def compute_form_factors(
     cast where that is possible, and :class:`etendue.engine.RunError` if a later piece fails. Then, and at Ctrl-C, the
     checkpoint is written first, if one is named.
     """
-    from etendue.radiosity import ESTIMATORS, FORM_FACTOR_FILES, check_file, form_factors, save_form_factors
+    from etendue.radiosity import (
+        ESTIMATORS,
+        FORM_FACTOR_FILES,
+        check_file,
+        check_text_size,
+        form_factors,
+        save_form_factors,
+    )
 
     if estimator not in ESTIMATORS:
         raise OptionError(f"there is no estimator '{estimator}'; {suggest(estimator, ESTIMATORS)}")
@@ -115,6 +123,8 @@ def compute_form_factors(
     asked = _Asked(
         *(seconds, bundles, error, seed, lines, local_rays), *(callback, checkpoint, save_every, resume, files)
     )
+    if save is not None and Path(save).suffix.lower() == ".vf":
+        check_text_size(save, len(patches), 0)
     _, cast = _cast(patches, source, asked, goal="rows", shot=False, needs_matrix=True)
     factors = form_factors(cast.segments, estimator)
     if save is not None:
@@ -174,6 +184,9 @@ def solve_radiosity(
     patches, source = _patches(scene, {"max_area": max_area, "parameters": parameters}, is_lit=True)
     if solver == "direct":
         check_direct(len(patches))
+    for path in files:
+        if Path(path).suffix.lower() in (".ply", ".glb", ".gltf") and patches.channels not in (1, 3):
+            raise OptionError(f"'{path}' shows one channel or three, not {patches.channels}; write .vtu or .npz")
     needs_matrix = solver not in _ON_SEGMENTS
     asked = _Asked(
         *(seconds, bundles, error, seed, lines, local_rays), *(callback, checkpoint, save_every, resume, files)
@@ -211,7 +224,7 @@ def _patches(scene: Any, options: Mapping[str, Any], is_lit: bool = False) -> tu
 
 def _cast(patches: Patches, source: str, asked: _Asked, **how: Any) -> tuple[LinesJob, _Cast]:
     """Cast lines in this thread, so that the callback may do what it likes."""
-    from etendue.engine import Budget, Checkpoint, RunError, RunResult, remaining
+    from etendue.engine import Budget, Checkpoint, RunError, RunResult, check_period, remaining
     from etendue.film import check_writable
     from etendue.jobs import LinesJob, LinesTask
 
@@ -220,6 +233,7 @@ def _cast(patches: Patches, source: str, asked: _Asked, **how: Any) -> tuple[Lin
         check_writable(path)
     if len({path.resolve() for path in named}) < len(named):
         raise OptionError("a file is named for two outputs; give each a name of its own")
+    check_period(asked.save_every)
     saved = None if asked.resume is None else Checkpoint.read(asked.resume)
     seconds, bundles, error = asked.seconds, asked.bundles, asked.error
     Budget(seconds, bundles, None, error)  # checks what was given, before it is squared
@@ -236,6 +250,7 @@ def _cast(patches: Patches, source: str, asked: _Asked, **how: Any) -> tuple[Lin
         lines=asked.lines,
         local_rays=asked.local_rays,
         to_error=to_error,
+        notes={} if saved is None else saved.notes,
         **how,
     )
     job, stop = LinesJob(task, saved), threading.Event()
@@ -257,6 +272,7 @@ def _cast(patches: Patches, source: str, asked: _Asked, **how: Any) -> tuple[Lin
     except (RunError, KeyboardInterrupt) as failure:
         done = failure.run if isinstance(failure, RunError) else runner.interrupted()
         if done is not None:
+            job.finish(done)
             try:
                 keep(done)
             except OutputError as problem:

@@ -13,6 +13,7 @@ from support import scenes
 from support.statistics import assert_agree
 
 import etendue
+from etendue.methods import registry
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py"))
@@ -57,10 +58,11 @@ def test_composed_brdf_is_reciprocal():
 
 
 @pytest.mark.parametrize("reach", [0.0, 0.4])
-def test_occlusion(reach):
+def test_occlusion(reach, monkeypatch):
     """Of a white floor under a white sky it is the picture by path, two edges long; a plate half a unit above hides a
     part of the sky, but nothing within a smaller reach."""
-    turn = scenes.transform()
+    monkeypatch.setattr(registry, "_methods", dict(registry._methods))
+    module, turn = example("occlusion"), scenes.transform()
     white = scenes.diffuse(1.0, 1.0, 1.0)
     floor = {
         "type": "scene",
@@ -72,7 +74,7 @@ def test_occlusion(reach):
     plated = floor | {"plate": {"type": "rectangle", "to_world": place, "bsdf": white}}
     options, by_path, found = {"size": (12, 12), "samples": 64}, [], []
     for seed in range(6):
-        found.append(example("occlusion").run(plated, seed=seed, reach=reach, **options))
+        found.append(module.run(plated, seed=seed, reach=reach, **options))
         seen = plated if reach == 0.0 else floor
         by_path.append(etendue.render(seen, "path", seed=50 + seed, max_depth=2, **options).image)
     assert_agree(np.stack(found).astype(float), np.stack(by_path).astype(float), reach)

@@ -56,7 +56,7 @@ def test_the_update_of_the_radius():
     runner.restore(statistics | {"most": 1.0, "passes": 0})
     found = np.where(np.arange(size) < 32, 10, 0)
     runner.finish(mi.UInt32(found.astype(np.uint32)))
-    state = runner.state()
+    state = runner.method._left()
     np.testing.assert_allclose(state["count"], np.where(found, 15.0, 10.0))
     np.testing.assert_allclose(state["radius_squared"], np.where(found, 0.04 * 15 / 20, 0.04), rtol=1e-6)
 

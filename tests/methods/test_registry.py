@@ -28,7 +28,6 @@ def own(monkeypatch):
         """Path tracing by another name."""
 
         name = "mine"
-        plugin = None
 
     return Mine
 
@@ -51,15 +50,25 @@ def test_a_registered_method_is_a_mitsuba_integrator(own):
     assert etendue.render(scene, samples=2).metadata["method"] == "mine"
 
 
-def test_registered_twice(own):
+def test_registered_again(own):
+    """As a cell of a notebook that is run twice does: the later class counts."""
     assert etendue.register(own) is own
-    etendue.register(own)
+    again = type("Mine", (own,), {"__module__": own.__module__, "__qualname__": own.__qualname__})
+    etendue.register(again)
+    assert methods.get("mine") is again
+
+
+def test_derived_methods_have_integrators_of_their_own():
+    assert (PathMethod.plugin_name(), methods.get("guided").plugin_name()) == ("", "guided")
+    assert methods.by_plugin("guided") is methods.get("guided") and methods.by_plugin("path") is None
 
 
 @pytest.mark.parametrize(
     ("attributes", "text"),
     [
-        ({"name": "path"}, "the name 'path' is taken by etendue.methods.path"),
+        ({"name": "path"}, "the name 'path' is taken by etendue.methods.path.Path"),
+        ({"plugin": "vcm"}, "is taken by etendue.methods.bidirectional.Vcm"),
+        ({"Settings": None}, "needs Settings"),
         ({"name": "My method"}, "small letters"),
         ({"citations": ("Nobody2020",)}, "cites Nobody2020"),
     ],
@@ -103,9 +112,10 @@ def test_an_entry_point_is_in_the_command_line(package):
     assert "method 'broken' of another package cannot be loaded: occluded:Missing" in listed.stderr
     assert "reach" in command(package, "methods", "occlusion").stdout
     made = command(
-        package, *["compare", "cornell-box", "-m", "path,occlusion", "--spp", "2", "--size", "8x8", "-o", "page.html"]
+        package,
+        *["compare", "cornell-box", "-m", "path", "-m", "occlusion", "--spp", "2", "--size", "8x8", "-o", "page"],
     )
     assert made.returncode == 0, made.stderr
-    assert "occlusion" in (package / "page.html").read_text("utf-8")
+    assert "occlusion" in (package / "page" / "index.html").read_text("utf-8")
     refused = command(package, *["render", "cornell-box", "-m", "broken", "--spp", "1", "-o", "a.exr"])
     assert refused.returncode == 2 and "method 'broken' cannot be loaded: occluded:Missing" in refused.stderr

@@ -12,7 +12,7 @@ from support.tables import thinned
 from etendue import methods, plugins
 from etendue.scene import parameters
 
-NAMES = [method.plugin_name() for method in methods.OWN if method.plugin_name()]
+NAMES = ["auto", "guided", "vegas", "stratified_path", "light", "pm", "ppm", "sppm", "bpt", "bpm", "vcm"]
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -146,10 +146,15 @@ class Carrying:
     def step(self, iteration: int, seed: int, state: State) -> Pass:
         """See :class:`Method`."""
         self.enter(state)
-        self._held = None  # and so may a pass that raises
-        measurement = self._step(iteration, seed)
-        self._held = self._left()
-        return Pass(measurement, self._held)
+        try:
+            measurement = self._step(iteration, seed)
+            left = self._left()
+        except BaseException:
+            self._held = None  # a pass that raises may, too
+            self.enter(state)
+            raise
+        self._held = left
+        return Pass(measurement, left)
 
     def _forget_states(self) -> None:
         self._held = self._first = None

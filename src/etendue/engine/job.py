@@ -257,7 +257,8 @@ def _settings(task: Task, problem: Problem) -> Settings:
     """The given settings over those that the scene's integrator names over the defaults."""
     known = task.method.Settings.names()
     from_scene: dict[str, Any] = {"max_depth": problem.max_depth}
-    if problem.integrator and problem.integrator in (task.method.name, task.method.plugin):
+    plugin: Any = getattr(task.method, "plugin_name", str)()
+    if problem.integrator and problem.integrator in (task.method.name, plugin):
         unknown = sorted(problem.integrator_options.keys() - set(known))
         if unknown:
             logger.warning(

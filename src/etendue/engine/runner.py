@@ -160,6 +160,7 @@ class Runner:
         self._done = 0  # passes of this run
         self._error: float | None = None
         self._next_error = 2
+        method.enter(self._state)  # its samples of a pass, and its noise, may be of the state
         if start is not None:
             self._update_error(len(start.iterations))
 

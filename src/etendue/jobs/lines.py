@@ -60,12 +60,13 @@ class LinesJob:
         task, saved, casting = self.task, self._saved, self.casting
         problem = PatchProblem(task.patches, task.source)
         begin = time.perf_counter()
+        if saved is not None:
+            saved.settings_of(LineCasting, casting.settings.to_dict(), task.seed)
+            saved.require_scene(problem.fingerprint)
         casting.prepare(problem, task.seed)
         casting.most, limited = self._limited(0 if saved is None else saved.state["count"])
         earlier = 0.0
         if saved is not None:
-            saved.settings_of(LineCasting, casting.settings.to_dict(), task.seed)
-            saved.require_scene(problem.fingerprint)
             casting.enter(saved.state)
             earlier = saved.earlier + saved.elapsed
             options |= {"start": saved.measurement, "state": saved.state}

@@ -110,7 +110,8 @@ class ImageMethod(ABC):
     name: ClassVar[str]
     Settings: ClassVar[type[ImageSettings]]
     citations: ClassVar[tuple[str, ...]] = ()
-    #: Name of the Mitsuba integrator where that is not ``name``; "" where Mitsuba has an own one that does the same.
+    #: Name of the Mitsuba integrator where that is not ``name``; "" where Mitsuba has an own one that does the same. Of
+    #: the class itself: those derived from it have their own names.
     plugin: ClassVar[str | None] = None
     #: Whether passes leave something behind for those after them, or begin from what the seed found in ``prepare``:
     #: each run then wants a method that was prepared for it. Others need the seed for pilots alone.
@@ -124,7 +125,8 @@ class ImageMethod(ABC):
     @classmethod
     def plugin_name(cls) -> str:
         """Name of the Mitsuba integrator, "" for none."""
-        return cls.name if cls.plugin is None else cls.plugin
+        own = vars(cls).get("plugin")
+        return cls.name if own is None else str(own)
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """Build the tables that every pass shares."""

@@ -12,6 +12,7 @@ and Mitsuba's plugins like any other.
 from __future__ import annotations
 
 import functools
+import inspect
 import re
 from importlib.metadata import EntryPoint, entry_points
 
@@ -20,7 +21,7 @@ from etendue.core import OptionError, bibliography, describe, logger, suggest
 from .adaptive.stratified import Stratified
 from .adaptive.vegas import Vegas
 from .auto import Auto
-from .base import ImageMethod
+from .base import ImageMethod, ImageSettings
 from .bidirectional import Bpm, Bpt, Vcm
 from .guided import Guided
 from .light import Light
@@ -40,21 +41,32 @@ _broken: dict[str, str] = {}
 def register(method: type[ImageMethod]) -> type[ImageMethod]:
     """Add a method under its ``name``, and return it, so that it serves as a decorator.
 
-    The same class may be added again. Raises :class:`OptionError` for what is no subclass of :class:`ImageMethod`, a
-    name that is taken or none, and citations that are not in étendue's bibliography.
+    The same class, or a later version of its source, takes the place of an earlier one. Raises :class:`OptionError` for
+    what is no subclass of :class:`ImageMethod` with ``render_pass`` and ``Settings``, a name that is taken or none, and
+    citations that are not in étendue's bibliography.
     """
     if not (isinstance(method, type) and issubclass(method, ImageMethod)):
         raise OptionError(f"a method is a subclass of etendue.methods.ImageMethod, not {method!r}")
-    where, name = f"{method.__module__}.{method.__qualname__}", getattr(method, "name", None)
+    where, name = _place(method), getattr(method, "name", None)
+    if inspect.isabstract(method):
+        raise OptionError(f"method {where} has no render_pass")
+    if not issubclass(getattr(method, "Settings", object), ImageSettings):
+        raise OptionError(f"method {where} needs Settings, a subclass of etendue.methods.ImageSettings")
     if not (isinstance(name, str) and re.fullmatch(r"[a-z][a-z0-9_]*", name)):
         raise OptionError(f"method {where} needs a name of small letters, digits and underscores, not {name!r}")
-    if _methods.get(name, method) is not method:
-        raise OptionError(f"method {where}: the name '{name}' is taken by {_methods[name].__module__}; choose another")
+    for other in _methods.values():
+        if ({name, method.plugin_name()} - {""}) & {other.name, other.plugin_name()} and _place(other) != where:
+            raise OptionError(f"method {where}: the name '{name}' is taken by {_place(other)}; choose another")
     unknown = sorted(set(method.citations) - bibliography().keys())
     if unknown:
         raise OptionError(f"method {where} cites {unknown[0]}, which is not in étendue's bibliography; leave it out")
     _methods[name] = method
     return method
+
+
+def _place(method: type[ImageMethod]) -> str:
+    """Where a class is from."""
+    return f"{method.__module__}.{method.__qualname__}"
 
 
 def table() -> dict[str, type[ImageMethod]]:

@@ -4,7 +4,7 @@ Patches, their meshes and maps are of :mod:`etendue.surfaces`, files of glTF of 
 takes of them is here, too.
 """
 
-from etendue.formats import GltfMesh, write_gltf
+from etendue.formats import FormatError, GltfMesh, write_gltf
 from etendue.surfaces import (
     LIGHTMAP_MESHES,
     STEFAN_BOLTZMANN,
@@ -85,6 +85,7 @@ __all__ = [
     "Estimator",
     "FirstShot",
     "FormFactors",
+    "FormatError",
     "GltfMesh",
     "GreatCircle",
     "Lightmap",

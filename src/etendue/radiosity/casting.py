@@ -153,6 +153,9 @@ class LineCasting(Carrying):
         """Build the engine, and have its loops compiled. Raises :class:`RadiosityError` if not even one bundle fits
         into memory."""
         self._forget_states()
+        self.close()
+        self.count, self.made, self._chunks, self._shot = 0, 0, [], None
+        self._known, self._sums, self._summed = None, [], 0
         patches = self.patches = problem.patches
         self._seed = seed
         self.engine = self._engine_for(patches)
@@ -171,6 +174,8 @@ class LineCasting(Carrying):
 
     def _step(self, iteration: int, seed: int) -> Measurement:
         """Cast the next piece. What is measured is kept here; the sums are empty."""
+        if seed != self._seed:
+            raise RadiosityError(f"lines of seed {seed} are cast by what was prepared with that seed, not {self._seed}")
         if self._stream is None:
             self._stream = self._pieces()
         chunk = next(self._stream)

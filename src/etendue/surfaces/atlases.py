@@ -85,7 +85,8 @@ def atlas(patches: Patches, size: int = 1024) -> tuple[TexturedMesh, tuple[int, 
 
 def gltf_mesh(path: str | os.PathLike[str]) -> TexturedMesh:
     """A mesh of a ``.glb`` or ``.gltf`` file with its second texture coordinates, ``TEXCOORD_1``, which are meant for
-    lightmaps. Raises :class:`SurfaceError` if it has none or cannot be read."""
+    lightmaps. Raises :class:`SurfaceError` if it has none, :class:`etendue.formats.FormatError` if it cannot be read.
+    """
     vertices, faces, uv = read_texture_coordinates(path)
     if uv is None:
         raise SurfaceError(

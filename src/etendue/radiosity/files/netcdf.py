@@ -56,8 +56,8 @@ def save_segments(
 
     ``pairs_0``, ``pairs_1`` and so on, (segments, 2), are the batches of lines, in their order; a pair are two patches
     that see each other, counted from 0, or ``sky`` or ``dark``, which its attributes say. ``area`` and ``expected``
-    belong to patches. Raises :class:`RadiosityError` for another suffix, for batches of more than 2 GB, and for
-    segments with local rays, which can be mixed in again.
+    belong to patches. Raises :class:`RadiosityError` for another suffix, and for segments with local rays, which
+    can be mixed in again; :class:`FormatError` for batches of more than 2 GB.
     """
     if segments.correction is not None:
         raise RadiosityError("only segments of lines are written: save them, and mix local rays in when they are read")
@@ -78,7 +78,7 @@ def save_segments(
 def read_segments(path: str | os.PathLike[str], patches: Patches) -> Segments:
     """What :func:`save_segments` wrote, of these patches: those that the lines were cast through.
 
-    Raises :class:`RadiosityError` for another file, and for patches of other areas.
+    Raises :class:`FormatError` for another file, :class:`RadiosityError` for patches of other areas.
     """
     saved = read_netcdf(path, "segments", ("area", "expected", "pairs_0"))
     if len(patches) != len(saved["area"]) or not np.allclose(patches.areas, saved["area"], rtol=1e-6, atol=0):

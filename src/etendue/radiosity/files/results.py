@@ -115,7 +115,8 @@ def save_form_factors(
 
 
 def read_form_factors(path: str | os.PathLike[str]) -> FormFactors:
-    """What :func:`save_form_factors` wrote as ``.npz`` or ``.nc``. Raises :class:`RadiosityError` for anything else."""
+    """What :func:`save_form_factors` wrote as ``.npz`` or ``.nc``. Raises :class:`RadiosityError` for
+    anything else, :class:`FormatError` for what is no netCDF."""
     if Path(path).suffix.lower() == ".nc":
         return read_netcdf_form_factors(path)
     try:

@@ -26,7 +26,8 @@ _NEEDED = (
 
 def read_solution(path: str | os.PathLike[str]) -> tuple[Solution, Array | None]:
     """The solution that :func:`save_solution` wrote as ``.npz`` or ``.nc``, with its patches; and the standard error of
-    the irradiance, if it was saved, else ``None``. Raises :class:`RadiosityError` for anything else."""
+    the irradiance, if it was saved, else ``None``. Raises :class:`RadiosityError` for anything else,
+    :class:`FormatError` for what is no netCDF."""
     try:
         saved = read_netcdf_solution(path) if Path(path).suffix.lower() == ".nc" else _read_arrays(path)
         front, back = saved["front"].astype(np.int64), saved["back"]
