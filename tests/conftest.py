@@ -59,11 +59,17 @@ def variant() -> str:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _tidy_drjit(variant: str) -> Iterator[None]:
-    """Give memory and kernels back after each file; kernels stay on disk, so nothing is compiled twice."""
+def _tidy_drjit(variant: str, request: pytest.FixtureRequest) -> Iterator[None]:
+    """Give scenes, memory and kernels back after each file; kernels stay on disk, so nothing is compiled twice.
+
+    A scene that stays alive is a part of every later kernel: Dr.Jit compiles the materials of all scenes there are.
+    """
     yield
     import drjit as dr
 
+    for value in vars(request.module).values():
+        if hasattr(value, "cache_clear"):
+            value.cache_clear()
     gc.collect()
     dr.sync_thread()
     dr.flush_kernel_cache()

@@ -214,7 +214,7 @@ while True:
     c.elapsed += 1
     c.write(sys.argv[2])
 """
-    delays = np.random.default_rng(1).uniform(0.02, 0.15, 6)
+    delays = np.random.default_rng(1).uniform(0.02, 0.15, 4)
     versions = []
     for delay in delays:
         process = subprocess.Popen([sys.executable, "-c", script, source, path], stdout=subprocess.PIPE)

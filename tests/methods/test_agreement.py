@@ -93,24 +93,24 @@ def everything() -> list[tuple[str, str, str, str, str]]:
 
 
 @lru_cache(maxsize=1)
-def _reference(*key: str) -> np.ndarray:
+def _reference(samples: int, *key: str) -> np.ndarray:
     if key[1] == "transparent":  # Mitsuba's path does not look for lights through surfaces; its volpath does
-        return mitsuba_images(_scene(*key), mi.load_dict({"type": "volpath"}), passes=6, samples=512, seed=1000)
-    return mitsuba_path(_scene(*key), passes=6, samples=512)
+        return mitsuba_images(_scene(*key), mi.load_dict({"type": "volpath"}), passes=6, samples=samples, seed=1000)
+    return mitsuba_path(_scene(*key), passes=6, samples=samples)
 
 
 def _scene(emitter: str, group: str, sensor: str, rfilter: str) -> Any:
     return scenes.room(emitter, group, sensor=sensor, rfilter=rfilter)
 
 
-def compare(emitter: str, group: str, name: str, sensor: str, rfilter: str) -> None:
+def compare(emitter: str, group: str, name: str, sensor: str, rfilter: str, samples: int) -> None:
     method, settings = (METHODS | MORE)[name]
     key = (emitter, group, sensor, rfilter)
-    reference = _reference(*key)
+    reference = _reference(2 * samples, *key)
     if method in ("vegas", "guided"):  # passes learn from those before: independent runs have the variance
-        images = replicas(_scene(*key), method, runs=6, passes=2, samples=128, **settings)
+        images = replicas(_scene(*key), method, runs=6, passes=2, samples=max(128, samples // 2), **settings)
     else:
-        result = run(_scene(*key), method, passes=6, samples=256, **settings)
+        result = run(_scene(*key), method, passes=6, samples=samples, **settings)
         assert result.measurement.counters["nonfinite"] == 0
         images = result.images
     assert_agree(images, reference, (name, *key))
@@ -120,15 +120,13 @@ def compare(emitter: str, group: str, name: str, sensor: str, rfilter: str) -> N
     "row", [row if row in fast() else pytest.param(row, marks=pytest.mark.slow) for row in covering()], ids=" ".join
 )
 def test_every_pair(row):
-    emitter, group, method, sensor, rfilter = row
-    compare(emitter, group, method, sensor, rfilter)
+    compare(*row, samples=128)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("row", everything(), ids=" ".join)
 def test_the_full_cross(row):
-    emitter, group, method, sensor, rfilter = row
-    compare(emitter, group, method, sensor, rfilter)
+    compare(*row, samples=256)
 
 
 def test_the_covering_set_covers():

@@ -94,7 +94,7 @@ def test_merging_at_edges(name):
     method, settings = AT_EDGES[name]
     settings = {"radius": radius, "radius_unit": "absolute"} | ({} if method == "pm" else {"alpha": 1.0}) | settings
     problem = furnace("box", RADIANCE, ALBEDO, (16, 16))
-    result = run(problem, method, passes=6, samples=128, **settings)
+    result = run(problem, method, passes=6, samples=48, **settings)
     expected = RADIANCE / (1 - ALBEDO)
     edges, corners = (seen_near(problem, radius, walls) for walls in (2, 3))
     assert edges.sum() > 40, "the view must show edges"

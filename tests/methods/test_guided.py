@@ -80,9 +80,9 @@ def test_it_learns_where_the_door_is():
     runner = prepared(behind_a_door(), "guided", samples_per_pass=256, generations=3, cell_samples=1000)
     go(runner, 7)
     trained = go(runner, 8, first=7).images
-    plain = run(behind_a_door(), "path", passes=8, samples=1024, seed=2).images
+    plain = run(behind_a_door(), "path", passes=8, samples=512, seed=2).images
     mean = trained.mean(0)
-    assert variance(trained, mean) < 0.33 * 4.0 * variance(plain, mean)
+    assert variance(trained, mean) < 0.33 * 2.0 * variance(plain, mean)
     assert_agree(trained, plain, "ajar", block=6, precision=0.15)
 
 

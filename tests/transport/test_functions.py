@@ -27,7 +27,7 @@ def numbers(f, x):
     return np.array([np.array(v) for v in f.parts(f.evaluate(x))], dtype=float)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def plate():
     """A floor at y = 0 under a lamp at y = 2 that looks down; the sensor stands at the side."""
     up, down = mi.ScalarTransform4f().rotate([1, 0, 0], -90), mi.ScalarTransform4f().translate([0, 2, 0])
