@@ -25,8 +25,8 @@ def test_form_factors_of_patches(tmp_path):
     assert (result.bundles, result.stopped_by, result.patches) == (64, "samples", patches)
     assert [progress.samples for progress in calls] == list(range(8, 65, 8))
     np.testing.assert_allclose(result.factors.row_sums(), 1.0, atol=1e-9)
-    opposite = result.factors.matrix[:4, 4:8].sum(axis=1)  # of a cube, 0.19982
-    assert opposite == pytest.approx(0.1998, abs=5e-3)
+    opposite = result.factors.matrix[:4, 4:8].sum(axis=1)  # of walls of a cube that face each other, 0.19982
+    assert abs(opposite.mean() - 0.19982) < 4.0 * opposite.std(ddof=1) / 2.0 < 0.04
     read = read_form_factors(tmp_path / "factors.npz")
     np.testing.assert_array_equal(read.matrix.toarray(), result.factors.matrix.toarray())
 
@@ -110,7 +110,7 @@ def test_what_was_cast_before_a_failure_is_kept(tmp_path):
     ("call", "error", "text"),
     [
         (lambda: etendue.compute_form_factors(cube(1), "F9"), OptionError, "no estimator 'F9'"),
-        (lambda: etendue.solve_radiosity(cube(1, **LIT), "jacoby"), OptionError, "did you mean 'jacobi'"),
+        (lambda: etendue.solve_radiosity(cube(2, **LIT), "jacoby"), OptionError, "did you mean 'jacobi'"),
         (lambda: etendue.solve_radiosity(cube(1)), SceneError, "has no light"),
         (lambda: etendue.solve_radiosity(cube(1, emission=1.0), max_area=1.0), OptionError, "leave out max_area"),
         (lambda: etendue.compute_form_factors(cube(1), bundles=0), OptionError, "samples"),

@@ -135,16 +135,16 @@ def test_error_budget_is_not_believed_before_sixteen_passes(noise):
 
 def test_passes_that_found_no_light_do_not_end_a_run(noise):
     """As ``path`` on caustics: the first passes agree on black, which is no picture without noise."""
-    step = noise.step
+    measured = noise.measured
 
     def late(iteration, seed):
-        measured = step(iteration, seed)
+        made = measured(iteration, seed)
         if iteration < 8:
-            measured.sums["image"] *= 0
-            measured.squares["image"] *= 0
-        return measured
+            made.sums["image"] *= 0
+            made.squares["image"] *= 0
+        return made
 
-    noise.step = late
+    noise.measured = late
     result = Runner(noise, seed=1, budget=Budget(error=0.02, iterations=2000)).run()
     assert result.passes > LEAST_PASSES_FOR_ERROR
     assert result.measurement.relative_error() <= 0.02

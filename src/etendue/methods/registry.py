@@ -50,7 +50,8 @@ def register(method: type[ImageMethod]) -> type[ImageMethod]:
     where, name = _place(method), getattr(method, "name", None)
     if inspect.isabstract(method):
         raise OptionError(f"method {where} has no render_pass")
-    if not issubclass(getattr(method, "Settings", object), ImageSettings):
+    settings = getattr(method, "Settings", None)
+    if not (isinstance(settings, type) and issubclass(settings, ImageSettings)):
         raise OptionError(f"method {where} needs Settings, a subclass of etendue.methods.ImageSettings")
     if not (isinstance(name, str) and re.fullmatch(r"[a-z][a-z0-9_]*", name)):
         raise OptionError(f"method {where} needs a name of small letters, digits and underscores, not {name!r}")
