@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from etendue.core import OptionError, OutputError, Progress, describe, logger, suggest, use_variant
+from etendue.core import EtendueError, OptionError, OutputError, Progress, describe, logger, suggest, use_variant
 
 if TYPE_CHECKING:
     from etendue.core import Array
+    from etendue.engine import RunResult
     from etendue.jobs import LinesJob
     from etendue.radiosity import FormFactors, Patches, Segments, Solution
 
@@ -120,16 +122,15 @@ def compute_form_factors(
     use_variant()
     patches, source = _patches(mesh, {})
     files = [] if save is None else [save]
-    asked = _Asked(
-        *(seconds, bundles, error, seed, lines, local_rays), *(callback, checkpoint, save_every, resume, files)
-    )
+    asked = _Asked(seconds, bundles, error, seed, lines, local_rays, callback, checkpoint, save_every, resume, files)
     if save is not None and Path(save).suffix.lower() == ".vf":
         check_text_size(save, len(patches), 0)
-    _, cast = _cast(patches, source, asked, goal="rows", shot=False, needs_matrix=True)
-    factors = form_factors(cast.segments, estimator)
-    if save is not None:
+    job, run, cast = _cast(patches, source, asked, goal="rows", shot=False, needs_matrix=True)
+    with _lines_kept(job, run, checkpoint):
+        factors = form_factors(cast.segments, estimator)
         about = {"source": source, "bundles": cast.bundles, "seed": seed, "estimator": estimator}
-        save_form_factors(save, factors, emissivity=1 - patches.reflectance[:, 0], metadata=about)
+        if save is not None:
+            save_form_factors(save, factors, emissivity=1 - patches.reflectance[:, 0], metadata=about)
     return FormFactorResult(**vars(cast), factors=factors)
 
 
@@ -188,16 +189,15 @@ def solve_radiosity(
         if Path(path).suffix.lower() in (".ply", ".glb", ".gltf") and patches.channels not in (1, 3):
             raise OptionError(f"'{path}' shows one channel or three, not {patches.channels}; write .vtu or .npz")
     needs_matrix = solver not in _ON_SEGMENTS
-    asked = _Asked(
-        *(seconds, bundles, error, seed, lines, local_rays), *(callback, checkpoint, save_every, resume, files)
-    )
-    job, cast = _cast(patches, source, asked, goal="irradiance", shot=shot, needs_matrix=needs_matrix)
-    transport: Any = form_factors(cast.segments) if needs_matrix else cast.segments
-    solution = solve(patches, transport, solver, shot=job.casting.shot())
-    scatter = solution.irradiance_error(cast.segments) if cast.segments.batch_count > 1 else None
-    about = {"source": source, "bundles": cast.bundles, "seed": seed, "solver": solver}
-    for path in files:
-        save_solution(path, solution, irradiance_error=scatter, metadata=about)
+    asked = _Asked(seconds, bundles, error, seed, lines, local_rays, callback, checkpoint, save_every, resume, files)
+    job, run, cast = _cast(patches, source, asked, goal="irradiance", shot=shot, needs_matrix=needs_matrix)
+    with _lines_kept(job, run, checkpoint):
+        transport: Any = form_factors(cast.segments) if needs_matrix else cast.segments
+        solution = solve(patches, transport, solver, shot=job.casting.shot())
+        scatter = solution.irradiance_error(cast.segments) if cast.segments.batch_count > 1 else None
+        about = {"source": source, "bundles": cast.bundles, "seed": seed, "solver": solver}
+        for path in files:
+            save_solution(path, solution, irradiance_error=scatter, metadata=about)
     return RadiosityResult(**vars(cast), solution=solution, irradiance_error=scatter)
 
 
@@ -222,9 +222,20 @@ def _patches(scene: Any, options: Mapping[str, Any], is_lit: bool = False) -> tu
     return found, source
 
 
-def _cast(patches: Patches, source: str, asked: _Asked, **how: Any) -> tuple[LinesJob, _Cast]:
+@contextmanager
+def _lines_kept(job: LinesJob, run: RunResult, checkpoint: PathLike | None) -> Iterator[None]:
+    """If nothing can be made of the lines, an error says where they are kept."""
+    try:
+        yield
+    except EtendueError as error:
+        kept = checkpoint if checkpoint is not None else job.rescued(run)
+        more = "" if kept is None else f"; the lines are kept: resume='{kept}', bundles={job.casting.count}"
+        raise type(error)(f"{error}{more}") from error
+
+
+def _cast(patches: Patches, source: str, asked: _Asked, **how: Any) -> tuple[LinesJob, RunResult, _Cast]:
     """Cast lines in this thread, so that the callback may do what it likes."""
-    from etendue.engine import Budget, Checkpoint, RunError, RunResult, check_period, remaining
+    from etendue.engine import Budget, Checkpoint, RunError, check_period, remaining
     from etendue.film import check_writable
     from etendue.jobs import LinesJob, LinesTask
 
@@ -282,4 +293,4 @@ def _cast(patches: Patches, source: str, asked: _Asked, **how: Any) -> tuple[Lin
     keep(run)
     if job.is_full(run):
         logger.warning("memory holds no more than these %d bundles of lines", job.casting.count)
-    return job, _Cast(patches, job.casting.segments(), job.casting.count, run.stopped_by, run.elapsed)
+    return job, run, _Cast(patches, job.casting.segments(), job.casting.count, run.stopped_by, run.elapsed)

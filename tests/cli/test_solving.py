@@ -106,6 +106,23 @@ def test_what_was_cast_before_a_failure_is_kept(tmp_path):
     assert etendue.compute_form_factors(cube(1), resume=kept, bundles=32).bundles == 32
 
 
+@pytest.mark.parametrize("named", [True, False])
+def test_lines_of_which_nothing_can_be_made_are_kept(named, tmp_path, monkeypatch):
+    """The folder goes while lines are cast."""
+    folder = tmp_path / "out"
+    folder.mkdir()
+    options = {"checkpoint": tmp_path / "lines.checkpoint"} if named else {}
+
+    def go(progress):
+        if folder.exists():
+            folder.rmdir()
+
+    with pytest.raises(OutputError, match=r"the lines are kept: resume='") as caught:
+        etendue.compute_form_factors(cube(1), bundles=16, save=folder / "a.npz", callback=go, **options)
+    kept = str(caught.value).partition("resume='")[2].partition("'")[0]
+    assert etendue.compute_form_factors(cube(1), bundles=16, resume=kept).bundles == 16
+
+
 @pytest.mark.parametrize(
     ("call", "error", "text"),
     [

@@ -164,11 +164,11 @@ def _quantity(text: str | None) -> float | str | list[list[float]] | None:
 
 @dataclass
 class Cast:
-    """What was cast, ``None`` if that is nothing, and the exit status. ``keep`` writes a checkpoint of it."""
+    """What was cast, ``None`` if that is nothing, and the exit status. ``rescued`` writes a temporary checkpoint."""
 
     casting: LineCasting | None
     status: int
-    keep: Callable[[Path], None]
+    rescued: Callable[[], Path | None]
 
 
 def request_of(saved: Checkpoint) -> Request:
@@ -231,12 +231,12 @@ def cast(
     outcome = follow(lambda: Session(build, finish), console, request.command, _words(casting))
     run = outcome.result
     if run is None:
-        return Cast(None, outcome.exit_code, lambda path: None)
+        return Cast(None, outcome.exit_code, lambda: None)
     if job.is_full(run):
         logger.warning(
             "memory holds no more than these %d bundles of lines: free some, or make patches larger", casting.count
         )
-    return Cast(casting, outcome.exit_code, lambda path: keep(run, path))
+    return Cast(casting, outcome.exit_code, lambda: job.rescued(run))
 
 
 def _words(casting: LineCasting) -> Callable[[Progress], list[str]]:

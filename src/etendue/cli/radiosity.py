@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from etendue.core import BackendError, EtendueError, OptionError, OutputError, format_seconds, suggest
+from etendue.core import BackendError, EtendueError, OptionError, format_seconds, suggest
 
 from . import options as opt
 from . import radiosity_outputs as out
@@ -358,13 +357,10 @@ def _check_patches(request: Request, patches: Patches, problem: Problem | None) 
 
 def _rescued(done: Cast, checkpoint: Path | None) -> str:
     """Where the lines are if nothing can be made of them: in the checkpoint, or one among the temporary files."""
-    if checkpoint is None:
-        try:
-            checkpoint = Path(tempfile.mkdtemp(prefix="etendue-")) / "lines.checkpoint"
-            done.keep(checkpoint)
-        except (OSError, OutputError):
-            return ""
-    return f"; the lines are kept: etendue resume {checkpoint} --bundles {done.casting.count if done.casting else 1}"
+    kept = checkpoint if checkpoint is not None else done.rescued()
+    if kept is None:
+        return ""
+    return f"; the lines are kept: etendue resume {kept} --bundles {done.casting.count if done.casting else 1}"
 
 
 def _check_name(what: str, name: str, known: Sequence[str]) -> None:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
+from etendue.core import OutputError
 from etendue.engine import Budget, Checkpoint, Job, Runner, RunResult
 from etendue.radiosity import REPLICATES, CastingSettings, LineCasting, Patches, PatchProblem, RadiosityError
 
@@ -83,6 +86,16 @@ class LinesJob:
         """Cast no more: the casting has what ``run`` has, also where its last pass failed."""
         self.casting.enter(run.state)
         self.casting.close()
+
+    def rescued(self, run: RunResult) -> Path | None:
+        """A checkpoint among the temporary files, for lines of which nothing could be made; ``None`` if not even that
+        can be written."""
+        try:
+            path = Path(tempfile.mkdtemp(prefix="etendue-")) / "lines.checkpoint"
+            self.checkpoint(run).write(path)
+        except (OSError, OutputError):
+            return None
+        return path
 
     def is_full(self, run: RunResult) -> bool:
         """Whether memory ended the run, not the budget."""
