@@ -22,9 +22,9 @@ PathLike = str | os.PathLike[str]
 #: Called after each piece of lines; casting ends there if it returns ``False``.
 Callback = Callable[[Progress], object]
 #: Bundles, if no budget is given.
-_BUNDLES = 1024
+DEFAULT_BUNDLES = 1024
 #: Solvers that work on segments; the others need the matrix.
-_ON_SEGMENTS = ("jacobi", "conjugate-gradient")
+ON_SEGMENTS = ("jacobi", "conjugate-gradient")
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ def solve_radiosity(
     for path in files:
         if Path(path).suffix.lower() in (".ply", ".glb", ".gltf") and patches.channels not in (1, 3):
             raise OptionError(f"'{path}' shows one channel or three, not {patches.channels}; write .vtu or .npz")
-    needs_matrix = solver not in _ON_SEGMENTS
+    needs_matrix = solver not in ON_SEGMENTS
     asked = _Asked(seconds, bundles, error, seed, lines, local_rays, callback, checkpoint, save_every, resume, files)
     job, run, cast = _cast(patches, source, asked, goal="irradiance", shot=shot, needs_matrix=needs_matrix)
     with _lines_kept(job, run, checkpoint):
@@ -249,7 +249,7 @@ def _cast(patches: Patches, source: str, asked: _Asked, **how: Any) -> tuple[Lin
     seconds, bundles, error = asked.seconds, asked.bundles, asked.error
     Budget(seconds, bundles, None, error)  # checks what was given, before it is squared
     if (seconds, bundles, error) == (None, None, None):
-        budget = Budget(samples=_BUNDLES) if saved is None else remaining(saved, "seconds, bundles or error")
+        budget = Budget(samples=DEFAULT_BUNDLES) if saved is None else remaining(saved, "seconds, bundles or error")
     else:
         budget = Budget(seconds, bundles, None, None if error is None else error**2)
     to_error = error is not None if saved is None else '"replicates": 1' not in saved.settings

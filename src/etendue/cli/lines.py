@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from etendue.core import CheckpointError, OptionError, Progress, SceneError, describe, format_seconds, logger
+from etendue.solving import ON_SEGMENTS
 
 from .console import error_console, note
 from .options import Size
@@ -24,10 +25,6 @@ if TYPE_CHECKING:
 
 #: The method of checkpoints: the name of :class:`LineCasting`.
 LINES = "global-lines"
-#: Bundles, if no budget is given.
-DEFAULT_BUNDLES = 1024
-#: Solvers that work on segments; the others need the matrix.
-ON_SEGMENTS = ("jacobi", "conjugate-gradient")
 #: Suffixes of scene files; whatever else is no bundled scene is a mesh.
 _SCENES = (".xml", "")
 #: Of a checkpoint: the request.

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from etendue.core import BackendError, EtendueError, OptionError, format_seconds, suggest
+from etendue.solving import DEFAULT_BUNDLES
 
 from . import options as opt
 from . import radiosity_outputs as out
 from .console import error_console, note, say
-from .lines import DEFAULT_BUNDLES, Cast, Request, cast, request_of
+from .lines import Cast, Request, cast, request_of
 from .solutions import describe_patches, exact_to_file, factors_to_file, segments_of, solution_to_file
 
 if TYPE_CHECKING:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
@@ -64,7 +65,7 @@ class Method(Protocol):
     """
 
     name: ClassVar[str]
-    Settings: ClassVar[Any]  #: their class
+    Settings: ClassVar[Any]  #: the class of ``settings``
     #: Keys into ``core/bibliography.bib`` of the papers the method implements.
     citations: ClassVar[tuple[str, ...]]
     #: Whether passes depend on what those before them left in the state.
@@ -117,7 +118,7 @@ class Replica:
         return self.method.develop(measurement, self.state)
 
 
-class Carrying:
+class Carrying(ABC):
     """For methods whose arrays of the device are their state: kernels read them from the object, which each ``step``
     brings into the state that it is given, unless that is the one that it has returned last.
 
@@ -159,11 +160,11 @@ class Carrying:
     def _forget_states(self) -> None:
         self._held = self._first = None
 
-    def _take(self, state: State) -> None:
-        raise NotImplementedError
+    @abstractmethod
+    def _take(self, state: State) -> None: ...
 
-    def _left(self) -> State:
-        raise NotImplementedError
+    @abstractmethod
+    def _left(self) -> State: ...
 
     if TYPE_CHECKING:  # that of the other base class is found behind this one
 

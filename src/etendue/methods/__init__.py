@@ -12,10 +12,9 @@ from .light import Light
 from .path import Path
 from .photon.map import Pm
 from .photon.progressive import Ppm, Sppm
-from .registry import OWN, by_plugin, get, register, table
+from .registry import by_plugin, get, register, table
 
 __all__ = [
-    "OWN",
     "Auto",
     "Bidirectional",
     "Bpm",

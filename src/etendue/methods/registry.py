@@ -32,8 +32,8 @@ from .photon.progressive import Ppm, Sppm
 #: Entry points of other packages.
 GROUP = "etendue.methods"
 
-OWN: tuple[type[ImageMethod], ...] = (Auto, Path, Guided, Vegas, Stratified, Light, Pm, Ppm, Sppm, Bpt, Bpm, Vcm)
-_methods: dict[str, type[ImageMethod]] = {cls.name: cls for cls in OWN}
+_OWN: tuple[type[ImageMethod], ...] = (Auto, Path, Guided, Vegas, Stratified, Light, Pm, Ppm, Sppm, Bpt, Bpm, Vcm)
+_methods: dict[str, type[ImageMethod]] = {cls.name: cls for cls in _OWN}
 #: Methods of other packages that could not be loaded, and why.
 _broken: dict[str, str] = {}
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, BackendError, SceneError, use_variant
+from etendue.core import Array, SceneError, library, use_variant
 from etendue.film import replacing
 from etendue.formats import GltfMesh, read_texture_coordinates, write_gltf
 from etendue.scene import graph
@@ -53,18 +53,18 @@ def atlas(patches: Patches, size: int = 1024) -> tuple[TexturedMesh, tuple[int, 
     Raises :class:`SurfaceError` if the size is too small for so many islands,
     :class:`etendue.core.BackendError` without xatlas.
     """
-    library = _xatlas()
+    xatlas = library("xatlas", "an atlas", "lightmap")
     if size < 16:
         raise SurfaceError(f"a lightmap has at least 16 texels a side, not {size}")
     parts = list(_sheets(patches))
-    options = library.PackOptions()
+    options = xatlas.PackOptions()
     centre, radius = patches.sphere  # xatlas has single precision, and lengths of its own below which it sees nothing
     options.padding, options.texels_per_unit = _GAP, size * radius * np.sqrt(_COVERED / patches.face_areas.sum())
     for _ in range(_TRIALS):
-        made = library.Atlas()
+        made = xatlas.Atlas()
         for vertices, faces in parts:
             made.add_mesh(((vertices - centre) / radius).astype(np.float32), faces.astype(np.uint32))
-        made.generate(library.ChartOptions(), options)
+        made.generate(xatlas.ChartOptions(), options)
         longest = max(made.width, made.height)
         if made.atlas_count == 1 and 0 < longest <= size:
             break
@@ -167,11 +167,3 @@ def _wavefront(mesh: TexturedMesh) -> Iterator[str]:
     yield from (f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in mesh.vertices)
     yield from (f"vt {u:.9g} {v:.9g}\n" for u, v in mesh.uv)
     yield from (f"f {a}/{a} {b}/{b} {c}/{c}\n" for a, b, c in mesh.faces + 1)
-
-
-def _xatlas() -> Any:
-    try:
-        import xatlas
-    except ImportError as error:
-        raise BackendError("an atlas takes xatlas, which is not here: pip install 'etendue[lightmap]'") from error
-    return xatlas
