@@ -4,13 +4,14 @@ from .arrays import save_arrays
 from .errors import FormatError
 from .gltf import GltfMesh, read_texture_coordinates, write_gltf
 from .meshes import write_mesh
-from .netcdf import NetcdfFile, read_netcdf
+from .netcdf import NetcdfFile, netcdf_library, read_netcdf
 from .view3d import view3d_lines
 
 __all__ = [
     "FormatError",
     "GltfMesh",
     "NetcdfFile",
+    "netcdf_library",
     "read_netcdf",
     "read_texture_coordinates",
     "save_arrays",

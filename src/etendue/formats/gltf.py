@@ -1,7 +1,8 @@
-"""Meshes as glTF 2.0, with what libraries leave out: vertex colours in linear floats, two sets of texture coordinates.
+"""Meshes as glTF 2.0: vertex colours in linear floats, two sets of texture coordinates, attributes of one's own.
 
 A file has one mesh of triangles with positions, normals of the faces and a material without shading
-(``KHR_materials_unlit``), so that a viewer shows the colours as they are.
+(``KHR_materials_unlit``), so that a viewer shows the colours as they are. trimesh reads these files, but does not write
+them: it rounds colours to bytes, knows one set of texture coordinates, and has no extensions of materials.
 """
 
 from __future__ import annotations

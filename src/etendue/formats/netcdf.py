@@ -1,11 +1,12 @@
 """Arrays with names and units as netCDF, which climate models, MATLAB, R and xarray read.
 
-Files are of the classic format with 64-bit offsets: every netCDF library reads it, and SciPy writes it. A variable
-holds 2 GB; names, units and long names follow the CF conventions.
+Files are of netCDF 4, which is HDF5: variables keep their types and may have any length; long ones are compressed.
+Names, units and long names follow the CF conventions. Files of the classic format are read, too.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import os
 from collections.abc import Mapping
@@ -16,13 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import library
+from etendue.core import BackendError, library
 from etendue.film import replacing
 
 from .errors import FormatError
 
-#: Largest variable: its size is a number of 31 bits.
-_LARGEST = (1 << 31) - 4
+#: Bytes of a chunk. Variables of several chunks are compressed, each by itself.
+_CHUNK = 1 << 20
 
 
 @dataclass
@@ -37,59 +38,103 @@ class NetcdfFile:
     def add(self, name: str, dimensions: str, values: Any, long_name: str, units: str = "", **more: Any) -> None:
         """A variable. Dimensions are names with a blank between; their lengths are those of ``values``."""
         names = tuple(dimensions.split())
-        array = _storable(name, np.asarray(values))
+        array = np.asarray(values)
+        if array.dtype == bool:  # netCDF has no truth values
+            array = array.astype(np.int8)
         self.lengths |= dict(zip(names, array.shape, strict=True))
         attributes = {"long_name": long_name} | ({"units": units} if units else {}) | more
         self.variables[name] = (names, array, attributes)
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write it, whole or not at all."""
-        for name, (_, values, _) in self.variables.items():
-            if values.nbytes > _LARGEST:
-                raise FormatError(
-                    f"'{name}' has {values.nbytes / 1e9:.1f} GB, and a variable of '{path}' holds 2: write .npz, or "
-                    "segments in place of form factors"
-                )
-        netcdf = library("scipy.io", f"the netCDF file {path}")
-        with replacing(path) as part, netcdf.netcdf_file(str(part), "w", version=2) as file:
-            file.Conventions = "CF-1.11"
-            file.title = self.title
-            known = dict(self.metadata or {})
-            file.source = str(known.get("software", "etendue")).encode()
-            file.metadata = json.dumps(known).encode()
-            for name, length in self.lengths.items():
-                file.createDimension(name, length)
-            for name, (dimensions, values, attributes) in self.variables.items():
-                variable = file.createVariable(name, values.dtype, dimensions)
-                variable[:] = values
-                for key, value in attributes.items():
-                    setattr(variable, key, value)
+        """Write it, whole or not at all.
+
+        Raises :class:`etendue.core.BackendError` without h5netcdf, :class:`etendue.core.OutputError` if the file cannot
+        be written.
+        """
+        h5netcdf = netcdf_library(path)
+        known = dict(self.metadata or {})
+        with replacing(path) as part, _Target(part, "r+") as target:
+            try:
+                with h5netcdf.File(target, "w") as file:
+                    file.attrs["Conventions"] = "CF-1.11"
+                    file.attrs["title"] = self.title
+                    file.attrs["source"] = str(known.get("software", "etendue"))
+                    file.attrs["metadata"] = json.dumps(known)
+                    file.dimensions = self.lengths
+                    for name, (dimensions, values, attributes) in self.variables.items():
+                        if target.failure is None:
+                            variable = file.create_variable(name, dimensions, data=values, **_storage(values))
+                            variable.attrs.update(attributes)
+            finally:
+                if target.failure is not None:
+                    raise target.failure
 
 
-def _storable(name: str, values: NDArray[Any]) -> NDArray[Any]:
-    """Whole numbers as 32 bits: the format has no longer ones."""
-    if values.dtype.kind in "iub":
-        if values.size and max(-int(values.min()), int(values.max())) >= 1 << 31:
-            raise FormatError(f"'{name}' has numbers beyond 2^31, which netCDF's classic format cannot hold")
-        return values.astype(np.int32)
-    return values.astype(np.float64)
+class _Target(io.FileIO):
+    """A file that keeps the first failure of writing and drops what comes after it.
+
+    HDF5 must be able to close a file: where it cannot, the process later ends with a segmentation fault.
+    """
+
+    failure: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        """All of ``data``, or nothing after a failure."""
+        rest = memoryview(data).cast("B")
+        size = len(rest)
+        try:
+            while rest and self.failure is None:
+                rest = rest[super().write(rest) :]
+        except OSError as error:
+            self.failure = error
+        return size
+
+    def truncate(self, size: int | None = None) -> int:
+        """As of any file, or nothing after a failure."""
+        return super().truncate(size) if self.failure is None else size or 0
+
+
+def netcdf_library(path: str | os.PathLike[str]) -> Any:
+    """h5netcdf, with which the netCDF file ``path`` is written or read; raises :class:`etendue.core.BackendError`
+    without it."""
+    library("h5py", f"the netCDF file {path}", "netcdf")
+    return library("h5netcdf", f"the netCDF file {path}", "netcdf")
 
 
 def read_netcdf(path: str | os.PathLike[str], what: str, needed: tuple[str, ...]) -> dict[str, NDArray[Any]]:
     """All variables of a file; raises :class:`FormatError` if that is not one of ``what``."""
     if not Path(path).is_file():
         raise FormatError(f"there is no file of {what} '{path}'")
-    netcdf = library("scipy.io", f"the netCDF file {path}")
     try:
-        with netcdf.netcdf_file(str(path), "r", mmap=False) as file:
-            saved = {name: _native(variable.data) for name, variable in file.variables.items()}
-    except Exception as error:  # SciPy's reader fails on foreign bytes in many ways
-        raise FormatError(f"'{path}' is no netCDF file of the classic format, with {what}") from error
+        with open(path, "rb") as file:
+            classic = file.read(3) == b"CDF"
+        saved = _read_classic(path) if classic else _read(path)
+    except BackendError:
+        raise
+    except Exception as error:  # the libraries fail on foreign bytes in many ways
+        raise FormatError(f"'{path}' is no netCDF file of {what}") from error
     missing = [name for name in needed if name not in saved]
     if missing:
         raise FormatError(f"'{path}' is no file of {what}: it has no variable '{missing[0]}'")
-    return saved
+    return {name: values.astype(values.dtype.newbyteorder("="), copy=False) for name, values in saved.items()}
 
 
-def _native(values: NDArray[Any]) -> NDArray[Any]:
-    return values.astype(values.dtype.newbyteorder("="))
+def _storage(values: NDArray[Any]) -> dict[str, Any]:
+    """How an array is stored. At level 1, with bytes sorted, form factors take a third of their size and segments a
+    fifth; higher levels take several times as long and save little more."""
+    if values.nbytes <= _CHUNK:
+        return {}
+    rows = max(1, _CHUNK * len(values) // values.nbytes)
+    return {"chunks": (rows, *values.shape[1:]), "compression": "gzip", "compression_opts": 1, "shuffle": True}
+
+
+def _read(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
+    with netcdf_library(path).File(path, "r") as file:
+        return {name: variable[...] for name, variable in file.variables.items()}
+
+
+def _read_classic(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
+    """The classic format: that of other programs, and of étendue before it used h5netcdf."""
+    netcdf = library("scipy.io", f"the netCDF file {path}")
+    with netcdf.netcdf_file(str(path), "r", mmap=False) as file:
+        return {name: variable.data for name, variable in file.variables.items()}

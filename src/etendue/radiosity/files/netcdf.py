@@ -34,7 +34,7 @@ def write_form_factors(
     file.add("form_factor_error", "entry", errors.data, "standard error of the form factor", _SHARE)
     file.add("area", "patch", factors.areas, "area of the patch", _AREA)
     file.add("sky_share", "patch", factors.sky, "share of the light of a patch that leaves the scene", _SHARE)
-    file.add("lines", "patch", factors.lines.astype(np.float64), "lines that met the patch", _SHARE)
+    file.add("lines", "patch", factors.lines, "lines that met the patch", _SHARE)
     file.add("emissivity", "patch", emissivity, "emissivity of the patch", _SHARE)
     file.write(path)
 
@@ -57,7 +57,7 @@ def save_segments(
     ``pairs_0``, ``pairs_1`` and so on, (segments, 2), are the batches of lines, in their order; a pair are two patches
     that see each other, counted from 0, or ``sky`` or ``dark``, which its attributes say. ``area`` and ``expected``
     belong to patches. Raises :class:`RadiosityError` for another suffix, and for segments with local rays, which
-    can be mixed in again; :class:`FormatError` for batches of more than 2 GB.
+    can be mixed in again.
     """
     if segments.correction is not None:
         raise RadiosityError("only segments of lines are written: save them, and mix local rays in when they are read")

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from etendue.core import sparse
 from etendue.film import replacing
-from etendue.formats import save_arrays, view3d_lines, write_gltf, write_mesh
+from etendue.formats import netcdf_library, save_arrays, view3d_lines, write_gltf, write_mesh
 from etendue.surfaces import face_sides, vertex_radiosity
 
 from ..errors import RadiosityError
@@ -39,11 +39,14 @@ _ENTRY, _MOST_TEXT = 10.0, 4e9
 
 
 def check_file(path: str | os.PathLike[str], known: Collection[str]) -> str:
-    """The suffix of ``path`` in small letters; raises :class:`RadiosityError` if it is not among ``known``."""
+    """The suffix of ``path`` in small letters; raises :class:`RadiosityError` if it is not among ``known``,
+    :class:`etendue.core.BackendError` for netCDF without its library."""
     suffix = Path(path).suffix.lower()
     if suffix not in known:
         what = f"'{suffix}' is not known" if suffix else "it has no suffix"
         raise RadiosityError(f"what to write to '{path}' follows from its suffix: {what}; take {', '.join(known)}")
+    if suffix == ".nc":
+        netcdf_library(path)
     return suffix
 
 
