@@ -93,6 +93,13 @@ def test_png_holds_the_same_bytes(tmp_path, shape, kind):
     }[kind].astype(np.uint8)
     write_png(tmp_path / "a.png", image)
     np.testing.assert_array_equal(np.array(mi.Bitmap(str(tmp_path / "a.png"))), image)
+    turned = image[::-1, :, ::-1]  # not contiguous
+    write_png(tmp_path / "a.png", turned)
+    np.testing.assert_array_equal(np.array(mi.Bitmap(str(tmp_path / "a.png"))), turned)
+
+
+def test_png_says_that_it_is_srgb():
+    assert b"sRGB\0" in encode_png(np.zeros((2, 2, 3), np.uint8)).partition(b"IDAT")[0]
 
 
 def test_png_filters_earn_their_place():
