@@ -107,6 +107,23 @@ def test_page_is_well_formed_and_complete(comparison):
     assert len(rows) == 1 and "samples per pass" in rows[0]
 
 
+def test_text_from_outside_is_never_markup(comparison):
+    """Wherever a page shows it: names, titles, notes, layers, settings, facts, the plot and what the script reads."""
+    entries, reference = comparison
+    evil = "<b id='x' onload=\"go()\">&amp;</script>"
+    for entry in entries:
+        entry.name = f"{entry.name} {evil}"
+        entry.metadata["settings"] |= {evil: evil}
+        entry.metadata |= {evil: [evil]}
+        entry.layers[evil] = entry.image
+    page = render_report(entries, reference, title=evil, subtitle=evil, reference_note=evil)
+    checker = Checker(page)
+    assert not any(tag == "b" or "onload" in attrs for tag, attrs in checker.tags)
+    assert checker.text.count(evil) > 20 and "&amp;amp;" in page
+    data = json.loads(re.search(r'id="pictures">(.*?)</script>', page, re.DOTALL).group(1))
+    assert data["names"] == [f"path {evil}", f"vcm {evil}", "reference"]
+
+
 def test_page_loads_nothing(comparison):
     entries, reference = comparison
     page = render_report(entries, reference)
@@ -239,7 +256,7 @@ def test_a_pyramid_is_a_triangle_of_its_own(comparison):
     tables = re.findall(r'<table class="pyramid">.*?</table>', page, re.DOTALL)
     assert len(tables) == 4  # joined and merged, weighted and unweighted
     for joined, merged in (tables[:2], tables[2:]):
-        rows = re.findall(r'<tr><th scope="row">(.*?)</th>(.*?)</tr>', joined)
+        rows = re.findall(r'<tr><th scope="row">(.*?)</th>(.*?)</tr>', joined, re.DOTALL)
         cells = [re.findall(r"t = (\d+)</strong> · 25 %|<td></td>", row) for _, row in rows]
         assert [name for name, _ in rows] == ["1 edge", "2 edges"]
         assert cells == [["2", "", ""], ["3", "2", "1"]]

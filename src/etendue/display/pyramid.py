@@ -6,15 +6,15 @@ are shown at the exposure of the page, so that the weighted ones add up to the p
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from html import escape
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from etendue.film import LONGER, Technique, block_average
 
-from .figures import figure
+from .figures import Figure
 from .tonemap import tonemap
 
 Image = NDArray[np.float32]
@@ -23,58 +23,67 @@ Image = NDArray[np.float32]
 _ACROSS = 240
 
 
+@dataclass(frozen=True)
+class Triangle:
+    """Techniques of one kind. ``rows``: the number of edges, and a figure or ``None`` for each of ``columns``."""
+
+    heading: str
+    columns: Sequence[int]
+    rows: Sequence[tuple[int, Sequence[Figure | None]]]
+
+
+@dataclass(frozen=True)
+class Pyramid:
+    """Triangles of one picture, and the picture of the paths that are too long for them."""
+
+    title: str
+    triangles: Sequence[Triangle]
+    longer: Figure | None
+
+
 def in_pyramid(layer: str) -> bool:
     """Whether a layer of this name belongs to a technique pyramid."""
     return layer == LONGER or Technique.of_layer(layer) is not None
 
 
-def pyramid_block(name: str, image: Image, layers: Mapping[str, Image], exposure: float, curve: str) -> str:
-    """The triangles of one picture, weighted and unweighted; empty if ``layers`` holds no pyramid."""
-    whole = _level(image)
-    blocks = []
-    for weighted, title in ((True, "weighted: the parts of the picture"), (False, "unweighted: each technique alone")):
+def pyramids(name: str, image: Image, layers: Mapping[str, Image], exposure: float, curve: str) -> list[Pyramid]:
+    """The pyramids of one picture, weighted and unweighted; none if ``layers`` holds no technique."""
+    whole, found = _level(image), []
+
+    def show(layer: Image, alt: str, caption: str) -> Figure:
+        return Figure(_small(layer, exposure, curve), alt, caption, _share(layer, whole))
+
+    for weighted, kind, meaning in (
+        (True, "weighted", "the parts of the picture"),
+        (False, "unweighted", "each technique alone"),
+    ):
         pictures = {
-            found[0]: layer
+            technique[0]: layer
             for key, layer in layers.items()
-            if (found := Technique.of_layer(key)) is not None and found[1] == weighted
+            if (technique := Technique.of_layer(key)) is not None and technique[1] == weighted
         }
         if not pictures:
             continue
-        tables, most = "", max(t.s for t in pictures)
-        for merged, heading in ((False, "Sub-paths joined by an edge"), (True, "Sub-paths merged at a vertex")):
-            chosen = {t: layer for t, layer in pictures.items() if t.merged == merged}
-            if chosen:
-                tables += _triangle(f"{heading}, {title.partition(':')[0]}", name, chosen, most, whole, exposure, curve)
+        columns = range(max(t.s for t in pictures) + 1)
+        triangles = []
+        for merged, joint in ((False, "Sub-paths joined by an edge"), (True, "Sub-paths merged at a vertex")):
+            heading = f"{joint}, {kind}"
+            figures = {
+                t: show(layer, f"s = {t.s}, t = {t.t} of {name}: {heading}", f"t = {t.t}")
+                for t, layer in pictures.items()
+                if t.merged == merged
+            }
+            rows = []
+            for edges in sorted({t.edges for t in figures}):
+                row = {t.s: shown for t, shown in figures.items() if t.edges == edges}
+                rows.append((edges, [row.get(s) for s in columns]))
+            if rows:
+                triangles.append(Triangle(heading, columns, rows))
+        longer = None
         if weighted and LONGER in layers:
-            alt = f"longer paths of {name}, weighted"
-            longer = figure(_small(layers[LONGER], exposure, curve), alt, "longer paths", _share(layers[LONGER], whole))
-            tables += f'<div class="longer">{longer}</div>'
-        blocks.append(f"<details open><summary>{escape(name)}, {title}</summary>{tables}</details>")
-    return "".join(blocks)
-
-
-def _triangle(
-    heading: str, name: str, pictures: Mapping[Technique, Image], most: int, whole: float, exposure: float, curve: str
-) -> str:
-    """A table of the techniques of one kind, with columns up to s = ``most``."""
-    columns = range(most + 1)
-    head = "".join(f'<th scope="col">s = {s}</th>' for s in columns)
-    rows = []
-    for edges in sorted({t.edges for t in pictures}):
-        row = {t.s: t for t in pictures if t.edges == edges}
-        cells = []
-        for s in columns:
-            cell = ""
-            if technique := row.get(s):
-                layer = pictures[technique]
-                alt = f"s = {s}, t = {technique.t} of {name}: {heading}"
-                cell = figure(_small(layer, exposure, curve), alt, f"t = {technique.t}", _share(layer, whole))
-            cells.append(f"<td>{cell}</td>")
-        rows.append(f'<tr><th scope="row">{edges} edge{"s" if edges > 1 else ""}</th>{"".join(cells)}</tr>')
-    return (
-        f'<div class="scroll"><table class="pyramid"><caption>{escape(heading)}</caption>'
-        f"<thead><tr><td></td>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>"
-    )
+            longer = show(layers[LONGER], f"longer paths of {name}, weighted", "longer paths")
+        found.append(Pyramid(f"{name}, {kind}: {meaning}", triangles, longer))
+    return found
 
 
 def _small(layer: Image, exposure: float, curve: str) -> NDArray[np.uint8]:

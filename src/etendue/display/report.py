@@ -7,13 +7,10 @@ exposure, which needs radiance rather than bytes: pictures travel as shared-expo
 from __future__ import annotations
 
 import base64
-import json
 import os
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -23,10 +20,11 @@ from etendue.core import OptionError
 from etendue.film import relative_bias, relative_mse, relative_squared_error, write_bytes
 
 from .colours import css_gradient, false_colour
-from .figures import figure
+from .figures import Figure
+from .pages import page
 from .plots import Series, convergence_plot
-from .pyramid import in_pyramid, pyramid_block
-from .tables import Column, comparison_table, flatten, number_text, run_table, time_text
+from .pyramid import in_pyramid, pyramids
+from .tables import Column, FactTable, fact_table, flatten, number_text, time_text
 from .tonemap import auto_exposure, tonemap
 
 Image = NDArray[np.float32]
@@ -71,7 +69,7 @@ def write_report(
     entry). ``reference_note`` says how the reference was made. Raises :class:`OptionError` without an entry, on two
     entries of one name or on pictures of different sizes, and :class:`OutputError` if the file cannot be written.
     """
-    page = render_report(
+    text = render_report(
         entries,
         reference,
         title=title,
@@ -80,7 +78,7 @@ def write_report(
         exposure=exposure,
         curve=curve,
     )
-    write_bytes(path, page.encode())
+    write_bytes(path, text.encode())
 
 
 def render_report(
@@ -98,18 +96,20 @@ def render_report(
     pictures = [(e.name, e.image) for e in entries] + ([("reference", reference)] if reference is not None else [])
     if exposure is None:
         exposure = auto_exposure(pictures[-1][1] if reference is not None else entries[0].image)
-    sections = [
-        _header(entries, reference, title, subtitle),
-        _viewer_section(),
-        _pictures_section(entries, pictures, reference_note, exposure, curve),
-        _errors_section(entries, reference),
-        _plot_section(entries),
-        _pyramid_section(entries, exposure, curve),
-        _layers_section(entries, exposure, curve),
-        _settings_section(entries),
-        _run_section(entries),
-    ]
-    return _page(title, "\n".join(s for s in sections if s), _script_data(pictures, exposure, curve))
+    return page(
+        "report.html",
+        title=title,
+        subtitle=subtitle,
+        names=[e.name for e in entries],
+        verdict=_verdict(entries, reference),
+        pictures=_pictures(entries, pictures, reference_note, exposure, curve),
+        errors=_errors(entries, reference),
+        plots=_plots(entries),
+        pyramids=[p for e in entries for p in pyramids(e.name, e.image, e.layers, exposure, curve)],
+        layers=_layers(entries, exposure, curve),
+        tables=_tables(entries),
+        script_data=_script_data(pictures, exposure, curve),
+    )
 
 
 def _check(entries: Sequence[Entry], reference: Image | None) -> None:
@@ -124,30 +124,21 @@ def _check(entries: Sequence[Entry], reference: Image | None) -> None:
         raise OptionError(f"pictures of a comparison need one size with three channels; {listed}")
 
 
-def _header(entries: Sequence[Entry], reference: Image | None, title: str, subtitle: str) -> str:
-    lines = [f"<h1>{escape(title)}</h1>"]
-    if subtitle:
-        lines.append(f'<p class="soft">{escape(subtitle)}</p>')
-    if reference is not None and len(entries) > 1:
-        errors = sorted((relative_mse(e.image, reference), e.name) for e in entries)
-        (best, winner), (worst, loser) = errors[0], errors[-1]
-        if 0.0 < best < worst:
-            lines.append(
-                f'<p class="verdict"><strong>{escape(winner)}</strong> has the smallest error: relMSE '
-                f"{number_text(best)}, {number_text(worst / best, 2)} times below {escape(loser)} "
-                f"({number_text(worst)}).</p>"
-            )
-    return f"<header>{''.join(lines)}</header>"
+def _verdict(entries: Sequence[Entry], reference: Image | None) -> dict[str, str] | None:
+    """Which picture has the smallest error, if there is a choice."""
+    if reference is None or len(entries) < 2:
+        return None
+    errors = sorted((relative_mse(e.image, reference), e.name) for e in entries)
+    (best, winner), (worst, loser) = errors[0], errors[-1]
+    if not 0.0 < best < worst:
+        return None
+    texts = {"best": number_text(best), "worst": number_text(worst), "factor": number_text(worst / best, 2)}
+    return {"winner": winner, "loser": loser} | texts
 
 
-def _viewer_section() -> str:
-    """The markup that the script fills; hidden until it has."""
-    return files(__package__).joinpath("assets/viewer.html").read_text(encoding="utf-8")
-
-
-def _pictures_section(
+def _pictures(
     entries: Sequence[Entry], pictures: list[tuple[str, Image]], note: str, exposure: float, curve: str
-) -> str:
+) -> list[Figure]:
     figures = []
     for index, (name, image) in enumerate(pictures):
         facts = _facts(entries[index]) if index < len(entries) else [note] if note else []
@@ -155,9 +146,8 @@ def _pictures_section(
         if bad:
             facts.append(f"{bad} pixel{'s' if bad != 1 else ''} not finite")
         alt = f"picture by {name}" if index < len(entries) else "reference picture"
-        figures.append(figure(tonemap(image, exposure, curve), alt, name, " · ".join(facts), index))
-    heading = "Side by side" if len(pictures) > 1 else "Picture"
-    return f'<section><h2>{heading}</h2><div class="figures">{"".join(figures)}</div></section>'
+        figures.append(Figure(tonemap(image, exposure, curve), alt, name, " · ".join(facts), index))
+    return figures
 
 
 def _facts(entry: Entry) -> list[str]:
@@ -170,9 +160,10 @@ def _facts(entry: Entry) -> list[str]:
     return facts
 
 
-def _errors_section(entries: Sequence[Entry], reference: Image | None) -> str:
+def _errors(entries: Sequence[Entry], reference: Image | None) -> dict[str, Any] | None:
+    """Measures of error, one map for each picture, and the scale of the maps."""
     if reference is None:
-        return ""
+        return None
     columns = [
         Column("relMSE", [relative_mse(e.image, reference) for e in entries]),
         Column("without the worst 0.1 %", [relative_mse(e.image, reference, trim=_TRIM) for e in entries]),
@@ -181,59 +172,34 @@ def _errors_section(entries: Sequence[Entry], reference: Image | None) -> str:
     seconds = [e.metadata.get("seconds") for e in entries]
     if all(s is not None for s in seconds):
         columns.insert(0, Column("time", [float(s) for s in seconds if s is not None], seconds=True))
-    table = comparison_table([e.name for e in entries], columns)
     maps = []
     for entry in entries:
-        error = relative_squared_error(entry.image, reference)
+        pixels = false_colour(relative_squared_error(entry.image, reference), *_ERROR_RANGE)
         caption = f"relMSE {number_text(relative_mse(entry.image, reference))}"
-        maps.append(figure(false_colour(error, *_ERROR_RANGE), f"error map of {entry.name}", entry.name, caption))
-    ticks = "".join(f"<span>{value:g}</span>" for value in np.geomspace(*_ERROR_RANGE, 4))
-    return (
-        f"<section><h2>Error against the reference</h2>{table}"
-        "<p class=soft>relMSE is the mean of (x − ref)² / (ref² + 0.01) over channels and finite pixels; smaller is "
-        "better.</p><h3>Where the error is</h3>"
-        f'<div class="scale"><div style="background:{css_gradient()}"></div><div>{ticks}</div></div>'
-        f'<div class="figures">{"".join(maps)}</div>'
-        "<p class=soft>Squared relative error of each pixel, logarithmic; turquoise where a pixel is not finite.</p>"
-        "</section>"
-    )
+        maps.append(Figure(pixels, f"error map of {entry.name}", entry.name, caption))
+    ticks = [f"{value:g}" for value in np.geomspace(*_ERROR_RANGE, 4)]
+    return {"columns": columns, "maps": maps, "ticks": ticks, "gradient": css_gradient()}
 
 
-def _plot_section(entries: Sequence[Entry]) -> str:
+def _plots(entries: Sequence[Entry]) -> dict[str, str] | None:
+    """The error over time as SVG, for wide and for narrow windows."""
     series = [Series(e.name, e.error_history) for e in entries]
     wide = convergence_plot(series)
-    if not wide:
-        return ""
-    narrow = convergence_plot(series, width=360, height=320)
-    wide, narrow = (s.replace('class="plot"', f'class="plot {c}"', 1) for s, c in ((wide, "wide"), (narrow, "narrow")))
-    return f"<section><h2>Error over time</h2>{wide}{narrow}</section>"
+    return {"wide": wide, "narrow": convergence_plot(series, width=360, height=320)} if wide else None
 
 
-def _pyramid_section(entries: Sequence[Entry], exposure: float, curve: str) -> str:
-    blocks = "".join(pyramid_block(e.name, e.image, e.layers, exposure, curve) for e in entries)
-    if not blocks:
-        return ""
-    return (
-        "<section><h2>Technique pyramid</h2><p class=soft>Paths of s vertices from the light and t from the camera, by "
-        "length and by s, all at one exposure. Per cent are of the picture's mean; the weighted pictures add up to "
-        f"it.</p>{blocks}</section>"
-    )
-
-
-def _layers_section(entries: Sequence[Entry], exposure: float, curve: str) -> str:
-    blocks = []
+def _layers(entries: Sequence[Entry], exposure: float, curve: str) -> list[tuple[str, list[Figure]]]:
+    """Names of pictures, and their layers that are no part of a pyramid."""
+    found = []
     for entry in entries:
         figures = [
-            figure(_layer_pixels(name, layer, exposure, curve), f"layer {name} of {entry.name}", name, "")
+            Figure(_layer_pixels(name, layer, exposure, curve), f"layer {name} of {entry.name}", name)
             for name, layer in entry.layers.items()
             if name != "image" and not in_pyramid(name) and layer.ndim == 3 and layer.shape[2] == 3
         ]
         if figures:
-            blocks.append(
-                f"<details><summary>Layers of {escape(entry.name)}</summary>"
-                f'<div class="figures">{"".join(figures)}</div></details>'
-            )
-    return f"<section><h2>Layers</h2>{''.join(blocks)}</section>" if blocks else ""
+            found.append((entry.name, figures))
+    return found
 
 
 def _layer_pixels(name: str, layer: Image, exposure: float, curve: str) -> NDArray[np.uint8]:
@@ -243,28 +209,24 @@ def _layer_pixels(name: str, layer: Image, exposure: float, curve: str) -> NDArr
     return tonemap(layer, 0.0 if name == "albedo" else exposure, "srgb" if name == "albedo" else curve)
 
 
-def _settings_section(entries: Sequence[Entry]) -> str:
-    table = run_table([e.name for e in entries], [flatten(e.metadata.get("settings", {})) for e in entries], mark=True)
-    if not table:
-        return ""
-    mark = "<p class=soft>Shaded rows differ.</p>" if len(entries) > 1 and "differs" in table else ""
-    return f"<section><h2>Settings</h2>{table}{mark}</section>"
-
-
-def _run_section(entries: Sequence[Entry]) -> str:
+def _tables(entries: Sequence[Entry]) -> list[tuple[str, FactTable | None]]:
+    names = [e.name for e in entries]
+    settings = [flatten(e.metadata.get("settings", {})) for e in entries]
     facts = [flatten({k: v for k, v in e.metadata.items() if k not in ("settings", "versions")}) for e in entries]
     versions = [flatten(e.metadata.get("versions", {})) for e in entries]
-    names = [e.name for e in entries]
-    parts = [("Runs", run_table(names, facts)), ("Versions", run_table(names, versions))]
-    return "".join(f"<section><h2>{heading}</h2>{table}</section>" for heading, table in parts if table)
+    return [
+        ("Settings", fact_table(names, settings, mark=True)),
+        ("Runs", fact_table(names, facts)),
+        ("Versions", fact_table(names, versions)),
+    ]
 
 
-def _script_data(pictures: list[tuple[str, Image]], exposure: float, curve: str) -> str:
-    """What the script needs, as JSON that cannot end the element it is in; empty for very large pictures."""
+def _script_data(pictures: list[tuple[str, Image]], exposure: float, curve: str) -> dict[str, Any] | None:
+    """What the script needs; ``None`` for very large pictures."""
     height, width = pictures[0][1].shape[:2]
     if height * width > _MOST_PIXELS:
-        return ""
-    data = {
+        return None
+    return {
         "width": width,
         "height": height,
         "names": [name for name, _ in pictures],
@@ -274,7 +236,6 @@ def _script_data(pictures: list[tuple[str, Image]], exposure: float, curve: str)
         "curve": curve,
         "planes": [base64.b64encode(zlib.compress(shared_exponent(p).tobytes(), 9)).decode() for _, p in pictures],
     }
-    return json.dumps(data, ensure_ascii=False).replace("<", "\\u003c")
 
 
 def shared_exponent(image: Image) -> NDArray[np.uint8]:
@@ -288,30 +249,3 @@ def shared_exponent(image: Image) -> NDArray[np.uint8]:
     mantissa = np.minimum(np.round(np.ldexp(x, 8 - exponent[:, :, None])), 255.0)
     planes = np.concatenate([mantissa, (exponent + 128)[:, :, None]], axis=2).astype(np.uint8)
     return np.ascontiguousarray(np.moveaxis(planes, 2, 0))
-
-
-def _page(title: str, body: str, data: str) -> str:
-    assets = files(__package__).joinpath("assets")
-    style = assets.joinpath("report.css").read_text(encoding="utf-8")
-    script = assets.joinpath("report.js").read_text(encoding="utf-8")
-    active = f'<script type="application/json" id="pictures">{data}</script>\n<script>{script}</script>' if data else ""
-    policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
-    return f"""<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta http-equiv="Content-Security-Policy" content="{policy}">
-<title>{escape(title)}</title>
-<style>
-{style}</style>
-</head>
-<body>
-<main>
-{body}
-</main>
-<footer>Made by étendue. This page holds all its data and loads nothing.</footer>
-{active}
-</body>
-</html>
-"""

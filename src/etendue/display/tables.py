@@ -1,11 +1,10 @@
-"""HTML tables of the comparison page, and how numbers are written in them."""
+"""Tables of the comparison page, and how numbers are written in them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Any
 
 
@@ -34,42 +33,39 @@ class Column:
         return list(self.values).index(min(finite))
 
 
-def comparison_table(names: Sequence[str], columns: Sequence[Column]) -> str:
-    """Pictures as rows, measures as columns."""
-    head = "".join(f'<th scope="col" class="number">{escape(c.heading)}</th>' for c in columns)
-    rows = []
-    for index, name in enumerate(names):
-        cells = "".join(
-            f'<td class="number{" best" if c.best() == index else ""}">{escape(c.text(c.values[index]))}</td>'
-            for c in columns
-        )
-        rows.append(f'<tr><th scope="row">{escape(name)}</th>{cells}</tr>')
-    return (
-        f'<div class="scroll"><table><thead><tr><th scope="col">picture</th>{head}</tr></thead>'
-        f"<tbody>{''.join(rows)}</tbody></table></div>"
-    )
+@dataclass(frozen=True)
+class Row:
+    """A fact of several pictures; ``differs`` if they do not agree on it and that is worth a mark."""
+
+    name: str
+    texts: Sequence[str]
+    differs: bool
 
 
-def run_table(names: Sequence[str], facts: Sequence[Mapping[str, Any]], mark: bool = False) -> str:
-    """Facts as rows, pictures as columns; one column if all agree on everything. Empty without facts.
+@dataclass(frozen=True)
+class FactTable:
+    """Facts as rows, pictures as columns."""
 
-    ``mark`` shades the rows in which the pictures that have the fact differ.
+    headings: Sequence[str]
+    rows: Sequence[Row]
+
+
+def fact_table(names: Sequence[str], facts: Sequence[Mapping[str, Any]], mark: bool = False) -> FactTable | None:
+    """Facts of pictures; one column if all agree on everything, ``None`` without facts.
+
+    ``mark`` marks the rows in which the pictures that have the fact differ.
     """
     keys = list(dict.fromkeys(key for each in facts for key in each))
     if not keys:
-        return ""
+        return None
     same = len(facts) > 1 and all(each == facts[0] for each in facts)
     shown = [("all pictures", facts[0])] if same else list(zip(names, facts, strict=True))
-    head = "".join(f'<th scope="col">{escape(name)}</th>' for name, _ in shown)
     rows = []
     for key in keys:
-        values = [value_text(each[key]) if key in each else "–" for _, each in shown]
-        present = {text for text, (_, each) in zip(values, shown, strict=True) if key in each}
-        style = ' class="differs"' if mark and len(present) > 1 else ""
-        cells = "".join(f"<td>{escape(text)}</td>" for text in values)
-        rows.append(f'<tr{style}><th scope="row">{escape(key.replace("_", " "))}</th>{cells}</tr>')
-    body = f"<thead><tr><td></td>{head}</tr></thead><tbody>{''.join(rows)}</tbody>"
-    return f'<div class="scroll"><table>{body}</table></div>'
+        texts = [value_text(each[key]) if key in each else "–" for _, each in shown]
+        present = {text for text, (_, each) in zip(texts, shown, strict=True) if key in each}
+        rows.append(Row(key.replace("_", " "), texts, mark and len(present) > 1))
+    return FactTable([name for name, _ in shown], rows)
 
 
 def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
