@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -121,3 +122,20 @@ def test_a_missing_library_is_named_first(monkeypatch, capsys, variant):
     monkeypatch.setattr(outputs, "find_spec", lambda name: None)
     assert run("-o m.glb --lightmap 64", variant) == 6
     assert "pip install 'etendue[lightmap]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("absent", ["h5py", "h5netcdf"])
+def test_a_missing_netcdf_library_is_named_first(absent, monkeypatch, capsys, variant):
+    from etendue.core import extras
+
+    def imported(name):
+        if name == absent:
+            raise ImportError(name)
+        return import_module(name)
+
+    monkeypatch.setattr(extras, "import_module", imported)
+    assert run("-o s.nc", variant) == 6
+    assert (
+        capsys.readouterr().err
+        == f"error: the netCDF file s.nc takes {absent}, which is not here: pip install 'etendue[netcdf]'\n"
+    )

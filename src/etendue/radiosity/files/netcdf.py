@@ -52,7 +52,8 @@ def read_netcdf_form_factors(path: str | os.PathLike[str]) -> FormFactors:
 def save_segments(
     path: str | os.PathLike[str], segments: Segments, *, metadata: Mapping[str, Any] | None = None
 ) -> None:
-    """Write segments as netCDF (``.nc``), 8 bytes each: for scenes whose form factors would be as many as they.
+    """Write segments as netCDF (``.nc``), 8 bytes each before compression: for scenes whose form factors would be as
+    many as they.
 
     ``pairs_0``, ``pairs_1`` and so on, (segments, 2), are the batches of lines, in their order; a pair are two patches
     that see each other, counted from 0, or ``sky`` or ``dark``, which its attributes say. ``area`` and ``expected``
