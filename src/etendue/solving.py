@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from etendue.core import Array
     from etendue.engine import RunResult
     from etendue.jobs import LinesJob
-    from etendue.radiosity import FormFactors, Patches, Segments, Solution
+    from etendue.radiosity import CastLines, FormFactors, Patches, Segments, Solution
 
 PathLike = str | os.PathLike[str]
 #: Called after each piece of lines; casting ends there if it returns ``False``.
@@ -125,8 +125,8 @@ def compute_form_factors(
     asked = _Asked(seconds, bundles, error, seed, lines, local_rays, callback, checkpoint, save_every, resume, files)
     if save is not None and Path(save).suffix.lower() == ".vf":
         check_text_size(save, len(patches), 0)
-    job, run, cast = _cast(patches, source, asked, goal="rows", shot=False, needs_matrix=True)
-    with _lines_kept(job, run, checkpoint):
+    job, run, found, cast = _cast(patches, source, asked, goal="rows", shot=False, needs_matrix=True)
+    with _lines_kept(job, run, found, checkpoint):
         factors = form_factors(cast.segments, estimator)
         about = {"source": source, "bundles": cast.bundles, "seed": seed, "estimator": estimator}
         if save is not None:
@@ -190,10 +190,10 @@ def solve_radiosity(
             raise OptionError(f"'{path}' shows one channel or three, not {patches.channels}; write .vtu or .npz")
     needs_matrix = solver not in ON_SEGMENTS
     asked = _Asked(seconds, bundles, error, seed, lines, local_rays, callback, checkpoint, save_every, resume, files)
-    job, run, cast = _cast(patches, source, asked, goal="irradiance", shot=shot, needs_matrix=needs_matrix)
-    with _lines_kept(job, run, checkpoint):
+    job, run, found, cast = _cast(patches, source, asked, goal="irradiance", shot=shot, needs_matrix=needs_matrix)
+    with _lines_kept(job, run, found, checkpoint):
         transport: Any = form_factors(cast.segments) if needs_matrix else cast.segments
-        solution = solve(patches, transport, solver, shot=job.casting.shot())
+        solution = solve(patches, transport, solver, shot=found.shot())
         scatter = solution.irradiance_error(cast.segments) if cast.segments.batch_count > 1 else None
         about = {"source": source, "bundles": cast.bundles, "seed": seed, "solver": solver}
         for path in files:
@@ -223,17 +223,17 @@ def _patches(scene: Any, options: Mapping[str, Any], is_lit: bool = False) -> tu
 
 
 @contextmanager
-def _lines_kept(job: LinesJob, run: RunResult, checkpoint: PathLike | None) -> Iterator[None]:
+def _lines_kept(job: LinesJob, run: RunResult, lines: CastLines, checkpoint: PathLike | None) -> Iterator[None]:
     """If nothing can be made of the lines, an error says where they are kept."""
     try:
         yield
     except EtendueError as error:
         kept = checkpoint if checkpoint is not None else job.rescued(run)
-        more = "" if kept is None else f"; the lines are kept: resume='{kept}', bundles={job.casting.count}"
+        more = "" if kept is None else f"; the lines are kept: resume='{kept}', bundles={lines.count}"
         raise type(error)(f"{error}{more}") from error
 
 
-def _cast(patches: Patches, source: str, asked: _Asked, **how: Any) -> tuple[LinesJob, RunResult, _Cast]:
+def _cast(patches: Patches, source: str, asked: _Asked, **how: Any) -> tuple[LinesJob, RunResult, CastLines, _Cast]:
     """Cast lines in this thread, so that the callback may do what it likes."""
     from etendue.engine import Budget, Checkpoint, RunError, check_period, remaining
     from etendue.film import check_writable
@@ -283,14 +283,14 @@ def _cast(patches: Patches, source: str, asked: _Asked, **how: Any) -> tuple[Lin
     except (RunError, KeyboardInterrupt) as failure:
         done = failure.run if isinstance(failure, RunError) else runner.interrupted()
         if done is not None:
-            job.finish(done)
+            job.cast(done)
             try:
                 keep(done)
             except OutputError as problem:
                 logger.warning("the lines could not be kept: %s", describe(problem))
         raise
-    job.finish(run)
+    lines = job.cast(run)
     keep(run)
     if job.is_full(run):
-        logger.warning("memory holds no more than these %d bundles of lines", job.casting.count)
-    return job, run, _Cast(patches, job.casting.segments(), job.casting.count, run.stopped_by, run.elapsed)
+        logger.warning("memory holds no more than these %d bundles of lines", lines.count)
+    return job, run, lines, _Cast(patches, lines.segments(), lines.count, run.stopped_by, run.elapsed)

@@ -20,7 +20,8 @@ from .radiosity_outputs import OWN, SolutionOutput
 
 if TYPE_CHECKING:
     from etendue.engine import Budget, Checkpoint, RunResult
-    from etendue.radiosity import LineCasting, Patches
+    from etendue.jobs import LinesJob
+    from etendue.radiosity import CastLines, Patches
     from etendue.scene import Problem
 
 #: The method of checkpoints: the name of :class:`LineCasting`.
@@ -142,10 +143,10 @@ class Request:
             )
         return patches
 
-    def metadata(self, casting: LineCasting, **more: Any) -> dict[str, Any]:
+    def metadata(self, lines: CastLines, **more: Any) -> dict[str, Any]:
         """For the files."""
         software = f"etendue {metadata.version('etendue')}"
-        return {"software": software, "source": self.source, "bundles": casting.count, "seed": self.seed, **more}
+        return {"software": software, "source": self.source, "bundles": lines.count, "seed": self.seed, **more}
 
 
 def _quantity(text: str | None) -> float | str | list[list[float]] | None:
@@ -163,7 +164,7 @@ def _quantity(text: str | None) -> float | str | list[list[float]] | None:
 class Cast:
     """What was cast, ``None`` if that is nothing, and the exit status. ``rescued`` writes a temporary checkpoint."""
 
-    casting: LineCasting | None
+    lines: CastLines | None
     status: int
     rescued: Callable[[], Path | None]
 
@@ -209,7 +210,6 @@ def cast(
         notes={_NOTE: asdict(request.located())},
     )
     job = LinesJob(task, saved)
-    casting = job.casting
 
     def keep(run: RunResult, path: Path) -> None:
         job.checkpoint(run).write(path)
@@ -220,26 +220,28 @@ def cast(
         return job.runner(cancel=stop, on_save=lambda run: keep(run, checkpoint), save_every=save_every)
 
     def finish(run: RunResult) -> RunResult:
-        job.finish(run)
+        job.cast(run)
         if checkpoint is not None:
             keep(run, checkpoint)
         return run
 
-    outcome = follow(lambda: Session(build, finish), console, request.command, _words(casting))
+    outcome = follow(lambda: Session(build, finish), console, request.command, _words(job))
     run = outcome.result
     if run is None:
         return Cast(None, outcome.exit_code, lambda: None)
+    lines = job.cast(run)
     if job.is_full(run):
         logger.warning(
-            "memory holds no more than these %d bundles of lines: free some, or make patches larger", casting.count
+            "memory holds no more than these %d bundles of lines: free some, or make patches larger", lines.count
         )
-    return Cast(casting, outcome.exit_code, lambda: job.rescued(run))
+    return Cast(lines, outcome.exit_code, lambda: job.rescued(run))
 
 
-def _words(casting: LineCasting) -> Callable[[Progress], list[str]]:
+def _words(job: LinesJob) -> Callable[[Progress], list[str]]:
     def words(progress: Progress) -> list[str]:
-        bundles = f"{casting.count} bundle{'' if casting.count == 1 else 's'}"
-        parts = [bundles, f"{casting.made:.3g} segments", format_seconds(progress.elapsed)]
+        count = min(progress.samples, job.casting.most or progress.samples)
+        bundles = f"{count} bundle{'' if count == 1 else 's'}"
+        parts = [bundles, f"{progress.rays:.3g} segments", format_seconds(progress.elapsed)]
         if progress.eta is not None:
             parts.append(f"ETA {format_seconds(progress.eta)}")
         if progress.relative_error is not None:

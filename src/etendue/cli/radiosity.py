@@ -277,14 +277,14 @@ def _run(
         _check_patches(request, patches, problem)
         describe_patches(request, patches)
         done = cast(request, patches, budget, checkpoint, save_every, saved)
-        if done.casting is None:
+        if done.lines is None:
             return done.status
-        segments = segments_of(done.casting)
+        segments = segments_of(done.lines)
         try:
             if request.is_factors:
-                factors_to_file(request, done.casting, segments)
+                factors_to_file(request, done.lines, segments)
             else:
-                solution_to_file(request, done.casting, segments, problem)
+                solution_to_file(request, done.lines, segments, problem)
         except EtendueError as error:
             raise type(error)(f"{error}{_rescued(done, checkpoint)}") from error
     note(error_console(), f"in {format_seconds(time.perf_counter() - began)}")
@@ -361,7 +361,7 @@ def _rescued(done: Cast, checkpoint: Path | None) -> str:
     kept = checkpoint if checkpoint is not None else done.rescued()
     if kept is None:
         return ""
-    return f"; the lines are kept: etendue resume {kept} --bundles {done.casting.count if done.casting else 1}"
+    return f"; the lines are kept: etendue resume {kept} --bundles {done.lines.count if done.lines else 1}"
 
 
 def _check_name(what: str, name: str, known: Sequence[str]) -> None:

@@ -13,7 +13,7 @@ from .console import error_console, note
 from .lines import Request
 
 if TYPE_CHECKING:
-    from etendue.radiosity import FirstShot, FormFactors, LineCasting, Patches, Segments
+    from etendue.radiosity import CastLines, FirstShot, FormFactors, Patches, Segments
     from etendue.scene import Problem
 
 #: Share of what patches see that may be sky without a warning: single convex solids have all of it.
@@ -22,7 +22,7 @@ _ALL_SKY = 0.999
 _NO_SKY = 1e-6
 
 
-def factors_to_file(request: Request, casting: LineCasting, segments: Segments) -> None:
+def factors_to_file(request: Request, lines: CastLines, segments: Segments) -> None:
     """Count, write, and say what came of it."""
     from etendue.radiosity import form_factors, save_form_factors
 
@@ -32,8 +32,8 @@ def factors_to_file(request: Request, casting: LineCasting, segments: Segments) 
         save_form_factors(
             request.output,
             factors,
-            emissivity=1 - casting.patches.reflectance[:, 0],
-            metadata=request.metadata(casting, estimator=estimator),
+            emissivity=1 - lines.patches.reflectance[:, 0],
+            metadata=request.metadata(lines, estimator=estimator),
         )
     errors = factors.row_errors()
     _say(
@@ -63,17 +63,17 @@ def _rows(factors: FormFactors) -> str:
     return f"{whole} {least}" if least == most else f"{whole} {least} to {most}"
 
 
-def solution_to_file(request: Request, casting: LineCasting, segments: Segments, problem: Problem | None) -> None:
+def solution_to_file(request: Request, lines: CastLines, segments: Segments, problem: Problem | None) -> None:
     """Solve, write, and say what came of it."""
     from etendue.radiosity import form_factors, solve
 
-    patches, solver = casting.patches, request.kind
+    patches, solver = lines.patches, request.kind
     with error_console().status("solving"):
-        shot = casting.shot()
+        shot = lines.shot()
         transport: Any = form_factors(segments) if request.wants_matrix else segments
         solution = solve(patches, transport, solver, shot=shot)  # type: ignore[arg-type]
         error = solution.irradiance_error(segments) if segments.batch_count > 1 else None
-    known = request.metadata(casting, solver=solver, imbalance=solution.imbalance)
+    known = request.metadata(lines, solver=solver, imbalance=solution.imbalance)
     request.writer.write(problem, solution, error, known)
     if shot is not None:
         _say(_of_shot(shot))
@@ -99,16 +99,16 @@ def describe_patches(request: Request, patches: Patches) -> None:
     _say(f"{request.source}: {len(patches)} patches of {faces} face{'' if faces == 1 else 's'}, {diagnose(patches)}")
 
 
-def segments_of(casting: LineCasting) -> Segments:
+def segments_of(lines: CastLines) -> Segments:
     """What was cast, and a line on it."""
     from etendue.radiosity import MixedSegments
 
     with error_console().status("counting"):
-        segments = casting.segments()
+        segments = lines.segments()
     sky = segments.to_sky.sum() / max(segments.counted.sum(), 1e-300)
     # In a closed mesh no line gets out, but of a million rays one may, by their single precision.
     open_ends = f", {100 * sky:.3g} % of what patches see is the sky" if sky > _NO_SKY else ""
-    _say(f"{len(segments)} segments of {casting.count} bundle{'' if casting.count == 1 else 's'}{open_ends}")
+    _say(f"{len(segments)} segments of {lines.count} bundle{'' if lines.count == 1 else 's'}{open_ends}")
     if isinstance(segments, MixedSegments):
         few = int(np.count_nonzero(segments.extra > 0))
         _say(f"{few} small patches, which few lines meet, have {segments.rays // few} local rays each")

@@ -19,6 +19,7 @@ from .measurement import RELATIVE_EPSILON, Array, Iterations, Measurement, warn_
 from .memory import free_memory
 from .method import Carrying, Method, Pass, Replica, Result, State
 from .progress import Progress, format_rate, format_seconds
+from .records import PassKey, Record, RecordFile
 from .samples import (
     COMPONENTS_PER_VERTEX,
     IndependentSource,
@@ -45,7 +46,10 @@ __all__ = [
     "OptionError",
     "OutputError",
     "Pass",
+    "PassKey",
     "Progress",
+    "Record",
+    "RecordFile",
     "Replica",
     "Result",
     "SampleSource",

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from .errors import EtendueError
 from .log import logger
+from .records import Record
 
 Array = NDArray[np.float64]
 
@@ -96,6 +97,8 @@ class Measurement:
 
     What else an error needs comes by itself: ``squared_weights[name]``, the squared weight of each pass added up, and,
     once passes have different weights, ``products[name]``, weight times sum of each pass added up.
+
+    ``records[name]`` are rows that passes append, kept by pass and never summed: see :class:`Record`.
     """
 
     sums: dict[str, Array]
@@ -105,6 +108,7 @@ class Measurement:
     counters: dict[str, float] = field(default_factory=dict)
     squared_weights: dict[str, float] = field(default_factory=dict)
     products: dict[str, Array] = field(default_factory=dict)
+    records: dict[str, Record] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in self.squares:  # of one pass
@@ -129,6 +133,8 @@ class Measurement:
         iterations = self.iterations.union(other.iterations)  # refuses overlap before anything changes
         if self._shapes() != other._shapes():
             raise EtendueError("measurements of different layers cannot be added; were the settings the same?")
+        for name, record in other.records.items():
+            self.records[name].check(record)
         for name in other.squares:
             if {name} & (self.products.keys() | other.products.keys()) or not self._weighs_like(other, name):
                 self.products[name] = self._product(name) + other._product(name)
@@ -140,6 +146,8 @@ class Measurement:
             self.squares[name] += value
         for name, count in other.counters.items():
             self.counters[name] = self.counters.get(name, 0.0) + count
+        for name, record in other.records.items():
+            self.records[name] += record
         self.iterations = iterations
         return self
 
@@ -154,8 +162,9 @@ class Measurement:
             return self.products[name]
         return self.squared_weights[name] / self.weights[name] * self.sums[name]
 
-    def _shapes(self) -> tuple[dict[str, tuple[int, ...]], dict[str, tuple[int, ...]]]:
-        return {k: v.shape for k, v in self.sums.items()}, {k: v.shape for k, v in self.squares.items()}
+    def _shapes(self) -> tuple[dict[str, tuple[int, ...]], dict[str, tuple[int, ...]], set[str]]:
+        sums, squares = ({k: v.shape for k, v in table.items()} for table in (self.sums, self.squares))
+        return sums, squares, set(self.records)
 
     def __add__(self, other: Measurement) -> Measurement:
         result = self.copy()
@@ -163,7 +172,7 @@ class Measurement:
         return result
 
     def copy(self) -> Measurement:
-        """A deep copy."""
+        """A deep copy, but for the rows of records, which nobody changes."""
         return Measurement(
             sums={k: v.copy() for k, v in self.sums.items()},
             weights=dict(self.weights),
@@ -172,6 +181,7 @@ class Measurement:
             counters=dict(self.counters),
             squared_weights=dict(self.squared_weights),
             products={k: v.copy() for k, v in self.products.items()},
+            records={k: v.copy() for k, v in self.records.items()},
         )
 
     def variance_of_mean(self, name: str = "image") -> Array:

@@ -52,16 +52,17 @@ class Method(Protocol):
     iterations run in any order, anywhere, once each; else a replica's run one after the other, and replicas, which have
     a seed and a state each, may share one method. ``develop`` is the only place that divides, normalises or combines.
 
-    A method whose error is not one of pixels has ``noise() -> float | None``, a variance, which budgets and progress
-    then take instead of the scatter of ``image``; ``error_cadence`` says by what share passes grow until it is asked
-    again.
+    A method may have these members as well:
 
-    A method whose first ``step`` also does what no later one does (a probe) says in ``setup_seconds`` how long that
-    took, so that a run with a budget in seconds is not ended by it. One that leaves work for after the last ``step``
-    says in ``finish_seconds`` how long that will take; a run with a budget in seconds ends so much earlier.
-
-    A method that divides its work by what is ahead has ``plan(seconds, passes, error)``: it is called before the first
-    ``step`` with what the budget has left, each ``None`` where that is not limited.
+    - ``noise(measurement) -> float | None``: its error, a variance, where that is not one of pixels; budgets and
+      progress then take it in place of the scatter of ``image``. It is asked for again when the number of passes has
+      grown by the share ``error_cadence``.
+    - ``setup_seconds``: what its first ``step`` took for work that no later one does (a probe), so that the next pass
+      is not expected to take as long.
+    - ``finish_seconds(measurement) -> float``: time for the work that follows the last ``step``; a run with a budget
+      in seconds ends so much earlier.
+    - ``plan(seconds, passes, error)``: called before the first ``step`` with what is left of the budget, each ``None``
+      where that is not limited, for a method that divides its work by what is ahead.
     """
 
     name: ClassVar[str]

@@ -17,6 +17,8 @@ class Progress:
     elapsed: float = 0.0
     #: Predicted seconds until the budget is used up.
     eta: float | None = None
+    #: Rays traced for the picture; of radiosity, segments of lines.
+    rays: float = 0.0
     #: Rays traced per second in the latest passes.
     rays_per_second: float | None = None
     #: Estimated noise, see :meth:`Measurement.relative_error`; needs two passes.

@@ -2,7 +2,7 @@
 
 A checkpoint is a NumPy ``.npz`` archive without pickled objects: the sums, squares and products of the measurement as
 float64 arrays, and one JSON header with everything else. Sums stay float64, so a resumed run adds in the same order to
-the same numbers as an uninterrupted one.
+the same numbers as an uninterrupted one. Records of the measurement lie in a folder beside it, see ``recordfiles``.
 """
 
 from __future__ import annotations
@@ -20,8 +20,10 @@ import numpy as np
 from etendue.core import CheckpointError, Iterations, Measurement, OptionError, Settings
 from etendue.film import replacing
 
+from .recordfiles import read_records, remove_others, write_records
+
 #: Version of the layout of the file.
-FORMAT = 2
+FORMAT = 3
 _MAGIC = "etendue checkpoint"
 _HEADER = "header"
 # What reading an archive raises if a byte of it is wrong, depending on which.
@@ -59,8 +61,11 @@ class Checkpoint:
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the file in one step: a process that is killed leaves the old one or the new one, whole.
 
-        Raises :class:`OutputError` if it cannot be written; an existing checkpoint is then untouched.
+        Rows of records are written once, by the first save that has them, and then lie in the files for the
+        measurement, too. Raises :class:`OutputError` if something cannot be written; an existing checkpoint is then
+        untouched.
         """
+        records = write_records(self.measurement.records, path)
         arrays: dict[str, Any] = {}
         m = self.measurement
         for kind, table in (("sum", m.sums), ("square", m.squares), ("product", m.products)):
@@ -73,12 +78,14 @@ class Checkpoint:
             "squared_weights": m.squared_weights,
             "counters": m.counters,
             "iterations": m.iterations.to_json(),
+            "records": records,
             "state": _pack(self.state, arrays),
             **{k: v for k, v in vars(self).items() if k not in ("measurement", "state")},
         }
         arrays[_HEADER] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
         with replacing(path) as part, open(part, "wb") as file:
             np.savez(file, **arrays)
+        remove_others(records, path)
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Checkpoint:
@@ -112,6 +119,7 @@ class Checkpoint:
                 counters=header.pop("counters"),
                 squared_weights=header.pop("squared_weights"),
                 products=_select(arrays, "product/"),
+                records=read_records(header.pop("records"), path),
             )
             return cls(measurement=measurement, state=_unpack(header.pop("state"), arrays), **header)
         except (KeyError, ValueError, TypeError, AttributeError) as error:

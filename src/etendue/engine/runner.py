@@ -294,7 +294,8 @@ class Runner:
 
     def _finish(self) -> float:
         """Seconds that the method needs after its last pass."""
-        return float(getattr(self.method, "finish_seconds", 0.0))
+        finish = getattr(self.method, "finish_seconds", None)
+        return 0.0 if finish is None or self._measurement is None else float(finish(self._measurement))
 
     def _predict(self) -> float:
         """Seconds that the next pass will take, on the safe side."""
@@ -309,7 +310,7 @@ class Runner:
         estimate = getattr(self.method, "noise", None)
         if passes < self._next_error or (estimate is None and "image" not in self._measurement.squares):
             return
-        self._error = error = self._measurement.relative_error() if estimate is None else estimate()
+        self._error = error = self._measurement.relative_error() if estimate is None else estimate(self._measurement)
         step = math.ceil(getattr(self.method, "error_cadence", ERROR_CADENCE) * passes)
         if self.budget.error is not None and error is not None and math.isfinite(error):
             # Noise falls as 1/passes: look again no later than where the target should be reached.
@@ -342,6 +343,7 @@ class Runner:
             samples=passes * self.method.samples_per_iteration,
             elapsed=elapsed,
             eta=min(left, default=None),
+            rays=self._measurement.counters.get("rays", 0.0),
             rays_per_second=rays / seconds if rays > 0 and seconds > 0 else None,
             relative_error=self._error,
             fraction=min(1.0, max(shares)) if shares else None,

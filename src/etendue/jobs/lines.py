@@ -11,7 +11,15 @@ from typing import Any, Literal
 
 from etendue.core import OutputError
 from etendue.engine import Budget, Checkpoint, Job, Runner, RunResult
-from etendue.radiosity import REPLICATES, CastingSettings, LineCasting, Patches, PatchProblem, RadiosityError
+from etendue.radiosity import (
+    REPLICATES,
+    CastingSettings,
+    CastLines,
+    LineCasting,
+    Patches,
+    PatchProblem,
+    RadiosityError,
+)
 
 #: Share of the memory that is filled where no number of bundles was asked for.
 _MEMORY_SHARE = 0.6
@@ -64,13 +72,16 @@ class LinesJob:
         problem = PatchProblem(task.patches, task.source)
         begin = time.perf_counter()
         if saved is not None:
-            saved.settings_of(LineCasting, casting.settings.to_dict(), task.seed)
+            asked = casting.settings.to_dict()
+            del asked["bundles_per_pass"]  # as it was, also on a machine that would choose otherwise
+            settings = saved.settings_of(LineCasting, asked, task.seed)
             saved.require_scene(problem.fingerprint)
+            casting = self.casting = LineCasting(settings, goal=casting.goal)  # type: ignore[arg-type]
         casting.prepare(problem, task.seed)
-        casting.most, limited = self._limited(0 if saved is None else saved.state["count"])
+        casting.most, limited = self._limited(0 if saved is None else casting.bundles(saved.measurement))
         earlier = 0.0
         if saved is not None:
-            casting.enter(saved.state)
+            casting.go_on(saved.measurement)
             earlier = saved.earlier + saved.elapsed
             options |= {"start": saved.measurement, "state": saved.state}
         known: Any = {"seed": task.seed, "budget": task.budget, "place": {}, "earlier": earlier, "notes": task.notes}
@@ -82,10 +93,10 @@ class LinesJob:
         assert self._job is not None, "there is no run before there is a runner"
         return self._job.checkpoint(run)
 
-    def finish(self, run: RunResult) -> None:
-        """Cast no more: the casting has what ``run`` has, also where its last pass failed."""
-        self.casting.enter(run.state)
+    def cast(self, run: RunResult) -> CastLines:
+        """Cast no more: the lines of ``run``."""
         self.casting.close()
+        return CastLines(self.casting, run.measurement)
 
     def rescued(self, run: RunResult) -> Path | None:
         """A checkpoint among the temporary files, for lines of which nothing could be made; ``None`` if not even that

@@ -32,7 +32,7 @@ from etendue.surfaces import (
     vertex_radiosity,
 )
 
-from .casting import REPLICATES, CastingSettings, LineCasting, PatchProblem
+from .casting import REPLICATES, CastingSettings, CastLines, LineCasting, PatchProblem
 from .errors import RadiosityError
 from .factors.exact import exact_form_factors
 from .factors.formfactors import ESTIMATORS, Estimator, FormFactors, estimate, form_factors, pair_errors
@@ -79,6 +79,7 @@ __all__ = [
     "Backend",
     "BoxWalls",
     "Bundles",
+    "CastLines",
     "CastingSettings",
     "ChainedRays",
     "Diagnosis",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar, Literal
@@ -13,10 +13,11 @@ import numpy as np
 
 from etendue.core import (
     Array,
-    Carrying,
     CheckpointError,
     Iterations,
     Measurement,
+    Pass,
+    Record,
     Result,
     State,
     free_memory,
@@ -28,16 +29,16 @@ from etendue.core import Settings as AnySettings
 from etendue.points import OwenSobol
 from etendue.surfaces import Patches, RayScene
 
+from .error_estimate import IrradianceError
 from .errors import RadiosityError
 from .lines.abuffer import LINES_PER_PATCH, ABuffer
 from .lines.engine import LineEngine, warn_of_faults
 from .lines.local import LocalRays
 from .lines.mixing import local_rays, with_local_rays
 from .lines.replicates import Replicates
-from .lines.segments import Pairs, Segments, scatter
+from .lines.segments import Pairs, Segments
 from .lines.spiral import SpiralPoints
-from .solvers.shot import FirstShot, Shot, small_emitters
-from .solvers.system import solve
+from .solvers.shot import SEQUENCES, FirstShot, Shot, ShotSums, small_emitters
 
 #: Rays of a first shot for each segment: they take half as long as casting it, and half the error is left to the lines.
 RAYS_PER_SEGMENT = 1 / 4
@@ -45,20 +46,20 @@ RAYS_PER_SEGMENT = 1 / 4
 _BATCHES = 16
 #: Sequences of lines for runs to an error. With four, runs with few patches end at 1.2 times that error.
 REPLICATES = 8
-#: Segments up to which an estimate of the error solves the system anew.
-_FEW_SEGMENTS = 1 << 20
-#: Least points before an error is estimated: two batches would do, but tell little.
-_LEAST_PIECES = 16
+#: Least passes before an error is estimated: two batches would do, but tell little.
+_LEAST_PASSES = 16
 #: Sums over all segments that count them and find the error of a solution, and the residual of a solution.
 _COUNTING, _RESIDUAL = 3, 1e-6
 #: Seconds that a local ray takes until it is counted, and that it takes to see whether a segment needs a weight for it.
 _RAY_SECONDS, _LOOK_SECONDS = 3e-7, 1e-8
-#: Chunks that are summed to see how long that takes.
+#: Passes whose segments are summed to see how long that takes.
 _TIMED = 64
 #: Local rays of a bundle, at least.
 _FEWEST_RAYS = 8192
-#: "No end" of a stream, and bundles whose pieces are those of a step.
+#: "No end" of a stream, and the number of bundles that the size of a pass suits.
 _ENDLESS, _USUAL = 1 << 31, 1024
+#: Of a measurement: the record of segments, the counter of bundles, the sums of the first shot by sequence.
+_SEGMENTS, _BUNDLES, _SHOT = "segments", "bundles", "shot"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +72,7 @@ class CastingSettings(AnySettings):
     replicates: int = setting(
         1, "independent sequences of lines, whose scatter tells the error; with one, it is an upper estimate", minimum=1
     )
+    bundles_per_pass: int = setting(0, "bundles of a pass, 0 for the engine's choice", minimum=0)
 
 
 @dataclass(frozen=True)
@@ -90,11 +92,12 @@ class PatchProblem:
         return digest.hexdigest()
 
 
-class LineCasting(Carrying):
-    """Bundles of lines through patches, a piece of a few with each :meth:`step`; implements ``core.Method``.
+class LineCasting:
+    """Bundles of lines through patches, some with each :meth:`step`; implements ``core.Method``.
 
-    What was cast is kept: :meth:`segments` and :meth:`shot` are made of it at any time, and depend on how many bundles
-    there are, not on when they were cast. A sample of a budget is a bundle, and its error the *square* of the standard
+    A measurement holds the segments of its passes as a record, the number of bundles, and sums of the first shot. No
+    pass depends on others: what :meth:`segments` and :meth:`shot` make of a measurement depends on the passes in it,
+    not on when or where they were cast. A sample of a budget is a bundle, and its error the *square* of the standard
     error that ``goal`` names, as noise of pictures is a variance:
 
     ============== ===================================================================================================
@@ -106,11 +109,12 @@ class LineCasting(Carrying):
     ``noise`` and solutions say is then an upper estimate. To end at an error, take ``REPLICATES``: they scatter as
     their mean errs, which is two to four times as much as one sequence of as many lines does.
 
-    settings: see :class:`CastingSettings`. most: bundles to end at, if a budget says so: the last piece may be smaller.
+    settings: see :class:`CastingSettings`. most: bundles to end at, if a budget says so: the last pass may have fewer.
+    To go on with a measurement that ended so, see :meth:`go_on`.
     """
 
     name: ClassVar[str] = "global-lines"
-    carries_on: ClassVar[bool] = True
+    carries_on: ClassVar[bool] = False
     Settings: ClassVar[type[AnySettings]] = CastingSettings
     citations: ClassVar[tuple[str, ...]] = ("Sbert1993", "Carpenter1984", "Castro2002")
 
@@ -122,44 +126,40 @@ class LineCasting(Carrying):
         most: int | None = None,
     ) -> None:
         self._options = settings or CastingSettings()
+        #: With the number of bundles of a pass, once :meth:`prepare` has chosen it: it decides what passes are.
         self.settings: AnySettings = self._options
         self.goal, self.most = goal, most
-        #: Bundles that were cast, and their segments.
-        self.count, self.made = 0, 0
-        self._chunks: list[Pairs] = []
-        self._stream: Iterator[Pairs] | None = None
         self._shot: Shot | None = None
-        self._known: tuple[Array, Array] | None = None
-        # What the chunks so far add to the sums of each replicate over what is known.
-        self._sums: list[tuple[Array, Array]] = []
-        self._summed = 0
-        # Seconds and segments of the sums that were timed, and the number of chunks at the last of them.
-        self._passes, self._timed = np.zeros(2), 0
+        self._stream: _Stream | None = None
+        # Bundles, first and number, that a pass before left out: the pass after them casts these as well.
+        self._owed = 0, 0
+        # Seconds and segments of the sums that were timed, and the passes in the measurement at the last of them.
+        self._timing, self._timed = np.zeros(2), 0
 
     # ------------------------------------------------------------------ the protocol of methods
 
     @property
     def error_cadence(self) -> float:
-        """Growth of the number of passes from one estimate of the error to the next: with replicates only what is new
-        has to be looked at."""
+        """See ``core.Method``: with replicates only the segments of new passes are looked at."""
         return 1.0 if self._options.replicates == 1 else 0.1
 
     @property
     def samples_per_iteration(self) -> int:
-        """Bundles of a step."""
-        return self._size
+        """Bundles of a pass."""
+        return self._options.bundles_per_pass
 
     def prepare(self, problem: PatchProblem, seed: int) -> None:
         """Build the engine, and have its loops compiled. Raises :class:`RadiosityError` if not even one bundle fits
         into memory."""
-        self._forget_states()
         self.close()
-        self.count, self.made, self._chunks, self._shot = 0, 0, [], None
-        self._known, self._sums, self._summed = None, [], 0
+        self._shot, self._owed = None, (0, 0)
         patches = self.patches = problem.patches
+        self._error = IrradianceError(patches, self._options.replicates)
         self._seed = seed
         self.engine = self._engine_for(patches)
-        self._size = self.engine.piece(_USUAL)
+        if self._options.bundles_per_pass == 0:
+            self._options = self._options.replace(bundles_per_pass=self.engine.piece(_USUAL))
+            self.settings = self._options
         self._take_turns()
         if self.memory() < 1:
             raise RadiosityError(f"not even one bundle of lines through {len(patches)} patches fits into memory")
@@ -167,115 +167,97 @@ class LineCasting(Carrying):
         if emitters.any():
             points = OwenSobol(4, seed=seed_key(seed, "first shot", 0)[0])
             self._shot = Shot(self._scene, points, emitters)
-            self._shot.cast(1)
+            self._shot.light(0, 1)  # to have it compiled
         for chunk in self.engine.stream(1):
-            self._time_pass([chunk])  # to have it compiled
-        self._passes[:] = 0
+            self._time_sums([chunk])  # likewise
+        self._timing[:], self._timed = 0, 0
 
-    def _step(self, iteration: int, seed: int) -> Measurement:
-        """Cast the next piece. What is measured is kept here; the sums are empty."""
+    def start(self) -> State:
+        """See ``core.Method``: passes carry nothing on."""
+        return {}
+
+    def enter(self, state: State) -> None:
+        """See ``core.Method``."""
+
+    def go_on(self, measurement: Measurement) -> None:
+        """Make ready for the passes after ``measurement``, the last of which may have fewer bundles than a pass has:
+        the next pass casts those that are missing, too. Raises :class:`CheckpointError` if it has more than ``most``.
+        """
+        self.close()
+        done = self.bundles(measurement)
+        if self.most is not None and done > self.most:
+            raise CheckpointError(f"the checkpoint has {done} bundles, more than {self.most}")
+        self._owed = done, self.samples_per_iteration * len(measurement.iterations) - done
+
+    def step(self, iteration: int, seed: int, state: State) -> Pass:
+        """Cast the bundles of a pass, and the share of the shot that comes with them."""
         if seed != self._seed:
             raise RadiosityError(f"lines of seed {seed} are cast by what was prepared with that seed, not {self._seed}")
-        if self._stream is None:
-            self._stream = self._pieces()
-        chunk = next(self._stream)
-        self._chunks.append(chunk)
-        self.made += len(chunk)
         size = self.samples_per_iteration
-        whole = -(-self.count // size) * size  # see _pieces
-        self.count = min(whole + size, self.most or _ENDLESS)
+        first, end = iteration * size, min((iteration + 1) * size, self.most or _ENDLESS)
+        if first >= end:
+            raise RadiosityError(f"pass {iteration} has no lines: there are to be {self.most} bundles in all")
+        chunk = self._cast(iteration)
+        owed, left_out = self._owed
+        if left_out and owed + left_out == first:
+            left = min(left_out, (self.most or _ENDLESS) - owed)
+            chunk, first = np.concatenate([*self.engine.stream(left, owed, left), chunk]), owed
+        sums: dict[str, Array] = {}
+        weights: dict[str, float] = {}
         if self._shot is not None:
-            self._shot.grow(self._shot_rays)
-        if len(self._chunks) >= 2 * self._timed:
-            self._timed = len(self._chunks)
-            self._time_pass(self._chunks[-_TIMED:])
-        return Measurement({}, {}, Iterations.single(iteration), counters={"rays": float(len(chunk))})
-
-    def _pieces(self) -> Iterator[Pairs]:
-        # An odd end is made whole by the next step, so that steps are as many as if the end had not been.
-        most, count = self.most or _ENDLESS, self.count
-        ahead = min(-count % self.samples_per_iteration, most - count)
-        odd = list(self.engine.stream(ahead, count, ahead)) if ahead else []
-        for piece in self.engine.stream(most - count - ahead, count + ahead, self._size):
-            yield np.concatenate([*odd, piece]) if odd else piece
-            odd = []
+            begin, stop = self._shot_blocks(first), self._shot_blocks(end)
+            light = self._shot.light(begin, stop - begin)
+            for k, (received, blocks) in enumerate(zip(light.received, light.blocks, strict=True)):
+                sums[f"{_SHOT}/{k}"], weights[f"{_SHOT}/{k}"] = received, float(blocks)
+        measurement = Measurement(
+            sums,
+            weights,
+            Iterations.single(iteration),
+            counters={"rays": float(len(chunk)), _BUNDLES: float(end - first)},
+            records={_SEGMENTS: Record.single(chunk, iteration)},
+        )
+        return Pass(measurement, state)
 
     def develop(self, measurement: Measurement, state: State) -> Result:
         """No picture: only how much was cast."""
-        return Result({}, {"bundles": state["count"], "segments": sum(map(len, state["chunks"]))})
+        return Result({}, {"bundles": self.bundles(measurement), "segments": len(measurement.records[_SEGMENTS])})
 
-    def _left(self) -> State:
-        """All that was cast."""
-        shot = None if self._shot is None else self._shot.state()
-        return {"count": self.count, "size": self._size, "chunks": list(self._chunks), "shot": shot}
-
-    def _take(self, state: State) -> None:
-        if self.most is not None and state["count"] > self.most:
-            raise CheckpointError(f"the checkpoint has {state['count']} bundles, more than {self.most}")
-        self.close()
-        # A step has the size that it had, also on a machine that would choose another.
-        self.count, self._size, self._chunks = state["count"], state["size"], list(state["chunks"])
-        self._take_turns()
-        self.made = sum(map(len, self._chunks))
-        self._known, self._sums, self._summed = None, [], 0
-        if self._shot is not None and state["shot"] is not None:
-            self._shot.restore(state["shot"])
-
-    def noise(self) -> float | None:
-        """Square of the standard error so far, see ``goal``; ``None`` while it is not known."""
-        if self.goal is None or len(self._chunks) < _LEAST_PIECES:
+    def noise(self, measurement: Measurement) -> float | None:
+        """Square of the standard error, see ``goal``; ``None`` while it is not known."""
+        record = measurement.records[_SEGMENTS]
+        if self.goal is None or len(record.passes) < _LEAST_PASSES:
             return None
         if self.goal == "rows":
-            return float(np.mean(1 / np.sqrt(self.engine.expected(self.count))) ** 2)
-        patches, shot = self.patches, self.shot()
-        if self._known is None or self.made <= _FEW_SEGMENTS:
-            solution = solve(patches, self._lines(), "conjugate-gradient", shot=shot, tolerance=1e-3)
-            self._known = solution.radiosity - (0.0 if shot is None else shot.emission), solution.irradiance
-            self._sums, self._summed = [], 0
-        irradiance = self._known[1]
-        error = self._error_of_lines(self._known[0])
-        error = error if shot is None else np.hypot(error, shot.error)
-        areas = patches.areas[:, None]
-        light = (areas * irradiance).sum()
-        return float(((areas * error).sum() / light) ** 2) if light > 0 else None
+            return float(np.mean(1 / np.sqrt(self.engine.expected(self.bundles(measurement)))) ** 2)
+        return self._error.square(record, lambda: self._lines(measurement), self.shot(measurement))
 
-    def _error_of_lines(self, carried: Array) -> Array:
-        """Standard error (n, c) of the irradiance by patches of such radiosities and the sky."""
-        replicates = self._options.replicates
-        if replicates == 1:
-            return self._lines().gather_error(carried, self.patches.sky)
-        for k in range(replicates):
-            new = [i for i in range(self._summed, len(self._chunks)) if i % replicates == k]
-            found = self._part([self._chunks[i] for i in new]).sums(carried, self.patches.sky)
-            if k < len(self._sums):
-                self._sums[k] = self._sums[k][0] + found[0], self._sums[k][1] + found[1]
-            else:
-                self._sums.append(found)
-        self._summed = len(self._chunks)
-        sums, weights = (sum(parts[1:], start=parts[0]) for parts in zip(*self._sums, strict=True))
-        mean = np.divide(sums, weights[:, None], out=np.zeros_like(sums), where=weights[:, None] > 0)
-        return scatter(self._sums, mean)
-
-    # ------------------------------------------------------------------ what was cast
-
-    @property
-    def finish_seconds(self) -> float:
-        """About how long it will take to make segments and a solution of what was cast; see ``core.Method``."""
-        rays, few = local_rays(self.engine.expected(self.count), self.made)
+    def finish_seconds(self, measurement: Measurement) -> float:
+        """About how long it will take to make segments and a solution of ``measurement``; see ``core.Method``."""
+        record = measurement.records[_SEGMENTS]
+        made, passes = len(record), record.passes
+        if len(passes) >= 2 * self._timed:
+            self._timed = len(passes)
+            self._time_sums([record[key] for key in passes[-_TIMED:]])
+        rays, few = local_rays(self.engine.expected(self.bundles(measurement)), made)
         mixing = 0.0
         if self._options.local_rays and len(few):
-            mixing = _RAY_SECONDS * rays * len(few) + _LOOK_SECONDS * self.made
+            mixing = _RAY_SECONDS * rays * len(few) + _LOOK_SECONDS * made
         # What conjugate gradients leave of the error with each sum, if all patches reflected the same.
         reflectance = np.average(self.patches.reflectance, axis=0, weights=self.patches.areas).max()
         root = np.sqrt((1 + reflectance) / (1 - reflectance))
-        passes = _COUNTING + (np.log(_RESIDUAL / 2) / np.log((root - 1) / (root + 1)) if root > 1 else 1)
-        seconds, segments = self._passes
-        return float(passes * seconds / max(segments, 1) * self.made + mixing)
+        sums = _COUNTING + (np.log(_RESIDUAL / 2) / np.log((root - 1) / (root + 1)) if root > 1 else 1)
+        seconds, segments = self._timing
+        return float(sums * seconds / max(segments, 1) * made + mixing)
 
-    def segments(self) -> Segments:
-        """Of all bundles so far, with local rays from patches that few of them meet. Warns as
-        :meth:`LineEngine.cast` does."""
-        segments = self._lines()
+    # ------------------------------------------------------------------ what was cast
+
+    def bundles(self, measurement: Measurement) -> int:
+        """Bundles that were cast."""
+        return int(measurement.counters[_BUNDLES])
+
+    def segments(self, measurement: Measurement) -> Segments:
+        """Of all bundles, with local rays from patches that few of them meet. Warns as :meth:`LineEngine.cast` does."""
+        segments = self._lines(measurement)
         if self._options.local_rays:
             points = OwenSobol(4, seed=seed_key(self._seed, "local rays", 0)[0])
             scene = self.__dict__.get("_scene")  # that of a shot, if there is one
@@ -283,13 +265,21 @@ class LineCasting(Carrying):
         warn_of_faults(segments)
         return segments
 
-    def shot(self) -> FirstShot | None:
-        """The light of small emitters, by a ray for every 4 segments; ``None`` if there is none that needs it."""
-        return None if self._shot is None else self._shot.cast(self._shot_rays)
+    def shot(self, measurement: Measurement) -> FirstShot | None:
+        """The light of small emitters, by a ray for every 4 segments; ``None`` if there is none that needs it. Rays
+        that would not have filled the device with one of the passes are cast now."""
+        if self._shot is None:
+            return None
+        names = [f"{_SHOT}/{k}" for k in range(SEQUENCES)]
+        received = np.stack([measurement.sums[name] for name in names])
+        known = ShotSums(received, np.array([measurement.weights[name] for name in names]))
+        first = self._shot_blocks(self.bundles(measurement))
+        missing = self._shot.blocks(self._shot_rays(self.bundles(measurement))) - int(known.blocks.sum())
+        return self._shot.result(known + self._shot.light(first, max(missing, 0)))
 
     def memory(self, matrix: bool = False) -> int:
         """Bundles whose segments fit into the memory that is free now; with ``matrix`` form factors as well."""
-        free, each = free_memory(), self._expected_segments(1)
+        free, each = free_memory(), float(self.engine.expected(1).sum()) / 2
         if free is None:
             return _ENDLESS
         if not matrix:
@@ -301,25 +291,42 @@ class LineCasting(Carrying):
     def close(self) -> None:
         """Cast no more: end what is being cast ahead."""
         if self._stream is not None:
-            self._stream.close()  # type: ignore[attr-defined]
+            self._stream.close()
             self._stream = None
+
+    # ------------------------------------------------------------------ inside
 
     @cached_property
     def _scene(self) -> RayScene:
         return RayScene(self.patches)
 
-    @property
-    def _shot_rays(self) -> float:
-        return RAYS_PER_SEGMENT * self._expected_segments(self.count)
+    def _cast(self, iteration: int) -> Pairs:
+        """The segments of a pass. Engines cast ahead, so passes that follow each other share a stream."""
+        if self._stream is None or self._stream.next_pass != iteration:
+            self.close()
+            first = iteration * self.samples_per_iteration
+            count = (self.most or _ENDLESS) - first
+            self._stream = _Stream(self.engine.stream(count, first, self.samples_per_iteration), iteration)
+        try:
+            return self._stream.take()
+        except BaseException:
+            self._stream = None
+            raise
 
-    def _time_pass(self, chunks: list[Pairs]) -> None:
+    def _shot_rays(self, bundles: int) -> float:
+        return RAYS_PER_SEGMENT * float(self.engine.expected(bundles).sum()) / 2
+
+    def _shot_blocks(self, bundles: int) -> int:
+        """Blocks of the shot that so many bundles bring along: as far as they fill the device."""
+        assert self._shot is not None
+        at_once = self._shot.at_once
+        return self._shot.blocks(self._shot_rays(bundles)) // at_once * at_once if bundles else 0
+
+    def _time_sums(self, chunks: Sequence[Pairs]) -> None:
         segments = self._part(chunks)
         begin = time.perf_counter()
         segments.gather(self.patches.emission)
-        self._passes += time.perf_counter() - begin, len(segments)
-
-    def _expected_segments(self, count: int) -> float:
-        return float(self.engine.expected(count).sum()) / 2
+        self._timing += time.perf_counter() - begin, len(segments)
 
     def _engine_for(self, patches: Patches) -> LineEngine:
         """Bundles of lines; or of local rays, where there would have to be too many lines."""
@@ -332,15 +339,61 @@ class LineCasting(Carrying):
         return LocalRays(self._scene, points, max(int(LINES_PER_PATCH / 2 * len(patches)), _FEWEST_RAYS))
 
     def _take_turns(self) -> None:
-        """Share the lines out among replicates, piece by piece."""
+        """Share the lines out among replicates, pass by pass."""
         if (number := self._options.replicates) > 1:
             sequences = [OwenSobol(4, seed=seed_key(self._seed, "lines", k)[0]) for k in range(number)]
-            self.engine.points = Replicates(sequences, self._size * getattr(self.engine, "bundle", 1))
+            run = self.samples_per_iteration * getattr(self.engine, "bundle", 1)
+            self.engine.points = Replicates(sequences, run)
 
-    def _part(self, chunks: list[Pairs]) -> Segments:
+    def _part(self, chunks: Sequence[Pairs]) -> Segments:
         return Segments(self.patches, chunks, np.zeros(len(chunks)), self.engine.expected(1))
 
-    def _lines(self) -> Segments:
-        order, replicates = np.arange(len(self._chunks)), self._options.replicates
-        batch = order * min(_BATCHES, len(order)) // max(len(order), 1) if replicates == 1 else order % replicates
-        return Segments(self.patches, self._chunks, batch, self.engine.expected(self.count))
+    def _lines(self, measurement: Measurement) -> Segments:
+        record, replicates = measurement.records[_SEGMENTS], self._options.replicates
+        iterations = np.array([iteration for _, iteration in record.passes])
+        order, batches = np.arange(len(iterations)), min(_BATCHES, len(iterations))
+        batch = order * batches // len(order) if replicates == 1 else iterations % replicates
+        return Segments(self.patches, list(record), batch, self.engine.expected(self.bundles(measurement)))
+
+
+class _Stream:
+    """The segments of passes that follow each other."""
+
+    def __init__(self, chunks: Iterator[Pairs], iteration: int) -> None:
+        self._chunks, self.next_pass = chunks, iteration
+
+    def take(self) -> Pairs:
+        """Those of the next pass."""
+        chunk = next(self._chunks)
+        self.next_pass += 1
+        return chunk
+
+    def close(self) -> None:
+        """Cast no more."""
+        self._chunks.close()  # type: ignore[attr-defined]
+
+
+@dataclass(frozen=True)
+class CastLines:
+    """Lines that were cast: a measurement of a casting, and what can be made of it."""
+
+    casting: LineCasting
+    measurement: Measurement
+
+    @property
+    def patches(self) -> Patches:
+        """What they went through."""
+        return self.casting.patches
+
+    @property
+    def count(self) -> int:
+        """Bundles."""
+        return self.casting.bundles(self.measurement)
+
+    def segments(self) -> Segments:
+        """See :meth:`LineCasting.segments`."""
+        return self.casting.segments(self.measurement)
+
+    def shot(self) -> FirstShot | None:
+        """See :meth:`LineCasting.shot`."""
+        return self.casting.shot(self.measurement)

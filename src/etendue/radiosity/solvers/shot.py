@@ -29,7 +29,7 @@ from ..lines.segments import scatter
 #: Parts of the points of a shot that are given, whose scatter tells its error.
 _PARTS = 16
 #: Sequences of points of :class:`Shot`, independent of each other, whose scatter tells its error.
-_REPLICATES = 4
+SEQUENCES = 4
 #: Least rays of a block of :class:`Shot`, and how many of them are aimed for one by the cosine law.
 _BLOCK, _AIMED = 1 << 14, 8
 #: Share A K of the light that a patch would take at most, if all of it were as near to a lamp as the point is: above
@@ -103,49 +103,54 @@ def shot_at_patches(
 
 
 class Shot:
-    """:func:`shot_at_patches`, growing block by block: so many rays give the same, whenever they are cast."""
+    """:func:`shot_at_patches`, block by block. Blocks are numbered; those of one number always bring the same."""
 
     def __init__(self, scene: RayScene, points: PointSet, emitters: NDArray[np.bool_] | None) -> None:
         self._lamps = _Lamps(scene, _emission(scene.patches, emitters), _replicates(points))
-        self._blocks = 0
-        #: By each of the sequences.
-        self._received = np.zeros((_REPLICATES, len(scene.patches) + 2, scene.patches.channels))
+
+    @property
+    def at_once(self) -> int:
+        """Blocks to ask for together, so that they fill the device."""
+        return self._lamps.at_once
+
+    def blocks(self, rays: float) -> int:
+        """Blocks of at least so many rays; one of each sequence at least."""
+        return max(SEQUENCES, int(np.ceil(rays / self._lamps.rays)))
+
+    def light(self, first: int, count: int) -> ShotSums:
+        """What ``count`` blocks from ``first`` on bring; those of several calls add up."""
+        patches = self._lamps.scene.patches
+        received = np.zeros((SEQUENCES, len(patches) + 2, patches.channels))
+        blocks = np.zeros(SEQUENCES)
+        for start in range(first, first + count, self.at_once):
+            for block, found in self._lamps.light(start, min(self.at_once, first + count - start)):
+                received[block % SEQUENCES] += found
+                blocks[block % SEQUENCES] += 1
+        return ShotSums(received, blocks)
+
+    def result(self, sums: ShotSums) -> FirstShot:
+        """The shot of such blocks, of each sequence one at least."""
+        blocks = sums.blocks.sum()
+        mean = sums.received.sum(axis=0) / blocks
+        parts = ((found, np.full(len(mean), n)) for found, n in zip(sums.received, sums.blocks, strict=True))
+        emission = self._lamps.emission
+        return _shot(self._lamps.scene.patches, emission, mean, scatter(parts, mean), int(blocks) * self._lamps.rays)
 
     def cast(self, rays: float) -> FirstShot:
-        """What at least so many rays bring, in a block of each sequence or more; those that were cast before are among
-        them."""
-        self.grow(rays)
-        lamps = self._lamps
-        self._add(self._missing(rays))
-        mean = self._received.sum(axis=0) / self._blocks
-        blocks = (np.full(len(mean), len(range(k, self._blocks, _REPLICATES))) for k in range(_REPLICATES))
-        error = scatter(zip(self._received, blocks, strict=True), mean)
-        return _shot(lamps.scene.patches, lamps.emission, mean, error, self._blocks * lamps.rays)
+        """A shot of at least so many rays."""
+        return self.result(self.light(0, self.blocks(rays)))
 
-    def grow(self, rays: float) -> None:
-        """Cast what :meth:`cast` would, as far as it fills the device; the rest stays for later."""
-        while self._missing(rays) >= self._lamps.at_once:
-            self._add(self._lamps.at_once)
 
-    def _missing(self, rays: float) -> int:
-        return max(_REPLICATES, int(np.ceil(rays / self._lamps.rays))) - self._blocks
+@dataclass(frozen=True)
+class ShotSums:
+    """What blocks of rays bring, by their sequence: power ``received`` (sequences, n + 2, c) by patches, the sky and
+    backs of faces, added up over ``blocks`` (sequences,)."""
 
-    def _add(self, blocks: int) -> None:
-        if blocks <= 0:
-            return
-        # Added up one by one, so that it does not matter which were asked for together.
-        received = self._received.copy()  # anew: a state holds the old one
-        for block, found in self._lamps.light(self._blocks, blocks):
-            received[block % _REPLICATES] += found
-        self._received, self._blocks = received, self._blocks + blocks
+    received: Array
+    blocks: Array
 
-    def state(self) -> dict[str, Any]:
-        """What :meth:`restore` takes, for a checkpoint."""
-        return {"blocks": self._blocks, "received": self._received}
-
-    def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a :meth:`state`."""
-        self._blocks, self._received = state["blocks"], state["received"]
+    def __add__(self, other: ShotSums) -> ShotSums:
+        return ShotSums(self.received + other.received, self.blocks + other.blocks)
 
 
 class _Lamps:
@@ -279,7 +284,7 @@ def _emission(patches: Patches, emitters: NDArray[np.bool_] | None) -> Array:
 def _replicates(points: PointSet) -> list[PointSet]:
     """The points randomised so many times; those of another seed give others."""
     seed = int(np.bitwise_xor.reduce(points.block(1).ravel().view(np.uint64)))
-    return [points.randomised(seed_key(seed, "replicate", k)[0]) for k in range(_REPLICATES)]
+    return [points.randomised(seed_key(seed, "replicate", k)[0]) for k in range(SEQUENCES)]
 
 
 def _shot(patches: Patches, emission: Array, mean: Array, error: Array, rays: int) -> FirstShot:

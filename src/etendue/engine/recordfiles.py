@@ -1,0 +1,114 @@
+"""Records beside a checkpoint: files that are written once and count as soon as the checkpoint names them.
+
+Each save writes the rows that no file has yet, so it costs what is new. The folder is ``NAME.records`` beside the
+checkpoint ``NAME``; its files are arrays of NumPy, which map into memory: a resumed run reads rows where they are used.
+Files that the checkpoint does not name are of a save that was cut short, or of a run before: the next save removes
+them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import CheckpointError, OutputError, Record, RecordFile
+from etendue.film import replacing
+
+#: Bytes that are looked at together for a checksum.
+_BLOCK = 1 << 24
+
+
+def folder_of(checkpoint: str | os.PathLike[str]) -> Path:
+    """Where the records of a checkpoint are."""
+    path = Path(checkpoint)
+    return path.with_name(path.name + ".records")
+
+
+def write_records(records: Mapping[str, Record], checkpoint: str | os.PathLike[str]) -> dict[str, Any]:
+    """Write rows that are not there yet, and let the records have them from the files; what the header of the
+    checkpoint says of them. Raises :class:`OutputError`; files that were there stay."""
+    if not records:
+        return {}
+    folder = folder_of(checkpoint)
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write '{folder}': {error.strerror or error}; choose another checkpoint") from None
+    return {name: _write(name, record, folder) for name, record in records.items()}
+
+
+def _write(name: str, record: Record, folder: Path) -> list[dict[str, Any]]:
+    new = record.unkept(folder)
+    if new:
+        path, parts, checksum = folder / f"{name}-{secrets.token_hex(6)}.npy", [record[key] for key in new], 0
+        with replacing(path) as part, open(part, "wb") as file:
+            shape = (sum(map(len, parts)), *parts[0].shape[1:])
+            layout = {"descr": parts[0].dtype.str, "fortran_order": False, "shape": shape}
+            np.lib.format.write_array_header_2_0(file, layout)
+            for rows in parts:
+                data = np.ascontiguousarray(rows)
+                checksum = _checksum(data, checksum)
+                data.tofile(file)
+        passes = tuple((key, len(rows)) for key, rows in zip(new, parts, strict=True))
+        record.keep(RecordFile(str(path), checksum, passes), _mapped(path))
+    here = os.path.realpath(folder)
+    return [
+        {"file": Path(file.path).name, "checksum": file.checksum, "passes": [[*key, n] for key, n in file.passes]}
+        for file in record.files
+        if os.path.dirname(os.path.realpath(file.path)) == here
+    ]
+
+
+def read_records(header: Mapping[str, Any], checkpoint: str | os.PathLike[str]) -> dict[str, Record]:
+    """Inverse of :func:`write_records`; rows stay in the files. Raises :class:`CheckpointError` if one is missing or is
+    not what was written."""
+    records = {}
+    for name, files in header.items():
+        record = records[name] = Record()
+        for known in files:
+            path = folder_of(checkpoint) / known["file"]
+            passes = tuple(((int(replica), int(iteration)), int(n)) for replica, iteration, n in known["passes"])
+            try:
+                rows = _mapped(path)
+            except FileNotFoundError:
+                raise CheckpointError(
+                    f"{path} is missing, which checkpoint {checkpoint} needs: move the checkpoint and its folder "
+                    f"{folder_of(checkpoint).name} together"
+                ) from None
+            except (OSError, ValueError, EOFError) as error:
+                raise CheckpointError(f"{path}, a part of checkpoint {checkpoint}, is damaged ({error})") from error
+            if len(rows) != sum(n for _, n in passes) or _checksum(rows) != known["checksum"]:
+                raise CheckpointError(f"{path}, a part of checkpoint {checkpoint}, is damaged; cast the lines anew")
+            record.keep(RecordFile(str(path), known["checksum"], passes), rows)
+    return records
+
+
+def remove_others(header: Mapping[str, Any], checkpoint: str | os.PathLike[str]) -> None:
+    """Remove files of records that the checkpoint does not name, and the folder if it is empty then."""
+    folder = folder_of(checkpoint)
+    named = {known["file"] for files in header.values() for known in files}
+    with contextlib.suppress(OSError):
+        for path in folder.glob("*.npy"):
+            if path.name not in named:
+                path.unlink()
+        if not named and folder.is_dir():
+            folder.rmdir()
+
+
+def _mapped(path: Path) -> NDArray[Any]:
+    return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
+
+
+def _checksum(rows: NDArray[Any], start: int = 0) -> int:
+    data = np.ascontiguousarray(rows).reshape(-1).view(np.uint8)
+    for begin in range(0, len(data), _BLOCK):
+        start = zlib.crc32(data[begin : begin + _BLOCK].data, start)
+    return start
