@@ -18,6 +18,8 @@ import etendue.radiosity.casting
 from etendue.cli.lines import _words
 from etendue.cli.main import main
 from etendue.core import OutputError, Progress
+from etendue.engine import Budget
+from etendue.jobs import LinesJob, LinesTask
 from etendue.radiosity import LineCasting, Patches, thermal
 
 meshio = pytest.importorskip("meshio")
@@ -191,10 +193,12 @@ def test_a_file_that_cannot_be_written_costs_no_line(tmp_path, monkeypatch, caps
 
 
 def test_the_words_of_progress():
-    casting = LineCasting()
-    casting.count, casting.made = 24, 1_500_000
-    words = _words(casting)(Progress(passes=3, elapsed=2.0, eta=61.0, relative_error=1e-4))
-    assert words == ["24 bundles", "1.5e+06 segments", "2.0s", "ETA 1:01", "error 0.01"]
+    job = LinesJob(LinesTask(Patches(*lit_room()[:2]), "rows", Budget(samples=20)))
+    progress = Progress(passes=3, samples=24, rays=1.5e6, elapsed=2.0, eta=61.0, relative_error=1e-4)
+    words = ["1.5e+06 segments", "2.0s", "ETA 1:01", "error 0.01"]
+    assert _words(job)(progress) == ["24 bundles", *words]
+    job.casting.most = 20  # as in the end
+    assert _words(job)(progress) == ["20 bundles", *words]
 
 
 def test_budgets_in_time_and_error(capsys):

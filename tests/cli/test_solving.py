@@ -9,8 +9,16 @@ from support.patches import cube
 
 import etendue
 from etendue.core import CheckpointError, OptionError, OutputError, SceneError
-from etendue.engine import RunError
-from etendue.radiosity import CastingSettings, LineCasting, read_form_factors, read_solution, solve
+from etendue.engine import Budget, RunError, Runner
+from etendue.radiosity import (
+    CastingSettings,
+    CastLines,
+    LineCasting,
+    PatchProblem,
+    read_form_factors,
+    read_solution,
+    solve,
+)
 
 #: Light leaves one wall.
 LIT = {"reflectance": 0.5, "emission": np.repeat([0.0, 1.0, 0.0, 0.0, 0.0, 0.0], 4)}
@@ -43,16 +51,10 @@ def test_a_solution_is_that_of_its_parts(tmp_path):
     patches = cube(2, **LIT)
     files = [tmp_path / "solution.npz", tmp_path / "solution.vtu"]
     result = etendue.solve_radiosity(patches, bundles=64, seed=5, save=files)
-    from etendue.core import Replica
-    from etendue.radiosity import PatchProblem
-
     casting = LineCasting(CastingSettings(), most=64)
     casting.prepare(PatchProblem(patches), 5)
-    replica = Replica(casting, 5)
-    for iteration in range(8):
-        replica.step(iteration)
-    casting.close()
-    expected = solve(patches, casting.segments(), "conjugate-gradient", shot=casting.shot())
+    lines = CastLines(casting, Runner(casting, seed=5, budget=Budget(samples=64)).run().measurement)
+    expected = solve(patches, lines.segments(), "conjugate-gradient", shot=lines.shot())
     np.testing.assert_array_equal(result.solution.radiosity, expected.radiosity)
     assert result.irradiance_error.shape == result.solution.irradiance.shape
     read, error = read_solution(files[0])

@@ -164,7 +164,7 @@ def test_another_format_says_which(checkpoint, tmp_path, monkeypatch):
     monkeypatch.setattr("etendue.engine.checkpoint.FORMAT", 99)
     checkpoint.write(tmp_path / "a")
     monkeypatch.undo()
-    with pytest.raises(CheckpointError, match="has format 99, this étendue reads format 2"):
+    with pytest.raises(CheckpointError, match="has format 99, this étendue reads format 3"):
         Checkpoint.read(tmp_path / "a")
 
 

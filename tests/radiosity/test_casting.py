@@ -7,21 +7,23 @@ from functools import partial
 import numpy as np
 import pytest
 from support.patches import box, cube, joined, square
-from support.running import Stepped
 
 import etendue.radiosity.casting
+import etendue.radiosity.error_estimate
 import etendue.radiosity.lines.abuffer
 import etendue.radiosity.solvers.shot
-from etendue.core import CheckpointError, Replica
+from etendue.core import CheckpointError
 from etendue.engine import Budget, Checkpoint, Job, RunError, Runner
 from etendue.radiosity import (
     ABuffer,
     CastingSettings,
+    CastLines,
     LineCasting,
     MixedSegments,
     Patches,
     PatchProblem,
     RadiosityError,
+    Segments,
     SpiralPoints,
     solve,
 )
@@ -36,44 +38,83 @@ def lit_room(**properties):
     return Patches(vertices, faces, **{"reflectance": 0.5, "emission": emission, **properties})
 
 
-def prepared(patches, seed=3, lines=200, replicates=1, **options):
-    casting = LineCasting(CastingSettings(lines=lines, replicates=replicates), **options)
-    casting.prepare(PatchProblem(patches), seed)
-    return Stepped(casting)
+class Casting:
+    """A prepared casting and what its passes have measured."""
+
+    def __init__(self, patches, seed=3, lines=200, replicates=1, settings=None, **options):
+        made = settings or CastingSettings(lines=lines, replicates=replicates)
+        self.method, self.seed, self.measurement = LineCasting(made, **options), seed, None
+        self.method.prepare(PatchProblem(patches), seed)
+
+    def step(self, iteration):
+        measured = self.method.step(iteration, self.seed, {}).measurement
+        self.measurement = measured if self.measurement is None else self.measurement + measured
+
+    def run(self, start=None, **budget):
+        result = Runner(self.method, seed=self.seed, budget=Budget(**budget), start=start).run()
+        self.method.close()
+        self.measurement = result.measurement
+        return result
+
+    @property
+    def lines(self):
+        return CastLines(self.method, self.measurement)
+
+    @property
+    def noise(self):
+        return self.method.noise(self.measurement)
 
 
-def run(casting, **budget):
-    return Runner(casting.method, seed=3, budget=Budget(**budget)).run()
+def rows(segments):
+    return np.concatenate(segments.chunks)
 
 
 def test_passes_make_the_segments_of_the_engine():
     patches = cube(2)
-    casting = prepared(patches, most=20)
-    result = run(casting, samples=20)
-    assert casting.count == 20 and result.passes == 3 and result.stopped_by == "samples"
+    casting = Casting(patches, most=20)
+    result = casting.run(samples=20)
+    assert casting.lines.count == 20 and result.passes == 3 and result.stopped_by == "samples"
     same = ABuffer(patches, SpiralPoints(3), 200).cast(20)
-    segments = casting.segments()
-    np.testing.assert_array_equal(np.concatenate(segments.chunks), np.concatenate(same.chunks))
+    segments = casting.lines.segments()
+    np.testing.assert_array_equal(rows(segments), rows(same))
     np.testing.assert_array_equal(segments.expected, same.expected)
-    assert casting.shot() is None and not isinstance(segments, MixedSegments)
-    assert casting.made == len(same)
+    assert casting.lines.shot() is None and not isinstance(segments, MixedSegments)
+    assert result.result.metadata == {"bundles": 20, "segments": len(same)}
+
+
+def test_passes_in_any_order_are_the_same_lines():
+    """On several castings, as a cluster would have them; with the light of a shot."""
+    patches = lit_room()
+    whole, *parts = (Casting(patches, lines=2000) for _ in range(3))
+    for iteration in range(12):
+        whole.step(iteration)
+    for part, iterations in zip(parts, ((7, 2, 0, 11), (1, 3, 10, 9, 8, 4, 6, 5)), strict=True):
+        for iteration in iterations:
+            part.step(iteration)
+        part.method.close()
+    whole.method.close()
+    parts[0].measurement += parts[1].measurement
+    np.testing.assert_array_equal(rows(parts[0].lines.segments()), rows(whole.lines.segments()))
+    for ours, theirs in zip(outcome(parts[0]), outcome(whole), strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9)  # sums of the shot in another order
 
 
 def test_engines_with_other_pieces(monkeypatch):
-    """Dr.Jit's kernels take more bundles at once: steps are as many, and make the same lines."""
+    """Dr.Jit's kernels take more bundles at once: passes are larger, and make the same lines."""
     monkeypatch.setattr(etendue.radiosity.casting, "ABuffer", partial(ABuffer, backend="drjit"))
-    casting = prepared(cube(1), most=200)
-    assert casting.samples_per_iteration == 64
-    result = run(casting, samples=200)
-    assert result.passes == 4 and casting.count == 200
+    casting = Casting(cube(1), most=200)
+    assert casting.method.samples_per_iteration == casting.method.settings.bundles_per_pass == 64
+    result = casting.run(samples=200)
+    assert result.passes == 4 and casting.lines.count == 200
     loops = ABuffer(cube(1), SpiralPoints(3), 200).cast(200)
-    assert abs(casting.made - len(loops)) <= 3 and len(casting.segments().chunks) == 4
+    segments = casting.lines.segments()
+    assert abs(len(segments) - len(loops)) <= 3 and len(segments.chunks) == 4
 
 
 def outcome(casting):
-    segments = casting.segments()
+    segments = casting.lines.segments()
     assert isinstance(segments, MixedSegments)
-    solution = solve(casting.patches, segments, "conjugate-gradient", shot=casting.shot())
+    solution = solve(casting.method.patches, segments, "conjugate-gradient", shot=casting.lines.shot())
     return solution.radiosity, solution.irradiance_error(segments)
 
 
@@ -81,55 +122,52 @@ def outcome(casting):
 def test_a_run_that_is_resumed_is_the_run_that_was_not_interrupted(tmp_path, replicates):
     """Bit by bit, through a file; looking at errors on the way changes nothing."""
     patches = lit_room()
-    whole = prepared(patches, most=256, replicates=replicates)
-    run(whole, samples=256)
+    whole = Casting(patches, most=256, replicates=replicates)
+    whole.run(samples=256)
 
-    part = prepared(patches, goal="irradiance", most=256, replicates=replicates)
+    part = Casting(patches, goal="irradiance", most=256, replicates=replicates)
     for i in range(17):
-        part.step(i, 3)
-    assert part.noise() > 0
-    job = Job(PatchProblem(patches), part.method, seed=3, budget=Budget(samples=256), place={}, state=part.state())
+        part.step(i)
+    assert part.noise > 0
+    job = Job(PatchProblem(patches), part.method, seed=3, budget=Budget(samples=256), place={}, start=part.measurement)
     stopped = job.runner(cancel=Stop(after=5)).run()
-    assert stopped.stopped_by == "cancel" and part.count == 8 * 22
+    assert stopped.stopped_by == "cancel" and part.method.bundles(stopped.measurement) == 8 * 22
     job.checkpoint(stopped).write(tmp_path / "lines.checkpoint")
-    part.close()
+    part.method.close()
 
     saved = Checkpoint.read(tmp_path / "lines.checkpoint")
     saved.require_scene(PatchProblem(lit_room()).fingerprint)
-    rest = prepared(patches, most=256, replicates=replicates)
-    rest.restore(saved.state)
-    while rest.count < 256:
-        rest.step(0, 3)
+    rest = Casting(patches, settings=saved.settings_of(LineCasting), most=256)
+    rest.method.go_on(saved.measurement)
+    rest.run(saved.measurement, samples=256)
     for ours, theirs in zip(outcome(rest), outcome(whole), strict=True):
         np.testing.assert_array_equal(ours, theirs)
 
 
-def test_a_piece_whose_casting_fails_is_cast_again(tmp_path, monkeypatch):
-    """After its lines were kept, and rays of the shot with them: by the same casting, and from its checkpoint."""
+def test_a_pass_whose_casting_fails_is_cast_again(tmp_path, monkeypatch):
+    """With the rays of the shot: by the same casting, and from its checkpoint."""
     monkeypatch.setattr(etendue.radiosity.solvers.shot, "BATCH", 1 << 16)
     patches, lines = lit_room(), 20_000
-    whole = prepared(patches, lines=lines, most=192)
-    run(whole, samples=192)
+    whole = Casting(patches, lines=lines, most=192)
+    whole.run(samples=192)
+    blocks = sum(whole.measurement.weights.values())
 
-    def fail(shot, rays, grow=Shot.grow):
-        grow(shot, rays)
-        if rays > 100 * whole.engine.expected(1).sum() / 8:  # a quarter of the segments of that many bundles
+    def fail(shot, first, count, light=Shot.light):
+        if 2 * first > blocks:
             raise RuntimeError("on purpose")
+        return light(shot, first, count)
 
-    part = prepared(patches, lines=lines, most=192)
+    part = Casting(patches, lines=lines, most=192)
     with monkeypatch.context() as patch:
-        patch.setattr(Shot, "grow", fail)
+        patch.setattr(Shot, "light", fail)
         with pytest.raises(RunError) as caught:
-            run(part, samples=192)
+            part.run(samples=192)
     left = caught.value.run
     assert 0 < left.passes < 24
     Job(PatchProblem(patches), part.method, seed=3, budget=Budget(), place={}).checkpoint(left).write(tmp_path / "a")
-    saved = Checkpoint.read(tmp_path / "a")
-    rest = prepared(patches, lines=lines, most=192)
-    rest.restore(saved.state)
-    for casting, begun in ((rest, saved), (part, left)):
-        start, state = begun.measurement, begun.state
-        result = Runner(casting.method, seed=3, budget=Budget(samples=192), start=start, state=state).run()
+    rest = Casting(patches, lines=lines, most=192)
+    for casting, begun in ((rest, Checkpoint.read(tmp_path / "a")), (part, left)):
+        result = casting.run(begun.measurement, samples=192)
         assert result.passes == 24
         for ours, theirs in zip(outcome(casting), outcome(whole), strict=True):
             np.testing.assert_array_equal(ours, theirs)
@@ -148,39 +186,41 @@ class Stop:
 
 def test_a_finished_run_can_go_on_to_any_number():
     patches = cube(1)
-    first, whole = prepared(patches, most=20), prepared(patches, most=43)
-    begun = run(first, samples=20)
-    first.close()
-    first.most = 43
-    start, state = begun.measurement, begun.state
-    result = Runner(first.method, seed=3, budget=Budget(samples=43), start=start, state=state).run()
-    run(whole, samples=43)
-    assert first.count == 43 and result.passes == 6
-    a, b = (np.concatenate(x.segments().chunks) for x in (first, whole))
-    np.testing.assert_array_equal(a, b)
-    few = prepared(patches, most=8)
+    first, whole = Casting(patches, most=20), Casting(patches, most=43)
+    begun = first.run(samples=20)
+    first.method.most = 43
+    first.method.go_on(begun.measurement)
+    result = first.run(begun.measurement, samples=43)
+    whole.run(samples=43)
+    assert first.lines.count == 43 and result.passes == 6
+    np.testing.assert_array_equal(rows(first.lines.segments()), rows(whole.lines.segments()))
+    few = Casting(patches, most=8)
     with pytest.raises(CheckpointError, match="43 bundles, more than 8"):
-        few.restore(result.state)
+        few.method.go_on(result.measurement)
+    with pytest.raises(RadiosityError, match="pass 1 has no lines"):
+        few.step(1)
 
 
 def test_a_run_ends_at_an_error():
-    casting = prepared(lit_room(), goal="irradiance")
-    assert casting.noise() is None
-    result = run(casting, error=0.03**2, samples=1 << 14)
-    assert result.stopped_by == "error" and casting.count >= 128
-    segments = casting.segments()
-    solution = solve(casting.patches, segments, shot=casting.shot())
-    areas = casting.patches.areas[:, None]
+    patches = lit_room()
+    casting = Casting(patches, goal="irradiance")
+    casting.step(0)
+    assert casting.noise is None
+    result = casting.run(error=0.03**2, samples=1 << 14)
+    assert result.stopped_by == "error" and casting.lines.count >= 128
+    segments = casting.lines.segments()
+    solution = solve(patches, segments, shot=casting.lines.shot())
+    areas = patches.areas[:, None]
     error = (areas * solution.irradiance_error(segments)).sum() / (areas * solution.irradiance).sum()
     assert error < 0.031
-    before = casting.count
-    casting = prepared(lit_room(), goal="irradiance")
-    run(casting, error=0.001**2, samples=1 << 14)
-    assert casting.count > before
+    before = casting.lines.count
+    casting = Casting(patches, goal="irradiance")
+    casting.run(error=0.001**2, samples=1 << 14)
+    assert casting.lines.count > before
 
-    rows = prepared(cube(2), goal="rows")
-    assert run(rows, error=0.02**2, samples=1 << 14).stopped_by == "error"
-    expected = rows.engine.expected(rows.count)
+    factors = Casting(cube(2), goal="rows")
+    assert factors.run(error=0.02**2, samples=1 << 14).stopped_by == "error"
+    expected = factors.method.engine.expected(factors.lines.count)
     assert 0.7 * 0.02 < (1 / np.sqrt(expected)).mean() <= 0.02
 
 
@@ -188,14 +228,14 @@ def ends(patches, target, seeds, **options):
     """Of runs to an error, all relative to the mean over the surface: what they state, and their scatter."""
     areas, found, stated = patches.areas[:, None], [], []
     for seed in range(seeds):
-        casting = prepared(patches, seed, goal="irradiance", **options)
-        result = Runner(casting.method, seed=seed, budget=Budget(error=target**2, samples=1 << 14)).run()
-        casting.close()
+        casting = Casting(patches, seed, goal="irradiance", **options)
+        result = casting.run(error=target**2, samples=1 << 14)
         assert result.stopped_by == "error"
-        solution = solve(patches, casting.segments(), "conjugate-gradient", shot=casting.shot())
+        segments = casting.lines.segments()
+        solution = solve(patches, segments, "conjugate-gradient", shot=casting.lines.shot())
         found.append(solution.irradiance)
-        error = (areas * solution.irradiance_error(casting.segments())).sum() / (areas * solution.irradiance).sum()
-        assert error == pytest.approx(np.sqrt(casting.noise()), rel=0.05)
+        error = (areas * solution.irradiance_error(segments)).sum() / (areas * solution.irradiance).sum()
+        assert error == pytest.approx(np.sqrt(casting.noise), rel=0.05)
         stated.append(error)
     scatter = (areas * np.std(found, axis=0, ddof=1)).sum() / (areas * np.mean(found, axis=0)).sum()
     return np.mean(stated), scatter
@@ -222,75 +262,95 @@ def test_budgets_in_error_end_where_the_scatter_over_30_seeds_says(patches, targ
 
 
 def test_an_error_that_is_added_up_is_that_of_all_lines(monkeypatch):
-    """As many segments as a solution is kept for: only what is new is looked at."""
-    monkeypatch.setattr(etendue.radiosity.casting, "_FEW_SEGMENTS", 0)
+    """As many segments as a solution is kept for: only those of new passes are looked at."""
+    monkeypatch.setattr(etendue.radiosity.error_estimate, "_FEW_SEGMENTS", 0)
     patches = lit_room(emission=1.0)
-    casting = prepared(patches, goal="irradiance", replicates=3)
+    casting = Casting(patches, goal="irradiance", replicates=3)
     for i in range(40):
-        casting.step(i, 3)
+        casting.step(i)
+        if i == 16:
+            first = solve(patches, as_cast(casting), "conjugate-gradient", tolerance=1e-3)
         if i in (16, 17, 25, 39):
-            carried, irradiance = casting.noise() and casting._known
-            error = casting._lines().gather_error(carried, patches.sky)
+            # All lines anew, by what the first solution sends.
+            error = as_cast(casting).gather_error(first.radiosity, patches.sky)
             areas = patches.areas[:, None]
-            assert np.sqrt(casting.noise()) == pytest.approx((areas * error).sum() / (areas * irradiance).sum())
-    casting.close()
-    assert casting.shot() is None
+            expected = (areas * error).sum() / (areas * first.irradiance).sum()
+            assert np.sqrt(casting.noise) == pytest.approx(expected)
+    casting.method.close()
+    assert casting.lines.shot() is None
+
+
+def as_cast(casting):
+    """The segments of a measurement of three replicates, without local rays."""
+    record = casting.measurement.records["segments"]
+    batches = [iteration % 3 for _, iteration in record.passes]
+    return Segments(casting.method.patches, list(record), batches, casting.method.engine.expected(casting.lines.count))
 
 
 def test_a_run_ends_after_a_time():
     ticks = iter(np.arange(0, 1000, 0.25))
-    casting = prepared(cube(1))
+    casting = Casting(cube(1))
     result = Runner(casting.method, seed=3, budget=Budget(seconds=6), clock=lambda: next(ticks)).run()
-    casting.close()
-    assert result.stopped_by == "seconds" and 2 < result.passes < 12 and casting.count == 8 * result.passes
+    casting.method.close()
+    assert result.stopped_by == "seconds" and 2 < result.passes < 12
+    assert casting.method.bundles(result.measurement) == 8 * result.passes
 
 
-def test_what_follows_the_lines_is_reckoned_with():
+def test_what_follows_the_lines_is_reckoned_with(monkeypatch):
     """By the lines cast, and the local rays that small patches will get."""
-    casting = prepared(lit_room())
-    seconds = []
+    casting = Casting(lit_room())
     for i in range(16):
-        casting.step(i, 3)
-        seconds.append(casting.finish_seconds)
-    casting.close()
-    assert all(s > 0 for s in seconds)
-    casting._passes[:] = 0, 1  # of the rays alone
-    assert isinstance(casting.segments(), MixedSegments)
-    assert casting.finish_seconds == pytest.approx(3e-7 * casting.segments().rays + 1e-8 * casting.made)
-    without = LineCasting(CastingSettings(lines=200, local_rays=False))
-    without.prepare(PatchProblem(lit_room()), 3)
-    Replica(without, 3).step(0)
-    without.close()
-    without._passes[:] = 1, 1e9
-    without.made = 1_000_000
-    solution = solve(without.patches, without.segments(), "conjugate-gradient")
-    assert len(solution.residuals) <= 1000 * without.finish_seconds - 3 <= 2.5 * len(solution.residuals)
+        casting.step(i)
+        assert casting.method.finish_seconds(casting.measurement) > 0
+    casting.method.close()
+    # Sums that take no time: what is left is of the rays alone.
+    monkeypatch.setattr(etendue.radiosity.casting.time, "perf_counter", lambda: 0.0)
+    still = Casting(lit_room())
+    segments = casting.lines.segments()
+    assert isinstance(segments, MixedSegments)
+    expected = 3e-7 * segments.rays + 1e-8 * len(casting.measurement.records["segments"])
+    assert still.method.finish_seconds(casting.measurement) == pytest.approx(expected)
+    # A millisecond for the sums over a pass of the whole: a solution takes about as many as it has steps.
+    ticks = iter(range(1 << 20))
+    monkeypatch.setattr(etendue.radiosity.casting.time, "perf_counter", lambda: next(ticks) / 1000)
+    without = Casting(lit_room(), settings=CastingSettings(lines=200, local_rays=False))
+    without.step(0)
+    without.method.close()
+    steps = len(solve(lit_room(), without.lines.segments(), "conjugate-gradient").residuals)
+    assert steps <= 1000 * without.method.finish_seconds(without.measurement) - 3 <= 2.5 * steps
 
 
 def test_the_shot_is_cast_along_with_the_lines(monkeypatch):
     """So that little of it is left when the time is up."""
     monkeypatch.setattr(etendue.radiosity.solvers.shot, "BATCH", 1 << 16)
-    casting = prepared(lit_room(), lines=20_000)
+    casting = Casting(lit_room(), lines=20_000)
     for i in range(24):
-        casting.step(i, 3)
-    casting.close()
-    before = casting.method._left()["shot"]["blocks"]
-    casting.shot()
-    after = casting.method._left()["shot"]["blocks"]
-    assert after - 4 < before <= after and after > 4
+        casting.step(i)
+    casting.method.close()
+    with_lines = sum(casting.measurement.weights.values())
+    rays = casting.lines.shot().rays
+    left = []
+
+    def light(shot, first, count, light=Shot.light):
+        left.append(count)
+        return light(shot, first, count)
+
+    monkeypatch.setattr(Shot, "light", light)
+    assert casting.lines.shot().rays == rays
+    assert 0 <= left[0] < 4 < with_lines
 
 
 def test_a_run_takes_no_more_memory_than_there_is(monkeypatch):
     patches = cube(1)
-    casting = prepared(patches)
+    casting = Casting(patches).method
     each = casting.engine.expected(1).sum() / 2
     monkeypatch.setattr(etendue.radiosity.casting, "free_memory", lambda: int(100.5 * 8 * each))
     assert casting.memory() == 100 and 1 <= casting.memory(matrix=True) < 100
     monkeypatch.setattr(etendue.radiosity.casting, "free_memory", lambda: 1000)
     with pytest.raises(RadiosityError, match="not even one bundle"):
-        prepared(patches)
+        Casting(patches)
     monkeypatch.setattr(etendue.radiosity.casting, "free_memory", lambda: None)
-    assert prepared(patches).memory() > 1e9
+    assert Casting(patches).method.memory() > 1e9
 
 
 def test_fingerprints_tell_patches_apart():
@@ -313,11 +373,11 @@ def distant_cubes(**properties):
 def test_surfaces_far_from_each_other_get_local_rays(caplog):
     """Bundles that meet a patch four times would have 2e9 lines."""
     patches = distant_cubes()
-    casting = prepared(patches, lines=0, replicates=4, goal="irradiance", most=64)
+    casting = Casting(patches, lines=0, replicates=4, goal="irradiance", most=64)
     assert "local rays are cast from all patches instead" in caplog.text
-    run(casting, samples=64)
-    segments = casting.segments()
-    assert casting.made == len(segments) >= 64 * 8192 and segments.nbytes < 1e7
+    casting.run(samples=64)
+    segments = casting.lines.segments()
+    assert len(casting.measurement.records["segments"]) == len(segments) >= 64 * 8192 and segments.nbytes < 1e7
     # Parallel squares in closed form, whose distance is half a side; far away there is nothing to see.
     top = [i for i in range(24) if patches.normals[i, 2] > 0.9]
     found = segments.gather(patches.emission)[:, 0]

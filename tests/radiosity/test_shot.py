@@ -153,33 +153,23 @@ def test_which_emitters_are_small():
     assert not small_emitters(cube(1), 1 / 16).any()
 
 
-def test_so_many_rays_give_the_same_whenever_they_are_cast():
+def test_so_many_rays_give_the_same_whenever_they_are_cast(monkeypatch):
     patches = lamp_in_a_room()
     scene, emitters = RayScene(patches), small_emitters(patches, 1 / 16)
-    shots = [Shot(scene, OwenSobol(4, seed=3), emitters) for _ in range(3)]
-    at_once = shots[0].cast(40_000)
-    for rays in (1, 20_000, 40_000):
-        shots[1].grow(rays)  # little or nothing: it would not fill the device
-        bit_by_bit = shots[1].cast(rays)
-    assert at_once.rays == bit_by_bit.rays >= 40_000
-    np.testing.assert_array_equal(at_once.irradiance, bit_by_bit.irradiance)
-    np.testing.assert_array_equal(at_once.error, bit_by_bit.error)
-    shots[2].restore(shots[0].state())
-    np.testing.assert_array_equal(shots[2].cast(100).irradiance, at_once.irradiance)
-
-
-def test_a_shot_grows_by_what_fills_the_device(monkeypatch):
-    monkeypatch.setattr(etendue.radiosity.solvers.shot, "BATCH", 1 << 17)
-    patches = lamp_in_a_room()
-    scene, emitters = RayScene(patches), small_emitters(patches, 1 / 16)
-    grown, at_once = (Shot(scene, OwenSobol(4, seed=3), emitters) for _ in range(2))
-    size = at_once.cast(1).rays // 4
-    grown.grow(7.5 * size)
-    whole = (1 << 17) // size
-    assert 1 < whole < 8 and 8 % whole and grown.state()["blocks"] == 8 // whole * whole
-    found = grown.cast(7.5 * size)
-    assert found.rays == 8 * size
-    np.testing.assert_array_equal(found.irradiance, at_once.cast(7.5 * size).irradiance)
+    shot = Shot(scene, OwenSobol(4, seed=3), emitters)
+    rays = 9 * shot.cast(1).rays // 4
+    at_once, blocks = shot.cast(rays), shot.blocks(rays)
+    assert blocks == 9
+    monkeypatch.setattr(etendue.radiosity.solvers.shot, "BATCH", 1 << 16)  # in parts
+    again = Shot(scene, OwenSobol(4, seed=3), emitters).cast(rays)
+    assert at_once.rays == again.rays >= rays
+    np.testing.assert_array_equal(at_once.irradiance, again.irradiance)
+    np.testing.assert_array_equal(at_once.error, again.error)
+    # Blocks of several calls, in any order, add up.
+    parts = shot.result(shot.light(7, blocks - 7) + shot.light(0, 7))
+    assert parts.rays == at_once.rays
+    np.testing.assert_allclose(parts.irradiance, at_once.irradiance, rtol=1e-12)
+    np.testing.assert_allclose(parts.error, at_once.error, rtol=1e-9)
 
 
 def test_shots_that_do_not_fit():

@@ -2,15 +2,21 @@
 
 from .budget import Budget
 from .checkpoint import Checkpoint
+from .executor import Executor, InTurn
 from .fitting import fit_samples, settle_samples
 from .job import Job, Task, remaining, versions
-from .runner import Cancelled, RunError, Runner, RunResult, check_period, check_save_times
+from .runner import Cancelled, RunError, Runner, RunResult
+from .saving import check_period, check_save_times
 from .session import Session
+from .stopping import CancelEvent
 
 __all__ = [
     "Budget",
+    "CancelEvent",
     "Cancelled",
     "Checkpoint",
+    "Executor",
+    "InTurn",
     "Job",
     "RunError",
     "RunResult",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
@@ -10,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import EtendueError, Measurement, Replica, UnsupportedError, check_variant, warn_of_nonfinite
+from etendue.core import EtendueError, UnsupportedError, check_variant, warn_of_nonfinite
+from etendue.engine import Budget, RunError, Runner, RunResult
 from etendue.film import LONGER, PixelFilter, Technique
 from etendue.scene import Problem
 
@@ -53,6 +53,7 @@ def _integrator_class(method: Any, variant: str) -> type:
             self._prepared = Prepared(method, self.settings)
             self.timeout = float(props.get("timeout", -1.0))
             self._cancelled = False
+            self._runner: Runner | None = None
             self._layers = list(_AOV_CHANNELS) if self.options["aovs"] else []  # beside the picture, in the film
             super().__init__(props)
 
@@ -85,10 +86,9 @@ def _integrator_class(method: Any, variant: str) -> type:
             with dr.suspend_grad():
                 number = int(np.asarray(seed).ravel()[0])
                 with self._prepared.ready(problem, number) as ready:
-                    replica = Replica(ready, number)
-                    measurement = self._measure(replica, problem.spp)
-                    layers = replica.develop(measurement).layers
-                warn_of_nonfinite(measurement)
+                    run = self._run(ready, number, problem.spp)
+                    layers = run.result.layers
+                warn_of_nonfinite(run.measurement)
                 self._layers = _asked_for(self.options, layers)
                 _fill(film, problem, layers, self._layers)
                 if not develop:
@@ -99,18 +99,20 @@ def _integrator_class(method: Any, variant: str) -> type:
                     dr.sync_thread()
                 return image
 
-        def _measure(self, replica: Replica, spp: int) -> Measurement:
-            """The passes of a picture."""
-            passes = -(-spp // replica.method.samples_per_iteration)
-            if plan := getattr(replica.method, "plan", None):
-                plan(self.timeout if self.timeout > 0 else None, passes, None)
-            start = time.perf_counter()
-            total = replica.step(0)
-            for iteration in range(1, passes):
-                if self._cancelled or 0 < self.timeout < time.perf_counter() - start:
-                    break
-                total += replica.step(iteration)
-            return total
+        def _run(self, ready: Any, seed: int, spp: int) -> RunResult:
+            """The passes of a picture; the first one is made also if it is cancelled before."""
+            passes = -(-spp // ready.samples_per_iteration)
+            budget = Budget(seconds=self.timeout if self.timeout > 0 else None, iterations=passes)
+            runner = Runner(ready, seed=seed, budget=budget, cancel=self, watched=False)
+            self._runner = runner
+            try:
+                return runner.run()
+            except RunError as error:
+                raise error.__cause__ or error from None
+
+        def is_set(self) -> bool:
+            """Whether the passes under way should end: see ``engine.CancelEvent``."""
+            return self._cancelled and self._runner is not None and self._runner.progress.passes > 0
 
         def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
             """Raises: derivatives are not computed."""

@@ -1,0 +1,73 @@
+"""When a run saves what it has so far."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from etendue.core import OptionError, describe, logger
+
+T = TypeVar("T")
+
+#: Intermediate saves may take at most this share of the time.
+SAVE_SHARE = 0.1
+#: Seconds that are nothing: what rounding makes of a time that is counted from the resumption of a run.
+CLOCK_GRAIN = 1e-6
+
+
+def check_period(save_every: float | None) -> None:
+    """Raise :class:`OptionError` if ``save_every`` is no time between intermediate saves."""
+    number = isinstance(save_every, (int, float)) and not isinstance(save_every, bool)
+    if save_every is not None and not (number and math.isfinite(save_every) and save_every > 0):
+        raise OptionError(f"the time between saves (--save-every) must be above 0 seconds, not {save_every!r}")
+
+
+def check_save_times(save_at: Sequence[float]) -> None:
+    """Raise :class:`OptionError` unless ``save_at`` are times above 0 seconds, each later than the one before."""
+    before = 0.0
+    for time_ in save_at:
+        number = isinstance(time_, (int, float)) and not isinstance(time_, bool) and math.isfinite(time_)
+        if not number or time_ <= before:
+            raise OptionError(f"the times of saves must be above 0 seconds and grow; {time_!r} after {before:g} is not")
+        before = time_
+
+
+class Saving:
+    """Saves every ``every`` seconds, and after the passes that reach the seconds ``at``. Times are those of ``clock``,
+    but for ``at``: these count from the beginning of the run."""
+
+    def __init__(self, every: float | None, at: Sequence[float], clock: Callable[[], float]) -> None:
+        check_period(every)
+        check_save_times(at)
+        self._every = math.inf if every is None else every
+        self._ahead = deque(at)
+        self._clock = clock
+        self._last = clock()
+
+    def begin(self) -> None:
+        """The run begins now."""
+        self._last = self._clock()
+
+    def passed(self, elapsed: float) -> tuple[float, ...]:
+        """The times ``at`` up to ``elapsed``; each is given once."""
+        passed = []
+        while self._ahead and self._ahead[0] <= elapsed + CLOCK_GRAIN:
+            passed.append(self._ahead.popleft())
+        return tuple(passed)
+
+    def after_pass(self, elapsed: float, save: Callable[[tuple[float, ...]], object]) -> None:
+        """Call ``save`` with the times that were reached, if it is time. If it fails, that is reported, and the run
+        goes on."""
+        times = self.passed(elapsed)
+        if not times and self._clock() - self._last < self._every:
+            return
+        begin = self._clock()
+        try:
+            save(times)
+        except Exception as error:
+            logger.warning("intermediate save failed, rendering goes on: %s", describe(error))
+        cost = self._clock() - begin
+        # A slow disk makes periodic saves rarer, never the rendering slow.
+        self._last = self._clock() + max(0.0, cost / SAVE_SHARE - self._every)

@@ -1,0 +1,128 @@
+"""When a run is over, and how far it has come: the budget, the time that passes take, the noise of the picture."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Literal, Protocol
+
+from etendue.core import Measurement, Method, OptionError, Progress
+
+from .budget import Budget
+
+#: What ended a run. ``running``: it goes on (an intermediate save); ``failure``: a pass raised.
+StoppedBy = Literal["seconds", "samples", "error", "cancel", "failure", "running"]
+
+#: Growth of the number of passes between two estimates of the noise: cheap, and the same in every run.
+ERROR_CADENCE = 0.05
+#: Passes before an estimate of the noise may end a run. With fewer it is itself noise, and where light is found rarely
+#: the first passes may all miss it and agree on a picture that is too dark.
+LEAST_PASSES_FOR_ERROR = 16
+
+
+class CancelEvent(Protocol):
+    """What is asked between passes; a ``threading.Event`` is one."""
+
+    def is_set(self) -> bool:
+        """Whether the run should stop."""
+        ...
+
+
+class Stopping:
+    """Looks at a run after each pass. ``watched``: whether its noise is of interest where no budget asks for it."""
+
+    def __init__(self, method: Method, budget: Budget, cancel: CancelEvent | None, watched: bool = True) -> None:
+        if not budget and cancel is None:
+            raise OptionError("a run needs a budget: seconds, samples, passes or error")
+        self.method, self.budget = method, budget
+        self._cancel = cancel
+        self._watched = watched or budget.error is not None
+        self._durations: deque[tuple[float, float]] = deque(maxlen=8)  # (seconds, rays) of the latest passes
+        self._done = 0  # passes of this run
+        self._error: float | None = None
+        self._next_error = 2
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether this run has made a pass."""
+        return self._done > 0
+
+    def count(self, seconds: float, rays: float) -> None:
+        """A pass was made."""
+        self._durations.append((seconds, rays))
+        self._done += 1
+
+    def reason(self, measurement: Measurement | None, elapsed: float) -> StoppedBy | None:
+        """Why no further pass should be begun; ``None`` if one should. The first pass of a run is not predicted."""
+        if self._cancel is not None and self._cancel.is_set():
+            return "cancel"
+        passes = len(measurement.iterations) if measurement is not None else 0
+        allowed = self.budget.passes(self.method.samples_per_iteration)
+        if allowed is not None and passes >= allowed:
+            return "samples"
+        reached = self.budget.error is not None and self._error is not None and self._error <= self.budget.error
+        if reached and passes >= LEAST_PASSES_FOR_ERROR:
+            return "error"
+        if self.budget.seconds is not None and self.has_begun:
+            assert measurement is not None
+            if elapsed + self._predict() + self._finish(measurement) > self.budget.seconds:
+                return "seconds"
+        return None
+
+    def look(self, measurement: Measurement) -> None:
+        """Estimate the noise anew, if the passes have become enough more since the last time."""
+        passes = len(measurement.iterations)
+        # A method whose error is not one of pixels estimates it by itself, and says how often that is worth its time.
+        estimate = getattr(self.method, "noise", None)
+        is_known = estimate is not None or "image" in measurement.squares
+        if passes < self._next_error or not (self._watched and is_known):
+            return
+        self._error = error = measurement.relative_error() if estimate is None else estimate(measurement)
+        step = math.ceil(getattr(self.method, "error_cadence", ERROR_CADENCE) * passes)
+        if self.budget.error is not None and error is not None and math.isfinite(error):
+            # Noise falls as 1/passes: look again no later than where the target should be reached.
+            least = 1 if estimate is None else math.ceil(ERROR_CADENCE * passes)
+            step = min(step, max(least, math.ceil(passes * (error / self.budget.error - 1.0))))
+        self._next_error = passes + max(1, step)
+
+    def progress(self, measurement: Measurement, elapsed: float) -> Progress:
+        """How far the run has come, after a pass."""
+        passes = len(measurement.iterations)
+        timed = list(self._durations)[1:] if self._done == len(self._durations) > 1 else list(self._durations)
+        seconds = sum(s for s, _ in timed)
+        rays = sum(r for _, r in timed)
+        per_pass = seconds / len(timed)
+        left: list[float] = []
+        shares: list[float] = []
+        if self.budget.seconds is not None:
+            left.append(max(0.0, self.budget.seconds - elapsed))
+            shares.append((elapsed + self._finish(measurement)) / self.budget.seconds)
+        if (allowed := self.budget.passes(self.method.samples_per_iteration)) is not None:
+            left.append(max(0, allowed - passes) * per_pass)
+            shares.append(passes / allowed)
+        if self.budget.error is not None and self._error:
+            needed = max(passes * self._error / self.budget.error, LEAST_PASSES_FOR_ERROR)
+            left.append(max(0.0, needed - passes) * per_pass)
+            shares.append(passes / needed)
+        return Progress(
+            passes=passes,
+            samples=passes * self.method.samples_per_iteration,
+            elapsed=elapsed,
+            eta=min(left, default=None),
+            rays=measurement.counters.get("rays", 0.0),
+            rays_per_second=rays / seconds if rays > 0 and seconds > 0 else None,
+            relative_error=self._error,
+            fraction=min(1.0, max(shares)) if shares else None,
+        )
+
+    def _finish(self, measurement: Measurement) -> float:
+        """Seconds that the method needs after its last pass."""
+        finish = getattr(self.method, "finish_seconds", None)
+        return 0.0 if finish is None else float(finish(measurement))
+
+    def _predict(self) -> float:
+        """Seconds that the next pass will take, on the safe side."""
+        if self._done == 1:  # the first pass compiles; the second tells
+            return 0.5 * max(0.0, self._durations[0][0] - getattr(self.method, "setup_seconds", 0.0))
+        recent = [seconds for seconds, _ in self._durations][-min(len(self._durations), self._done - 1) :]
+        return max(recent)
