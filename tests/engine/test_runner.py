@@ -78,7 +78,7 @@ def test_what_is_left_to_do_after_the_last_pass_is_a_part_of_the_time(timed):
     method, clock = timed([1.0])
     method.finish_seconds = lambda measurement: 0.5 + 0.5 * len(measurement.iterations)
     result = Runner(method, seed=0, budget=Budget(seconds=12.0), clock=clock).run()
-    assert (result.passes, result.stopped_by) == (7, "seconds")  # an eighth would end at 12.0, as the work after 7 does
+    assert (result.passes, result.stopped_by) == (8, "seconds")  # 8 + 4.5 s; after 7, an eighth and what 7 need fit
 
 
 @pytest.mark.parametrize(("spent", "passes"), [(7.0, 5), (7.5, 4), (50.0, 1)])

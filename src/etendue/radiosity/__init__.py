@@ -32,7 +32,7 @@ from etendue.surfaces import (
     vertex_radiosity,
 )
 
-from .casting import REPLICATES, CastingSettings, CastLines, LineCasting, PatchProblem
+from .casting import REPLICATES, CastingSettings, CastLines, LineCasting
 from .errors import RadiosityError
 from .factors.exact import exact_form_factors
 from .factors.formfactors import ESTIMATORS, Estimator, FormFactors, estimate, form_factors, pair_errors
@@ -60,7 +60,9 @@ from .lines.mixing import MixedSegments, with_local_rays
 from .lines.segments import Segments
 from .lines.spiral import SpiralPoints
 from .pictures import PICTURE_FILES, picture
+from .problem import PatchProblem
 from .solvers.multipath import Multipath, multipath, multipath_bundles
+from .solvers.multipath_passes import MultipathPasses, MultipathSettings
 from .solvers.particles import Particles, breadth_first, depth_first
 from .solvers.shot import FirstShot, first_shot, shot_at_patches, small_emitters
 from .solvers.system import SOLVERS, Solution, Solver, Transport, check_direct, solve
@@ -97,6 +99,8 @@ __all__ = [
     "LocalRays",
     "MixedSegments",
     "Multipath",
+    "MultipathPasses",
+    "MultipathSettings",
     "Particles",
     "PatchError",
     "PatchProblem",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -38,6 +37,7 @@ from .lines.mixing import local_rays, with_local_rays
 from .lines.replicates import Replicates
 from .lines.segments import Pairs, Segments
 from .lines.spiral import SpiralPoints
+from .problem import PatchProblem
 from .solvers.shot import SEQUENCES, FirstShot, Shot, ShotSums, small_emitters
 
 #: Rays of a first shot for each segment: they take half as long as casting it, and half the error is left to the lines.
@@ -73,23 +73,6 @@ class CastingSettings(AnySettings):
         1, "independent sequences of lines, whose scatter tells the error; with one, it is an upper estimate", minimum=1
     )
     bundles_per_pass: int = setting(0, "bundles of a pass, 0 for the engine's choice", minimum=0)
-
-
-@dataclass(frozen=True)
-class PatchProblem:
-    """Patches as what a job works on. ``source`` says where they are from."""
-
-    patches: Patches
-    source: str = "<patches>"
-
-    @cached_property
-    def fingerprint(self) -> str:
-        """Hex digest of the geometry, the properties and the sky; the same in every process."""
-        digest = hashlib.blake2b(digest_size=16)
-        p = self.patches
-        for array in (p.vertices, p.faces, p.front, p.back, p.labels, p.reflectance, p.emission, p.sky):
-            digest.update(str((array.shape, array.dtype.str)).encode() + np.ascontiguousarray(array).tobytes())
-        return digest.hexdigest()
 
 
 class LineCasting:

@@ -52,22 +52,45 @@ def multipath(engine: LineEngine, count: int, first: int = 0, shot: FirstShot | 
     Raises :class:`RadiosityError` if nothing emits, for less than one point, and for an engine whose successive lines
     are parallel (:attr:`LineEngine.shares_directions`): light would go to and fro between the same patches.
     """
-    patches, own = engine.patches, _own(engine.patches, shot, count)
-    if engine.shares_directions:
-        raise RadiosityError(
-            f"multipath line by line needs a direction for each line, those of {type(engine).__name__} come in "
-            "parallel bundles: take multipath_bundles(), or one line a bundle"
-        )
-    expected = engine.expected(count)
-    reflectance, per_line, unshot, received = np.zeros((4, len(patches) + 2, patches.channels))
-    reflectance[:-2] = patches.reflectance
-    per_line[:-2] = own / expected[:, None]
-    per_line[-2] = _sky_per_line(patches, expected)
-    lines = np.zeros((len(patches) + 2, 3), np.int64)
+    exchange = LineExchange(engine, count, shot)
+    unshot, received = np.zeros((2, *exchange.shape))
+    sent = np.zeros(engine.patches.channels)
     for chunk in engine.stream(count, first):
-        compiled().multipath(chunk, reflectance, per_line, unshot, received)
-        compiled().count_ends(chunk, lines)
-    return _result(patches, shot, (per_line * lines[:, :1]).sum(axis=0), unshot[:-2], received)
+        sent += exchange.along(chunk, unshot, received)
+    return exchange.result(sent, unshot, received)
+
+
+class LineExchange:
+    """What :func:`multipath` does along segments, for lines of ``count`` points that send all power once. Raises as
+    it does."""
+
+    def __init__(self, engine: LineEngine, count: int, shot: FirstShot | None = None) -> None:
+        patches, own = engine.patches, _own(engine.patches, shot, count)
+        if engine.shares_directions:
+            raise RadiosityError(
+                f"multipath line by line needs a direction for each line, those of {type(engine).__name__} come in "
+                "parallel bundles: take multipath_bundles(), or one line a bundle"
+            )
+        self.patches, self.shot = patches, shot
+        #: Of power by patch, the sky, darkness and channel.
+        self.shape = len(patches) + 2, patches.channels
+        self._reflectance, self._per_line = np.zeros((2, *self.shape))
+        expected = engine.expected(count)
+        self._reflectance[:-2] = patches.reflectance
+        self._per_line[:-2] = own / expected[:, None]
+        self._per_line[-2] = _sky_per_line(patches, expected)
+
+    def along(self, pairs: Pairs, unshot: Array, received: Array) -> Array:
+        """Exchange power along segments: changes ``unshot`` and ``received``, returns the power (c,) sent anew."""
+        compiled().multipath(pairs, self._reflectance, self._per_line, unshot, received)
+        ends = np.zeros((len(unshot), 3), np.int64)
+        compiled().count_ends(pairs, ends)
+        sent: Array = (self._per_line * ends[:, :1]).sum(axis=0)
+        return sent
+
+    def result(self, sent: Array, unshot: Array, received: Array) -> Multipath:
+        """Of power that was sent and received, and of what is left."""
+        return _result(self.patches, self.shot, sent, unshot[:-2], received)
 
 
 def multipath_bundles(engine: LineEngine, count: int, first: int = 0, shot: FirstShot | None = None) -> Multipath:

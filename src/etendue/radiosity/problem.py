@@ -1,0 +1,28 @@
+"""Patches as what methods work on."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from etendue.surfaces import Patches
+
+
+@dataclass(frozen=True)
+class PatchProblem:
+    """Patches as what a job works on. ``source`` says where they are from."""
+
+    patches: Patches
+    source: str = "<patches>"
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hex digest of the geometry, the properties and the sky; the same in every process."""
+        digest = hashlib.blake2b(digest_size=16)
+        p = self.patches
+        for array in (p.vertices, p.faces, p.front, p.back, p.labels, p.reflectance, p.emission, p.sky):
+            digest.update(str((array.shape, array.dtype.str)).encode() + np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
