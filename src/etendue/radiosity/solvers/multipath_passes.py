@@ -45,7 +45,7 @@ class MultipathPasses:
     """:func:`multipath` in passes; implements ``core.Method``.
 
     Each pass sends the power of all patches along its lines; what they have not sent on in the end is the state that
-    the next pass begins with. So N passes are :func:`multipath` by as many lines, but for the unit of power: nobody
+    the next pass begins with, and its growth is measured, so that replicas add. N passes are :func:`multipath` by as many lines, but for the unit of power: nobody
     has to know N beforehand. A sample of a budget is a point, its error the *square* of the standard error of the
     irradiance, mean over the surface in units of its mean, by the scatter of the passes: for an even sequence, an upper
     estimate.
@@ -89,19 +89,20 @@ class MultipathPasses:
         for chunk in self._engine.stream(size, iteration * size):
             sent += self._exchange.along(chunk, unshot, received)
             segments += len(chunk)
+        sums = {"received": received, "sent": sent, "unshot": unshot - state["unshot"]}
         measurement = Measurement(
-            {"received": received, "sent": sent},
-            {"received": 1.0, "sent": 1.0},
+            sums,
+            dict.fromkeys(sums, 1.0),
             Iterations.single(iteration),
             squares={"received": received**2},
             counters={"rays": float(segments)},
         )
         return Pass(measurement, {"unshot": unshot})
 
-    def solution(self, measurement: Measurement, state: State) -> Multipath:
-        """What the passes have exchanged; ``state`` is that after the last of them."""
-        left = state["unshot"] / measurement.weights["received"]
-        return self._exchange.result(measurement.mean("sent"), left, measurement.mean("received"))
+    def solution(self, measurement: Measurement) -> Multipath:
+        """What the passes have exchanged, those of several replicas together."""
+        means = (measurement.mean(name) for name in ("sent", "unshot", "received"))
+        return self._exchange.result(*means)
 
     def develop(self, measurement: Measurement, state: State) -> Result:
         """No picture: only how much was exchanged."""
