@@ -44,11 +44,11 @@ def even_lines(patches: Patches, seed: int) -> LineEngine:
 class MultipathPasses:
     """:func:`multipath` in passes; implements ``core.Method``.
 
-    Each pass sends the power of all patches along its lines; what they have not sent on in the end is the state that
-    the next pass begins with, and its growth is measured, so that replicas add. N passes are :func:`multipath` by as many lines, but for the unit of power: nobody
-    has to know N beforehand. A sample of a budget is a point, its error the *square* of the standard error of the
-    irradiance, mean over the surface in units of its mean, by the scatter of the passes: for an even sequence, an upper
-    estimate.
+    Each pass sends the power of all patches along its lines. What they have not sent on in the end is the state that
+    the next pass begins with; its growth is measured, so that replicas add. N passes are :func:`multipath` by as many
+    lines, but for the unit of power: nobody has to know N beforehand. A sample of a budget is a point, its error the
+    *square* of the standard error of the irradiance, mean over the surface in units of its mean, by the scatter of the
+    passes: for an even sequence, an upper estimate.
     """
 
     name: ClassVar[str] = "multipath"
