@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from etendue.core import Measurement, OptionError, Replica, Result
+from etendue.core import Measurement, OptionError, Replica, Result, is_whole
 from etendue.methods import ImageMethod, ImageSettings, Path
 from etendue.scene import Problem, check, load
 from etendue.surfaces import PatchSurfaces, SurfaceValues
@@ -62,7 +62,7 @@ def picture(
     """
     check_colours(solution)
     for name, value, least in (("samples", samples, 1), ("gather", gather, 0)):
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        if not is_whole(value) or value < least:
             raise OptionError(f"{name} is a whole number of at least {least}, not {value!r}")
     error = None if irradiance_error is None else np.asarray(irradiance_error, dtype=np.float64)
     if error is not None and error.shape != solution.irradiance.shape:
