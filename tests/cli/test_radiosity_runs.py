@@ -15,9 +15,10 @@ import pytest
 from support.patches import box, joined, square
 
 import etendue.radiosity.casting
-from etendue.cli.lines import _words
 from etendue.cli.main import main
+from etendue.cli.solutions import _words
 from etendue.core import OutputError, Progress
+from etendue.jobs import solutions
 from etendue.radiosity import LineCasting, Patches, thermal
 
 meshio = pytest.importorskip("meshio")
@@ -175,13 +176,11 @@ def test_ctrl_c_before_any_line(monkeypatch, capsys):
 
 
 def test_a_file_that_cannot_be_written_costs_no_line(tmp_path, monkeypatch, capsys):
-    import etendue.radiosity
-
     def full(path, *arguments, **named):
         raise OutputError(f"cannot write '{path}': no space left")
 
     with monkeypatch.context() as patch:
-        patch.setattr(etendue.radiosity, "save_solution", full)
+        patch.setattr(solutions, "save_solution", full)
         patch.setattr(tempfile, "tempdir", str(tmp_path))
         assert run("radiosity room.vtu --emission glow --bundles 24") == 5
     err = capsys.readouterr().err.splitlines()[-1]
