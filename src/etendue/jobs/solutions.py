@@ -230,8 +230,10 @@ class SolutionOutputs:
     # ------------------------------------------------------------------ plain values
 
     def renamed(self, output: Path) -> SolutionOutputs:
-        """The same, written to one file, or to one lightmap if there was one."""
-        return replace(self, files=(), lightmap=output) if self.lightmap is not None else replace(self, files=(output,))
+        """The same, written to one file; it is a lightmap if there was nothing else."""
+        if self.files or self.lightmap is None:
+            return replace(self, files=(output,), lightmap=None, uv=None)
+        return replace(self, lightmap=output)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, with paths that hold in any folder."""
