@@ -156,7 +156,7 @@ def test_what_was_asked_is_in_the_checkpoint(monkeypatch):
     """In paths that hold in any folder; not if the source was in memory."""
     outputs = SolutionOutputs((Path("a.npz"), Path("a.png")), size=(8, 6), gather=2, lightmap=Path("m.glb"), uv="n.glb")
     asked = RadiosityRequest(
-        source="cornell-box", outputs=outputs, solver="jacobi", max_area=0.5, parameters={"a": "1"}, shot=False, seed=3
+        source="cornell-box", outputs=outputs, solver="jacobi", max_area=0.5, parameters={"a": 1}, shot=False, seed=3
     )
     saved = Checkpoint.__new__(Checkpoint)
     saved.notes = asked.notes()

@@ -108,7 +108,8 @@ class LinesRequest(ABC):
         for name, value in (("seconds", self.seconds), ("error", self.error)):
             if value is not None and not (is_number(value) and value > 0):
                 raise OptionError(f"a budget in {self.wording.limit(name)} must be a number above 0, not {value!r}")
-        if self.bundles is not None and not (is_whole(self.bundles) and self.bundles >= 1):
+        whole = is_number(self.bundles) and float(self.bundles or 0).is_integer()
+        if self.bundles is not None and not (whole and self.bundles >= 1):
             limit = self.wording.limit("bundles")
             raise OptionError(f"a budget in {limit} must be a whole number of at least 1, not {self.bundles!r}")
         if not is_whole(self.seed):
@@ -185,11 +186,11 @@ class LinesRequest(ABC):
             return {}
         place: Any = Path(self.source) if self.is_mesh else locate(self.source, logger.debug)
         plain = {name: getattr(self, name) for name in self._noted()}
-        plain |= {"source": str(place.absolute()) if isinstance(place, Path) else place.name}
+        plain |= {"seed": int(self.seed), "source": str(place.absolute()) if isinstance(place, Path) else place.name}
         return {_NOTE: {"work": self.work, **plain, **self._noted_outputs()}}
 
     def _noted(self) -> tuple[str, ...]:
-        return ("seed", "lines", "local_rays", "max_area", "mesh")
+        return ("lines", "local_rays", "max_area", "mesh")
 
     @abstractmethod
     def _noted_outputs(self) -> dict[str, Any]: ...
@@ -281,10 +282,11 @@ class RadiosityRequest(LinesRequest):
         return f"'{self.name}' has no light; {how}"
 
     def _noted(self) -> tuple[str, ...]:
-        return (*super()._noted(), "parameters", "solver", "shot")
+        return (*super()._noted(), "solver", "shot")
 
     def _noted_outputs(self) -> dict[str, Any]:
-        return {"outputs": self.outputs.to_dict()}
+        given = None if self.parameters is None else {name: str(value) for name, value in self.parameters.items()}
+        return {"parameters": given, "outputs": self.outputs.to_dict()}
 
 
 def asked_before(saved: Checkpoint, *, source: Any = None, output: Path | None = None, **changes: Any) -> LinesRequest:

@@ -52,7 +52,7 @@ class LinesWork(ABC, Generic[Q, R]):
                 self.goal,
                 budget,
                 request.name,
-                request.seed,
+                int(request.seed),
                 request.lines,
                 shot=self._wants_shot,
                 local_rays=request.local_rays,
