@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue import display, film
+from etendue import film
 from etendue.core import OptionError, Progress, Result, warn_of_nonfinite
 from etendue.engine import Checkpoint, Job, Runner, RunResult, check_period
 
@@ -186,6 +186,8 @@ def _write_arrays(path: Path, layers: Mapping[str, Image]) -> None:
 
 def save_result(path: PathLike, result: Result, separate: bool = False) -> None:
     """Write a result as ``.exr`` (layers and metadata; ``separate``: a file each) or ``.png`` (tone-mapped)."""
+    from etendue import display  # not before it is needed: nearly all of it is for pages and plots
+
     path = Path(path)
     if _check_suffix(path) == ".exr" and separate:
         film.write_layers(path, result)
