@@ -135,11 +135,10 @@ class SolutionOutputs:
         if problem is None and (self.pictures or self.uv == OWN):
             what = "a picture takes a scene, for its camera" if self.pictures else f"{option('uv')} scene takes a scene"
             raise OptionError(f"{what}; of a mesh file write one of the other kinds of files")
-        if patches.channels not in (1, 3):
-            shown = [path.suffix.lower() for path in self.files if path.suffix.lower() in (*_COLOURS, *PICTURE_FILES)]
-            shown += [] if self.lightmap is None else ["a lightmap"]
-            for what in shown:
-                raise RadiosityError(f"{what} shows one channel or three, not {patches.channels}; write .vtu or .npz")
+        shown = [path.suffix.lower() for path in self.files if path.suffix.lower() in (*_COLOURS, *PICTURE_FILES)]
+        shown += [] if self.lightmap is None else ["a lightmap"]
+        if shown and patches.channels not in (1, 3):
+            raise RadiosityError(f"{shown[0]} shows one channel or three, not {patches.channels}; write .vtu or .npz")
         if self.lightmap is not None and self.uv is not None:
             check_coordinates(self._coordinates(problem), (self.lightmap_size, self.lightmap_size))
 
