@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from etendue.integration import Integrand, Vegas, library
+from etendue.integration import Integrand, Vegas, array_namespace
 
 from .measuring import Record, interleaved, spread, verdict
 
@@ -28,7 +28,7 @@ def gaussian(x: Any) -> Any:
     squared = 0.0
     for v in x:
         squared = squared + (v - 0.5) * (v - 0.5)
-    return library(x[0]).exp(squared * -100.0) * _SCALE
+    return array_namespace(x[0]).exp(squared * -100.0) * _SCALE
 
 
 def _theirs() -> tuple[Any, Callable[[int], Any]]:

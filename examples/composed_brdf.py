@@ -20,7 +20,7 @@ import numpy as np
 import etendue
 from etendue.core import use_variant
 from etendue.display import tonemap, write_png
-from etendue.integration import Box, Integrand, QuasiMonteCarlo, Stratified, constant, integral, library
+from etendue.integration import Box, Integrand, QuasiMonteCarlo, Stratified, array_namespace, constant, integral
 from etendue.scene import composed_bsdf
 from etendue.transport import TransportFunctions, film_picture
 
@@ -33,25 +33,25 @@ BOX = Box.of([(0, 1)] * 2 + [(-1, 1)] * 6)
 
 def hemisphere(x: Any) -> list[Any]:
     """A direction from two uniform numbers, of density cos / pi."""
-    top, angle = library(x[0]), 2 * math.pi * x[1]
+    top, angle = array_namespace(x[0]), 2 * math.pi * x[1]
     return [top.sqrt(1 - x[0]) * top.cos(angle), top.sqrt(1 - x[0]) * top.sin(angle), top.sqrt(x[0])]
 
 
 def texture(x: Any) -> list[Any]:
     """4 x 4 colours, interpolated linearly: each counts by its distance."""
-    top, colours = library(x[0]), np.random.default_rng(5).uniform(0.05, 0.65, (4, 4, 3))
+    top, colours = array_namespace(x[0]), np.random.default_rng(5).uniform(0.05, 0.65, (4, 4, 3))
     near = [[top.maximum(0, 1 - abs(3 * v - k)) for k in range(4)] for v in x]
     return [sum(near[0][i] * near[1][j] * colours[i, j, c] for i in range(4) for j in range(4)) for c in range(3)]
 
 
 def power_lobe(x: Any) -> Any:
     """(n + 2) / (2 pi) cos^n of the cosine x[0] and the exponent x[1]."""
-    return (x[1] + 2) / (2 * math.pi) * library(x[0]).maximum(x[0], 0) ** x[1]
+    return (x[1] + 2) / (2 * math.pi) * array_namespace(x[0]).maximum(x[0], 0) ** x[1]
 
 
 def exponent(x: Any) -> Any:
     """Waves between 10 and 200."""
-    return 105 + 95 * library(x[0]).sin(20 * x[0]) * library(x[0]).sin(20 * x[1])
+    return 105 + 95 * array_namespace(x[0]).sin(20 * x[0]) * array_namespace(x[0]).sin(20 * x[1])
 
 
 DIRECTION = Integrand(hemisphere, 2, (-1, 1), "either", values=3)
@@ -112,7 +112,7 @@ def seen_from_above(f: Integrand, scene: Any) -> Integrand:
 
     def towards_eye(x: Any) -> list[Any]:
         offset = [1 - 2 * x[0], 1 - 2 * x[1], EYE + 0 * x[0]]
-        length = library(x[0]).sqrt(sum(v * v for v in offset))
+        length = array_namespace(x[0]).sqrt(sum(v * v for v in offset))
         return [v / length for v in offset]
 
     eye = Integrand(towards_eye, box, (-1, 1), "device", values=3)

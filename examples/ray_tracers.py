@@ -27,8 +27,8 @@ from etendue.integration import (
     MeanSample,
     ProductDensity,
     Vegas,
+    array_namespace,
     integral,
-    library,
 )
 from etendue.scene import bundled_scene
 from etendue.transport import TransportFunctions, film_picture
@@ -76,7 +76,7 @@ def path_tracer(light: TransportFunctions) -> Integrand:
     """
 
     def path(x: Any) -> list[Any]:
-        top = library(x[0])
+        top = array_namespace(x[0])
         ray = light.camera.evaluate(x[1:3])
         value: Any = 0
         throughput: Any = 1

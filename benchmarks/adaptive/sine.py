@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from etendue.core import Array
-from etendue.integration import AxisBins, Integrand, Vegas, library
+from etendue.integration import AxisBins, Integrand, Vegas, array_namespace
 
 from .. import plotting
 from ..measuring import Record
 
 BINS = 10
-SINE = Integrand(lambda x: library(x[0]).sin(x[0]), [(0.0, math.pi)])
+SINE = Integrand(lambda x: array_namespace(x[0]).sin(x[0]), [(0.0, math.pi)])
 
 
 @dataclass(frozen=True)

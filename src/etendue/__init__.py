@@ -6,7 +6,7 @@ render any scene with any method without them.
 
 from . import core as core  # first: it finds Dr.Jit an LLVM before anything imports Dr.Jit
 from . import plugins as plugins
-from .api import Update, render, resume, start
+from .api import render, resume, start
 from .conformance import check
 from .core import (
     BackendError,
@@ -18,9 +18,9 @@ from .core import (
     UnsupportedError,
 )
 from .engine import Session
-from .outputs import Rendering
+from .jobs import FormFactorResult, RadiosityResult, Rendering, Update
 from .plugins import register_method as register
-from .solving import FormFactorResult, RadiosityResult, compute_form_factors, solve_radiosity
+from .solving import compute_form_factors, solve_radiosity, start_form_factors, start_radiosity
 
 plugins.register()  # in every Mitsuba variant that is set, now or later
 
@@ -44,4 +44,6 @@ __all__ = [
     "resume",
     "solve_radiosity",
     "start",
+    "start_form_factors",
+    "start_radiosity",
 ]

@@ -2,31 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
-from etendue.core import OptionError, Progress, describe, logger, use_variant, warn_of_nonfinite
-from etendue.engine import Budget, Checkpoint, Job, RunError, Runner, RunResult, Session, Task
-
-from .outputs import Image, Outputs, PathLike, Rendering, Writer
-
-
-@dataclass(frozen=True)
-class Update:
-    """What a callback is given after a pass."""
-
-    progress: Progress
-    _runner: Runner = field(repr=False)
-
-    @property
-    def image(self) -> Image:
-        """The picture so far, developed when asked for."""
-        snapshot = self._runner.snapshot()
-        assert snapshot is not None  # a callback follows a pass
-        return snapshot.image
-
+from etendue.core import OptionError, Progress, logger, use_variant
+from etendue.engine import Budget, Checkpoint, Job, Runner, Session, Task
+from etendue.jobs import Outputs, PathLike, PictureWork, Rendering, Update, Writer, run_work, start_work
 
 #: Called after each pass; rendering stops if it returns ``False``.
 Callback = Callable[[Update], object]
@@ -175,49 +156,12 @@ def start_job(open_job: Callable[[], Job], outputs: Writer, callback: Callback |
 
     ``callback`` is called in that thread after each pass.
     """
-    jobs: list[Job] = []
-
-    def build(stop: threading.Event) -> Runner:
-        jobs.append(open_job())
-        return _runner(jobs[0], outputs, callback, stop)
-
-    return Session(build, lambda run: _finish(jobs[0], outputs, run))
+    return start_work(lambda: PictureWork(open_job(), outputs), _watch(callback))
 
 
 def _run(job: Job, outputs: Outputs, callback: Callback | None) -> Rendering:
-    """Run in this thread, so that the callback may do what it likes (plot, raise)."""
-    runner = _runner(job, outputs, callback, threading.Event())
-    try:
-        run = runner.run()
-    except RunError as failure:
-        _keep(job, outputs, failure.run)
-        raise
-    except KeyboardInterrupt:
-        if (done := runner.interrupted()) is not None:
-            _keep(job, outputs, done)
-        raise
-    return _finish(job, outputs, run)
+    return run_work(PictureWork(job, outputs), _watch(callback))
 
 
-def _keep(job: Job, outputs: Outputs, run: RunResult) -> None:
-    """Write what there is before an error; that error is what the caller should hear of."""
-    try:
-        _finish(job, outputs, run)
-    except Exception as error:
-        logger.warning("what was rendered could not be saved: %s", describe(error))
-
-
-def _runner(job: Job, outputs: Writer, callback: Callback | None, stop: threading.Event) -> Runner:
-    runner = job.runner(**outputs.saving(job), cancel=stop)
-
-    def after_pass(progress: Progress) -> None:
-        if callback is not None and callback(Update(progress, runner)) is False:
-            stop.set()
-
-    runner.on_progress = after_pass
-    return runner
-
-
-def _finish(job: Job, outputs: Writer, run: RunResult) -> Rendering:
-    warn_of_nonfinite(run.measurement)
-    return outputs.write(job, run)
+def _watch(callback: Callback | None) -> Callable[[Progress, Runner], object] | None:
+    return None if callback is None else lambda progress, runner: callback(Update(progress, runner))

@@ -10,9 +10,10 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from etendue import api, film, methods, outputs
+from etendue import api, film, methods
 from etendue.core import CheckpointError, OptionError, OutputError, Replica, SceneError
 from etendue.engine import Budget, Job, RunError, RunResult, Task
+from etendue.jobs import Outputs
 
 SMALL = {"size": (16, 12), "samples_per_pass": 2}
 
@@ -144,7 +145,7 @@ def test_a_place_that_vanishes_costs_no_picture(tmp_path, temporary):
 
 
 def test_every_place_that_fails_is_named(tmp_path):
-    places = outputs.Outputs((tmp_path / "no" / "a.exr",), tmp_path / "none" / "b")
+    places = Outputs((tmp_path / "no" / "a.exr",), tmp_path / "none" / "b")
     job = Job.open(
         Task("cornell-box", methods.get("path"), {"samples_per_pass": 2}, budget=Budget(samples=2), size=(8, 8))
     )
@@ -212,7 +213,7 @@ def test_a_failing_pass_is_reported_even_if_nothing_can_be_written(tmp_path, tem
 
     with pytest.raises(RunError, match="plot window closed"):
         api.render("cornell-box", "path", samples=4, callback=callback, save=tmp_path / "a.exr", **SMALL)
-    assert "what was rendered could not be saved" in caplog.text
+    assert "what was done could not be saved" in caplog.text
     assert rescued(caplog.text, "a.exr.npz").exists()
 
 

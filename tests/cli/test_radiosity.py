@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from support.patches import box
 
-from etendue.cli import radiosity as commands
 from etendue.cli.main import main
+from etendue.jobs import requests
 
 meshio = pytest.importorskip("meshio")
 sparse = pytest.importorskip("scipy.sparse")
@@ -193,7 +193,7 @@ def test_bad_input(command, message, capsys, variant):
 
 
 def test_a_missing_library_is_named(monkeypatch, capsys):
-    monkeypatch.setattr(commands, "find_spec", lambda name: None if name == "numba" else True)
+    monkeypatch.setattr(requests, "find_spec", lambda name: None if name == "numba" else True)
     for command in ("form-factors room.ply", "radiosity cornell-box"):
         assert run(command) == 6
         assert (
@@ -202,13 +202,11 @@ def test_a_missing_library_is_named(monkeypatch, capsys):
 
 
 def test_ctrl_c_before_the_first_line_keeps_the_old_file(monkeypatch, capsys):
-    import etendue.radiosity
-
     def interrupted(*arguments, **named):
         raise KeyboardInterrupt
 
     Path("f.npz").write_text("old")
-    monkeypatch.setattr(etendue.radiosity, "read_patches", interrupted)
+    monkeypatch.setattr(requests, "read_patches", interrupted)
     assert run("form-factors room.ply -o f.npz") == 130
     assert "stopped; nothing was written" in capsys.readouterr().err
     assert Path("f.npz").read_text() == "old" and len(list(Path().iterdir())) == 2

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from etendue.cli import radiosity_outputs as outputs
 from etendue.cli.main import main
 from etendue.film import read_exr, read_image
+from etendue.jobs import solutions
 
 h5netcdf = pytest.importorskip("h5netcdf")
 pytest.importorskip("trimesh")
@@ -119,7 +119,7 @@ def test_bad_input(command, message, capsys, variant):
 
 
 def test_a_missing_library_is_named_first(monkeypatch, capsys, variant):
-    monkeypatch.setattr(outputs, "find_spec", lambda name: None)
+    monkeypatch.setattr(solutions, "find_spec", lambda name: None)
     assert run("-o m.glb --lightmap 64", variant) == 6
     assert "pip install 'etendue[lightmap]'" in capsys.readouterr().err
 

@@ -15,11 +15,10 @@ import pytest
 from support.patches import box, joined, square
 
 import etendue.radiosity.casting
-from etendue.cli.lines import _words
 from etendue.cli.main import main
+from etendue.cli.solutions import _words
 from etendue.core import OutputError, Progress
-from etendue.engine import Budget
-from etendue.jobs import LinesJob, LinesTask
+from etendue.jobs import FormFactorRequest, FormFactorWork, solutions
 from etendue.radiosity import LineCasting, Patches, thermal
 
 meshio = pytest.importorskip("meshio")
@@ -177,13 +176,11 @@ def test_ctrl_c_before_any_line(monkeypatch, capsys):
 
 
 def test_a_file_that_cannot_be_written_costs_no_line(tmp_path, monkeypatch, capsys):
-    import etendue.radiosity
-
     def full(path, *arguments, **named):
         raise OutputError(f"cannot write '{path}': no space left")
 
     with monkeypatch.context() as patch:
-        patch.setattr(etendue.radiosity, "save_solution", full)
+        patch.setattr(solutions, "save_solution", full)
         patch.setattr(tempfile, "tempdir", str(tmp_path))
         assert run("radiosity room.vtu --emission glow --bundles 24") == 5
     err = capsys.readouterr().err.splitlines()[-1]
@@ -193,12 +190,13 @@ def test_a_file_that_cannot_be_written_costs_no_line(tmp_path, monkeypatch, caps
 
 
 def test_the_words_of_progress():
-    job = LinesJob(LinesTask(Patches(*lit_room()[:2]), "rows", Budget(samples=20)))
+    request = FormFactorRequest(source=Patches(*lit_room()[:2]), bundles=20)
+    work = FormFactorWork(request)
     progress = Progress(passes=3, samples=24, rays=1.5e6, elapsed=2.0, eta=61.0, relative_error=1e-4)
     words = ["1.5e+06 segments", "2.0s", "ETA 1:01", "error 0.01"]
-    assert _words(job)(progress) == ["24 bundles", *words]
-    job.casting.most = 20  # as in the end
-    assert _words(job)(progress) == ["20 bundles", *words]
+    assert _words(work)(progress) == ["24 bundles", *words]
+    work.lines.casting.most = 20  # as in the end
+    assert _words(work)(progress) == ["20 bundles", *words]
 
 
 def test_budgets_in_time_and_error(capsys):

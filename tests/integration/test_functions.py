@@ -19,15 +19,15 @@ from etendue.integration import (
     QuasiMonteCarlo,
     Stratified,
     Vegas,
+    array_namespace,
     constant,
     coordinate,
     integral,
-    library,
 )
 
 POINTS = np.random.default_rng(0).random((2, 1000))
 F = Integrand(lambda x: x[0] * x[0] + x[1], 2, (0.0, 2.0), on="either")
-G = Integrand(lambda x: library(x[0]).exp(-x[0] * x[1]), 2, (math.exp(-1), 1.0), on="either")
+G = Integrand(lambda x: array_namespace(x[0]).exp(-x[0] * x[1]), 2, (math.exp(-1), 1.0), on="either")
 
 
 COLOUR = Integrand(lambda x: [x[0], x[0] * x[1], 1 - x[1]], 2, (0.0, 1.0), on="either", values=3)
@@ -88,7 +88,9 @@ def test_composition():
     box = Box.of([(0, 1), (0, 1), (0, math.pi / 2)])
     u, v, theta = (coordinate(a, box) for a in range(3))
     texture = Integrand(lambda x: 0.5 + 0.3 * x[0] * x[1], 2, (0.5, 0.8), on="either")
-    lobe = Integrand(lambda x: library(x[0]).cos(x[0]) ** x[1], [(0, math.pi / 2), (0, 40)], (0, 1), on="either")
+    lobe = Integrand(
+        lambda x: array_namespace(x[0]).cos(x[0]) ** x[1], [(0, math.pi / 2), (0, 40)], (0, 1), on="either"
+    )
     exponent = Integrand(lambda x: 10.0 + 20.0 * x[0], 1, (10, 30), on="either")
     composite = texture.of([0, 1], box) * (1 / math.pi) + 0.2 * lobe.compose(theta, exponent.compose(u))
     x = np.random.default_rng(1).random((3, 500)) * np.array([[1], [1], [math.pi / 2]])
@@ -270,3 +272,11 @@ def test_a_function_of_one_side_runs_there():
     MeanSample().integrate(Integrand(f, 1, on="either"), 10)
     MeanSample().integrate(Integrand(f, 1, on="device"), 10)
     assert seen == ["numpy", "numpy", "drjit"]
+
+
+def test_the_old_name_of_array_namespace():
+    import etendue.integration as package
+
+    assert package.library is array_namespace and "library" not in package.__all__
+    with pytest.raises(AttributeError, match="no attribute 'libraries'"):
+        _ = package.libraries

@@ -25,11 +25,11 @@ from etendue.integration import (
     Stratified,
     Vegas,
     Warp,
+    array_namespace,
     average,
     combine,
     constant,
     coordinate,
-    library,
 )
 from etendue.points import Halton
 
@@ -62,7 +62,7 @@ def slanted(box):
     """p(x) = (1 + u_0) 2/3 / V, u_0 the first coordinate brought to [0, 1], by its inverse."""
 
     def sample(u):
-        first = library(u[0]).sqrt(1.0 + 3.0 * u[0]) - 1.0
+        first = array_namespace(u[0]).sqrt(1.0 + 3.0 * u[0]) - 1.0
         return list(box.from_unit([first, *list(u)[1:]]))
 
     return Warp(box, sample, lambda x: (1.0 + box.to_unit(x)[0]) * (2 / 3 / box.volume))
@@ -227,7 +227,7 @@ def test_many_strata_in_single_precision(method, dimension):
 @pytest.mark.parametrize("name", sorted(TABLE))
 def test_what_is_not_finite_is_counted_and_left_out(name, on, caplog):
     """Below 1/2 the root of x - 1/2 does not exist: there the function counts as zero."""
-    f = Integrand(lambda x: library(x[0]).sqrt(x[0] - 0.5) * (x[1] + 1.0), 2, (0.0, 2.0), on)
+    f = Integrand(lambda x: array_namespace(x[0]).sqrt(x[0] - 0.5) * (x[1] + 1.0), 2, (0.0, 2.0), on)
     make, samples, _ = TABLE[name]
     with np.errstate(invalid="ignore"):
         found = runs(make(f), f, samples, 30)

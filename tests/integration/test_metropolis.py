@@ -16,15 +16,15 @@ from etendue.integration import (
     Mixture,
     ScaledStep,
     UniformStep,
+    array_namespace,
     autocorrelation,
     autocorrelation_time,
     diagnose,
-    library,
     split_r_hat,
 )
 from etendue.integration.chains import burn_in
 
-TARGET = Integrand(lambda x: library(x[0]).exp(-3.0 * x[0]) * x[1], [(0, 1), (0, 2)])
+TARGET = Integrand(lambda x: array_namespace(x[0]).exp(-3.0 * x[0]) * x[1], [(0, 1), (0, 2)])
 PROPOSALS = {
     "steps": UniformStep(0.3),
     "independent": Independent(),

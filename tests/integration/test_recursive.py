@@ -16,7 +16,7 @@ from etendue.integration import (
     IntegrationError,
     MeanSample,
     RecursiveStratified,
-    library,
+    array_namespace,
     warp_rows,
 )
 
@@ -79,7 +79,7 @@ def test_reuse_helps_few_samples():
 
 def test_the_dimension_that_varies_is_divided():
     """Along a direction in which nothing varies, a division is wasted: weights can forbid or force it."""
-    f = Integrand(lambda x: library(x[0]).exp(-3.0 * x[1]), 2)
+    f = Integrand(lambda x: array_namespace(x[0]).exp(-3.0 * x[1]), 2)
     seeing, forbidden = (spread(runs(RecursiveStratified(weights=w), f, 2000, 60)) for w in ([1, 1], [1, 0]))
     assert seeing < forbidden / 20
     blind = {"initial_depth": 4, "minimum": 10**9}
@@ -150,7 +150,7 @@ def test_dither_moves_borders_and_bins_of_vegas_go_to_the_variation():
 
         def f(x):
             seen.append(x[0])
-            return library(x[0]).exp(-400.0 * (x[0] - 0.2) * (x[0] - 0.2))
+            return array_namespace(x[0]).exp(-400.0 * (x[0] - 0.2) * (x[0] - 0.2))
 
         RecursiveStratified(depth=1, **options).integrate(Integrand(f, 1), 4000)
         leaves = seen[-1]

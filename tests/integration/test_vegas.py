@@ -21,14 +21,14 @@ from etendue.integration import (
     PlaneBins,
     ProductDensity,
     Vegas,
+    array_namespace,
     combine,
     damp,
-    library,
     rebin,
     smooth,
 )
 
-SINE = Integrand(lambda x: library(x[0]).sin(x[0]), [(0, math.pi)])
+SINE = Integrand(lambda x: array_namespace(x[0]).sin(x[0]), [(0, math.pi)])
 GROUPS = {
     "axes": [[0], [1], [2]],
     "plane and axis": [[0, 2], [1]],
@@ -38,7 +38,7 @@ GROUPS = {
 
 
 def bell(x):
-    return library(x[0]).exp(-20.0 * sum((v - 0.3) * (v - 0.3) for v in x))
+    return array_namespace(x[0]).exp(-20.0 * sum((v - 0.3) * (v - 0.3) for v in x))
 
 
 def learned(groups, mode="importance", domain=3):
@@ -196,7 +196,7 @@ def test_cells_take_the_share_that_they_contribute(mode):
 
 def test_a_plane_of_bins_learns_what_two_axes_cannot():
     """A diagonal ridge is no product of functions of one parameter."""
-    ridge = Integrand(lambda x: library(x[0]).exp(-200.0 * (x[0] - x[1]) * (x[0] - x[1])), 2)
+    ridge = Integrand(lambda x: array_namespace(x[0]).exp(-200.0 * (x[0] - x[1]) * (x[0] - x[1])), 2)
     axes, plane = (
         spread(runs(Vegas(g, iterations=6, warm_up=4, strata=1), ridge, 30_000, 30)) for g in ([[0], [1]], [[0, 1]])
     )

@@ -246,3 +246,12 @@ def test_bands_are_no_colours_and_a_picture_needs_a_sensor():
     if not scene.sensors():
         with pytest.raises(SceneError, match="has no sensor"):
             picture(solved(patches, 1.0), scene)
+
+
+def test_pictures_are_found_where_they_were():
+    import etendue.jobs
+    import etendue.radiosity
+
+    assert picture is etendue.jobs.picture and set(etendue.radiosity.PICTURE_FILES) == {".exr", ".png"}
+    with pytest.raises(AttributeError, match="no attribute 'pictures'"):
+        _ = etendue.radiosity.pictures

@@ -15,7 +15,7 @@ from support.statistics import assert_agree
 import etendue
 from etendue.conformance import check_bsdf
 from etendue.core import OptionError
-from etendue.integration import Box, Integrand, constant, library
+from etendue.integration import Box, Integrand, array_namespace, constant
 from etendue.scene import bundled_scene, composed_bsdf
 
 BOX = Box.of([(0, 1)] * 2 + [(-1, 1)] * 6)
@@ -26,7 +26,7 @@ def waves():
     """A texture in the place of the reflectance."""
     colour = Integrand(lambda x: [0.5 + 0.3 * x[0], 0.4 * x[1], 0.2 + 0 * x[0]], 2, (0, 0.8), "either", values=3)
     lobe = Integrand(
-        lambda x: library(x[0]).maximum(x[2] * x[5] - x[0] * x[3] - x[1] * x[4], 0) ** 3 * (5 / (2 * math.pi)),
+        lambda x: array_namespace(x[0]).maximum(x[2] * x[5] - x[0] * x[3] - x[1] * x[4], 0) ** 3 * (5 / (2 * math.pi)),
         [(-1, 1)] * 6,
         on="either",
     )

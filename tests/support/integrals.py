@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from scipy import special, stats
 
-from etendue.integration import Estimate, Integrand, Integrator, library
+from etendue.integration import Estimate, Integrand, Integrator, array_namespace
 
 
 def _bell(x: Any) -> Any:
-    return library(x[0]).exp(-10.0 * sum((v - 0.4) * (v - 0.4) for v in x))
+    return array_namespace(x[0]).exp(-10.0 * sum((v - 0.4) * (v - 0.4) for v in x))
 
 
 def _one_bell() -> float:
@@ -23,11 +23,16 @@ def _one_bell() -> float:
 #: name: (function, domain, range, integral).
 KNOWN: dict[str, tuple[Any, Any, tuple[float, float], float]] = {
     "plane": (lambda x: x[0] + 2.0 * x[1], [(0, 1), (1, 3)], (2.0, 7.0), 9.0),
-    "decay": (lambda x: library(x[0]).exp(-3.0 * x[0]) * x[1], 2, (0.0, 1.0), (1 - math.exp(-3)) / 6),
+    "decay": (lambda x: array_namespace(x[0]).exp(-3.0 * x[0]) * x[1], 2, (0.0, 1.0), (1 - math.exp(-3)) / 6),
     "bell": (_bell, 3, (0.0, 1.0), _one_bell() ** 3),
-    "sign": (lambda x: library(x[0]).sin(x[0]) * x[1], [(-1, 2), (0, 1)], (-1.0, 1.0), (math.cos(1) - math.cos(2)) / 2),
+    "sign": (
+        lambda x: array_namespace(x[0]).sin(x[0]) * x[1],
+        [(-1, 2), (0, 1)],
+        (-1.0, 1.0),
+        (math.cos(1) - math.cos(2)) / 2,
+    ),
     # |s - 0.7| over the square, s = x + y: the mean of s is 1, and below 0.7 twice the missing wedge is added.
-    "fold": (lambda x: library(x[0]).abs(x[0] + x[1] - 0.7), 2, (0.0, 1.3), 0.3 + 0.7**3 / 3),
+    "fold": (lambda x: array_namespace(x[0]).abs(x[0] + x[1] - 0.7), 2, (0.0, 1.3), 0.3 + 0.7**3 / 3),
 }
 
 
@@ -43,7 +48,7 @@ def two_peaks(on: Any = "host", narrow: float = 2000.0) -> tuple[Integrand, floa
     def peaks(x: Any) -> Any:
         first = (x[0] - 0.3) * (x[0] - 0.3) + (x[1] - 0.3) * (x[1] - 0.3)
         second = (x[0] - 0.7) * (x[0] - 0.7) + (x[1] - 0.8) * (x[1] - 0.8)
-        return library(x[0]).exp(-narrow * first) + library(x[0]).exp(-narrow * second)
+        return array_namespace(x[0]).exp(-narrow * first) + array_namespace(x[0]).exp(-narrow * second)
 
     return Integrand(peaks, 2, (0.0, 1.0), on), 2 * math.pi / narrow
 

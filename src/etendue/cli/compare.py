@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from etendue import display, film, methods
-from etendue.api import Update, start_job
+from etendue.api import start_job
 from etendue.core import OptionError
 from etendue.engine import Budget, Job, Task
-from etendue.outputs import Outputs
+from etendue.jobs import Outputs, Update
 from etendue.scene import bundled
 
 from .console import note, say

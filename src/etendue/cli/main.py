@@ -18,8 +18,7 @@ from etendue.core import EtendueError, OptionError, describe, logger
 
 from . import options as opt
 from .console import ConsoleHandler, error_console, note, print_error, say
-from .lines import LINES
-from .radiosity import form_factors, radiosity, resume_lines
+from .radiosity import LINES, form_factors, radiosity, resume_lines
 
 app = typer.Typer(
     name="etendue",
@@ -127,7 +126,7 @@ def render(
     """
     from etendue.api import choose_method
     from etendue.engine import Budget, Job, Task
-    from etendue.outputs import Outputs
+    from etendue.jobs import Outputs
     from etendue.scene import locate
 
     from .rendering import choose_device, default_name, render_to_files
@@ -189,7 +188,7 @@ def resume(
     """
     from etendue import methods
     from etendue.engine import Budget, Checkpoint, Job
-    from etendue.outputs import Outputs
+    from etendue.jobs import Outputs
 
     from .records import Recorder, run_of
     from .rendering import choose_device, render_to_files

@@ -3,33 +3,28 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from etendue.core import BackendError, EtendueError, OptionError, format_seconds, suggest
-from etendue.solving import DEFAULT_BUNDLES
+from etendue.core import OptionError, format_seconds
+from etendue.jobs import DEFAULT_BUNDLES
 
 from . import options as opt
 from . import radiosity_outputs as out
 from .console import error_console, note, say
-from .lines import Cast, Request, cast, request_of
-from .solutions import describe_patches, exact_to_file, factors_to_file, segments_of, solution_to_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from etendue.engine import Budget, Checkpoint
-    from etendue.radiosity import Patches
-    from etendue.scene import Problem
+    from etendue.engine import Checkpoint
+    from etendue.jobs import FormFactorRequest, LinesRequest, LinesWork, RadiosityRequest
 
-#: What the extra brings.
-_LIBRARIES = ("numba", "scipy", "meshio", "trimesh")
+#: The method of checkpoints: the name of :class:`etendue.radiosity.LineCasting`.
+LINES = "global-lines"
 Bundles = Annotated[
     int | None,
     typer.Option(
@@ -98,23 +93,28 @@ def form_factors(
     A face looks to where its corners run counterclockwise. Stops at the first of --bundles, --time and --error that is
     reached, or by Ctrl-C, and writes what the lines so far say.
     """
-    request = Request(
-        "form-factors",
-        str(mesh),
-        str(output),
-        estimator,
-        seed,
-        max_area,
-        two_sided,
-        reflectance,
-        ids=ids,
+    from etendue.jobs import FormFactorRequest, FormFactorWork
+
+    if exact and (bundles, time, error, checkpoint) != (None, None, None, None):
+        raise OptionError("--exact casts no lines: leave out --bundles, --time, --error and --checkpoint")
+    request = FormFactorRequest(
+        source=str(mesh),
+        estimator=estimator,
+        outputs=(output,),
+        seconds=time,
+        bundles=bundles,
+        error=error,
+        seed=seed,
+        max_area=max_area,
         local_rays=not no_local_rays,
+        mesh={"reflectance": _quantity(reflectance), "ids": ids, "two_sided": two_sided},
+        checkpoint=checkpoint,
+        save_every=save_every,
+        wording=out.Options(),
     )
     if exact:
-        if (bundles, time, error, checkpoint) != (None, None, None, None):
-            raise OptionError("--exact casts no lines: leave out --bundles, --time, --error and --checkpoint")
         return _run_exact(request, threads)
-    return _run(request, _budget(bundles, time, error), checkpoint, save_every, None, threads)
+    return _run(request, lambda **options: FormFactorWork(request, **options), None, threads)
 
 
 def radiosity(
@@ -178,37 +178,46 @@ def radiosity(
     Stops at the first of --bundles, --time and --error that is reached, or by Ctrl-C, and writes the solution on the
     lines so far.
     """
-    request = Request(
-        "radiosity",
-        scene,
-        str(output),
-        solver,
-        seed,
-        max_area,
-        two_sided,
-        reflectance,
-        emission,
-        temperature,
-        ids,
-        sky,
-        opt.parse_pairs(param, "-P"),
-        not no_shot,
-        not no_local_rays,
-        {
-            "size": size,
-            "sensor": sensor,
-            "gather": gather,
-            "samples": spp,
-            "flat": flat,
-            "error_picture": error_picture,
-            "lightmap": lightmap,
-            "uv": uv,
+    from etendue.jobs import RadiosityRequest, RadiosityWork, SolutionOutputs
+
+    request = RadiosityRequest(
+        source=scene,
+        solver=solver,
+        outputs=SolutionOutputs(
+            files=(output,) if lightmap is None else (),
+            size=size,
+            sensor=sensor,
+            gather=gather,
+            samples=spp,
+            smooth=not flat,
+            error_picture=error_picture,
+            lightmap=None if lightmap is None else output,
+            lightmap_size=lightmap or 1024,
+            uv=uv,
+        ),
+        seconds=time,
+        bundles=bundles,
+        error=error,
+        seed=seed,
+        max_area=max_area,
+        shot=not no_shot,
+        local_rays=not no_local_rays,
+        mesh={
+            "reflectance": _quantity(reflectance),
+            "emission": _quantity(emission),
+            "temperature": _quantity(temperature),
+            "ids": ids,
+            "sky": _sky(sky),
+            "two_sided": two_sided,
         },
-        to_error=error is not None,
+        parameters=opt.parse_pairs(param, "-P"),
+        checkpoint=checkpoint,
+        save_every=save_every,
+        wording=out.Options(),
     )
     if solution is not None:
         return _write_again(request, solution, variant, threads)
-    return _run(request, _budget(bundles, time, error), checkpoint, save_every, variant, threads)
+    return _run(request, lambda **options: RadiosityWork(request, **options), variant, threads)
 
 
 def resume_lines(
@@ -224,155 +233,94 @@ def resume_lines(
     threads: int | None,
 ) -> int:
     """Go on with a checkpoint of one of these commands, and write its file anew."""
-    from etendue.engine import remaining
+    from etendue.jobs import FormFactorRequest, FormFactorWork, RadiosityWork, asked_before
 
-    request = request_of(saved)
-    if len(output) > 1:
-        raise OptionError(f"etendue {request.command} writes one file, not {len(output)}")
-    request = replace(
-        request,
-        source=scene if scene is not None else request.source,
-        output=str(output[0]) if output else request.output,
-    )
-    budget = _budget(bundles, time, error) if (bundles, time, error) != (None, None, None) else None
-    return _run(
-        request,
-        budget or remaining(saved, "--bundles, --time or --error"),
-        checkpoint,
-        save_every,
-        variant,
-        threads,
+    request: Any = asked_before(
         saved,
+        source=scene,
+        output=output[0] if output else None,
+        seconds=time,
+        bundles=bundles,
+        error=error,
+        checkpoint=checkpoint,
+        save_every=save_every,
+        wording=out.Options(),
     )
+    if len(output) > 1:
+        raise OptionError(f"etendue {request.work} writes one file, not {len(output)}")
+    kind: Any = FormFactorWork if isinstance(request, FormFactorRequest) else RadiosityWork
+    return _run(request, lambda **options: kind(request, saved, **options), variant, threads)
 
 
-def _budget(bundles: int | None, seconds: float | None, error: float | None) -> Budget:
-    """A sample is a bundle, and noise the square of a standard error."""
-    from etendue.engine import Budget
+def _quantity(text: str | None) -> float | str | list[list[float]] | None:
+    """A number, a row of them for channels, or a name."""
+    if text is None:
+        return None
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        return text
+    return numbers[0] if len(numbers) == 1 else [numbers]
 
-    Budget(seconds, bundles, None, error)  # checks what was typed, before it is squared
-    if (bundles, seconds, error) == (None, None, None):
-        bundles = DEFAULT_BUNDLES
-    return Budget(seconds, bundles, None, None if error is None else error**2)
+
+def _sky(text: str | None) -> float | list[float] | None:
+    light = _quantity(text)
+    if isinstance(light, str):
+        raise OptionError(f"--sky is a number, or one for each channel as 1,0.8,0.5, not '{text}'")
+    return light[0] if isinstance(light, list) else light
 
 
 def _run(
-    request: Request,
-    budget: Budget,
-    checkpoint: Path | None,
-    save_every: float | None,
-    variant: str | None,
-    threads: int | None,
-    saved: Checkpoint | None = None,
+    request: LinesRequest, open_work: Callable[..., LinesWork[Any, Any]], variant: str | None, threads: int | None
 ) -> int:
     """From a request to files. Returns the exit status."""
     from .rendering import choose_device
+    from .solutions import cast, describe_patches, finish
 
-    _check(request, checkpoint)
     choose_device(variant, threads)
-    began = time.perf_counter()
-    with _ended_by_ctrl_c(checkpoint):
-        problem = request.problem()
-        patches = request.patches(problem)
-        _check_patches(request, patches, problem)
-        describe_patches(request, patches)
-        done = cast(request, patches, budget, checkpoint, save_every, saved)
-        if done.lines is None:
-            return done.status
-        segments = segments_of(done.lines)
-        try:
-            if request.is_factors:
-                factors_to_file(request, done.lines, segments)
-            else:
-                solution_to_file(request, done.lines, segments, problem)
-        except EtendueError as error:
-            raise type(error)(f"{error}{_rescued(done, checkpoint)}") from error
-    note(error_console(), f"in {format_seconds(time.perf_counter() - began)}")
-    say("\n".join(map(str, request.files)))
-    return done.status
+    began, console = time.perf_counter(), error_console()
+    with _ended_by_ctrl_c(request.checkpoint):
+        work = open_work(is_watched=console.is_terminal, tell=lambda text: note(console, text))
+        describe_patches(request, work.patches)
+        outcome = cast(work)
+        if outcome.result is None:
+            return outcome.exit_code
+        finish(work, outcome.result)
+    _end(began, request)
+    return outcome.exit_code
 
 
-def _run_exact(request: Request, threads: int | None) -> int:
+def _run_exact(request: FormFactorRequest, threads: int | None) -> int:
     """Form factors without lines. Returns the exit status."""
     from .rendering import choose_device
+    from .solutions import describe_patches, exact_to_files
 
-    _check(request, None)
     choose_device(None, threads)
     began = time.perf_counter()
     with _ended_by_ctrl_c(None):
-        patches = request.patches(None)
-        _check_patches(request, patches, None)
+        _, patches = request.load()
         describe_patches(request, patches)
-        exact_to_file(request, patches)
-    note(error_console(), f"in {format_seconds(time.perf_counter() - began)}")
-    say(request.output)
+        exact_to_files(request, patches)
+    _end(began, request)
     return 0
 
 
-def _write_again(request: Request, solution: Path, variant: str | None, threads: int | None) -> int:
+def _write_again(request: RadiosityRequest, solution: Path, variant: str | None, threads: int | None) -> int:
     """Write a solution that is in a file. Returns the exit status."""
     from .rendering import choose_device
+    from .solutions import solution_to_files
 
-    _check(request, None)
     choose_device(variant, threads)
     with _ended_by_ctrl_c(None):
-        problem = request.problem()
-        request.writer.check_source(problem)
-        return request.writer.write_again(problem, solution)
+        problem = request.problem(lambda text: note(error_console(), text))
+        solution_to_files(request, problem, solution)
+    say("\n".join(map(str, request.files)))
+    return 0
 
 
-def _check(request: Request, checkpoint: Path | None) -> None:
-    """What can be said before anything is read."""
-    _require_extra()
-    from etendue.film import check_writable
-    from etendue.radiosity import ESTIMATORS, FORM_FACTOR_FILES, SOLVERS, check_file
-
-    if request.is_factors:
-        _check_name("estimator", request.kind, ESTIMATORS)
-        check_file(request.output, FORM_FACTOR_FILES)
-        check_writable(request.output)
-    else:
-        _check_name("solver", request.kind, SOLVERS)
-        request.writer.check()
-    if checkpoint is not None:
-        check_writable(checkpoint)
-        if checkpoint.resolve() in [path.resolve() for path in request.files]:
-            raise OptionError(f"'{checkpoint}' is named for two outputs; give each a name of its own")
-
-
-def _check_patches(request: Request, patches: Patches, problem: Problem | None) -> None:
-    """What can be said before lines are cast."""
-    from etendue.radiosity import RadiosityError, check_direct, check_text_size
-
-    suffix = Path(request.output).suffix.lower()
-    if suffix == ".vf":
-        check_text_size(request.output, len(patches), 0)
-    if request.is_factors:
-        return
-    if request.kind == "direct":
-        check_direct(len(patches))
-    if suffix in (".ply", ".glb", ".gltf") and patches.channels not in (1, 3):
-        raise RadiosityError(f"{suffix} shows one channel or three, not {patches.channels}; write .vtu or .npz")
-    request.writer.check_source(problem)
-
-
-def _rescued(done: Cast, checkpoint: Path | None) -> str:
-    """Where the lines are if nothing can be made of them: in the checkpoint, or one among the temporary files."""
-    kept = checkpoint if checkpoint is not None else done.rescued()
-    if kept is None:
-        return ""
-    return f"; the lines are kept: etendue resume {kept} --bundles {done.lines.count if done.lines else 1}"
-
-
-def _check_name(what: str, name: str, known: Sequence[str]) -> None:
-    if name not in known:
-        raise OptionError(f"there is no {what} '{name}'; {suggest(name, known)}")
-
-
-def _require_extra() -> None:
-    missing = [name for name in _LIBRARIES if find_spec(name) is None]
-    if missing:
-        raise BackendError(f"radiosity needs {', '.join(missing)}, not installed: pip install 'etendue[radiosity]'")
+def _end(began: float, request: LinesRequest) -> None:
+    note(error_console(), f"in {format_seconds(time.perf_counter() - began)}")
+    say("\n".join(map(str, request.files)))
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from etendue import film, methods
 from etendue.core import CheckpointError, OutputError, describe, logger
 from etendue.engine import Checkpoint, Job, RunResult, versions
-from etendue.outputs import Outputs, Rendering
+from etendue.jobs import Outputs, Rendering
 
 from .rendering import check_reference, make_folder
 from .run_file import RunFile

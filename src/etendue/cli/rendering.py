@@ -14,7 +14,7 @@ from rich.console import Console
 from etendue.api import start_job
 from etendue.core import OptionError, OutputError, Progress, format_rate, format_seconds, set_threads, use_variant
 from etendue.engine import Cancelled, Job, RunError, Session
-from etendue.outputs import Rendering, Writer
+from etendue.jobs import Rendering, Writer
 from etendue.scene import BundledScene
 
 from .console import ProgressView, error_console, note, say

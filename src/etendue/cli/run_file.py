@@ -6,7 +6,6 @@ loaded, before the first pass.
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -14,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from etendue.core import OptionError, OutputError, SceneError, suggest
+from etendue.core import OptionError, OutputError, SceneError, is_number, is_whole, suggest
 from etendue.engine import Budget, Job, Task, check_period, check_save_times
 from etendue.film import check_writable
 from etendue.scene import BundledScene, Camera, bundled_scene
@@ -30,29 +29,21 @@ class _Kind:
     words: str
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
 def _is_list(value: Any, test: Callable[[Any], bool], length: int | None = None) -> bool:
     return isinstance(value, list) and len(value) == (length or len(value)) and all(map(test, value))
 
 
 _TEXT = _Kind(lambda v: isinstance(v, str) and bool(v.strip()), "a text in quotes")
 _SWITCH = _Kind(lambda v: isinstance(v, bool), "true or false")
-_NUMBER = _Kind(_is_number, "a number")
-_COUNT = _Kind(lambda v: _is_whole(v) and v >= 1, "a whole number of at least 1")
-_INDEX = _Kind(lambda v: _is_whole(v) and v >= 0, "a whole number of at least 0")
-_TIME = _Kind(lambda v: _is_number(v) and v >= 0, "seconds, a number of at least 0")
-_TIMES = _Kind(lambda v: _is_list(v, _is_number), "a list of seconds, as [20, 60, 300]")
-_POINT = _Kind(lambda v: _is_list(v, _is_number, 3), "three numbers, as [0, 1, 4]")
+_NUMBER = _Kind(is_number, "a number")
+_COUNT = _Kind(lambda v: is_whole(v) and v >= 1, "a whole number of at least 1")
+_INDEX = _Kind(lambda v: is_whole(v) and v >= 0, "a whole number of at least 0")
+_TIME = _Kind(lambda v: is_number(v) and v >= 0, "seconds, a number of at least 0")
+_TIMES = _Kind(lambda v: _is_list(v, is_number), "a list of seconds, as [20, 60, 300]")
+_POINT = _Kind(lambda v: _is_list(v, is_number, 3), "three numbers, as [0, 1, 4]")
 _SIZE = _Kind(lambda v: _is_list(v, _COUNT.test, 2), "width and height in pixels, as [640, 480]")
 _MEMORY = _Kind(lambda v: _COUNT.test(v) or isinstance(v, str), 'a size as "512M" or "2G", or a number of bytes')
-_SHARE = _Kind(lambda v: _is_number(v) and 0 <= v < 1, "a share of the pixels from 0 to below 1")
+_SHARE = _Kind(lambda v: is_number(v) and 0 <= v < 1, "a share of the pixels from 0 to below 1")
 _LAYERS = _Kind(lambda v: v in ("together", "separate"), '"together" or "separate"')
 _PLAIN = _Kind(lambda v: isinstance(v, (str, int, float)), "a text, a number, true or false")
 _TABLE = _Kind(lambda v: isinstance(v, dict), "a table")

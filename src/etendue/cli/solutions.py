@@ -1,19 +1,27 @@
-"""What `etendue form-factors` and `etendue radiosity` make of lines that were cast: files, and lines on them."""
+"""What `etendue form-factors` and `etendue radiosity` say of patches, of lines as they are cast, and of the outcome."""
 
 from __future__ import annotations
 
-from importlib import metadata
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from rich.console import Console
 
-from etendue.core import logger
+from etendue.core import Progress, format_seconds, logger
+from etendue.jobs import FormFactorResult, RadiosityResult, start_work
 
 from .console import error_console, note
-from .lines import Request
+from .rendering import Outcome, follow
 
 if TYPE_CHECKING:
-    from etendue.radiosity import CastLines, FirstShot, FormFactors, Patches, Segments
+    from etendue.engine import Runner, RunResult
+    from etendue.jobs import FormFactorRequest, LinesRequest, LinesWork, RadiosityRequest
+    from etendue.radiosity import FirstShot, FormFactors, Lightmap, Patches, Segments
     from etendue.scene import Problem
 
 #: Share of what patches see that may be sky without a warning: single convex solids have all of it.
@@ -22,37 +30,71 @@ _ALL_SKY = 0.999
 _NO_SKY = 1e-6
 
 
-def factors_to_file(request: Request, lines: CastLines, segments: Segments) -> None:
-    """Count, write, and say what came of it."""
-    from etendue.radiosity import form_factors, save_form_factors
+@dataclass
+class _Casting:
+    """The lines of some work alone: what is made of them is made in the main thread, where Ctrl-C ends it."""
 
-    estimator: Any = request.kind
-    with error_console().status("counting"):
-        factors = form_factors(segments, estimator)
-        save_form_factors(
-            request.output,
-            factors,
-            emissivity=1 - lines.patches.reflectance[:, 0],
-            metadata=request.metadata(lines, estimator=estimator),
+    work: LinesWork[Any, Any]
+
+    def runner(self, **options: Any) -> Runner:
+        return self.work.runner(**options)
+
+    def keep(self, run: RunResult) -> None:
+        self.work.keep(run)
+
+    def finish(self, run: RunResult) -> RunResult:
+        return run
+
+
+def cast(work: LinesWork[Any, Any]) -> Outcome[RunResult]:
+    """Cast lines until the budget is used up or a signal comes."""
+    session = _Casting(work)
+    return follow(lambda: start_work(lambda: session), error_console(), work.request.work, _words(work))
+
+
+def finish(work: LinesWork[Any, Any], run: RunResult) -> None:
+    """Make what was asked for, write it, and say what came of it."""
+    console = error_console()
+    with console.status("counting") as status:
+        result = work.finish(run, status.update, partial(_describe_segments, console))
+    if isinstance(result, FormFactorResult):
+        errors = result.factors.row_errors()
+        _say(
+            f"{result.factors.matrix.nnz} form factors ({work.request.estimator}), {_rows(result.factors)}, "
+            f"standard error of a row {errors.mean():.2g} (at most {errors.max():.2g})"
         )
-    errors = factors.row_errors()
-    _say(
-        f"{factors.matrix.nnz} form factors ({estimator}), {_rows(factors)}, "
-        f"standard error of a row {errors.mean():.2g} (at most {errors.max():.2g})"
-    )
+    else:
+        _describe_shown(work.request, result.lightmap)
+        _describe_solution(work.request.solver, result)
 
 
-def exact_to_file(request: Request, patches: Patches) -> None:
+def exact_to_files(request: FormFactorRequest, patches: Patches) -> None:
     """Integrate, write, and say what came of it."""
+    from etendue.jobs import about
     from etendue.radiosity import exact_form_factors, save_form_factors
 
     with error_console().status("integrating over contours"):
         factors = exact_form_factors(patches)
-        known = {"software": f"etendue {metadata.version('etendue')}", "source": request.source, "estimator": "exact"}
-        save_form_factors(request.output, factors, emissivity=1 - patches.reflectance[:, 0], metadata=known)
+        known = about(request.name, estimator="exact")
+        for path in request.outputs:
+            save_form_factors(path, factors, emissivity=1 - patches.reflectance[:, 0], metadata=known)
     sky = (patches.areas * factors.sky).sum() / patches.areas.sum()
     open_ends = f", {100 * sky:.3g} % of what patches see is the sky" if sky > 0 else ""
     _say(f"{factors.matrix.nnz} form factors (exact), {_rows(factors)}{open_ends}")
+
+
+def solution_to_files(request: RadiosityRequest, problem: Problem | None, solved: Path) -> None:
+    """Write a solution that is in a file in another way."""
+    from etendue.jobs import Writing
+    from etendue.radiosity import read_solution
+
+    solution, error = read_solution(solved)
+    request.outputs.check_source(solution.patches, problem, request.wording)
+    writing, known = Writing(), {"source": str(solved)}
+    with error_console().status("writing") as status:
+        shown = request.outputs.write(writing, problem, solution, error, known, request.wording, status.update)
+        writing.finish()
+    _describe_shown(request, shown.lightmap)
 
 
 def _rows(factors: FormFactors) -> str:
@@ -63,25 +105,26 @@ def _rows(factors: FormFactors) -> str:
     return f"{whole} {least}" if least == most else f"{whole} {least} to {most}"
 
 
-def solution_to_file(request: Request, lines: CastLines, segments: Segments, problem: Problem | None) -> None:
-    """Solve, write, and say what came of it."""
-    from etendue.radiosity import form_factors, solve
+def _describe_shown(request: RadiosityRequest, made: Lightmap | None) -> None:
+    from etendue.jobs import ERROR_SCALE
 
-    patches, solver = lines.patches, request.kind
-    with error_console().status("solving"):
-        shot = lines.shot()
-        transport: Any = form_factors(segments) if request.wants_matrix else segments
-        solution = solve(patches, transport, solver, shot=shot)  # type: ignore[arg-type]
-        error = solution.irradiance_error(segments) if segments.batch_count > 1 else None
-    known = request.metadata(lines, solver=solver, imbalance=solution.imbalance)
-    request.writer.write(problem, solution, error, known)
-    if shot is not None:
-        _say(_of_shot(shot))
+    low, high = ERROR_SCALE
+    for path in request.outputs.error_pictures:
+        _say(f"{path.name}: relative standard error, black {low:.1%} to yellow {high:.0%}")
+    if made is not None:
+        height, width = made.covered.shape
+        _say(f"lightmap of {width} x {height}, {made.covered.mean():.0%} covered by surfaces")
+
+
+def _describe_solution(solver: str, result: RadiosityResult) -> None:
+    solution, error, areas = result.solution, result.irradiance_error, result.patches.areas[:, None]
+    if result.shot is not None:
+        _say(_of_shot(result.shot))
     steps = len(solution.residuals)
     parts = [f"{solver}: {steps} iteration{'' if steps == 1 else 's'}, residual {solution.residual:.1g}"]
     parts.append(f"imbalance of power {solution.imbalance:.2g}")
-    if error is not None and (light := (patches.areas[:, None] * solution.irradiance).sum()) > 0:
-        parts.append(f"standard error of irradiance {(patches.areas[:, None] * error).sum() / light:.2g} in the mean")
+    if error is not None and (light := (areas * solution.irradiance).sum()) > 0:
+        parts.append(f"standard error of irradiance {(areas * error).sum() / light:.2g} in the mean")
     _say(", ".join(parts))
 
 
@@ -91,32 +134,43 @@ def _of_shot(shot: FirstShot) -> str:
     return f"the light of {which} was sent by {shot.rays} rays"
 
 
-def describe_patches(request: Request, patches: Patches) -> None:
+def describe_patches(request: LinesRequest, patches: Patches) -> None:
     """A line on the patches."""
     from etendue.radiosity import diagnose
 
     faces = len(patches.faces)
-    _say(f"{request.source}: {len(patches)} patches of {faces} face{'' if faces == 1 else 's'}, {diagnose(patches)}")
+    _say(f"{request.name}: {len(patches)} patches of {faces} face{'' if faces == 1 else 's'}, {diagnose(patches)}")
 
 
-def segments_of(lines: CastLines) -> Segments:
-    """What was cast, and a line on it."""
+def _describe_segments(console: Console, bundles: int, segments: Segments) -> None:
+    """A line on what was cast."""
     from etendue.radiosity import MixedSegments
 
-    with error_console().status("counting"):
-        segments = lines.segments()
     sky = segments.to_sky.sum() / max(segments.counted.sum(), 1e-300)
     # In a closed mesh no line gets out, but of a million rays one may, by their single precision.
     open_ends = f", {100 * sky:.3g} % of what patches see is the sky" if sky > _NO_SKY else ""
-    _say(f"{len(segments)} segments of {lines.count} bundle{'' if lines.count == 1 else 's'}{open_ends}")
+    note(console, f"{len(segments)} segments of {bundles} bundle{'' if bundles == 1 else 's'}{open_ends}")
     if isinstance(segments, MixedSegments):
         few = int(np.count_nonzero(segments.extra > 0))
-        _say(f"{few} small patches, which few lines meet, have {segments.rays // few} local rays each")
+        note(console, f"{few} small patches, which few lines meet, have {segments.rays // few} local rays each")
     if sky > _ALL_SKY:
         logger.warning(
             "patches see nothing but the sky: if this should be a room, its faces are turned outward; turn them round"
         )
-    return segments
+
+
+def _words(work: LinesWork[Any, Any]) -> Callable[[Progress], list[str]]:
+    def words(progress: Progress) -> list[str]:
+        count = min(progress.samples, work.lines.casting.most or progress.samples)
+        bundles = f"{count} bundle{'' if count == 1 else 's'}"
+        parts = [bundles, f"{progress.rays:.3g} segments", format_seconds(progress.elapsed)]
+        if progress.eta is not None:
+            parts.append(f"ETA {format_seconds(progress.eta)}")
+        if progress.relative_error is not None:
+            parts.append(f"error {math.sqrt(progress.relative_error):.2g}")
+        return parts
+
+    return words
 
 
 def _say(text: str) -> None:

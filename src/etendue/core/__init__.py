@@ -1,6 +1,7 @@
 """Ground floor: what every room shares and that knows nothing of rendering."""
 
 from .backend import check_llvm, check_variant, choose_variant, copied_to_device, on_device, set_threads, use_variant
+from .checks import is_number, is_whole
 from .citations import bibliography, bibtex
 from .errors import (
     BackendError,
@@ -68,6 +69,8 @@ __all__ = [
     "format_seconds",
     "free_memory",
     "hash_mix",
+    "is_number",
+    "is_whole",
     "keyed_bits",
     "library",
     "logger",

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from . import llvm
+from .checks import is_whole
 from .errors import BackendError, OptionError
 from .log import logger
 
@@ -170,9 +171,9 @@ def set_threads(count: Any) -> None:
 
     if count is None:
         return
-    if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= 1024:
+    if not is_whole(count) or not 1 <= count <= 1024:
         raise OptionError(f"the number of threads must be a whole number from 1 to 1024, not {count!r}")
-    dr.set_thread_count(count)
+    dr.set_thread_count(int(count))
 
 
 def on_device(array_type: Any, values: Any) -> Any:

@@ -137,7 +137,7 @@ def _check_range(field: dataclasses.Field[Any], value: Any) -> None:
     choices = limits.get("choices")
     if choices and value not in choices:
         raise OptionError(f"option '{field.name}' is one of {', '.join(choices)}, not '{value}'")
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
+    if type(value) in (int, float):
         if not math.isfinite(value):
             raise OptionError(f"option '{field.name}' must be finite, not {value}")
         for key, ok, words in (

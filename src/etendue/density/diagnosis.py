@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from etendue.core import Array
+from etendue.core import Array, is_whole
 
 from .errors import DensityError
 from .estimator import Estimator, positive
@@ -157,7 +157,7 @@ def by_bootstrap(
 
 
 def _generators(runs: int, seed: int) -> list[np.random.Generator]:
-    if isinstance(runs, bool) or not isinstance(runs, int | np.integer) or runs < 2:
+    if not is_whole(runs) or runs < 2:
         raise DensityError(f"a variance needs a whole number of runs, at least 2, not {runs!r}")
     return [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(int(runs))]
 

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import use_variant
+from etendue.core import is_whole, use_variant
 from etendue.integration import Box
 
 from .errors import DensityError
@@ -90,6 +90,6 @@ def positive(name: str, value: Any) -> float:
 
 def neighbours(k: Any, samples: Samples, most: int) -> int:
     """A number of neighbours, from 1 to ``most``; raises :class:`DensityError`."""
-    if isinstance(k, bool) or not isinstance(k, int | np.integer) or not 1 <= k <= most:
+    if not is_whole(k) or not 1 <= k <= most:
         raise DensityError(f"k must be a whole number from 1 to {most} for {len(samples)} samples, not {k!r}")
     return int(k)

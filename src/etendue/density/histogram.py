@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from etendue.core import Array
+from etendue.core import Array, is_whole
 from etendue.integration import Box
 
 from .boundary import Boundary, check_boundary
@@ -178,7 +178,7 @@ def share_out(positions: Array, weights: Array, box: Box, counts: tuple[int, ...
 
 def _shape(bins: Any, dimension: int) -> tuple[int, ...]:
     numbers = [bins] * dimension if isinstance(bins, int | np.integer) else list(bins)
-    whole = all(isinstance(n, int | np.integer) and not isinstance(n, bool) and n > 0 for n in numbers)
+    whole = all(is_whole(n) and n > 0 for n in numbers)
     if len(numbers) != dimension or not whole or math.prod(int(n) for n in numbers) > _MAX_CELLS:
         raise DensityError(
             f"bins are a whole number above zero, or one for each of {dimension} dimensions, and {_MAX_CELLS} at most "

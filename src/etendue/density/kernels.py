@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from etendue.core import suggest
-from etendue.integration import library
+from etendue.integration import array_namespace
 
 from .errors import DensityError
 
@@ -49,7 +49,7 @@ class Kernel:
         """The kernel at distance ``u`` in bandwidths (of either sign), in ``dimension`` 1 or 2."""
         t = u * u
         inside = t <= self.reach**2
-        clipped = library(t).minimum(t, self.reach**2)
+        clipped = array_namespace(t).minimum(t, self.reach**2)
         return _where(inside, self.normalisation(dimension) * self.profile(clipped) + 0.0 * t, 0.0 * t)
 
     def on_disc(self, t: Any) -> Any:
@@ -62,7 +62,7 @@ class Kernel:
 
     def mass(self, u: Any, dimension: int = 1) -> Any:
         """Share of the kernel between 0 and ``u`` (signed) on a line, within the distance ``u`` >= 0 in the plane."""
-        lib = library(u)
+        lib = array_namespace(u)
         if dimension == 1:
             half = self.normalisation(1) * self._on_line(lib.minimum(abs(u), self.reach))
             return _where(u < 0, -half, half)
@@ -99,7 +99,7 @@ def _integral(kernel: Kernel, dimension: int, of: Callable[[Any, Any], Any]) -> 
 
 
 def _where(mask: Any, yes: Any, no: Any) -> Any:
-    lib = library(yes)
+    lib = array_namespace(yes)
     return np.where(mask, yes, no)[()] if lib is np else lib.select(mask, yes, no)
 
 
@@ -127,14 +127,14 @@ def _power(name: str, exponent: int) -> Kernel:
 
 
 def _cosine_in_disc(t: Any) -> Any:
-    lib, a = library(t), 0.5 * math.pi
+    lib, a = array_namespace(t), 0.5 * math.pi
     r = lib.sqrt(t)
     return 2 * (r * lib.sin(a * r) / a + (lib.cos(a * r) - 1.0) / (a * a))
 
 
 def _gaussian_on_line(u: Any) -> Any:
     x = u * math.sqrt(0.5)
-    erf = np.vectorize(math.erf, otypes=[float])(x)[()] if library(u) is np else library(u).erf(x)
+    erf = np.vectorize(math.erf, otypes=[float])(x)[()] if array_namespace(u) is np else array_namespace(u).erf(x)
     return math.sqrt(0.5 * math.pi) * erf
 
 
@@ -145,24 +145,24 @@ KERNELS: dict[str, Kernel] = {
         _power("uniform", 0),
         Kernel(
             "cone",
-            lambda t: 1.0 - library(t).sqrt(t),
+            lambda t: 1.0 - array_namespace(t).sqrt(t),
             lambda u: u - 0.5 * u * u,
-            lambda t: t - 2 / 3 * t * library(t).sqrt(t),
+            lambda t: t - 2 / 3 * t * array_namespace(t).sqrt(t),
         ),
         _power("epanechnikov", 1),
         _power("biweight", 2),
         _power("triweight", 3),
         Kernel(
             "cosine",
-            lambda t: library(t).cos(0.5 * math.pi * library(t).sqrt(t)),
-            lambda u: library(u).sin(0.5 * math.pi * u) * (2 / math.pi),
+            lambda t: array_namespace(t).cos(0.5 * math.pi * array_namespace(t).sqrt(t)),
+            lambda u: array_namespace(u).sin(0.5 * math.pi * u) * (2 / math.pi),
             _cosine_in_disc,
         ),
         Kernel(
             "gaussian",
-            lambda t: library(t).exp(-0.5 * t),
+            lambda t: array_namespace(t).exp(-0.5 * t),
             _gaussian_on_line,
-            lambda t: 2.0 * (1.0 - library(t).exp(-0.5 * t)),
+            lambda t: 2.0 * (1.0 - array_namespace(t).exp(-0.5 * t)),
             reach=_GAUSSIAN_REACH,
             disc_scale=_GAUSSIAN_DISC**2,
         ),

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
-import numbers
 from dataclasses import dataclass
 from typing import Any
 
-from etendue.core import OptionError
+from etendue.core import OptionError, is_number
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,7 @@ class Budget:
 def _positive(what: str, value: Any) -> float | None:
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value) or value <= 0:
+    if not is_number(value) or value <= 0:
         raise OptionError(f"a budget in {what} must be a number above 0, not {value!r}")
     return float(value)
 
@@ -61,7 +59,6 @@ def _positive(what: str, value: Any) -> float | None:
 def _count(what: str, value: Any) -> int | None:
     if value is None:
         return None
-    whole = isinstance(value, numbers.Real) and not isinstance(value, bool) and float(value).is_integer()
-    if not whole or value < 1:
+    if not is_number(value) or value < 1 or not float(value).is_integer():
         raise OptionError(f"a budget in {what} must be a whole number of at least 1, not {value!r}")
     return int(value)

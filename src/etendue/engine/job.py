@@ -22,6 +22,7 @@ from etendue.core import (
     SceneError,
     Settings,
     State,
+    is_whole,
     logger,
 )
 from etendue.scene import BundledScene, Camera, Problem, bundled_scene, load, locate
@@ -60,7 +61,7 @@ class Task:
             ("a sensor is a whole number", self.sensor, 0),
             ("a memory bound is a whole number of bytes", self.memory, LEAST_MEMORY),
         ):
-            if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
+            if value is not None and (not is_whole(value) or value < least):
                 raise OptionError(f"{what} of at least {least}, not {value!r}")
         self.method.Settings.from_mapping(self.settings, owner=f"method '{self.method.name}'")
 

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from etendue.core import OptionError, describe, logger
+from etendue.core import OptionError, describe, is_number, logger
 
 T = TypeVar("T")
 
@@ -19,17 +19,15 @@ CLOCK_GRAIN = 1e-6
 
 def check_period(save_every: float | None) -> None:
     """Raise :class:`OptionError` if ``save_every`` is no time between intermediate saves."""
-    number = isinstance(save_every, (int, float)) and not isinstance(save_every, bool)
-    if save_every is not None and not (number and math.isfinite(save_every) and save_every > 0):
-        raise OptionError(f"the time between saves (--save-every) must be above 0 seconds, not {save_every!r}")
+    if save_every is not None and not (is_number(save_every) and save_every > 0):
+        raise OptionError(f"the time between saves must be above 0 seconds, not {save_every!r}")
 
 
 def check_save_times(save_at: Sequence[float]) -> None:
     """Raise :class:`OptionError` unless ``save_at`` are times above 0 seconds, each later than the one before."""
     before = 0.0
     for time_ in save_at:
-        number = isinstance(time_, (int, float)) and not isinstance(time_, bool) and math.isfinite(time_)
-        if not number or time_ <= before:
+        if not is_number(time_) or time_ <= before:
             raise OptionError(f"the times of saves must be above 0 seconds and grow; {time_!r} after {before:g} is not")
         before = time_
 

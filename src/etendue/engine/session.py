@@ -78,9 +78,10 @@ class Session(Generic[T]):
 
     @property
     def image(self) -> NDArray[np.float32] | None:
-        """The picture so far, (height, width, 3), linear RGB; ``None`` before the first pass is done. A copy."""
+        """The picture so far, (height, width, 3), linear RGB; ``None`` before the first pass is done, and of what makes
+        none. A copy."""
         snapshot = self._runner.snapshot() if self._runner is not None else None
-        return snapshot.image if snapshot is not None else None
+        return snapshot.layers.get("image") if snapshot is not None else None
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until the run is over, at most ``timeout`` seconds; whether it is. Raises what the run raised."""

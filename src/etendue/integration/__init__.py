@@ -1,6 +1,8 @@
 """Integrals over boxes: functions and their algebra, and integrators that know nothing of what they integrate."""
 
-from .backend import Backend, DeviceBackend, HostBackend, library
+from typing import TYPE_CHECKING
+
+from .backend import Backend, DeviceBackend, HostBackend, array_namespace
 from .binning import damp, rebin, smooth
 from .chains import ChainDiagnosis, autocorrelation, autocorrelation_time, diagnose, split_r_hat
 from .densities import (
@@ -62,6 +64,7 @@ __all__ = [
     "UniformStep",
     "Vegas",
     "Warp",
+    "array_namespace",
     "autocorrelation",
     "autocorrelation_time",
     "average",
@@ -72,9 +75,16 @@ __all__ = [
     "damp",
     "diagnose",
     "integral",
-    "library",
     "rebin",
     "smooth",
     "split_r_hat",
     "warp_rows",
 ]
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name):
+        """``library``, as ``array_namespace`` was called: one name with ``etendue.core.library``, another meaning."""
+        if name == "library":
+            return array_namespace
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -321,10 +321,10 @@ class DeviceBackend:
         return np.array(values, dtype=np.float64)
 
 
-def library(x: Any) -> Any:
+def array_namespace(x: Any) -> Any:
     """The module whose ``exp``, ``sqrt``, ``sin``, ``minimum`` … take ``x``: ``numpy`` or ``drjit``.
 
-    With it one function serves the host and the device: ``lambda x: library(x[0]).exp(-x[0] * x[1])``.
+    With it one function serves the host and the device: ``lambda x: array_namespace(x[0]).exp(-x[0] * x[1])``.
     """
     if isinstance(x, np.ndarray | float | int | np.generic):
         return np

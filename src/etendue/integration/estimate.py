@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
-from etendue.core import logger
+from etendue.core import is_number, logger
 
 from .backend import Backend, DeviceBackend, HostBackend
 from .errors import IntegrationError
@@ -160,7 +160,7 @@ class Integrator(ABC):
             raise IntegrationError(
                 f"an integrator takes an Integrand, not {type(f).__name__}: Integrand(function, domain)"
             )
-        if isinstance(samples, bool) or int(samples) != samples or samples < 2:
+        if not is_number(samples) or int(samples) != samples or samples < 2:
             raise IntegrationError(
                 f"an estimate with an error needs a whole number of samples, at least 2, not {samples}"
             )

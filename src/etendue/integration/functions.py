@@ -13,6 +13,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from etendue.core import is_whole
+
 from .errors import IntegrationError
 
 #: Where a function's arrays live; one that works on both takes the side of what it is combined with.
@@ -136,7 +138,7 @@ class Integrand:
             raise IntegrationError(f"the range of a function runs from its least to its greatest value, not {range}")
         if on not in ("host", "device", "either"):
             raise IntegrationError(f"a function is on 'host', 'device' or 'either', not {on!r}")
-        if isinstance(values, bool) or not isinstance(values, int) or values < 1:
+        if not is_whole(values) or values < 1:
             raise IntegrationError(f"a function has a whole number of values at a point, at least 1, not {values!r}")
         fields = {"function": function, "domain": Box.of(domain), "range": (low, high), "on": on, "cost": cost}
         for name, value in (fields | {"values": values}).items():

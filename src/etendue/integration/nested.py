@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .backend import library
+from .backend import array_namespace
 from .errors import IntegrationError
 from .estimate import Integrator, Work
 from .functions import Integrand
@@ -47,7 +47,7 @@ def integral(
 
     def together(y: Any) -> Any:
         number = next(calls)
-        on_host = library(y[0]) is np
+        on_host = array_namespace(y[0]) is np
         work = Work(replace(inner, on="host" if on_host else "device", values=1), seed + (number << 20))
         y = [work.backend.broadcast(v, y) for v in y]
         work.backend.compute(*y)  # or each of them would be computed by itself when it is read
@@ -86,7 +86,7 @@ def integral(
 
 def _mean_of_rows(values: Any, size: int) -> Any:
     """Means of ``size`` values in a row."""
-    if library(values) is np:
+    if array_namespace(values) is np:
         return values.reshape(-1, size).mean(axis=1)
     import drjit as dr
 

@@ -1,5 +1,72 @@
-"""Jobs: what is asked for, what runs, and what it leaves behind. So far for lines through patches."""
+"""Jobs: what is asked for, what runs, and what it leaves behind, for pictures and for lines through patches."""
 
-from .lines import LinesJob, LinesTask
+from importlib import import_module
+from typing import TYPE_CHECKING
 
-__all__ = ["LinesJob", "LinesTask"]
+from .files import PathLike, Writing, check_files, listed
+from .pictures import Image, Outputs, PictureWork, Rendering, Update, Writer, save_result
+from .results import DEFAULT_BUNDLES, FormFactorResult, LinesResult, RadiosityResult
+from .running import Watch, Work, run_work, start_work
+from .wording import PYTHON, Wording
+
+if TYPE_CHECKING:
+    from .gathering import PICTURE_FILES, picture
+    from .lines import LinesJob, LinesTask
+    from .requests import FormFactorRequest, LinesRequest, RadiosityRequest, asked_before
+    from .solutions import ERROR_SCALE, SolutionOutputs
+    from .solving import FormFactorWork, LinesWork, RadiosityWork, about
+else:
+    #: Modules that take radiosity, which is loaded when one of their names is asked for: renderers do without.
+    _LATER = {
+        "gathering": ("PICTURE_FILES", "picture"),
+        "lines": ("LinesJob", "LinesTask"),
+        "requests": ("FormFactorRequest", "LinesRequest", "RadiosityRequest", "asked_before"),
+        "solutions": ("ERROR_SCALE", "SolutionOutputs"),
+        "solving": ("FormFactorWork", "LinesWork", "RadiosityWork", "about"),
+    }
+
+    def __getattr__(name):
+        """See :data:`_LATER`."""
+        for module, names in _LATER.items():
+            if name in names:
+                return getattr(import_module(f"{__name__}.{module}"), name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+__all__ = [
+    "DEFAULT_BUNDLES",
+    "ERROR_SCALE",
+    "PICTURE_FILES",
+    "PYTHON",
+    "FormFactorRequest",
+    "FormFactorResult",
+    "FormFactorWork",
+    "Image",
+    "LinesJob",
+    "LinesRequest",
+    "LinesResult",
+    "LinesTask",
+    "LinesWork",
+    "Outputs",
+    "PathLike",
+    "PictureWork",
+    "RadiosityRequest",
+    "RadiosityResult",
+    "RadiosityWork",
+    "Rendering",
+    "SolutionOutputs",
+    "Update",
+    "Watch",
+    "Wording",
+    "Work",
+    "Writer",
+    "Writing",
+    "about",
+    "asked_before",
+    "check_files",
+    "listed",
+    "picture",
+    "run_work",
+    "save_result",
+    "start_work",
+]

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from etendue.core import OutputError
 from etendue.engine import Budget, Checkpoint, Job, Runner, RunResult
 from etendue.radiosity import (
     REPLICATES,
@@ -20,6 +18,8 @@ from etendue.radiosity import (
     PatchProblem,
     RadiosityError,
 )
+
+from .files import rescued
 
 #: Share of the memory that is filled where no number of bundles was asked for.
 _MEMORY_SHARE = 0.6
@@ -46,6 +46,8 @@ class LinesTask:
     needs_matrix: bool = False
     #: What the caller wants to find in checkpoints: plain values.
     notes: Mapping[str, Any] = field(default_factory=dict)
+    #: How a message calls the number of bundles.
+    bundles_option: str = "bundles="
 
 
 class LinesJob:
@@ -101,12 +103,7 @@ class LinesJob:
     def rescued(self, run: RunResult) -> Path | None:
         """A checkpoint among the temporary files, for lines of which nothing could be made; ``None`` if not even that
         can be written."""
-        try:
-            path = Path(tempfile.mkdtemp(prefix="etendue-")) / "lines.checkpoint"
-            self.checkpoint(run).write(path)
-        except (OSError, OutputError):
-            return None
-        return path
+        return rescued("lines.checkpoint", ("", lambda path: self.checkpoint(run).write(path)))
 
     def is_full(self, run: RunResult) -> bool:
         """Whether memory ended the run, not the budget."""
@@ -120,6 +117,6 @@ class LinesJob:
         if most > fits or most < 1:
             raise RadiosityError(
                 f"{most} bundles of lines through {len(casting.patches)} patches do not fit into memory, {fits} do: "
-                "ask for fewer (--bundles), or make patches larger"
+                f"ask for fewer ({self.task.bundles_option}), or make patches larger"
             )
         return most, Budget(budget.seconds, most, None, budget.error)

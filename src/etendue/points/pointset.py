@@ -9,7 +9,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import OptionError, seed_key
+from etendue.core import OptionError, is_whole, seed_key
 
 from .words import Keys, below_one, doubles, is_host, unit
 
@@ -41,13 +41,13 @@ class PointSet(ABC):
     citations: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self, dimension: int, size: int | None = None) -> None:
-        if not _is_whole(dimension) or dimension < 1:
+        if not is_whole(dimension) or dimension < 1:
             raise PointSetError(f"{self.name}: the dimension must be a whole number from 1, not {dimension!r}")
         if self.max_dimension is not None and dimension > self.max_dimension:
             raise PointSetError(
                 f"{self.name} has at most {self.max_dimension} dimensions, not {dimension}; independent has any"
             )
-        if size is not None and (not _is_whole(size) or not 1 <= size <= MAX_POINTS):
+        if size is not None and (not is_whole(size) or not 1 <= size <= MAX_POINTS):
             raise PointSetError(f"{self.name}: the number of points must be from 1 to 2^32, not {size!r}")
         self.dimension = int(dimension)
         self.size = None if size is None else int(size)
@@ -60,7 +60,7 @@ class PointSet(ABC):
 
         Raises :class:`PointSetError` for a dimension or an index that the set does not have.
         """
-        if not _is_whole(dimension) or not 0 <= dimension < self.dimension:
+        if not is_whole(dimension) or not 0 <= dimension < self.dimension:
             raise PointSetError(f"{self.name} has the dimensions 0 to {self.dimension - 1}, not {dimension!r}")
         if dr.is_jit_v(index):
             if dr.depth_v(index) != 1 or not dr.is_unsigned_v(index) or dr.itemsize_v(index) != 4:
@@ -99,9 +99,9 @@ class PointSet(ABC):
         """:meth:`coordinate` for ``UInt32`` lanes, or for a ``uint32`` array of NumPy with one axis."""
 
     def _check_block(self, n: int, first: int) -> None:
-        if not _is_whole(n) or n < 0:
+        if not is_whole(n) or n < 0:
             raise PointSetError(f"{self.name}: the number of points must be a whole number from 0, not {n!r}")
-        if not _is_whole(first):
+        if not is_whole(first):
             raise PointSetError(f"{self.name}: an index is a whole number, not {first!r}")
         if n:
             self._checked([first, first + n - 1])  # before so many are made
@@ -171,7 +171,3 @@ class RandomShift(PointSet):
             return below_one(np.where(x < gap, x + (1.0 - gap), x - gap))
         gap = 1.0 - type(x)(self._keys.like(index, shift)) * 2.0**-24
         return below_one(dr.select(x < gap, x + (1.0 - gap), x - gap))
-
-
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, (int, np.integer)) and not isinstance(value, bool)

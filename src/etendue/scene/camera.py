@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from etendue.core import OptionError
+from etendue.core import OptionError, is_number
 
 from .graph import plugin_name
 from .parsing import read_properties
@@ -48,7 +47,7 @@ class Camera:
             if np.linalg.norm(np.cross(view, up)) <= 1e-6 * np.linalg.norm(view) * np.linalg.norm(up):
                 raise OptionError(f"the camera's up, {list(self.up)}, is zero or along its view; choose another one")
         fov = self.fov
-        if fov is not None and not (_is_number(fov) and 0.0 < fov < 180.0):
+        if fov is not None and not (is_number(fov) and 0.0 < fov < 180.0):
             raise OptionError(f"a camera's fov is an angle between 0 and 180 degrees, not {fov!r}")
 
     def to_dict(self) -> dict[str, Any]:
@@ -84,11 +83,7 @@ def check_movable(sensor: Any, name: str) -> None:
 
 def _point(name: str, value: Any) -> Point:
     numbers = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else []
-    if len(numbers) != 3 or not all(map(_is_number, numbers)):
+    if len(numbers) != 3 or not all(map(is_number, numbers)):
         raise OptionError(f"a camera's {name} is three numbers, as [0, 1, 4], not {value!r}")
     x, y, z = map(float, numbers)
     return x, y, z
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

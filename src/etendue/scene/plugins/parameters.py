@@ -8,14 +8,15 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import OptionError
+from etendue.core import OptionError, is_number
 
 
 def number(props: Any, key: str, default: float) -> Any:
     """The plugin parameter ``key`` as a float on the device. Raises :class:`OptionError` for anything but a number."""
     value = props.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise OptionError(f"'{props.plugin_name()}': '{key}' is a number, not a {type(value).__name__}; give one value")
+    if not is_number(value):
+        found = value if isinstance(value, float) else f"a {type(value).__name__}"
+        raise OptionError(f"'{props.plugin_name()}': '{key}' is a number, not {found}; give one value")
     return mi.Float(float(value))
 
 

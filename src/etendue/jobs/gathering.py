@@ -1,4 +1,7 @@
-"""Pictures of a solution as a camera sees it: the radiosities themselves, or gathered from them at what is in view."""
+"""Pictures of a solution as a camera sees it: the radiosities themselves, or gathered from them at what is in view.
+
+The final gather is a path of :mod:`etendue.methods` that ends in a solution of :mod:`etendue.radiosity`.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,13 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from etendue.core import Measurement, OptionError, Replica, Result
+from etendue.core import OptionError, Progress, Result, is_whole
+from etendue.engine import Budget, Runner
 from etendue.methods import ImageMethod, ImageSettings, Path
+from etendue.radiosity import RadiosityError, Solution, check_colours, radiosity_on
 from etendue.scene import Problem, check, load
 from etendue.surfaces import PatchSurfaces, SurfaceValues
 from etendue.transport import Camera
-
-from .errors import RadiosityError
-from .solvers.system import Solution
-from .solvers.values import check_colours, radiosity_on
 
 #: Suffixes of pictures, and what they are.
 PICTURE_FILES = {".exr": "picture with its layers", ".png": "picture, tone-mapped"}
@@ -62,7 +63,7 @@ def picture(
     """
     check_colours(solution)
     for name, value, least in (("samples", samples, 1), ("gather", gather, 0)):
-        if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        if not is_whole(value) or value < least:
             raise OptionError(f"{name} is a whole number of at least {least}, not {value!r}")
     error = None if irradiance_error is None else np.asarray(irradiance_error, dtype=np.float64)
     if error is not None and error.shape != solution.irradiance.shape:
@@ -91,15 +92,12 @@ def _run(
     if method.samples_per_iteration > samples:
         method.settings = dataclasses.replace(method.settings, samples_per_pass=samples)
     passes = -(-samples // method.samples_per_iteration)
-    total: Measurement | None = None
-    replica = Replica(method, seed)
-    for iteration in range(passes):
-        measured = replica.step(iteration)
-        total = measured if total is None else total + measured
+
+    def tell(progress: Progress) -> None:
         if on_pass is not None:
-            on_pass(iteration + 1, passes)
-    assert total is not None
-    return replica.develop(total).image
+            on_pass(progress.passes, passes)
+
+    return Runner(method, seed=seed, budget=Budget(iterations=passes), on_progress=tell).run().result.image
 
 
 class _Seen(ImageMethod):

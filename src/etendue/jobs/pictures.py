@@ -1,23 +1,22 @@
-"""What a run leaves behind: the picture in memory, and the files that it writes, whatever happens."""
+"""Pictures as work: the run, the picture in memory, and the files that it writes, whatever happens."""
 
 from __future__ import annotations
 
-import contextlib
-import os
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import OptionError, OutputError, Result, describe
-from etendue.engine import Checkpoint, Job, RunResult, check_period
-from etendue.film import check_writable, replacing
+from etendue import film
+from etendue.core import OptionError, Progress, Result, warn_of_nonfinite
+from etendue.engine import Checkpoint, Job, Runner, RunResult, check_period
 
-PathLike = str | os.PathLike[str]
+from .files import PathLike, Write, Writing, check_files, listed, rescued
+
 Image = NDArray[np.float32]
 
 
@@ -56,6 +55,21 @@ class Rendering:
         return f"<etendue.Rendering {m['method']} {width}x{height}, {m['samples']} spp, {m['seconds']:.1f} s>"
 
 
+@dataclass(frozen=True)
+class Update:
+    """What a callback is given after a pass."""
+
+    progress: Progress
+    _runner: Runner = field(repr=False)
+
+    @property
+    def image(self) -> Image:
+        """The picture so far, developed when asked for."""
+        snapshot = self._runner.snapshot()
+        assert snapshot is not None  # a callback follows a pass
+        return snapshot.image
+
+
 class Writer(Protocol):
     """What keeps a run: told how often and, at the end, that it is to write. :class:`Outputs` is one."""
 
@@ -92,18 +106,11 @@ class Outputs:
     ) -> Outputs:
         """Raises :class:`OptionError` for an unknown suffix, a file that is named twice or a time that is not above 0,
         :class:`OutputError` for a place that is not writable."""
-        listed = [pictures] if isinstance(pictures, (str, os.PathLike)) else list(pictures)
         check_period(save_every)
-        outputs = cls(
-            tuple(map(Path, listed)), Path(checkpoint) if checkpoint is not None else None, save_every, separate
-        )
+        outputs = cls(listed(pictures), Path(checkpoint) if checkpoint is not None else None, save_every, separate)
         for path in outputs.pictures:
             _check_suffix(path)
-        places = [path.resolve() for path in outputs.files]
-        for path in outputs.files:
-            if places.count(path.resolve()) > 1:
-                raise OptionError(f"'{path}' is named for two outputs; give each a name of its own")
-            check_writable(path)
+        check_files(outputs.files)
         return outputs
 
     @property
@@ -121,68 +128,65 @@ class Outputs:
         """Write the checkpoint, develop ``run`` and write every picture. One that fails does not keep the others from
         being written, whatever the reason.
 
-        Raises :class:`OutputError` with every failure when all have been tried. At the end of a run what has failed is
-        then in the system's folder for temporary files, if that takes it: a picture, as arrays (``.npz``) if it is the
-        writing that fails; the checkpoint; and a checkpoint, asked for or not, if the picture cannot be developed.
+        Raises what has failed when all have been tried, several failures as one :class:`OutputError`. At the end of a
+        run what has failed is then in the system's folder for temporary files, if that takes it: a picture, as arrays
+        (``.npz``) if it is the writing that fails; the checkpoint; and a checkpoint, asked for or not, if the picture
+        cannot be developed.
         """
-        ending = run.stopped_by != "running"
-        failures: list[str] = []
-
-        def attempt(path: Path, what: str, write: _Write, plainly: _Write | None = None) -> None:
-            try:
-                write(path)
-            except Exception as error:
-                failure = str(error) if isinstance(error, OutputError) else f"cannot write '{path}': {describe(error)}"
-                failures.append(failure + (_rescue(path.name, what, write, plainly) if ending else ""))
+        writing, result = Writing(), None
 
         def write_checkpoint(path: Path) -> None:
             job.checkpoint(run).write(path)
 
-        if self.checkpoint is not None:  # first, as it holds all that was measured
-            attempt(self.checkpoint, "checkpoint", write_checkpoint)
-        try:
+        def rescue(name: str, what: str, *ways: tuple[str, Write]) -> str:
+            place = None if run.stopped_by == "running" else rescued(name, *ways)
+            return "" if place is None else f"; the {what} is in '{place}' instead"
+
+        if (kept := self.checkpoint) is not None:  # first, as it holds all that was measured
+            with writing.attempt(f"write '{kept}'", lambda: rescue(kept.name, "checkpoint", ("", write_checkpoint))):
+                write_checkpoint(kept)
+        last = partial(rescue, "render.checkpoint", "checkpoint", ("", write_checkpoint)) if kept is None else str
+        with writing.attempt("develop the picture", last):
             result = job.result(run)
-        except Exception as error:
-            failures.append(f"cannot develop the picture: {describe(error)}")
-            if ending and self.checkpoint is None:
-                failures[-1] += _rescue("render.checkpoint", "checkpoint", write_checkpoint)
-            raise OutputError("; ".join(failures)) from error
-        for picture in self.pictures:
-            attempt(
-                picture,
-                "picture",
-                lambda path: save_result(path, result, self.separate),
-                lambda path: _write_arrays(path, result.layers),
-            )
-        if failures:
-            raise OutputError("; ".join(failures))
+        for picture in self.pictures if result is not None else ():
+            write = partial(save_result, result=result, separate=self.separate)
+            ways = ("", write), (".npz", partial(_write_arrays, layers=result.layers))
+            with writing.attempt(f"write '{picture}'", partial(rescue, picture.name, "picture", *ways)):
+                write(picture)
+        writing.finish()
+        assert result is not None
         return Rendering(result.layers, result.metadata, lambda: job.checkpoint(run))
 
 
-_Write = Callable[[Path], None]
+@dataclass
+class PictureWork:
+    """A job of the engine, and what keeps its run; see :class:`Work`."""
 
+    job: Job
+    outputs: Writer
 
-def _rescue(name: str, what: str, write: _Write, plainly: _Write | None = None) -> str:
-    """Write to the folder for temporary files, ``plainly`` if need be; in words where it is, "" if all has failed."""
-    with contextlib.suppress(OSError):
-        folder = Path(tempfile.mkdtemp(prefix="etendue-"))
-        for suffix, way in (("", write), (".npz", plainly)):
-            with contextlib.suppress(Exception):
-                if way is not None:
-                    way(place := folder / (name + suffix))
-                    return f"; the {what} is in '{place}' instead"
-        folder.rmdir()
-    return ""
+    def runner(self, **options: Any) -> Runner:
+        """See :class:`Work`."""
+        return self.job.runner(**self.outputs.saving(self.job), **options)
+
+    def keep(self, run: RunResult) -> Rendering:
+        """See :class:`Work`."""
+        return self.finish(run)
+
+    def finish(self, run: RunResult) -> Rendering:
+        """See :class:`Work`."""
+        warn_of_nonfinite(run.measurement)
+        return self.outputs.write(self.job, run)
 
 
 def _write_arrays(path: Path, layers: Mapping[str, Image]) -> None:
-    with replacing(path) as part, part.open("wb") as file:
+    with film.replacing(path) as part, part.open("wb") as file:
         np.savez(file, **layers)  # type: ignore[arg-type]
 
 
 def save_result(path: PathLike, result: Result, separate: bool = False) -> None:
     """Write a result as ``.exr`` (layers and metadata; ``separate``: a file each) or ``.png`` (tone-mapped)."""
-    from etendue import display, film
+    from etendue import display  # not before it is needed: nearly all of it is for pages and plots
 
     path = Path(path)
     if _check_suffix(path) == ".exr" and separate:

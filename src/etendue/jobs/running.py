@@ -1,0 +1,79 @@
+"""How work is run, in this thread or in one of its own: what was done is kept, whatever happens."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any, Protocol, TypeVar
+
+from etendue.core import Progress, describe, logger
+from etendue.engine import RunError, Runner, RunResult, Session
+
+T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
+#: Called after each pass; the run ends there if it returns ``False``.
+Watch = Callable[[Progress, Runner], object]
+
+
+class Work(Protocol[T_co]):
+    """What is run, and what it leaves behind."""
+
+    def runner(self, **options: Any) -> Runner:
+        """What does the passes, and saves from time to time; ``options`` are further ones of :class:`Runner`."""
+        ...
+
+    def keep(self, run: RunResult) -> object:
+        """Save what was done, before the error that ended it goes on."""
+        ...
+
+    def finish(self, run: RunResult) -> T_co:
+        """Make the result of what was done, and write its files."""
+        ...
+
+
+def run_work(work: Work[T], watch: Watch | None = None) -> T:
+    """Run in this thread, so that ``watch`` may do what it likes (plot, raise)."""
+    runner = _watched(work, threading.Event(), watch)
+    try:
+        run = runner.run()
+    except RunError as failure:
+        _keep(work, failure.run)
+        raise
+    except KeyboardInterrupt:
+        if (done := runner.interrupted()) is not None:
+            _keep(work, done)
+        raise
+    return work.finish(run)
+
+
+def start_work(open_work: Callable[[], Work[T]], watch: Watch | None = None) -> Session[T]:
+    """A session, in whose thread the work is opened, run, watched and finished; it is kept where a pass fails."""
+    works: list[Work[T]] = []
+
+    def build(stop: threading.Event) -> Runner:
+        works.append(open_work())
+        return _watched(works[0], stop, watch)
+
+    def finish(run: RunResult) -> Any:
+        # What comes of a failed run is for nobody: the session raises the failure.
+        return works[0].keep(run) if run.stopped_by == "failure" else works[0].finish(run)
+
+    return Session(build, finish)
+
+
+def _watched(work: Work[Any], stop: threading.Event, watch: Watch | None) -> Runner:
+    runner = work.runner(cancel=stop)
+
+    def after_pass(progress: Progress) -> None:
+        if watch is not None and watch(progress, runner) is False:
+            stop.set()
+
+    runner.on_progress = after_pass
+    return runner
+
+
+def _keep(work: Work[Any], run: RunResult) -> None:
+    try:
+        work.keep(run)
+    except Exception as error:
+        logger.warning("what was done could not be saved: %s", describe(error))

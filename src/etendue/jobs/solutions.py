@@ -1,0 +1,262 @@
+"""What is written of a solution: files for others, pictures, lightmaps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from etendue.core import Array, BackendError, OptionError, Result, is_whole
+from etendue.display import false_colour, write_png
+from etendue.film import LUMINANCE
+from etendue.radiosity import (
+    LIGHTMAP_MESHES,
+    SOLUTION_FILES,
+    Lightmap,
+    Patches,
+    RadiosityError,
+    Solution,
+    TexturedMesh,
+    atlas,
+    check_coordinates,
+    check_file,
+    gltf_mesh,
+    lightmap,
+    save_lightmap,
+    save_solution,
+    save_textured_mesh,
+    scene_mesh,
+)
+from etendue.scene import Problem
+
+from .files import Writing
+from .gathering import PICTURE_FILES, picture
+from .pictures import save_result
+from .wording import Wording
+
+#: Scale of pictures of errors: relative standard errors that are black and yellow.
+ERROR_SCALE = (1e-3, 1.0)
+#: What stands for the scene's own texture coordinates.
+OWN = "scene"
+#: Files of colours at vertices.
+_COLOURS = (".ply", ".glb", ".gltf")
+#: Texels of a lightmap's side, at least.
+_LEAST_TEXELS = 16
+
+
+@dataclass
+class Shown:
+    """What was made to be seen; ``None`` for what was not asked for."""
+
+    picture: Result | None = None
+    lightmap: Lightmap | None = None
+
+
+@dataclass(frozen=True)
+class SolutionOutputs:
+    """What is to be written of a solution. ``files`` are solutions or pictures (.exr, .png), by their suffixes."""
+
+    files: tuple[Path, ...] = ()
+    # Of pictures.
+    size: tuple[int, int] | None = None
+    sensor: int = 0
+    gather: int = 0  #: paths per pixel that gather light at what is seen; 0 shows patches
+    samples: int = 16  #: rays per pixel without ``gather``
+    smooth: bool = True  #: in pictures and lightmaps
+    error_picture: bool = False  #: beside a .png, its relative standard error in false colours
+    # Of a lightmap.
+    lightmap: Path | None = None  #: an .exr file, or that of the mesh that fits, beside which the .exr is
+    lightmap_size: int = 1024  #: texels of a side, at most
+    uv: str | None = None  #: a glTF file with TEXCOORD_1, or "scene" for the scene's own; without this an atlas is made
+
+    @property
+    def pictures(self) -> tuple[Path, ...]:
+        """The files that are pictures."""
+        return tuple(path for path in self.files if path.suffix.lower() in PICTURE_FILES)
+
+    @property
+    def error_pictures(self) -> tuple[Path, ...]:
+        """Pictures of errors."""
+        return tuple(_beside(p) for p in self.pictures if p.suffix.lower() == ".png") if self.error_picture else ()
+
+    @property
+    def texture(self) -> Path:
+        """The lightmap itself."""
+        assert self.lightmap is not None
+        return self.lightmap.with_suffix(".exr")
+
+    @property
+    def mesh(self) -> Path:
+        """The mesh that fits to the lightmap, if it has no coordinates yet."""
+        assert self.lightmap is not None
+        return self.lightmap if self.lightmap != self.texture else self.lightmap.with_suffix(".glb")
+
+    @property
+    def written(self) -> tuple[Path, ...]:
+        """All that is written."""
+        maps = () if self.lightmap is None else (self.texture,) if self.uv is not None else (self.texture, self.mesh)
+        return (*self.files, *self.error_pictures, *maps)
+
+    # ------------------------------------------------------------------ checks
+
+    def check(self, wording: Wording) -> None:
+        """Before anything is read: raises :class:`OptionError` for options that do not belong together and numbers out
+        of range, ``RadiosityError`` for a suffix, ``BackendError`` for a missing library."""
+        option = wording.option
+        for path in self.files:
+            check_file(path, SOLUTION_FILES | PICTURE_FILES)
+        if self.lightmap is not None:
+            check_file(self.lightmap, {".exr": "lightmap"} | LIGHTMAP_MESHES)
+        for name, least in (("sensor", 0), ("gather", 0), ("samples", 1), ("lightmap_size", _LEAST_TEXELS)):
+            if not is_whole(value := getattr(self, name)) or value < least:
+                raise OptionError(f"{option(name)} is a whole number of at least {least}, not {value!r}")
+        given = next((name for name in ("gather", "size", "sensor") if getattr(self, name)), None)
+        if given and not self.pictures:
+            other = f", without {option('lightmap')}" if self.lightmap is not None else ""
+            raise OptionError(f"{option(given)} is for pictures; write .exr or .png{other}")
+        if self.error_picture and not self.error_pictures:
+            name = option("error_picture")
+            raise OptionError(f"{name} is for .png; in .exr the error is a layer, in other files an array")
+        if self.uv is not None and self.lightmap is None:
+            raise OptionError(f"{option('uv')} is for lightmaps; {wording.lightmap}")
+        if self.uv is None and self.lightmap is not None and find_spec("xatlas") is None:
+            raise BackendError(
+                f"an atlas takes xatlas, which is not here: pip install 'etendue[lightmap]', or give {option('uv')}"
+            )
+
+    def check_source(self, patches: Patches, problem: Problem | None, wording: Wording) -> None:
+        """Before lines are cast, texture coordinates are looked at. Raises :class:`OptionError` for what takes a scene
+        where there is none, and for channels that cannot be shown."""
+        option = wording.option
+        if problem is None and (self.pictures or self.uv == OWN):
+            what = "a picture takes a scene, for its camera" if self.pictures else f"{option('uv')} scene takes a scene"
+            raise OptionError(f"{what}; of a mesh file write one of the other kinds of files")
+        shown = [path.suffix.lower() for path in self.files if path.suffix.lower() in (*_COLOURS, *PICTURE_FILES)]
+        shown += [] if self.lightmap is None else ["a lightmap"]
+        if shown and patches.channels not in (1, 3):
+            raise RadiosityError(f"{shown[0]} shows one channel or three, not {patches.channels}; write .vtu or .npz")
+        if self.lightmap is not None and self.uv is not None:
+            check_coordinates(self._coordinates(problem), (self.lightmap_size, self.lightmap_size))
+
+    def check_errors(self, error: Array | None, wording: Wording) -> None:
+        """Raise :class:`OptionError` if errors are to be seen and are not known."""
+        if self.error_picture and error is None:
+            name = wording.option("error_picture")
+            raise OptionError(f"{name} needs two bundles at least, whose difference tells the error")
+
+    # ------------------------------------------------------------------ writing
+
+    def write(
+        self,
+        writing: Writing,
+        problem: Problem | None,
+        solution: Solution,
+        error: Array | None,
+        metadata: Mapping[str, Any],
+        wording: Wording,
+        tell: Callable[[str], object],
+    ) -> Shown:
+        """Write all files. ``error``: of the irradiance, if it is known. ``tell`` is given what is being done."""
+        shown = Shown()
+        for path in self.files:
+            if path not in self.pictures:
+                with writing.attempt(f"write '{path}'"):
+                    save_solution(path, solution, irradiance_error=error, metadata=metadata)
+        if self.pictures:
+            with writing.attempt("make the picture"):
+                assert problem is not None  # see check_source
+                tell("rendering the picture")
+                shown.picture = self._picture(problem, solution, error, metadata, tell)
+                self._write_pictures(writing, shown.picture, error, wording)
+        if self.lightmap is not None:
+            with writing.attempt("make the lightmap"):
+                tell("making the lightmap")
+                shown.lightmap = self._write_lightmap(problem, solution, metadata)
+        return shown
+
+    def _picture(
+        self,
+        problem: Problem,
+        solution: Solution,
+        error: Array | None,
+        metadata: Mapping[str, Any],
+        tell: Callable[[str], object],
+    ) -> Result:
+        made = picture(
+            solution,
+            problem,
+            samples=self.samples,
+            gather=self.gather,
+            smooth=self.smooth,
+            irradiance_error=error,
+            on_pass=lambda done, of: tell(f"rendering the picture: pass {done} of {of}"),
+        )
+        return Result(made.layers, {**made.metadata, **metadata})
+
+    def _write_pictures(self, writing: Writing, made: Result, error: Array | None, wording: Wording) -> None:
+        for path in self.pictures:
+            with writing.attempt(f"write '{path}'"):
+                save_result(path, made)
+        for path in self.error_pictures:
+            with writing.attempt(f"write '{path}'"):
+                self.check_errors(error, wording)
+                _write_errors(path, made)
+
+    def _write_lightmap(self, problem: Problem | None, solution: Solution, metadata: Mapping[str, Any]) -> Lightmap:
+        size = (self.lightmap_size, self.lightmap_size)
+        if self.uv is not None:
+            mesh = self._coordinates(problem)
+        else:
+            mesh, size = atlas(solution.patches, self.lightmap_size)
+        made = lightmap(solution, mesh, size, smooth=self.smooth)
+        save_lightmap(self.texture, made, dict(metadata))
+        if self.uv is None:
+            save_textured_mesh(self.mesh, mesh, self.texture.name)
+        return made
+
+    def _coordinates(self, problem: Problem | None) -> TexturedMesh:
+        """The mesh that ``uv`` names."""
+        assert self.uv is not None
+        if self.uv != OWN:
+            return gltf_mesh(self.uv)
+        assert problem is not None  # see check_source
+        return scene_mesh(problem)
+
+    # ------------------------------------------------------------------ plain values
+
+    def renamed(self, output: Path) -> SolutionOutputs:
+        """The same, written to one file; it is a lightmap if there was nothing else."""
+        if self.files or self.lightmap is None:
+            return replace(self, files=(output,), lightmap=None, uv=None)
+        return replace(self, lightmap=output)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, with paths that hold in any folder."""
+        plain = asdict(self) | {"files": [str(path.absolute()) for path in self.files]}
+        if self.lightmap is not None:
+            plain["lightmap"] = str(self.lightmap.absolute())
+        if self.uv is not None and self.uv != OWN:
+            plain["uv"] = str(Path(self.uv).absolute())
+        return plain
+
+    @classmethod
+    def from_dict(cls, plain: Mapping[str, Any]) -> Self:
+        """Inverse of :meth:`to_dict`. Raises :class:`TypeError` for what is none."""
+        lightmap, size = plain.get("lightmap"), plain.get("size")
+        paths = {"files": tuple(map(Path, plain["files"])), "lightmap": lightmap and Path(lightmap)}
+        return cls(**{**plain, **paths, "size": size and tuple(size)})  # JSON knows no tuples
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(f"{path.stem}-error.png")
+
+
+def _write_errors(path: Path, made: Result) -> None:
+    shown, error = (made.layers[name] @ np.array(LUMINANCE) for name in ("image", "error"))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.where(shown > 0, error / shown, np.nan)
+    write_png(path, false_colour(relative, *ERROR_SCALE))
