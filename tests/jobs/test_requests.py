@@ -209,7 +209,7 @@ def test_pictures_and_lightmaps_from_python():
         lightmap_size=64,
         checkpoint="c",
     )
-    assert {path.name for path in Path().iterdir()} == {*files, "p-error.png", "m.exr", "m.glb", "c"}
+    assert {path.name for path in Path().iterdir()} == {*files, "p-error.png", "m.exr", "m.glb", "c", "c.records"}
     assert result.picture.metadata["method"] == "radiosity-gather" and result.picture.metadata["bundles"] == 16
     np.testing.assert_allclose(read_exr("p.exr").image, result.picture.image, rtol=1e-3)
     assert read_image("p.png").shape == read_image("p-error.png").shape == (8, 12, 3)
