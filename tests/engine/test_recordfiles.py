@@ -109,6 +109,11 @@ def test_a_save_that_fails_leaves_the_checkpoint_of_before(tmp_path, monkeypatch
     check(path, 9)
 
 
+def test_a_folder_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(OutputError, match="there is no folder .*gone"):
+        checkpoint(measured(range(2))).write(tmp_path / "gone" / "a")
+
+
 @pytest.mark.parametrize("damage", ["cut", "changed", "missing", "moved"])
 def test_damaged_records_are_said_to_be(tmp_path, damage):
     path = tmp_path / "a"

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import CheckpointError, OutputError, Record, RecordFile
-from etendue.film import replacing
+from etendue.film import check_writable, replacing
 
 #: Bytes that are looked at together for a checksum.
 _BLOCK = 1 << 24
@@ -37,6 +37,7 @@ def write_records(records: Mapping[str, Record], checkpoint: str | os.PathLike[s
     checkpoint says of them. Raises :class:`OutputError`; files that were there stay."""
     if not records:
         return {}
+    check_writable(checkpoint)
     folder = folder_of(checkpoint)
     try:
         folder.mkdir(exist_ok=True)
