@@ -216,7 +216,7 @@ BAD = [
     (lambda: star_discrepancy([[0.5, 1.5]]), "some lie outside"),
     (lambda: l2_discrepancy([[0.5, np.nan]]), "not numbers"),
     (lambda: l2_discrepancy([[0.5]], "centred"), "did you mean 'centered'"),
-    (lambda: star_discrepancy_bounds(np.zeros((5, 30))), "an L2 one has no limit"),
+    (lambda: star_discrepancy_bounds(np.zeros((5, 30))), "take an L2 discrepancy"),
     (lambda: net_parameter(np.zeros((10, 2))), "a power of 2 points, not 10"),
     (lambda: net_parameter(np.zeros(8)), "not of the shape"),
     (lambda: consecutive([0.5], 2), "1 numbers have no 2 consecutive ones"),
