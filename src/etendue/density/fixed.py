@@ -33,7 +33,7 @@ class FixedKernel(Estimator):
     samples: :class:`Samples`, or positions.
     bandwidth: in the unit of the positions; see :func:`silverman` and :func:`cross_validation`.
     kernel: a :class:`Kernel` or its name.
-    domain, boundary: where the density lives, as for :class:`etendue.integration.Box`, and what is done at its border:
+    domain, boundary: the domain, as for :class:`etendue.integration.Box`, and the correction at its border:
         ``"reflect"``, ``"renormalise"`` or ``"none"``.
     surface: a :class:`Surface`, by whose area within the kernel the estimate is divided.
 

@@ -43,7 +43,7 @@ class HashGrid:
 
     Attributes
     ----------
-    destination: UInt32, where point i goes in sorted order. The caller scatters whatever payload a query shall read.
+    destination: UInt32, index of point i in sorted order. The caller scatters the payload that queries read.
     """
 
     def __init__(self, points: Any, radius: float, lower: Any, upper: Any, active: Any = True) -> None:
@@ -81,7 +81,7 @@ class HashGrid:
         q = Query(mi.UInt32(0), [], [])
         for k, row in enumerate(rows):
             begin, end = mi.UInt32(row), row + 2
-            for earlier in rows[:k]:  # a bucket that an earlier row reads is left to it
+            for earlier in rows[:k]:  # skip a bucket that an earlier row reads already
                 same = row == earlier
                 begin = dr.select(same | (row + 1 == earlier + 2), row + 1, begin)
                 end = dr.select(same | (row + 1 == earlier), row + 1, end)
