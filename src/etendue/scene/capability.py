@@ -1,4 +1,4 @@
-"""The capability check: what the methods can render correctly, asked of a scene before the first ray.
+"""The capability check: whether the methods can render a scene correctly, before the first ray.
 
 Anything else raises one error that names the element and says what to use instead; nothing is approximated silently.
 """
@@ -28,9 +28,9 @@ _EMITTERS = (
     "sunsky",
     "timed_sunsky",
 )
-#: Shapes besides meshes. Curves are left out: only rays from outside meet them, so a path is not the same both ways.
+#: Shapes besides meshes. Not curves: only rays from outside hit them, so paths are not reversible.
 _SHAPES = ("rectangle", "disk", "sphere", "cylinder", "sdfgrid", "instance", "shapegroup")
-#: Shapes that emit: points on them can be drawn uniformly by area.
+#: Shapes that may emit: points on them can be sampled uniformly by area.
 _LAMPS = ("rectangle", "disk", "sphere", "cylinder")
 
 _SENSOR_REMEDY = "use a 'perspective', 'thinlens', 'orthographic' or 'spherical' sensor"
@@ -122,7 +122,7 @@ def _check_emitter(emitter: Any) -> None:
 
 
 def _check_values(item: Any, name: str) -> None:
-    """Every number that the object shows must be finite."""
+    """All numbers of the object must be finite."""
     for key, value in contents(item).values:
         array = _floats(value)
         if array is not None and not np.isfinite(array).all():
