@@ -37,13 +37,13 @@ class Patches:
     reflectance: diffuse, in [0, 1): a number, one for each patch (n,), or with channels (n, c); (1, c) is one
         colour for all.
     emission: emitted power per area (for a Lambertian light of radiance L: pi L), in the same forms.
-    ids: (m,) whole numbers, faces of equal number form a patch; by default each face is one. Patches come in
-        ascending order of their numbers, which ``labels`` keeps.
+    ids: (m,) whole numbers, faces with equal numbers form a patch; by default each face is one. Patches are in
+        ascending order of these numbers, which are kept in ``labels``.
     two_sided: whether the backs are patches too: one answer, or one for each patch (n,). Backs get the reflectance of
         the front and no emission, unless ``reflectance`` and ``emission`` have rows for them (see above).
-    sky: power per area that comes from where no face is, as if the surroundings had this radiosity: a number, or (c,).
+    sky: radiosity of the surroundings, seen in directions without a face: a number, or (c,).
 
-    Raises :class:`PatchError` for what cannot be: no face, a vertex that is not finite, a face without area, an index
+    Raises :class:`PatchError` for invalid input: no face, a vertex that is not finite, a face without area, an index
     out of range, a reflectance outside [0, 1), a negative emission.
 
     Attributes
@@ -164,7 +164,7 @@ class Patches:
 
     @cached_property
     def normals(self) -> Array:
-        """(n, 3) unit vectors, of a patch that is not flat the mean; zero if that is nothing."""
+        """(n, 3) unit vectors; the mean for a patch that is not flat, zero if the mean vanishes."""
         summed = self._sums(self.face_normals)
         length = np.linalg.norm(summed, axis=1, keepdims=True)
         is_turned = length > 1e-9 * np.bincount(self.front, self.face_areas, self._fronts)[:, None]
@@ -201,10 +201,10 @@ class Patches:
         return centre, float(np.sqrt(((used - centre) ** 2).sum(axis=1).max()))
 
     def subdivided(self, max_area: float) -> Patches:
-        """The same surfaces in patches of at most ``max_area``: each face larger than that is cut into equal parts.
+        """The same surfaces in patches of at most ``max_area``: each larger face is divided into equal parts.
 
-        Every resulting face is a patch, and keeps reflectance and emission; ``labels`` are those of the patches here.
-        Raises :class:`PatchError` for an area that is not positive, and for more faces than memory holds.
+        Every resulting face is a patch, and keeps reflectance and emission; ``labels`` are those of the original
+        patches. Raises :class:`PatchError` for an area that is not positive, and for more faces than memory can hold.
         """
         if not np.isfinite(max_area) or max_area <= 0:
             raise PatchError(f"the largest area of a patch must be a positive number, not {max_area!r}")
@@ -231,8 +231,8 @@ class Patches:
     def with_properties(
         self, reflectance: ArrayLike | None = None, emission: ArrayLike | None = None, sky: ArrayLike | None = None
     ) -> Patches:
-        """The same patches with another reflectance, emission or sky, such as those of another band or hour. What is
-        stored of lines (:class:`Segments`) and form factors serves them as well. Raises :class:`PatchError`."""
+        """The same patches with another reflectance, emission or sky, such as those of another band or hour. Stored
+        lines (:class:`Segments`) and form factors remain valid for them. Raises :class:`PatchError`."""
         result = object.__new__(Patches)
         result.__dict__.update(self.__dict__)
         result._set_properties(
