@@ -24,7 +24,7 @@ SOLVERS: tuple[Solver, ...] = ("jacobi", "gauss-seidel", "southwell", "conjugate
 
 
 class Transport(Protocol):
-    """What carries light from patch to patch: :class:`FormFactors` or :class:`Segments`."""
+    """The transport operator: :class:`FormFactors` or :class:`Segments`."""
 
     @property
     def sky(self) -> Array:
@@ -75,25 +75,25 @@ class Solution:
         }
 
     def irradiance_error(self, segments: Segments) -> Array:
-        """(n, c) standard error of the irradiance, that of the lines and that of the shot: of the last bounce, which is
-        nearly all of it. ``segments``: those that were solved on. Raises :class:`RadiosityError` for one batch."""
+        """(n, c) standard error of the irradiance from lines and shot, for the last bounce, which is nearly all of it.
+        ``segments``: those used for the solution. Raises :class:`RadiosityError` for one batch."""
         error = segments.gather_error(self._by_lines, self.patches.sky)
         return error if self.shot is None else np.hypot(error, self.shot.error)
 
     @property
     def _by_lines(self) -> Array:
-        """Radiosity that lines carry on."""
+        """Radiosity that lines transport."""
         return self.radiosity if self.shot is None else self.radiosity - self.shot.emission
 
     @property
     def net_power(self) -> Array:
-        """(n, c) power that each patch sends less what arrives: its heat, if it is kept at its temperature."""
+        """(n, c) power that each patch sends minus what arrives: the heat that keeps it at its temperature."""
         return self.patches.areas[:, None] * (self.radiosity - self.irradiance)
 
     @property
     def imbalance(self) -> float:
-        """Power that comes in less what goes out, as a share of the first: zero if form factors are reciprocal and
-        their rows sum to 1, else of the size of their errors."""
+        """Input power minus output power, relative to the input: zero if form factors are reciprocal and their rows sum
+        to 1, else about as large as their errors."""
         come = self.power["emitted"] + self.power["from_sky"]
         gone = self.power["absorbed"] + self.power["to_sky"]
         return float(np.abs(come - gone).sum() / come.sum())
@@ -108,10 +108,10 @@ def solve(
     tolerance: float = 1e-6,
     max_iterations: int = 1000,
 ) -> Solution:
-    """Radiosities of patches whose light is carried by form factors or segments.
+    """Radiosities of patches, by form factors or segments.
 
     ====================== ============================================================================================
-    ``jacobi``             one bounce of all light in an iteration; on segments as well
+    ``jacobi``             one bounce of all light per iteration; also on segments
     ``gauss-seidel``       the same, each patch seeing what was found before it; on form factors
     ``southwell``          progressive shooting: the patch of most unshot power first [Cohen 1988]; on form factors. An
                            iteration is as many shots as there are patches
