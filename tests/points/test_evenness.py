@@ -214,7 +214,7 @@ BAD = [
     (lambda: star_discrepancy(np.zeros((1000, 4))), "star_discrepancy_bounds"),
     (lambda: star_discrepancy(np.zeros((0, 2))), "at least one"),
     (lambda: star_discrepancy([[0.5, 1.5]]), "some lie outside"),
-    (lambda: l2_discrepancy([[0.5, np.nan]]), "not numbers"),
+    (lambda: l2_discrepancy([[0.5, np.nan]]), "not finite"),
     (lambda: l2_discrepancy([[0.5]], "centred"), "did you mean 'centered'"),
     (lambda: star_discrepancy_bounds(np.zeros((5, 30))), "take an L2 discrepancy"),
     (lambda: net_parameter(np.zeros((10, 2))), "a power of 2 points, not 10"),

@@ -28,14 +28,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-# The base of typer's usage errors; where it lives depends on the version of typer.
+# The base class of typer's usage errors; its module depends on the version of typer.
 _UsageError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; ``arguments`` are those of the process by default. Returns the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    debug = "--debug" in words  # looked at here, as it must also hold for errors in the other options
+    debug = "--debug" in words  # read here, since it must also apply to errors in the other options
     handler = ConsoleHandler(error_console(), logging.DEBUG if debug else logging.WARNING)
     level = logger.level
     logger.addHandler(handler)
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if debug:
             traceback.print_exc()
         text = error.format_message() if hasattr(error, "format_message") else str(error)
-        # Without arguments typer raises with the help text, which it has printed, or with nothing.
+        # Without arguments typer raises with the help text, already printed, or without a message.
         if text.strip():
             print_error(text)
         return int(getattr(error, "exit_code", 1))

@@ -131,7 +131,7 @@ def _checked_size(size: Any) -> Size:
     if width < 1 or height < 1:
         raise OptionError(f"a picture needs at least one pixel a side, not {width}x{height}")
     if width * height > MOST_PIXELS:
-        raise OptionError(f"{width}x{height} is too large a picture; the limit is 2^30 pixels, as 32768x32768")
+        raise OptionError(f"{width}x{height} is too large a picture: at most 2^30 pixels, such as 32768x32768")
     return width, height
 
 
