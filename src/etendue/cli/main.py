@@ -425,7 +425,7 @@ def check(
 
 @app.command()
 def doctor(debug: opt.Debug = False) -> int:
-    """Report what is installed, what is wrong and how to mend it."""
+    """Report what is installed, what is wrong and how to fix it."""
     from rich.console import Console
 
     from .doctor import run_doctor

@@ -218,7 +218,7 @@ def _check_energy(findings: Findings, drawn: _Draws, groups: int) -> Array:
         1.0,
         "largest albedo over directions of incidence and points: no light is created",
         f"it reflects up to {albedo[worst].max():.2f} of the light that arrives (at cosine {cos:.2f} to the normal): "
-        "pictures become too bright, long paths may never end; lower its reflectances or mend the plugin",
+        "pictures become too bright, long paths may never end; lower its reflectances or repair the plugin",
         failed=least > 1.0 + _ALBEDO_SLACK,
     )
     return albedo

@@ -92,5 +92,5 @@ class Findings:
         except Exception as error:
             if required:
                 text = describe(error)[:200]
-                meaning = f"it raises an error where every method calls it ({text}); mend the plugin"
+                meaning = f"it raises an error where every method calls it ({text}); repair the plugin"
                 self.rows.append(Finding(self.component, test, "fail", math.nan, 0.0, meaning))

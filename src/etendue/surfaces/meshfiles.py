@@ -102,7 +102,7 @@ def sound_faces(vertices: Array, faces: Index, where: str) -> tuple[Array, Index
     if not np.isfinite(vertices).all():
         bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
         raise PatchError(
-            f"{where}: {len(bad)} of {len(vertices)} vertices are not finite, the first is number {bad[0]}; mend "
+            f"{where}: {len(bad)} of {len(vertices)} vertices are not finite, the first is number {bad[0]}; repair "
             "the mesh"
         )
     try:

@@ -186,7 +186,7 @@ def _describe(emitter: Any, scene_radius: float) -> _Row:
         return _Row(name, "point", _power(emitter), 1.0, _cone_density(emitter), is_delta=True)
     area = float(np.asarray(emitter.get_shape().surface_area()).ravel()[0])
     if not area > 0:
-        raise SceneError(f"area emitter '{name}' sits on a shape without area; remove it or mend the shape")
+        raise SceneError(f"area emitter '{name}' sits on a shape without area; remove it or repair the shape")
     if one_direction:
         return _Row(name, "beam", _power(emitter), 1.0 / area, is_delta=True)
     exponent = float(np.asarray(emitter.exponent).ravel()[0]) if plugin_name(emitter) == "focusarea" else 0.0
