@@ -253,7 +253,7 @@ def _vertices(values: Any) -> Array:
     broken = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     if len(broken):
         raise PatchError(
-            f"{len(broken)} of {len(vertices)} vertices are not finite, the first is number {broken[0]}; repair the mesh"
+            f"{len(broken)} of {len(vertices)} vertices are not finite, first {broken[0]}; repair the mesh"
         )
     if len(vertices) and np.asarray(values).dtype == np.float32:
         size = float(np.linalg.norm(np.ptp(vertices, axis=0))) / 2
