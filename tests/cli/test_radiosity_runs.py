@@ -227,5 +227,5 @@ def test_open_and_crowded_meshes_are_said_and_duplicates_left_out(capsys):
     meshio.write("odd.ply", meshio.Mesh(vertices, [("quad", kept)]))
     assert run("form-factors odd.ply --bundles 16") == 0
     err = capsys.readouterr().err
-    assert "1 are there twice; they are left out" in err and "not closed, 4 open edges" in err
+    assert "1 are duplicates; they are left out" in err and "not closed, 4 open edges" in err
     assert "% of what patches see is the sky" in err

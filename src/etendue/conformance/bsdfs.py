@@ -259,7 +259,7 @@ def _check_reciprocity(findings: Findings, drawn: _Draws, anywhere: _Values) -> 
         _SHARE,
         "share of the light by which f(a, b) and f(b, a) differ",
         f"f(a, b) and f(b, a) differ by {asymmetry:.1%} of the light: light and camera paths see different materials, "
-        "so methods that join them disagree with path tracing; make eval symmetric (but for its cosine)",
+        "so methods that join them disagree with path tracing; make eval symmetric (except for its cosine)",
     )
 
 

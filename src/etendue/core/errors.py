@@ -39,7 +39,7 @@ class CheckpointError(EtendueError):
 
 
 class OutputError(EtendueError):
-    """A file cannot be written where it was asked for."""
+    """A file cannot be written to the requested place."""
 
     exit_code = 5
 

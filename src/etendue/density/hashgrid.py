@@ -14,11 +14,11 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-#: Cells along x at most; a finer grid than this gets wider cells, which costs time and nothing else.
+#: Largest number of cells along x; with more, cells are made wider, which only costs time.
 _MAX_CELLS_X = 1 << 22
-#: Candidates that are tested, a bit each, before those that are neighbours are visited. Searching and visiting in turns
-#: keeps the lanes of a packet together: one candidate in five is a neighbour, so visiting each as it is found would
-#: leave most lanes idle.
+#: Number of candidates that are tested, a bit each, before the neighbours among them are visited. Alternating between
+#: testing and visiting keeps the lanes of a packet coherent: one candidate in five is a neighbour, so visiting each as
+#: it is found would leave most lanes idle.
 _BATCH = 32
 
 
@@ -38,7 +38,7 @@ class HashGrid:
     ----------
     points: Point3f, one lane a point.
     radius: search radius, scene units, a host number above zero.
-    lower, upper: corners of a box that holds the points (host sequences of three numbers).
+    lower, upper: corners of a box that contains the points (host sequences of three numbers).
     active: mask of the points to insert; the others get no destination.
 
     Attributes

@@ -179,7 +179,7 @@ def by_place(points: Array) -> Any:
 
 
 def rows(positions: Any) -> Array:
-    """Positions as (n, coordinates), in double precision; raises :class:`DensityError` for what are none."""
+    """Positions as (n, coordinates), in double precision; raises :class:`DensityError` for invalid ones."""
     if dr.is_jit_v(positions):
         x = np.array(positions, dtype=np.float64)
         x = x.T if x.ndim == 2 else x
@@ -193,7 +193,7 @@ def rows(positions: Any) -> Array:
 
 
 def numbers(values: Any) -> Array:
-    """A new array of doubles; raises :class:`DensityError` for what is none."""
+    """A new array of doubles; raises :class:`DensityError` for values that are not numbers."""
     try:
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError):

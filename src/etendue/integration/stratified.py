@@ -119,7 +119,7 @@ class QuasiMonteCarlo(Integrator):
         if share < 1:
             raise IntegrationError(f"{samples} samples are too few for {self.replicates} randomisations of a sequence")
         if size is not None and share > size:
-            raise IntegrationError(f"the point set has {size} points, but {share} are asked of each randomisation")
+            raise IntegrationError(f"the point set has {size} points, but each randomisation needs {share}")
         means = []
         for number in range(self.replicates):
             points = sequence.randomised(work.seed * self.replicates + number)
@@ -143,7 +143,7 @@ class QuasiMonteCarlo(Integrator):
         backend, sequence = work.backend, self.sequence(work.dimension)
         most = getattr(sequence, "size", None)
         if most is not None and samples > most:
-            raise IntegrationError(f"the point set has {most} points, but {samples} are asked of each integral")
+            raise IntegrationError(f"the point set has {most} points, but each integral needs {samples}")
         place = backend.index(integrals * samples)
         number = place // samples
         u = []

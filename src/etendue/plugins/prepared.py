@@ -50,7 +50,7 @@ class Prepared:
             check(problem.scene, problem.sensor)
             warn_of_offsets(problem.scene, problem.sensor, "the scene")
             kept = self._prepare(problem, seed, seen)
-            self._scene = parameters(problem.scene)  # an emitter that is asked first makes its scalars variables
+            self._scene = parameters(problem.scene)  # traversing an emitter turns its scalars into variables
         elif self._kind.carries_on:
             kept.method.prepare(problem, seed)
         else:

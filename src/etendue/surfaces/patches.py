@@ -18,15 +18,16 @@ from .subdivision import subdivide
 
 Index = NDArray[np.int64]
 
-#: Memory for each patch that subdivision makes (measured: 460).
+#: Bytes for each patch made by subdivision (measured: 460).
 _BYTES = 500
 
 
 class Patches:
-    """What light is exchanged between: patches of constant radiosity, each made of flat triangles and quadrilaterals.
+    """Patches of constant radiosity, each made of flat triangles and quadrilaterals.
 
-    A face has two sides. Its front, from which the corners are seen counterclockwise, belongs to a patch; its back to
-    another patch if it is ``two_sided``, and to none otherwise: then it only blocks. Patches seen from the front come
+    A face has two sides. Its front, from which the corners are seen counterclockwise, belongs to a patch; its back
+    belongs to another patch if it is ``two_sided``; otherwise it belongs to none and only occludes. Patches seen from
+    the front come
     first, in order of their faces or ``ids``; the backs of sheets follow, in the same order.
 
     Parameters
@@ -195,7 +196,7 @@ class Patches:
 
     @cached_property
     def sphere(self) -> tuple[Array, float]:
-        """Centre and radius of a sphere around all faces: centred in the box, as small as that allows."""
+        """Centre and radius of a sphere around all faces: centred in the box, with the smallest possible radius."""
         centre = (self.bounds[0] + self.bounds[1]) / 2
         used = self.vertices[np.unique(self.faces)]
         return centre, float(np.sqrt(((used - centre) ** 2).sum(axis=1).max()))
@@ -212,7 +213,7 @@ class Patches:
         if free is not None and _BYTES * count > free:
             raise PatchError(
                 f"faces of at most {max_area:g} would be {count:.2g} or more and need {_BYTES * count / 1e9:.3g} GB; "
-                f"there are {free / 1e9:.1f}: allow larger ones"
+                f"{free / 1e9:.1f} GB are free: allow larger ones"
             )
         vertices, faces, source = subdivide(self.vertices, self.faces, max_area)
         front, back = self.front[source], self.back[source]

@@ -38,7 +38,7 @@ def exact_form_factors(patches: Patches) -> FormFactors:
     need, free = _BYTES * (n + 1) ** 2, free_memory()
     if free is not None and need > free:
         raise RadiosityError(
-            f"form factors of {n} patches need {need / 1e9:.1f} GB, there are {free / 1e9:.1f}: cast lines (ABuffer, "
+            f"form factors of {n} patches need {need / 1e9:.1f} GB, {free / 1e9:.1f} GB are free: cast lines (ABuffer, "
             "or without --exact)"
         )
     centre, radius = patches.sphere

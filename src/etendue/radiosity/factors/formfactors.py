@@ -122,8 +122,8 @@ def form_factors(segments: Segments, estimator: Estimator = "F1") -> FormFactors
     need, free = 4 * len(segments) + 64 * min(2 * len(segments), n**2), free_memory()
     if free is not None and need > free:
         raise RadiosityError(
-            f"form factors of {n} patches and {len(segments)} segments need {need / 1e9:.1f} GB; there are "
-            f"{free / 1e9:.1f}: solve on the segments, or cast fewer lines"
+            f"form factors of {n} patches and {len(segments)} segments need {need / 1e9:.1f} GB; "
+            f"{free / 1e9:.1f} GB are free: solve on the segments, or cast fewer lines"
         )
     rows = np.zeros(n, np.int64)
     for chunk in segments.chunks:

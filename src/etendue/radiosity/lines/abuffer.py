@@ -82,8 +82,8 @@ class ABuffer(LineEngine):
             lines = min(wanted, most)
         if (free := free_memory()) is not None and _LINE_BYTES * lines > free:
             raise RadiosityError(
-                f"a bundle of {lines:.2g} lines needs {_LINE_BYTES * lines / 1e9:.2g} GB on each thread, there are "
-                f"{free / 1e9:.2g}: ask for fewer lines, or take LocalRays"
+                f"a bundle of {lines:.2g} lines needs {_LINE_BYTES * lines / 1e9:.2g} GB on each thread, "
+                f"{free / 1e9:.2g} GB are free: ask for fewer lines, or take LocalRays"
             )
         self.bundles: Bundles = Bundles(patches, lines)
         used, faces = np.unique(patches.faces, return_inverse=True)

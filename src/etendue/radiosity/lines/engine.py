@@ -77,7 +77,7 @@ class LineEngine(ABC):
         need, free = 4 * float(self.expected(count).sum()), free_memory()
         if free is not None and need > free:
             raise RadiosityError(
-                f"segments of {count} points need {need / 1e9:.1f} GB, there are {free / 1e9:.1f}: cast fewer points, "
+                f"segments of {count} points need {need / 1e9:.1f} GB, {free / 1e9:.1f} GB are free: cast fewer points, "
                 "or take stream()"
             )
         chunks = list(self.stream(count, first))

@@ -59,7 +59,7 @@ class Solution:
 
     @property
     def residual(self) -> float:
-        """The last one."""
+        """The last residual."""
         return self.residuals[-1]
 
     @cached_property
@@ -112,20 +112,19 @@ def solve(
 
     ====================== ============================================================================================
     ``jacobi``             one bounce of all light per iteration; also on segments
-    ``gauss-seidel``       the same, each patch seeing what was found before it; on form factors
+    ``gauss-seidel``       the same, using updated values at once; on form factors
     ``southwell``          progressive shooting: the patch of most unshot power first [Cohen 1988]; on form factors. An
                            iteration is as many shots as there are patches
     ``conjugate-gradient`` few iterations at high reflectance; on segments, and on form factors that are reciprocal
     ``direct``             elimination, a channel at a time; on form factors of some thousand patches
     ====================== ============================================================================================
 
-    shot: of :func:`first_shot`: light of emitters that has been sent by rays. The system is then solved for the rest,
-        to which patches contribute what they reflect of the shot: B = E + R, R = rho (D + F R) with the irradiance D
-        of the shot, which takes the place of F E.
+    shot: of :func:`first_shot`: light of emitters sent by rays. The system is then solved for the reflected part: B = E
+        + R, R = rho (D + F R), with the irradiance D of the shot in place of F E.
     tolerance: of the residual, see :class:`Solution`.
 
-    Raises :class:`RadiosityError` if nothing emits, if a solver does not work on such a transport, if a shot is of
-    other patches, or if the solver has not come that far after ``max_iterations``.
+    Raises :class:`RadiosityError` if nothing emits, if a solver does not support the transport, if a shot belongs to
+    other patches, or if the solver has not converged after ``max_iterations``.
     """
     if len(transport.sky) != len(patches):
         raise RadiosityError(f"there are {len(patches)} patches, but light is carried between {len(transport.sky)}")
@@ -137,7 +136,7 @@ def solve(
         raise RadiosityError(f"{solver} needs form factors; on segments there are jacobi and conjugate-gradient")
     rest = patches if shot is None else _after(shot, patches)
     steps = _STEPS[solver](rest, transport)
-    scale = max(rest.emission.max(), rest.sky.max()) or 1.0  # nothing is left of a shot at black patches
+    scale = max(rest.emission.max(), rest.sky.max()) or 1.0  # a shot at black patches leaves nothing
     residuals = []
     for _ in range(max_iterations):
         radiosity, irradiance = steps.step()
@@ -158,8 +157,8 @@ def check_direct(patches: int) -> None:
     free = free_memory()
     if free is not None and 24 * patches**2 > free:
         raise RadiosityError(
-            f"direct solution of {patches} patches needs {24e-9 * patches**2:.1f} GB, there are {free / 1e9:.1f}: take "
-            "another solver"
+            f"direct solution of {patches} patches needs {24e-9 * patches**2:.1f} GB, "
+            f"{free / 1e9:.1f} GB are free: take another solver"
         )
 
 

@@ -80,7 +80,7 @@ def _texture(emitter: Any) -> Any:
 
 
 def surface_point(shape: Any, triangle: Any, place: Any, active: Any = True) -> Any:
-    """The point of an area light's shape that ``place`` in the unit square stands for; barycentric coordinates in
+    """The point of an area light's shape for ``place`` in the unit square; barycentric coordinates in
     ``triangle`` of a mesh."""
     kind = plugin_name(shape)
     if kind not in SURFACES:
