@@ -77,8 +77,8 @@ class LineEngine(ABC):
         need, free = 4 * float(self.expected(count).sum()), free_memory()
         if free is not None and need > free:
             raise RadiosityError(
-                f"segments of {count} points need {need / 1e9:.1f} GB, {free / 1e9:.1f} GB are free: cast fewer points, "
-                "or take stream()"
+                f"segments of {count} points need {need / 1e9:.1f} GB, {free / 1e9:.1f} GB are free: cast fewer "
+                "points, or take stream()"
             )
         chunks = list(self.stream(count, first))
         batches = min(batches, len(chunks))
