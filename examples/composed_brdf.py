@@ -38,7 +38,7 @@ def hemisphere(x: Any) -> list[Any]:
 
 
 def texture(x: Any) -> list[Any]:
-    """4 x 4 colours, interpolated bilinearly by their distances."""
+    """4 x 4 colours, interpolated linearly: each counts by its distance."""
     top, colours = library(x[0]), np.random.default_rng(5).uniform(0.05, 0.65, (4, 4, 3))
     near = [[top.maximum(0, 1 - abs(3 * v - k)) for k in range(4)] for v in x]
     return [sum(near[0][i] * near[1][j] * colours[i, j, c] for i in range(4) for j in range(4)) for c in range(3)]

@@ -55,7 +55,7 @@ class FilterTable:
         count = round(2.0 * self.reach * BINS_PER_PIXEL)
         points = (np.arange(count * _POINTS_PER_BIN) + 0.5) / (_POINTS_PER_BIN * BINS_PER_PIXEL) - self.reach
         sampled = np.array(rfilter.eval(mi.Float(points.astype(np.float32))), dtype=np.float64)
-        # A filter that is a fitted polynomial may have any value beyond its radius.
+        # A filter given by a fitted polynomial may be anything beyond its radius.
         sampled[np.abs(points) > radius] = 0.0
         self.values: NDArray[np.float64] = sampled.reshape(count, _POINTS_PER_BIN).mean(axis=1)
         if not np.isfinite(self.values).all() or not np.abs(self.values).sum() > 0.0:

@@ -85,7 +85,7 @@ def integral(
 
 
 def _mean_of_rows(values: Any, size: int) -> Any:
-    """Means of ``size`` consecutive values."""
+    """Means of ``size`` values in a row."""
     if library(values) is np:
         return values.reshape(-1, size).mean(axis=1)
     import drjit as dr

@@ -53,7 +53,7 @@ def _integrator_class(method: Any, variant: str) -> type:
             self._prepared = Prepared(method, self.settings)
             self.timeout = float(props.get("timeout", -1.0))
             self._cancelled = False
-            self._layers = list(_AOV_CHANNELS) if self.options["aovs"] else []  # besides the picture, in the film
+            self._layers = list(_AOV_CHANNELS) if self.options["aovs"] else []  # beside the picture, in the film
             super().__init__(props)
 
         def render(
@@ -130,7 +130,7 @@ def _integrator_class(method: Any, variant: str) -> type:
             )
 
         def cancel(self) -> None:
-            """Stop the rendering that runs in another thread after its current pass."""
+            """Stop the rendering under way, in another thread, after its present pass."""
             self._cancelled = True
 
         def should_stop(self) -> bool:
