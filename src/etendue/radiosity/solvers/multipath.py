@@ -84,18 +84,19 @@ def multipath_bundles(engine: LineEngine, count: int, first: int = 0, shot: Firs
     :math:`r = F^T (own + \rho r)` in the mean. A share of u / n_i would be biased: it gives all directions the same
     power, although directions along the normal have the most lines.
 
-    *Bounded variance.* A bundle has at most ``most_i`` lines through a patch (:meth:`Bundles.most`). With :math:`w_i
-    \le 1 / most_i` none sends more than it has: u is never negative, and its sum grows by p only. Within this bound the
-    shares are :math:`w_i = 16 / (m_i N (1 - \rho))`: smaller ones smooth u, larger ones empty it sooner.
+    *Bounded variance.* A bundle has at most ``most_i`` lines through a patch (:meth:`Bundles.most`). If
+    :math:`w_i \le 1 / most_i`, none sends more than it has: u is never negative, and its sum grows by p only. Within
+    this bound the shares are :math:`w_i = 16 / (m_i N (1 - \rho))`: smaller ones smooth u, larger ones empty it sooner.
 
     *Start-up.* The first bundles find little power to send, and the last leave some: so the bundles are used
-    cyclically. The first ones are cast once more, without own power, until a millionth of the sent power is unshot: 0.7
-    more rounds, or more with few bundles and high reflectances (64, 0.8: two), at most four rounds in all. The rest is
-    ``unshot``.
+    cyclically. The first ones are cast once more, without own power, until a millionth of the sent power is unshot.
+    This takes 0.7 more rounds, or more with few bundles and high reflectances (two with 64 bundles and reflectances of
+    0.8); there are at most four rounds in all. The rest is ``unshot``.
 
     *Order.* It is random, since successive points of a sequence are far apart by design; each bundle occurs once per
-    round. Without replacement, light could never return along the bundle that delivered it, which has the probability 1
-    / N: that light may leave at once, with the weight 1 / N. The remaining bias is a part of the noise.
+    round. Light can therefore not return along the bundle that delivered it, which independent bundles would allow with
+    the probability 1 / N: so it may leave at once along that bundle, with the weight 1 / N. The remaining bias is a
+    part of the noise.
 
     Arguments and result as of :func:`multipath`. The result depends only on the points of the engine, not on how many
     are cast at once; backends differ by single lines. Raises :class:`RadiosityError` if nothing emits, for less than
