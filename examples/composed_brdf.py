@@ -3,9 +3,9 @@
     python examples/composed_brdf.py [folder]
 
 writes composed-brdf.png: a plate with this material under three lamps, seen from above; on the left as an integral of
-functions, on the right rendered by the method `path`, to which the same function was given as a material. Both are
-the same picture but for noise. A second figure is known in closed form: at normal incidence the lobe (n + 2) / (2 pi)
-cos^n reflects the same share whatever its exponent, so the albedo of the whole is texture + k_s everywhere.
+functions, on the right rendered by the method `path` with the same function as a material. The two differ by noise
+only. The albedo is known in closed form: at normal incidence the lobe (n + 2) / (2 pi) cos^n reflects the same share
+for every exponent, so the albedo is texture + k_s everywhere.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def brdf() -> Integrand:
     """The material: of eight parameters, three values."""
     diffuse = Integrand(texture, 2, (0.05, 0.65), "either", values=3) * (1 / math.pi)
     lobe = Integrand(power_lobe, [(-1, 1), (10, 200)], (0, 202 / (2 * math.pi)), "either")
-    # Of the angle between one direction and the mirror image of the other.
+    # Cosine of the angle between one direction and the mirror image of the other.
     cosine = Integrand(lambda x: x[2] * x[5] - x[0] * x[3] - x[1] * x[4], [(-1, 1)] * 6, (-1, 1), "either")
     sharpness = Integrand(exponent, 2, (10, 200), "either")
     glossy = lobe.compose(cosine.of(range(2, 8), BOX), sharpness.of([0, 1], BOX))
@@ -70,7 +70,7 @@ def brdf() -> Integrand:
 
 def albedo(f: Integrand, positions: Any) -> Any:
     """Share of the light from straight above that a material reflects, (3, n), at ``positions`` (2, n) in NumPy."""
-    box = [(0, 1)] * 4  # u, v, and two numbers that a direction is drawn by
+    box = [(0, 1)] * 4  # u, v, and two numbers that sample a direction
     above = [constant(v, box) for v in (0.0, 0.0, 1.0)]
     position = Integrand(lambda x: [x[0], x[1]], box, (0, 1), "either", values=2)
     reflected = f.compose(position, *above, DIRECTION.of([2, 3], box)) * math.pi
@@ -108,7 +108,7 @@ def seen_from_above(f: Integrand, scene: Any) -> Integrand:
     position = Integrand(lambda x: [x[0], x[1]], box, (0, 1), "device", values=2)
     direction = DIRECTION.of([2, 3], box)
     on_plate = Integrand(lambda x: [2 * x[0] - 1, 2 * x[1] - 1, 0 * x[0] + 1e-4], box, on="device", values=3)
-    incoming = light.emitted.compose(on_plate, direction)  # lamps alone emit
+    incoming = light.emitted.compose(on_plate, direction)  # only lamps emit
 
     def towards_eye(x: Any) -> list[Any]:
         offset = [1 - 2 * x[0], 1 - 2 * x[1], EYE + 0 * x[0]]
@@ -141,7 +141,7 @@ def run(size: int = 160, samples: int = 256, passes: int = 4) -> dict[str, Any]:
 
 
 def main(folder: Path) -> None:
-    """Run, write the picture, print the figures."""
+    """Run, write the picture, print the results."""
     found = run()
     pictures = [found[name].mean(axis=0) for name in ("composed", "rendered")]
     write_png(folder / "composed-brdf.png", tonemap(np.concatenate(pictures, axis=1), 0.0, "filmic"))

@@ -1,10 +1,10 @@
-"""An irradiance cache with gradients: indirect light is computed at few points, and carried to those around them.
+"""An irradiance cache with gradients: indirect light is computed at few points and interpolated between them.
 
     python examples/irradiance_cache.py [folder]
 
-writes irradiance-cache.png: where in a Cornell box irradiance was computed, and its indirect light by the cache with
-gradients, by the same cache without gradients, and by the method `path`. The errors against a converged picture are
-printed, and how many paths `path` would need for that of the cache.
+writes irradiance-cache.png: the positions of the records in a Cornell box, and its indirect light by the cache with
+gradients, by the same cache without gradients, and by the method `path`. It prints the errors against a converged
+picture and the number of paths that `path` needs for the error of the cache.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from etendue.integration import Integrand, Stratified, integral
 from etendue.scene import bundled_scene
 from etendue.transport import IrradianceCache, TransportFunctions
 
-BOUNCES = 4  # edges of the longest path: the cache holds light of two bounces and three
+BOUNCES = 4  # edges of the longest path: the cache holds light of two and three bounces
 ACCURACY = 0.2
-REACH = (0.04, 0.5)  # a record reaches at least, and at most, so far; the box is 2 wide
+REACH = (0.04, 0.5)  # smallest and largest radius of a record; the box is 2 wide
 
 
 def incident(light: TransportFunctions) -> Integrand:
-    """Radiance that comes against a ray, but that of the lamp itself: direct light reflected, and what follows."""
+    """Radiance along a ray without that of the lamp itself: reflected direct light and further bounces."""
     direct = integral(light.direct, [6, 7], Stratified(), samples=4, seed=1)
     reflected = direct
     for bounce in range(BOUNCES - 3):
@@ -40,7 +40,7 @@ def incident(light: TransportFunctions) -> Integrand:
 
 
 def fill(cache: IrradianceCache, light: TransportFunctions, position: Any, normal: Any, width: int) -> None:
-    """Records for all points, rows of ``width``: on grids of them, from coarse to fine, wherever none reaches yet."""
+    """Records for all points, rows of ``width``: on grids from coarse to fine, wherever no record is valid yet."""
     row, column = np.divmod(np.arange(len(position)), width)
     met = np.abs(normal).sum(axis=1) > 0
     for stride in (64, 32, 16, 8, 4, 2, 1):
@@ -51,7 +51,8 @@ def fill(cache: IrradianceCache, light: TransportFunctions, position: Any, norma
 
 
 def run(size: int = 192, samples: int = 128, passes: int = 6) -> dict[str, Any]:
-    """Indirect pictures (height, width, 3) by the caches and, converged, by path; what a path a pixel scatters."""
+    """Indirect pictures (height, width, 3) by the caches and, converged, by path; the variance of one path per
+    pixel."""
     import mitsuba as mi
 
     use_variant()
@@ -60,7 +61,7 @@ def run(size: int = 192, samples: int = 128, passes: int = 6) -> dict[str, Any]:
     scene = mi.load_dict(description)
     light = TransportFunctions(scene)
 
-    # What the middle of each pixel sees: place and normal, and the reflectance that turns irradiance to radiance.
+    # First hit of each pixel's centre: position, normal, and the reflectance that turns irradiance into radiance.
     middle = (np.arange(size) + 0.5) / size
     film = [mi.Float(np.float32(f(middle, size))) for f in (np.tile, np.repeat)]
     ray = light.camera.evaluate(film)
@@ -74,7 +75,7 @@ def run(size: int = 192, samples: int = 128, passes: int = 6) -> dict[str, Any]:
     for name, gradients in (("cache", True), ("without", False)):
         cache.gradients = gradients
         found[name] = (cache(position, normal)[0] * albedo / np.pi).reshape(size, size, 3)
-    # Pixels that, with those around them, show one surface: at edges it is the place in the pixel that decides.
+    # Pixels that show one surface together with their neighbours: at edges the position in the pixel decides.
     emitted = np.array(light.emitted.evaluate(ray), dtype=np.float64).T
     points = np.concatenate([normal, albedo, emitted], axis=1).reshape(size, size, 9)
     around = sliding_window_view(np.pad(points, ((1, 1), (1, 1), (0, 0))), (3, 3), axis=(0, 1))
@@ -83,7 +84,7 @@ def run(size: int = 192, samples: int = 128, passes: int = 6) -> dict[str, Any]:
     found["positions"] = position.reshape(size, size, 3)
 
     def indirect(seed: int) -> Any:
-        """All light but that of one bounce: paths of all lengths less those of up to two edges."""
+        """All light but that of one bounce: paths of all lengths minus those of up to two edges."""
         depths = [
             etendue.render(scene, "path", samples=samples, size=(size, size), seed=seed, max_depth=depth).image
             for depth in (BOUNCES, 2)
@@ -91,13 +92,14 @@ def run(size: int = 192, samples: int = 128, passes: int = 6) -> dict[str, Any]:
         return depths[0].astype(float) - depths[1]
 
     several = np.array([indirect(seed) for seed in range(passes)])
-    # The two depths share random numbers, but not all of their noise: this is what `path` itself scatters at most.
+    # The two depths share random numbers, but not all of their noise: this is an upper bound of the variance.
     found |= {"path": several.mean(axis=0), "scatter": several.var(axis=0, ddof=1) * samples, "seen": samples * passes}
     return found
 
 
 def summary(found: dict[str, Any]) -> dict[str, float]:
-    """Root mean square errors relative to the mean, but at edges, and the paths that `path` needs for the cache's."""
+    """RMS errors relative to the mean, without edges, and the number of paths that `path` needs for the cache's
+    error."""
     inner = found["inner"]
     truth, scatter = found["path"][inner], found["scatter"][inner].mean()
     noise, mean = scatter / found["seen"], truth.mean()
@@ -112,7 +114,7 @@ def summary(found: dict[str, Any]) -> dict[str, float]:
 
 
 def main(folder: Path) -> None:
-    """Run, write the pictures, print the figures."""
+    """Run, write the pictures, print the results."""
     found = run()
     dots = 0.3 * found["path"]
     for record in found["records"]:

@@ -1,8 +1,9 @@
-"""A method of one's own: ambient occlusion, with budgets, checkpoints, `compare` and a Mitsuba plugin for nothing.
+"""A method of one's own: ambient occlusion, with budgets, checkpoints, `compare` and a Mitsuba plugin by the base
+class.
 
     python examples/occlusion.py [folder]
 
-writes occlusion.png, the bundled Cornell box with glass: how much of the sky above each point nothing hides.
+writes occlusion.png, the bundled Cornell box with glass: the unoccluded share of the hemisphere above each point.
 """
 
 from __future__ import annotations
@@ -25,13 +26,13 @@ from etendue.transport import dimensions as dim
 
 @dataclass(frozen=True)
 class OcclusionSettings(ImageSettings):
-    """Settings of ``occlusion``: those of every method, and one more."""
+    """Settings of ``occlusion``: those of every method, and ``reach``."""
 
     reach: float = setting(0.0, "how far a surface hides, in units of the scene; 0: any distance", minimum=0.0)
 
 
 class Occlusion(ImageMethod):
-    r"""Share of the hemisphere above each point, weighted by the cosine, that no surface hides.
+    r"""Unoccluded share of the hemisphere above each point, weighted by the cosine.
 
     .. math:: A(x) = \frac{1}{\pi} \int V(x, \omega) \cos\theta \, d\omega
     """
@@ -40,7 +41,7 @@ class Occlusion(ImageMethod):
     Settings: ClassVar[type[ImageSettings]] = OcclusionSettings
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
-        """One direction for each camera path. Random numbers are named: vertex 1, its direction."""
+        """One direction for each camera path. Random numbers are requested by vertex and component."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         source = self.camera_numbers(lanes, samples, seed, iteration)
         ray, _, _ = self.camera.primary(lanes // samples, source)

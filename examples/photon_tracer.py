@@ -2,9 +2,9 @@
 
     python examples/photon_tracer.py [folder]
 
-writes photon-tracer.png: a ring of polished metal on a floor, beside a lamp that is bright in its middle; on the left
-rendered from the map, on the right by the method `path`. The irradiance of the floor, counted in squares, is compared
-with that of `path` seen from above.
+writes photon-tracer.png: a ring of polished metal on a floor, beside a lamp that is brightest in its middle; on the
+left rendered from the map, on the right by the method `path`. The irradiance of squares of the floor is compared with a
+top view by `path`.
 """
 
 from __future__ import annotations
@@ -72,14 +72,14 @@ def emission(light: TransportFunctions) -> tuple[Integrand, Integrand]:
         return [*(at.p + 1e-3 * direction), *(sign * direction)]
 
     out = Integrand(leaving, EMISSION, on="device", values=6)
-    # What leaves along a ray is what an eye on that ray sees, looking back.
+    # The radiance that leaves along a ray is what an eye on that ray sees, looking back.
     seen = light.emitted.compose(Integrand(lambda x: leaving(x, -1.0), EMISSION, on="device", values=6))
     measure = Integrand(lambda x: dr.sin(x[2]) * dr.cos(x[2]) * area, EMISSION, (0, area / 2), "device")
     return out, seen.dot([0, 1, 0]) * measure
 
 
 def trace(light: TransportFunctions, photons: int, seed: int) -> Samples:
-    """The photons that arrive at the floor, with the power each carries: the event store."""
+    """The photons that arrive at the floor, and the power of each."""
     import drjit as dr
     import mitsuba as mi
 
@@ -105,7 +105,7 @@ def trace(light: TransportFunctions, photons: int, seed: int) -> Samples:
 
 
 def radiance(light: TransportFunctions, irradiance: Any) -> Integrand:
-    """What the eye sees: the lamp, the map on the floor, and off the floor, in the ring, both again."""
+    """Radiance towards the eye: the lamp, the map on the floor, and their reflections in the ring."""
     import drjit as dr
     import mitsuba as mi
 
@@ -116,7 +116,7 @@ def radiance(light: TransportFunctions, irradiance: Any) -> Integrand:
 
     off_floor = Integrand(lambda x: dr.select(light.hit.evaluate(x)[4] > 0.5, 0.0, 1.0), light.rays, (0, 1), "device")
     seen = direct = light.emitted + Integrand(stored, light.rays, (0, math.inf), "device")
-    for bounce in range(2):  # as often as light goes from side to side of the ring
+    for bounce in range(2):  # reflections between the sides of the ring
         mirrored = integral(light.weight * seen.compose(light.scatter), [6, 7, 8], samples=1, seed=bounce + 1)
         seen = direct + off_floor * mirrored
     return seen
@@ -150,7 +150,7 @@ def run(
 
 
 def main(folder: Path) -> None:
-    """Run, write the picture, print the figures."""
+    """Run, write the picture, print the results."""
     found = run()
     write_png(folder / "photon-tracer.png", tonemap(np.concatenate([found["mapped"], found["picture"]], axis=1)))
     for name in ("photons", "path"):

@@ -2,10 +2,10 @@
 
     python examples/radiosity.py [folder] [integrator]
 
-writes radiosity.png: a closed room in which a block hangs, lit by the middle of its ceiling; radiosity with patches of
-two sizes, and the method `path`. The integrator of the form factors is quasimontecarlo, stratified or meansample, which
-compute all of them together, or vegas or recursivestratified, which learn each by itself and are run for the larger
-patches alone.
+writes radiosity.png: a closed room with a block hanging in it, lit by the middle of its ceiling; radiosity with patches
+of two sizes, and the method `path`. The integrator of the form factors is quasimontecarlo, stratified or meansample,
+which compute all of them together, or vegas or recursivestratified, which adapt to each separately and are used for the
+larger patches only.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Patches = dict[str, Any]  # corner, a, b, normal, colour, emission: (n, 3) each;
 
 
 def walls() -> list[tuple[Any, ...]]:
-    """Corner, sides a and b (the normal is that of a cross b) and colour: a cube of side 1 from within, and a block."""
+    """Corner, sides a and b (the normal is a cross b) and colour: a cube of side 1 seen from inside, and a block."""
     x, y, z = np.eye(3)
     o, foot, up = 0 * x, np.array([0.4, 0.12, 0.2]), 0.5 * y
     p, q = np.array([0.3, 0, -0.1]), np.array([0.1, 0, 0.3])
@@ -80,11 +80,11 @@ def room() -> dict[str, Any]:
 
 
 def exchange(patches: Patches, scene: Any) -> Integrand:
-    """(patch i, patch j, u, v, u', v') -> what a point on i sees of all of j, less what is hidden around (u', v').
+    """(patch i, patch j, u, v, u', v') -> what a point on i sees of all of j, minus what is occluded around (u', v').
 
-    The factor cos cos' / (pi r^2) has no bound beside an edge that two patches share. But its integral over j is known
-    where nothing is in the way (Lambert's formula), and what is in the way is not at the edge. A patch must lie before
-    all of i, or behind it.
+    The factor cos cos' / (pi r^2) is unbounded at an edge that two patches share. Without occlusion its integral over j
+    is known (Lambert's formula), and occluders are not at the edge. A patch must lie in front of all of i, or behind
+    it.
     """
     import drjit as dr
     import mitsuba as mi
@@ -92,7 +92,7 @@ def exchange(patches: Patches, scene: Any) -> Integrand:
     tables = {name: mi.Float(np.float32(values).ravel()) for name, values in patches.items()}
 
     def look(x: Any) -> tuple[Any, ...]:
-        """A point on i, a little off it, and normals and sides of both."""
+        """A point on i, slightly offset, and normals and sides of both."""
         i, j = mi.UInt32(x[0]), mi.UInt32(x[1])
         corner, a, b, n = (dr.gather(mi.Vector3f, tables[k], i) for k in ("corner", "a", "b", "normal"))
         other = [dr.gather(mi.Vector3f, tables[k], j) for k in ("corner", "a", "b", "normal")]
@@ -143,7 +143,7 @@ def solve(factors: Any, patches: Patches) -> Any:
 
 
 def patch_of(patches: Patches, hit: Any) -> Any:
-    """Number of the patch that each point lies on; ``hit`` is (n, 6), place and normal."""
+    """Index of the patch of each point; ``hit`` is (n, 6), position and normal."""
     offset = hit[:, None, :3] - patches["corner"]
     u, v = (np.einsum("nkc,kc->nk", offset, patches[s] / (patches[s] ** 2).sum(axis=1)[:, None]) for s in "ab")
     away = np.abs(np.einsum("nkc,kc->nk", offset, patches["normal"])) + (hit[:, 3:] @ patches["normal"].T < 0.9)
@@ -179,7 +179,7 @@ def difference(picture: Any, path: Any) -> float:
 
 
 def main(folder: Path, integrator: str = "quasimontecarlo") -> None:
-    """Run, write the picture, print the figures."""
+    """Run, write the picture, print the results."""
     divisions = (3, 9) if INTEGRATORS[integrator].batched else (3,)
     found = run(divisions=divisions, by=integrator)
     pictures = [*found["pictures"], found["path"]]

@@ -1,11 +1,11 @@
-"""The rendering equation solved in two ways: put into itself, and expanded into paths of a given number of bounces.
+"""The rendering equation solved in two ways: by recursion, and expanded into paths of a given number of bounces.
 
     python examples/ray_tracers.py [folder]
 
 writes ray-tracers.png: a Cornell box with four weak lights besides its lamp, by a recursive distribution ray tracer, by
-an expanded path tracer with uniform random numbers, and by the same path tracer with numbers drawn from a density that
-VEGAS has learned: above all, that the lamp deserves more of them. All three have the mean of the method `path`; the
-noise of the last two, which trace the same number of paths, is compared.
+an expanded path tracer with uniform random numbers, and by the same path tracer with random numbers from a density that
+VEGAS has learned, which samples the lamp more often. All three have the mean of the method `path`. The noise of the
+last two, which trace the same number of paths, is compared.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from etendue.transport import TransportFunctions, film_picture
 BOUNCES = 4  # edges of the longest path; `max_depth` of the method path
 #: Parameters of the path tracer: bounces; film u, v; lamp u, v; then lobe, u, v of each bounce but the last.
 FILM, LAMP, FIRST = [1, 2], [3, 4], 5
-#: What VEGAS learns together. The film is left out, so that what it learns serves every pixel.
+#: Groups that VEGAS learns. The film is left out, so that the density can be used for every pixel.
 GROUPS = [[0], LAMP, *([FIRST + 3 * k + 1, FIRST + 3 * k + 2] for k in range(BOUNCES - 2))]
 
 
@@ -59,7 +59,7 @@ def scene() -> Any:
 def distribution_ray_tracer(light: TransportFunctions, branching: int = 4) -> Integrand:
     """Radiance as a function of rays: L = L_e + L_r, L_r = direct light + int weight L_r du, by recursion.
 
-    Direct light is an integral over the lamps, what comes from elsewhere one over directions, so each lamp counts once.
+    Direct light is an integral over the lamps, indirect light one over directions, so each lamp counts once.
     """
     direct = integral(light.direct, [6, 7], samples=branching, seed=1)
     reflected = direct
@@ -72,7 +72,7 @@ def distribution_ray_tracer(light: TransportFunctions, branching: int = 4) -> In
 def path_tracer(light: TransportFunctions) -> Integrand:
     """The expanded equation: the number of bounces is the first parameter, and one evaluation is one path.
 
-    The lamp itself is left out: it is seen without noise, but draws all samples of an adaptive method to itself.
+    The visible lamp is left out: it has no noise, but would attract all samples of an adaptive method.
     """
 
     def path(x: Any) -> list[Any]:
@@ -108,7 +108,7 @@ def pictures(light: TransportFunctions, f: Integrand, integrator: Any, size: int
 
 
 def run(size: int = 192, samples: int = 32, passes: int = 6, learning: int = 1_000_000) -> dict[str, Any]:
-    """Pictures by each, (passes, height, width, 3), and what VEGAS makes of the mean of the whole picture."""
+    """Pictures by each, (passes, height, width, 3), and the mean of the whole picture by VEGAS."""
     use_variant()
     box = scene()
     light = TransportFunctions(box)
@@ -139,7 +139,7 @@ def noise(images: Any) -> float:
 
 
 def main(folder: Path) -> None:
-    """Run, write the pictures, print the figures."""
+    """Run, write the pictures, print the results."""
     found = run()
     names = ("recursive", "expanded", "vegas")
     write_png(folder / "ray-tracers.png", tonemap(np.concatenate([found[n][0] for n in names], axis=1), 1.0))

@@ -159,7 +159,7 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("radiosity room.ply --emission 1,2 -o s.ply", ".ply shows one channel or three"),
         ("radiosity room.ply --emission 1 -P a=1", "-P is for scenes"),
         ("radiosity cornell-box --reflectance 0.5", "--reflectance is for mesh files"),
-        ("radiosity room.ply --emission 1 --max-area 1e-4 --solver direct", "GB, there are"),
+        ("radiosity room.ply --emission 1 --max-area 1e-4 --solver direct", "GB are free"),
         ("radiosity cornell-box --two-sided", "--two-sided is for mesh files"),
         ("radiosity room.ply --emission 1 --error 0", "a number above 0"),
         ("radiosity room.ply --emission 1 --time -1", "a number above 0"),

@@ -139,7 +139,7 @@ def test_a_checkpoint_goes_on_to_more_of_the_same_and_to_nothing_else(capsys):
     assert arrays_of("more.npz")[1]["bundles"] == 64
     for arguments, message in (
         ("", "used up; say how much more with --bundles, --time or --error"),
-        ("--spp 3", "--spp, -m and -D say nothing of them"),
+        ("--spp 3", "--spp, -m and -D do not apply"),
         ("--bundles 50", "64 bundles, more than 50"),
         ("--bundles 80 -o a.npz -o b.npz", "writes one file, not 2"),
         ("--bundles 80 -o a.vtu", "take .npz"),
@@ -229,5 +229,5 @@ def test_open_and_crowded_meshes_are_said_and_duplicates_left_out(capsys):
     meshio.write("odd.ply", meshio.Mesh(vertices, [("quad", kept)]))
     assert run("form-factors odd.ply --bundles 16") == 0
     err = capsys.readouterr().err
-    assert "1 are there twice; they are left out" in err and "not closed, 4 open edges" in err
+    assert "1 are duplicates; they are left out" in err and "not closed, 4 open edges" in err
     assert "% of what patches see is the sky" in err

@@ -252,7 +252,7 @@ def test_what_has_changed_since_is_said(folder, capsys):
     Path("a.toml").write_text(base + '[output]\nname = "b"\n')
     for spp, why in (("2", "keeps its checkpoint elsewhere"), ("3", "is gone")):
         assert main(["resume", "a.checkpoint", "--spp", spp]) == 0
-        warning = rf"warning: only the picture goes on, .*: the run file '.*a\.toml' {why}"
+        warning = rf"warning: only the picture continues, .*: the run file '.*a\.toml' {why}"
         assert re.search(warning, capsys.readouterr().err)
         Path("a.toml").unlink(missing_ok=True)
     assert main(["resume", "a.checkpoint", "--spp", "4", "-o", "c.exr"]) == 0
@@ -294,7 +294,7 @@ BAD = [
     (BOX + "[camera]\norigin = [0, 0, 1]", 2, "[camera]: a camera's origin and target belong together"),
     (BOX + "[camera]\nfov = 200", 2, "between 0 and 180"),
     (BOX + '[output]\nlayers = "both"', 2, '"together" or "separate"'),
-    (BOX + '[output]\nname = "a/b"', 2, "put a place into folder"),
+    (BOX + '[output]\nname = "a/b"', 2, "put the path into folder"),
     (BOX + '[output]\nfolder = "file"', 5, "is a file"),
     (BOX + '[output]\nfolder = "file/deep"', 5, "is a file"),
     (BOX + '[reference]\nfile = "no.exr"', 3, "there is no picture 'no.exr'"),

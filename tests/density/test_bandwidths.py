@@ -203,7 +203,7 @@ def test_what_has_no_bandwidth():
             rule([1.0])
         with pytest.raises(DensityError, match="not on surfaces"):
             rule(np.zeros((4, 3)))
-    with pytest.raises(DensityError, match="too fine"):
+    with pytest.raises(DensityError, match="too small for the extent"):
         cross_validation([0.0, 1.0, 1e6], bandwidths=[0.1])
     with pytest.raises(DensityError, match="above zero"):
         cross_validation([0.0, 1.0], bandwidths=[0.0])

@@ -70,6 +70,19 @@ def test_links_lead_somewhere(page):
             assert anchor in anchors, f"{relative(page)} links to {target}"
 
 
+SYMBOLS = re.findall(r"^\|.*\.py` \|$", (ROOT / "docs" / "symbols.md").read_text("utf-8"), re.MULTILINE)
+
+
+@pytest.mark.parametrize("row", SYMBOLS)
+def test_symbols_name_what_their_files_have(row):
+    _, _, _, code, files, _ = row.split("|")
+    text = "".join((ROOT / "src" / "etendue" / file).read_text("utf-8") for file in re.findall(r"`([^`]+)`", files))
+    names = re.findall(r"`([^`]+)`", code)
+    assert names
+    for word in re.findall(r"\w\w+", " ".join(names)):
+        assert re.search(rf"\b{word}\b", text), f"docs/symbols.md: no {word} in {files.strip()}"
+
+
 def short(function):
     """A rendering function that takes little time, whatever it is asked for."""
 

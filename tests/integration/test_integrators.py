@@ -282,7 +282,7 @@ LINE = Integrand(lambda x: x[0], 1, on="device")
         (lambda: QuasiMonteCarlo(Halton(1)).integrate(SQUARE, 100), "has 1 dimensions, the integrand 2"),
         (lambda: Importance(Warp(2, list, lambda x: 2.0)).integrate(SQUARE, 1000), "not normalised"),
         (lambda: Importance(Warp(2, list, lambda x: 0.5)).integrate(SQUARE, 1000), "integrates to about 0.5"),
-        (lambda: Importance(Warp(2, list, lambda x: 0.5 + x[0])).integrate(SQUARE, 1000), "does not fit its samples"),
+        (lambda: Importance(Warp(2, list, lambda x: 0.5 + x[0])).integrate(SQUARE, 1000), "does not match its samples"),
         (lambda: Importance(Warp(3, list, lambda x: 1.0)).integrate(SQUARE, 1000), "the density is on"),
         (lambda: ProductDensity.tabulated(constant(0.0, 1)), "zero everywhere: not normalisable"),
         (lambda: ProductDensity.tabulated(Integrand(lambda x: 1 / (x[0] - 0.5 / 64), 1)), "not finite"),
@@ -304,7 +304,7 @@ LINE = Integrand(lambda x: x[0], 1, on="device")
         (lambda: RecursiveStratified(borders="vegas", dither=0.5), "dither moves the borders of equal parts only"),
         (lambda: RecursiveStratified(weights=[0, 0]), "nor all zero"),
         (lambda: RecursiveStratified(weights=[1]).integrate(SQUARE, 1000), "1 weights for 2 dimensions"),
-        (lambda: RecursiveStratified(initial_depth=9).integrate(SQUARE, 1000), "too few for 9 blind levels"),
+        (lambda: RecursiveStratified(initial_depth=9).integrate(SQUARE, 1000), "too few for 9 initial levels"),
     ],
 )
 def test_bad_input_is_one_clear_line(call, message):

@@ -67,7 +67,7 @@ def test_broken_faces_are_left_out_with_a_warning(tmp_path, caplog):
         written(tmp_path / "a.vtu", {"rho": [0.1, 0.2, 0.3, 0.4]}, (vertices, broken)), reflectance="rho"
     )
     np.testing.assert_allclose(patches.reflectance[:, 0], [0.1, 0.2])
-    assert "of 4 faces 1 have no area and 1 are there twice" in caplog.text
+    assert "of 4 faces 1 have no area and 1 are duplicates" in caplog.text
 
 
 @pytest.mark.parametrize(

@@ -96,8 +96,8 @@ def test_a_scene_by_name_and_by_area():
 @pytest.mark.parametrize(
     ("shape", "words"),
     [
-        ({"type": "sphere", "bsdf": {"type": "dielectric"}}, "lets light through"),
-        ({"type": "rectangle", "bsdf": {"type": "mask", "bsdf": GREY, "opacity": 0.5}}, "lets light through"),
+        ({"type": "sphere", "bsdf": {"type": "dielectric"}}, "transmits light"),
+        ({"type": "rectangle", "bsdf": {"type": "mask", "bsdf": GREY, "opacity": 0.5}}, "transmits light"),
         ({"type": "rectangle", "bsdf": {"type": "conductor", "material": "none"}}, "reflects 1"),
         ({"type": "rectangle", "emitter": {"type": "directionalarea", "radiance": 1.0}}, "does not emit evenly"),
         ({"type": "point", "intensity": 1.0}, "has no surface"),

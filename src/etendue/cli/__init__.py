@@ -1,1 +1,1 @@
-"""The command line: `etendue render`, `run`, `compare`, `resume`, `demo`, `methods`, `scenes`, `doctor`, `cite`."""
+"""The command line `etendue`: a module per command or group of commands, and `main` with their options."""

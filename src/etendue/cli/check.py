@@ -1,4 +1,4 @@
-"""`etendue check`: what is implausible in a scene."""
+"""`etendue check`: reports implausible components of a scene."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from etendue.core import format_seconds
 
 from .console import say
 
-#: Other ways of casting rays that are tried where the scene has triangles.
+#: Further variants for the test of ray casting, if the scene has triangles.
 _VARIANTS = ("scalar_rgb",)
 _COLOUR = {"pass": "green", "warn": "yellow", "fail": "red"}
 
@@ -34,7 +34,7 @@ def show_check(scene: Any, *, quick: bool, sensor: int, seed: int, parameters: M
 
 
 def render(report: Report, console: Console) -> None:
-    """Print a row for each component, then what is wrong with them."""
+    """Print a row for each component, then the warnings and failures."""
     table = Table(box=None, pad_edge=False)
     for heading, fixed in (("", True), ("component", False), ("passed", True), ("other than passed", False)):
         table.add_column(heading, no_wrap=fixed)

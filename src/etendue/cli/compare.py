@@ -1,4 +1,4 @@
-"""Several methods on one scene for the same budget: pictures, and one page that compares them."""
+"""`etendue compare` and `demo`: several methods on one scene with the same budget, and a page that compares them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .rendering import check_reference, follow, make_folder, summary
 
 Image = NDArray[np.float32]
 
-#: Ratio of the times of two points of the error plot.
+#: Ratio of the times of consecutive points of the error plot.
 _HISTORY_RATIO = 1.25
 _PAGE = "index.html"
 
@@ -38,7 +38,7 @@ def tasks(scene: Any, names: Sequence[str], settings: Mapping[str, Any], **commo
 
 @dataclass
 class Comparison:
-    """What to compare, and where the outcome goes."""
+    """The methods to compare, and the outputs."""
 
     tasks: list[Task]
     output: Path
@@ -49,9 +49,10 @@ class Comparison:
     _reference: Image | None = field(default=None, init=False)
 
     def run(self, console: Console) -> int:
-        """Render one after the other, write the page of what there is and print its path. Returns the exit status.
+        """Render the methods in turn, write the page with those that succeeded and print its path. Returns the exit
+        status.
 
-        Raises the errors of reference and output folder before anything is rendered.
+        Errors of reference and output folder are raised before rendering.
         """
         if self.reference is not None:
             self._reference = film.read_image(self.reference)
@@ -88,7 +89,7 @@ class Comparison:
         return outcome.exit_code
 
     def _write(self, entries: list[display.Entry]) -> None:
-        """Pictures at one exposure, so that they can be compared, and the page."""
+        """Write the pictures at one exposure, so that they can be compared, and the page."""
         exposure = display.auto_exposure(self._reference if self._reference is not None else entries[0].image)
         for entry in entries:
             display.write_png(self.output / f"{entry.name}.png", display.tonemap(entry.image, exposure))
@@ -106,7 +107,7 @@ class Comparison:
 
 
 class _History:
-    """Pictures at times that grow by a ratio; they are compared with the reference when the clock has stopped."""
+    """Pictures at times that grow by a ratio; they are compared with the reference after rendering."""
 
     def __init__(self) -> None:
         self._pictures: list[tuple[float, Image]] = []
@@ -123,7 +124,7 @@ class _History:
 
 
 def demonstration(output: Path, seconds: float | None, size: tuple[int, int] | None) -> Comparison:
-    """The bundled scene for demonstration, by ``path`` and ``vcm``. Its reference fits its own size only."""
+    """The bundled demonstration scene by ``path`` and ``vcm``. Its reference has the scene's default size."""
     scene = next(iter(bundled().values()))
     return Comparison(
         tasks(scene, ["path", "vcm"], {}, budget=Budget(seconds=seconds), size=size),

@@ -1,4 +1,5 @@
-"""Messages and progress on a terminal or in a pipe. Paths of pictures go to standard output, the rest to the other."""
+"""Messages and progress on a terminal or in a pipe. Paths of written files go to standard output, the rest to standard
+error."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from rich.progress import Progress as RichProgress
 
 from etendue.core import Progress
 
-#: In a pipe, a line of progress comes when the time has grown by this ratio, and at least this often.
+#: In a pipe, a line of progress is printed when the time has grown by this factor, and at least this often.
 _LINE_RATIO, _LINE_EVERY = 1.5, 60.0
 
 
@@ -30,7 +31,7 @@ def say(text: str) -> None:
 
 
 def note(console: Console, text: str, style: str | None = None) -> None:
-    """A line beside the output; never wrapped."""
+    """A line on standard error; never wrapped."""
     console.print(text, markup=False, soft_wrap=True, style=style)
 
 
@@ -48,7 +49,7 @@ class ConsoleHandler(logging.Handler):
 
 
 class ProgressView:
-    """A live bar on a terminal, a line now and then elsewhere. ``words`` say what is not said of pictures."""
+    """A live bar on a terminal, occasional lines elsewhere. ``words`` replaces the text for pictures."""
 
     def __init__(self, console: Console, label: str, words: Callable[[Progress], list[str]] | None = None) -> None:
         self._console = console
@@ -84,7 +85,7 @@ class ProgressView:
             self._bar.stop()
 
     def update(self, progress: Progress, prepared: bool) -> None:
-        """Show ``progress``; called some times a second."""
+        """Show ``progress``; called a few times per second."""
         if self._bar is not None:
             self._bar.update(self._task, **self._fields(progress, prepared))
             return
@@ -106,5 +107,5 @@ class ProgressView:
 
 
 def print_error(message: str) -> None:
-    """One line on standard error, whatever ``message`` looks like."""
+    """Print ``message`` as one line on standard error."""
     sys.stderr.write(f"error: {' '.join(message.split())}\n")

@@ -1,6 +1,6 @@
-"""`etendue doctor`: what étendue needs from this machine, what it found, and how to mend what is wrong.
+"""`etendue doctor`: checks what étendue needs on this machine, and says how to fix what is wrong.
 
-Anything that could end the process, as an unsuitable LLVM does in its first kernel, is tried in a process of its own.
+Anything that could crash the process, such as an old LLVM in its first kernel, runs in a separate process.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ mean = float(np.array(mi.render(mi.load_dict(box), spp=4)).mean())
 sys.exit(0 if 0.01 < mean < 10 else f"the picture is wrong: its mean is {mean}")
 """
 
-# As a user's script would: Mitsuba decides on LLVM by itself, étendue has no say.
+# As in a user's script: Mitsuba chooses LLVM without étendue.
 _MITSUBA_FIRST = "import mitsuba, drjit; print(drjit.detail.llvm_version()[0])"
 
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that was looked at. ``remedy`` is empty where nothing needs mending."""
+    """One check. ``remedy`` is empty if there is nothing to fix."""
 
     name: str
     status: Status
@@ -52,7 +52,7 @@ class Check:
 
 
 def diagnose() -> list[Check]:
-    """Look at everything; takes a few seconds, as it compiles and runs a kernel for each usable variant."""
+    """Run all checks; takes a few seconds, since it compiles and runs a kernel for each usable variant."""
     checks = [_python(), *(_package(name) for name in ("etendue", "mitsuba", "drjit", "OpenEXR"))]
     if any(check.status == "fail" for check in checks):
         return checks
@@ -68,7 +68,7 @@ def diagnose() -> list[Check]:
 
 
 def render(checks: list[Check], console: Console) -> None:
-    """Print the table of findings, and below it what to do."""
+    """Print the table of checks, then the remedies."""
     colour = {"ok": "green", "warn": "yellow", "fail": "red"}
     table = Table(box=None, show_header=False, pad_edge=False)
     table.add_column(no_wrap=True)
@@ -123,7 +123,7 @@ def _llvm() -> Check:
 
 
 def _mitsuba_first() -> Check:
-    """What a script that imports Mitsuba before étendue gets."""
+    """Whether a script may import Mitsuba before étendue."""
     environment = {k: v for k, v in os.environ.items() if k != llvm.VARIABLE or backend.NAMED_BY_USER}
     try:
         run = subprocess.run(
@@ -169,7 +169,7 @@ def _cuda_driver() -> str | None:
 
 
 def _kernel(variant: str) -> Check:
-    """Render something tiny in a process of its own."""
+    """Render a tiny picture in a separate process."""
     name = f"kernel {variant}"
     try:
         run = subprocess.run([sys.executable, "-c", _PROBE, variant], capture_output=True, text=True, timeout=300)
@@ -178,7 +178,7 @@ def _kernel(variant: str) -> Check:
     if run.returncode == 0:
         return Check(name, "ok", "compiled, and rendered a test picture")
     lines = (run.stderr.strip() or "no message").splitlines()
-    # A signal leaves its message first ("LLVM ERROR: ..."), a Python error last.
+    # After a signal the message is the first line ("LLVM ERROR: ..."), after a Python error the last.
     message = lines[0] if run.returncode < 0 else lines[-1]
     ended = f"killed by signal {-run.returncode}" if run.returncode < 0 else "failed"
     return Check(name, "fail", f"{ended}: {message}", backend.install_hint() if variant.startswith("llvm") else "")
@@ -187,5 +187,5 @@ def _kernel(variant: str) -> Check:
 def _variant(checks: list[Check]) -> Check:
     usable = [check.name.split()[-1] for check in checks if check.name.startswith("kernel") and check.status == "ok"]
     if not usable:
-        return Check("variants", "fail", "none is usable", "mend what is wrong above")
+        return Check("variants", "fail", "none is usable", "fix what is wrong above")
     return Check("variants", "ok", f"{', '.join(usable)}; by default étendue takes {usable[-1]}")

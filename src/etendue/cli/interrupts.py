@@ -13,7 +13,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Interrupts:
-    """Handlers for the length of a block; the former ones come back after it. Main thread only.
+    """Signal handlers during a block; the previous ones are restored after it. Main thread only.
 
     ``stop`` is called at the first signal; ``abort`` at the second, just before the process ends: the rendering thread
     is inside compiled code and cannot be ended otherwise.
@@ -23,7 +23,7 @@ class Interrupts:
         self._stop = stop
         self._abort = abort
         self._former: dict[int, Any] = {}
-        #: The signal that came, if one did.
+        #: The received signal, if any.
         self.received: int | None = None
 
     def __enter__(self) -> Self:
@@ -41,12 +41,12 @@ class Interrupts:
         if self.received is not None:
             try:
                 self._abort()
-            finally:  # whatever a message from within a signal handler may run into
+            finally:  # even if printing from within a signal handler fails
                 os._exit(128 + number)
         self.received = number
         self._stop()
 
     @property
     def exit_code(self) -> int:
-        """0, or what a shell expects of a process that a signal ended."""
+        """0, or the exit status of a process ended by a signal."""
         return 0 if self.received is None else 128 + self.received

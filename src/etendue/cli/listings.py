@@ -1,4 +1,4 @@
-"""`etendue methods`, `scenes` and `cite`: what there is."""
+"""`etendue methods`, `scenes` and `cite`: lists and manual pages."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from etendue.core import bibtex
 
 from .console import say
 
-#: What every picture rests on.
+#: Software to cite with every picture.
 _ALWAYS_CITED = ("Mitsuba3", "Jakob2022")
 
 

@@ -27,14 +27,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-# The base of typer's usage errors; where it lives depends on the version of typer.
+# The base class of typer's usage errors; its module depends on the version of typer.
 _UsageError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; ``arguments`` are those of the process by default. Returns the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    debug = "--debug" in words  # looked at here, as it must also hold for errors in the other options
+    debug = "--debug" in words  # read here, since it must also apply to errors in the other options
     handler = ConsoleHandler(error_console(), logging.DEBUG if debug else logging.WARNING)
     level = logger.level
     logger.addHandler(handler)
@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if debug:
             traceback.print_exc()
         text = error.format_message() if hasattr(error, "format_message") else str(error)
-        # Without arguments typer raises with the help text, which it has printed, or with nothing.
+        # Without arguments typer raises with the help text, already printed, or without a message.
         if text.strip():
             print_error(text)
         return int(getattr(error, "exit_code", 1))
@@ -168,23 +168,23 @@ def resume(
         list[str] | None,
         typer.Option("-D", "--define", help="Not needed; must be as in the checkpoint.", metavar="NAME=VALUE"),
     ] = None,
-    scene: Annotated[str | None, typer.Option(help="Where the scene is now, if it has moved.", metavar="SCENE")] = None,
+    scene: Annotated[str | None, typer.Option(help="New path of the scene, if it has moved.", metavar="SCENE")] = None,
     time: opt.Time = None,
     spp: opt.Spp = None,
     error: opt.Error = None,
     bundles: Annotated[
-        int | None, typer.Option(help="Of radiosity: stop at so many bundles of lines.", min=1, metavar="N")
+        int | None, typer.Option(help="For radiosity: stop at this many bundles of lines.", min=1, metavar="N")
     ] = None,
     variant: opt.Variant = None,
     threads: opt.Threads = None,
     save_every: opt.SaveEvery = 60.0,
     debug: opt.Debug = False,
 ) -> int:
-    """Go on with an interrupted or finished render; the checkpoint is updated.
+    """Continue an interrupted or finished render; the checkpoint is updated.
 
-    --time counts from now, --spp and --error speak of the whole picture. Without them the interrupted budget is
-    used up. Without -o the pictures of that name beside the checkpoint are updated, .exr and .png, or an .exr made;
-    of a run file, all that it keeps: the saves that are to come, log and table go on.
+    --time is additional time, --spp and --error are those of the whole picture. Without them the rest of the
+    interrupted budget is used. Without -o the pictures with that name beside the checkpoint are updated, .exr and .png
+    (if there are none, an .exr is written); for a run file, the remaining saves, log and table continue.
     """
     from etendue import methods
     from etendue.engine import Budget, Checkpoint, Job
@@ -197,10 +197,10 @@ def resume(
     saved = Checkpoint.read(checkpoint)
     if saved.method == LINES:
         if (spp, method, define) != (None, None, None):
-            raise OptionError(f"{checkpoint} has lines for radiosity: --spp, -m and -D say nothing of them")
+            raise OptionError(f"{checkpoint} has lines for radiosity: --spp, -m and -D do not apply")
         return resume_lines(saved, checkpoint, output or [], scene, bundles, time, error, save_every, variant, threads)
     if bundles is not None:
-        raise OptionError(f"{checkpoint} has a picture: --bundles says nothing of it")
+        raise OptionError(f"{checkpoint} has a picture: --bundles does not apply")
     kind = methods.get(saved.method if method is None else method)
     saved.settings_of(kind, opt.parse_pairs(define, "-D"))
     file = run_of(saved, checkpoint) if output is None else None
@@ -225,10 +225,11 @@ def resume(
 @app.command()
 def run(
     file: Annotated[Path, typer.Argument(help="Run file in TOML, see docs/run-files.md.", metavar="FILE")],
-    check: Annotated[bool, typer.Option("--check", help="Only check the file and all that it names.")] = False,
+    check: Annotated[bool, typer.Option("--check", help="Only check the file and the files that it names.")] = False,
     debug: opt.Debug = False,
 ) -> int:
-    """Render what a run file says: scene, camera, method, budget, saves at given times, error against a reference.
+    """Render the experiment of a run file: scene, camera, method, budget, saves at given times, error against a
+    reference.
 
     Ctrl-C stops after the current pass and writes the pictures and the checkpoint.
     """
@@ -363,7 +364,7 @@ def points(
     ] = None,
     dimension: Annotated[int | None, typer.Option("-d", help="Dimension; 2.", min=1, metavar="D")] = None,
     first: Annotated[int, typer.Option("--first", help="Index of the first point.", min=0, metavar="I")] = 0,
-    seed: Annotated[int, typer.Option("--seed", help="For those that are random.", metavar="N")] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of random sets.", metavar="N")] = 0,
     measure: Annotated[bool, typer.Option("--measure", help="Show star and L2 discrepancies.")] = False,
     plot: Annotated[Path | None, typer.Option("--plot", help="Draw projections.", metavar="FILE.svg")] = None,
     pair: Annotated[
@@ -371,7 +372,7 @@ def points(
     ] = None,
     debug: opt.Debug = False,
 ) -> int:
-    """List point sets and sequences, or write points of one as CSV, measure how even they are, draw projections."""
+    """List point sets and sequences, or write points as CSV, measure their discrepancy, draw projections."""
     from .points import show_point_sets, show_points
 
     if name is None:
@@ -399,7 +400,7 @@ def cite(
 def check(
     scene: opt.Scene,
     json: Annotated[bool, typer.Option("--json", help="Write all findings as JSON to standard output.")] = False,
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer samples; small faults may stay unseen.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer samples; may miss small faults.")] = False,
     sensor: opt.Sensor = 0,
     seed: opt.Seed = 0,
     variant: opt.Variant = None,
@@ -424,7 +425,7 @@ def check(
 
 @app.command()
 def doctor(debug: opt.Debug = False) -> int:
-    """Report what is installed, what is wrong and how to mend it."""
+    """Report what is installed, what is wrong and how to fix it."""
     from rich.console import Console
 
     from .doctor import run_doctor

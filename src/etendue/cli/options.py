@@ -1,4 +1,4 @@
-"""What the commands take: the reading of values that people type, and option types with their help."""
+"""Options of the commands: parsing of values, and option types with their help."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MEMORY = re.compile(r"^(?P<number>[\d.]+)\s*(?P<unit>[kmgt]?)i?b?$", re.IGNOREC
 
 
 class Size(NamedTuple):
-    """Of a picture, in pixels. A class of its own, as typer takes two words for a plain tuple."""
+    """Size of a picture in pixels. A separate class, since typer reads a plain tuple from two words."""
 
     width: int
     height: int
@@ -87,9 +87,8 @@ def settings(
     pyramid_depth: int | None = None,
     no_bsdf_sampling: bool = False,
 ) -> dict[str, Any]:
-    """What -D and the options that stand for settings say; a depth of the pyramid asks for one.
-
-    Raises :class:`OptionError` if two of them say the same."""
+    """The settings from -D and from options for settings; a pyramid depth also enables the pyramid. Raises
+    :class:`OptionError` if two of them set the same."""
     pairs = parse_pairs(define, "-D")
     said = {
         "max_depth": max_depth,
@@ -106,10 +105,11 @@ def settings(
 
 
 def settings_by_method(names: Sequence[str], settings: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Settings for each of several methods: ``name`` is for all that have it, ``method.name`` for one and wins.
+    """Settings for each of several methods: ``name`` applies to all methods that have it, ``method.name`` to one method
+    and takes precedence.
 
-    Raises :class:`OptionError` for a method that is not among ``names``. A setting that nobody has is given to the
-    first method, whose settings then say what is meant.
+    Raises :class:`OptionError` for a method that is not among ``names``. A setting that no method has is passed to the
+    first method, whose error suggests the right name.
     """
     from etendue import methods
 
@@ -133,7 +133,7 @@ Time = Annotated[
     typer.Option(
         "--time",
         "-t",
-        help="Stop after this time: seconds, or 90s, 5m, 1h30m; of each method, where several are rendered.",
+        help="Stop after this time: seconds, or 90s, 5m, 1h30m; for each method if several are rendered.",
         parser=parse_time,
         metavar="TIME",
     ),
@@ -146,7 +146,7 @@ Error = Annotated[
 PictureSize = Annotated[
     Size | None, typer.Option("--size", help="Size of the picture.", parser=parse_size, metavar="WxH")
 ]
-Sensor = Annotated[int, typer.Option("--sensor", help="Which of the scene's sensors, counted from 0.", metavar="I")]
+Sensor = Annotated[int, typer.Option("--sensor", help="Index of the scene's sensor, from 0.", metavar="I")]
 Seed = Annotated[int, typer.Option("--seed", help="The same seed gives the same picture.", metavar="N")]
 Variant = Annotated[
     str | None,
@@ -180,7 +180,10 @@ SaveEvery = Annotated[
 Memory = Annotated[
     int | None,
     typer.Option(
-        "--memory", help="Bound on what a method stores, as 512M or 2G.", parser=parse_memory, metavar="BYTES"
+        "--memory",
+        help="Limit on the memory that a method stores data in, such as 512M or 2G.",
+        parser=parse_memory,
+        metavar="BYTES",
     ),
 ]
 Output = Annotated[
@@ -188,7 +191,7 @@ Output = Annotated[
     typer.Option("-o", "--output", help="Picture: .exr (all layers, metadata) or .png; repeatable.", metavar="FILE"),
 ]
 Folder = Annotated[
-    Path, typer.Option("-o", "--output", help="Folder for pictures and page; made if needed.", metavar="DIR")
+    Path, typer.Option("-o", "--output", help="Folder for pictures and page; created if needed.", metavar="DIR")
 ]
 Aovs = Annotated[bool, typer.Option("--aovs", help="Add first-hit layers: albedo, normal, depth.")]
 Pyramid = Annotated[
@@ -196,12 +199,13 @@ Pyramid = Annotated[
 ]
 PyramidDepth = Annotated[
     int | None,
-    typer.Option("--pyramid-depth", help="The same, with this many edges of the longest paths; 5.", metavar="N"),
+    typer.Option("--pyramid-depth", help="The same for paths of up to this many edges; default 5.", metavar="N"),
 ]
 NoBsdfSampling = Annotated[
     bool,
     typer.Option(
-        "--no-bsdf-sampling", help="Draw directions uniformly, not by the materials (`path`, `vegas`, `stratified`)."
+        "--no-bsdf-sampling",
+        help="Sample directions uniformly, not by materials (`path`, `guided`, `vegas`, `stratified`).",
     ),
 ]
 Debug = Annotated[bool, typer.Option("--debug", help="Log what happens, and show tracebacks of errors.")]

@@ -1,4 +1,4 @@
-"""`etendue points`: the sequences, their points, how even these are, and plots of projections."""
+"""`etendue points`: lists point sets, writes their points, measures discrepancies, plots projections."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from etendue.points import (
 
 from .console import say
 
-#: Points of a plot or a measure, and of a list.
+#: Default numbers of points of a plot or a measure, and of a list.
 _PLOTTED, _LISTED = 1024, 16
-#: Coordinates of pairs of points that an L2 discrepancy visits at most.
+#: Limit on the coordinates of pairs of points for an L2 discrepancy.
 _MAX_PAIRS = 1 << 31
 #: Rows that are written at a time.
 _ROWS = 1 << 14
@@ -62,7 +62,7 @@ def show_points(
     plot: Path | None,
     pairs: Sequence[str],
 ) -> int:
-    """Points as CSV; or, if asked for, their discrepancies or a plot. Raises :class:`OptionError`."""
+    """Points as CSV, or their discrepancies, or a plot. Raises :class:`OptionError`."""
     if measure and plot is not None:
         raise OptionError("--measure and --plot exclude each other; a plot shows the discrepancy of each pair")
     chosen = [parse_pair(text) for text in pairs]

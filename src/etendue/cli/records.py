@@ -1,4 +1,4 @@
-"""What a run file keeps of a run: pictures at given times, a log, and the error over time as a table."""
+"""The records of a run file: pictures at given times, a log, and a table of the error over time."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from etendue.jobs import Outputs, Rendering
 from .rendering import check_reference, make_folder
 from .run_file import RunFile
 
-#: Of a checkpoint: where the run file is.
+#: Checkpoint key for the path of the run file.
 _RUN_FILE = "run_file"
-#: Of the table: when, what was done, how wrong the picture is. Numbers only; empty where there is none.
+#: Columns of the table: times, work done, errors. Numbers only; empty if unknown.
 COLUMNS = (
     "seconds",
     "rendering_seconds",
@@ -38,9 +38,9 @@ COLUMNS = (
 
 
 def run_of(saved: Checkpoint, path: Path) -> RunFile | None:
-    """The run file whose records go on with the checkpoint ``saved`` at ``path``, ``None`` if it has none.
+    """The run file whose records continue with the checkpoint ``saved`` at ``path``, ``None`` if it has none.
 
-    Warns if it is gone, or keeps its checkpoint elsewhere. Raises what :meth:`RunFile.read` raises, and
+    Warns if it no longer exists, or has its checkpoint elsewhere. Errors as :meth:`RunFile.read`, and
     :class:`CheckpointError` if it now has another method, other settings or another seed.
     """
     if _RUN_FILE not in saved.notes:
@@ -49,7 +49,7 @@ def run_of(saved: Checkpoint, path: Path) -> RunFile | None:
     run = RunFile.read(place) if place.is_file() else None
     if run is None or run.checkpoint_path.resolve() != path.resolve():
         why = "is gone" if run is None else "keeps its checkpoint elsewhere"
-        logger.warning("only the picture goes on, without log, table and saves: the run file '%s' %s", place, why)
+        logger.warning("only the picture continues, without log, table and saves: the run file '%s' %s", place, why)
         return None
     try:
         saved.settings_of(methods.get(saved.method if run.method is None else run.method), run.settings, run.seed)
@@ -59,11 +59,11 @@ def run_of(saved: Checkpoint, path: Path) -> RunFile | None:
 
 
 class Recorder:
-    """Writes the files of a run; an ``outputs.Writer``. As a context it makes the folder, and logs warnings.
+    """Writes the files of a run; an ``outputs.Writer``. As a context it creates the folder and logs warnings.
 
-    A save at a given time goes to files of its own, the others replace ``name.exr``. ``tell`` is given the line of the
-    log of every save but the periodic ones. The time that saves take is part of a run's seconds. Where a run is
-    resumed, log and table go on, and times count from its first beginning.
+    A save at a given time has its own files, other saves replace ``name.exr``. ``tell`` receives the log line of every
+    save except periodic ones. The seconds of a run include the time of saves. If a run is resumed, log and table
+    continue, and times count from its first start.
     """
 
     def __init__(self, run: RunFile, tell: Callable[[str], object]) -> None:
@@ -74,8 +74,8 @@ class Recorder:
         self._table: TextIO | None = None
         self._handler: logging.Handler | None = None
         self._earlier = 0.0  # seconds of the run before it was resumed
-        self._save_at: dict[float, float] = {}  # times to come: those of the runner, and those that were asked for
-        self._written: dict[Path, None] = {}  # in the order of their first writing
+        self._save_at: dict[float, float] = {}  # remaining times: those of the runner, and those requested
+        self._written: dict[Path, None] = {}  # in the order of first writing
 
     @property
     def files(self) -> Sequence[Path]:
@@ -88,7 +88,7 @@ class Recorder:
 
     def __enter__(self) -> Self:
         make_folder(self._run.folder)
-        self._outputs(self._run.name)  # checks that it may be written
+        self._outputs(self._run.name)  # checks that it can be written
         return self
 
     def __exit__(
@@ -103,7 +103,7 @@ class Recorder:
                 file.close()
 
     def saving(self, job: Job) -> dict[str, Any]:
-        """See ``outputs.Writer``. Begins log and table, or goes on with them."""
+        """See ``outputs.Writer``. Starts or continues log and table."""
         self._earlier = job.earlier
         self._save_at = {time - job.earlier: time for time in self._run.save_at if time > job.earlier}
         self._begin(job)
@@ -114,7 +114,7 @@ class Recorder:
         }
 
     def write(self, job: Job, run: RunResult) -> Rendering:
-        """The end of a run: the autosaves that it stands for, then the pictures without a time in their name."""
+        """At the end of a run: the autosaves that it completes, then the pictures without a time in their name."""
         if run.save_times:
             self._save(job, run)
         rendering = self._keep(job, run, self._outputs(self._run.name), None, f"end ({run.stopped_by})")
@@ -129,7 +129,7 @@ class Recorder:
             self._keep(job, run, self._outputs(self._run.name), None, "save")
 
     def _outputs(self, name: str) -> Outputs:
-        """Pictures of that name, and the one checkpoint."""
+        """Pictures with that name, and the checkpoint."""
         run = self._run
         suffixes = ("exr", "png") if run.png else ("exr",)
         checkpoint = run.checkpoint_path if run.checkpoint else None
@@ -137,7 +137,7 @@ class Recorder:
         return Outputs.of(pictures, checkpoint, separate=run.layers == "separate")
 
     def _keep(self, job: Job, run: RunResult, outputs: Outputs, time: float | None, what: str) -> Rendering:
-        """Write ``outputs``, a line of the log and a row of the table."""
+        """Write ``outputs``, a log line and a row of the table."""
         rendering = outputs.write(job, run)
         for path in outputs.files:
             layers = rendering.layers if outputs.separate and path.suffix == ".exr" else ("image",)
@@ -201,7 +201,7 @@ class Recorder:
 
     @staticmethod
     def _line(file: TextIO | None, text: str) -> None:
-        """Write a line that a killed process leaves behind."""
+        """Write and flush a line, so that it survives a killed process."""
         assert file is not None
         try:
             file.write(f"{text}\n")
@@ -211,7 +211,7 @@ class Recorder:
 
 
 def _words(row: dict[str, Any], trim: float) -> str:
-    """A row of the table for people."""
+    """A row of the table as text."""
     passes = f"{row['passes']} pass{'' if row['passes'] == 1 else 'es'}"
     parts = [passes, f"{row['samples']} spp", f"{row['rays']:.3g} rays"]
     if row["noise"] is not None:
@@ -223,7 +223,7 @@ def _words(row: dict[str, Any], trim: float) -> str:
 
 
 def _seconds(time: float) -> str:
-    """For file names: no more digits than needed, and no exponent."""
+    """Seconds for file names: as few digits as possible, without exponent."""
     return f"{time:.6f}".rstrip("0").rstrip(".")
 
 

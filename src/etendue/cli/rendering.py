@@ -1,4 +1,4 @@
-"""What the rendering commands share: the session with its progress bar, and the outcome in words."""
+"""Shared by the rendering commands: the session with its progress bar, and the summary of the result."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 @dataclass
 class Outcome(Generic[T]):
-    """What a session made, and the exit status if a signal ended it early."""
+    """The result of a session, and the exit status if a signal ended it early."""
 
     result: T | None
     exit_code: int
@@ -43,8 +43,7 @@ def follow(
     label: str,
     words: Callable[[Progress], list[str]] | None = None,
 ) -> Outcome[T]:
-    """Start a session and show its progress, in ``words`` of its own, until it is over. Raises what the session
-    raises."""
+    """Start a session and show its progress, with its own ``words``, until it ends. Errors as those of the session."""
     with ProgressView(console, label, words) as view:
         session = open_session()
         announced = False
@@ -105,7 +104,7 @@ def summary(rendering: Rendering) -> str:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder for outputs where it is missing. Raises :class:`OutputError`."""
+    """Create a folder for outputs if it is missing. Raises :class:`OutputError`."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -114,7 +113,7 @@ def make_folder(folder: Path) -> None:
 
 
 def check_reference(reference: NDArray[np.float32] | None, size: tuple[int, int], remedy: str) -> None:
-    """Before the first pass: a reference of another size than the picture would only be noticed at the end.
+    """Check the size of the reference before the first pass, not only at the end.
 
     ``remedy`` is how to ask for a size, with ``{}`` for width and height. Raises :class:`OptionError`.
     """
@@ -126,7 +125,7 @@ def check_reference(reference: NDArray[np.float32] | None, size: tuple[int, int]
 
 
 def default_name(scene: Path | BundledScene) -> str:
-    """A name for outputs: that of the scene file, or of its folder if the file is called as all of them are."""
+    """A name for outputs: that of the scene file, or of its folder if the file is called ``scene.xml``."""
     path = Path(str(scene))
     stem = path.absolute().parent.name if path.stem == "scene" else path.stem
     return stem or "render"

@@ -1,4 +1,4 @@
-"""Run files: what to render, for how long, and what to keep of it, in TOML. The manual is ``docs/run-files.md``.
+"""Run files: scene, method, budget and outputs in TOML. The manual is ``docs/run-files.md``.
 
 Every path is relative to the file. Reading checks names, types and ranges; what needs the scene is checked when it is
 loaded, before the first pass.
@@ -23,7 +23,7 @@ from .options import parse_memory
 
 @dataclass(frozen=True)
 class _Kind:
-    """What a value may be: the test, and what it is called."""
+    """The type of a value: its test, and its name in messages."""
 
     test: Callable[[Any], bool]
     words: str
@@ -51,7 +51,7 @@ _OPEN = _Kind(
     lambda v: isinstance(v, dict) and all(map(_PLAIN.test, v.values())), "a table of texts, numbers, true or false"
 )
 
-#: Keys of the tables; those of "" stand at the head of the file.
+#: Keys of the tables; those of "" are at the head of the file.
 TABLES: Mapping[str, Mapping[str, _Kind]] = {
     "": {"seed": _INDEX, "variant": _TEXT, "threads": _COUNT, "memory": _MEMORY},
     "scene": {"file": _TEXT, "bundled": _TEXT, "sensor": _INDEX, "size": _SIZE, "parameters": _OPEN},
@@ -66,7 +66,7 @@ TABLES: Mapping[str, Mapping[str, _Kind]] = {
 
 @dataclass(frozen=True)
 class RunFile:
-    """A run file that has been read and checked."""
+    """A run file, read and checked."""
 
     path: Path
     scene: Path | BundledScene
@@ -94,7 +94,7 @@ class RunFile:
     @classmethod
     def read(cls, path: Path) -> RunFile:
         """Read and check a file. Raises :class:`OptionError`, :class:`SceneError` or :class:`OutputError`; each names
-        the file, the table and what to do."""
+        the file, the table and a remedy."""
         tables = _tables(path)
         head, scene, method, budget = (tables[name] for name in ("", "scene", "method", "budget"))
         autosave, output, reference = (tables[name] for name in ("autosave", "output", "reference"))
@@ -142,11 +142,11 @@ class RunFile:
 
     @property
     def checkpoint_path(self) -> Path:
-        """Where the checkpoint is, if the run keeps one."""
+        """Path of the checkpoint, if the run writes one."""
         return self.folder / f"{self.name}.checkpoint"
 
     def task(self, tell: Callable[[str], object]) -> Task:
-        """What the engine is to do. A Mitsuba variant must be set. ``tell`` as for ``api.choose_method``."""
+        """The task of the engine. A Mitsuba variant must be set. ``tell`` as for ``api.choose_method``."""
         from etendue.api import choose_method
 
         with _within(self.path, "method"):
@@ -176,7 +176,7 @@ class RunFile:
 
 @contextmanager
 def _within(path: Path, table: str) -> Iterator[None]:
-    """Errors say where in which file they are."""
+    """Add file and table to errors."""
     try:
         yield
     except (OptionError, SceneError, OutputError) as error:
@@ -211,7 +211,7 @@ def _tables(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _nearest(key: str, table: str) -> str:
-    """Where an unknown key may have been meant to be."""
+    """Suggestion for an unknown key."""
     homes = [f"[{name}]" if name else "the head of the file" for name, keys in TABLES.items() if key in keys]
     known = [*TABLES[table], *(name for name in TABLES if name and not table)]
     hint = suggest(key, known, "it has")
@@ -255,12 +255,12 @@ def _budget(table: Mapping[str, Any], save_at: tuple[float, ...], exit_after_las
 
 def _file_name(name: str) -> str:
     if any(c in name for c in '/\\:*?"<>|\0') or name in (".", ".."):
-        raise OptionError(f"name is the beginning of file names, not '{name}'; put a place into folder")
+        raise OptionError(f"name is the beginning of file names, not '{name}'; put the path into folder")
     return name
 
 
 def _check_folder(folder: Path) -> None:
-    """Raise :class:`OutputError` if ``folder`` could not be made or written to; nothing is made."""
+    """Raise :class:`OutputError` if ``folder`` cannot be created or written to; creates nothing."""
     place = folder
     while not place.exists() and place != place.parent:
         place = place.parent

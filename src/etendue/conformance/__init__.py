@@ -1,4 +1,4 @@
-"""Conformance: whether the components of a scene keep the promises that every method relies on."""
+"""Conformance tests: whether the components of a scene have the properties that every method relies on."""
 
 from .bsdfs import check_bsdf
 from .emitters import check_emitter

@@ -1,4 +1,4 @@
-"""Whether a material is one: values in range, no more light out than in, reciprocal, and sampled as it says."""
+"""Tests of a material: range of values, energy conservation, reciprocity, and the density of its sampling."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ Mask = NDArray[np.bool_]
 
 #: Cosines of the directions of incidence, on both sides; the sampler is tested at those of the second row.
 _COSINES, _SAMPLED_COSINES = (1.0, 0.9, 0.6, 0.3, 0.1, 0.01), (0.95, 0.6, 0.2)
-#: Standard errors by which a mean must be out before it counts.
+#: Deviation in standard errors from which a mean is a fault.
 _SIGMAS = 5.0
-#: Shares of the light up to which two ways of computing it may differ, and an albedo may exceed one, for rounding.
+#: Accepted relative difference of two ways to compute the light, and accepted excess of an albedo, for rounding.
 _SHARE, _ALBEDO_SLACK = 0.01, 0.01
-#: Samples that are too few to say anything.
+#: Fewer samples are not tested.
 _FEW = 64
-#: RMS relative error of a density that is let pass, however certain it is: rounding, the edges of cells.
+#: RMS relative error of a density that is accepted even if it is significant: rounding, edges of cells.
 _DEVIATION = 0.05
 
-#: Materials that absorb nothing, unless they are given a colour, and the share of the light that they may lose.
+#: Materials without absorption unless they have a colour, and the share of the light that they may lose.
 _CLEAR, _LOSS = ("roughdielectric",), 0.1
 
-#: What is known of Mitsuba's materials: (plugin, test) and the reason.
+#: Known faults of Mitsuba's materials: (plugin, test) and the reason.
 _KNOWN = {
     ("blendbsdf", "range behind"): "Mitsuba 3.9 blends samples that a one-sided material did not make; use 'twosided'",
     (
@@ -51,7 +51,7 @@ _KNOWN = {
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is drawn."""
+    """Numbers of samples."""
 
     points: int = 6  #: of the surface, for each direction of incidence
     samples: int = 512  #: of each direction and point
@@ -77,7 +77,7 @@ def check_bsdf(
     and points all over the surface), ``reciprocity`` (f(a, b) = f(b, a); refracted light scaled by eta squared),
     ``weight`` (of a sample: value over density), ``density`` (a sample's is that of ``pdf``, which integrates to at
     most 1), ``sampler`` (directions drawn have that density; ``level`` is the probability to fail one that is right)
-    and ``coverage`` (no direction reflects that is never drawn).
+    and ``coverage`` (the density is not zero where the material reflects).
     """
     effort = QUICK if quick else Effort()
     rng = np.random.default_rng([seed, 0xB5DF])
@@ -108,7 +108,7 @@ def check_bsdf(
 
 @dataclass
 class _Values:
-    """What a material answers, n lanes; colours have a channel each."""
+    """Values of a material, n lanes; colours have a channel each."""
 
     wi: Array
     wo: Array
@@ -119,14 +119,14 @@ class _Values:
 
 @dataclass
 class _Draws(_Values):
-    """What it answers for directions that it has drawn itself."""
+    """Values for directions that the material has sampled."""
 
     weight: Array
     sample_pdf: Array
     eta: Array
     kept: Mask  #: lanes whose weight is not zero
     drawn: Mask  #: those of them with a density
-    smooth: Mask  #: those of them that are not of a mirror, or straight on
+    smooth: Mask  #: those of them that are not from a mirror or null component
 
 
 def _directions(cosines: tuple[float, ...], points: int, rng: np.random.Generator) -> Array:
@@ -151,7 +151,7 @@ def _draw(bsdf: Any, si: Any, samples: int, rng: np.random.Generator) -> _Draws:
     results = (si.wi, wo, *values, weight, drawn.pdf, drawn.eta, delta)
     dr.eval(*results)
     wi, out, value, back, pdf, weight, sample_pdf, eta, is_delta = (host(v, lanes) for v in results)
-    # A sample without weight is discarded, whatever density it has; so are directions that do not reflect, below.
+    # A sample of weight zero is discarded, whatever its density; below also directions without reflection.
     kept = (weight != 0.0).any(1)
     gave = kept & (sample_pdf > 0.0)
     smooth = gave & (is_delta == 0.0) & np.isfinite(out).all(1)
@@ -173,7 +173,7 @@ def _answers(bsdf: Any, context: Any, si: Any, wo: Any) -> tuple[Any, Any, Any]:
 
 
 def _check_range(findings: Findings, drawn: _Draws, anywhere: _Values) -> bool:
-    """Whether values are good enough for the other tests to speak of."""
+    """Whether the values are valid, so that the other tests make sense."""
     wrong, behind, total = 0, 0, 0
     for values, lanes, arrays in (
         (drawn, drawn.drawn, (drawn.value, drawn.back, drawn.pdf)),
@@ -218,7 +218,7 @@ def _check_energy(findings: Findings, drawn: _Draws, groups: int) -> Array:
         1.0,
         "largest albedo over directions of incidence and points: no light is created",
         f"it reflects up to {albedo[worst].max():.2f} of the light that arrives (at cosine {cos:.2f} to the normal): "
-        "pictures become too bright, long paths may never end; lower its reflectances or mend the plugin",
+        "pictures become too bright, long paths may never end; lower its reflectances or repair the plugin",
         failed=least > 1.0 + _ALBEDO_SLACK,
     )
     return albedo
@@ -246,7 +246,7 @@ def _check_reciprocity(findings: Findings, drawn: _Draws, anywhere: _Values) -> 
     ):
         through = values.wi[:, 2] * values.wo[:, 2] < 0.0
         eta = np.where(through, np.where(values.wi[:, 2] > 0.0, front, back), 1.0)
-        # Values hold the cosine at one end; with that at the other they are symmetric.
+        # Values contain the cosine at one end; multiplied by that at the other end they are symmetric.
         there = values.value * (np.abs(values.wi[:, 2]) * eta**2 * share)[:, None]
         again = values.back * (np.abs(values.wo[:, 2]) * share)[:, None]
         for chosen in (lanes & ~through, lanes & through):
@@ -259,7 +259,7 @@ def _check_reciprocity(findings: Findings, drawn: _Draws, anywhere: _Values) -> 
         _SHARE,
         "share of the light by which f(a, b) and f(b, a) differ",
         f"f(a, b) and f(b, a) differ by {asymmetry:.1%} of the light: light and camera paths see different materials, "
-        "so methods that join them disagree with path tracing; make eval symmetric (but for its cosine)",
+        "so methods that join them disagree with path tracing; make eval symmetric (except for its cosine)",
     )
 
 
@@ -322,7 +322,7 @@ def _check_density(
 
 
 def _density(bsdf: Any, place: Any) -> Callable[[Array], Array]:
-    """The density that is claimed for directions of light; 0 for the others, whose samples have no weight."""
+    """The reported density of directions with a value; 0 for others, whose samples have no weight."""
 
     def density(directions: Array) -> Array:
         lanes, context, wo = len(directions), mi.BSDFContext(), vectors(directions)

@@ -1,4 +1,4 @@
-"""Whether an emitter is one: next event has the density and the radiance it says, and its rays carry its power."""
+"""Tests of an emitter: density and radiance of next event estimation, and the power of its rays."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from .report import Finding, Findings
 from .statistics import DensityFit, fit_density
 from .surfaces import Array, host, uniform, uniform_sphere, vectors
 
-#: Points that are lit, draws from each, rays for the power.
+#: Lit points, samples for each, rays for the power.
 _PLACES, _DRAWS, _RAYS = 3, 16384, 65536
 _QUICK = 4
-#: Surfaces of the emitter that one ray may meet.
+#: Largest number of surfaces of the emitter along one ray.
 _MOST_HITS = 6
 _SIGMAS, _SHARE = 5.0, 0.01
 
@@ -43,7 +43,7 @@ def check_emitter(
 
 
 def is_surface(emitter: Any) -> bool:
-    """Whether it sits on a shape that rays meet."""
+    """Whether it is on a shape that rays can hit."""
     return mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface) and emitter.get_shape() is not None
 
 
@@ -52,7 +52,7 @@ def _is_delta(emitter: Any) -> bool:
 
 
 def _places(emitter: Any, scene: Any, rng: np.random.Generator) -> Array:
-    """Points that the emitter lights: before its surface, or anywhere within the scene."""
+    """Points that the emitter lights: in front of its surface, or anywhere within the scene."""
     box = scene.bbox()
     low, high = (np.asarray(v, np.float64).ravel() for v in (box.min, box.max))
     if not is_surface(emitter):

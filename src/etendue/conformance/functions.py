@@ -1,4 +1,4 @@
-"""Whether a function of the room ``integration`` stays in the range that it declares."""
+"""Tests whether the values of a function of ``etendue.integration`` are in its declared range."""
 
 from __future__ import annotations
 

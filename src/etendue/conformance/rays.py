@@ -1,4 +1,4 @@
-"""Whether ray casting finds the triangles that are there, and no others: against a test of each in doubles."""
+"""Tests of ray casting against a test of each triangle in double precision."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from .surfaces import Array, host, uniform_sphere, vectors
 
 _RAYS, _TRIANGLES = 2048, 512
 _QUICK = 4
-#: Of the scene's extent: how far a hit may be off, and how far inside its triangle it must be to count as missed.
+#: Relative to the scene's extent: accepted error of a hit, and distance inside its triangle for a certain miss.
 _TOLERANCE = 1e-4
-#: Least cosine of a ray that must hit.
+#: Smallest cosine of a ray that must hit.
 _LEAST_COSINE = 1e-2
 
 
@@ -39,8 +39,8 @@ def check_ray_casting(
     """Test a loaded scene's ray casting on its meshes, with random rays, half of them aimed at triangles.
 
     ``hits``: each hit lies on the triangle that it names. ``misses``: no triangle of a random selection is hit before
-    it. ``variant NAME``, for other Mitsuba variants: rays find the selection as the test in doubles does; the variant
-    is set meanwhile and back afterwards, so nothing else of Mitsuba should run in the process.
+    it. ``variant NAME``, for other Mitsuba variants: rays find the selection as the test in double precision does; the
+    variant is set during the test and restored afterwards, so nothing else may use Mitsuba in this process meanwhile.
     """
     rng = np.random.default_rng([seed, 0x4A75])
     rays = _RAYS // (_QUICK if quick else 1)
@@ -74,7 +74,7 @@ def _collect(scene: Any, count: int, rng: np.random.Generator) -> _Triangles | N
             continue
         points = np.asarray(mesh.vertex_positions_buffer(), np.float64).reshape(-1, 3)
         faces = np.asarray(mesh.faces_buffer()).reshape(-1, 3)
-        # A 'rectangle' is a mesh that rays meet as one piece: its hits name no triangle.
+        # A 'rectangle' is a mesh that rays hit as a whole: its hits name no triangle.
         if "vertex_positions" in dict(graph.contents(mesh).values):
             number = dr.reinterpret_array(mi.UInt32, mi.ShapePtr(mesh))
             first[int(np.asarray(number).ravel()[0])] = total
@@ -87,7 +87,8 @@ def _collect(scene: Any, count: int, rng: np.random.Generator) -> _Triangles | N
 
 
 def _nearest(o: Array, d: Array, triangles: Array, extent: float) -> tuple[Array, Array]:
-    """Distance along each ray to the nearest triangle that it surely hits, and perhaps hits (edges, grazing rays)."""
+    """Distance along each ray to the nearest triangle that it certainly hits, and to one that it may hit (edges,
+    grazing rays)."""
     surely, perhaps = np.full(len(o), np.inf), np.full(len(o), np.inf)
     for start in range(0, len(o), 256):
         part = slice(start, start + 256)
@@ -102,7 +103,7 @@ def _nearest(o: Array, d: Array, triangles: Array, extent: float) -> tuple[Array
 
 
 def _cross(o: Array, d: Array, corners: Array) -> tuple[Array, Array, Array]:
-    """Distance to a triangle's plane, how far within the triangle (in scene units), and the cosine to its normal."""
+    """Distance to a triangle's plane, depth inside the triangle (in scene units), and the cosine to its normal."""
     a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
     n = np.cross(b - a, c - a)
     twice = np.linalg.norm(n, axis=-1)

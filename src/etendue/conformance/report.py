@@ -1,4 +1,4 @@
-"""What a check has found: one line for each component and test."""
+"""Findings of a check: one for each component and test."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class Finding:
     component: str  #: as the scene names it: ``material 'Glass' of type 'dielectric'``
     test: str  #: ``range``, ``energy``, ``reciprocity``, ``sampler`` and so on
     verdict: Verdict
-    figure: float  #: what was measured; NaN where nothing could be
-    limit: float  #: the figure up to which the test passes
-    meaning: str  #: what the figure is, and for a warning or failure what follows from it and what to do
+    figure: float  #: the measured value; NaN if there is none
+    limit: float  #: the largest value that passes
+    meaning: str  #: what the value is; for a warning or failure its consequence and a remedy
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON, which has no NaN and no infinity."""
@@ -36,7 +36,7 @@ class Report:
 
     source: str  #: path or name of the scene
     findings: tuple[Finding, ...]
-    seconds: float  #: that the check took
+    seconds: float  #: duration of the check
 
     @property
     def ok(self) -> bool:
@@ -64,13 +64,13 @@ class Findings:
     """Collects the findings about one component."""
 
     component: str
-    known: Callable[[str], str] = lambda test: ""  #: why this component is known to fail a test, "" if it is not
+    known: Callable[[str], str] = lambda test: ""  #: known reason why this component fails a test, or ""
     rows: list[Finding] = field(default_factory=list)
 
     def judge(
         self, test: str, figure: float, limit: float, good: str, bad: str, *, failed: bool | None = None
     ) -> Verdict:
-        """Add a row: it fails if the figure is above the limit, or as ``failed`` says; a known failure is a warning."""
+        """Add a row: it fails if the value is above the limit, or by ``failed``; a known failure is a warning."""
         wrong = not figure <= limit if failed is None else failed
         verdict: Verdict = "fail" if wrong else "pass"
         meaning = bad if wrong else good
@@ -85,11 +85,12 @@ class Findings:
 
     @contextmanager
     def trying(self, test: str, *, required: bool = True) -> Iterator[None]:
-        """What raises inside is a finding: a failure, or where the component need not have it, nothing."""
+        """An exception inside is a failure, or is ignored if the component does not need the function
+        (``required``)."""
         try:
             yield
         except Exception as error:
             if required:
                 text = describe(error)[:200]
-                meaning = f"it raises an error where every method calls it ({text}); mend the plugin"
+                meaning = f"it raises an error where every method calls it ({text}); repair the plugin"
                 self.rows.append(Finding(self.component, test, "fail", math.nan, 0.0, meaning))

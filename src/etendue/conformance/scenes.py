@@ -1,4 +1,4 @@
-"""All components of a scene, one after the other."""
+"""Tests of all components of a scene."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from .report import Finding, Report
 from .sensors import check_sensor
 from .textures import check_textures
 
-#: Names of a material that tell nothing: keys of a shape's dictionary, the default of Mitsuba.
+#: Uninformative names of a material: keys of a shape's dictionary, the default of Mitsuba.
 _GENERIC = ("bsdf", "material", "mesh_bsdf", "default")
-#: Probability that a scene whose samplers are all right fails by chance.
+#: Probability that a scene with correct samplers fails by chance.
 _LEVEL = 1e-3
 
 
@@ -33,17 +33,17 @@ def check(
 ) -> Report:
     """Test materials, textures, emitters, sensors and ray casting of a scene, and report what is implausible.
 
-    ``scene`` and ``parameters`` are those of :func:`etendue.render`. ``quick`` draws fewer samples, so small faults may
-    stay unseen. ``variants`` names Mitsuba variants under which ray casting is tried, too, as ``scalar_rgb``. The same
-    ``seed`` gives the same report. What no method can render is a finding, ``supported``.
+    ``scene`` and ``parameters`` are those of :func:`etendue.render`. ``quick`` uses fewer samples and may miss small
+    faults. ``variants`` names further Mitsuba variants for the test of ray casting, such as ``scalar_rgb``. The same
+    ``seed`` gives the same report. Unsupported scenes fail the test ``supported``.
 
-    Raises :class:`SceneError` for a scene that cannot be loaded, :class:`OptionError` for a sensor that is not there.
+    Raises :class:`SceneError` for a scene that cannot be loaded, :class:`OptionError` for an invalid sensor.
     """
     use_variant()
     began = time.perf_counter()
     problem, rows = _load(scene, sensor, parameters)
     loaded = problem.scene
-    broken = any(row.test == "broken" for row in rows)  # its geometry is not to be relied upon
+    broken = any(row.test == "broken" for row in rows)  # its geometry is not reliable
     place = None if broken else loaded
     materials = list(_materials(loaded))
     emitters, sensors = loaded.emitters(), loaded.sensors()

@@ -1,4 +1,4 @@
-"""Whether a sensor is one: a ray through a point of the film leads back to that point."""
+"""Tests of a sensor: points on a ray project back to its film position."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from .report import Finding, Findings
 from .surfaces import host, uniform
 
 _RAYS = 4096
-#: Pixels by which a point may come back elsewhere.
+#: Accepted error of the projection in pixels.
 _PIXELS = 0.05
 
 
 def check_sensor(sensor: Any, scene: Any, component: str | None = None, *, seed: int = 0) -> list[Finding]:
     """Test a ``mi.Sensor`` of a loaded scene: ``range`` (rays are finite, directions of length 1) and ``projection``
-    (a point on a ray is seen at the ray's film position; sensors that cannot be joined to points are let off)."""
+    (a point on a ray projects to the ray's film position; skipped for sensors without ``sample_direction``)."""
     rng = np.random.default_rng([seed, 0x5E45])
     findings = Findings(component or graph.describe(sensor, "sensor"))
     with findings.trying("interface"):
@@ -55,7 +55,7 @@ def _check_projection(
     apart = np.abs(host(ds.uv, _RAYS) - wanted)[seen]
     inside = (np.minimum(wanted, size - wanted) > _PIXELS).all(1)
     lost = int((inside & ~seen).sum())
-    # Beyond the far plane of a sensor nothing is seen.
+    # Points beyond the far plane are not visible.
     figure = float(np.quantile(apart.max(1), 0.999)) if len(apart) else np.inf
     findings.judge(
         "projection",

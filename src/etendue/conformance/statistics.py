@@ -1,9 +1,9 @@
-"""Whether directions that were drawn have the density that is claimed: chi-square over cells that follow the samples.
+"""Chi-square test of sampled directions against a reported density, over cells adapted to the samples.
 
 Mitsuba's ``mi.chi2.ChiSquareTest`` integrates the density over a fixed grid, on which the lobe of a polished metal or a
 small lamp is lost, and writes to the terminal and to files. Here the first samples build a balanced k-d tree over the
 sphere, so that the density changes little within a leaf, however narrow it is; it is integrated over each leaf by
-stratified points, whose error enters the statistic; the other samples are counted. Cells that expect fewer than five
+stratified points, whose error enters the statistic; the other samples are counted. Cells with fewer than five expected
 samples are pooled.
 """
 
@@ -18,18 +18,18 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: Samples that make a leaf of the tree, leaves at most, strata per side of a leaf, leaves in one cell of the test.
+#: Samples per leaf of the tree, largest number of leaves, strata per side of a leaf, leaves in one cell of the test.
 _PER_LEAF, _MOST_LEAVES, _STRATA, _LEAVES_PER_CELL = 4, 1024, 6, 16
-#: Least samples that say anything.
+#: Smallest number of samples for a test.
 _LEAST = 256
 _LEAST_EXPECTED = 5.0
 
 
 @dataclass(frozen=True)
 class DensityFit:
-    """How samples and their claimed density agree."""
+    """Agreement of samples with their reported density."""
 
-    p_value: float  #: of the chi-square statistic: small where they disagree
+    p_value: float  #: of the chi-square statistic: small if they disagree
     deviation: float  #: RMS over the samples of the relative difference of density, noise subtracted
     integral: float  #: of the density over the sphere
     integral_error: float  #: its standard error
@@ -39,10 +39,10 @@ class DensityFit:
 def fit_density(
     directions: Array, draws: int, density: Callable[[Array], Array], rng: np.random.Generator
 ) -> DensityFit | None:
-    """Compare directions, (n, 3), with the density that they claim: ``density`` takes (m, 3) and returns (m,).
+    """Compare directions, (n, 3), with their density: ``density`` takes (m, 3) and returns (m,).
 
-    ``draws`` is how often the sampler was asked: the difference to ``n`` is what it gave up or sent elsewhere, which
-    the density leaves out, too. Returns ``None`` for too few directions.
+    ``draws`` is the number of calls of the sampler: the difference to ``n`` are rejected or delta samples, which the
+    density does not include either. Returns ``None`` for too few directions.
     """
     directions = rng.permutation(directions.astype(np.float64))
     leaves = min(_MOST_LEAVES, 1 << max(0, int(math.log2(max(len(directions), 1) / (2 * _PER_LEAF)))))
@@ -55,7 +55,7 @@ def fit_density(
     cells = max(leaves // _LEAVES_PER_CELL, 1)
     counted = directions[built:]
     observed = np.bincount(tree.leaf(_to_plane(counted @ frame.T)) * cells // leaves, minlength=cells)
-    # Of the draws that are not needed for the tree, as many as there are samples to count.
+    # The share of the draws that belongs to the counted samples, which exclude those of the tree.
     rest = draws * len(counted) / len(directions)
 
     integral, variance = _integrate(tree, lambda points: density(_to_sphere(points) @ frame), rng)
@@ -64,7 +64,7 @@ def fit_density(
     counts, expected, noise = _pool(observed.astype(np.float64), expected, noise)
     statistic = float(((counts - expected) ** 2 / np.maximum(expected + noise, 1e-30)).sum())
     freedom = len(counts)
-    # What is left of the squared differences without the scatter of counts and integrals.
+    # The squared differences minus the variance of counts and integrals.
     excess = float((((counts - expected) ** 2 - expected - noise) / np.maximum(expected, 1.0)).sum())
     deviation = math.sqrt(max(excess, 0.0) / max(rest, 1.0))
     return DensityFit(
@@ -95,7 +95,7 @@ def _frame(towards: Array) -> Array:
 
 
 def _to_plane(d: Array) -> Array:
-    """(n, 2) height and azimuth of unit vectors: a map of the sphere that keeps areas."""
+    """(n, 2) height and azimuth of unit vectors: an equal-area map of the sphere."""
     return np.stack([np.clip(d[:, 2], -1.0, 1.0), np.arctan2(d[:, 1], d[:, 0])], -1)
 
 
@@ -105,7 +105,7 @@ def _to_sphere(p: Array) -> Array:
 
 
 class _Tree:
-    """Halves the rectangle [-1, 1] x [-pi, pi] again and again at the median of the samples, along the wider side."""
+    """Halves the rectangle [-1, 1] x [-pi, pi] recursively at the median of the samples, along the wider side."""
 
     def __init__(self, points: Array, leaves: int) -> None:
         groups = points.reshape(1, -1, 2)
@@ -123,7 +123,7 @@ class _Tree:
             self.lower, self.upper = lower, upper
             self._levels.append((axis, cut))
             groups = groups.reshape(2 * len(groups), half, 2)
-        #: Middle and half the extent of each leaf's own samples: the outer leaves are much larger than that.
+        #: Centre and half extent of the samples of each leaf: the outer leaves are much larger.
         low, high = groups.min(1), groups.max(1)
         self.middle, self.scale = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-7)
 
@@ -155,7 +155,7 @@ def _integrate(tree: _Tree, density: Callable[[Array], Array], rng: np.random.Ge
 
 
 def _pool(observed: Array, expected: Array, noise: Array) -> tuple[Array, Array, Array]:
-    """Join the cells of least expectation until each expects enough."""
+    """Merge the cells with the smallest expectation until each expects enough samples."""
     order = np.argsort(expected)
     reached = np.cumsum(expected[order])
     small = int(np.searchsorted(np.maximum.accumulate(expected[order]), _LEAST_EXPECTED))

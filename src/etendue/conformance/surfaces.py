@@ -1,4 +1,4 @@
-"""Points of a surface to ask a material at, and the host side of what it answers."""
+"""Points of a surface at which materials are evaluated, and conversions to the host."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def uniform_sphere(rng: np.random.Generator, count: int) -> Array:
 
 
 def points_on(scene: Any, shape: Any, count: int, rng: np.random.Generator) -> Any:
-    """``count`` interactions on a shape, as a ray from close by meets it, with all that textures may ask for.
+    """``count`` interactions on a shape, from rays that start nearby, with all that textures need.
 
-    Without a scene and a shape, or where no point of it can be met (inside a shape group), those of the unit square.
+    Without a scene and a shape, or if rays cannot hit the shape (inside a shape group), those of the unit square.
     """
     if shape is not None:
         try:
@@ -68,7 +68,7 @@ def _met(scene: Any, shape: Any, count: int, rng: np.random.Generator) -> Any:
     near = 1e-4 * extent
     ray = mi.Ray3f(place.p + near * place.n, -mi.Vector3f(place.n))
     si = scene.ray_intersect(ray)
-    dr.eval(si)  # or every kernel that uses these points would cast the rays again
+    dr.eval(si)  # else every kernel that uses these points would cast the rays again
     seen = np.broadcast_to(np.asarray(si.is_valid() & (si.shape == mi.ShapePtr(shape)) & (si.t < 2 * near)), count)
     if not seen.any():
         return None

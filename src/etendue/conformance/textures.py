@@ -1,4 +1,4 @@
-"""Whether textures that are shares of light are between zero and one."""
+"""Tests whether reflectances, opacities and weights are between zero and one."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .report import Finding, Findings
 from .surfaces import Array, host, points_on
 
 _POINTS = 4096
-#: Parameters of Mitsuba's and our materials that are shares.
+#: Parameters of Mitsuba's and étendue's materials that are shares of light.
 _SHARES = frozenset(
     (
         "reflectance",

@@ -1,4 +1,4 @@
-"""Ground floor: what every room shares and that knows nothing of rendering."""
+"""Shared basics of all rooms, independent of rendering."""
 
 from .backend import check_llvm, check_variant, choose_variant, copied_to_device, on_device, set_threads, use_variant
 from .checks import is_number, is_whole

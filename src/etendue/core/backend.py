@@ -2,7 +2,8 @@
 
 Dr.Jit resolves its LLVM library while it is being imported, and an LLVM below 17 aborts the whole process inside the
 first kernel. Hence two steps: :func:`ensure_llvm` runs before anything here imports ``drjit`` and points it to a usable
-library; :func:`check_variant` asks, before the first kernel, what it really got, and raises :class:`BackendError`.
+library; :func:`check_variant` checks, before the first kernel, which library Dr.Jit has loaded, and raises
+:class:`BackendError`.
 """
 
 from __future__ import annotations
@@ -33,15 +34,15 @@ _INSTALL = {
 
 
 def install_hint() -> str:
-    """What to type on this system to get a usable LLVM."""
+    """The command that installs a usable LLVM on this system."""
     return _INSTALL.get(sys.platform, f"install LLVM {llvm.PREFERRED} and set {llvm.VARIABLE} to its shared library")
 
 
 def ensure_llvm() -> None:
     """Point Dr.Jit to a usable LLVM through ``DRJIT_LIBLLVM_PATH``, unless the user has set that variable.
 
-    Does nothing once ``drjit`` is imported (too late), and leaves Dr.Jit to itself if none is found: a machine with a
-    GPU may need none, and :func:`check_variant` reports where it matters. Never raises.
+    Does nothing if ``drjit`` is imported already (too late) or no usable LLVM is found: a machine with a GPU may need
+    none, and :func:`check_variant` reports it where it matters. Never raises.
     """
     if "drjit" in sys.modules:
         return
@@ -58,7 +59,7 @@ def check_imports() -> None:
         import drjit  # noqa: F401
         import mitsuba  # noqa: F401
     except Exception as error:
-        # Dr.Jit hides the linker's message behind an error of its own.
+        # Dr.Jit replaces the linker's message by its own error.
         cause: BaseException = error
         while cause.__context__ is not None:
             cause = cause.__context__
@@ -69,7 +70,7 @@ def check_imports() -> None:
 
 
 def llvm_version() -> tuple[int, int, int] | None:
-    """Version of the LLVM that Dr.Jit holds, ``None`` if it holds none that it can use. Safe with any LLVM."""
+    """Version of the LLVM that Dr.Jit has loaded, ``None`` if it has no usable one. Safe with any LLVM."""
     import drjit as dr
 
     version = tuple(int(v) for v in dr.detail.llvm_version())
@@ -115,7 +116,7 @@ def cuda_problem() -> str | None:
 
 
 def choose_variant(requested: str | None = None) -> str:
-    """The Mitsuba variant to use: ``requested`` if it works, else by default CUDA where usable, else LLVM.
+    """The Mitsuba variant to use: ``requested``, or by default CUDA where usable, else LLVM.
 
     Raises :class:`BackendError` for a variant that étendue does not support or that this machine cannot run.
     """
@@ -179,19 +180,19 @@ def set_threads(count: Any) -> None:
 def on_device(array_type: Any, values: Any) -> Any:
     """Host numbers as a device array with memory of its own.
 
-    From a NumPy array Dr.Jit would borrow the memory, and whether that happens to be aligned is compiled into every
-    kernel that reads it: another process would not find the kernel in the cache.
+    Dr.Jit would use the memory of a NumPy array, and its alignment, which varies, is compiled into every kernel that
+    reads it: another process would not find the kernel in the cache.
     """
     return array_type(np.asarray(values).ravel().tolist())
 
 
 def copied_to_device(array_type: Any, values: Any) -> Any:
-    """The same for many numbers: a small kernel of its own copies them."""
+    """The same for many numbers: a small separate kernel copies them."""
     import drjit as dr
 
     borrowed = array_type(np.ascontiguousarray(values).ravel())
     index = dr.uint32_array_t(array_type)
-    # With a number that the compiler does not know: reading all in order would be no copy.
+    # The offset is unknown to the compiler: a plain gather of everything in order would not copy.
     own = dr.gather(array_type, borrowed, dr.arange(index, len(borrowed)) + dr.opaque(index, 0))
     dr.eval(own)
     return own

@@ -1,4 +1,4 @@
-"""The one bibliography: keys as they stand in docstrings and ``Method.citations``, to BibTeX text."""
+"""The bibliography: from the keys in docstrings and ``Method.citations`` to BibTeX text."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _HEAD = re.compile(r"@(\w+)\s*\{\s*([^,\s]+)\s*,")
 
 
 def parse(text: str) -> dict[str, str]:
-    """Split BibTeX ``text`` into entries by key, each as it stands in the text.
+    """Split BibTeX ``text`` into entries by key, each with its original text.
 
     Raises :class:`EtendueError` on an entry without its closing brace and on a key that occurs twice.
     """
@@ -36,7 +36,7 @@ def bibliography() -> Mapping[str, str]:
 
 
 def bibtex(keys: Iterable[str]) -> str:
-    """BibTeX text of the entries ``keys``, in that order. Raises :class:`OptionError` on a key that is not there."""
+    """BibTeX text of the entries ``keys``, in that order. Raises :class:`OptionError` on an unknown key."""
     entries = bibliography()
     missing = [key for key in keys if key not in entries]
     if missing:

@@ -17,13 +17,13 @@ class EtendueError(Exception):
 
 
 class OptionError(EtendueError):
-    """An option, setting or budget has no such name or no such value."""
+    """An option, setting or budget with an unknown name or an invalid value."""
 
     exit_code = 2
 
 
 class SceneError(EtendueError):
-    """A scene cannot be read, or holds something that is broken (no sensor, no emitter, a NaN vertex)."""
+    """A scene cannot be read or is broken (no sensor, no emitter, a NaN vertex)."""
 
     exit_code = 3
 
@@ -39,7 +39,7 @@ class CheckpointError(EtendueError):
 
 
 class OutputError(EtendueError):
-    """A file cannot be written where it was asked for."""
+    """A file cannot be written to the requested place."""
 
     exit_code = 5
 
@@ -51,7 +51,7 @@ class BackendError(EtendueError):
 
 
 def describe(error: BaseException) -> str:
-    """Any exception as one line: the text of ours, which is fit for a user, the kind and the text of another."""
+    """Any exception as one line: the text of our own errors, which is fit for a user; type and text of others."""
     text = " ".join(str(error).split())
     if isinstance(error, EtendueError):
         return text
@@ -60,8 +60,8 @@ def describe(error: BaseException) -> str:
 
 
 def suggest(name: object, known: Iterable[str], otherwise: str = "there are") -> str:
-    """For a name that is not ``known``: ``did you mean '...'?``, or all that are known after ``otherwise``."""
+    """A hint for a name that is not ``known``: ``did you mean '...'?``, or ``otherwise`` and all known names."""
     names = list(known)
-    # Two letters of three, swapped, are 0.67 alike; what is less alike seldom was meant.
+    # Two swapped letters of three give a similarity of 0.67; less similar names are seldom meant.
     close = difflib.get_close_matches(str(name), names, n=1, cutoff=0.65)
     return f"did you mean '{close[0]}'?" if close else f"{otherwise}: {', '.join(names)}"

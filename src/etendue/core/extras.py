@@ -1,4 +1,4 @@
-"""Libraries that only some users need: imported when something takes them; where one is absent, its extra is named."""
+"""Optional libraries: imported at first use; if one is missing, the error names the extra that installs it."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from .errors import BackendError
 
 
 def library(name: str, purpose: str, extra: str = "radiosity") -> Any:
-    """The module ``name``; raises :class:`BackendError` if it cannot be imported, which says for what ``purpose`` it is
-    needed and which extra of étendue installs it."""
+    """The module ``name``. Raises :class:`BackendError` if it cannot be imported; the message says for which
+    ``purpose`` it is needed and which extra of étendue installs it."""
     try:
         return import_module(name)
     except ImportError as error:
-        raise BackendError(f"{purpose} takes {name}, which is not here: pip install 'etendue[{extra}]'") from error
+        raise BackendError(f"{purpose} needs {name}, which is not installed: pip install 'etendue[{extra}]'") from error
 
 
 def sparse() -> Any:

@@ -1,8 +1,8 @@
-"""Where the LLVM library is that Dr.Jit compiles CPU kernels with. Standard library only, imports nothing of étendue.
+"""Finds the LLVM library with which Dr.Jit compiles CPU kernels. Uses the standard library only.
 
-Dr.Jit 1.5 loads LLVM while ``drjit`` is being imported: the library that ``DRJIT_LIBLLVM_PATH`` names, else one called
-plainly ``libLLVM.so``, else the newest in a few directories. A version below 17 kills the process inside the first
-kernel. So the library is looked for here, earlier and in more places; ``tools/setup_native.py`` runs the same search
+Dr.Jit 1.5 loads LLVM while ``drjit`` is being imported: the library that ``DRJIT_LIBLLVM_PATH`` names, else
+``libLLVM.so``, else the newest in a few directories. A version below 17 kills the process inside the first
+kernel. So this module searches earlier and in more places; ``tools/setup_native.py`` runs the same search
 before anything is installed.
 """
 
@@ -33,7 +33,7 @@ _DIRECTORY = re.compile(r"llvm[-@/]?(\d+)")
 
 @dataclass(frozen=True)
 class Library:
-    """An LLVM shared library: where it is and its major version (0 if the file does not tell)."""
+    """An LLVM shared library: its path and major version (0 if unknown)."""
 
     path: Path
     major: int
@@ -50,7 +50,7 @@ def private_directory(prefix: str = sys.prefix) -> Path:
 
 
 def find() -> list[Library]:
-    """Every libLLVM found, best first: the environment's own, then version 19, then the newest; unusable ones last."""
+    """All libLLVM found, best first: that of the environment, then version 19, then the newest; unusable ones last."""
     own = private_directory()
     seen: dict[Path, Library] = {}
     for path in _candidates():
@@ -78,7 +78,8 @@ def load_usable() -> Library | None:
 
 
 def version_of(path: Path) -> int:
-    """Major version of the library at ``path``: from its name, else by asking it in a process of its own; 0 unknown."""
+    """Major version of the library at ``path``: from its name, else by calling it in a separate process; 0 if
+    unknown."""
     for name in (path.name, path.resolve().name):
         match = _NUMBERED.match(name)
         # "libLLVM-17.so.1": the number after the dash counts; "libLLVM.so.19.1": the one after "so".
@@ -89,7 +90,7 @@ def version_of(path: Path) -> int:
 
 
 def _ask(path: Path) -> int:
-    # In a process of its own: two LLVMs in one process are a risk, and a broken one must not take us along.
+    # In a separate process: two LLVMs in one process are a risk, and a broken one must not crash this process.
     code = (
         "import ctypes,sys;l=ctypes.CDLL(sys.argv[1]);v=[ctypes.c_uint() for _ in range(3)];"
         "l.LLVMGetVersion(*map(ctypes.byref,v));print(v[0].value)"
@@ -102,9 +103,9 @@ def _ask(path: Path) -> int:
 
 
 def load_private() -> None:
-    """Load what :func:`private_directory` holds besides LLVM, what LLVM and Dr.Jit depend on.
+    """Load the libraries in :func:`private_directory` other than LLVM, on which LLVM and Dr.Jit depend.
 
-    The linker knows a library that is loaded already by its name, and so does not look for it where it is not.
+    The linker finds a loaded library by its name and does not search the system for it.
     """
     directory = private_directory()
     if not directory.is_dir():
@@ -116,7 +117,7 @@ def load_private() -> None:
             try:
                 ctypes.CDLL(str(path), mode=ctypes.RTLD_GLOBAL)
             except OSError:
-                refused.append(path)  # perhaps it needs one that comes later
+                refused.append(path)  # it may depend on a later one
         if len(refused) == len(pending):
             return
         pending = refused
@@ -155,7 +156,7 @@ def _directories() -> Iterator[Path]:
 
 
 def _linker_cache() -> Iterator[Path]:
-    """What ``ldconfig -p`` lists: libraries in directories that only the linker's configuration knows."""
+    """The libraries that ``ldconfig -p`` lists, also those in directories known only to the linker's configuration."""
     for program in ("/sbin/ldconfig", "/usr/sbin/ldconfig"):
         if not os.path.exists(program):
             continue

@@ -1,4 +1,4 @@
-"""How much memory the machine has left."""
+"""Free memory of the machine."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from pathlib import Path
 
 
 def free_memory() -> int | None:
-    """Bytes that this process may still take without swapping: what the machine has, or its control group allows.
+    """Bytes that this process may still allocate without swapping, limited by the machine or its control group.
 
-    ``None`` where the system does not say.
+    ``None`` if unknown.
     """
     found = [size for size in (_machine(), _control_group()) if size is not None]
     return min(found) if found else None
@@ -29,7 +29,7 @@ def _machine() -> int | None:
 
 
 def _control_group() -> int | None:
-    """Of a container with a limit: what its version 2 control group has left."""
+    """Free memory of the version 2 control group of a container with a limit."""
     try:
         limit, used = (
             int(Path("/sys/fs/cgroup", name).read_text("ascii")) for name in ("memory.max", "memory.current")

@@ -1,7 +1,6 @@
-"""Random numbers as a function of (seed, role, iteration, lane, dimension): transport never calls a generator.
-
-Every draw names its dimension, a vertex and a component of it, so a sampler with structure (a point sequence, a
-primary-sample chain) can stand in for independent numbers without the transport code knowing.
+"""Random numbers as a function of (seed, role, iteration, lane, dimension): transport never calls a generator. Every
+request names its dimension, a vertex and a component of it, so a structured sampler (a point sequence, a primary-sample
+chain) can replace independent numbers without changes to the transport code.
 """
 
 from __future__ import annotations
@@ -27,12 +26,12 @@ class SampleSource(Protocol):
         ...
 
     def decide(self, vertex: Any, component: int) -> Any:
-        """One number for a yes or no, such as roulette, that would gain nothing from being even among others."""
+        """One number for a binary decision such as roulette, which would not gain from stratification."""
         ...
 
 
 def seed_key(seed: int, role: str, iteration: int) -> tuple[int, int]:
-    """Two 32-bit words from (seed, role, iteration), by TEA over the three; the host half of every draw."""
+    """Two 32-bit words from (seed, role, iteration), by TEA; computed on the host."""
     role_word = 0
     for byte in role.encode():
         role_word = (role_word * 31 + byte) & _MASK
@@ -66,7 +65,7 @@ def to_unit_float(bits: Any) -> Any:
 
 
 def keyed_bits(key0: Any, key1: Any, word: Any) -> Any:
-    """32 bits that ``word`` has under a key of 64 bits, its two words mixed already."""
+    """32 random bits for ``word`` under a key of 64 bits, whose two words are already mixed."""
     x = key0 + word * 0x9E3779B9
     x = x ^ (x >> 16)
     x = x * 0x21F0AAAD
@@ -88,7 +87,7 @@ class IndependentSource:
         uint32 = type(lane)
         key0, key1 = seed_key(seed, role, iteration)
         k0, k1 = dr.opaque(uint32, key0), dr.opaque(uint32, key1)
-        # The pair is as good as (high, lane): given the first word, the second leads back to the lane.
+        # The pair identifies (high, lane): given the first word, the second can be mapped back to the lane.
         self._key0 = hash_mix(lane + k0 if high is None else lane + k0 + hash_mix(high))
         self._key1 = hash_mix((lane ^ self._key0) + k1)
 

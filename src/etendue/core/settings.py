@@ -6,7 +6,7 @@ A method declares its parameters once::
     class PathSettings(Settings):
         max_depth: int = setting(-1, "longest path in edges, -1 for unlimited", minimum=-1)
 
-and the command line, the Mitsuba plugin, the checkpoint and the manual page all read that declaration.
+and the command line, the Mitsuba plugin, the checkpoint and the manual page use this declaration.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Settings:
     def from_mapping(cls, values: Mapping[str, Any], owner: str = "") -> Self:
         """Build from names to values; a value may be a string as typed on the command line.
 
-        Raises :class:`OptionError` on a name that does not exist, with the nearest one that does.
+        Raises :class:`OptionError` on an unknown name and suggests the nearest known one.
         """
         for name in values:
             if name not in cls.names():

@@ -1,5 +1,5 @@
-"""Density estimation: kernels, estimators, their errors, and neighbour search on device arrays. Surfaces and lights are
-unknown here: what comes in are positions, weights and areas."""
+"""Density estimation: kernels, estimators, their errors, and neighbour search on device arrays. Independent of surfaces
+and lights: the input is positions, weights and areas."""
 
 from .bandwidth import cross_validation, normal_reference, silverman
 from .boundary import Boundary

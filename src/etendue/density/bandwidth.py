@@ -19,15 +19,15 @@ from .samples import Samples
 
 #: Nodes along an axis of the grid on which cross-validation adds up pairs, by dimension.
 _NODES = {1: 1 << 14, 2: 1 << 10}
-#: Bandwidths that are tried, as shares of that of :func:`normal_reference`.
+#: Candidate bandwidths relative to :func:`normal_reference`.
 _TRIED = (0.05, 2.0, 60)
 
 
 def normal_reference(samples: Any, kernel: Kernel | str = "gaussian") -> float:
-    """The bandwidth of least error if the samples are normal: for the Gaussian ``s (4 / ((d + 2) n))^(1 / (d + 4))``.
+    """The bandwidth with the smallest error for normal samples: for the Gaussian ``s (4 / ((d + 2) n))^(1 / (d + 4))``.
 
-    s is the root mean square of the standard deviations along the axes [Silverman 1986, sec. 4.3.2]; n the number of
-    samples of equal weight that they are worth. Too wide for densities of several peaks. Raises
+    s is the root mean square of the standard deviations along the axes [Silverman 1986, sec. 4.3.2]; n the effective
+    number of samples. Too wide for densities with several peaks. Raises
     :class:`DensityError` if all samples coincide, and for samples on surfaces.
     """
     checked = _plain(samples)
@@ -53,14 +53,14 @@ def silverman(samples: Any, kernel: Kernel | str = "gaussian") -> float:
 def cross_validation(
     samples: Any, kernel: Kernel | str = "gaussian", bandwidths: ArrayLike | None = None
 ) -> tuple[float, Array, Array]:
-    """The bandwidth of the least ``int f^2 - 2 sum_i w_i f_without_i(x_i)``: (bandwidth, those tried, their scores).
+    """The bandwidth that minimises ``int f^2 - 2 sum_i w_i f_without_i(x_i)``: (bandwidth, candidates, their scores).
 
-    Least-squares cross-validation [Bowman 1984; Silverman 1986, sec. 3.4.3] asks nothing of the density, but scatters:
-    the integrated squared error plus a constant is what a score estimates. It is taken with the Gaussian, for which all
-    pairs of samples are added up by a Fourier transform of a grid, and translated to other kernels
-    [Marron 1988]; the scores are those of the Gaussian. A warning says if the least is at an end of what was tried.
+    Least-squares cross-validation [Bowman 1984; Silverman 1986, sec. 3.4.3] assumes nothing about the density, but has
+    a large variance: a score estimates the integrated squared error plus a constant. It uses the Gaussian, for which
+    the sum over all pairs is computed by a Fourier transform of a grid; the result is converted to other kernels
+    [Marron 1988], the scores are those of the Gaussian. A warning says if the minimum is at an end of the candidates.
 
-    bandwidths: those to try; by default 60 from 0.05 to 2 times the :func:`normal_reference`. Raises
+    bandwidths: the candidates; by default 60 from 0.05 to 2 times the :func:`normal_reference`. Raises
     :class:`DensityError` as there, and for fewer than 2 samples.
     """
     checked = _plain(samples)
@@ -81,12 +81,12 @@ def cross_validation(
         tried = tried[tried >= pairs.finest]
     if tried.min() < pairs.finest:
         raise DensityError(
-            f"bandwidths below {pairs.finest / to_gaussian:g} are too fine beside samples that reach so far"
+            f"bandwidths below {pairs.finest / to_gaussian:g} are too small for the extent of the samples"
         )
     scores = np.array([pairs.score(h) for h in tried])
     best = int(np.argmin(scores))
     if len(tried) > 2 and best in (0, len(tried) - 1):
-        logger.warning("cross-validation found its least at an end of the bandwidths tried: samples may be rounded")
+        logger.warning("cross-validation found its minimum at an end of the candidates: samples may be rounded")
     return float(tried[best] / to_gaussian), tried / to_gaussian, scores
 
 
@@ -95,7 +95,7 @@ class _Pairs:
 
     def __init__(self, samples: Samples, widest: float) -> None:
         d, n = samples.dimension, _NODES[samples.dimension]
-        # The transform is periodic: as much room as the widest Gaussian of a pair reaches.
+        # The transform is periodic: pad by the reach of the widest Gaussian of a pair.
         box = smallest_box(samples, 4 * widest)
         box = Box(box.lower, tuple(low + max(box.sides) for low in box.lower))
         shares = share_out(samples.positions, samples.weights, box, (n,) * d)
@@ -104,13 +104,13 @@ class _Pairs:
         self._dimension, self._cell = d, (step * n) ** d
         spectrum = np.abs(np.fft.fftn(shares)) ** 2
         axis = np.fft.fftfreq(n, step) * (2 * math.pi)
-        # Linear sharing is a convolution with a hat, whose transform is known: it is undone.
+        # Linear binning is a convolution with a hat function; divide by its transform.
         hat = np.sinc(axis * step / (2 * math.pi)) ** 2
         power, squares = (
             spectrum / np.multiply.reduce(np.meshgrid(*[hat**2] * d)),
             sum(np.square(w) for w in np.meshgrid(*[axis] * d)),
         )
-        # What matters is by length of the frequency only: fewer numbers for each width.
+        # Only the length of the frequency matters, which leaves fewer numbers for each width.
         keep = squares * self.finest**2 < 80
         self._power, self._squares = power[keep], squares[keep]
         self._own = float(np.sum(samples.weights**2))
@@ -121,7 +121,7 @@ class _Pairs:
         return float(np.sum(self._power * np.exp(-0.5 * width**2 * self._squares)) / self._cell)
 
     def score(self, h: float) -> float:
-        """The criterion; with unequal weights, samples left out are made up for on average."""
+        """The criterion; with unequal weights, the left-out samples are corrected for on average."""
         peak = (2 * math.pi * h * h) ** (-0.5 * self._dimension)
         others = (self.sum(h) - self._own * peak) / (1 - self._own)
         return self.sum(math.sqrt(2) * h) - 2 * others

@@ -1,9 +1,9 @@
-"""Densities end somewhere, kernels go on: what is lost beyond the border of a domain is put back.
+"""Boundary corrections: the part of a kernel beyond the border of a domain is compensated.
 
-``"reflect"`` mirrors the samples at the border. The estimate then integrates to what it should, and its slope is zero
-at the border. ``"renormalise"`` divides by the share of the kernel that lies in the domain [Jones 1993]; so does a
-surface, by the area within reach. Both leave a bias of the order of the bandwidth where the density has a slope at its
-border; without either, half of it is missing at an edge, and three quarters in a corner.
+``"reflect"`` mirrors the samples at the border. The estimate then has the right integral and zero slope at the border.
+``"renormalise"`` divides by the share of the kernel inside the domain [Jones 1993]; a surface divides by the area
+within reach. Both leave a bias of the order of the bandwidth if the density has a slope at the border; without a
+correction half of the density is missing at an edge, and three quarters in a corner.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from .errors import DensityError
 from .kernels import Kernel
 
 Boundary = Literal["none", "reflect", "renormalise"]
-#: Nodes of the quadrature along the part of a side that a kernel meets.
+#: Quadrature nodes along the part of a side that a kernel overlaps.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
@@ -36,10 +36,11 @@ def check_boundary(boundary: str, allowed: tuple[str, ...], domain: Any) -> None
 
 
 def reflected(positions: Array, reach: Array, box: Box) -> tuple[Array, Array]:
-    """Positions with their mirror images of which a kernel of that ``reach`` may enter the box, and whose they are.
+    """Positions and those of their mirror images whose kernels of this ``reach`` may overlap the box, with their
+    indices.
 
     positions: (n, d). reach: (n,). Returns (m, d) and the indices (m,); the first n are the positions themselves. A
-    reach above the side of the box is cut: an image of an image is not made.
+    reach above the side of the box is clipped: images are not mirrored again.
     """
     every = np.arange(len(positions))
     images, owners = [positions], [every]
@@ -87,7 +88,7 @@ def _wedge(kernel: Kernel, distance: Any, along: Any) -> Any:
     met = dr.minimum(angle, dr.acos(dr.minimum(distance / kernel.reach, 1.0)))
     total: Any = angle - met
     for node, weight in zip(_NODES, _WEIGHTS, strict=True):
-        # At a foot that is near, 1 / cos is steep at the end: nodes are drawn together there.
+        # For a near foot 1 / cos is steep at the end, so nodes are denser there.
         s = 0.5 * (node + 1)
         phi = met * (s * (2 - s))
         radius = dr.minimum(distance / dr.maximum(dr.cos(phi), 1e-9), kernel.reach)

@@ -1,9 +1,9 @@
-"""A box divided into cells by place and facing: finer where samples are many, found by one gather.
+"""A box divided into cells by position and facing, adaptively by samples; lookup by one gather.
 
 A cell is halved across its longest side when more than a given number of samples fell into it [Muller 2017]. Surfaces
-that face along different axes have different cells from the start: what reaches a floor says little of the wall that
-stands on it. Because halving is always in the middle and along the same axes for all cells of a level, the tree can be
-drawn into a table over the finest cells, and looking a cell up costs one gather.
+that face along different axes have separate cells from the start, since light on a floor says little about light on the
+adjacent wall. Cells are always halved in the middle and along the same axis for all cells of a level, so the tree can
+be expanded into a table over the finest cells, and a lookup costs one gather.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from etendue.core import copied_to_device
 
 #: Facings: towards plus and minus x, y, z.
 FACINGS = 6
-#: Halvings at most: the table has 2^18 entries a facing.
+#: Largest number of halvings: the table has 2^18 entries per facing.
 FINEST = 18
 
 
@@ -58,10 +58,11 @@ class Cells:
         return len(self.level)
 
     def split(self, samples: NDArray[np.integer[Any]], most: float) -> NDArray[np.int64]:
-        """Halve every cell with more than ``most`` samples, and its halves, taken to hold half of them, again.
-        Returns for each cell that there is now the one that it was a part of."""
+        """Halve every cell with more than ``most`` samples, and recursively its halves, assumed to hold half of them
+        each.
+        Returns for each new cell the old cell that contains it."""
         origin, held = np.arange(self.count), samples.astype(np.float64)
-        self.level = self.level.copy()  # what to_arrays() has given away stays as it is
+        self.level = self.level.copy()  # arrays returned by to_arrays() must not change
         changed = np.zeros(self.count, bool)
         while (split := np.flatnonzero((held > most) & (self.level < FINEST))).size:
             level = self.level[split]
@@ -101,7 +102,7 @@ class Cells:
         return dr.gather(mi.UInt32, self._device, index, active)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """What :meth:`set_arrays` makes the same cells of."""
+        """Arrays from which :meth:`set_arrays` restores the cells."""
         return {"facing": self.facing, "corner": self.corner, "level": self.level}
 
     def set_arrays(self, arrays: Mapping[str, Any]) -> None:

@@ -1,7 +1,7 @@
-"""How far an estimate is from the density: bias, variance and their sum, by formula and by repetition.
+"""Errors of density estimates: bias, variance and mean squared error, by formula and by repetition.
 
 ``MSE = bias^2 + variance``: a wide kernel has bias, a narrow one variance [Silverman 1986, ch. 3; Leeson 2001,
-sec. 3.5]. Formulas are those of kernel estimators of one bandwidth; by repetition any estimator can be examined.
+sec. 3.5]. Formulas are for kernel estimators with one bandwidth; repetition works for any estimator.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Diagnosis:
     Attributes
     ----------
     truth, mean, variance: (m,), the density, the expected estimate and its variance.
-    runs: estimates from which ``mean`` and ``variance`` are; 0 if they are by formula.
+    runs: number of estimates behind ``mean`` and ``variance``; 0 for formulas.
     """
 
     truth: Array
@@ -51,7 +51,7 @@ class Diagnosis:
 
     @property
     def squared_bias(self) -> Array:
-        """Without what the variance adds to it on average; may be below zero by chance."""
+        """Corrected for the contribution of the variance; may be negative by chance."""
         return self.bias**2 - self.bias_error**2
 
     @property
@@ -62,7 +62,7 @@ class Diagnosis:
     def integrated(self, volume: ArrayLike) -> tuple[float, float, float]:
         """Integrals of squared bias, variance and mean squared error.
 
-        volume: what each point stands for, (m,), or a number for all.
+        volume: the volume that each point represents, (m,), or one number.
         """
         share = np.asarray(volume, dtype=np.float64)
         parts = [float(np.sum(values * share)) for values in (self.squared_bias, self.variance)]
@@ -84,7 +84,7 @@ def by_expansion(
 
 
 def by_quadrature(density: Known, x: Array, kernel: Kernel | str, bandwidth: float, count: float) -> Diagnosis:
-    """Errors for any bandwidth, from the density around each point: no expansion, no border.
+    """Errors for any bandwidth, from the density around each point: without expansion and border.
 
     The mean is the density smoothed by the kernel, the variance that of the kernel at a random sample over ``count``.
     x: (m,) or (m, 2).
@@ -145,10 +145,10 @@ def by_bootstrap(
     density: Known | None = None,
     seed: int = 0,
 ) -> Diagnosis:
-    """Variance of an estimator from ``runs`` sets drawn again from the samples, each with replacement.
+    """Variance of an estimator from ``runs`` sets resampled from the samples with replacement.
 
     The mean of these is near the estimate itself, not its expectation: without a known ``density`` the truth is the
-    estimate from all samples, and the bias says nothing of smoothing; with one, it is the error of this estimate.
+    estimate from all samples, and the bias does not include smoothing; with one, it is the error of this estimate.
     """
     checked = Samples.of(samples)
     truth = make(checked)(x) if density is None else np.asarray(density(x))

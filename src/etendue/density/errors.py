@@ -1,4 +1,4 @@
-"""The error of this room."""
+"""The error of density estimation."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ from etendue.core import EtendueError
 
 
 class DensityError(EtendueError):
-    """A density that cannot be estimated as asked: no samples, a bandwidth that is none, more neighbours than samples.
-    One line that says which, and what to do."""
+    """A density that cannot be estimated as requested: no samples, an invalid bandwidth, more neighbours than samples.
+    The message is one line that says which, and what to do."""

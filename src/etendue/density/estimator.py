@@ -1,4 +1,4 @@
-"""What estimators share: a density that is asked for at points, of NumPy or of the device."""
+"""The base class of estimators: a density that can be evaluated at NumPy or device points."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from .samples import Frame, Samples, box_of, by_place, numbers, rows
 class Estimator(ABC):
     """An estimate of the density of samples, called at points.
 
-    ``estimate(x)`` takes positions as the samples have them. NumPy arrays, (m,) or (m, coordinates), give an array
-    (m,); ``Float``, ``Point2f`` or ``Point3f`` record a ``Float``, inside kernels and loops as well. Both are computed
-    on the device, in single precision, around the middle of the samples. Outside a domain that is given the density is
-    zero; where a point is not finite it is not a number.
+    ``estimate(x)`` takes positions with as many coordinates as the samples. NumPy arrays, (m,) or (m, coordinates),
+    give an array (m,); ``Float``, ``Point2f`` or ``Point3f`` give a ``Float``, also inside kernels and loops. Both are
+    computed on the device, in single precision, relative to the median of the samples. Outside a given domain the
+    density is zero; at points that are not finite it is NaN.
     """
 
     #: Papers, as keys of the bibliography.
     citations: ClassVar[tuple[str, ...]] = ()
-    #: Whether it looks for samples, so that points are better asked for in an order.
+    #: Whether it searches for samples, so that sorted queries are faster.
     _searches: ClassVar[bool] = True
 
     def __init__(self, samples: Any, domain: Any = None) -> None:
@@ -69,7 +69,7 @@ class Estimator(ABC):
         active = mi.Bool(finite)
         if self._local_domain is not None:
             for axis, (low, high) in enumerate(zip(self._local_domain.lower, self._local_domain.upper, strict=True)):
-                # What lies on the border in double precision may be beyond it by a rounding.
+                # A point on the border in double precision may be outside after rounding.
                 slack = 1e-6 * (high - low)
                 active &= (point[axis] >= dr.opaque(mi.Float, low - slack)) & (
                     point[axis] <= dr.opaque(mi.Float, high + slack)

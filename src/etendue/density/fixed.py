@@ -21,7 +21,7 @@ from .hashgrid import HashGrid
 from .kernels import Kernel, kernel_of
 from .samples import Frame, Surface, uploaded
 
-#: The shortest reach of a kernel, as a share of the extent of the samples.
+#: Smallest reach of a kernel relative to the extent of the samples.
 _FINEST = 3e-6
 
 
@@ -33,12 +33,12 @@ class FixedKernel(Estimator):
     samples: :class:`Samples`, or positions.
     bandwidth: in the unit of the positions; see :func:`silverman` and :func:`cross_validation`.
     kernel: a :class:`Kernel` or its name.
-    domain, boundary: where the density lives, as for :class:`etendue.integration.Box`, and what is done at its border:
+    domain, boundary: the domain, as for :class:`etendue.integration.Box`, and the correction at its border:
         ``"reflect"``, ``"renormalise"`` or ``"none"``.
     surface: a :class:`Surface`, by whose area within the kernel the estimate is divided.
 
-    A point costs what lies within the kernel's reach. Where that is thousands of samples :class:`BinnedKernel` is
-    faster by far. Raises :class:`DensityError`.
+    A query visits the samples within the kernel's reach. If these are thousands, :class:`BinnedKernel` is much faster.
+    Raises :class:`DensityError`.
     """
 
     citations = ("Silverman1986", "Leeson2001", "Jones1993", "Green2008")
@@ -103,7 +103,7 @@ class Naive(FixedKernel):
 
 
 class _Sum:
-    """``sum_i w_i K(|x - x_i| / h) / h^d``, a candidate of the grid after the other."""
+    """``sum_i w_i K(|x - x_i| / h) / h^d``, candidate by candidate of the grid."""
 
     def __init__(
         self, positions: Array, weights: Array, h: float, kernel: Kernel, dimension: int, frame: Frame
@@ -113,7 +113,7 @@ class _Sum:
         lower, upper = np.zeros(3), np.zeros(3)
         lower[: local.shape[1]], upper[: local.shape[1]] = local.min(axis=0), local.max(axis=0)
         self._grid = HashGrid(points, h * kernel.reach, lower, upper)
-        # A weight has the kernel's normalisation in it, in double precision until here.
+        # Weights include the kernel's normalisation, computed in double precision.
         scaled = uploaded(weights * (kernel.normalisation(dimension) / h**dimension))
         self._packed = dr.zeros(mi.Float, 4 * len(positions))
         dr.scatter(self._packed, mi.Vector4f(*points, scaled), self._grid.destination)
@@ -126,7 +126,7 @@ class _Sum:
         limit = self._kernel.reach**2
 
         def add(i: Any, total: Any) -> tuple[Any, Any]:
-            """Every candidate takes part: to look for those within reach first would take longer."""
+            """Evaluates every candidate: selecting those within reach first would take longer."""
             sample = dr.gather(mi.Vector4f, self._packed, self._grid.candidate(query, i))
             x, y, z = sample.x - point.x, sample.y - point.y, sample.z - point.z
             t = dr.fma(x, x, dr.fma(y, y, z * z)) * self._inverse
@@ -137,7 +137,7 @@ class _Sum:
 
 
 def over(value: Any, share: Any) -> Any:
-    """``value / share``, zero where nothing of a kernel is inside."""
+    """``value / share``, zero where no part of a kernel is inside."""
     return dr.select(share > 0, value / share, 0.0)
 
 

@@ -14,11 +14,11 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-#: Cells along x at most; a finer grid than this gets wider cells, which costs time and nothing else.
+#: Largest number of cells along x; with more, cells are made wider, which only costs time.
 _MAX_CELLS_X = 1 << 22
-#: Candidates that are tested, a bit each, before those that are neighbours are visited. Searching and visiting in turns
-#: keeps the lanes of a packet together: one candidate in five is a neighbour, so visiting each as it is found would
-#: leave most lanes idle.
+#: Number of candidates that are tested, a bit each, before the neighbours among them are visited. Alternating between
+#: testing and visiting keeps the lanes of a packet coherent: one candidate in five is a neighbour, so visiting each as
+#: it is found would leave most lanes idle.
 _BATCH = 32
 
 
@@ -38,12 +38,12 @@ class HashGrid:
     ----------
     points: Point3f, one lane a point.
     radius: search radius, scene units, a host number above zero.
-    lower, upper: corners of a box that holds the points (host sequences of three numbers).
+    lower, upper: corners of a box that contains the points (host sequences of three numbers).
     active: mask of the points to insert; the others get no destination.
 
     Attributes
     ----------
-    destination: UInt32, where point i goes in sorted order. The caller scatters whatever payload a query shall read.
+    destination: UInt32, index of point i in sorted order. The caller scatters the payload that queries read.
     """
 
     def __init__(self, points: Any, radius: float, lower: Any, upper: Any, active: Any = True) -> None:
@@ -81,7 +81,7 @@ class HashGrid:
         q = Query(mi.UInt32(0), [], [])
         for k, row in enumerate(rows):
             begin, end = mi.UInt32(row), row + 2
-            for earlier in rows[:k]:  # a bucket that an earlier row reads is left to it
+            for earlier in rows[:k]:  # skip a bucket that an earlier row reads already
                 same = row == earlier
                 begin = dr.select(same | (row + 1 == earlier + 2), row + 1, begin)
                 end = dr.select(same | (row + 1 == earlier), row + 1, end)

@@ -1,4 +1,4 @@
-"""Estimators on a grid of the domain: the histogram, and the fixed kernel by way of a fine grid."""
+"""Estimators on a grid of the domain: the histogram, and the fixed kernel on a fine grid."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .estimator import Estimator, positive
 from .kernels import Kernel, kernel_of
 from .samples import Samples, uploaded
 
-#: Cells of a grid at most (some 100 MB), and steps of a fine grid in a bandwidth.
+#: Largest number of cells of a grid (about 100 MB), and steps of a fine grid per bandwidth.
 _MAX_CELLS = 1 << 22
 _STEPS = 10
 
@@ -33,8 +33,8 @@ class Histogram(Estimator):
     samples: :class:`Samples`, or positions, on a line or in the plane.
     bins: how many, for all dimensions or for each.
     domain: by default the smallest box around the samples.
-    areas: the size of each bin, of shape ``bins``, where it is not that in the domain: for samples in (u, v) of a
-        surface, the area of each texel. The density is then per that area.
+    areas: the size of each bin, of shape ``bins``, if it differs from that in the domain: for samples in (u, v) of a
+        surface, the area of each texel. The density is then per this area.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Histogram(Estimator):
         index = np.ravel_multi_index(tuple(np.clip(place, 0, cells - 1).T), shape)
         shares = np.bincount(index, checked.weights, math.prod(shape)).reshape(shape)
         self.values: Array = shares * checked.mass / sizes
-        # The base class multiplies by the mass and the scale of the device, which are in the values already.
+        # The base class multiplies by the mass and the scale of the device, which the values already contain.
         self._table = uploaded(self.values.ravel() * (self._frame.unit**checked.dimension / checked.mass))
         self._shape = [dr.opaque(mi.Float, n) for n in shape]
         self._strides = [dr.opaque(mi.UInt32, math.prod(shape[i + 1 :])) for i in range(len(shape))]
@@ -81,11 +81,12 @@ class Histogram(Estimator):
 
 
 class BinnedKernel(Estimator):
-    """The estimate of :class:`FixedKernel` by way of a grid of a tenth of the bandwidth, on a line or in the plane.
+    """The estimate of :class:`FixedKernel`, approximated on a grid of a tenth of the bandwidth, on a line or in the
+    plane.
 
-    Samples are shared out linearly among the nodes around them, the grid is convolved with the kernel by a fast Fourier
-    transform, and read by linear interpolation [Wand 1994]. A million samples take a part of a second however many of
-    them a kernel covers, and points cost next to nothing; the price is an error of some 1e-3 of the largest density.
+    Samples are distributed linearly to the surrounding nodes, the grid is convolved with the kernel by FFT, and
+    interpolated linearly [Wand 1994]. A million samples take a fraction of a second for any bandwidth, and queries cost
+    almost nothing; the error is about 1e-3 of the largest density.
 
     Parameters are those of :class:`FixedKernel`; the domain is by default the box around the samples and their kernels.
     ``steps``: nodes in a bandwidth. ``values`` are the densities at the nodes, ``nodes`` their coordinates. Raises
@@ -162,7 +163,7 @@ def smallest_box(samples: Samples, margin: float = 0.0) -> Box:
 
 
 def share_out(positions: Array, weights: Array, box: Box, counts: tuple[int, ...]) -> Array:
-    """Weights shared out linearly among the nodes around each position: an array of shape ``counts``."""
+    """Weights distributed linearly to the nodes around each position: an array of shape ``counts``."""
     index, share = np.zeros(len(weights), dtype=np.int64), [weights]
     indices = [index]
     for axis, n in enumerate(counts):
@@ -193,7 +194,7 @@ def _steps(x: Any, axis: int, box: Box) -> Any:
 
 
 def _stencil(kernel: Kernel, bandwidth: float, spacing: Sequence[float]) -> Array:
-    """The kernel at nodes around zero, whose sum times their spacing is 1."""
+    """The kernel at nodes around zero, normalised so that the sum times the spacing is 1."""
     axes = []
     for step in spacing:
         n = math.floor(bandwidth * kernel.reach / step)
@@ -204,7 +205,7 @@ def _stencil(kernel: Kernel, bandwidth: float, spacing: Sequence[float]) -> Arra
 
 
 def _convolved(shares: Array, stencil: Array, mirror: bool) -> Array:
-    """The grid convolved with the stencil; with ``mirror`` what leaves it comes back."""
+    """The grid convolved with the stencil; with ``mirror`` values outside are reflected at the border."""
     pads = [min(n // 2, m - 1) if mirror else 0 for n, m in zip(stencil.shape, shares.shape, strict=True)]
     if mirror:
         shares = shares.copy()
@@ -220,6 +221,6 @@ def _convolved(shares: Array, stencil: Array, mirror: bool) -> Array:
 
 
 def _even(n: int) -> int:
-    """The next number of the form 2^a, 3 2^a or 5 2^a, whose transform is fast."""
+    """The next number of the form 2^a, 3 2^a or 5 2^a, for a fast transform."""
     power = 1 << (n - 1).bit_length()
     return min(m for m in (power, power * 3 // 4, power * 5 // 8) if m >= n)

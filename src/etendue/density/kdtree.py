@@ -2,12 +2,13 @@
 
 Built level by level: the points of a node are sorted along the longest side of their box and cut into two halves
 [Bentley 1975], all nodes of a level by one sort. The tree is complete and implicit: node ``i`` has the children ``2 i``
-and ``2 i + 1``, a leaf holds 16 points, and every node stores the box of its points. Which node comes next is
+and ``2 i + 1``, a leaf holds 16 points, and every node stores the box of its points. The next node follows by
 arithmetic on ``i``, so a search needs neither recursion nor a stack.
 
 The k-th distance is found by counting: a heap would need memory for each lane. One search counts the points below
-several thresholds, the next divides the interval that holds the k-th distance, and when few points are left in it, a
-last search reads the answer off. All searches compare the same rounded squared distances, so the answer is exact.
+several thresholds, the next subdivides the interval that contains the k-th distance, and when few points are left in
+it, a last search finds the exact distance. All searches compare the same rounded squared distances, so the answer is
+exact.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ import mitsuba as mi
 _LEAF = 16
 #: Thresholds at which one search counts.
 _THRESHOLDS = 8
-#: Distances that the last search keeps in order.
+#: Number of sorted distances that the last search keeps.
 _KEPT = 8
 #: A first threshold below the k-th distance costs a search, one far above it makes the first search slower.
 _MARGIN = 1.1
-#: A sort key holds the number of a node above a position along an axis, in single precision at best.
+#: A sort key has the number of a node in its upper bits and a position along an axis below, at most single precision.
 _KEY_BITS = 32
 _AXIS_BITS = 24
 #: Below the squared distance of an empty place, which is infinite.
@@ -53,13 +54,13 @@ class KdTree:
     ----------
     points: Point3f, one lane a point. Points that are not finite are left out.
     active: mask of the points to insert.
-    reach: how far each point is felt, for :meth:`covering`; scene units, a lane a point.
+    reach: radius of influence of each point, for :meth:`covering`; scene units, a lane a point.
 
     Attributes
     ----------
     count: number of points in the tree.
-    order: UInt32 of ``count`` lanes, the index in ``points`` of the point at each place. The caller gathers whatever
-        payload a search shall read by it.
+    order: UInt32 of ``count`` lanes, the index in ``points`` of the point at each place. The caller gathers the payload
+        that searches read by it.
 
     Both searches may be called in a kernel, inside loops too; building evaluates. The mean of the 50 nearest values::
 
@@ -69,8 +70,9 @@ class KdTree:
         add = lambda place, _, state: (state[0] + 1, state[1] + dr.gather(mi.Float, values, place))
         number, total = tree.within(si.p, squared, (mi.UInt32(0), mi.Float(0)), add, active)
 
-    The payload must be evaluated before a symbolic loop gathers from it. A search costs what it touches: many points at
-    one place, or many at nearly the distance of the k-th (a query in the centre of a sphere), are all compared.
+    The payload must be evaluated before a symbolic loop gathers from it. The cost of a search is the number of points
+    compared, which is large if many points coincide or have nearly the k-th distance (a query in the centre of a
+    sphere).
     """
 
     def __init__(self, points: Any, active: Any = True, reach: Any = None) -> None:
@@ -81,7 +83,7 @@ class KdTree:
         leaves = 1 << max(-(-self.count // _LEAF) - 1, 0).bit_length()
         self._first_leaf = dr.opaque(mi.UInt32, leaves)
         place = dr.arange(mi.UInt32, leaves * _LEAF)
-        # Empty places are at infinity and come after all others, here and in every sort.
+        # Empty places are at infinity, so they come last here and in every sort.
         filled = place < self._count
         index = dr.gather(mi.UInt32, chosen, place, filled) if self.count else place
         sides = [dr.full(mi.Float, dr.inf, leaves * _LEAF) for _ in range(3)]
@@ -127,7 +129,7 @@ class KdTree:
         return self._search(point, radius_squared, active, state, leaf)
 
     def covering(self, point: Any, state: Any, visit: Callable[[Any, Any, Any], Any], active: Any = True) -> Any:
-        """Visit every point whose ``reach`` is not below its distance from ``point``; otherwise as :meth:`within`."""
+        """Visit every point whose ``reach`` is at least its distance from ``point``; otherwise as :meth:`within`."""
 
         def leaf(first: Any, found: Any, state: Any) -> Any:
             near = mi.UInt32(0)
@@ -177,7 +179,7 @@ class KdTree:
         return result
 
     def distance_squared(self, place: Any, point: Any, active: Any = True) -> Any:
-        """Squared distance of ``point`` from the point at ``place``: what all searches compare, to the last bit."""
+        """Squared distance of ``point`` from the point at ``place``; all searches compare exactly this value."""
         position = dr.gather(mi.Vector4f, self._points, place, active)
         return _squared_norm(position.x - point.x, position.y - point.y, position.z - point.z)
 
@@ -207,7 +209,7 @@ class KdTree:
             return node, ~found & (node != 0)
 
         def advance(node: Any, state: Any) -> tuple[Any, Any]:
-            """Go to the next leaf, so that all lanes are at one when its points are compared."""
+            """Go to the next leaf, so that all lanes are at a leaf when points are compared."""
             node, _ = dr.while_loop((mi.UInt32(node), node != 0), lambda _, go: go, descend, label="kd-tree: descend")
             found = node != 0
             state = leaf((node - self._first_leaf) * _LEAF, found, state)
@@ -239,7 +241,8 @@ class KdTree:
         reach = dr.minimum(interval.upper, _LARGEST)
         counts = self._search(point, reach, interval.wide, tuple(mi.UInt32(0) for _ in thresholds), count)
 
-        # With too few points up to the last threshold, go on behind it; on a surface their number grows in proportion.
+        # With too few points up to the last threshold, search beyond it; on a surface their number is proportional to
+        # it.
         growth = dr.clip(1.5 * mi.Float(k) / mi.Float(dr.maximum(counts[-1], 1)), 2.0, 16.0)
         lower, below, upper = thresholds[-1], counts[-1], dr.minimum(thresholds[-1] * growth, limit)
         total = mi.UInt32(_UNKNOWN)
@@ -250,7 +253,7 @@ class KdTree:
             upper, total = dr.select(reached, thresholds[j], upper), dr.select(reached, counts[j], total)
 
         unknown = total == _UNKNOWN
-        # Two neighbouring numbers: all points in between are at one distance, that of the upper one.
+        # Adjacent floats: all points in between have the same distance, that of the upper one.
         adjacent = _bits(upper) - _bits(dr.maximum(lower, 0.0)) <= dr.select(lower < 0.0, mi.UInt32(0), 1)
         wide = dr.select(unknown, interval.upper < limit, (total - below > _KEPT) & ~adjacent)
         return _Interval(lower, below, upper, total, interval.turn + 1, interval.wide & wide)
@@ -272,12 +275,12 @@ class KdTree:
         return kept
 
     def _first_guess(self, point: Any, k: Any, active: Any) -> Any:
-        """A squared distance near that of the k-th neighbour, from the smallest node of ``k`` points or more here."""
+        """A squared distance near that of the k-th neighbour, from the smallest node here with ``k`` points or more."""
 
         def descend(node: Any, places: Any) -> tuple[Any, Any]:
             near = [self._box_distance_squared(child, point) for child in (2 * node, 2 * node + 1)]
             far = [self._farthest_squared(child, point) for child in (2 * node, 2 * node + 1)]
-            # Of two boxes around the point the tighter: the other may reach from one surface to another.
+            # The smaller of two boxes around the point: the other may extend from one surface to another.
             second = (near[1] < near[0]) | ((near[1] == near[0]) & (far[1] < far[0]))
             return 2 * node + dr.select(second, mi.UInt32(1), 0), places >> 1
 
@@ -335,9 +338,9 @@ class KdTree:
 
 
 def _thresholds(interval: _Interval) -> list[Any]:
-    """Ascending, the last one the upper end: evenly spaced, or every other turn their bit patterns are.
+    """Ascending, the last one the upper end: evenly spaced, alternately in value and in bit pattern.
 
-    The first divides quickly where points are spread evenly, the second ends within eleven of its turns in any case.
+    The first converges quickly for evenly spread points, the second ends within eleven turns in any case.
     """
     lower = dr.maximum(interval.lower, 0.0)
     difference = _bits(interval.upper) - _bits(lower)
@@ -351,12 +354,12 @@ def _thresholds(interval: _Interval) -> list[Any]:
 
 
 def _bits(value: Any) -> Any:
-    """The bit pattern of a number that is not negative; it grows with the number."""
+    """The bit pattern of a non-negative number, a monotonic function of it."""
     return dr.reinterpret_array(mi.UInt32, value)
 
 
 def _squared_norm(x: Any, y: Any, z: Any) -> Any:
-    """Always the same three roundings, whatever a compiler would like to fuse."""
+    """Always with the same three roundings, also if a compiler would fuse operations."""
     return dr.fma(x, x, dr.fma(y, y, z * z))
 
 
@@ -397,7 +400,7 @@ def _sorted_into_halves(index: Any, sides: list[Any]) -> tuple[Any, list[Any]]:
         node = dr.arange(mi.UInt32, places) // dr.opaque(mi.UInt32, block)
         position = _along(dr.gather(mi.UInt32, axis, node), sides) - dr.gather(mi.Float, origin, node)
         position = position * dr.gather(mi.Float, scale, node)
-        # Not a number where a box has no extent or an empty place is compared with another.
+        # NaN if a box has no extent, or between two empty places.
         position = dr.select(position < steps - 1.0, mi.UInt32(position), mi.UInt32(steps - 1.0))
         permutation = dr.argsort((node << shift) | position)
         index = dr.gather(mi.UInt32, index, permutation)

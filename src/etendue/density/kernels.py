@@ -1,7 +1,8 @@
-"""Kernels of density estimation: bumps around zero whose integral is 1.
+"""Kernels of density estimation: functions around zero with integral 1.
 
-A kernel is a function ``k(t)`` of ``t = |u|^2``, the squared distance in bandwidths, with ``k(0) = 1``; what makes its
-integral 1 depends on the dimension. All but the Gaussian end at ``|u| = 1`` [Silverman 1986, ch. 3; Leeson 2001,
+A kernel is a function ``k(t)`` of ``t = |u|^2``, the squared distance in bandwidths, with ``k(0) = 1``; the
+normalisation depends on the dimension. All but the Gaussian are zero beyond ``|u| = 1`` [Silverman 1986, ch. 3; Leeson
+2001,
 sec. 3.5]. Arrays may be NumPy's or Dr.Jit's.
 """
 
@@ -19,9 +20,9 @@ from etendue.integration import array_namespace
 
 from .errors import DensityError
 
-#: Where the Gaussian is cut off, in bandwidths: what lies beyond is 6e-7 of it on a line, 4e-6 in the plane.
+#: Cut-off of the Gaussian in bandwidths: 6e-7 of it lies beyond on a line, 4e-6 in the plane.
 _GAUSSIAN_REACH = 5.0
-#: Bandwidths in the radius of a disc, for the Gaussian that is cut off by it.
+#: Bandwidths in the radius of a disc, for the Gaussian truncated by the disc.
 _GAUSSIAN_DISC = 3.0
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(96)
 
@@ -32,8 +33,8 @@ class Kernel:
 
     Attributes
     ----------
-    name: how :data:`KERNELS` knows it.
-    profile: ``k(t)`` for t from 0 to ``reach^2``, beyond which it must not be asked.
+    name: its key in :data:`KERNELS`.
+    profile: ``k(t)`` for t from 0 to ``reach^2``; it must not be evaluated beyond.
     reach: the distance, in bandwidths, from which on the kernel is zero.
     disc_scale: squared bandwidths in the radius of the disc of :meth:`on_disc`.
     """
@@ -53,7 +54,7 @@ class Kernel:
         return _where(inside, self.normalisation(dimension) * self.profile(clipped) + 0.0 * t, 0.0 * t)
 
     def on_disc(self, t: Any) -> Any:
-        """The kernel as a factor on the uniform disc: its mean over the disc is 1.
+        """The kernel as a weight relative to the uniform disc: its mean over the disc is 1.
 
         t: squared distance over the squared radius of the disc, in [0, 1]. The Gaussian is cut off at three bandwidths.
         An estimate at x from points x_i of weight w_i is ``sum w_i on_disc(|x_i - x|^2 / r^2) / (pi r^2)``.
@@ -91,7 +92,7 @@ def _integral(kernel: Kernel, dimension: int, of: Callable[[Any, Any], Any]) -> 
     """Integral of ``of(k(t), t)`` over the line or the plane, by quadrature along the radius: all are smooth there."""
     if dimension not in (1, 2):
         raise DensityError(f"kernels have one or two dimensions, not {dimension!r}; a surface has two")
-    # The Gaussian is integrated as far as doubles reach.
+    # The Gaussian is integrated until it underflows in double precision.
     end = 9.0 if kernel.reach > 1 else 1.0
     r = 0.5 * end * (_NODES + 1)
     shell = 2 * np.ones_like(r) if dimension == 1 else 2 * math.pi * r

@@ -31,9 +31,9 @@ class NearestNeighbours(Estimator):
     kernel: a :class:`Kernel` or its name.
     domain, boundary: ``"renormalise"`` or ``"none"``, as for :class:`FixedKernel`.
     surface: as there.
-    count_last: whether the k-th sample, which ends the disc, is counted in it. By the formula it is, which makes the
-        estimate of the uniform kernel ``k / (k - 1)`` too large on average; photon maps leave it out. Kernels that are
-        zero at their end do not notice.
+    count_last: whether the k-th sample, at the rim of the disc, is counted. The formula counts it, which makes the
+        estimate of the uniform kernel too large by ``k / (k - 1)`` on average; photon maps leave it out. It makes no
+        difference for kernels that are zero at the rim.
 
     Where k samples coincide with a point the density is infinite. Raises :class:`DensityError`.
     """

@@ -1,11 +1,11 @@
-"""Many densities on the unit square at once, each a quadtree that is fine where its mass is.
+"""Many densities on the unit square, each a quadtree that is refined where its mass is concentrated.
 
 A tree halves the square on both axes wherever a quadrant holds more than a given share of the tree's mass
-[Muller 2017]. All trees lie in one array of nodes on the device, the roots first, so that a lane finds, or draws, a
-point of its own tree by a few gathers. Refinement happens on the host, level by level for all trees together.
+[Muller 2017]. All trees share one array of nodes on the device, roots first, so that each lane can look up or sample a
+point of its tree by a few gathers. Refinement happens on the host, level by level for all trees together.
 
-A node has four quadrants, numbered ``x + 2 y``. A *place* is a quadrant of a node, ``4 node + quadrant``; the places
-that are not divided further cover the square of their tree, and are what samples are counted in.
+A node has four quadrants, numbered ``x + 2 y``. A *place* is a quadrant of a node, ``4 node + quadrant``; the undivided
+places cover the square of their tree, and samples are counted per place.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from etendue.core import copied_to_device
 
-#: Halvings at most: a side of the smallest quadrant is 2^-12.
+#: Largest depth: the smallest quadrant has the side 2^-12.
 DEEPEST = 12
-#: Of a node's fourth word: the lowest bits say which quadrants are divided, the others which node divides the first.
+#: Fourth word of a node: its lowest bits mark the divided quadrants, the others are the node that divides the first.
 _BITS = 4
 
 
@@ -68,8 +68,8 @@ class Quadtrees:
         return np.repeat(self.tree, 4)
 
     def with_mass(self, found: NDArray[np.float64]) -> Quadtrees:
-        """The same trees with the masses ``found`` (one a place; those of divided ones are added up here). A tree that
-        found nothing keeps what it had."""
+        """The same trees with the masses ``found`` (one per place; those of divided places are summed up here). A tree
+        without mass keeps its old one."""
         mass = np.where(self.child < 0, found.reshape(-1, 4), 0.0)
         flat = mass.reshape(-1)
         for level in range(int(self.level.max()), 0, -1):
@@ -111,7 +111,7 @@ class Quadtrees:
         return self.mass / total[:, None] * 4.0 ** (self.level + 1)[:, None]
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """What :meth:`from_arrays` makes the same trees of."""
+        """Arrays from which :meth:`from_arrays` restores the trees."""
         return {"parent": self.parent, "mass": self.mass}
 
     @classmethod
@@ -124,14 +124,14 @@ class Quadtrees:
         divided = np.flatnonzero(parent >= 0)
         child.reshape(-1)[parent[divided]] = divided
         above = np.where(parent >= 0, parent // 4, np.arange(nodes))
-        for _ in range(DEEPEST):  # a node's own is right once those above it are
+        for _ in range(DEEPEST):  # correct for a node once it is for its ancestors
             tree[divided] = tree[above[divided]]
             level[divided] = level[above[divided]] + 1
         return cls(tree, level, parent, child, mass)
 
 
 class QuadtreeSampler:
-    """A forest on the device: points drawn from its densities, and the density at a point.
+    """A forest on the device: samples its densities, and evaluates them.
 
     Kernels do not depend on the number or the shape of the trees.
     """
@@ -154,7 +154,7 @@ class QuadtreeSampler:
         self._density = copied_to_device(mi.Float, trees.density().astype(np.float32))
 
     def sample(self, tree: Any, u: Any, active: Any = True) -> tuple[Any, Any, Any]:
-        """A point of the square drawn by the two numbers ``u``: (point, density, place)."""
+        """A point of the square sampled with the two numbers ``u``: (point, density, place)."""
 
         def step(going: Any, node: Any, u: Any, corner: Any, side: Any, place: Any) -> tuple[Any, ...]:
             words = dr.gather(mi.Vector4u, self._nodes, node, going)
@@ -194,7 +194,7 @@ class QuadtreeSampler:
 
 
 def _halve(u: Any, split: Any) -> tuple[Any, Any]:
-    """Choose the second part with probability 1 - split: (the number made uniform again, whether it was chosen)."""
+    """Select the second half with probability 1 - split: (the number rescaled to [0, 1), whether it was selected)."""
     second = u >= split
     scaled = dr.select(second, (u - split) / (1.0 - split), u / split)
     return dr.minimum(scaled, 1.0 - 2.0**-24), second

@@ -1,4 +1,4 @@
-"""Samples with weights, and surfaces: what is known of them is positions and areas."""
+"""Samples with weights, and surfaces as positions with areas."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .errors import DensityError
 
 
 class Samples:
-    """Points whose density is wanted: on a line, in the plane, or on surfaces in space.
+    """Points whose density is to be estimated: on a line, in the plane, or on surfaces in space.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class Samples:
 
     @property
     def effective(self) -> float:
-        """Samples of equal weight that these are worth: ``1 / sum w^2``."""
+        """Effective number of samples: ``1 / sum w^2``."""
         return float(1 / np.sum(self.weights**2))
 
     def chosen(self, index: Any, weights: Any = None) -> Samples:
@@ -95,10 +95,10 @@ class Samples:
 
 @dataclass(frozen=True)
 class Surface:
-    """Surfaces as points that are spread over them, each with the ``areas`` that it stands for.
+    """Surfaces as points spread over them, each with the area (``areas``) that it represents.
 
     positions: (m, 3). areas: (m,), or a number for all. An estimator divides by the share of its kernel that lies on
-    these: so edges, corners and bends do not darken. They must be dense: several within a bandwidth.
+    the surface, so that edges, corners and bends are not too dark. There must be several points per bandwidth.
     Raises :class:`DensityError` if there are none, or for an area that is not positive.
     """
 
@@ -118,14 +118,15 @@ class Surface:
 
 @dataclass(frozen=True)
 class Frame:
-    """Coordinates of the device: single precision, so that data are moved to zero and scaled to about 1."""
+    """Coordinates on the device: data are moved to zero and scaled to about 1 for single precision."""
 
     origin: Array
     unit: float
 
     @classmethod
     def around(cls, samples: Samples) -> Frame:
-        """From the samples: zero is at their median, where most are and coordinates have most places, not outliers."""
+        """From the samples: zero is at their median, so that precision is best where most samples are, despite
+        outliers."""
         lower, upper = samples.bounds
         extent = float(np.max(upper - lower))
         return cls(np.median(samples.positions, axis=0), extent if extent > 0 else 1.0)
@@ -135,7 +136,7 @@ class Frame:
         return (x - self.origin) / self.unit
 
     def device(self, x: Array) -> Any:
-        """Local ``Point3f`` of positions in host coordinates; what a position lacks is zero."""
+        """Local ``Point3f`` of positions in host coordinates; missing coordinates are zero."""
         local = self.host(x)
         sides = [uploaded(local[:, i]) for i in range(local.shape[1])]
         return mi.Point3f(*sides, *[dr.zeros(mi.Float, len(x))] * (3 - len(sides)))
@@ -155,7 +156,7 @@ class Frame:
 
 def uploaded(values: Array) -> Any:
     """Host numbers as a ``Float`` with memory of its own."""
-    if values.size == 1:  # from a list it would be a literal, and each value another kernel
+    if values.size == 1:  # from a list it would be a literal, and each value would need another kernel
         return dr.opaque(mi.Float, float(values.ravel()[0]))
     if values.size <= 1 << 16:
         return on_device(mi.Float, values)
@@ -163,9 +164,9 @@ def uploaded(values: Array) -> Any:
 
 
 def by_place(points: Array) -> Any:
-    """An order of points in which neighbours are near: lanes that stay together are faster, and find data in caches.
+    """An order of points in which neighbours are near: coherent lanes are faster and use caches better.
 
-    That of a Z-shaped curve through 1024 cells of each axis, three standard deviations to either side.
+    Morton order over 1024 cells per axis, three standard deviations to either side.
     """
     d = points.shape[1]
     finite = np.nan_to_num(points, nan=0.0, posinf=0.0, neginf=0.0)
@@ -178,7 +179,7 @@ def by_place(points: Array) -> Any:
 
 
 def rows(positions: Any) -> Array:
-    """Positions as (n, coordinates), in double precision; raises :class:`DensityError` for what are none."""
+    """Positions as (n, coordinates), in double precision; raises :class:`DensityError` for invalid ones."""
     if dr.is_jit_v(positions):
         x = np.array(positions, dtype=np.float64)
         x = x.T if x.ndim == 2 else x
@@ -192,7 +193,7 @@ def rows(positions: Any) -> Array:
 
 
 def numbers(values: Any) -> Array:
-    """A new array of doubles; raises :class:`DensityError` for what is none."""
+    """A new array of doubles; raises :class:`DensityError` for values that are not numbers."""
     try:
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError):

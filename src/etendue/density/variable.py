@@ -1,6 +1,6 @@
-"""Two-pass kernel estimators: each sample has a bandwidth of its own, ``f(x) = sum_j w_j K((x - x_j) / h_j) / h_j^d``.
+"""Two-pass kernel estimators: each sample has its own bandwidth, ``f(x) = sum_j w_j K((x - x_j) / h_j) / h_j^d``.
 
-The first pass finds where samples are rare, the second spreads those more: dark areas become smooth while bright edges
+The first pass finds sparse regions, the second uses wider kernels there: dark areas become smooth while bright edges
 stay sharp [Breiman 1977; Abramson 1982; Silverman 1986, ch. 5; Leeson 2001, sec. 3.5 and 5.7.2].
 """
 
@@ -66,7 +66,7 @@ class SampleBandwidths(Estimator):
         d = self.samples.dimension
         weights = self.samples.weights[owners] * self.kernel.normalisation(d) / local**d
         self._tree = KdTree(self._frame.device(positions), reach=uploaded(local * self.kernel.reach))
-        # In the order of the tree: weight with all factors, and what makes bandwidths of squared distances.
+        # In tree order: weight with all factors, and the factor that turns squared distances into bandwidths.
         packed = mi.Vector2f(uploaded(weights), uploaded(local**-2.0))
         order = self._tree.order
         self._packed = dr.ravel(mi.Vector2f(dr.gather(mi.Float, packed.x, order), dr.gather(mi.Float, packed.y, order)))
@@ -86,7 +86,7 @@ class VariableKernel(SampleBandwidths):
     """Bandwidths from neighbours: ``h_j = h d_jk``, d_jk the distance from sample j to its k-th neighbour.
 
     Parameters are those of :class:`SampleBandwidths`, and ``k``, below the number of samples, and ``h``, a factor.
-    Raises :class:`DensityError`, also where a sample has k others at its place.
+    Raises :class:`DensityError`, also if k other samples coincide with a sample.
     """
 
     citations: ClassVar[tuple[str, ...]] = ("Breiman1977", "Silverman1986", "Leeson2001", "Bentley1975")
@@ -121,8 +121,8 @@ class AdaptiveKernel(SampleBandwidths):
     bandwidth: h, also of the first estimate if there is none.
     pilot: an estimator of the same samples; a histogram or a :class:`BinnedKernel` is enough. By default a
         :class:`FixedKernel`.
-    alpha: 0 for a fixed kernel, 1/2 for least bias [Abramson 1982], 1/d for widths like those of neighbours.
-    widest: bandwidths are at most this times h, so that samples in the dark are not felt everywhere.
+    alpha: 0 for a fixed kernel, 1/2 for the smallest bias [Abramson 1982], 1/d for widths as by neighbours.
+    widest: bandwidths are at most this times h, so that samples in sparse regions do not affect the whole domain.
     """
 
     citations: ClassVar[tuple[str, ...]] = ("Abramson1982", "Silverman1986", "Leeson2001", "Bentley1975")
@@ -155,7 +155,7 @@ class AdaptiveKernel(SampleBandwidths):
 def neighbour_distances(samples: Samples, k: int, mirror: Box | None = None) -> Array:
     """Distance from each sample to its k-th neighbour, itself not counted: (n,).
 
-    With ``mirror`` the images of samples at the border of that box are neighbours, too: else widths grow there.
+    With ``mirror`` the images of samples at the border of this box count as neighbours, too; else widths grow there.
     """
     frame = Frame.around(samples)
     order = by_place(samples.positions)

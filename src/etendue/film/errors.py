@@ -2,8 +2,8 @@
 
     relMSE = mean of (x - ref)^2 / (ref^2 + 0.01)
 
-over channels and over the pixels that are finite in both images. Where a few rare bright paths decide it, it is also
-quoted without the worst pixels (``trim``).
+over channels and over the pixels that are finite in both images. If a few bright paths dominate it, it is also given
+without the worst pixels (``trim``).
 """
 
 from __future__ import annotations

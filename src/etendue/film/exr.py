@@ -2,7 +2,7 @@
 
 The layer ``image`` is the file's R, G, B, so that every viewer shows the picture; another layer ``name`` has channels
 ``name.R``, ``name.G``, ``name.B`` (``name.X``, ``name.Y``, ``name.Z`` for normals and positions, ``name.Z`` for a
-depth, ``name.Y`` for any other single channel). Metadata are string attributes ``etendue:key``: text as it is,
+depth, ``name.Y`` for any other single channel). Metadata are string attributes ``etendue:key``: text unchanged,
 anything else as JSON.
 """
 
@@ -32,7 +32,7 @@ _EXR_MAGIC = b"\x76\x2f\x31\x01"
 def write_exr(path: str | os.PathLike[str], result: Result) -> None:
     """Write every layer of ``result`` as 32-bit floats, and its metadata, to one OpenEXR file.
 
-    The file appears whole or not at all. Raises :class:`OutputError` if it cannot be written or a layer has another
+    The file is written atomically. Raises :class:`OutputError` if it cannot be written or a layer has another
     size than the picture.
     """
     import OpenEXR
@@ -66,7 +66,7 @@ def write_exr(path: str | os.PathLike[str], result: Result) -> None:
 def write_layers(path: str | os.PathLike[str], result: Result) -> None:
     """Write each layer of ``result`` to its :func:`layer_path`, as the R, G, B (or Y) of that file, with the metadata.
 
-    The metadata ``layer`` says which it is. Errors as :func:`write_exr`.
+    The metadata ``layer`` names it. Errors as :func:`write_exr`.
     """
     for name, layer in result.layers.items():
         write_exr(layer_path(path, name), Result({"image": layer}, {**result.metadata, "layer": name}))
@@ -148,7 +148,7 @@ def _suffixes(name: str, count: int, path: str | os.PathLike[str]) -> str:
 
 
 def _encode(value: Any) -> str:
-    """Text stays as it is unless it could be taken for JSON."""
+    """Text is stored unchanged unless it could be read as JSON."""
     if isinstance(value, str):
         try:
             json.loads(value)

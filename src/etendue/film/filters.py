@@ -4,15 +4,15 @@ Pixel ``c`` of a film is
 
     I_c = 1/Z_c  integral over the film of f(x - c - 1/2) L(x) dx,    Z_c = integral over the film of f(x - c - 1/2),
 
-which is what Mitsuba's film converges to: it divides by the filter weights of the samples it received, and it draws
-none outside the film (``sample_border`` off). Three estimators of the same integral live here:
+which is what Mitsuba's film converges to: it divides by the filter weights of its samples, and has no samples outside
+the film (``sample_border`` off). There are three estimators of this integral:
 
-- Camera paths that lie at the same places in all pixels: then every path counts for all pixels in reach, and the sum is
-  a convolution with weights that the places alone decide (:meth:`PixelFilter.spread`). Near the border it divides by
-  the weights of a pass's own samples.
-- A path that arrives at a film position of its own accord counts for all pixels in reach (:meth:`PixelFilter.taps`).
-- Pixels that must not share noise, as denoisers ask: a camera path picks its film position from ``|f|`` around its own
-  pixel [Ernst 2006] (:meth:`PixelFilter.camera`), a splat one of the pixels in reach (:meth:`PixelFilter.splat`).
+- Camera paths with the same offsets in all pixels: every path contributes to all pixels in reach, and the sum is a
+  convolution with weights that depend only on the offsets (:meth:`PixelFilter.spread`). Near the border it divides by
+  the weights of the samples of the pass.
+- A path at an arbitrary film position contributes to all pixels in reach (:meth:`PixelFilter.taps`).
+- Independent pixels, as denoisers need them: a camera path samples its film position from ``|f|`` around its pixel
+  [Ernst 2006] (:meth:`PixelFilter.camera`), a splat samples one of the pixels in reach (:meth:`PixelFilter.splat`).
 
 All read one table of ``f``, constant on bins that have the film's border among their edges, so that their expectations
 are equal, not merely close, save for the first one near the border. In the table ``f`` is divided by its own sum over
@@ -37,7 +37,7 @@ from etendue.core import OptionError, on_device
 
 #: Bins of the table per pixel: a filter of radius 1 has this many on either side.
 BINS_PER_PIXEL = 1024
-#: A filter is divided by its sum over pixels where that is so close to 1; narrower ones do not reach every position.
+#: A filter is divided by its sum over pixels if that is this close to 1; narrower ones do not reach every position.
 _NEAR_ONE = 0.5
 #: Midpoint rule inside a bin, so that a bin holds the mean of the filter rather than one value of it.
 _POINTS_PER_BIN = 4
@@ -62,7 +62,7 @@ class FilterTable:
             raise OptionError("the film's reconstruction filter has no finite, non-zero values; use another rfilter")
         self.values /= self.values.sum() / BINS_PER_PIXEL  # unit integral: only ratios matter, and float32 likes 1
         over_pixels = self.values.reshape(-1, BINS_PER_PIXEL).sum(axis=0)
-        #: Whether some positions are hardly in reach of any pixel.
+        #: Whether some positions are out of reach of all pixels.
         self.has_gaps = bool(np.abs(over_pixels - 1.0).max() >= _NEAR_ONE)
         if not self.has_gaps:
             self.values /= np.tile(over_pixels, self.candidates)
@@ -89,7 +89,7 @@ class FilterTable:
 
 
 class _Axis:
-    """The filter along one axis of ``size`` pixels: tables, and what is asked of them."""
+    """The filter along one axis of ``size`` pixels: tables and lookups."""
 
     def __init__(self, table: FilterTable, size: int) -> None:
         self.size = size
@@ -168,7 +168,7 @@ class _Axis:
         return (position >= 0.0) & (position <= float(self.size))
 
     def offsets(self, u: Any) -> Spread:
-        """How samples at the places ``u`` in [0, 1) of their pixels count for the pixels around."""
+        """Weights of samples at the offsets ``u`` in [0, 1) of their pixels for the surrounding pixels."""
         last = mi.Int32(dr.floor(u + (self.reach - 0.5)))
         values = []
         for index in range(self.candidates):
@@ -179,7 +179,7 @@ class _Axis:
 
     def convolve(self, values: Any, spread: Spread, sample: Any, place: Any, stride: Any) -> Any:
         """Sum over the samples in reach along this axis: ``values`` has a lane each, of which ``sample`` is the number
-        in its pixel, ``place`` the pixel's coordinate, and ``stride`` the lanes from one pixel to the next."""
+        in its pixel, ``place`` the pixel's coordinate, and ``stride`` the distance in lanes between pixels."""
         kind = type(values)
         lane = mi.Int32(dr.arange(mi.UInt32, dr.width(values)))
         last = dr.gather(mi.Int32, spread.last, sample)
@@ -206,9 +206,9 @@ class _Axis:
 
 @dataclass
 class Spread:
-    """How the samples of a pixel count for those around, along one axis, an entry a sample."""
+    """Weights of the samples of a pixel for its neighbours along one axis, an entry per sample."""
 
-    last: Any  #: the farthest pixel that a sample counts for, relative to its own
+    last: Any  #: the farthest pixel in reach of a sample, relative to its own
     values: list[Any]  #: of the filter at the pixels before it, and there
 
 
@@ -224,7 +224,7 @@ class PixelFilter:
         self.width, self.height = int(width), int(height)
         #: The box filter needs neither a table nor random numbers for a splat.
         self.is_box = bool(rfilter.is_box_filter())
-        #: Whether a sample may be in reach of no pixel: :meth:`spread` takes such a filter for a box.
+        #: Whether a sample may be out of reach of all pixels: :meth:`spread` replaces such a filter by a box.
         self.has_gaps = False
         if not self.is_box:
             table = FilterTable(rfilter)
@@ -245,11 +245,11 @@ class PixelFilter:
         return x, y, weight_x * weight_y
 
     def spread(self, values: Any, u1: Any, u2: Any) -> Any:
-        """Pixels made from samples: a lane a sample, the samples of a pixel side by side, sample j of each pixel at the
-        place (``u1[j]``, ``u2[j]``) of it. Returns a lane a pixel, sums over the samples. ``values`` is evaluated.
+        """Pixels from samples: a lane per sample, the samples of a pixel consecutive, sample j of each pixel at the
+        offset (``u1[j]``, ``u2[j]``). Returns a lane per pixel, sums over the samples. Evaluates ``values``.
 
-        As in Mitsuba, the samples of a pixel near the border count by their shares of the filter that they found, so
-        that a constant picture stays one: few samples have another expectation there than many."""
+        As in Mitsuba, pixels near the border are divided by the filter weights of their samples, so that a constant
+        picture stays constant; the expectation there depends on the number of samples."""
         samples = dr.width(u1)
         if not (self.is_box or self.has_gaps):
             count, width = dr.opaque(mi.UInt32, samples), dr.opaque(mi.UInt32, self.width)
@@ -265,7 +265,8 @@ class PixelFilter:
         return dr.block_sum(values, samples) if samples > 1 else values
 
     def taps(self, x: Any, y: Any) -> list[tuple[Any, Any, Any]]:
-        """Where a contribution at film position (``x``, ``y``) goes: a list of (pixel index ``y * width + x``, signed
+        """The pixels of a contribution at film position (``x``, ``y``): a list of (pixel index ``y * width + x``,
+        signed
         weight, mask). The contribution is measured per unit of film area in pixels, and pixel ``c`` gets it times
         ``f(x - c - 1/2) / Z_c``. All masks are false off the film."""
         if self.is_box:

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all, and whether they could be written, asked before work depends on it."""
+"""Atomic writing of files, and an early check that they can be written."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def check_writable(path: str | os.PathLike[str]) -> None:
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary path beside ``path`` that takes its place when the block ends without an error.
 
-    A reader sees the old file or the new one, never a part of it, also after the process was killed or power was lost.
-    The file is as public as any other that the process creates. Raises :class:`OutputError` if the folder does not
+    A reader sees the old file or the new one, never a part of it, even if the process is killed or power is lost. The
+    file has the permissions of any other new file. Raises :class:`OutputError` if the folder does not
     exist or cannot be written, or if writing fails.
     """
     target = Path(path)
@@ -61,7 +61,7 @@ def _new_part(target: Path) -> Path:
         raise OutputError(f"cannot write '{target}': there is no folder '{folder}'; create it first")
     part = folder / f".{target.name}.{secrets.token_hex(8)}{target.suffix or '.part'}"
     try:
-        # The system applies the umask. It cannot be read without changing it for all threads, and mkstemp makes files
+        # open() applies the umask, which cannot be read without changing it for all threads; mkstemp makes files
         # private.
         os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_RDWR, 0o666))
     except OSError as error:
@@ -70,7 +70,7 @@ def _new_part(target: Path) -> Path:
 
 
 def _sync(folder: Path) -> None:
-    """Write the entries of a folder to the disk. Where the system cannot, the file is in place all the same."""
+    """Write the entries of a folder to the disk. If the system cannot, the file is in place nevertheless."""
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY)
         try:

@@ -1,8 +1,8 @@
-"""Names of the layers of a technique pyramid: one picture for each way of making a path [Veach 1997, fig. 10.3].
+"""Names of the layers of a technique pyramid: one picture for each sampling technique of paths [Veach 1997, fig. 10.3].
 
-``s2_t3`` is made of 2 vertices of a light sub-path and 3 of a camera sub-path, the light point and the sensor included,
-joined by an edge; ``m2_t3`` of the same two, the last ones merged. Each comes weighted, as a part of the picture, and
-as ``..._unweighted``: what the technique finds by itself. ``longer`` holds the rest of the picture.
+``s2_t3`` has 2 vertices of a light sub-path and 3 of a camera sub-path, including the light point and the sensor,
+connected by an edge; ``m2_t3`` has the same sub-paths with their ends merged. Each layer exists with MIS weights, as a
+part of the picture, and as ``..._unweighted``, the technique alone. ``longer`` is the rest of the picture.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _NAME = re.compile(rf"([sm])(\d+)_t(\d+)({_ALONE})?")
 
 @dataclass(frozen=True, order=True)
 class Technique:
-    """A way of making paths: vertices of the two sub-paths, and whether their ends are merged into one vertex."""
+    """A sampling technique: vertices of the two sub-paths, and whether their ends are merged."""
 
     merged: bool
     s: int  #: vertices of the light sub-path, the light point included

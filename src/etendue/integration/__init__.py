@@ -1,4 +1,4 @@
-"""Integrals over boxes: functions and their algebra, and integrators that know nothing of what they integrate."""
+"""Integrals over boxes: functions and their algebra, and general integrators."""
 
 from typing import TYPE_CHECKING
 

@@ -14,23 +14,23 @@ import numpy as np
 
 from etendue.core import Array, IndependentSource, on_device, use_variant
 
-#: Numbers of one source of the device; more dimensions take another vertex of it.
+#: Dimensions that fit into one vertex of a random source on the device.
 _COMPONENTS = 64
 #: Samples of a stratum up to which the device adds them in one lane, rather than by a block reduction.
 _UNROLLED = 32
 
 
 class Backend(Protocol):
-    """What an integrator may ask of arrays. ``seed`` and the number of calls decide every random number."""
+    """The array operations of integrators. ``seed`` and the number of calls determine every random number."""
 
-    #: Points that are best evaluated at once.
+    #: The best number of points to evaluate at once.
     batch: int
-    #: Most parts of an axis, and cells of a grid, within which a number still has places enough.
+    #: Limits on the parts of an axis and the cells of a grid, so that numbers still have enough digits within one.
     parts: int
     cells: int
 
     def uniform(self, count: int, dimension: int) -> Any:
-        """``count`` independent points of the unit cube; each call gives others."""
+        """``count`` independent points of the unit cube; new ones in each call."""
         ...
 
     def points(self, values: Array) -> Any:
@@ -42,7 +42,7 @@ class Backend(Protocol):
         ...
 
     def opaque(self, number: int) -> Any:
-        """A whole number that may change from batch to batch without another kernel."""
+        """A whole number that may change from batch to batch without compiling another kernel."""
         ...
 
     def number(self, index: Any) -> Any:
@@ -50,7 +50,7 @@ class Backend(Protocol):
         ...
 
     def split(self, value: Any, limit: int) -> tuple[Any, Any]:
-        """Whole part of a number in [0, limit], at most ``limit - 1``, and the rest."""
+        """Integer part of a number in [0, limit], at most ``limit - 1``, and the rest."""
         ...
 
     def table(self, values: Array) -> Any:
@@ -74,11 +74,11 @@ class Backend(Protocol):
         ...
 
     def clean(self, values: Any) -> Any:
-        """``values`` with zero for what is not finite, which is counted in :meth:`rejected`."""
+        """``values`` with zero in place of those that are not finite, which :meth:`rejected` counts."""
         ...
 
     def compute(self, *values: Any) -> None:
-        """Have arrays computed now, so that what follows does not compute them again."""
+        """Evaluate arrays now, so that later kernels do not compute them again."""
         ...
 
     def rejected(self) -> int:
@@ -267,7 +267,7 @@ class DeviceBackend:
     def clean(self, values: Any) -> Any:
         """See :class:`Backend`."""
         finite = self._dr.isfinite(values)
-        # A masked scatter costs nothing where all is well, and belongs to the kernel that computes the values.
+        # A masked scatter costs nothing if all values are finite, and is part of the kernel that computes them.
         self._dr.scatter_reduce(self._dr.ReduceOp.Add, self._counter, self._uint(1), self._uint(0), ~finite)
         return self._dr.select(finite, values, 0)
 

@@ -1,4 +1,4 @@
-"""How bins move toward what they should be: values of bins, smoothing, damping, new borders.
+"""Adaptation of bins: smoothing and damping of their values, new borders.
 
 All functions act on the last axis, so that many rows of bins are treated at once.
 """
@@ -11,7 +11,7 @@ from etendue.core import Array
 
 
 def rebin(edges: Array, values: Array) -> Array:
-    """New borders between which the ``values`` add up to equal shares, with the ends where they are.
+    """New borders between which the ``values`` have equal sums; the ends stay fixed.
 
     ``edges`` is (..., K+1), ``values`` (..., K), not negative; within an old bin a value is spread evenly. Rows whose
     values are all zero keep their borders. [Lepage 1978; Leeson 2001, fig. 5.18]
@@ -37,11 +37,11 @@ def split_equally(edges: Array, values: Array, parts: int) -> Array:
 
 
 def smooth(values: Array, axis: int = -1) -> Array:
-    """Each value as the mean over its bin of linear interpolation between the centres of the bins: an eighth of either
-    neighbour and three quarters of itself; the last ones go on evenly [Leeson 2001, sec. 5.5.1].
+    """Mean over each bin of the linear interpolation between the centres of the bins: an eighth of either neighbour and
+    three quarters of the bin's value; constant beyond the ends [Leeson 2001, sec. 5.5.1].
 
-    Thirds of three neighbours [Lepage 1978] smooth more, but turn the sign of what alternates from bin to bin: in a
-    long run borders then drift to where they should not be.
+    The mean of three neighbours [Lepage 1978] smooths more, but inverts the sign of alternating values: in a long run
+    borders then drift away from their optimum.
     """
     v = np.moveaxis(np.asarray(values, dtype=np.float64), axis, -1)
     result = 0.75 * v
@@ -55,7 +55,7 @@ def smooth(values: Array, axis: int = -1) -> Array:
 def damp(values: Array, alpha: float) -> Array:
     """``((1 - d) / ln(1 / d))^alpha`` of the shares ``d`` of each value in its row.
 
-    [Lepage 1978; Leeson 2001, sec. 5.5.1] It draws large and small shares together; zero stays zero.
+    [Lepage 1978; Leeson 2001, sec. 5.5.1] It reduces the ratio of large to small shares; zero stays zero.
     """
     v = np.asarray(values, dtype=np.float64)
     total = v.sum(axis=-1, keepdims=True)

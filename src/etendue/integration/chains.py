@@ -1,6 +1,6 @@
-"""How far a Markov chain's numbers are worth: autocorrelation time, effective sample size, split R-hat, burn-in.
+"""Diagnosis of Markov chains: autocorrelation time, effective sample size, split R-hat, burn-in.
 
-Numbers come as (chains, steps): several chains of the same length.
+Numbers have the shape (chains, steps): several chains of the same length.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ class ChainDiagnosis:
     Attributes
     ----------
     mean, standard_error: of the quantity; the error allows for the dependence of neighbours.
-    autocorrelation_time: integrated, in steps: how many steps are worth one independent number.
-    effective_samples: number of independent numbers that the chains are worth.
-    r_hat: split R-hat [Gelman 1992; Vehtari 2021]; 1 where halves of chains agree, above about 1.01 they do not yet.
+    autocorrelation_time: integrated, in steps: the number of steps that is worth one independent number.
+    effective_samples: number of independent numbers with the same error of the mean.
+    r_hat: split R-hat [Gelman 1992; Vehtari 2021]; 1 if halves of chains agree; above about 1.01 they do not yet.
     """
 
     mean: float
@@ -78,7 +78,7 @@ def split_r_hat(values: Array) -> float:
 
 
 def diagnose(values: Array) -> ChainDiagnosis:
-    """All of it at once, for (chains, steps) numbers."""
+    """All of these for (chains, steps) numbers."""
     v = _checked(values)
     time = autocorrelation_time(v)
     effective = v.size / time
@@ -87,8 +87,8 @@ def diagnose(values: Array) -> ChainDiagnosis:
 
 
 def burn_in(values: Array) -> int:
-    """Steps to leave out at the beginning: where the standard error of the mean of the rest, taken as if
-    independent, is least (the MSER rule [White 1997]), at most half of all."""
+    """Number of first steps to discard: it minimises the standard error of the mean of the rest, computed as for
+    independent numbers (the MSER rule [White 1997]); at most half of all."""
     v = _checked(values).mean(axis=0)
     steps = len(v)
     left = np.arange(steps, 0, -1)

@@ -1,8 +1,9 @@
 """Densities that can be sampled, evaluated and learned: products of factors over groups of parameters.
 
-A factor over one or two parameters is stepwise with movable bins, each chosen with the same probability; over three and
-more it is a fixed grid of cells, each with a probability of its own [Leeson 2001, sec. 5.5]. Every factor warps uniform
-numbers to its distribution, so stratified or quasi-random numbers stay even under it.
+A factor over one or two parameters is piecewise constant over bins with movable borders, each with the same
+probability; over three or more it is a fixed grid of cells, each with its own probability [Leeson 2001, sec. 5.5].
+Every factor warps uniform numbers to its distribution, which preserves the stratification of stratified or quasi-random
+numbers.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ from .functions import Box, Domain, Integrand
 
 #: Points (a list of coordinates), 1 / density there, and the bin of each.
 Warped = tuple[list[Any], Any, Any]
-#: Least probability of a cell of a grid, relative to an even share: an unlucky cell is still found again.
+#: Smallest probability of a cell of a grid, relative to a uniform one, so that a missed cell is sampled again.
 _FLOOR = 0.05
 
 
 class Density(Protocol):
-    """A probability density on a box that an integrator can draw from."""
+    """A probability density on a box from which an integrator can sample."""
 
     domain: Box
 
@@ -41,7 +42,7 @@ class Density(Protocol):
 
 
 class Tabulated(Protocol):
-    """A density on the unit cube of one group of parameters, by bins in tables."""
+    """A density on the unit cube of one group of parameters, with its bins in tables."""
 
     dimension: int
     bins: int
@@ -54,18 +55,19 @@ class Tabulated(Protocol):
         ...
 
     def tables(self) -> list[Array]:
-        """What :meth:`look_up` reads. Densities of one shape may have theirs put one after the other, a row each."""
+        """The tables that :meth:`look_up` reads. Those of several densities of one shape may be concatenated, a row
+        each."""
         ...
 
     def look_up(self, backend: Backend, tables: Sequence[Any], u: Sequence[Any], row: Any) -> Warped:
-        """(points, 1 / density, bin of each) by the tables of the density ``row`` among several."""
+        """(points, 1 / density, bin of each) from the tables, by the density with index ``row``."""
         ...
 
 
 class Factor(Tabulated, Protocol):
     """One that is learned."""
 
-    #: Power of the contribution by which its bins adapt: movable ones go to where it is equal by its square.
+    #: Power of the contribution by which its bins adapt; bins with movable borders equalise its square.
     order: int
 
     def warp(self, backend: Backend, u: Sequence[Any]) -> Warped:
@@ -77,12 +79,12 @@ class Factor(Tabulated, Protocol):
         ...
 
     def adapted(self, values: Array, smoothing: bool, damping: float | None, inertia: float) -> Factor:
-        """The factor after bins were found to have ``values`` (size ``bins``): their contributions, or deviations."""
+        """The factor adapted to ``values`` (size ``bins``): the contributions of its bins, or their deviations."""
         ...
 
 
 class _ByTables:
-    """What factors have in common."""
+    """Shared by all factors."""
 
     def warp(self: Any, backend: Backend, u: Sequence[Any]) -> Warped:
         """See :class:`Factor`."""
@@ -185,8 +187,8 @@ class PlaneBins(_ByTables):
         return backend.take(backend.table(density), outer * self._inner_bins + inner)
 
     def adapted(self, values: Array, smoothing: bool, damping: float | None, inertia: float) -> PlaneBins:
-        """See :class:`Factor`. A new bin of the first parameter takes the borders of the second from the old bins
-        that it lies in, averaged by their shares of it."""
+        """See :class:`Factor`. A new bin of the first parameter takes the borders of the second from the old bins that
+        it overlaps, weighted by the overlap."""
         rows = np.asarray(values).reshape(self._outer_bins, self._inner_bins)
         edges = rebin(self.edges, stabilised(rows.sum(axis=1), smoothing, damping))
         inner = rebin(self.inner, stabilised(smooth(rows, 0) if smoothing else rows, smoothing, damping))
@@ -198,7 +200,7 @@ class PlaneBins(_ByTables):
 
 
 class CellGrid(_ByTables):
-    """Three or more parameters: equal cells, each with a probability of its own, ``probability[i, j, k, …]``."""
+    """Three or more parameters: equal cells, each with its own probability, ``probability[i, j, k, …]``."""
 
     order = 1
 
@@ -224,7 +226,7 @@ class CellGrid(_ByTables):
         return [p, np.cumsum(p) - p]
 
     def look_up(self, backend: Backend, tables: Sequence[Any], u: Sequence[Any], row: Any) -> Warped:
-        """See :class:`Factor`. The first number chooses the cell, and what it has left is the place in it."""
+        """See :class:`Factor`. The first number selects the cell, and its remainder the position in it."""
         first = row * self.bins
         place = bisect(backend, tables[1], u[0], self.bins, first)
         chosen = backend.take(tables[0], first + place)
@@ -273,12 +275,12 @@ def stabilised(values: Array, smoothing: bool, damping: float | None) -> Array:
 
 
 def bin_values(factor: Factor, sums: Array, samples: int, mode: str, steady: bool = False) -> Array:
-    """What the bins of a factor are found to hold, from sums over the ``samples`` that fell into each: (1, bins)
+    """The values of a factor's bins, from sums over the ``samples`` in each: (1, bins)
     of (f / p)^2 in mode ``"importance"``, (3, bins) of (f / p)^2, f / p and 1 in mode ``"stratified"``.
 
-    In importance mode the mean of (f / p)^2, for cells of a grid its root; else the deviation of f / p, in which the
-    sign of [Leeson 2001, eq. 5.8] is put right. Moved by squares, borders overshoot, which damping makes up for;
-    without it (``steady``) they go by the root, the contribution itself, and come to rest.
+    In importance mode the mean of (f / p)^2, for cells of a grid its root; else the deviation of f / p, with the sign
+    of [Leeson 2001, eq. 5.8] corrected. Adapting to squares, borders overshoot, which damping compensates; without
+    damping (``steady``) they adapt to the root, the contribution itself, and converge.
     """
     if mode == "importance":
         order = 1 if steady else factor.order
@@ -289,12 +291,12 @@ def bin_values(factor: Factor, sums: Array, samples: int, mode: str, steady: boo
 
 
 def bisect(backend: Backend, table: Any, value: Any, bins: int, start: Any = 0) -> Any:
-    """For ascending borders ``table[start … start + bins]``: in which of the bins ``value`` lies."""
+    """The bin of ``value`` between ascending borders ``table[start … start + bins]``."""
     low: Any = value * 0.0
     low = backend.split(low, 1)[0]
     step = 1 << max(bins - 1, 1).bit_length() - 1
     while step:
-        # The bin `low + step` is tried only where it exists; the last border is never passed.
+        # `low + step` is tried only where this bin exists, so the last border is never passed.
         tried = backend.where(low + step < bins, low + step, low)
         low = backend.where(backend.take(table, tried + start) <= value, tried, low)
         step >>= 1
@@ -307,7 +309,7 @@ class ProductDensity:
     Parameters
     ----------
     domain: the box.
-    groups: which parameters each factor is of.
+    groups: the parameters of each factor.
     factors: one for each group.
     """
 
@@ -325,7 +327,8 @@ class ProductDensity:
 
     @classmethod
     def tabulated(cls, f: Integrand, bins: int = 64) -> ProductDensity:
-        """The stepwise density of one or two parameters that follows ``|f|`` at the centres of ``bins`` bins an axis.
+        """The piecewise constant density of one or two parameters proportional to ``|f|`` at the centres of ``bins``
+        bins per axis.
 
         Raises :class:`IntegrationError` if ``f`` cannot be normalised: not finite somewhere, or zero everywhere.
         """
@@ -338,7 +341,7 @@ class ProductDensity:
             raise IntegrationError(
                 "a density cannot be made of a function that is not finite, or zero everywhere: not normalisable"
             )
-        # What is zero at a centre need not be zero around it, and must be found.
+        # A bin with f = 0 at its centre may have other values elsewhere, so it must be sampled, too.
         values = np.maximum(values, 1e-3 * values.mean())
         even = np.linspace(0.0, 1.0, bins + 1)
         if f.dimension == 1:

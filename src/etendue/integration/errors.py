@@ -1,4 +1,4 @@
-"""The error of this room."""
+"""The error of the integrators."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ from etendue.core import EtendueError
 
 
 class IntegrationError(EtendueError):
-    """An integral that cannot be computed as asked: an empty domain, too few samples, a density that is none, values
-    that are not numbers. One line that says which, and what to do."""
+    """An integral that cannot be computed as requested: an empty domain, too few samples, an invalid density, values
+    that are not finite. The message is one line that says which, and what to do."""

@@ -1,4 +1,4 @@
-"""What integrators share: the estimate that all of them return, and the work around every one of them."""
+"""Shared by all integrators: the estimate that they return, and the evaluation of the integrand."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Estimate:
     value, standard_error: the estimate and the square root of its estimated variance.
     samples: evaluations of the integrand that were used.
     rejected: of these, how many were not finite; they count as zero.
-    details: what an integrator has to say beyond that (``details["iterations"]`` of :class:`Vegas`, for example).
+    details: further results of an integrator (``details["iterations"]`` of :class:`Vegas`, for example).
     """
 
     value: float
@@ -45,9 +45,9 @@ class Estimate:
 def combine(estimates: Sequence[Estimate]) -> Estimate:
     """Mean of independent estimates of one integral, weighted by their inverse variances [Lepage 1978].
 
-    The weights are estimates themselves, so few samples each give a slight bias. Estimates of variance zero beside
-    others are taken as lucky: they get the smallest variance that is not zero. ``details`` has ``chi2`` over
-    ``degrees`` of freedom, which tells whether the estimates agree.
+    The weights are estimates themselves, so a few samples in each give a slight bias. A variance of zero is replaced by
+    the smallest positive variance of the others. ``details`` has ``chi2`` over ``degrees`` of freedom, which tests
+    whether the estimates agree.
     """
     if not estimates:
         raise IntegrationError("there are no estimates to combine")
@@ -69,9 +69,9 @@ def combine(estimates: Sequence[Estimate]) -> Estimate:
 
 
 def average(estimates: Sequence[Estimate]) -> Estimate:
-    """Mean of independent estimates weighted by their samples: unbiased, where their variances are not to be believed.
+    """Mean of independent estimates weighted by their samples: unbiased, for estimates with unreliable variances.
 
-    Its variance is what the estimates state, or how they scatter, whichever is larger.
+    Its variance is the larger of that stated by the estimates and that between them.
     """
     if not estimates:
         raise IntegrationError("there are no estimates to combine")
@@ -86,7 +86,7 @@ def average(estimates: Sequence[Estimate]) -> Estimate:
 
 
 class Work:
-    """An integrand with the arrays it runs on; evaluates, and keeps the values finite."""
+    """An integrand with its array backend; evaluates it and replaces values that are not finite."""
 
     def __init__(self, f: Integrand, seed: int) -> None:
         if f.values != 1:
@@ -102,7 +102,8 @@ class Work:
         return self.box.dimension
 
     def values(self, u: Any, weight: Any = None) -> Any:
-        """Values at points ``u`` of the unit cube, times ``weight``; what is not finite is counted, and is zero."""
+        """Values at points ``u`` of the unit cube, times ``weight``; those that are not finite are counted and set to
+        zero."""
         return self.values_at(self.box.from_unit(u), weight)
 
     def values_at(self, x: Any, weight: Any = None) -> Any:
@@ -111,7 +112,7 @@ class Work:
         return self.backend.clean(values if weight is None else values * weight)
 
     def batches(self, samples: int, multiple: int = 1) -> Iterator[int]:
-        """Sizes that add up to ``samples``, each of them what is best evaluated at once."""
+        """Batch sizes that add up to ``samples``."""
         size = max(self.backend.batch // multiple, 1) * multiple
         while samples > 0:
             yield min(size, samples)
@@ -119,13 +120,13 @@ class Work:
 
 
 class Moments:
-    """Mean and variance of numbers that come in batches."""
+    """Mean and variance of numbers in batches."""
 
     def __init__(self) -> None:
         self.count, self.mean, self._squares = 0, 0.0, 0.0
 
     def add(self, count: int, mean: float, squares: float) -> None:
-        """A batch: how many, their mean, sum of squared deviations from it [Chan 1983]."""
+        """Add a batch: its size, its mean, the sum of squared deviations from it [Chan 1983]."""
         total = self.count + count
         step = mean - self.mean
         self._squares += squares + step * step * self.count * count / total
@@ -144,16 +145,17 @@ class Moments:
 
 
 class Integrator(ABC):
-    """A numerical method for integrals over boxes. All have one signature, so any can be tried on any integrand."""
+    """A numerical method for integrals over boxes. All have the same signature."""
 
-    #: Whether its points do not depend on the integrand, so that :meth:`spread` gives those of many integrals at once.
+    #: Whether its points are independent of the integrand, so that :meth:`spread` can serve many integrals at once.
     batched: ClassVar[bool] = False
 
     def integrate(self, f: Integrand, samples: int, seed: int = 0, domain: Domain | None = None) -> Estimate:
         """Integral of ``f`` over its domain, or over the part ``domain`` of it, from at most ``samples`` evaluations.
 
         The same ``seed`` gives the same estimate on one kind of device. Values that are not finite are counted,
-        reported by a warning, and taken as zero, so that the estimate is the integral over where ``f`` is finite.
+        reported by a warning, and replaced by zero, so that the estimate is the integral over the region where ``f`` is
+        finite.
         Raises :class:`IntegrationError` if the samples are too few for the method, or if all values are not finite.
         """
         if not isinstance(f, Integrand):
@@ -184,9 +186,10 @@ class Integrator(ABC):
         """The method itself."""
 
     def spread(self, work: Work, integrals: int, samples: int) -> tuple[Any, Any, int]:
-        """Points for many integrals over one domain: ``(x, weight, size)``, ``size <= samples`` in a row for each.
+        """Points for many integrals over one domain: ``(x, weight, size)``, ``size <= samples`` consecutive points for
+        each.
 
         The mean of ``f(x) * weight`` over each row estimates one of them, independently of the others.
         Raises :class:`IntegrationError` for a method that is not ``batched``.
         """
-        raise IntegrationError(f"{type(self).__name__} chooses points by the function, for one integral at a time")
+        raise IntegrationError(f"{type(self).__name__} adapts to the function, so it computes one integral at a time")

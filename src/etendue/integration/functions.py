@@ -1,7 +1,7 @@
 """Functions on a box and their algebra: sums, products, compositions and restrictions are functions again.
 
-A surface's reflectance, a texture times a lobe, the integrand of the rendering equation are put together from parts and
-given to any integrator, which knows nothing of them [Leeson 2001].
+Reflectances, a texture times a lobe, or the integrand of the rendering equation are composed from parts and passed to
+any integrator [Leeson 2001].
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from etendue.core import is_whole
 
 from .errors import IntegrationError
 
-#: Where a function's arrays live; one that works on both takes the side of what it is combined with.
+#: Which arrays a function takes; one that takes either adopts those of the function it is combined with.
 Place = Literal["host", "device", "either"]
 _EVERYTHING = (-math.inf, math.inf)
 
@@ -84,7 +84,7 @@ class Box:
         return [(v - low) * (1 / (high - low)) for low, high, v in zip(self.lower, self.upper, x, strict=True)]
 
     def intersection(self, other: Box) -> Box:
-        """What both contain; an error if that is nothing."""
+        """The intersection; an error if it is empty."""
         if self.dimension != other.dimension:
             raise IntegrationError(f"functions of {self.dimension} and {other.dimension} parameters cannot be combined")
         if self == other:
@@ -106,15 +106,15 @@ class Integrand:
     Parameters
     ----------
     function: takes points ``x``, where ``x[i]`` is coordinate i of all n points (an ndarray of shape (d, n), or a
-        list of Dr.Jit arrays), and returns n values. One of several values returns them as points come: ``v[k]`` is
-        value k at all n points (an ndarray (values, n), a list, or a Dr.Jit vector such as a colour).
+        list of Dr.Jit arrays), and returns n values. A function of several values returns them in the layout of points:
+        ``v[k]`` is value k at all n points (an ndarray (values, n), a list, or a Dr.Jit vector such as a colour).
     domain: a :class:`Box`, pairs (lower, upper), or a number of dimensions for the unit cube.
-    range: bounds of the values, where known.
+    range: bounds of the values, if known.
     on: ``"host"`` if ``function`` takes NumPy arrays, ``"device"`` for Dr.Jit's, ``"either"`` if both.
-    cost: what an evaluation costs at each point, in any unit, in the form of ``function``; integrators that may spend
-        unevenly take it into account.
-    values: how many at each point: 1, or more for colours, or for points of another function's domain, which
-        :meth:`compose` passes on. Sums and products go value by value; a real function goes with each.
+    cost: cost of an evaluation at each point, in any unit, in the form of ``function``; adaptive integrators take it
+        into account.
+    values: number of values at each point: 1, or more for colours or for points of another function's domain (see
+        :meth:`compose`). Sums and products act on each value; a real function combines with each of them.
     """
 
     function: Callable[[Points], Any]
@@ -150,11 +150,11 @@ class Integrand:
         return self.domain.dimension
 
     def evaluate(self, x: Points) -> Any:
-        """Values at points ``x`` (coordinate-major); a constant may come back as one number."""
+        """Values at points ``x`` (coordinate-major); for a constant perhaps a single number."""
         return self.function(x)
 
     def parts(self, values: Any) -> list[Any]:
-        """What :meth:`evaluate` has returned as a list with an array for each value."""
+        """The result of :meth:`evaluate` as a list with an array for each value."""
         return [values] if self.values == 1 else [values[k] for k in range(self.values)]
 
     # Algebra -----------------------------------------------------------------------------------------------------
@@ -216,10 +216,11 @@ class Integrand:
         )
 
     def compose(self, *inner: Integrand) -> Integrand:
-        """``x -> self(inner_0(x), inner_1(x), …)``: functions of common parameters, a value for each parameter of this.
+        """``x -> self(inner_0(x), inner_1(x), …)``: inner functions of common parameters, one for each parameter of
+        this function.
 
-        An inner function of several values stands for as many parameters in a row. Where the range of an inner
-        function is known to leave the domain of this one, an error says so.
+        An inner function of several values stands for as many consecutive parameters. If the known range of an inner
+        function exceeds the domain of this function, it raises :class:`IntegrationError`.
         """
         given = [g for g in inner for _ in range(g.values)]
         if len(given) != self.dimension:
@@ -260,7 +261,7 @@ class Integrand:
         return replace(self, domain=part)
 
     def fix(self, values: Mapping[int, float]) -> Integrand:
-        """The function of the other parameters, with those of ``values`` held: ``f.fix({2: 0.5})``."""
+        """The function of the other parameters, with those of ``values`` fixed: ``f.fix({2: 0.5})``."""
         axes = _axes(values, self.dimension)
         free = [a for a in range(self.dimension) if a not in axes]
         if not free:
@@ -273,7 +274,7 @@ class Integrand:
         place = {axis: number for number, axis in enumerate(free)}
 
         def full(x: Points) -> list[Any]:
-            # Zero times a coordinate: a held parameter has as many entries as the free ones, on host and device.
+            # Zero times a coordinate, so that a fixed parameter has as many entries as the free ones.
             return [x[place[a]] if a in place else x[0] * 0.0 + values[a] for a in range(self.dimension)]
 
         function, cost = self.function, self.cost
@@ -313,7 +314,7 @@ def coordinate(axis: int, domain: Domain) -> Integrand:
 
 
 def _product_range(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
-    # Zero times infinity is zero here: bounds of values, of which none is infinite.
+    # Zero times an infinite bound is zero, since the values themselves are finite.
     products = [0.0 if 0.0 in (p, q) else p * q for p in a for q in b]
     return min(products), max(products)
 

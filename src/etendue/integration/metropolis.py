@@ -18,7 +18,7 @@ from .errors import IntegrationError
 from .estimate import Work
 from .functions import Box, Integrand
 
-#: Points tried for each chain to find one where the target is not zero, and how often.
+#: Points tried per chain to find one where the target is not zero, and number of attempts.
 _TRIES = 64
 
 
@@ -30,8 +30,8 @@ class Proposal(Protocol):
         ...
 
     def propose(self, backend: Any, x: list[Any], u: Any) -> tuple[list[Any], Any]:
-        """The place proposed from ``x`` by numbers ``u``, and ``A(x' -> x) / A(x -> x')``. A place out of the cube is
-        refused by the chain."""
+        """The point proposed from ``x`` by numbers ``u``, and ``A(x' -> x) / A(x -> x')``. The chain rejects points
+        outside the cube."""
         ...
 
 
@@ -52,7 +52,7 @@ class UniformStep:
 
 @dataclass(frozen=True)
 class Independent:
-    """Anywhere in the domain, whatever the state: large steps that no peak can hold."""
+    """Uniform in the domain, independent of the state: large steps that leave any peak."""
 
     def numbers(self, dimension: int) -> int:
         """See :class:`Proposal`."""
@@ -65,7 +65,7 @@ class Independent:
 
 @dataclass(frozen=True)
 class ScaledStep:
-    """``x' = x exp((2u - 1) size)``: steps in proportion to the distance from the lower ends, for peaks there. Not
+    """``x' = x exp((2u - 1) size)``: steps proportional to the distance from the lower ends, for peaks there. Not
     symmetric: ``A(x' -> x) / A(x -> x')`` is the product of x'/x."""
 
     size: float = 0.5
@@ -87,7 +87,7 @@ class ScaledStep:
 
 @dataclass(frozen=True)
 class Mixture:
-    """``second`` with probability ``share``, else ``first``: small steps, and now and then a large one."""
+    """``second`` with probability ``share``, else ``first``, such as small steps with an occasional large one."""
 
     first: Proposal
     second: Proposal
@@ -108,7 +108,7 @@ class Mixture:
 
 @dataclass(frozen=True)
 class Chains:
-    """Where chains have been.
+    """The states of chains.
 
     Attributes
     ----------
@@ -154,13 +154,13 @@ class Chains:
 
 
 class Metropolis:
-    """A sampler of points distributed as a function.
+    """Samples points in proportion to a function.
 
     Parameters
     ----------
-    proposal: how chains move; by default small uniform steps, and one in ten anywhere.
-    chains: how many run side by side.
-    burn_in: steps left out at the beginning; ``None`` finds how many by the MSER rule.
+    proposal: by default small uniform steps, and one step in ten uniform in the domain.
+    chains: number of parallel chains.
+    burn_in: number of first steps to discard; ``None`` determines it by the MSER rule.
     """
 
     def __init__(self, proposal: Proposal | None = None, chains: int = 64, burn_in: int | None = None) -> None:
@@ -172,7 +172,7 @@ class Metropolis:
     def sample(self, target: Integrand, samples: int, seed: int = 0) -> Chains:
         """``samples`` states in all, burn-in and repeats included, of chains distributed as ``target``.
 
-        Raises :class:`IntegrationError` if the target is negative somewhere, or zero wherever chains were to begin.
+        Raises :class:`IntegrationError` if the target is negative somewhere, or zero at all tried starting points.
         A warning says so if the chains do not agree (split R-hat above 1.1).
         """
         steps = samples // self.chains
@@ -205,14 +205,14 @@ class Metropolis:
         return chains
 
     def _begin(self, work: Work) -> tuple[list[Any], Any]:
-        """A state for each chain where the target is not zero, drawn from a few uniform points by the target."""
+        """Initial states with a non-zero target, sampled from a few uniform points in proportion to the target."""
         backend = work.backend
         u = np.stack([backend.host(v) for v in backend.uniform(self.chains * _TRIES, work.dimension)])
         values = backend.host(work.values(backend.points(u)))
         if values.min() < 0:
             raise IntegrationError("the target of a chain is negative somewhere: it is no density")
         tries = values.reshape(self.chains, _TRIES)
-        # A chain that finds nothing begins where another one has.
+        # A chain that finds no such point starts at that of another one.
         total = tries.sum(axis=1)
         found = np.flatnonzero(total > 0)
         if not len(found):
@@ -235,7 +235,7 @@ class Metropolis:
         inside: Any = moved[0] >= 0.0
         for coordinate in moved:
             inside = inside & (coordinate >= 0.0) & (coordinate <= 1.0)
-        # Out of the domain the target is not asked: the state stands in.
+        # Outside the domain the target is not evaluated; the current state is used instead.
         at = [backend.where(inside, new, old) for new, old in zip(moved, x, strict=True)]
         there = work.values(at)
         accept = inside & (u[need] * f < there * ratio)

@@ -1,7 +1,7 @@
-"""Integrals as functions: over some parameters by an integrator, of the others a function again.
+"""Integrals over some parameters, as functions of the others.
 
-``L = L_e + integral(K * L, ...)`` is the rendering equation; put into itself n times it is a distribution ray tracer
-of n bounces, with whichever integrator at each [Leeson 2001, sec. 5.2].
+``L = L_e + integral(K * L, ...)`` is the rendering equation; substituted into itself n times it is a distribution ray
+tracer of n bounces, with any integrator at each [Leeson 2001, sec. 5.2].
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ def integral(
 
     All points y are evaluated together, on the host or the device, each with ``samples`` points x of its own by
     ``integrator``: :class:`MeanSample`, :class:`Stratified`, :class:`QuasiMonteCarlo` or :class:`Importance`, whose
-    points do not depend on the function. Any other is run point by point, on the host, and is as slow as that sounds.
-    Each evaluation goes on with other random numbers, so that an unbiased integrator of this function stays unbiased.
-    Integrals within each other need a ``seed`` each, or their numbers would be the same. Where ``f`` has several
-    values at a point, so has the integral.
+    points do not depend on the function. Any other integrator is run point by point on the host, which is slow.
+    Each evaluation uses new random numbers, so that an unbiased integrator of this function stays unbiased. Nested
+    integrals need different seeds, or their numbers would be the same. The integral has as many values at a point as
+    ``f``.
     """
     free = [a for a in range(f.dimension) if a not in over]
     if not free or len(free) + len(set(over)) != f.dimension:
         raise IntegrationError(f"the integral is over some of the parameters 0 to {f.dimension - 1}, not {list(over)}")
-    axes = sorted(over)  # the order that the inner domain has
+    axes = sorted(over)  # the order of the inner domain
     inner = f.fix({a: f.domain.lower[a] for a in free})
     outer = f.fix({a: f.domain.lower[a] for a in axes})
     calls = iter(range(1 << 62))
@@ -50,7 +50,7 @@ def integral(
         on_host = array_namespace(y[0]) is np
         work = Work(replace(inner, on="host" if on_host else "device", values=1), seed + (number << 20))
         y = [work.backend.broadcast(v, y) for v in y]
-        work.backend.compute(*y)  # or each of them would be computed by itself when it is read
+        work.backend.compute(*y)  # else each of them would be evaluated separately when it is read
         points, weight, size = method.spread(work, len(y[0]), samples)
         place = work.backend.index(len(y[0]) * size) // size
         x: list[Any] = [None] * f.dimension

@@ -10,7 +10,7 @@ from .errors import IntegrationError
 from .estimate import Estimate, Integrator, Moments, Work
 from .functions import Integrand
 
-#: Most samples that find a factor, or test a density.
+#: Largest number of samples that fit a factor or test a density.
 _PILOT = 1 << 12
 
 
@@ -40,7 +40,7 @@ class MeanSample(Integrator):
 class HitOrMiss(Integrator):
     """``V (a + (b - a) N_H / N)``, from the share of points (x, y), uniform in the domain and [a, b], with y <= f(x).
 
-    The integrand must declare its range; [a, b] is that range and zero. A value beyond it would be cut off unseen, so
+    The integrand must declare its range; [a, b] is that range and zero. A value beyond it would be clipped silently, so
     it raises :class:`IntegrationError`.
     """
 
@@ -76,9 +76,9 @@ class HitOrMiss(Integrator):
 class Importance(Integrator):
     """``1/N sum f(x_i) / p(x_i)`` with x_i drawn from ``density``.
 
-    ``density`` is a :class:`ProductDensity`, a :class:`Warp`, or another :class:`Density`. That it integrates to 1 is
-    checked, as far as samples can tell: neither the mean of 1/p over its samples, relative to the volume, nor the mean
-    of p over uniform points may exceed what it should be; else :class:`IntegrationError`.
+    ``density`` is a :class:`ProductDensity`, a :class:`Warp`, or another :class:`Density`. Its normalisation is checked
+    by samples: if the mean of 1/p over its samples, relative to the volume, or the mean of p over uniform points is too
+    large, it raises :class:`IntegrationError`.
     """
 
     batched = True
@@ -113,11 +113,11 @@ class Importance(Integrator):
         for count in work.batches(min(samples, _PILOT)):
             p = self.density.pdf(backend, work.box.from_unit(backend.uniform(count, d)))
             seen.add(count, *backend.moments(backend.broadcast(p, [p]) * volume))
-        # Both means are too small, not too large, where a sample misses what is rare: only an excess proves a fault.
+        # If samples miss a rare region both means are too small: only an excess proves a fault.
         for found, integral in ((inverse, 1 / inverse.mean if inverse.mean else math.inf), (seen, seen.mean)):
             if not math.isfinite(found.mean) or found.mean - 1 > 8 * found.standard_error + 1e-3:
                 raise IntegrationError(
-                    f"the density is not normalised, or does not fit its samples: it integrates to about "
+                    f"the density is not normalised, or does not match its samples: it integrates to about "
                     f"{integral:.4g}, not to 1"
                 )
         return estimate
@@ -130,8 +130,8 @@ class ControlVariate(Integrator):
     ----------
     g: the known function, on the domain of f.
     integral: its integral over that domain.
-    factor: c. ``None`` fits it, ``cov(f, g) / var(g)``, to a pilot of a tenth of the samples, which the estimate leaves
-        out, so that it stays unbiased.
+    factor: c. ``None`` fits it, ``cov(f, g) / var(g)``, to a pilot of a tenth of the samples, which the estimate does
+        not use, so that it stays unbiased.
     """
 
     def __init__(self, g: Integrand, integral: float, factor: float | None = 1.0) -> None:

@@ -1,7 +1,8 @@
 """Recursive stratified sampling: MISER with seven changes [Press 1990; Leeson 2001, sec. 5.6].
 
-A region is explored with a part of its samples, divided along one dimension, and each part gets samples by how much the
-function varies in it. All regions of a level are treated at once, so that the integrand sees few large batches.
+A region is explored with some of its samples, divided along one dimension, and each part gets samples according to the
+variation of the function in it. All regions of a level are processed at once, so that the integrand is evaluated in few
+large batches.
 """
 
 from __future__ import annotations
@@ -23,15 +24,16 @@ from .regions import Regions
 #: Real or whole numbers of the host.
 Array = NDArray[Any]
 Metric = Literal["range", "maximum", "variance"]
-#: Least bins of exploration that are gathered to parts like bins of VEGAS.
+#: Smallest number of exploration bins that are combined to parts like bins of VEGAS.
 _BINS = 8
 _METRICS = ("range", "maximum", "variance")
 
 
 @dataclass
 class _Level:
-    """Regions of one depth. ``low``, ``side``: (R, d) in the unit cube; ``samples``: (R,); ``parent``: place of each in
-    the level above; ``explored``: (R, 3) value, variance and count of the exploration, NaN where there was none."""
+    """Regions of one depth. ``low``, ``side``: (R, d) in the unit cube; ``samples``: (R,); ``parent``: index of each
+    one's parent in the level above; ``explored``: (R, 3) value, variance and count of the exploration, NaN where there
+    was none."""
 
     low: Array
     side: Array
@@ -53,23 +55,25 @@ class _Level:
 
 
 class RecursiveStratified(Integrator):
-    """Recursive division of the domain where the integrand varies.
+    """Recursive stratification: the domain is divided where the integrand varies.
 
     Parameters
     ----------
-    metric: how variation within a bin is judged: ``"range"`` (max - min)^2, ``"maximum"`` max^2 of the absolute values,
+    metric: the measure of variation within a bin: ``"range"`` (max - min)^2, ``"maximum"`` max^2 of the absolute
+    values,
         ``"variance"`` mean square minus squared mean. The first two grow with the count, but compare bins of equal
         counts; the third is poor at low counts.
     divisions: parts of a division, n.
-    weights: of the dimensions; a larger one is divided more readily, one of zero never.
-    initial_depth: levels that are divided blindly, by weights in turn, before exploration begins.
-    dither: borders of equal parts are moved by up to this share of a part, at random.
+    weights: of the dimensions; a dimension with a larger weight is divided more often, with zero never.
+    initial_depth: levels that are divided without exploration, along dimensions in turn by their weights.
+    dither: borders of equal parts are moved randomly by up to this share of a part.
     borders: ``"equal"`` divides into equal parts, ``"vegas"`` into parts that share the metric equally.
     exploration: share of a region's samples that explores it.
-    reuse: whether exploration counts in the estimate, by inverse variances; it helps few samples, with a bias.
+    reuse: whether the estimate includes the exploration, by inverse variances; this helps with few samples, but is
+    biased.
     exponent: a in N_i ~ Var_i^(1/(1+a)), Var_i the metric times the squared volume; 1 suits one level, 2 recursion.
-    minimum: samples below which a region is no longer divided; by default 4 n d.
-    depth: most levels.
+    minimum: regions with fewer samples are not divided; by default 4 n d.
+    depth: largest number of levels.
 
     If the integrand has a ``cost``, a part's samples are also divided by the root of its mean cost. ``details``:
     ``regions``, ``depth``, and ``cost``, the summed cost of all evaluations, if it has one.
@@ -118,15 +122,15 @@ class RecursiveStratified(Integrator):
         return Estimate(value * volume, math.sqrt(variance) * volume, run.used, details=details)
 
     def plan(self, f: Integrand, samples: int, seed: int = 0) -> Regions:
-        """Where ``samples`` of ``f`` would be drawn, found by exploration alone: the regions that are not divided on,
-        each with the share of the samples that it would get. The domain is taken as the unit cube."""
+        """Where ``samples`` of ``f`` would be drawn, found by exploration only: the final regions, each with its share
+        of the samples. The domain is mapped to the unit cube."""
         run = _Plan(self, Work(f, seed))
         run.descend(samples)
         return Regions(*(np.concatenate(parts) for parts in zip(*run.regions, strict=True)))
 
 
 class _Run:
-    """One integration: the state that the levels share."""
+    """The state of one integration, shared by its levels."""
 
     def __init__(self, options: RecursiveStratified, work: Work) -> None:
         d = work.dimension
@@ -141,7 +145,7 @@ class _Run:
         self.cost = 0.0
 
     def _blind_order(self) -> list[int]:
-        """The dimension of each blind level: the one that is furthest behind its weight."""
+        """The dimension of each level without exploration: the one that is furthest behind its weight."""
         times, order = np.zeros(self.d), []
         for _ in range(self.o.initial_depth):
             axis = int(np.argmax(self.weights / (times + 1)))
@@ -152,7 +156,7 @@ class _Run:
     def evaluate(
         self, level: _Level, regions: Array, counts: Array, keep: bool = False
     ) -> tuple[Array, Array, Array | None]:
-        """Region by region: uniform points (d, n) of each one's unit cube, if to ``keep``; values there; and costs."""
+        """Per region: uniform points (d, n) of its unit cube, if ``keep``; values there; and costs."""
         work, backend = self.work, self.work.backend
         place = np.repeat(regions, counts)
         xs, values, costs = [], [], []
@@ -191,15 +195,15 @@ class _Run:
         return levels
 
     def divide(self, level: _Level, depth: int) -> _Level:
-        """Finish the leaves of a level, explore and divide the other regions; their parts."""
+        """Finish the leaves of a level, explore and divide the other regions; returns their parts."""
         n, o = self.o.divisions, self.o
         blind = depth < o.initial_depth
-        # A blind division needs two samples in each part, an explored one enough to see something.
+        # A division without exploration needs two samples in each part, one with exploration needs more.
         enough = 2 * n if blind else max(self.minimum, 4 * n)
         inner = (level.samples >= enough) & (depth < o.depth)
         if blind and not inner.all():
             raise IntegrationError(
-                f"samples are too few for {o.initial_depth} blind levels of {n} parts: "
+                f"samples are too few for {o.initial_depth} initial levels of {n} parts: "
                 f"at least {2 * n**o.initial_depth}"
             )
         self._finish(level, np.flatnonzero(~inner))
@@ -242,13 +246,13 @@ class _Run:
         borders = np.tile(np.linspace(0.0, 1.0, parts + 1), (count, 1))
         if dither:
             random = np.asarray(self.work.backend.host(self.work.backend.uniform(count * (parts - 1), 1)[0]))
-            # Half a dither to either side keeps parts from vanishing: two borders stay apart by 1 - dither of a part.
+            # Half a dither to either side: two borders stay apart by at least 1 - dither of a part.
             borders[:, 1:-1] += (random.reshape(count, parts - 1) - 0.5) * dither / parts
         return borders
 
     def _explore(self, level: _Level, regions: Array, spent: Array) -> tuple[Array, Array, Array]:
-        """For each region the dimension to divide, the borders (R, n+1), and what the parts' samples are to be
-        proportional to (R, n)."""
+        """For each region the dimension to divide, the borders (R, n+1), and relative numbers of samples of the parts
+        (R, n)."""
         o, count = self.o, len(regions)
         x, values, cost = self.evaluate(level, regions, spent, keep=True)
         place = np.repeat(np.arange(count), spent)
@@ -267,7 +271,7 @@ class _Run:
         for a in range(self.d):
             bins[a] = place * n + (x[a] >= inner).sum(axis=0)
             metrics[a] = self._metric(bins[a], values, count * n).reshape(count, n)
-            # The variation that division leaves, with samples shared out as they will be.
+            # The variation that remains after the division, with the samples distributed over the parts.
             after[a] = ((width**2 * metrics[a]) ** power).sum(axis=1) ** (1 + o.exponent)
             after[a] /= (width ** (2 * power)).sum(axis=1) ** (1 + o.exponent)
         whole = np.maximum(metrics.mean(axis=2).max(axis=0), np.finfo(float).tiny)
@@ -288,7 +292,7 @@ class _Run:
         and the metric and the cost in them."""
         width = np.diff(edges)
         held = np.sqrt(metric) * width
-        held = 0.8 * held + 0.2 * held.mean(axis=1, keepdims=True)  # none of them gets too thin
+        held = 0.8 * held + 0.2 * held.mean(axis=1, keepdims=True)  # so that none gets too thin
         borders = np.stack([split_equally(e, h, self.o.divisions) for e, h in zip(edges, held, strict=True)])
         parts = np.diff(borders)
 
@@ -319,7 +323,7 @@ class _Run:
         n = self.o.divisions
         total = parts.sum(axis=1, keepdims=True)
         ratio = np.where(total > 0, parts / np.where(total > 0, total, 1.0), 1 / n)
-        # What varies nowhere to be seen still gets a tenth of an even share: the exploration may have missed it.
+        # Parts without visible variation get a tenth of an equal share: the exploration may have missed something.
         ratio = 0.9 * ratio + 0.1 / n
         free = rest - 2 * n
         share = (ratio * free[:, None]).astype(int)
@@ -327,7 +331,7 @@ class _Run:
         return np.asarray(share + 2)
 
     def collect(self, levels: list[_Level]) -> None:
-        """Add the parts of each region, from the deepest level up, with its exploration where that is to be reused."""
+        """Add the parts of each region, from the deepest level up, with its exploration if it is reused."""
         for above, level in zip(levels[-2::-1], levels[:0:-1], strict=True):
             size = len(above.samples)
             value = np.bincount(level.parent, level.value, size)
@@ -344,7 +348,7 @@ class _Run:
         seen, seen_variance, count = above.explored.T
         use = inner & np.isfinite(seen)
         rest = np.maximum(above.samples - count, 1)
-        # No few uniform samples do better than many stratified ones; where they seem to, they have missed something.
+        # A few uniform samples are never better than many stratified ones; if they seem so, they missed something.
         bound = np.maximum(seen_variance, variance * rest / np.maximum(count, 1))
         weight = np.where(use & (bound > 0), variance / np.where(bound + variance > 0, bound + variance, 1.0), 0.0)
         weight = np.where(use, weight, 0.0)
@@ -353,7 +357,7 @@ class _Run:
 
 
 class _Plan(_Run):
-    """A run that leaves its leaves alone."""
+    """A run that does not evaluate its leaves."""
 
     def __init__(self, options: RecursiveStratified, work: Work) -> None:
         super().__init__(options, work)

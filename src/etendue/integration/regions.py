@@ -1,4 +1,4 @@
-"""Boxes that fill the unit cube, each with its probability: what a recursive division ends in, as a density."""
+"""Boxes that fill the unit cube, each with its probability: the result of a recursive division as a density."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class Regions:
     low, side: (R, d), corners and edges of the boxes in the unit cube.
     probability: (R,), above zero, in any unit.
 
-    The boxes are filled up to ``bins``, a power of two, with empty ones: on the device another number of bins is
-    another kernel. ``len()`` counts those that were given.
+    The boxes are padded with empty ones to ``bins``, a power of two, since on the device each number of bins needs its
+    own kernel. ``len()`` is the number without padding.
     """
 
     def __init__(self, low: Array, side: Array, probability: Array) -> None:
@@ -45,12 +45,12 @@ class Regions:
         """What :meth:`look_up` reads: probabilities, those of all before, 1 / density, corners, edges."""
         p = self.shares
         empty = np.arange(self.bins) >= self._count
-        reached = np.where(empty, 2.0, np.cumsum(p) - p)  # no number reaches an empty one
+        reached = np.where(empty, 2.0, np.cumsum(p) - p)  # empty ones are never selected
         return [p, reached, self.volume / np.where(empty, 1.0, p), *self.low.T, *self.side.T]
 
     def look_up(self, backend: Backend, tables: Sequence[Any], u: Sequence[Any], row: Any) -> Warped:
-        """(points, 1 / density, box of each). The first number chooses the box, and what it has left is the place in
-        it, so even numbers fill the boxes evenly, each with its share."""
+        """(points, 1 / density, box of each). The first number selects the box, and its remainder the position in it,
+        so that stratified numbers stay stratified within the boxes."""
         first = row * self.bins
         place = bisect(backend, tables[1], u[0], self.bins, first)
         index = first + place

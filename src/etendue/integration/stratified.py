@@ -1,4 +1,4 @@
-"""Integrators whose points are spread evenly: strata, and point sequences."""
+"""Integrators with evenly distributed points: strata, and point sequences."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from .estimate import Estimate, Integrator, Moments, Work
 
 
 class Stratified(Integrator):
-    """``V / S^d`` times the sum over S^d equal strata of the mean of f in each, S to an axis, samples in equal numbers.
+    """``V / S^d`` times the sum over S^d equal strata of the mean of f in each, S per axis, with equal numbers of
+    samples.
 
-    ``strata`` is S; by default as many as leave two samples in each. Raises :class:`IntegrationError` if the samples
-    are too few for two parts of each axis with two samples each, 2^(d+1), or for those asked for.
+    ``strata`` is S; by default as many as allow two samples in each. Raises :class:`IntegrationError` for fewer than
+    2^(d+1) samples (two strata per axis, two samples in each), or too few for the given ``strata``.
     """
 
     batched = True
@@ -51,7 +52,7 @@ class Stratified(Integrator):
         return Estimate(mean * scale, math.sqrt(variance) * scale, total * size, details={"strata": parts})
 
     def spread(self, work: Work, integrals: int, samples: int) -> tuple[Any, Any, int]:
-        """See :class:`Integrator`. No error is asked for, so that one sample in each stratum is enough."""
+        """See :class:`Integrator`. It needs no error, so one sample in each stratum is enough."""
         d = work.dimension
         parts = self.strata if self.strata is not None else max(int((samples + 1e-9) ** (1 / d)), 1)
         if samples < parts**d:
@@ -79,7 +80,7 @@ def stratified_points(work: Work, count: int, parts: list[int], first: int, size
 
 
 class PointSequence(Protocol):
-    """What is asked of points: a point set of ``etendue.points``, or another that has these."""
+    """The required interface of points: a point set of ``etendue.points``, or another with these methods."""
 
     dimension: int
 
@@ -88,20 +89,20 @@ class PointSequence(Protocol):
         ...
 
     def randomised(self, seed: int) -> PointSequence:
-        """The same points moved at random, so that each is uniform; another seed moves them independently."""
+        """The points randomised so that each is uniform; different seeds are independent."""
         ...
 
 
 class QuasiMonteCarlo(Integrator):
     """``V/N sum f(x_i)`` over the points of a low-discrepancy sequence.
 
-    It is done several times with independent randomisations: their mean is the estimate, their scatter its error.
+    It uses several independent randomisations: their mean is the estimate, their variance gives its error.
 
     Parameters
     ----------
-    points: a point set, or what makes one from a number of dimensions; :class:`Sobol`, scrambled by Owen's method, by
-        default. It may have more dimensions than the integrand.
-    replicates: randomisations that share the samples; few have more even points, many a better known error.
+    points: a point set, or a function from the number of dimensions to one; by default :class:`Sobol` with Owen's
+        scrambling. It may have more dimensions than the integrand.
+    replicates: randomisations that share the samples; fewer have a smaller error, more estimate it better.
     """
 
     batched = True
@@ -118,7 +119,7 @@ class QuasiMonteCarlo(Integrator):
         if share < 1:
             raise IntegrationError(f"{samples} samples are too few for {self.replicates} randomisations of a sequence")
         if size is not None and share > size:
-            raise IntegrationError(f"the point set has {size} points, but {share} are asked of each randomisation")
+            raise IntegrationError(f"the point set has {size} points, but each randomisation needs {share}")
         means = []
         for number in range(self.replicates):
             points = sequence.randomised(work.seed * self.replicates + number)
@@ -138,11 +139,11 @@ class QuasiMonteCarlo(Integrator):
         )
 
     def spread(self, work: Work, integrals: int, samples: int) -> tuple[Any, Any, int]:
-        """See :class:`Integrator`. Each integral has all points, moved by a random vector of its own modulo 1."""
+        """See :class:`Integrator`. Each integral uses all points, with its own random shift modulo 1."""
         backend, sequence = work.backend, self.sequence(work.dimension)
         most = getattr(sequence, "size", None)
         if most is not None and samples > most:
-            raise IntegrationError(f"the point set has {most} points, but {samples} are asked of each integral")
+            raise IntegrationError(f"the point set has {most} points, but each integral needs {samples}")
         place = backend.index(integrals * samples)
         number = place // samples
         u = []

@@ -1,7 +1,7 @@
-"""The VEGAS-derived integrator: it learns a density that is a product over groups of parameters.
+"""An integrator derived from VEGAS: it learns a density that is a product over groups of parameters.
 
 Estimator of an iteration: ``1/N sum f(x_i) / p(x_i)``, x_i drawn from ``p = prod_g p_g``; iterations are combined by
-their inverse variances. After each, the bins of every factor are moved to share equally what they were found to hold.
+their inverse variances. After each iteration the borders of every factor are moved towards equal bin values.
 [Lepage 1978; Leeson 2001, sec. 5.5]
 """
 
@@ -21,7 +21,7 @@ from .errors import IntegrationError
 from .estimate import Estimate, Integrator, Moments, Work, average, combine
 from .stratified import stratified_points
 
-#: Most bins on an axis of a factor of one and of two parameters, and samples an iteration should have for each bin.
+#: Largest number of bins per axis for factors of one and of two parameters, and samples per bin in an iteration.
 _MOST = (1000, 64)
 _PER_BIN = (10, 16)
 
@@ -31,27 +31,27 @@ class Vegas(Integrator):
 
     Parameters
     ----------
-    groups: which parameters share a factor of the density, ``[[0], [1, 2], [3, 4, 5]]``; those named in none are
-        uniform. Groups of one and two get movable bins, larger ones a grid of cells. By default each parameter has
-        its own.
-    mode: ``"importance"`` moves bins until each contributes the same, ``"stratified"`` until each has the same
-        deviation, and puts the same number of samples in each.
-    iterations: how often the density is rebuilt; the samples are shared out evenly.
-    warm_up: iterations, out of these, that only teach the density and are left out of the estimate.
+    groups: parameters that share a factor of the density, ``[[0], [1, 2], [3, 4, 5]]``; parameters in no group are
+        uniform. Groups of one and two have bins with movable borders, larger ones a grid of cells. By default each
+        parameter is a group.
+    mode: ``"importance"`` moves borders until all bins contribute equally; ``"stratified"`` until all have the same
+        deviation, and puts equal numbers of samples in each.
+    iterations: how often the density is rebuilt; all have equal numbers of samples.
+    warm_up: number of first iterations that only train the density and are left out of the estimate.
     bins: on each axis of a factor; by default from the number of samples.
-    strata: into how many parts each axis of the adaptive parameters is divided, in the numbers that the density
-        warps; 1 draws bins at random, ``None`` takes as many as leave two samples in each.
+    strata: strata per axis of the adaptive parameters, in the uniform numbers that the density warps; 1 selects bins at
+        random, ``None`` takes as many as allow two samples in each.
     smoothing: whether neighbouring bins are mixed by linear interpolation.
-    damping: exponent of ``((1-d)/ln(1/d))^alpha``, by which shares d of bins are drawn together; ``None`` for none.
+    damping: exponent of ``((1-d)/ln(1/d))^alpha``, which replaces the shares d of bins; ``None`` for none.
     inertia: r of ``(1-r) old + r new`` for cells of grids.
-    stabilise: iterations after which smoothing and both dampings are switched off; they help few samples, and stall
-        many. From then on borders move by contributions, not by their squares.
-    density: what to begin with, such as ``details["density"]`` of an earlier estimate.
+    stabilise: iterations after which smoothing, damping and inertia are switched off; they help with few samples, but
+        slow down convergence with many. From then on borders adapt to contributions, not to their squares.
+    density: the initial density, such as ``details["density"]`` of an earlier estimate.
 
     ``details``: ``iterations`` (an :class:`Estimate` each), ``density`` (:class:`ProductDensity`, the last),
-    ``chi2`` over ``degrees`` of freedom among the iterations that count. Few samples in an iteration
-    bias the combination slightly. Where chi2 says that iterations disagree, their variances are not to be believed:
-    they are averaged alike then, and a warning says so.
+    ``chi2`` over ``degrees`` of freedom among the iterations that count. Few samples in an iteration bias the
+    combination slightly. If chi2 says that iterations disagree, their variances are unreliable: they are then averaged
+    with equal weights, with a warning.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class Vegas(Integrator):
         if chi2 > degrees + 5 * math.sqrt(2 * degrees):
             logger.warning(
                 "iterations disagree (chi2 %.1f for %d degrees of freedom): some have missed a part of the function; "
-                "all count alike, and more samples, or some iterations to warm up, would help",
+                "all get equal weights; take more samples or some iterations to warm up",
                 chi2,
                 degrees,
             )
@@ -163,11 +163,11 @@ class Vegas(Integrator):
                     f"each: at least {2 * parts**adaptive}"
                 )
             for group in density.groups:
-                # The first number of a grid chooses among its cells, so it takes the strata of all its axes.
+                # The first number of a grid selects its cell, so it takes the strata of all its axes.
                 for position, axis in enumerate(group):
                     strata[axis] = parts if len(group) < 3 else parts ** len(group) if position == 0 else 1
             if wanted is None and self.mode == "importance" and parts > 1:
-                # One part more on as many axes as there are samples for.
+                # One more stratum on as many axes as there are samples for.
                 for axis in (a for group in density.groups if len(group) < 3 for a in group):
                     if 2 * math.prod(strata) // parts * (parts + 1) <= share:
                         strata[axis] += 1
@@ -205,7 +205,7 @@ class Vegas(Integrator):
     def _draw(
         self, work: Work, density: ProductDensity, strata: list[int], count: int, first: int, size: int
     ) -> tuple[Any, list[list[Any]]]:
-        """``count`` values f / p in strata from number ``first`` on; what to deposit in the bins of each factor."""
+        """``count`` values f / p in strata from index ``first`` on, and what to add to the bins of each factor."""
         backend = work.backend
         u = stratified_points(work, count, strata, first, size)
         x, weight, places = density.warp(backend, u)
@@ -218,7 +218,7 @@ class Vegas(Integrator):
 
     @staticmethod
     def _deposit(work: Work, sums: list[Array], found: list[list[Any]]) -> None:
-        """Add what a batch found. Comes after the batch is evaluated: one kernel computes both."""
+        """Add the bin sums of a batch. Called after the batch is evaluated, so that one kernel computes both."""
         for total, parts in zip(sums, found, strict=True):
             for row, part in zip(total, parts, strict=True):
                 row += work.backend.host(part)

@@ -1,4 +1,4 @@
-"""A method as a Mitsuba integrator: what ``mi.load_dict({"type": "vcm"})`` makes and ``mi.render`` calls."""
+"""Methods as Mitsuba integrators, for ``mi.load_dict({"type": "vcm"})`` and ``mi.render``."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _AOV_CHANNELS = {
     "normal": ("sh_normal.X", "sh_normal.Y", "sh_normal.Z"),
     "depth": ("depth.T",),
 }
-#: Rays per pixel that measure its coverage, for films with an alpha channel, and how often so many are cast.
+#: Rays per pixel in one part of the coverage estimate for alpha channels, and the number of parts.
 _ALPHA_RAYS = 8
 _ALPHA_PARTS = 4
 
@@ -37,7 +37,7 @@ def integrator_class(method: Any) -> type:
 
 @lru_cache(maxsize=64)
 def _integrator_class(method: Any, variant: str) -> type:
-    # Made per variant, since its base class is Mitsuba's of that variant.
+    # One class per variant, since its base class is Mitsuba's of that variant.
     import mitsuba as mi
 
     class EtendueIntegrator(mi.SamplingIntegrator):
@@ -125,7 +125,7 @@ def _integrator_class(method: Any, variant: str) -> type:
             raise _no_gradients(method.name)
 
         def sample(self, scene: Any, sampler: Any, ray: Any, medium: Any = None, active: Any = True) -> Any:
-            """Raises: light does not come ray by ray here, so wrapping integrators such as 'aov' cannot ask for it."""
+            """Raises: methods do not trace single rays, so integrators such as 'aov' cannot wrap them."""
             raise UnsupportedError(
                 f"'{method.name}' renders whole pictures and cannot be nested in another integrator; "
                 "use it by itself, with aovs=true for first-hit layers"
@@ -140,8 +140,8 @@ def _integrator_class(method: Any, variant: str) -> type:
             return self._cancelled
 
         def aov_names(self) -> list[str]:
-            """Names of the channels after the picture's own. Which layers of techniques there are depends on the
-            scene: they are named once it has been rendered, after those of the first hits."""
+            """Names of the channels after the picture's own. The layers of techniques depend on the scene: their names
+            are added, after those of first hits, once it has been rendered."""
             return _channels(self._layers)
 
         def to_string(self) -> str:
@@ -161,7 +161,7 @@ def _no_gradients(name: str) -> EtendueError:
 
 
 def _asked_for(options: dict[str, Any], layers: Iterable[str]) -> list[str]:
-    """Those of ``layers`` that settings asked for: first hits, families of techniques, the technique pyramid, further
+    """Those of ``layers`` that settings request: first hits, families of techniques, the technique pyramid, further
     merge radii."""
     names = list(_AOV_CHANNELS) if options["aovs"] else []
     for name in layers:
@@ -194,7 +194,7 @@ def _fill(film: Any, problem: Problem, layers: dict[str, NDArray[np.float32]], e
 
 
 def _coverage(problem: Problem) -> NDArray[np.float32]:
-    """Share of each pixel that shows something: 1 wherever there is an environment, as in Mitsuba's 'path'."""
+    """Coverage of each pixel, for alpha: 1 wherever there is an environment, as in Mitsuba's 'path'."""
     import drjit as dr
     import mitsuba as mi
 
@@ -218,8 +218,8 @@ def _coverage(problem: Problem) -> NDArray[np.float32]:
 
 
 def _alpha_places(number: Any) -> Any:
-    """Where rays lie in their pixels: a Kronecker sequence of the plastic number, even along edges of any direction,
-    where a grid is not."""
+    """Offsets of rays in their pixels: the Kronecker sequence of the plastic number, which unlike a grid is even along
+    edges of any direction."""
     import drjit as dr
     import mitsuba as mi
 

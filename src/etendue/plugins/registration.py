@@ -1,4 +1,4 @@
-"""Makes the methods and the rooms' plugins known to Mitsuba: once a variant is set, and again when it changes."""
+"""Registers methods and plugins with Mitsuba when a variant is set, and again when it changes."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def register() -> None:
     ``mi.render``, ``stratified`` as ``stratified_path``; and the materials, emitters and sensors of
     :func:`etendue.scene.register`.
 
-    May be called before or after ``mi.set_variant`` and any number of times. Under variants that are not supported the
-    plugins are known as well, and raise one clear error when one is asked for.
+    May be called before or after ``mi.set_variant`` and any number of times. Under unsupported variants the plugins are
+    registered, too, and raise a clear error when one is instantiated.
     """
     import mitsuba as mi
 
@@ -26,11 +26,11 @@ def register() -> None:
 
 
 def register_method(method: Any) -> Any:
-    """Add a method of one's own, a subclass of ``etendue.methods.ImageMethod``, to étendue under its ``name``; usable
-    as a decorator. It is then in :func:`etendue.render` and the other functions, and a Mitsuba integrator.
+    """Register a method, a subclass of ``etendue.methods.ImageMethod``, under its ``name``; usable as a decorator. It
+    is then available in :func:`etendue.render` and the other functions, and as a Mitsuba integrator.
 
-    For the command line, and other processes, a package names it as an entry point of the group ``etendue.methods``.
-    Raises :class:`OptionError` for a name that is taken, and for what is no method.
+    For the command line and other processes, a package declares it as an entry point of the group ``etendue.methods``.
+    Raises :class:`OptionError` for a name that is taken, and for a class that is no method.
     """
     import mitsuba as mi
 

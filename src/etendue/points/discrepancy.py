@@ -1,4 +1,4 @@
-"""How even points lie: star discrepancy, exact or between bounds, and the L2 discrepancies.
+"""Discrepancies of point sets: the star discrepancy, exact or with bounds, and the L2 discrepancies.
 
 The star discrepancy is the largest difference between the share of points in a box that begins at the origin, and the
 box's volume; by the Koksma-Hlawka inequality the error of a mean is at most it times the integrand's variation
@@ -17,18 +17,18 @@ from etendue.core import suggest
 
 from .pointset import PointSetError
 
-#: Boxes that :func:`star_discrepancy` visits at most (seconds), and cells of the grid of the bounds.
+#: Limit on the boxes that :func:`star_discrepancy` visits (seconds), and on the cells of the grid of the bounds.
 MAX_BOXES = 1 << 29
 _MAX_CELLS = 1 << 22
-#: Pairs of points that are looked at together: what fits a cache.
+#: Pairs of points that are processed together, so that they fit into a cache.
 _BLOCK = 1 << 15
 
 
 def star_discrepancy(points: ArrayLike) -> float:
     """The exact star discrepancy of ``points``, (n, d) in [0, 1].
 
-    All boxes that can be extreme are visited, about ``n^d``. Raises :class:`PointSetError` if they are more than 2^29
-    (20000 points in two dimensions, 800 in three, 150 in four): :func:`star_discrepancy_bounds` has no such limit.
+    It visits all critical boxes, about ``n^d``. Raises :class:`PointSetError` if these are more than 2^29 (20000 points
+    in two dimensions, 800 in three, 150 in four); :func:`star_discrepancy_bounds` has no such limit.
     """
     x = _checked(points)
     n, d = x.shape
@@ -53,7 +53,7 @@ def star_discrepancy(points: ArrayLike) -> float:
         while done < n and x[order[done], 0] == side:
             corner = [rank[order[done]] for rank in ranks]
             closed[tuple(slice(r, None) for r in corner)] += 1 / n
-            # Open at the corner 1 means closed: there is nothing beyond.
+            # At the corner 1 open and closed boxes are the same: there are no points beyond.
             inside[tuple(slice(min(r + 1, len(g) - 1), None) for r, g in zip(corner, grids, strict=True))] += 1 / n
             done += 1
         worst = max(worst, float((closed - side * area).max()))
@@ -63,16 +63,16 @@ def star_discrepancy(points: ArrayLike) -> float:
 def star_discrepancy_bounds(points: ArrayLike, cells: int = _MAX_CELLS) -> tuple[float, float]:
     """A lower and an upper bound of the star discrepancy of ``points``, (n, d) in [0, 1].
 
-    From a grid of at most ``cells`` cells between quantiles of the coordinates; what a box can gain inside a cell is
-    the gap between the bounds, about ``d cells^(-1/d)``. Raises :class:`PointSetError` if a dimension would have no two
-    cells.
+    From a grid of at most ``cells`` cells between quantiles of the coordinates. The bounds differ by what a box can
+    change inside a cell, about ``d cells^(-1/d)``. Raises :class:`PointSetError` if a dimension would have fewer than
+    two cells.
     """
     x = _checked(points)
     n, d = x.shape
     per_axis = int(cells ** (1 / d) + 1e-9)
     if per_axis < 2:
         raise PointSetError(
-            f"{cells} cells are too few to bound a discrepancy in {d} dimensions; an L2 one has no limit"
+            f"{cells} cells are too few to bound a discrepancy in {d} dimensions; take an L2 discrepancy"
         )
     grids = [np.unique(np.concatenate([[0.0, 1.0], _quantiles(x[:, j], per_axis - 1)])) for j in range(d)]
     # closed[k]: points <= the k-th corner; open[k]: points < it.
@@ -154,7 +154,7 @@ def _checked(points: ArrayLike) -> NDArray[np.float64]:
     if x.ndim != 2 or not x.size:
         raise PointSetError(f"points are an array (n, d) with at least one, not of the shape {x.shape}")
     if not ((x >= 0) & (x <= 1)).all():
-        raise PointSetError("a discrepancy is that of points in the unit cube; some lie outside, or are not numbers")
+        raise PointSetError("a discrepancy needs points in the unit cube; some lie outside or are not finite")
     return x
 
 
@@ -166,7 +166,7 @@ def _sum_over_pairs(x: NDArray[np.float64], pair: _Function) -> float:
         product = pair(x[start:end, :1], x[None, start:, 0])
         for j in range(1, x.shape[1]):
             product *= pair(x[start:end, j : j + 1], x[None, start:, j])
-        # Pairs inside the block are there twice as it is, those with later points once.
+        # Pairs within the block occur twice already, pairs with later points once.
         inside = product[:, : end - start].sum()
         total += float(2 * product.sum() - inside)
         start = end
@@ -186,7 +186,8 @@ def _volumes(grids: list[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 
 def _cumulative(x: NDArray[np.float64], grids: list[NDArray[np.float64]], side: Any) -> NDArray[np.float64]:
-    """Points up to each corner: ``left`` counts those on the faces, ``right`` does not (but on those at 1 it does)."""
+    """Number of points up to each corner: ``left`` includes those on the faces, ``right`` does not (except on faces at
+    1)."""
     shape = tuple(len(grid) for grid in grids)
     places = []
     for j, grid in enumerate(grids):

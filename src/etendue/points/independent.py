@@ -1,4 +1,4 @@
-"""Points that a seed scatters: independent ones, and latin hypercubes."""
+"""Random points: independent ones, and latin hypercubes."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ class Independent(BinaryPointSet):
 class LatinHypercube(PointSet):
     """A latin hypercube: in each dimension, each of ``size`` equal intervals holds one point [McKay 1979].
 
-    The order in a dimension is a pseudo-random permutation of its own, made by hashing [Kensler 2013], and a point is
-    uniform in its interval. The variance is that of independent points less the part of the integrand that is a sum of
-    functions of one coordinate.
+    The order in each dimension is an independent pseudo-random permutation, made by hashing [Kensler 2013], and a point
+    is uniform in its interval. The variance is that of independent points without the additive part of the integrand,
+    the sum of functions of one coordinate.
     """
 
     name = "latin-hypercube"
@@ -72,9 +72,8 @@ class LatinHypercube(PointSet):
 
 
 def _hash(index: Any, keys: Keys, words: tuple[int, int], dimension: int) -> Any:
-    """Words that look independent, from the index, two words of a seed and the dimension.
-
-    What does not depend on the dimension is worked out once in a kernel.
+    """Pseudo-random words from the index, two words of a seed and the dimension. The part that does not depend on the
+    dimension is computed once in a kernel.
     """
     a = hash_mix(index + keys.like(index, words[0]))
     b = hash_mix((index ^ a) + keys.like(index, words[1]))
@@ -86,7 +85,7 @@ def _hash(index: Any, keys: Keys, words: tuple[int, int], dimension: int) -> Any
 
 
 def _permuted(index: Any, size: int, words: list[Any], keys: Keys) -> Any:
-    """The place of ``index`` in a permutation of 0 to ``size`` - 1.
+    """The image of ``index`` under a permutation of 0 to ``size`` - 1.
 
     A permutation of the next power of two is applied until the result is in range [Kensler 2013].
     """
@@ -108,7 +107,7 @@ def _permuted(index: Any, size: int, words: list[Any], keys: Keys) -> Any:
             x = np.where(outside, once(x), x)
         return x
     last = keys.like(index, size - 1)
-    # An index out of range might never come into it.
+    # The loop might not end for an index out of range.
     x = once(dr.minimum(index, last))
     (x,) = dr.while_loop((x,), lambda x: x > last, lambda x: (once(x),), label="latin hypercube")
     return x

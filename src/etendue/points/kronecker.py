@@ -1,4 +1,4 @@
-"""Weyl's sequence, multiples of square roots of primes; and powers of pi, which show how not to do it."""
+"""Weyl's sequence, multiples of square roots of primes; and powers of pi, a counterexample."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ class Weyl(BinaryPointSet):
 
     def _word(self, index: Any, dimension: int) -> Any:
         root = self._roots[dimension]
-        # The middle 32 bits of the product: what is above is whole, what is below is beyond the last place.
+        # The middle 32 bits of the product: those above are the integer part, those below are not needed.
         return index * (root >> 32) + high_product(index, root & 0xFFFFFFFF)
 
 
 class PiPowers(PointSet):
-    """Powers of pi in doubles: ``(frac(pi^i), ..., frac(pi^(i+d-1)))``. Not to be used.
+    """Powers of pi in doubles: ``(frac(pi^i), ..., frac(pi^(i+d-1)))``. Do not use this set.
 
     The numbers ``frac(pi^i)`` are conjectured to serve any number of dimensions. In double precision a power has no
     bits after the point from index 32 on, and all points from there are 0; pi^30 has three.
@@ -58,8 +58,8 @@ class PiPowers(PointSet):
 class ExactPiPowers(PointSet):
     """Powers of pi as :class:`PiPowers`, from all their digits, for up to 2^13 points.
 
-    Pi has as many digits as the largest power needs, and making ``size`` points takes a time that grows nearly with
-    its cube (a second for the largest). The numbers look random, and are no more even than those.
+    Pi is computed with the digits that the largest power needs; the time to make ``size`` points grows almost with its
+    cube (a second for the largest). The numbers behave like random ones, and are no more even.
     """
 
     name = "pi-powers-exact"

@@ -1,9 +1,9 @@
-"""Owen-scrambled Sobol' points in one and two dimensions, padded: every draw of a path is a sequence of its own.
+"""Owen-scrambled Sobol' points in one and two dimensions, padded: each random number of a path has its own sequence.
 
-The numbers of one draw, taken over the index, are the first one or two dimensions of Sobol's sequence in an order and
-with a nested scrambling of their own, both by hashing [Burley 2020; Owen 1995]. Over ``2^m`` consecutive indices from a
-multiple of ``2^m`` they are stratified in every way a (0, m, 2)-net is, while draws of different dimensions, and of
-different sequences, are independent of each other.
+The numbers for one dimension, over the index, are the first one or two dimensions of Sobol's sequence, shuffled and
+with an independent nested scrambling, both by hashing [Burley 2020; Owen 1995]. Any ``2^m`` consecutive indices from a
+multiple of ``2^m`` form a (0, m, 2)-net, while numbers of different dimensions and different sequences are independent
+of each other.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ def scramble(x: Any, seed: Any) -> Any:
 
 
 class OwenSobolSource:
-    """Numbers of paths that lie well among each other: a :class:`SampleSource`.
+    """Numbers that are stratified over the paths of a sequence: a :class:`SampleSource`.
 
     Parameters
     ----------
     sequence: UInt32 per lane; lanes of one number share a sequence, such as the samples of a pixel.
-    index: UInt32 per lane, the path's place in its sequence; each (sequence, index, high) should occur once.
-    seed, role: as of ``IndependentSource``. Passes of a run go on with the sequence by their indices.
-    high: UInt32 per lane, the upper word of the place: each 2^32 points are a sequence scrambled anew.
+    index: UInt32 per lane, the path's index in its sequence; each (sequence, index, high) should occur once.
+    seed, role: as of ``IndependentSource``. Passes of a run continue the sequence by their indices.
+    high: UInt32 per lane, the upper word of the index: each 2^32 points have a new scrambling.
     """
 
     def __init__(self, sequence: Any, index: Any, seed: int, role: str, high: Any = 0) -> None:
@@ -52,7 +52,7 @@ class OwenSobolSource:
         key0, key1 = (dr.opaque(uint32, word) for word in seed_key(seed, role, 0))
         self._key = hash_mix((hash_mix(uint32(sequence) + key0) ^ key1) + uint32(high))
         self._reversed_index = dr.brev(uint32(index))
-        # The first word may be that of another lane; the second leads back to the index, both to the sequence.
+        # Lanes may share the first word; the second can be mapped back to the index, and both to the sequence.
         self._lane_keys = hash_mix(uint32(index) + self._key), hash_mix(uint32(index) + key1)
 
     def _dimension(self, vertex: Any, component: int) -> Any:
@@ -61,7 +61,7 @@ class OwenSobolSource:
         return type(self._key)(vertex) * COMPONENTS_PER_VERTEX + component
 
     def _shuffled(self, vertex: Any, component: int) -> tuple[Any, Any]:
-        """(bit-reversed place of the lane in the draw's own order, seed of the draw)."""
+        """(bit-reversed index of the lane in the shuffled order of this dimension, seed of the dimension)."""
         seed = hash_mix(self._key ^ (self._dimension(vertex, component) * 0x9E3779B9))
         return scramble(self._reversed_index, seed), seed
 

@@ -1,4 +1,4 @@
-"""What every point set and sequence is: a dimension, a size or none, and coordinate ``d`` of point ``i``."""
+"""The protocol of point sets and sequences: a dimension, perhaps a size, and coordinate ``d`` of point ``i``."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ MAX_POINTS = 1 << 32
 
 
 class PointSetError(OptionError):
-    """A point set or a measure of one is asked for a dimension, an index, a number or a size that it does not have."""
+    """An invalid dimension, index, number of points or size for a point set or one of its measures."""
 
 
 class PointSet(ABC):
-    """Points in the unit cube, each a function of its index: no state, any order, any number of workers.
+    """Points in the unit cube, each a function of its index: without state, in any order, on any number of workers.
 
-    A *sequence* has no ``size``: any beginning of it is a point set, and more points extend it. A point set with a
-    ``size`` is made for that number of points.
+    A *sequence* has no ``size``: its first n points are a point set for every n, and more points extend it. A point set
+    with a ``size`` is made for that number of points.
 
-    A coordinate can be asked for on the device and in NumPy. They are the same numbers: NumPy has doubles, the device
-    ``Float``; the two differ by less than 2^-23, and neither is ever 1.
+    Coordinates can be computed on the device and in NumPy. They are the same numbers, as doubles in NumPy and as
+    ``Float`` on the device; the two differ by less than 2^-23, and neither is ever 1.
     """
 
-    #: How :func:`etendue.points.point_set` knows it.
+    #: Its name for :func:`etendue.points.point_set`.
     name: ClassVar[str]
     #: The largest dimension, ``None`` for any.
     max_dimension: ClassVar[int | None] = None
-    #: Whether a seed gives other points, whose expected mean over the cube is exact.
+    #: Whether a seed selects other points, so that a mean over the points is unbiased.
     is_random: ClassVar[bool] = False
     #: Papers, as keys of the bibliography.
     citations: ClassVar[tuple[str, ...]] = ()
@@ -55,7 +55,7 @@ class PointSet(ABC):
     def coordinate(self, index: Any, dimension: int) -> Any:
         """Coordinate ``dimension`` of the points ``index``, in [0, 1).
 
-        index: ``UInt32`` lanes, for which a ``Float`` is recorded (an index beyond the ``size`` is not noticed, and
+        index: ``UInt32`` lanes, for which the result is a ``Float`` (an index beyond the ``size`` is not detected and
         gives some number in [0, 1)); or whole numbers for NumPy, which give doubles of the same shape.
 
         Raises :class:`PointSetError` for a dimension or an index that the set does not have.
@@ -82,7 +82,7 @@ class PointSet(ABC):
         return np.stack([self._coordinate(lanes, d) for d in range(self.dimension)], axis=-1)
 
     def lanes(self, index_type: Any, n: int, first: int = 0) -> list[Any]:
-        """The same on the device, as double precision has them: ``Float64`` for each dimension. ``index_type`` is the
+        """The same on the device, in double precision: ``Float64`` for each dimension. ``index_type`` is the
         ``UInt32`` of a device. Raises as :meth:`coordinate`."""
         double = dr.float64_array_t(index_type)
         return [double(np.ascontiguousarray(column)) for column in self.block(n, first).T]
@@ -90,7 +90,7 @@ class PointSet(ABC):
     def randomised(self, seed: int) -> PointSet:
         """The set randomised so that each point is uniform; another ``seed`` gives independent points.
 
-        By a random shift, or by what becomes the set better.
+        By a random shift, or by the better randomisation that the set has.
         """
         return RandomShift(self, seed)
 
@@ -128,12 +128,12 @@ class PointSet(ABC):
 
 
 class BinaryPointSet(PointSet):
-    """A point set whose coordinates are words of 32 bits after the point, so that the device can have all of them."""
+    """A point set whose coordinates are 32-bit fractions, so that the device can represent all bits."""
 
     def lanes(self, index_type: Any, n: int, first: int = 0) -> list[Any]:
         """See :class:`PointSet`; nothing is copied."""
         self._check_block(n, first)
-        # What the compiler does not know does not make another kernel.
+        # Opaque values do not cause another kernel.
         index = dr.arange(index_type, n) + dr.opaque(index_type, first)
         return [doubles(self._word(index, d)) for d in range(self.dimension)]
 
@@ -146,7 +146,7 @@ class BinaryPointSet(PointSet):
 
 
 class RandomShift(PointSet):
-    """Any point set, moved by one random vector modulo 1 [Cranley 1976]."""
+    """Any point set, shifted by one random vector modulo 1 [Cranley 1976]."""
 
     name = "shift"
     is_random = True

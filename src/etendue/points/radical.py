@@ -1,11 +1,12 @@
-"""Halton's sequence and its relatives: digits of the index in prime bases, mirrored at the point.
+"""Halton's sequence and its variants: digits of the index in prime bases, mirrored at the radix point.
 
 ``radical inverse: i = sum_j a_j b^j  ->  phi_b(i) = sum_j a_j b^(-j-1)``
 
-On the device digits are found and put together by multiplication alone. The index is cut into chunks of ``K`` digits. A
+On the device digits are extracted and assembled by multiplications only. The index is cut into chunks of ``K`` digits.
+A
 chunk less half its range, ``y``, has the balanced digits ``a_j - (b - 1)/2``, so that ``q_k = round(y / b^k)`` is exact
 in a ``Float``; and as ``a_k = q_k - b q_(k+1)``, it is ``b^(K-1) y - (b^2 - 1) sum_k q_k b^(K-1-k)`` when mirrored.
-There are as many chunks as a ``Float`` can show: digits that are worth less than 2^-25 together are left out.
+There are as many chunks as a ``Float`` can represent: digits that contribute less than 2^-25 together are left out.
 """
 
 from __future__ import annotations
@@ -117,7 +118,7 @@ def _on_host(index: NDArray[Any], base: int, permutation: NDArray[np.int64] | No
 
 
 def _chunks(base: int, most: int) -> list[int]:
-    """Digits in each chunk, at most ``most``, until what is left out is worth less than 2^-25."""
+    """Digits in each chunk, at most ``most``, until the rest contributes less than 2^-25."""
     digits = 1
     while base**digits < 2**25:
         digits += 1
@@ -135,12 +136,12 @@ def _mirrored(chunk: Any, base: int, digits: int) -> Any:
     total = float_type(0.0)
     for k in range(1, digits):
         total = dr.fma(total, float(base), dr.fma(y, 1.0 / base**k, _ROUND) - _ROUND)
-    # The product that is rounded by itself is a multiple of 8, and so exact.
+    # The product that is rounded separately is a multiple of 8, and therefore exact.
     return dr.fma(y, float(base ** (digits - 1)), total * -float(base * base - 1)) + float(half)
 
 
 def _assemble(index: Any, base: int, chunks: list[int], mirror: Callable[[Any, int], Any]) -> Any:
-    """The mirrored chunks after the point, the one of the first digits in front."""
+    """The mirrored chunks as a fraction, the chunk of the first digits in front."""
     parts = []
     for digits in chunks:
         rest = index // base**digits
@@ -171,7 +172,7 @@ class Halton(PointSet):
 
 
 class FaureHalton(Halton):
-    """Halton's sequence, every digit permuted as Faure has it: ``sum_j sigma_b(a_j) b^(-j-1)`` [Faure 1992]."""
+    """Halton's sequence with Faure's permutation of every digit: ``sum_j sigma_b(a_j) b^(-j-1)`` [Faure 1992]."""
 
     name = "faure-halton"
     citations = ("Halton1960", "Faure1992")
@@ -186,7 +187,7 @@ class FaureHalton(Halton):
             return radical_inverse(index, base)  # the permutation is the identity
         if is_host(index):
             return _on_host(index, base, faure_permutation(base))
-        # Chunks of digits at once, permuted and mirrored by a table each.
+        # A chunk of digits at once, permuted and mirrored by a table.
         most = 1
         while base ** (most + 1) <= _TABLE_SIZE:
             most += 1
@@ -204,8 +205,8 @@ class FaureHalton(Halton):
 class FaureBlockHalton(Halton):
     """Halton's sequence, the points permuted inside each block of ``b``: Faure's permutation of the last digit only.
 
-    The other reading of the scrambling in [Castro 2002, section 2.2.13], whose printed example it gives. It agrees with
-    :class:`FaureHalton` for the first ``b`` points, and differs from there on.
+    The other interpretation of the scrambling in [Castro 2002, section 2.2.13]; it reproduces the example printed
+    there. It agrees with :class:`FaureHalton` for the first ``b`` points only.
     """
 
     name = "faure-block-halton"

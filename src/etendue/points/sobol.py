@@ -1,8 +1,8 @@
 """Sobol's sequence in up to 2048 dimensions, and the same scrambled.
 
-Coordinate ``d`` of point ``i`` is the exclusive or of the direction numbers of ``d`` at the bits that ``i`` has, in the
-original order of points, not that of Gray's code [Sobol 1967]. The direction numbers are those of [Joe 2008], which
-ship with étendue under the licence beside them.
+Coordinate ``d`` of point ``i`` is the exclusive or of the direction numbers of ``d`` at the set bits of ``i``, in the
+original order of points, not that of Gray's code [Sobol 1967]. The direction numbers are those of [Joe 2008]; they ship
+with étendue together with their licence.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def _table() -> tuple[NDArray[np.uint16], NDArray[np.uint16]]:
 
 @functools.cache
 def direction_numbers(dimension: int) -> tuple[int, ...]:
-    """The 32 direction numbers of one dimension, as words after the point; that of index bit 0 first."""
+    """The 32 direction numbers of one dimension as 32-bit fractions; that of index bit 0 first."""
     if dimension == 0:
         return tuple(1 << (_BITS - 1 - k) for k in range(_BITS))
     polynomials, initial = _table()
@@ -67,7 +67,7 @@ class Sobol(BinaryPointSet):
     """Sobol's sequence [Sobol 1967; Joe 2008].
 
     Every 2^m points from a multiple of 2^m are a (t, m, d)-net in base 2, with t = 0 for the first two dimensions.
-    Discrepancy ``O((log n)^d / n)``. Use powers of two: the evenness of a net is that of all its points.
+    Discrepancy ``O((log n)^d / n)``. Use powers of two: the net property holds for complete nets only.
     """
 
     name = "sobol"
@@ -90,8 +90,8 @@ class OwenSobol(BinaryPointSet):
     """Sobol's sequence with Owen's nested scrambling, by hashing [Owen 1995; Burley 2020].
 
     The points are nets as those of :class:`Sobol` are, each point is uniform, and for a smooth integrand the error
-    falls as ``n^(-3/2)`` at powers of two. The scrambling is a hash in which a bit depends on those before it; not all
-    nested scramblings are among them.
+    falls as ``n^(-3/2)`` at powers of two. The scrambling is a hash in which a bit depends on the bits before it; it
+    does not cover all nested scramblings.
     """
 
     name = "owen-sobol"
@@ -120,6 +120,6 @@ class OwenSobol(BinaryPointSet):
 
 @functools.cache
 def _reversed_numbers(dimension: int) -> tuple[int, ...]:
-    """The direction numbers with their bits in reverse, which is what scrambling works on."""
+    """The direction numbers with reversed bits, as the scrambling needs them."""
     numbers = np.array(direction_numbers(dimension), np.uint32)
     return tuple(int(number) for number in np.asarray(reverse_bits(numbers)))

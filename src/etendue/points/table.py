@@ -36,8 +36,8 @@ def has_size(kind: type[PointSet]) -> bool:
 def point_set(name: str, dimension: int, size: int | None = None, seed: int = 0) -> PointSet:
     """The point set ``name`` (see :func:`point_sets`) in ``dimension`` dimensions; ``NAME+shift`` shifts it at random.
 
-    ``size`` is for those that are made for a number of points, ``seed`` for those that are random; others do not look
-    at them. Raises :class:`PointSetError`.
+    ``size`` is for sets that are made for a number of points, ``seed`` for those that are random; others ignore them.
+    Raises :class:`PointSetError`.
     """
     bare = name.removesuffix(_SHIFT)
     kinds = point_sets()

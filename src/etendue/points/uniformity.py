@@ -1,4 +1,4 @@
-"""Tests of what points promise: nets, and the uniformity of consecutive numbers of a stream."""
+"""Tests of properties of point sets: nets, and the uniformity of consecutive numbers of a stream."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def net_parameter(points: ArrayLike, base: int = 2) -> int:
     m = round(np.log(max(n, 1)) / np.log(base))
     if base**m != n:
         raise PointSetError(f"a net in base {base} has a power of {base} points, not {n}")
-    # Numbers such as 1/3 are not exact: a little is added before they are cut.
+    # Numbers such as 1/3 are not exact: a small value is added before truncation.
     cells = np.floor(x * n + 1e-9 * n).astype(np.int64)
     for t in range(m):
         if all(_is_even(cells, splits, base, m, t) for splits in _compositions(m - t, s)):
@@ -49,9 +49,9 @@ def _compositions(total: int, parts: int) -> Iterator[tuple[int, ...]]:
 
 
 def consecutive(values: ArrayLike, k: int, *, overlapping: bool = False) -> NDArray[np.float64]:
-    """Points (n, k) of ``k`` consecutive numbers of a stream: every ``k``-th such, or ``overlapping`` ones.
+    """Points (n, k) of ``k`` consecutive numbers of a stream, disjoint or ``overlapping``.
 
-    A stream of points, (n, s), is read number by number. Good point sets are *not* good streams: see the manual.
+    A stream of points, (n, s), is read number by number. Good point sets are *not* good streams; see docs/points.md.
     """
     stream = np.asarray(values, np.float64).ravel()
     if k < 1 or len(stream) < k:
@@ -62,12 +62,13 @@ def consecutive(values: ArrayLike, k: int, *, overlapping: bool = False) -> NDAr
 
 
 def uniformity_score(points: ArrayLike, cells: int | None = None) -> float:
-    """How far counts of ``points``, (n, k), in ``cells^k`` equal cubes are from those of independent uniform points.
+    """Deviation of the counts of ``points``, (n, k), in ``cells^k`` equal cubes from those of independent uniform
+    points.
 
     The chi-square statistic as a number of standard deviations [Wilson 1931]: within about 4 of 0 for independent
-    uniform points, far above for points that are not uniform in ``k`` dimensions, far below for such as are more even.
-    By default ``cells`` is such that a cube holds at least 10 points. Used on :func:`consecutive` numbers it tests a
-    stream for being k-uniform.
+    uniform points, far above for points that are not uniform in ``k`` dimensions, far below for points that are more
+    even. By default a cube holds at least 10 points. Applied to :func:`consecutive` numbers it tests whether a stream
+    is k-uniform.
     """
     x = np.asarray(points, np.float64)
     if x.ndim == 1:

@@ -1,4 +1,4 @@
-"""The few operations that are written differently for lanes of the device and for NumPy arrays.
+"""The few operations that differ between device arrays and NumPy arrays.
 
 An *index* is a ``UInt32`` array of Dr.Jit or a one-dimensional ``uint32`` array of NumPy; both wrap modulo 2^32.
 """
@@ -16,7 +16,7 @@ BELOW_ONE_64 = 1.0 - 2.0**-53
 
 
 def is_host(x: Any) -> bool:
-    """Whether ``x`` lies in NumPy's memory."""
+    """Whether ``x`` is a NumPy array."""
     return isinstance(x, np.ndarray)
 
 
@@ -37,7 +37,7 @@ def high_product(x: Any, factor: int) -> Any:
 
 
 def unit(bits: Any) -> Any:
-    """Words as numbers in [0, 1): 32 bits after the point in NumPy's doubles, the upper 24 of them in a ``Float``."""
+    """Words as numbers in [0, 1): all 32 bits in NumPy's doubles, the upper 24 of them in a ``Float``."""
     if is_host(bits):
         return bits * 2.0**-32
     return dr.float32_array_t(type(bits))(bits >> 8) * 2.0**-24
@@ -49,12 +49,12 @@ def doubles(bits: Any) -> Any:
 
 
 def below_one(x: Any) -> Any:
-    """``x``, where rounding has made it 1 the number before it."""
+    """``x``, with 1 (due to rounding) replaced by the number before it."""
     return np.minimum(x, BELOW_ONE_64) if is_host(x) else dr.minimum(x, BELOW_ONE_32)
 
 
 class Keys:
-    """Words that a randomisation is made of; on the device opaque, so that another seed compiles no other kernel."""
+    """The words of a randomisation; opaque on the device, so that another seed does not compile another kernel."""
 
     def __init__(self) -> None:
         self._device: dict[tuple[type, int], Any] = {}

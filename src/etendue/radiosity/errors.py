@@ -1,4 +1,4 @@
-"""The errors of this room."""
+"""The errors of radiosity."""
 
 from __future__ import annotations
 
@@ -6,4 +6,5 @@ from etendue.core import OptionError
 
 
 class RadiosityError(OptionError):
-    """Lines, form factors or a solution that cannot be computed as asked. One line that says why, and what to do."""
+    """Lines, form factors or a solution that cannot be computed as requested. The message is one line that says why,
+    and what to do."""

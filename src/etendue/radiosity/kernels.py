@@ -1,9 +1,9 @@
 """Loops compiled for the CPU by Numba: over stored segments, and of solvers.
 
-Only this file, ``scanlines`` and ``contours`` know Numba. Their functions let go of Python's lock, so that threads run
-them side by side. What they return does not depend on the number of threads, but for the order of additions.
+Only this file, ``scanlines`` and ``contours`` use Numba. Their functions release Python's lock, so that threads run in
+parallel. Results do not depend on the number of threads, except for the order of additions.
 
-A *segment* is a pair of patch numbers, or of one and ``n`` for the sky, ``n + 1`` for darkness (the back of a face).
+A *segment* is a pair of patch indices, or a patch index and ``n`` for the sky, ``n + 1`` for dark (the back of a face).
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def count_rows(pairs: Any, patches: Any, rows: Any) -> None:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def fill_rows(pairs: Any, patches: Any, ends: Any, columns: Any) -> None:
-    """Write the larger patch number of each such segment to its row of ``columns``, ``ends`` being the next places."""
+    """Write the larger patch index of each such segment to its row of ``columns``, at the positions ``ends``."""
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
         if i < patches and j < patches:
@@ -69,7 +69,7 @@ def fill_rows(pairs: Any, patches: Any, ends: Any, columns: Any) -> None:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def merge_rows(starts: Any, columns: Any, patches: Any) -> Any:
-    """Row starts, columns and numbers of repetition: ``columns`` with each column of a row once. Overwrites it."""
+    """Row starts, unique columns of each row, and their multiplicities. Overwrites ``columns``."""
     begin = np.zeros(patches + 1, np.int64)
     counts = np.empty(len(columns), np.float64)
     where = np.full(patches, -1, np.int64)
@@ -92,8 +92,8 @@ def merge_rows(starts: Any, columns: Any, patches: Any) -> Any:
 def multipath(pairs: Any, reflectance: Any, per_line: Any, unshot: Any, received: Any) -> None:
     """Exchange power along segments one after the other [Sbert 1996]; arrays (n + 2, c), the last two changed.
 
-    Each end sends what it has unshot and its own power for a line; what the other end reflects of it replaces what that
-    had unshot. Sky and darkness must have no reflectance.
+    Each end sends its unshot power and its own power per line; the part that the other end reflects replaces the unshot
+    power of that end. Sky and dark must have reflectance zero.
     """
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
@@ -127,7 +127,8 @@ def gauss_seidel(starts: Any, columns: Any, data: Any, reflectance: Any, known: 
 def shoot(
     starts: Any, rows: Any, data: Any, areas: Any, reflectance: Any, unshot: Any, radiosity: Any, steps: Any
 ) -> None:
-    """Steps of progressive refinement over the columns (CSC) of F: the patch of most unshot power sends it to all
+    """Steps of progressive refinement over the columns (CSC) of F: the patch with the most unshot power distributes it
+    to all
     [Cohen 1988]. ``unshot``, ``radiosity`` (n, c) are changed."""
     power = np.empty(len(areas))
     for i in range(len(areas)):

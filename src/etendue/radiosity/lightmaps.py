@@ -24,7 +24,7 @@ def lightmap(
 ) -> Lightmap:
     """A texture of (width, height) ``size`` with the radiosity, or the irradiance, of the surfaces that the mesh has.
 
-    Texels are filled as :func:`lightmap_of` says. Irradiance is what renderers multiply by the colour of a surface, so
+    Texels are filled as in :func:`lightmap_of`. Irradiance is what renderers multiply by the colour of a surface, so
     that textures stay sharp.
 
     Raises :class:`RadiosityError` for other than one channel or three, and :class:`SurfaceError` if triangles overlap

@@ -1,4 +1,4 @@
-"""Work in threads, and the compiled loops that release Python's lock for it."""
+"""Parallel work in threads, with compiled loops that release Python's lock."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 def compiled(loops: str = "kernels") -> ModuleType:
-    """The loops that Numba compiles, of one module; raises :class:`BackendError` if that is not installed."""
+    """A module of loops compiled by Numba; raises :class:`BackendError` if Numba is not installed."""
     try:
         return import_module(f".{loops}", __package__)
     except ImportError as error:
@@ -35,15 +35,15 @@ def threads() -> int:
 
 @cache
 def _pool(count: int) -> ThreadPoolExecutor:
-    """Threads that stay.
+    """A persistent thread pool.
 
-    A pool of its own for each stream would be shut down with it, and a stream that was given up is
-    closed by the garbage collector in the middle of anything, also in a thread of a pool: a deadlock now and then."""
+    A separate pool for each stream would be shut down with the stream, and the garbage collector may close an abandoned
+    stream at any time, also in a thread of a pool, which could deadlock."""
     return ThreadPoolExecutor(count, thread_name_prefix="radiosity")
 
 
 def in_order(tasks: Iterable[Callable[[], T]]) -> Iterator[T]:
-    """Results of tasks that run side by side, in the order of the tasks, a few of which are ahead of what was taken.
+    """Results of parallel tasks, in the order of the tasks; a few tasks run ahead of the consumer.
 
     Tasks must not use this themselves: they would wait for their own threads.
     """

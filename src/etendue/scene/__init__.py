@@ -1,4 +1,4 @@
-"""Scenes: loading, the capability check, fingerprints, bundled scenes, the light table, Mitsuba plugins of our own."""
+"""Scenes: loading, the capability check, fingerprints, bundled scenes, the light table, étendue's Mitsuba plugins."""
 
 from . import graph, meshes
 from .builtin.table import BundledScene, bundled, bundled_scene

@@ -1,4 +1,4 @@
-"""A camera that replaces the place and the field of view of a scene's own."""
+"""A camera that replaces position and field of view of a scene's sensor."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from etendue.core import OptionError, is_number
 from .graph import plugin_name
 from .parsing import read_properties
 
-#: Sensors that have a place, a direction and a field of view.
+#: Sensors with a position, a direction and a field of view.
 MOVABLE = ("perspective", "thinlens")
 
 Point = tuple[float, float, float]
@@ -21,11 +21,11 @@ Point = tuple[float, float, float]
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """Where a perspective or thin-lens sensor stands and looks, in world space, and what it sees.
+    """Position, view direction and field of view of a perspective or thin-lens sensor, in world space.
 
-    ``origin`` and ``target`` come together or not at all; without them the place is that of the scene. ``up`` is the
+    ``origin`` and ``target`` must be given together; without them the scene's are kept. ``up`` is the
     direction that is up in the picture. ``fov`` is the vertical field of view of the whole film in degrees; without it
-    the scene's is kept. Raises :class:`OptionError` for what is no camera.
+    the scene's is kept. Raises :class:`OptionError` for invalid values.
     """
 
     origin: Sequence[float] | None = None
@@ -51,11 +51,11 @@ class Camera:
             raise OptionError(f"a camera's fov is an angle between 0 and 180 degrees, not {fov!r}")
 
     def to_dict(self) -> dict[str, Any]:
-        """Arguments that make an equal camera, ready for JSON."""
+        """The arguments of an equal camera, ready for JSON."""
         return {k: v for k, v in dataclasses.asdict(self).items() if v is not None}
 
     def move_sensors(self, state: Any) -> None:
-        """Change every sensor of a parsed scene that can be moved: only the one that is looked through matters."""
+        """Change every movable sensor of a parsed scene; only the one that is rendered matters."""
         import mitsuba as mi
 
         for node in state.nodes:
@@ -73,7 +73,7 @@ class Camera:
 
 
 def check_movable(sensor: Any, name: str) -> None:
-    """Raise :class:`OptionError` if a camera cannot replace the place of ``sensor`` of the scene ``name``."""
+    """Raise :class:`OptionError` if a camera cannot replace the position of ``sensor`` of the scene ``name``."""
     kind = plugin_name(sensor)
     if kind not in MOVABLE:
         raise OptionError(

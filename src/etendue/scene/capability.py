@@ -1,4 +1,4 @@
-"""The capability check: what the methods can render correctly, asked of a scene before the first ray.
+"""The capability check: whether the methods can render a scene correctly, before the first ray.
 
 Anything else raises one error that names the element and says what to use instead; nothing is approximated silently.
 """
@@ -28,9 +28,9 @@ _EMITTERS = (
     "sunsky",
     "timed_sunsky",
 )
-#: Shapes besides meshes. Curves are left out: only rays from outside meet them, so a path is not the same both ways.
+#: Shapes besides meshes. Not curves: only rays from outside hit them, so paths are not reversible.
 _SHAPES = ("rectangle", "disk", "sphere", "cylinder", "sdfgrid", "instance", "shapegroup")
-#: Shapes that emit: points on them can be drawn uniformly by area.
+#: Shapes that may emit: points on them can be sampled uniformly by area.
 _LAMPS = ("rectangle", "disk", "sphere", "cylinder")
 
 _SENSOR_REMEDY = "use a 'perspective', 'thinlens', 'orthographic' or 'spherical' sensor"
@@ -98,7 +98,7 @@ def _check_shape(shape: Any) -> None:
                 f"{name} emits light, which is not supported; use a mesh or one of: {', '.join(_LAMPS)}"
             )
         if not float(np.asarray(shape.surface_area()).ravel()[0]) > 0:
-            raise SceneError(f"{name} emits light but has no area; remove it or mend its geometry")
+            raise SceneError(f"{name} emits light but has no area; remove it or repair its geometry")
         if "vertex_normals" in values and not _is_faceted(values):
             raise UnsupportedError(
                 f"{name} emits light and has normals that bend across its faces, which is not supported; set "
@@ -122,7 +122,7 @@ def _check_emitter(emitter: Any) -> None:
 
 
 def _check_values(item: Any, name: str) -> None:
-    """Every number that the object shows must be finite."""
+    """All numbers of the object must be finite."""
     for key, value in contents(item).values:
         array = _floats(value)
         if array is not None and not np.isfinite(array).all():
@@ -135,14 +135,14 @@ def _check_mesh(mesh: Any, values: dict[str, Any], name: str) -> None:
         if array is not None and not np.isfinite(array).all():
             width = 2 if key == "vertex_texcoords" else 3
             vertex = int(np.flatnonzero(~np.isfinite(array))[0]) // width
-            raise SceneError(f"{name} has a NaN or infinite number in {key} of vertex {vertex}; mend the mesh")
+            raise SceneError(f"{name} has a NaN or infinite number in {key} of vertex {vertex}; repair the mesh")
     faces = np.asarray(values["faces"])
     if faces.size == 0:
-        raise SceneError(f"{name} has no faces; remove it or mend the mesh")
+        raise SceneError(f"{name} has no faces; remove it or repair the mesh")
     if int(faces.max()) >= mesh.vertex_count():
         face = int(np.argmax(faces >= mesh.vertex_count())) // 3
         raise SceneError(
-            f"{name} has a face ({face}) that names vertex {int(faces.max())} of {mesh.vertex_count()}; mend the mesh"
+            f"{name} has a face ({face}) that names vertex {int(faces.max())} of {mesh.vertex_count()}; repair the mesh"
         )
 
 

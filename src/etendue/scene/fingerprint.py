@@ -1,8 +1,8 @@
-"""A digest of what a scene shows: equal for one scene in every process, different once a parameter changes.
+"""A digest of a scene: the same in every process, different if a parameter changes.
 
-It walks the scene graph as ``mi.traverse`` does and hashes names, values and class names from the leaves up. Names
-given to objects, paths of files and addresses stay out; shapes and emitters enter as a sorted multiset, as Mitsuba's
-mesh merging orders them by address.
+It walks the scene graph as ``mi.traverse`` does and hashes names, values and class names from the leaves up. Object
+names, file paths and addresses are excluded; shapes and emitters enter as a sorted multiset, since Mitsuba's mesh
+merging orders them by address.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 from .graph import as_array, contents, shapes
 
-#: Lines of an object's description that do not tell what it looks like: file names, and a mean summed on the device.
+#: Lines of an object's description without influence on its appearance: file names, and a mean summed on the device.
 _VOLATILE = re.compile(r"^\s*(name|filename|mean) = .*$", re.MULTILINE)
 #: Values that only steer other integrators.
 _IGNORED = {"silhouette_sampling_weight", "allow_thread_reordering"}
@@ -22,8 +22,8 @@ _IGNORED = {"silhouette_sampling_weight", "allow_thread_reordering"}
 def fingerprint(scene: Any, sensor: Any, extra: str = "") -> str:
     """Hex digest (32 characters) of every shape, material, texture and emitter of ``scene`` and of ``sensor``.
 
-    ``extra`` is hashed as well: what the loader knows and the loaded scene does not show. The sampler and the sample
-    count do not enter.
+    ``extra`` is hashed as well: what the loader knows and the loaded scene does not contain. Sampler and sample count
+    are excluded.
     """
     digests: dict[Any, bytes] = {}
     every_shape = shapes(scene)
@@ -54,7 +54,7 @@ def _digest(item: Any, digests: dict[Any, bytes]) -> bytes:
         if name not in _IGNORED:
             parts += [name.encode(), _bytes(value)]
     for role, child in inside.objects:
-        # Shapes name their parts by role; a shape group by id, which a scene may change freely.
+        # Shapes name their parts by role; a shape group by id, which is arbitrary.
         parts += [b"" if isinstance(child, mi.Shape) else role.encode(), _digest(child, digests)]
     if isinstance(item, mi.Shape):
         if isinstance(item, mi.Mesh):
@@ -76,7 +76,8 @@ def _sensor_digest(sensor: Any) -> bytes:
 
 
 def _description(item: Any) -> bytes:
-    """An object's own text: it tells settings that ``traverse`` keeps to itself, such as a microfacet distribution."""
+    """An object's description: it contains settings that ``traverse`` does not report, such as a microfacet
+    distribution."""
     try:
         text = str(item)
     except Exception:  # a Python plugin without to_string cannot be printed

@@ -1,4 +1,4 @@
-"""Walking a Mitsuba scene graph: what every object holds, and what to call it when it is to blame."""
+"""Traversal of a Mitsuba scene graph: the contents of objects, and their names for messages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-#: C++ class names whose plugin name is not found by lowering the case.
+#: C++ class names whose plugin name is not the lower-case name.
 _PLUGIN_NAMES = {
     "SmoothDiffuse": "diffuse",
     "SmoothConductor": "conductor",
@@ -54,7 +54,7 @@ _PLUGIN_NAMES = {
 
 @dataclass
 class Contents:
-    """What one object shows to ``mi.traverse``: plain values, and objects below it, in the object's own order."""
+    """What ``mi.traverse`` reports for one object: plain values, and child objects, in the object's order."""
 
     values: list[tuple[str, Any]] = field(default_factory=list)
     objects: list[tuple[str, Any]] = field(default_factory=list)
@@ -93,7 +93,7 @@ def contents(item: Any) -> Contents:
 
 def as_array(value: Any) -> NDArray[Any]:
     """A value of :class:`Contents` on the host; a transform becomes its matrix."""
-    if "Transform" in type(value).__name__:  # every Dr.Jit array has an attribute 'matrix', so do not ask for that
+    if "Transform" in type(value).__name__:  # not by the attribute 'matrix', which every Dr.Jit array has
         value = value.matrix
     return np.ascontiguousarray(np.asarray(value))
 
@@ -125,7 +125,7 @@ def shapes(scene: Any) -> list[Any]:
 
 
 def materials(scene: Any) -> Iterator[Any]:
-    """Every material of a scene with all that it is made of: nested materials and textures."""
+    """Every material of a scene with its nested materials and textures."""
     for shape in shapes(scene):
         bsdf = shape.bsdf()
         if bsdf is not None:
@@ -134,7 +134,7 @@ def materials(scene: Any) -> Iterator[Any]:
 
 def plugin_name(item: Any) -> str:
     """The name by which a scene file asks for this object, such as ``roughconductor``."""
-    own = getattr(item, "plugin_name", None)  # Python plugins may say it themselves
+    own = getattr(item, "plugin_name", None)  # Python plugins may define it
     if isinstance(own, str):
         return own
     name = str(item.class_name()).split("[")[0]

@@ -1,7 +1,7 @@
 """Loading scenes: Mitsuba XML of any version, dictionaries, loaded scenes and the bundled ones become a Problem.
 
-XML and dictionaries go through Mitsuba's own parser in steps, so that the film can be resized before anything is
-built and an integrator that does not exist here can be left out: the caller chooses the method.
+XML and dictionaries pass through Mitsuba's parser in steps, so that the film can be resized before objects are built,
+and unknown integrators can be left out: the caller chooses the method.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from .space import RenderSpace, warn_of_offsets
 
 #: An array of the device has fewer than 2^32 entries, and a film four channels to a pixel.
 MOST_PIXELS = 1 << 30
-#: What the scene in a folder is called.
+#: File name of the scene in a folder.
 _SCENE_FILE = "scene.xml"
 
 
@@ -56,11 +56,11 @@ def load(
 
     ``source`` is the path of a Mitsuba XML file or the name of a bundled scene (see :func:`locate`), a
     :class:`BundledScene`, a scene dictionary or a loaded ``mi.Scene``. ``size`` (width, height) replaces the film's
-    size, and a crop window keeps its proportions; field of view and ``fov_axis`` mean what they would mean had the file
-    named that size (a loaded scene has forgotten its ``fov_axis``: its horizontal field of view is kept). A loaded
-    scene is not changed. ``sensor`` is an index into the scene's sensors; ``camera`` puts it elsewhere, unless the
-    scene is a loaded one. ``parameters`` gives values to ``$variables`` of an XML file. The scene's integrator is
-    reported, not built. Without ``check`` unsupported elements are let through.
+    size, and a crop window keeps its proportions; field of view and ``fov_axis`` have the same meaning as in a file
+    with that size (a loaded scene does not know its ``fov_axis``: its horizontal field of view is kept). A loaded scene
+    is not changed. ``sensor`` is an index into the scene's sensors; ``camera`` moves it, except in loaded scenes.
+    ``parameters`` gives values to ``$variables`` of an XML file. The scene's integrator is reported, not built. Without
+    ``check`` unsupported elements raise no error.
 
     Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for what cannot be read or is broken,
     :class:`UnsupportedError` for what cannot be rendered, :class:`OptionError` for arguments out of range.
@@ -100,9 +100,9 @@ def _is_loaded(source: Any) -> bool:
 def locate(name: str | os.PathLike[str], tell: Callable[[str], object] = logger.info) -> Path | BundledScene:
     """The scene file or the bundled scene that a name stands for.
 
-    A file goes before a bundled scene of the same name, and so does a folder that holds a ``scene.xml``, which it then
-    stands for; any other folder comes after. Where there are two, ``tell`` is given a line that says which it is.
-    Raises :class:`SceneError` if there is neither.
+    A file takes precedence over a bundled scene of the same name, and so does a folder with a ``scene.xml``; any other
+    folder does not. If both exist, ``tell`` receives a line that says which one is used. Raises :class:`SceneError` if
+    there is neither.
     """
     name, path, scenes = str(name), Path(name), bundled()
     inner = path / _SCENE_FILE
@@ -131,14 +131,14 @@ def _checked_size(size: Any) -> Size:
     if width < 1 or height < 1:
         raise OptionError(f"a picture needs at least one pixel a side, not {width}x{height}")
     if width * height > MOST_PIXELS:
-        raise OptionError(f"{width}x{height} is too large a picture; it has at most 2^30 pixels, as 32768x32768")
+        raise OptionError(f"{width}x{height} is too large a picture: at most 2^30 pixels, such as 32768x32768")
     return width, height
 
 
 # -- XML and dictionaries --------------------------------------------------------------------------------------------
 
 
-_NO_VARIABLES = "parameters replace $variables of an XML file; this scene is none"
+_NO_VARIABLES = "parameters replace $variables of an XML file; this scene is not an XML file"
 
 
 def _parse(
@@ -200,7 +200,7 @@ def _from_parser(
         try:
             check_scene(scene, chosen)
         except SceneError:
-            # Merged meshes have lost their names: look again where they have them, so that the error names the element.
+            # Merged meshes have lost their names: check again without merging, so that the error names the element.
             with _resolving(path), _mitsuba_errors(name):
                 scene = mi.parser.instantiate(config, unmerged)
             check_scene(scene, _sensor(scene, sensor, name))
@@ -211,14 +211,14 @@ def _from_parser(
             scene, space = moved(scene, chosen, space, source, name, config, unmerged)
         chosen = _sensor(scene, sensor, name)
     if not integrator and scene.integrator() is not None:
-        # Mitsuba's parser knows the kind of a Python plugin only once it is built.
+        # Mitsuba's parser knows the type of a Python plugin only after it is built.
         integrator, depth, options = built_integrator(scene.integrator())
     return _problem(scene, chosen, integrator, depth, options, name, memory, details, check, space)
 
 
 @contextmanager
 def _resolving(path: Path | None) -> Any:
-    """Mitsuba looks for textures and meshes beside the scene file, and only while it is being loaded."""
+    """Mitsuba searches textures and meshes beside the scene file, but only while loading it."""
     import mitsuba as mi
 
     before = mi.file_resolver()
@@ -234,13 +234,13 @@ def _resolving(path: Path | None) -> Any:
 
 @contextmanager
 def _mitsuba_errors(name: str) -> Any:
-    """Turn what Mitsuba raises into one line that says what to do."""
+    """Turn Mitsuba's exceptions into one line that says what to do."""
     try:
         yield
     except SceneError:
         raise
     except (RuntimeError, ValueError, TypeError, KeyError) as error:
-        # A plugin written in Python fails with its traceback: only the message in its last line is for people.
+        # The error of a Python plugin contains its traceback: keep only the message in its last line.
         text = re.sub(r"Traceback \(most recent call last\):\n(?:\s+.*\n)*(?:\w+\.)*\w+: ", "", str(error))
         text = re.sub(r"\[\w+\.(cpp|h|inl):\d+\]\s*", "", text)
         text = re.sub(r"\s+", " ", text).strip().rstrip(".")

@@ -1,4 +1,4 @@
-"""A parsed scene put into another space: every place and length in it, in double precision."""
+"""Transforms a parsed scene into another space: all positions and lengths, in double precision."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from .graph import below, contents, describe, plugin_name
 from .parsing import merge_meshes, read_properties
 from .space import SENSORS, RenderSpace, half_diagonal, largest_offset, warn_of_offsets, warn_of_steps
 
-#: Shapes that ``to_world`` places; ``shapegroup`` is placed by its instances, ``merge`` has shapes below it.
+#: Shapes with a ``to_world``; ``shapegroup`` is placed by its instances, ``merge`` has shapes below it.
 _MESH_FILES = ("ply", "obj", "serialized")
 _SHAPES = (*_MESH_FILES, "rectangle", "cube", "disk", "sphere", "cylinder", "sdfgrid", "instance")
 _GROUPS = ("shapegroup", "merge")
 _LAMPS = ("point", "spot")  #: of an intensity in watts per steradian
-#: Parameters of sensors that are lengths, and the defaults of those that a sensor has anyway.
+#: Parameters of sensors that are lengths, with the defaults of those that every sensor has.
 _LENGTHS = ("near_clip", "far_clip", "focus_distance", "aperture_radius")
 _DEFAULTS = {"near_clip": 1e-2, "far_clip": 1e4}
 
@@ -28,8 +28,8 @@ _DEFAULTS = {"near_clip": 1e-2, "far_clip": 1e4}
 def moved(
     scene: Any, sensor: Any, space: RenderSpace, source: Any, name: str, config: Any, state: Any
 ) -> tuple[Any, RenderSpace]:
-    """The scene of the parsed ``state`` in ``space``, ``scene`` being what it is where it was given: that one, with a
-    warning, where something in it cannot be moved."""
+    """The scene of the parsed ``state`` in ``space``. ``scene`` is the same scene without transformation; it is
+    returned, with a warning, if something in it cannot be moved."""
     import mitsuba as mi
 
     why = _obstacle(state, scene)
@@ -53,7 +53,7 @@ def moved(
 
 
 def _obstacle(state: Any, scene: Any) -> str | None:
-    """Why a parsed scene cannot be moved, ``None`` if it can; ``scene`` is what was built of it."""
+    """Why a parsed scene cannot be moved, ``None`` if it can; ``scene`` is the scene built from it."""
     import mitsuba as mi
 
     inside = _shapes_of_groups(state)
@@ -73,8 +73,8 @@ def _obstacle(state: Any, scene: Any) -> str | None:
 
 
 def _move(state: Any, space: RenderSpace, scene: Any) -> None:
-    """Put a parsed scene into ``space``; radiances and irradiances stay what they are. ``scene`` is what was built of
-    it where it was: intensities are read there."""
+    """Transform a parsed scene into ``space``; radiances and irradiances do not change. ``scene`` is the scene built
+    without the transformation, from which intensities are read."""
     import mitsuba as mi
 
     square = space.scale**2
@@ -99,8 +99,8 @@ def _move(state: Any, space: RenderSpace, scene: Any) -> None:
 
 
 def _largest_coordinate(state: Any, space: RenderSpace) -> float:
-    """Of the vertices in the mesh files of a scene that was moved into ``space``, about the largest coordinate, in the
-    units that the scene was given in: they have single precision."""
+    """Approximately the largest vertex coordinate in the mesh files of a scene that was moved into ``space``, in the
+    scene's original units: these files have single precision."""
     import mitsuba as mi
 
     moved = [n for n in state.nodes if n.type == mi.ObjectType.Shape and n.props.plugin_name() in _MESH_FILES]
@@ -108,7 +108,7 @@ def _largest_coordinate(state: Any, space: RenderSpace) -> float:
 
 
 def _largest_single(described: Mapping[str, Any]) -> float:
-    """The largest coordinate of a place among the transforms of single precision in a scene dictionary."""
+    """The largest translation among the single-precision transforms in a scene dictionary."""
     largest = 0.0
     for value in described.values():
         if isinstance(value, Mapping):
@@ -122,7 +122,7 @@ def _move_shape(props: Any, space: RenderSpace) -> None:
     import mitsuba as mi
 
     matrix = _matrix(props)
-    # Places that single precision would round come into the transform.
+    # Positions that single precision would round go into the transform.
     values = read_properties(props)
     match props.plugin_name():
         case "sphere" if "center" in values:
@@ -149,7 +149,7 @@ def _move_sensor(props: Any, space: RenderSpace) -> None:
 
 
 def _move_frame(props: Any, space: RenderSpace) -> None:
-    """Put a sensor or a light elsewhere, of the same size and direction."""
+    """Move a sensor or a light, keeping its size and direction."""
     import mitsuba as mi
 
     values = read_properties(props)
@@ -209,7 +209,7 @@ def _lamps(scene: Any) -> list[Any]:
 
 
 def _fixed(built: Any) -> str | None:
-    """What in an object that a dictionary brings has a place or a length of its own."""
+    """The part of an object from a dictionary that has a position or a length."""
     import mitsuba as mi
 
     for item in below(built):

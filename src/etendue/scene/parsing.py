@@ -1,4 +1,4 @@
-"""Surgery on Mitsuba's parsed scene, between reading a file and building its objects."""
+"""Changes to Mitsuba's parsed scene before its objects are built."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ def take_integrator(state: Any) -> tuple[str, int, dict[str, Any]]:
 
 
 def built_integrator(integrator: Any) -> tuple[str, int, dict[str, Any]]:
-    """What can be learnt of an integrator that is built already: it tells in its description."""
+    """Parameters of an integrator that is built already, from its description."""
     name = plugin_name(integrator)
-    own = getattr(integrator, "options", None)  # the integrators of the plugins room tell everything
+    own = getattr(integrator, "options", None)  # étendue's own integrators have all of them
     if isinstance(own, dict):
         plain = dict(own)
         return name, int(plain.pop("max_depth", -1)), plain
@@ -108,8 +108,8 @@ def texture_details(state: Any) -> str:
 def merge_meshes(state: Any) -> None:
     """Let Mitsuba join meshes of one material, which makes rays a little cheaper.
 
-    Meshes that emit stay apart: Mitsuba orders what it joins by address, and the order of emitters decides which of
-    them a random number picks, so the same seed would give another picture in another process.
+    Emitting meshes are not merged: Mitsuba orders merged meshes by address, and the order of emitters determines which
+    one a random number picks, so the same seed would give another picture in another process.
     """
     import mitsuba as mi
 

@@ -1,4 +1,4 @@
-"""What a method is given to solve: a loaded scene seen through one sensor."""
+"""The input of a method: a loaded scene seen through one sensor."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .space import RenderSpace
 
 @dataclass(eq=False)
 class Problem:
-    """A Mitsuba scene, one of its sensors, and what the scene asked for. Made by :func:`etendue.scene.load`."""
+    """A Mitsuba scene, one of its sensors, and the settings of the scene file. Made by :func:`etendue.scene.load`."""
 
     scene: Any  #: ``mi.Scene``
     sensor: Any  #: ``mi.Sensor``; not one of ``scene.sensors()`` if a loaded scene was given another size

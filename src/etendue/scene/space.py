@@ -1,8 +1,8 @@
-"""Render space: the coordinates that a scene is rendered in, which are its own unless rays would start too far off.
+"""Render space: the coordinates in which a scene is rendered, its own unless the ray offset would be too large.
 
 Mitsuba starts a ray ``mi.math.RayEpsilon (1 + m)`` off a surface, 8.9e-5 (1 + m), m being the largest coordinate there
 (``SurfaceInteraction.offset_p``): 9 mm at 100 m from the origin, and 0.09 mm on a jewel of 2 cm in metres. In a Cornell
-box an offset of the share x of half its diagonal changes what pixels have by up to 2 x, and the light in all by x / 3.
+box an offset of the share x of half its diagonal changes pixels by up to 2 x, and the mean by x / 3.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from etendue.core import Array, logger
 
 from .graph import plugin_name
 
-#: The largest offset that is left alone, of half the scene's diagonal or of the distance of what is seen; and the least
-#: half diagonal that a scene is scaled to, the least distance, and how large the scene may become for that.
+#: The largest accepted offset, relative to half the scene's diagonal or to the distance of visible surfaces; and the
+#: smallest half diagonal after scaling, the smallest distance, and the largest size of the scene after that scaling.
 _LARGEST_OFFSET, _LEAST_SIZE, _LEAST_DISTANCE, _LARGEST_SIZE = 2e-3, 8.0, 1.0, 1e5
-#: What is seen is looked at in scenes that reach further than this, or are smaller: in others offsets are small
-#: beside all but details. Rays a side of the film that look.
+#: Visible distances are measured only in scenes that extend further than this, or are smaller: in others offsets matter
+#: only for tiny details. Rays per side of the film for this.
 _FARTHEST, _SMALLEST, _RAYS = 30.0, 0.3, 16
-#: The largest step between neighbouring numbers of single precision that is left unsaid, of half the diagonal.
+#: The largest single-precision step without a warning, relative to half the diagonal.
 _LARGEST_STEP = 1e-4
 _STEP = 2.0**-24
 
@@ -44,12 +44,12 @@ class RenderSpace:
 
     @classmethod
     def of(cls, scene: Any, sensor: Any) -> RenderSpace:
-        """The space for a loaded scene: its own, unless the offset of rays is above 0.2 % of half its diagonal; or of
-        the distance of what ``sensor`` sees, in the median, as with a room in one wing of a large building.
+        """The space for a loaded scene: its own, unless the ray offset exceeds 0.2 % of half its diagonal, or of the
+        median distance of what ``sensor`` sees, as for a room in one wing of a large building.
 
-        Then the centre is the place of ``sensor``, or the point of the bounding box nearest to it: offsets grow with
-        the distance from the centre, as what a pixel sees does. The scale is a power of two, and 1 for all but small
-        scenes: to make one smaller would only make offsets larger beside what is near the centre.
+        Then the centre is the position of ``sensor``, or the point of the bounding box nearest to it: offsets grow with
+        the distance from the centre, as the size of a pixel does. The scale is a power of two, and 1 except for small
+        scenes: shrinking a scene would only enlarge offsets relative to objects near the centre.
         """
         share, distance = _share(scene, sensor)
         if share <= _LARGEST_OFFSET:
@@ -58,7 +58,7 @@ class RenderSpace:
         eye = np.asarray(sensor.world_transform().translation(), dtype=float).ravel()[:3]
         x, y, z = (float(v) for v in np.clip(eye, lower, upper))
         scale = max(_LEAST_SIZE / size, min(_LEAST_DISTANCE / distance, _LARGEST_SIZE / size))
-        # Rounded where no round number lies, so that rays of another device lead to the same.
+        # Rounded to an offset grid, so that rays of another device give the same result.
         return cls((x, y, z), 2.0 ** max(0, round(math.log2(scale))))
 
     @property
@@ -77,7 +77,7 @@ class RenderSpace:
 
 
 def largest_offset(scene: Any) -> float:
-    """The largest distance that rays start off surfaces in a loaded scene."""
+    """The largest ray offset in a loaded scene."""
     import mitsuba as mi
 
     return float(mi.math.RayEpsilon * (1 + np.abs(_corners(scene)).max()))
@@ -90,7 +90,7 @@ def half_diagonal(scene: Any) -> float:
 
 
 def warn_of_offsets(scene: Any, sensor: Any, name: str, why: str = "a loaded scene is not moved") -> None:
-    """Warn, once for each text, if rays in ``scene`` start so far off surfaces that its light changes."""
+    """Warn, once for each text, if the ray offset in ``scene`` is large enough to change its light."""
     if _share(scene, sensor)[0] > _LARGEST_OFFSET:
         _warn_once(
             f"{name}: rays start up to {largest_offset(scene):.2g} off surfaces, which changes the light of a scene of "
@@ -100,8 +100,8 @@ def warn_of_offsets(scene: Any, sensor: Any, name: str, why: str = "a loaded sce
 
 
 def warn_of_steps(name: str, largest: float, size: float, remedy: str) -> None:
-    """Warn if single precision holds coordinates as large as ``largest`` only to steps that matter in a scene of half
-    the diagonal ``size``."""
+    """Warn if the single-precision step at coordinates as large as ``largest`` matters in a scene of half the diagonal
+    ``size``."""
     if _STEP * largest > _LARGEST_STEP * size:
         _warn_once(
             f"{name}: single precision holds coordinates of {largest:.2g} to {2 * _STEP * largest:.2g} only, "
@@ -115,8 +115,8 @@ def _warn_once(text: str) -> None:
 
 
 def _share(scene: Any, sensor: Any) -> tuple[float, float]:
-    """The offset of rays over half the diagonal, or over the distance of what ``sensor`` sees, whichever is more; and
-    that distance where it was looked at. An offset of 0 if the bounding box is empty or not finite."""
+    """The ray offset over half the diagonal, or over the distance of what ``sensor`` sees, whichever is larger; and
+    that distance if it was measured. An offset of 0 if the bounding box is empty or not finite."""
     (lower, upper), size = _corners(scene), half_diagonal(scene)
     if not 0 < size < math.inf:
         return 0.0, _LEAST_DISTANCE
@@ -127,8 +127,8 @@ def _share(scene: Any, sensor: Any) -> tuple[float, float]:
 
 
 def _seen(scene: Any, sensor: Any) -> tuple[float, float]:
-    """Medians, over what a sensor sees, of the offset of rays over the distance, and of the distance; 0 and the least
-    distance if that is nothing."""
+    """Medians, over what a sensor sees, of ray offset over distance, and of the distance; 0 and the smallest distance
+    if it sees nothing."""
     import mitsuba as mi
 
     if plugin_name(sensor) not in SENSORS:

@@ -1,4 +1,4 @@
-"""Whether a scene was edited since it was last looked at, told without reading a number of it."""
+"""Detects whether a scene was edited, without reading its arrays."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from .graph import contents
 
 
 class Parameters:
-    """The parameters that ``mi.traverse`` shows of ``root`` and all below it, as they are now.
+    """The current parameters that ``mi.traverse`` reports for ``root`` and everything below it.
 
-    Two of them are equal if nothing was edited between. Scalars are compared by value, arrays by the number of their
-    Dr.Jit variable, as ``SceneParameters.update`` does. The variables are held, so that their numbers are not given to
-    others, and so that a write into one (``dr.scatter``, ``params[key][i] = x``) goes to a copy with another number.
-    Numbers written through a NumPy view of an array are not seen.
+    Two of these are equal if nothing was edited in between. Scalars are compared by value, arrays by the index of their
+    Dr.Jit variable, as ``SceneParameters.update`` does. References to the variables are kept, so that their indices are
+    not reused, and so that a write into one (``dr.scatter``, ``params[key][i] = x``) goes to a copy with another index.
+    Writes through a NumPy view of an array are not detected.
 
-    ``apart``: types of objects that are left out with all below them. Objects themselves are not held.
+    ``apart``: types of objects that are left out with everything below them. Objects themselves are not referenced.
     """
 
     def __init__(self, root: Any, apart: tuple[type, ...] = ()) -> None:
@@ -36,7 +36,7 @@ class Parameters:
         self._found = tuple(found)
 
     def hold(self, variable: Any) -> None:
-        """Take an array that is no parameter into the comparison."""
+        """Include an array that is not a parameter in the comparison."""
         self._found += (self._identity(variable),)
 
     def __eq__(self, other: object) -> bool:
@@ -61,16 +61,16 @@ class Parameters:
 
 
 def parameters(scene: Any) -> Parameters:
-    """Those of a scene that a picture through any sensor depends on."""
+    """The parameters of a scene on which pictures through any sensor depend."""
     import mitsuba as mi
 
     found = Parameters(scene, (mi.Sensor, mi.Integrator))
-    found.hold(scene.emitters_dr())  # tells scenes apart that are made of the same arrays
+    found.hold(scene.emitters_dr())  # distinguishes scenes made of the same arrays
     return found
 
 
 def view(sensor: Any) -> Parameters:
-    """Those of a sensor and its film."""
+    """The parameters of a sensor and its film."""
     import mitsuba as mi
 
     return Parameters(sensor, (mi.Sampler,))

@@ -1,4 +1,4 @@
-"""Surfaces: patches and faces, the meshes and scenes they come from, rays from and against them, values and maps on
+"""Surfaces: patches and faces, meshes and scenes as their sources, rays from and against them, values and maps on
 them."""
 
 from .atlases import (

@@ -1,4 +1,4 @@
-"""Meshes with texture coordinates for lightmaps: those of a file or a scene, or an atlas made here."""
+"""Meshes with texture coordinates for lightmaps: from a file, from a scene, or an atlas made by xatlas."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from .tessellation import tessellate
 
 Index = NDArray[np.int64]
 
-#: Suffixes of meshes that carry the coordinates of a lightmap.
+#: Suffixes of mesh files with texture coordinates of a lightmap.
 LIGHTMAP_MESHES = {".glb": "glTF in one file", ".gltf": "glTF as text", ".obj": "Wavefront"}
-#: Empty texels between the islands of an atlas: what bilinear filtering and a level of a mipmap reach.
+#: Empty texels between the charts of an atlas, for bilinear filtering and one mipmap level.
 _GAP = 4
-#: How much of an atlas is covered, as a first guess, and how often a guess is bettered.
+#: First guess of the covered share of an atlas, and number of refinements.
 _COVERED, _TRIALS = 0.6, 12
 
 
@@ -47,10 +47,10 @@ class TexturedMesh:
 
 
 def atlas(patches: Patches, size: int = 1024) -> tuple[TexturedMesh, tuple[int, int]]:
-    """The faces of patches, backs of sheets included, laid out without overlap by xatlas; and the width and height that
-    this is made for, at most ``size`` each. Islands are four texels apart.
+    """The faces of patches, including backs of sheets, laid out without overlap by xatlas; and the width and height of
+    the layout, at most ``size`` each. Charts are four texels apart.
 
-    Raises :class:`SurfaceError` if the size is too small for so many islands,
+    Raises :class:`SurfaceError` if the size is too small for the number of charts,
     :class:`etendue.core.BackendError` without xatlas.
     """
     xatlas = library("xatlas", "an atlas", "lightmap")
@@ -58,7 +58,7 @@ def atlas(patches: Patches, size: int = 1024) -> tuple[TexturedMesh, tuple[int, 
         raise SurfaceError(f"a lightmap has at least 16 texels a side, not {size}")
     parts = list(_sheets(patches))
     options = xatlas.PackOptions()
-    centre, radius = patches.sphere  # xatlas has single precision, and lengths of its own below which it sees nothing
+    centre, radius = patches.sphere  # xatlas has single precision and absolute thresholds for lengths
     options.padding, options.texels_per_unit = _GAP, size * radius * np.sqrt(_COVERED / patches.face_areas.sum())
     for _ in range(_TRIALS):
         made = xatlas.Atlas()
@@ -107,7 +107,7 @@ def scene_mesh(scene: Any) -> TexturedMesh:
             raise SceneError(
                 f"{graph.describe(shape, 'shape')} has no texture coordinates of vertices; let an atlas be made"
             )
-        vertices, faces, _ = tessellate(shape, 3)  # turned to where the shape looks
+        vertices, faces, _ = tessellate(shape, 3)  # oriented as the shape
         uv = np.array(shape.vertex_texcoords_buffer(), dtype=np.float64).reshape(-1, 2)
         parts.append((space.to_scene(vertices), faces[:, :3] + offset, uv))
         offset += len(vertices)
@@ -118,8 +118,8 @@ def scene_mesh(scene: Any) -> TexturedMesh:
 
 
 def save_textured_mesh(path: str | os.PathLike[str], mesh: TexturedMesh, lightmap: str | None = None) -> None:
-    """Write the mesh that a lightmap fits: ``.glb`` or ``.gltf`` with ``TEXCOORD_1`` (and ``TEXCOORD_0``, which that
-    has to follow), or ``.obj``. ``lightmap`` is the name of the texture, for the ``extras`` of glTF.
+    """Write the mesh for a lightmap: ``.glb`` or ``.gltf`` with ``TEXCOORD_1`` (and ``TEXCOORD_0``, which the format
+    requires before it), or ``.obj``. ``lightmap`` is the name of the texture, for the ``extras`` of glTF.
 
     Raises :class:`SurfaceError` for another suffix, :class:`etendue.core.OutputError` if it cannot be written.
     """
@@ -133,7 +133,7 @@ def save_textured_mesh(path: str | os.PathLike[str], mesh: TexturedMesh, lightma
             file.writelines(_wavefront(mesh))
         return
     normals = mesh_normals(mesh)
-    # Vertices at the edge of two faces of an island have one place in the texture, but two normals.
+    # Vertices at an edge within a chart have one texture coordinate, but two normals.
     corner = np.column_stack([mesh.faces.ravel(), np.repeat(np.round(normals * 1e5).astype(np.int64), 3, axis=0)])
     _, first, number = np.unique(corner, axis=0, return_index=True, return_inverse=True)
     source = mesh.faces.ravel()[first]

@@ -1,4 +1,4 @@
-"""What may be wrong with a mesh, found without casting a line."""
+"""Faults of a mesh that can be found without casting lines."""
 
 from __future__ import annotations
 
@@ -15,24 +15,23 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What :func:`diagnose` finds. Vertices at the same place count as one.
+    """The result of :func:`diagnose`. Vertices at the same position count as one.
 
-    A line that meets the back of a face says that a mesh is open, or turned inside out as a whole, which its edges do
-    not show: see :attr:`Segments.dark`.
+    Edges do not show that a mesh is inside out as a whole; lines that hit backs of faces do, see :attr:`Segments.dark`.
     """
 
-    #: Faces that have the corners of an earlier one, in the same sense. Which of them a line meets is left to chance.
+    #: Duplicates: faces with the corners of an earlier one in the same order. It is arbitrary which one a line hits.
     duplicates: Index
-    #: Edges of one face only, (e, 2) vertex indices; sheets with two sides, which have a border, are left out.
+    #: Edges of one face only, (e, 2) vertex indices; two-sided sheets, which have a border, are left out.
     open_edges: Index
     #: Edges of more than two faces.
     crowded_edges: Index
-    #: Edges that two faces run through in the same direction: one of the two is turned the wrong way.
+    #: Edges that two faces traverse in the same direction: their orientations are opposite.
     flipped_edges: Index
 
     @property
     def is_closed(self) -> bool:
-        """Whether the faces with one side bound solids or rooms: every edge has two faces, turned alike."""
+        """Whether the one-sided faces bound solids or rooms: every edge has two faces of consistent orientation."""
         return len(self.open_edges) == len(self.crowded_edges) == len(self.flipped_edges) == 0
 
     def __str__(self) -> str:
@@ -47,13 +46,13 @@ class Diagnosis:
 
 
 def diagnose(patches: Patches) -> Diagnosis:
-    """Look for faces given twice, and for edges that no solid has."""
+    """Find duplicate faces, and edges that a closed mesh cannot have."""
     _, place = np.unique(patches.vertices, axis=0, return_inverse=True)
     faces = place.reshape(-1)[patches.faces]
     sided = np.flatnonzero(patches.back < 0)
     start = faces[sided].ravel()
     end = np.roll(faces[sided], -1, axis=1).ravel()
-    # The last corner of a triangle is there twice: that is no edge.
+    # A triangle repeats its last corner, which is not an edge.
     real = start != end
     where = np.stack([patches.faces[sided].ravel(), np.roll(patches.faces[sided], -1, axis=1).ravel()], axis=1)[real]
     start, end = start[real], end[real]

@@ -1,4 +1,4 @@
-"""The errors of this room."""
+"""The errors of patches and surfaces."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from etendue.core import OptionError, SceneError
 
 
 class PatchError(SceneError):
-    """Patches that are broken: a vertex that is not finite, a face without area, a reflectance outside [0, 1]. One line
-    that says which, and what to do."""
+    """Invalid patches: a vertex that is not finite, a face without area, a reflectance outside [0, 1]. The message is
+    one line that says which, and what to do."""
 
 
 class SurfaceError(OptionError):
-    """Values, texture coordinates or temperatures that do not fit the surfaces. One line that says why, and what to
-    do."""
+    """Values, texture coordinates or temperatures that do not fit the surfaces. The message is one line that says why,
+    and what to do."""

@@ -14,15 +14,15 @@ from .errors import PatchError
 
 Index = NDArray[np.int64]
 
-#: A face has no area if its area is below this part of its longest side squared.
+#: A face is degenerate if its area is below this part of its longest side squared.
 _NO_AREA = 1e-12
-#: A quadrilateral is flat if its corners are this near to their plane, in units of its size: what single precision may
-#: leave.
+#: A quadrilateral is flat if its corners are this close to their plane, in units of its size: the error of single
+#: precision.
 _FLAT = 1e-6
 
 
 def flat_faces(vertices: Array, faces: ArrayLike | Sequence[Sequence[int]]) -> tuple[Index, Index]:
-    """Faces (f, 4) that are flat and convex, and the row of ``faces`` that each is of.
+    """Flat and convex faces (f, 4), and for each the row of ``faces`` that contains it.
 
     Raises :class:`PatchError` if there are none, for another number of corners, and for indices out of range.
     """
@@ -33,7 +33,7 @@ def flat_faces(vertices: Array, faces: ArrayLike | Sequence[Sequence[int]]) -> t
     if low < 0 or high >= len(vertices):
         bad = int(np.argmax(((quads < 0) | (quads >= len(vertices))).any(axis=1)))
         raise PatchError(f"face {bad} names vertex {low if low < 0 else high}, but there are {len(vertices)} vertices")
-    # A corner given twice in a row is none: such a quadrilateral is a triangle.
+    # A quadrilateral with two equal consecutive corners is a triangle.
     for corner in range(3):
         same = quads[:, corner] == quads[:, corner + 1]
         quads[same, corner:3] = quads[same, corner + 1 :]
@@ -49,7 +49,7 @@ def flat_faces(vertices: Array, faces: ArrayLike | Sequence[Sequence[int]]) -> t
 
 
 def face_vectors(vertices: Array, faces: Index) -> tuple[Array, NDArray[np.bool_]]:
-    """Normals of twice the area as length (f, 3), and which faces have next to no area."""
+    """Normals (f, 3) with twice the area as length, and which faces are degenerate."""
     a, b, c, d = (vertices[faces[:, i]] for i in range(4))
     vectors = np.cross(c - a, d - b)
     longest = np.maximum.reduce([((x - y) ** 2).sum(axis=1) for x, y in ((a, b), (b, c), (c, d), (d, a), (a, c))])
@@ -57,14 +57,14 @@ def face_vectors(vertices: Array, faces: Index) -> tuple[Array, NDArray[np.bool_
 
 
 def triangles(faces: Index) -> tuple[Index, Index]:
-    """Faces cut into triangles (t, 3), and the face that each is of."""
+    """Triangles (t, 3) of the faces, and the face of each triangle."""
     quad = np.flatnonzero(faces[:, 2] != faces[:, 3])
     corners = np.concatenate([faces[:, :3], faces[quad][:, [0, 2, 3]]])
     return corners, np.concatenate([np.arange(len(faces)), quad])
 
 
 def repeated(vertices: Array, faces: Index) -> Index:
-    """Faces (f, 4) that have the corners of an earlier one in the same sense; not those back to back."""
+    """Faces (f, 4) with the corners of an earlier one in the same orientation; not those back to back."""
     _, place = np.unique(vertices, axis=0, return_inverse=True)
     corners = place.reshape(-1)[faces]
     count = np.where(faces[:, 2] == faces[:, 3], 3, 4)[:, None]
@@ -106,7 +106,7 @@ def _is_bent(vertices: Array, quads: Index) -> NDArray[np.bool_]:
 
 
 def _halves(vertices: Array, quads: Index) -> Index:
-    """Two triangles of each quadrilateral, one after the other, along the diagonal that leaves both upright."""
+    """Two consecutive triangles for each quadrilateral, along the diagonal that keeps the orientation of both."""
     one = np.stack([quads[:, [0, 1, 2, 2]], quads[:, [0, 2, 3, 3]]], axis=1)
     other = np.stack([quads[:, [1, 2, 3, 3]], quads[:, [1, 3, 0, 0]]], axis=1)
     first, second = (face_vectors(vertices, one[:, i])[0] for i in range(2))

@@ -1,4 +1,4 @@
-"""Thermal radiation: emission of temperatures, grey or in bands of wavelength."""
+"""Thermal radiation: emission by temperature, grey or in wavelength bands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lightmaps: values on surfaces as a texture on the coordinates of a mesh."""
+"""Lightmaps: values on surfaces as a texture for the texture coordinates of a mesh."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ from .places import PatchSurfaces, SurfaceValues
 
 Index = NDArray[np.int64]
 
-#: A texel belongs to a triangle if its centre is inside by this part of the triangle's height; less is its edge.
+#: A texel belongs to a triangle if its centre is inside by this part of the triangle's height; closer ones are edges.
 _INSIDE = 1e-3
-#: Texels that are looked at in one go.
+#: Texels that are processed at once.
 _BLOCK = 1 << 21
 
 
 @dataclass
 class Lightmap:
     """A texture. ``values``: (height, width, 3), float32, the first row being that of v = 1. ``covered``: (height,
-    width), where a triangle is; elsewhere is what the nearest such texel has, so that no filter reaches black."""
+    width), whether a triangle covers the texel; others have the value of the nearest covered texel, so that filters do
+    not bleed black."""
 
     values: NDArray[np.float32]
     covered: NDArray[np.bool_]
@@ -39,11 +40,11 @@ class Lightmap:
 def lightmap_of(surfaces: PatchSurfaces, values: SurfaceValues, mesh: TexturedMesh, size: tuple[int, int]) -> Lightmap:
     """A texture of (width, height) ``size`` with ``values`` on the surfaces that the mesh has.
 
-    Every texel whose centre lies in a triangle gets the value at that point of the patches; so does the middle of a
-    triangle that has none. All other texels are filled with what the nearest of those has.
+    Every texel whose centre lies in a triangle gets the value at that point of the patches; a triangle without such
+    texels uses its centre. All other texels get the value of the nearest of these.
 
-    Raises :class:`SurfaceError` if triangles overlap in the texture or leave the unit square, and if no patch is where
-    the mesh is.
+    Raises :class:`SurfaceError` if triangles overlap in the texture or leave the unit square, and if there are no
+    patches at the mesh.
     """
     width, height = size
     if min(size) < 1:
@@ -60,13 +61,14 @@ def lightmap_of(surfaces: PatchSurfaces, values: SurfaceValues, mesh: TexturedMe
 
 
 def check_coordinates(mesh: TexturedMesh, size: tuple[int, int]) -> None:
-    """Raises :class:`SurfaceError` if a mesh is none for a lightmap of this (width, height): if triangles overlap in
+    """Raises :class:`SurfaceError` if a mesh is not suitable for a lightmap of this (width, height): if triangles
+    overlap in
     the texture or leave the unit square."""
     _texels(mesh, *size)
 
 
 def save_lightmap(path: str | os.PathLike[str], made: Lightmap, metadata: dict[str, Any] | None = None) -> None:
-    """Write ``.exr``: the texture as R, G, B, floats, and nothing else, since texture readers take no layers."""
+    """Write ``.exr``: the texture as R, G, B, floats, and nothing else, since texture readers do not support layers."""
     if Path(path).suffix.lower() != ".exr":
         raise SurfaceError(f"a lightmap is written as .exr, not as '{path}'; change the name")
     write_exr(path, Result({"image": made.values}, {"method": "lightmap"} | (metadata or {})))
@@ -98,13 +100,13 @@ def _texels(mesh: TexturedMesh, width: int, height: int) -> tuple[Index, Array, 
     owner[texel[free]], weights[texel[free]] = without[free], 1 / 3
     covered = np.flatnonzero(owner >= 0)
     a, b, c = (mesh.vertices[mesh.faces[owner[covered], k]] for k in range(3))
-    # From a corner on: weights of single precision do not add up to 1, which shows far from the origin.
+    # Relative to a corner: single-precision weights do not add up to 1, which matters far from the origin.
     points = a + weights[covered, 1:2] * (b - a) + weights[covered, 2:] * (c - a)
     return covered, points, mesh_normals(mesh)[owner[covered]]
 
 
 def _candidates(corners: Array, width: int, height: int) -> Iterator[tuple[Index, Index, Index]]:
-    """Triangles and the texels (x, y) whose centres are in the boxes around them, some million at a time."""
+    """Triangles and the texels (x, y) with centres in their bounding boxes, a few million at a time."""
     low = np.maximum(np.ceil(corners.min(axis=1) - 0.5).astype(np.int64), 0)
     high = np.minimum(np.floor(corners.max(axis=1) - 0.5).astype(np.int64), [width - 1, height - 1])
     extent = np.maximum(high - low + 1, 0)
@@ -142,7 +144,7 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _refuse_overlap(owner: Index, texel: Index, triangle: Index, width: int) -> None:
-    """Raises :class:`SurfaceError` if the inside of one of these triangles has a texel that another one has."""
+    """Raises :class:`SurfaceError` if a texel is inside two of these triangles."""
     order = np.argsort(texel, kind="stable")
     texel, triangle = texel[order], triangle[order]
     again = np.flatnonzero(texel[1:] == texel[:-1])

@@ -19,9 +19,9 @@ from .patches import Patches
 
 Index = NDArray[np.int64]
 
-#: Cells that are taken.
+#: Supported cell types.
 _FACES = ("triangle", "quad")
-#: What trimesh reads and meshio does not.
+#: Suffixes that trimesh reads and meshio does not.
 _TRIMESH = (".gltf", ".glb", ".3mf", ".dae")
 
 
@@ -37,15 +37,15 @@ def read_patches(
 ) -> Patches:
     """Patches of a mesh file, with the arguments of :class:`Patches`.
 
-    reflectance, emission, ids: also the name of an array that the file has for its faces (cell data of VTK and others),
-        taken face by face; a patch of several faces gets their mean by area. ``"emissivity"`` as reflectance stands for
-        one minus that array.
+    reflectance, emission, ids: also the name of a cell-data array of the file, with a value for each face; a patch of
+        several faces gets their area-weighted mean. For the array ``"emissivity"`` the reflectance is one minus its
+        values.
     temperature: in kelvin, in the same forms: patches then emit as grey bodies whose emissivity is one minus the
         reflectance, in W/m^2 (:func:`thermal`).
 
-    Triangles and quadrilaterals are taken, lines and solids left out. Faces without area, and those that are there
-    twice, are left out with a warning. Raises :class:`PatchError` for a file that cannot be read, has no faces or other
-    ones than these, or no such array, and :class:`etendue.core.BackendError` if the library that reads it is not
+    Reads triangles and quadrilaterals and ignores lines and solids. Faces without area and duplicates are left out with
+    a warning. Raises :class:`PatchError` for a file that cannot be read, without faces, with other types of faces, or
+    without the named array, and :class:`etendue.core.BackendError` if the library that reads it is not
     installed.
     """
     path = Path(path)
@@ -81,7 +81,7 @@ def read_patches(
 
 
 def _warm(patches: Patches, kelvin: Array, sky: ArrayLike) -> Patches:
-    """Patches at temperatures, one or one for each front; a back has that of its front."""
+    """Patches with temperatures, one for all or one for each front; a back has that of its front."""
     if patches.channels > 1:
         raise PatchError("grey bodies have one reflectance, not one for each channel: see thermal() for bands")
     back = patches.other_side[patches.other_side >= 0]
@@ -94,15 +94,15 @@ def _warm(patches: Patches, kelvin: Array, sky: ArrayLike) -> Patches:
 
 
 def sound_faces(vertices: Array, faces: Index, where: str) -> tuple[Array, Index, Index]:
-    """Vertices, faces (m, 4) without those that have no area or are there twice, and which are left.
+    """Vertices, faces (m, 4) without degenerate ones and duplicates, and the indices of the remaining faces.
 
-    Two faces at the same place that look into opposite directions are both kept. Warns; raises :class:`PatchError` if
+    Coincident faces of opposite orientation are both kept. Warns about removed faces; raises :class:`PatchError` if
     none is left.
     """
     if not np.isfinite(vertices).all():
         bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
         raise PatchError(
-            f"{where}: {len(bad)} of {len(vertices)} vertices are not finite, the first is number {bad[0]}; mend "
+            f"{where}: {len(bad)} of {len(vertices)} vertices are not finite, the first is number {bad[0]}; repair "
             "the mesh"
         )
     try:
@@ -119,7 +119,7 @@ def sound_faces(vertices: Array, faces: Index, where: str) -> tuple[Array, Index
         raise PatchError(f"{where}: none of {len(faces)} faces has an area")
     if empty.any() or len(twice):
         logger.warning(
-            "%s: of %d faces %d have no area and %d are there twice; they are left out",
+            "%s: of %d faces %d have no area and %d are duplicates; they are left out",
             *(where, len(faces), np.count_nonzero(empty), len(twice)),
         )
     return vertices, faces[kept], kept
@@ -149,9 +149,9 @@ def _by_meshio(path: Path) -> tuple[Array, Index, dict[str, Array]]:
     meshio = library("meshio", f"reading {path}")
     said = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):  # meshio tells the terminal
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):  # meshio prints to the terminal
             mesh = meshio.read(path)
-    except (Exception, SystemExit) as error:  # meshio ends the process where it knows no reader
+    except (Exception, SystemExit) as error:  # meshio exits the process for unknown formats
         reason = said.getvalue() if isinstance(error, SystemExit) else str(error)
         reason = " ".join(reason.split()).removeprefix("Error: ") or type(error).__name__
         raise PatchError(f"{path} cannot be read as a mesh: {reason}") from error

@@ -18,15 +18,16 @@ from .subdivision import subdivide
 
 Index = NDArray[np.int64]
 
-#: Memory for each patch that subdivision makes (measured: 460).
+#: Bytes for each patch made by subdivision (measured: 460).
 _BYTES = 500
 
 
 class Patches:
-    """What light is exchanged between: patches of constant radiosity, each made of flat triangles and quadrilaterals.
+    """Patches of constant radiosity, each made of flat triangles and quadrilaterals.
 
-    A face has two sides. Its front, from which the corners are seen counterclockwise, belongs to a patch; its back to
-    another patch if it is ``two_sided``, and to none otherwise: then it only blocks. Patches seen from the front come
+    A face has two sides. Its front, from which the corners are seen counterclockwise, belongs to a patch; its back
+    belongs to another patch if it is ``two_sided``; otherwise it belongs to none and only occludes. Patches seen from
+    the front come
     first, in order of their faces or ``ids``; the backs of sheets follow, in the same order.
 
     Parameters
@@ -37,13 +38,13 @@ class Patches:
     reflectance: diffuse, in [0, 1): a number, one for each patch (n,), or with channels (n, c); (1, c) is one
         colour for all.
     emission: emitted power per area (for a Lambertian light of radiance L: pi L), in the same forms.
-    ids: (m,) whole numbers, faces of equal number form a patch; by default each face is one. Patches come in
-        ascending order of their numbers, which ``labels`` keeps.
+    ids: (m,) whole numbers, faces with equal numbers form a patch; by default each face is one. Patches are in
+        ascending order of these numbers, which are kept in ``labels``.
     two_sided: whether the backs are patches too: one answer, or one for each patch (n,). Backs get the reflectance of
         the front and no emission, unless ``reflectance`` and ``emission`` have rows for them (see above).
-    sky: power per area that comes from where no face is, as if the surroundings had this radiosity: a number, or (c,).
+    sky: radiosity of the surroundings, seen in directions without a face: a number, or (c,).
 
-    Raises :class:`PatchError` for what cannot be: no face, a vertex that is not finite, a face without area, an index
+    Raises :class:`PatchError` for invalid input: no face, a vertex that is not finite, a face without area, an index
     out of range, a reflectance outside [0, 1), a negative emission.
 
     Attributes
@@ -164,7 +165,7 @@ class Patches:
 
     @cached_property
     def normals(self) -> Array:
-        """(n, 3) unit vectors, of a patch that is not flat the mean; zero if that is nothing."""
+        """(n, 3) unit vectors; the mean for a patch that is not flat, zero if the mean vanishes."""
         summed = self._sums(self.face_normals)
         length = np.linalg.norm(summed, axis=1, keepdims=True)
         is_turned = length > 1e-9 * np.bincount(self.front, self.face_areas, self._fronts)[:, None]
@@ -195,16 +196,16 @@ class Patches:
 
     @cached_property
     def sphere(self) -> tuple[Array, float]:
-        """Centre and radius of a sphere around all faces: centred in the box, as small as that allows."""
+        """Centre and radius of a sphere around all faces: centred in the box, with the smallest possible radius."""
         centre = (self.bounds[0] + self.bounds[1]) / 2
         used = self.vertices[np.unique(self.faces)]
         return centre, float(np.sqrt(((used - centre) ** 2).sum(axis=1).max()))
 
     def subdivided(self, max_area: float) -> Patches:
-        """The same surfaces in patches of at most ``max_area``: each face larger than that is cut into equal parts.
+        """The same surfaces in patches of at most ``max_area``: each larger face is divided into equal parts.
 
-        Every resulting face is a patch, and keeps reflectance and emission; ``labels`` are those of the patches here.
-        Raises :class:`PatchError` for an area that is not positive, and for more faces than memory holds.
+        Every resulting face is a patch, and keeps reflectance and emission; ``labels`` are those of the original
+        patches. Raises :class:`PatchError` for an area that is not positive, and for more faces than memory can hold.
         """
         if not np.isfinite(max_area) or max_area <= 0:
             raise PatchError(f"the largest area of a patch must be a positive number, not {max_area!r}")
@@ -212,7 +213,7 @@ class Patches:
         if free is not None and _BYTES * count > free:
             raise PatchError(
                 f"faces of at most {max_area:g} would be {count:.2g} or more and need {_BYTES * count / 1e9:.3g} GB; "
-                f"there are {free / 1e9:.1f}: allow larger ones"
+                f"{free / 1e9:.1f} GB are free: allow larger ones"
             )
         vertices, faces, source = subdivide(self.vertices, self.faces, max_area)
         front, back = self.front[source], self.back[source]
@@ -231,8 +232,8 @@ class Patches:
     def with_properties(
         self, reflectance: ArrayLike | None = None, emission: ArrayLike | None = None, sky: ArrayLike | None = None
     ) -> Patches:
-        """The same patches with another reflectance, emission or sky, such as those of another band or hour. What is
-        stored of lines (:class:`Segments`) and form factors serves them as well. Raises :class:`PatchError`."""
+        """The same patches with another reflectance, emission or sky, such as those of another band or hour. Stored
+        lines (:class:`Segments`) and form factors remain valid for them. Raises :class:`PatchError`."""
         result = object.__new__(Patches)
         result.__dict__.update(self.__dict__)
         result._set_properties(
@@ -253,7 +254,7 @@ def _vertices(values: Any) -> Array:
     broken = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
     if len(broken):
         raise PatchError(
-            f"{len(broken)} of {len(vertices)} vertices are not finite, the first is number {broken[0]}; mend the mesh"
+            f"{len(broken)} of {len(vertices)} vertices are not finite, first {broken[0]}; repair the mesh"
         )
     if len(vertices) and np.asarray(values).dtype == np.float32:
         size = float(np.linalg.norm(np.ptp(vertices, axis=0))) / 2

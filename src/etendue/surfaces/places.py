@@ -1,4 +1,4 @@
-"""Values of patches at any point of their surfaces: which face is there, and where on it."""
+"""Values of patches at any point of their surfaces: finds the face and the position on it."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from .smoothing import face_sides, vertex_radiosity
 
 Index = NDArray[np.int64]
 
-#: Where one looks down on a point from, in radii of the scene: how far above it, and how far aside in two directions.
-#: At the point; a little aside should that lie between two faces; then from ever further up, as the true surface may
-#: be curved where faces are flat; then ever further aside, at the rim of a disk that is a polygon here.
+#: Origins of the short rays onto a point, in radii of the scene: height above it, and two offsets to the side. First at
+#: the point; then slightly to the side, in case it lies between two faces; then from higher up, since the true surface
+#: may be curved where faces are flat; then further to the side, for the rim of a disk, which is a polygon here.
 _LOOKS = (
     *((1e-5, 0.0, 0.0), (1e-5, 2e-6, 0.0), (1e-5, -2e-6, 0.0)),
     *((height, 0.0, 0.0) for height in (1e-4, 1e-3, 2e-2)),
     *((1e-5, aside * x, aside * y) for aside in (6e-5, 6e-4, 6e-3) for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1))),
 )
-#: A side of a face lies this far before the face, so that of two faces in one place the right one is met.
+#: Each side of a face is this far in front of it, so that of two coincident faces the right one is hit.
 _LIFT = 2e-6
-#: Least cosine between the normals of a surface and of the face that stands for it.
+#: Smallest cosine between the normals of a surface and of the face that represents it.
 _SAME_SIDE = 0.3
 
 
@@ -68,17 +68,15 @@ class PatchSurfaces:
         self._is_triangle = copied_to_device(mi.UInt32, is_triangle.astype(np.uint32))
 
     def find(self, p: Any, n: Any, active: Any, space: RenderSpace | None = None) -> Place:
-        """Places of the points ``p`` of surfaces whose normals on the side that is looked at are ``n``. They are in
-        ``space``, by default in that of the patches.
-
-        Casts rays by kernels of its own: not for use in loops of the device.
+        """Places of the points ``p`` of surfaces with normals ``n`` on the visible side. Both are in ``space``, by
+        default that of the patches. Casts rays in separate kernels, so it must not be used in device loops.
         """
         import mitsuba as mi
 
         count = max(dr.width(p), dr.width(active))
         place = Place(dr.zeros(mi.UInt32, count), dr.zeros(mi.Vector4f, count), dr.full(mi.Bool, False, count))
         space = space or RenderSpace()
-        # What is far from the origin is taken off in double precision.
+        # A large offset from the origin is subtracted in double precision.
         origin = space.from_scene(self._centre)
         local = (mi.Point3f(p) - mi.Point3f(*map(float, origin))) * float(1 / (space.scale * self._radius))
         looking = mi.Bool(active) & dr.full(mi.Bool, True, count)
@@ -103,7 +101,7 @@ class PatchSurfaces:
         return place
 
     def _weights(self, side: Any, met: Any, active: Any) -> Any:
-        """Linear on triangles, bilinear on quadrilaterals, of which the triangles 0 1 2 and 0 2 3 were met."""
+        """Linear on triangles, bilinear on quadrilaterals, whose triangles are 0 1 2 and 0 2 3."""
         import mitsuba as mi
 
         u, v = met.prim_uv.x, met.prim_uv.y
@@ -115,11 +113,11 @@ class PatchSurfaces:
 
 
 class SurfaceValues:
-    """A function on the surfaces: ``constant`` of the patch, plus ``factor`` of the patch times what is interpolated
+    """A function on the surfaces: ``constant`` of the patch, plus ``factor`` of the patch times a value interpolated
     between the corners of its faces.
 
-    constant, factor: (n, c) or (n, 1), of one channel or three. between: (n, c), values of patches, whose smooth ones
-    (:func:`vertex_radiosity`, over edges of at most ``angle`` degrees) are interpolated.
+    constant, factor: (n, c) or (n, 1), of one channel or three. between: (n, c), values of patches, which are
+    interpolated (:func:`vertex_radiosity`, over edges of at most ``angle`` degrees).
     """
 
     def __init__(
@@ -141,7 +139,7 @@ class SurfaceValues:
             self._corners = copied_to_device(mi.UInt32, smooth.faces.astype(np.uint32))
 
     def at(self, place: Place) -> Any:
-        """Colours there; black where no patch is."""
+        """Colours at places; black where there is no patch."""
         import mitsuba as mi
 
         patch = dr.gather(mi.UInt32, self._patch, place.side, place.found)

@@ -16,14 +16,13 @@ from .patches import Patches
 
 Index = NDArray[np.int64]
 
-#: A ray goes on this far from where it was, in radii. Less, and it meets the same face again; more, and it skips thin
-#: gaps.
+#: Offset of a continued ray, in radii. With less it hits the same face again; with more it skips thin gaps.
 STEP = 1e-6
 
 
 @dataclass(frozen=True)
 class Hits:
-    """What rays meet first: of those that meet something the ray, the distance in radii, and the face. Host arrays."""
+    """First hits of rays: for rays with a hit the ray index, the distance in radii, and the face. Host arrays."""
 
     ray: Index
     distance: NDArray[np.float32]
@@ -31,7 +30,8 @@ class Hits:
 
 
 class RayScene:
-    """Patches as a scene for rays. ``centre`` and ``radius`` lead from their coordinates to those of the scene."""
+    """Patches as a scene for rays. ``centre`` and ``radius`` convert between their coordinates and those of the
+    scene."""
 
     def __init__(self, patches: Patches) -> None:
         use_variant()
@@ -68,10 +68,10 @@ class RayScene:
         return Hits(hit, distance[hit], self._face[triangle[hit]])
 
     def first_patches(self, origins: Array, directions: Array) -> Index:
-        """What rays (n, 3) meet first: a patch, ``n`` for the sky, ``n + 1`` for the back of a face."""
+        """What rays (n, 3) hit first: a patch, ``n`` for the sky, ``n + 1`` for the back of a face."""
         import mitsuba as mi
 
-        if len(origins) == 0:  # Dr.Jit traces no empty arrays
+        if len(origins) == 0:  # Dr.Jit cannot trace empty arrays
             return np.zeros(0, np.int64)
         return np.array(self.meets(mi.Point3f(_columns(origins)), mi.Vector3f(_columns(directions)))).astype(np.int64)
 
@@ -96,13 +96,13 @@ class RayScene:
         return dr.select(is_hit, patch, self._sky)
 
     def normal_of(self, hit: Any) -> Any:
-        """Normals of front sides, zero where nothing was met."""
+        """Normals of front sides, zero without a hit."""
         import mitsuba as mi
 
         return dr.gather(mi.Vector3f, self._normals, hit.prim_index, hit.is_valid())
 
     def face_of(self, hit: Any) -> Any:
-        """Faces, 0 where nothing was met."""
+        """Faces, 0 without a hit."""
         import mitsuba as mi
 
         return dr.gather(mi.UInt32, self._faces, hit.prim_index, hit.is_valid())

@@ -28,15 +28,16 @@ def scene_patches(
 
     Each face of a shape is a patch, with the mean of its textures, or each shape is one (``per="shape"``). Rectangles
     become quadrilaterals, spheres, cylinders and disks polygons of ``segments`` sides inside them. Reflectance is that
-    of a diffuse material; another that reflects counts as diffuse with the same hemispherical albedo, which is said in
-    a warning. A ``twosided`` material makes sheets. Area lights emit from their fronts; a ``constant`` light is the
+    of a diffuse material; other reflecting materials are replaced by diffuse ones with the same hemispherical albedo,
+    with a warning. A ``twosided`` material makes sheets. Area lights emit from their fronts; a ``constant`` light is
+    the
     sky.
 
-    max_area: faces larger than that are cut, see :meth:`Patches.subdivided`; textures are read before.
+    max_area: larger faces are subdivided after textures are read, see :meth:`Patches.subdivided`.
 
     Raises :class:`UnsupportedError` for materials that transmit, lights that are not diffuse or have no area, curves,
     volumes and instances, :class:`SceneError` for a scene without shapes, :class:`PatchError` for broken meshes and
-    for materials that absorb nothing. A scene without emitter is none here: form factors need no light.
+    for materials that absorb nothing. A scene without emitter is valid, since form factors need no light.
     """
     use_variant()
     scene, space = loaded_scene(scene)
@@ -70,7 +71,8 @@ def scene_patches(
 
 
 def loaded_scene(scene: Any) -> tuple[Any, RenderSpace]:
-    """An ``mi.Scene`` of what :func:`scene_patches` takes, and its space: rays of patches have one of their own."""
+    """The ``mi.Scene`` for an argument of :func:`scene_patches`, and its space, which differs from that of the rays of
+    patches."""
     import mitsuba as mi
 
     if isinstance(scene, mi.Scene):
@@ -128,7 +130,7 @@ def _albedo(bsdf: Any, at: Any) -> Any:
     flags = bsdf.flags()
     if mi.has_flag(flags, mi.BSDFFlags.Transmission) or mi.has_flag(flags, mi.BSDFFlags.Null):
         raise UnsupportedError(
-            f"{graph.describe(bsdf, 'material')} lets light through, which radiosity cannot have; replace it by an "
+            f"{graph.describe(bsdf, 'material')} transmits light, which radiosity does not support; replace it by an "
             "opaque one, or render the picture by 'path' or 'vcm'"
         )
     if not (mi.has_flag(flags, mi.BSDFFlags.Glossy) or mi.has_flag(flags, mi.BSDFFlags.Delta)):
@@ -138,7 +140,7 @@ def _albedo(bsdf: Any, at: Any) -> Any:
 
 
 def _hemispherical_albedo(bsdf: Any, at: Any, directions: int = 16) -> Any:
-    """Mean over light that comes evenly from everywhere, by random numbers that are the same for every face."""
+    """Mean over uniform incident light, with the same random numbers for every face."""
     import mitsuba as mi
 
     side = dr.sign(at.wi.z)

@@ -1,4 +1,4 @@
-"""Sides of triangles, which belong to patches and send rays; directions around their normals."""
+"""Sides of triangles that belong to patches and emit rays; directions around their normals."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Sides:
-    """Sides of triangles from which rays start, those of a patch one after the other."""
+    """Sides of triangles from which rays start, grouped by patch."""
 
     corners: Array  #: (s, 3, 3), in unit coordinates
     normals: Array  #: (s, 3), to the side's own half-space
@@ -53,32 +53,33 @@ class Sides:
         return Sides(self.corners[lit], self.normals[lit], self.patch[lit], self.face[lit], edges)
 
     def pick_of(self, patch: Index, u: Array) -> tuple[Index, Array]:
-        """Sides of given patches by area from numbers in [0, 1), and what is left of the numbers, in [0, 1) again."""
+        """Sides of given patches, sampled by area from numbers in [0, 1), and the remainders of the numbers, in [0, 1)
+        again."""
         first = self.edges[np.searchsorted(self.patch, patch, side="left")]
         last = self.edges[np.searchsorted(self.patch, patch, side="right")]
         place = first + u * (last - first)
         side = np.clip(np.searchsorted(self.edges, place, side="right") - 1, 0, len(self.patch) - 1)
-        # Rounding must not lead to a neighbour.
+        # Rounding must not select a neighbour.
         wrong = self.patch[side] != patch
         side[wrong] = np.searchsorted(self.patch, patch[wrong], side="right") - 1
         within = (place - self.edges[side]) / (self.edges[side + 1] - self.edges[side])
         return side, np.clip(within, 0, np.nextafter(1, 0))
 
     def points(self, side: Index, u: Array) -> Array:
-        """Even points (k, 3) of sides, from (k, 2) numbers."""
+        """Uniform points (k, 3) of sides, from (k, 2) numbers."""
         a, b, c = (self.corners[side, i] for i in range(3))
         root = np.sqrt(u[:, :1])
         return (1 - root) * a + root * (1 - u[:, 1:]) * b + root * u[:, 1:] * c
 
 
 def cosine_law(u: Array) -> Array:
-    """Directions (k, 3) around the third axis of cosine density, from (k, 2) numbers."""
+    """Directions (k, 3) of cosine density around the third axis, from (k, 2) numbers."""
     r, phi = np.sqrt(u[:, 0]), 2 * np.pi * u[:, 1]
     return np.stack([r * np.cos(phi), r * np.sin(phi), np.sqrt(1 - u[:, 0])], axis=1)
 
 
 def around(normals: Array, ways: Array) -> Array:
-    """Directions ``ways`` (k, 3) of frames whose third axes are ``normals``."""
+    """Directions ``ways`` (k, 3), given in frames whose third axes are ``normals``."""
     a, b = across(normals)
     return ways[:, :1] * a + ways[:, 1:2] * b + ways[:, 2:] * normals
 

@@ -1,4 +1,4 @@
-"""Radiosity at vertices: what patches have, made continuous over smooth surfaces for pictures and renderers."""
+"""Radiosity at vertices: values of patches made continuous over smooth surfaces, for pictures and renderers."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ Index = NDArray[np.int64]
 class VertexRadiosity:
     """A mesh with radiosities at its vertices.
 
-    ``vertices``: (v, 3), one for each value at a place. ``faces``: (s, 4), a triangle repeating its last; fronts in the
-    order of the patches' faces, then the backs of sheets, turned round. ``values``: (v, c) or (v,). ``patch``: (s,).
+    ``vertices``: (v, 3), one for each value at a position. ``faces``: (s, 4), a triangle repeating its last; fronts in
+    the order of the patches' faces, then the backs of sheets with reversed orientation. ``values``: (v, c) or (v,).
+    ``patch``: (s,).
     """
 
     vertices: Array
@@ -44,10 +45,10 @@ def face_sides(patches: Patches) -> tuple[Index, Index]:
 def vertex_radiosity(patches: Patches, radiosity: ArrayLike, angle: float = 30.0) -> VertexRadiosity:
     """Radiosities (n, c) or (n,) of patches at the corners of their faces, for interpolation in between.
 
-    Each corner of a face gets the mean over the faces that meet there and are turned by at most ``angle`` degrees
-    against it, weighted by their angles at that place, so that it does not matter how a wall is cut into triangles. At
-    sharper edges values stay apart: such a place has several vertices. A corner in the middle of another face's edge
-    (after :meth:`Patches.subdivided`, between faces of different size) does not know of that face.
+    Each corner of a face gets the mean over the adjacent faces with a normal within ``angle`` degrees, weighted by
+    their angles at the corner, so that the triangulation of a wall does not matter. At sharper edges values stay
+    separate: such a position has several vertices. A corner in the middle of another face's edge (a T-junction, after
+    :meth:`Patches.subdivided`) ignores that face.
 
     Raises :class:`SurfaceError` for an angle outside [0, 180] and for values of another number of patches.
     """
@@ -74,7 +75,7 @@ def vertex_radiosity(patches: Patches, radiosity: ArrayLike, angle: float = 30.0
     joined |= meeting.row == meeting.col
     row, column = meeting.row[joined], meeting.col[joined]
     means = matrices.csr_array((weight[column], (row, column)), shape=(len(at), len(at)))
-    means.sort_indices()  # corners with the same neighbours add in the same order and become one vertex
+    means.sort_indices()  # so that corners with the same neighbours add in the same order and become one vertex
     total = means.sum(axis=1)
     values = (means @ of_patches[patch[side]].reshape(len(at), -1)) / total[:, None]
 
@@ -88,7 +89,7 @@ def vertex_radiosity(patches: Patches, radiosity: ArrayLike, angle: float = 30.0
 
 
 def _corner_angles(vertices: Array, corners: Index) -> Array:
-    """(s, 4) the angle of a face at each corner; that of a triangle's repeated corner means nothing."""
+    """(s, 4) the angle of a face at each corner; the value for a triangle's repeated corner is meaningless."""
     points = vertices[corners]
     triangle = corners[:, 2] == corners[:, 3]
     before, after = np.roll(points, 1, axis=1), np.roll(points, -1, axis=1)

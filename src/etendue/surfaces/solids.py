@@ -1,4 +1,4 @@
-"""Boxes and rooms as vertices and faces, for a start."""
+"""Boxes and rooms as vertices and faces."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ Mesh = tuple[Array, NDArray[np.int64]]
 def box(low: ArrayLike, high: ArrayLike, cells: ArrayLike = 1, inward: bool = False) -> Mesh:
     """Vertices (v, 3) and quadrilaterals (m, 4) of a box, cut into ``cells`` along each axis, a number or three.
 
-    Its faces look outward, or ``inward`` for a room. Walls come in the order low x, high x, low y ..., each with
-    vertices of its own that are at the same places as those of its neighbours.
+    Its faces look outward, or ``inward`` for a room. Walls are in the order low x, high x, low y ..., each with its own
+    vertices, at the same positions as those of its neighbours.
     """
     low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     cuts = np.broadcast_to(np.asarray(cells, dtype=np.int64), 3)

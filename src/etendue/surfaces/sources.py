@@ -1,5 +1,5 @@
-"""Rays from sides of patches, made where they are traced: all from the number of a point to what a ray meets is one
-kernel. Lanes of it are arrays of the current variant."""
+"""Rays from sides of patches, generated on the device: from the index of a point to the hit of a ray in one kernel.
+Lanes are arrays of the current variant."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Places:
 
     @property
     def origin(self) -> Any:
-        """Where rays start: just off the side."""
+        """Ray origins: slightly above the side."""
         return self.point + STEP * self.normal
 
     def directions(self, ways: Any) -> Any:
@@ -40,7 +40,7 @@ class Places:
 
 
 class RaySource:
-    """Sides on the device: of all of them, or of a patch, one is picked by its share of ``Sides.edges``."""
+    """Sides on the device: one of all sides, or one of a patch, is sampled by its share of ``Sides.edges``."""
 
     def __init__(self, scene: RayScene, sides: Sides) -> None:
         self.scene, self.sides = scene, sides
@@ -63,11 +63,11 @@ class RaySource:
         return dr.gather(mi.UInt32, self._face, side)
 
     def any(self, u: Any, v: Any) -> Places:
-        """Places on all sides from lanes of numbers in [0, 1), as they lie by ``edges``."""
+        """Places on all sides, sampled by ``edges``, from lanes of numbers in [0, 1)."""
         return self._places(u * self._whole, v, mi.UInt32(0), self._count, len(self.sides.patch))
 
     def of(self, patch: Any, u: Any, v: Any) -> Places:
-        """Places on patches, which have sides here."""
+        """Places on given patches, which must have sides."""
         first, end = dr.gather(mi.UInt32, self._starts, patch), dr.gather(mi.UInt32, self._starts, patch + 1)
         low, high = dr.gather(mi.Float64, self._edges, first), dr.gather(mi.Float64, self._edges, end)
         return self._places(low + u * (high - low), v, first, end, self._most)
@@ -79,7 +79,7 @@ class RaySource:
             is_in = further < end
             side = dr.select(is_in & (dr.gather(mi.Float64, self._edges, further, is_in) <= place), further, side)
         low, high = dr.gather(mi.Float64, self._edges, side), dr.gather(mi.Float64, self._edges, side + 1)
-        # What is left of the number is even again.
+        # The remainder of the number is uniform again.
         root = dr.sqrt(dr.clip((place - low) / (high - low), 0.0, _BELOW_ONE))
         a, b, c = (mi.Point3d(dr.gather(mi.Point3f, self._corners, 3 * side + i)) for i in range(3))
         normal = mi.Vector3d(dr.gather(mi.Vector3f, self._normals, side))
@@ -87,7 +87,7 @@ class RaySource:
 
 
 def cosine_lanes(u: Any, v: Any) -> Any:
-    """Directions around the third axis of cosine density, from lanes of numbers in [0, 1)."""
+    """Directions of cosine density around the third axis, from lanes of numbers in [0, 1)."""
     sine, cosine = dr.sincos(dr.two_pi * mi.Float(v))
     r = mi.Float(dr.sqrt(u))
     return mi.Vector3f(r * cosine, r * sine, mi.Float(dr.sqrt(1 - u)))
@@ -106,6 +106,6 @@ def columns(u: Array) -> list[Any]:
 
 
 def pairs_of(one: Any, other: Any) -> Any:
-    """Lanes of numbers as an array (k, 2) of NumPy, worked out in one kernel."""
+    """Lanes of numbers as a NumPy array (k, 2), evaluated in one kernel."""
     both = mi.UInt64(one) | (mi.UInt64(other) << 32)
     return np.array(both).view(np.uint32).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""Cutting faces into equal parts."""
+"""Division of faces into equal parts."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ Index = NDArray[np.int64]
 
 
 def subdivide(vertices: Array, faces: Index, max_area: float) -> tuple[Array, Index, Index]:
-    """Vertices and faces (f, 4) of at most ``max_area`` each, and the face that each is cut from.
+    """Vertices and faces (f, 4) of at most ``max_area`` each, and the original face of each.
 
     A face is cut ``n`` times along each side, ``n`` as small as the area allows: a triangle into ``n^2`` triangles of
     equal area, a quadrilateral into ``n^2`` quadrilaterals, of equal area if its opposite sides are parallel.
-    Neighbours that are cut differently meet without a gap, but not at the same vertices.
+    Neighbours that are divided differently have no gap between them, but different vertices on the common edge.
     """
     cuts = np.maximum(np.ceil(np.sqrt(_largest_part(vertices[faces]) / max_area) - 1e-9), 1).astype(np.int64)
     is_triangle = faces[:, 2] == faces[:, 3]
@@ -54,7 +54,7 @@ def _triangle(n: int) -> tuple[Array, Index]:
     number = np.full((n + 1, n + 1), -1)
     number[i[inside], j[inside]] = np.arange(np.count_nonzero(inside))
     i_in, j_in = i[inside], j[inside]
-    # Not 1 - u - v: faces that share an edge must have the same numbers on it, bit for bit, to meet at vertices.
+    # Not 1 - u - v: faces that share an edge must have bit-equal numbers on it, to share vertices.
     weights = np.stack([n - i_in - j_in, i_in, j_in, np.zeros_like(i_in)], axis=1) / n
     i, j = i[i + j < n], j[i + j < n]
     parts = [np.stack([number[i, j], number[i + 1, j], number[i, j + 1]], axis=1)]

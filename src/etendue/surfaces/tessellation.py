@@ -18,8 +18,8 @@ POINTS = 16
 
 
 def tessellate(shape: Any, segments: int) -> tuple[Array, Index, Any]:
-    """Vertices (v, 3), faces (m, 4), whose fronts are those of the shape, and interactions at ``POINTS`` points of each
-    face, those of a face one after the other, with a direction along the normal.
+    """Vertices (v, 3), faces (m, 4), oriented as the shape, and interactions at ``POINTS`` points of each face, grouped
+    by face, with a direction along the normal.
 
     A circle becomes a polygon of ``segments`` sides inside it. Raises :class:`UnsupportedError` for curves, volumes and
     instances.
@@ -38,7 +38,7 @@ def tessellate(shape: Any, segments: int) -> tuple[Array, Index, Any]:
         matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
         points = _local(kind, uv) @ matrix[:3, :3].T + matrix[:3, 3]
         at = shape.eval_parameterization(mi.Point2f(*_in_cells(cells, is_disk=kind == mi.ShapeType.Disk)))
-        if kind == mi.ShapeType.Rectangle:  # whose parameterisation knows nothing of flipped normals
+        if kind == mi.ShapeType.Rectangle:  # its parameterisation ignores flipped normals
             at.n = shape.sample_position(0.0, mi.Point2f(0.5, 0.5)).n
     elif shape.is_mesh():
         points = np.array(shape.vertex_positions_buffer(), dtype=np.float64).reshape(-1, 3)
@@ -53,19 +53,19 @@ def tessellate(shape: Any, segments: int) -> tuple[Array, Index, Any]:
     a, b, c, d = (points[faces[:, i]] for i in range(4))
     is_turned = (np.cross(c - a, d - b) * normals).sum(axis=1) < 0
     faces[is_turned] = faces[is_turned][:, [0, 3, 2, 1]]
-    triangle = is_turned & (faces[:, 2] == faces[:, 1])  # the corner that a triangle repeats has come second
+    triangle = is_turned & (faces[:, 2] == faces[:, 1])  # the repeated corner of a triangle is now the second
     faces[triangle] = faces[triangle][:, [0, 1, 3, 3]]
     return points, faces, at
 
 
 def face_means(values: Any, faces: int) -> Array:
-    """Means (m, 3) of three numbers for each of the points of faces, or for all."""
+    """Means (m, 3) over the points of each face of three numbers per point, or of constants."""
     x = np.array(values, dtype=np.float64).reshape(3, -1)
     return np.broadcast_to(x, (3, faces * POINTS)).reshape(3, faces, POINTS).mean(axis=2).T
 
 
 def _local(kind: Any, uv: Array) -> Array:
-    """Coordinates of the unit shape, of its parameters."""
+    """Points of the unit shape from its parameters."""
     import mitsuba as mi
 
     u, v = uv.T

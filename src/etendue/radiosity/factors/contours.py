@@ -1,9 +1,9 @@
-"""Loops compiled for the CPU by Numba: what flat polygons exchange that nothing stands between, by contour integrals.
+"""Loops compiled for the CPU by Numba: form factors of unoccluded flat polygons by contour integrals.
 
     A_i F_ij = 1 / (2 pi) times the integral over both contours of ln r dx . dy          [Sparrow 1963]
 
-The integral along one edge is in closed form; that along the other, by Gauss-Legendre quadrature. Where edges come near
-to each other, the outer one is cut at the places where the inner integral is not smooth, and points crowd at the cuts.
+The integral along one edge is in closed form; that along the other, by Gauss-Legendre quadrature. If edges are close to
+each other, the outer one is divided where the inner integral is not smooth, with denser points at these divisions.
 
 Lengths are in units of the scene. A *side* is a face seen from where its corners run counterclockwise, (4, 3), a
 triangle with its last corner twice; its plane (4,) has ``n . x - c``.
@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-#: A corner as near to a plane counts as in it: what single precision may leave.
+#: A corner this close to a plane counts as in it: the error of single precision.
 _IN_PLANE = 1e-7
-#: Faces must reach as far into the space between two others to stand between them.
+#: Faces must extend this far into the space between two others to occlude them.
 _BETWEEN = 1e-6
 
-#: Points on [0, 1] by number, and weights: for edges far from each other and nearer, and crowded at both ends.
+#: Quadrature points on [0, 1] and weights: for distant and for closer edges, and with points concentrated at both ends.
 _COUNTS = np.array([3, 5, 10, 24])
 _POINTS, _WEIGHTS = np.zeros((4, 24)), np.zeros((4, 24))
 for _k, _n in enumerate(_COUNTS):
@@ -37,9 +37,9 @@ _POINTS[3] = _POINTS[3] ** 3 * (10 - 15 * _POINTS[3] + 6 * _POINTS[3] ** 2)
 def exchange_rows(sides: Any, planes: Any, patch: Any, blockers: Any, first: Any, last: Any, exchange: Any) -> Any:
     """Add A_i F_ij of sides ``first`` to ``last`` and all later ones to ``exchange[i, j]``.
 
-    sides (s, 4, 3) in ascending order of their patch (s,), side and patch of a back that is none's last; blockers
-    (b, 4, 3): faces that may stand between others. Returns the first two sides between which one stands, and the
-    blocker; -1 if there is none.
+    sides (s, 4, 3) in ascending order of their patch (s,), backs without a patch last; blockers (b, 4, 3): faces that
+    may occlude others. Returns the first two sides with an occluder between them, and the occluder; -1 if there is
+    none.
     """
     buffers, polygons, plane = np.empty((2, 32, 3)), np.empty((2, 8, 3)), np.empty(4)
     for a in range(first, last):
@@ -53,7 +53,7 @@ def exchange_rows(sides: Any, planes: Any, patch: Any, blockers: Any, first: Any
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def overlapping(sides: Any, planes: Any) -> Any:
-    """The first two faces that lie in the same plane on each other; -1 if there are none."""
+    """The first two coplanar faces that overlap; -1 if there are none."""
     buffers = np.empty((2, 32, 3))
     edge = np.empty(4)
     for a in range(len(sides)):
@@ -77,7 +77,7 @@ def overlapping(sides: Any, planes: Any) -> Any:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _exchange(p: Any, of_p: Any, q: Any, of_q: Any, blockers: Any, polygons: Any, buffers: Any, plane: Any) -> Any:
-    """A F of two sides, and the blocker that stands between them or -1."""
+    """A F of two sides, and the face that occludes them or -1."""
     m, n = _in_front(p, of_q, polygons[0]), 0
     if m > 2:
         n = _in_front(q, of_p, polygons[1])
@@ -115,7 +115,7 @@ def _edges(a: Any, a_end: Any, b: Any, b_end: Any) -> Any:
     if distance > 0.5 * length:
         rule = 0 if distance > 8 * length else 1 if distance > 2 * length else 2
         return cosine * _along(0.0, length, rule, wx, wy, wz, ux, uy, uz, vx, vy, vz, inner)
-    # Not smooth across from the ends of the inner edge, and where the lines come nearest to each other.
+    # Not smooth opposite the ends of the inner edge, and where the lines are closest to each other.
     first, second, third = -wu, -wu + inner * cosine, 0.0
     if cosine * cosine < 1 - 1e-12:
         third = (cosine * wv - wu) / (1 - cosine * cosine)
@@ -151,7 +151,7 @@ def _along(
     for k in range(_COUNTS[rule]):
         s = start + (end - start) * _POINTS[rule, k]
         x, y, z = wx + s * ux, wy + s * uy, wz + s * uz
-        # From the foot of the point on the other line, the edge reaches from `near` to `far`.
+        # Relative to the foot of the point on the other line, the edge extends from `near` to `far`.
         near = -(x * vx + y * vy + z * vz)
         far = near + inner
         cx, cy, cz = y * vz - z * vy, z * vx - x * vz, x * vy - y * vx
@@ -248,7 +248,7 @@ def _farthest(p: Any, plane: Any) -> Any:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _apart(p: Any, q: Any, margin: Any) -> Any:
-    """Whether the boxes around two polygons have no point in common, or none further than ``margin`` inside."""
+    """Whether the bounding boxes of two polygons overlap by less than ``margin``."""
     for c in range(3):
         p_low = p_high = p[0, c]
         q_low = q_high = q[0, c]
@@ -263,10 +263,10 @@ def _apart(p: Any, q: Any, margin: Any) -> Any:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _stands_between(face: Any, p: Any, of_p: Any, q: Any, of_q: Any, buffers: Any, plane: Any) -> Any:
-    """Whether a face reaches into the convex hull of two polygons, each of which is in front of the other's plane.
+    """Whether a face intersects the convex hull of two polygons, each of which is in front of the other's plane.
 
-    It is cut by every plane that bounds the hull: those of both, and those through an edge of one and a corner of the
-    other that have both on one side.
+    It is clipped by every plane that bounds the hull: the planes of both, and planes through an edge of one and a
+    corner of the other with both polygons on one side.
     """
     for c in range(3):
         low = high = p[0, c]
@@ -309,7 +309,7 @@ def _stands_between(face: Any, p: Any, of_p: Any, q: Any, of_q: Any, buffers: An
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _through(a: Any, b: Any, c: Any, plane: Any) -> Any:
-    """Write the plane through three points; false if they are in a line."""
+    """Write the plane through three points; false if they are collinear."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx

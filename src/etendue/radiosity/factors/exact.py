@@ -1,4 +1,4 @@
-"""Exact form factors of surfaces that hide nothing from each other."""
+"""Exact form factors of surfaces without occlusion."""
 
 from __future__ import annotations
 
@@ -20,26 +20,25 @@ Index = NDArray[np.int64]
 _BEHIND = 1e-6
 #: Bytes for each pair of patches.
 _BYTES = 48
-#: Row sums of closed scenes are 1 up to this; less is the sky.
+#: Tolerance of row sums of closed scenes; a larger deficit is the sky.
 _CLOSED = 1e-6
 
 
 def exact_form_factors(patches: Patches) -> FormFactors:
     """Form factors by contour integrals [Sparrow 1963], with errors of about 1e-8 (1e-6 from meshes in single
-    precision), for patches that hide nothing from each other: the walls of a convex room, plates side by side or
-    facing each other, a convex body on the floor. Time and memory grow with the square of their number.
+    precision), for patches without occlusion: the walls of a convex room, plates side by side or facing each other, a
+    convex body on the floor. Time and memory grow with the square of their number.
 
-    Faces that are partly behind each other's plane exchange with the rest. What a row lacks to 1 is the sky, or backs
-    of faces.
+    Faces that are partly behind each other's plane are clipped. The deficit of a row sum is the sky, or backs of faces.
 
-    Raises :class:`RadiosityError` if a face stands between two others or lies on another, and for more patches than fit
-    into memory: take lines (:class:`ABuffer`) for those. :class:`etendue.core.BackendError` without Numba.
+    Raises :class:`RadiosityError` if a face occludes two others or lies on another, and for more patches than fit into
+    memory: use lines (:class:`ABuffer`) then. :class:`etendue.core.BackendError` without Numba.
     """
     n, loops = len(patches), compiled("factors.contours")
     need, free = _BYTES * (n + 1) ** 2, free_memory()
     if free is not None and need > free:
         raise RadiosityError(
-            f"form factors of {n} patches need {need / 1e9:.1f} GB, there are {free / 1e9:.1f}: cast lines (ABuffer, "
+            f"form factors of {n} patches need {need / 1e9:.1f} GB, {free / 1e9:.1f} GB are free: cast lines (ABuffer, "
             "or without --exact)"
         )
     centre, radius = patches.sphere
@@ -77,8 +76,8 @@ def exact_form_factors(patches: Patches) -> FormFactors:
 
 
 def _sides(patches: Patches) -> tuple[Index, Index, NDArray[np.bool_]]:
-    """Face and patch of every side in ascending order of patches, and whether it is a back. Backs that are no patch
-    come last, as patch ``n``; those that cannot be seen are left out."""
+    """Face and patch of every side in ascending order of patches, and whether it is a back. Backs without a patch come
+    last, as patch ``n``; backs that cannot be seen are left out."""
     count, n = len(patches.faces), len(patches)
     back = np.where((patches.back < 0) & ~_hidden_backs(patches), n, patches.back)
     patch = np.concatenate([patches.front, back])
@@ -88,7 +87,7 @@ def _sides(patches: Patches) -> tuple[Index, Index, NDArray[np.bool_]]:
 
 
 def _hidden_backs(patches: Patches) -> NDArray[np.bool_]:
-    """(f,) whether a face is of a closed surface that has everything else on its front."""
+    """(f,) whether a face belongs to a closed surface with everything else on its front."""
     from scipy.sparse.csgraph import connected_components
 
     _, place = np.unique(patches.vertices, axis=0, return_inverse=True)
@@ -130,7 +129,7 @@ def _may_block(corners: Array, planes: Array) -> NDArray[np.bool_]:
 
 
 def _tasks(patch: Index) -> list[Index]:
-    """Runs of sides, of whole patches and about equal in work, more than there are threads."""
+    """Ranges of sides, of whole patches and about equal work, more than there are threads."""
     starts = np.flatnonzero(np.diff(patch, prepend=-1))
     remaining = len(patch) - starts
     number = (1 - (remaining / len(patch)) ** 2) * 16 * threads()

@@ -1,4 +1,5 @@
-"""Form factors as sparse matrices: from counted lines, by four estimators, and what can be mended about them."""
+"""Form factors as sparse matrices: from counted lines, by several estimators, with corrections of row sums and
+reciprocity."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from ..errors import RadiosityError
 from ..lines.segments import Segments
 from ..parallel import compiled
 
-#: How counts become form factors, see :func:`estimate`.
+#: Estimators of form factors from counts, see :func:`estimate`.
 Estimator = Literal["F1", "F2", "F3", "F4", "reciprocal"]
 ESTIMATORS: tuple[Estimator, ...] = ("F1", "F2", "F3", "F4", "reciprocal")
 
@@ -23,7 +24,8 @@ ESTIMATORS: tuple[Estimator, ...] = ("F1", "F2", "F3", "F4", "reciprocal")
 class FormFactors:
     """F_ij, the share of the light that leaves patch ``i`` and arrives at patch ``j`` directly.
 
-    ``matrix``, ``errors``: (n, n) CSR arrays of SciPy: F, and the standard error of each entry, of equal structure.
+    ``matrix``, ``errors``: (n, n) CSR arrays of SciPy: F, and the standard error of each entry, with the same
+    structure.
     ``sky``: (n,) the share that leaves the scene. ``areas``: (n,). ``lines``: (n,) lines or rays behind each row.
     """
 
@@ -69,9 +71,9 @@ class FormFactors:
     def repaired(self) -> FormFactors:
         """With every row sum 1 and ``A_i F_ij = A_j F_ji``, by the smallest change.
 
-        The mean of ``A_i F_ij`` and ``A_j F_ji`` is changed by the least sum of squares relative to itself, so that
-        zeros stay. The sky is kept as it is. Raises :class:`RadiosityError` where some factor would become negative:
-        then there are too few lines.
+        The mean of ``A_i F_ij`` and ``A_j F_ji`` is changed by the smallest relative sum of squares, so that zeros stay
+        zero. The sky is not changed. Raises :class:`RadiosityError` if a factor would become negative, which means that
+        there are too few lines.
         """
         from scipy.sparse.linalg import lsmr
 
@@ -79,7 +81,7 @@ class FormFactors:
         exchange = ((exchange + exchange.T) / 2).tocsr()
         sums = np.asarray(exchange.sum(axis=1)).ravel()
         missing = self.areas * (1 - self.sky) - sums
-        # Changes S_ij (x_i + x_j) are the least ones; rows then ask for (diag(sums) + S) x = missing.
+        # The smallest changes have the form S_ij (x_i + x_j); row sums then require (diag(sums) + S) x = missing.
         system = _diagonal(sums) + exchange
         x = lsmr(system, missing, atol=1e-14, btol=1e-14, maxiter=20 * len(self))[0]
         changed = exchange.tocoo()
@@ -90,16 +92,16 @@ class FormFactors:
         return replace(self, matrix=changed.tocsr())
 
     def transposed(self) -> FormFactors:
-        """What the other patch says: A_j F_ji / A_i in place of F_ij. Radiosities that solve the system of these are
-        powers, by area, that solve the system of powers of F: light that is shot, where F gathers it."""
+        """A_j F_ji / A_i in place of F_ij, the factors of the opposite direction. Radiosities that solve the system
+        with these are the powers per area that solve the system of powers (shooting) with F."""
         areas = _diagonal(self.areas)
         shot, errors = ((_diagonal(1 / self.areas) @ x.T.tocsr() @ areas).tocsr() for x in (self.matrix, self.errors))
         return replace(self, matrix=shot, errors=errors)
 
     @property
     def exchange_weights(self) -> Array | None:
-        """(n,) what makes the exchange symmetric, areas or lines: weight_i F_ij = weight_j F_ji; ``None`` if neither
-        does."""
+        """(n,) weights that make the exchange symmetric, areas or lines: weight_i F_ij = weight_j F_ji; ``None`` if
+        neither do."""
         for weights in (self.areas, self.lines.astype(np.float64)):
             exchange = _diagonal(weights) @ self.matrix
             if exchange.nnz == 0 or abs(exchange - exchange.T).max() <= 1e-9 * exchange.max():
@@ -111,8 +113,8 @@ class FormFactors:
 
 
 def form_factors(segments: Segments, estimator: Estimator = "F1") -> FormFactors:
-    """Form factors of segments, see :func:`estimate`; for some ten thousand patches at most: with more, most pairs have
-    one segment, and the segments themselves take less memory.
+    """Form factors of segments, see :func:`estimate`; for at most about ten thousand patches: with more, most pairs
+    have a single segment, and the segments take less memory.
 
     Errors are those of independent lines. Raises :class:`RadiosityError` if they do not fit into memory.
     """
@@ -120,8 +122,8 @@ def form_factors(segments: Segments, estimator: Estimator = "F1") -> FormFactors
     need, free = 4 * len(segments) + 64 * min(2 * len(segments), n**2), free_memory()
     if free is not None and need > free:
         raise RadiosityError(
-            f"form factors of {n} patches and {len(segments)} segments need {need / 1e9:.1f} GB; there are "
-            f"{free / 1e9:.1f}: solve on the segments, or cast fewer lines"
+            f"form factors of {n} patches and {len(segments)} segments need {need / 1e9:.1f} GB; "
+            f"{free / 1e9:.1f} GB are free: solve on the segments, or cast fewer lines"
         )
     rows = np.zeros(n, np.int64)
     for chunk in segments.chunks:
@@ -141,7 +143,7 @@ def form_factors(segments: Segments, estimator: Estimator = "F1") -> FormFactors
     matrix.sort_indices()  # in the order of the counts
     errors = matrix.copy()
     found = counts.data
-    if segments.extra is not None:  # of lines and rays together, before they were weighted
+    if segments.extra is not None:  # lines and rays together, before weighting
         row, column = counts.tocoo().coords
         found = found * (1 + segments.extra[row] + segments.extra[column])
     errors.data = matrix.data * np.sqrt(np.maximum(1 - matrix.data, 0) / found)

@@ -1,4 +1,4 @@
-"""Gebhart factors: which share of the emission of a patch another one absorbs, over all reflections."""
+"""Gebhart factors: the share of the emission of a patch that another one absorbs, including all reflections."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def gebhart_factors(patches: Patches, factors: FormFactors, channel: int = 0) ->
     """G_ij (n, n), the share of the emission of patch i that patch j absorbs, over all reflections [Gebhart 1961].
 
     G = (1 - F rho)^-1 F epsilon. Rows sum to 1 in a closed scene, and with reciprocal form factors
-    epsilon_i A_i G_ij = epsilon_j A_j G_ji. For some thousand patches. Raises :class:`RadiosityError` for another
-    number of patches than of rows, and a channel that is not there.
+    epsilon_i A_i G_ij = epsilon_j A_j G_ji. For some thousand patches. Raises :class:`RadiosityError` if patches and
+    form factors differ in number, and for an invalid channel.
     """
     if len(patches) != len(factors):
         raise RadiosityError(f"there are {len(patches)} patches, but form factors of {len(factors)}")

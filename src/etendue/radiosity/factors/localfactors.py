@@ -26,7 +26,7 @@ def local_form_factors(
     rows: ArrayLike | None = None,
     points: PointSet | None = None,
 ) -> FormFactors:
-    """Form factors from ``samples`` rays of each patch, or of the patches ``rows`` alone.
+    """Form factors from ``samples`` rays of each patch, or only of the patches ``rows``.
 
     ========== ================================== ==================================================
     ``cosine`` directions of cosine density       F_ij = hits of j / N
@@ -52,7 +52,7 @@ def local_form_factors(
         row = np.repeat(chosen[start : start + at_once], samples)
         u = points.lanes(mi.UInt32, len(row), start * samples)
         places, ways = source.of(mi.UInt32(row.astype(np.uint32)), u[0], u[1]), laws[estimator](u[2], u[3])
-        # With even angles each ray stands for cos sin pi of the hemisphere.
+        # With uniform angles each ray has the weight cos sin pi.
         weights = dr.pi * ways.z * dr.sqrt(1 - ways.z**2) if estimator == "angles" else dr.full(mi.Float, 1, len(row))
         hits = scene.meets(places.origin, places.directions(ways))
         dr.eval(hits, weights)
@@ -71,7 +71,7 @@ def local_form_factors(
 def area_form_factors(
     scene: RayScene, pairs: ArrayLike, samples: int, points: PointSet | None = None
 ) -> tuple[Array, Array]:
-    """Form factors F_ij of ``pairs`` (k, 2), from even points on both patches, and standard errors: (k,), (k,).
+    """Form factors F_ij of ``pairs`` (k, 2), from uniform points on both patches, and standard errors: (k,), (k,).
 
     F_ij = A_j / (pi N) times the sum of V cos cos' / r^2 [Castro 2002, sec. 2.3.1]. The variance is infinite for
     patches that share an edge. Other arguments as in :func:`local_form_factors`.

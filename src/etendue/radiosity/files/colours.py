@@ -13,16 +13,16 @@ from ..solvers.system import Solution
 
 Index = NDArray[np.int64]
 
-#: The share of the area that does not shine whose colours are not cut at 1.
+#: The share of the non-emitting area whose colours are not clipped.
 _SHOWN = 0.99
 
 
 def coloured_mesh(solution: Solution, smooth: VertexRadiosity, exposure: float | None = None) -> GltfMesh:
-    """Smooth radiosities as colours.
+    """Interpolated radiosities as colours.
 
-    ``COLOR_0`` is the radiosity times ``exposure``, linear and cut at 1, since glTF has no brighter colours; without an
-    exposure 99 % of the area that emits nothing stays below 1. ``_RADIOSITY`` is the radiosity itself, and ``exposure``
-    is in ``extras``.
+    ``COLOR_0`` is the radiosity times ``exposure``, linear and clipped at 1, since glTF has no brighter colours; the
+    default exposure keeps 99 % of the non-emitting area below 1. ``_RADIOSITY`` is the unclipped radiosity, and
+    ``extras`` contains ``exposure``.
     """
     mesh, corner = unshared(smooth.vertices, smooth.faces)
     radiosity = np.broadcast_to(smooth.values[corner].reshape(len(corner), -1), (len(corner), 3))
@@ -33,8 +33,8 @@ def coloured_mesh(solution: Solution, smooth: VertexRadiosity, exposure: float |
 
 
 def unshared(vertices: Array, faces: Index) -> tuple[GltfMesh, Index]:
-    """Faces (s, 4) as a mesh of which only faces of the same normal share vertices, and the vertex that each of its
-    vertices was."""
+    """Faces (s, 4) as a mesh in which only faces with the same normal share vertices, and the original vertex of each
+    vertex."""
     points = vertices[faces]
     vectors = np.cross(points[:, 2] - points[:, 0], points[:, 3] - points[:, 1])
     normals = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -46,7 +46,7 @@ def unshared(vertices: Array, faces: Index) -> tuple[GltfMesh, Index]:
 
 
 def _exposure(solution: Solution) -> float:
-    """What brings the brightest channel of nearly all that does not shine below 1."""
+    """The exposure that keeps nearly all of the non-emitting area below 1 in its brightest channel."""
     patches, brightest = solution.patches, solution.radiosity.max(axis=1)
     reflects = ~patches.emission.any(axis=1) & (brightest > 0)
     chosen = reflects if reflects.any() else brightest > 0

@@ -1,4 +1,4 @@
-"""Solutions read again from their files, to be looked at without being computed once more."""
+"""Reading of saved solutions, to render or convert them without solving again."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ..errors import RadiosityError
 from ..solvers.system import Solution
 from .netcdf import read_netcdf_solution
 
-#: What is taken from a file.
+#: The arrays read from a file.
 _NEEDED = (
     *("vertices", "faces", "front", "back", "labels", "reflectance", "emission", "sky"),
     *("radiosity", "irradiance", "sky_share", "residuals"),

@@ -1,1 +1,1 @@
-"""Lines through a scene, and the segments they are reduced to: generators, engines, sums."""
+"""Lines through a scene and their segments: generators, engines, sums."""

@@ -1,4 +1,4 @@
-"""Bundles of parallel lines by rasterising the faces: every hit of every line, without a ray."""
+"""Bundles of parallel lines by rasterisation of the faces: all hits of all lines, without ray casting."""
 
 from __future__ import annotations
 
@@ -21,40 +21,40 @@ from .replay import uses_cuda
 from .segments import Pairs
 from .spiral import SpiralPoints
 
-#: What fills in the faces: loops for the CPU, or kernels of the current variant; CUDA's by itself.
+#: The rasteriser: loops for the CPU, or kernels of the current variant; ``auto`` takes the kernels under CUDA.
 Backend = Literal["auto", "compiled", "drjit"]
 
 #: Bundles of one task of the compiled loops.
 _BUNDLES = 8
-#: Lanes and places for hits of one set of kernels on the CPU, and on a GPU, which has to be filled. A place takes some
-#: 80 bytes.
+#: Lanes, and slots for hits, of one set of kernels on the CPU, and on a GPU, which needs more. A slot takes about 80
+#: bytes.
 _PLACES, _PLACES_CUDA = 1 << 21, 1 << 24
-#: The order of faces nearer to each other than this follows from how they are turned, in radii of the scene.
+#: Faces closer to each other than this are ordered by their orientation, in radii of the scene.
 _GAP = 2e-7
-#: Volumes up to this are none, in units of the cubed radius.
+#: Smaller volumes count as zero, in units of the cubed radius.
 _VOLUME = 1e-9
-#: Lines for each patch and bundle, in the mean, if their number is not given; and the fewest.
+#: Default mean number of lines per patch and bundle, and smallest number of lines.
 LINES_PER_PATCH, _FEWEST = 4.0, 16384
-#: The most lines of a bundle, if their number is not given: so many, or so many for each patch. A line of the grid
-#: takes some bytes on each thread, whether it meets a face or not.
+#: Default limit on the lines of a bundle: in total, or per patch if that is more. A line of the grid takes some bytes
+#: on each thread, even without hits.
 _MOST, _MOST_PER_PATCH, _LINE_BYTES = 1 << 24, 32, 8
 
 
 class ABuffer(LineEngine):
     """Lines in parallel bundles, one for each point (:class:`Bundles`).
 
-    For each bundle all faces are projected along its direction and filled in row by row, like triangles of a picture,
-    but each line of the grid keeps all faces that it meets. Sorted by depth, neighbours see each other
-    [Carpenter 1984]. In double precision, no line of a closed mesh slips between two faces.
+    For each bundle all faces are projected along its direction and rasterised row by row, but each line of the grid
+    keeps all faces that it hits. Sorted by depth, neighbours see each other [Carpenter 1984]. In double precision, no
+    line passes between two faces of a closed mesh.
 
     points: by default :class:`SpiralPoints`, a spiral for the bundles of each call.
-    lines: of a bundle through the bounding sphere; by default as many as meet a patch four times in the mean, and
-        16384 at least. Where surfaces are few in a large space that would be too many for the memory: there are 2^24
-        or 32 for each patch then, which is said, and :class:`LocalRays` are better. The square of a patch's error falls
-        with the number of bundles times the power 3/2 of their lines, until there are too few directions: have some
-        hundred, and a thousand for errors of 0.2 %.
+    lines: of a bundle through the bounding sphere; by default four per patch in the mean, and at least 16384. With few
+        surfaces in a large space this would need too much memory: then there are 2^24, or 32 per patch, with a warning,
+        and :class:`LocalRays` are better. The squared error of a patch falls with the number of bundles times the power
+        3/2 of their lines, as long as there are enough directions: use a few hundred bundles, or a thousand for errors
+        of 0.2 %.
     backend: ``compiled`` loops on the CPU (Numba), or ``drjit``, on the device of the current variant. ``auto`` takes
-        the second where that is a GPU. Both find the same segments, but for single lines that pass an edge.
+        the second on a GPU. Both find the same segments, except for single lines at an edge.
 
     Raises :class:`RadiosityError` for another backend, and for more lines than fit into memory.
     """
@@ -82,8 +82,8 @@ class ABuffer(LineEngine):
             lines = min(wanted, most)
         if (free := free_memory()) is not None and _LINE_BYTES * lines > free:
             raise RadiosityError(
-                f"a bundle of {lines:.2g} lines needs {_LINE_BYTES * lines / 1e9:.2g} GB on each thread, there are "
-                f"{free / 1e9:.2g}: ask for fewer lines, or take LocalRays"
+                f"a bundle of {lines:.2g} lines needs {_LINE_BYTES * lines / 1e9:.2g} GB on each thread, "
+                f"{free / 1e9:.2g} GB are free: ask for fewer lines, or take LocalRays"
             )
         self.bundles: Bundles = Bundles(patches, lines)
         used, faces = np.unique(patches.faces, return_inverse=True)
@@ -97,7 +97,7 @@ class ABuffer(LineEngine):
 
     @staticmethod
     def suits(patches: Patches) -> bool:
-        """Whether bundles of lines in any moderate number meet the patches; if not, take :class:`LocalRays`."""
+        """Whether bundles with a moderate number of lines hit the patches; if not, use :class:`LocalRays`."""
         wanted, most = _wanted(patches)
         return wanted <= most
 
@@ -106,7 +106,7 @@ class ABuffer(LineEngine):
         return self.bundles.expected(self.patches.areas, count)
 
     def piece(self, count: int) -> int:
-        """See :class:`LineEngine`; of the kernels sixteen pieces at least, so that batches can be made of them."""
+        """See :class:`LineEngine`; at least sixteen pieces with the kernels, so that there are enough batches."""
         if self.backend == "compiled":
             return _BUNDLES
         once = max(self._rasteriser.lanes, self.expected(1).sum() + self.bundles.lines_per_point)
@@ -129,8 +129,8 @@ class ABuffer(LineEngine):
         return in_order(task(*piece) for piece in pieces)
 
     def _is_inside(self) -> bool:
-        """Whether the faces with one side look into a space that they bound, as those of a room do, and not out of
-        solids: by the volume behind them."""
+        """Whether the one-sided faces face the inside of a closed space, such as a room, and not the outside of solids:
+        by the signed volume."""
         p = self._vertices[self._faces[self.patches.back < 0]]
         if len(p) == 0:
             return False
@@ -167,6 +167,6 @@ class ABuffer(LineEngine):
 
 
 def _wanted(patches: Patches) -> tuple[float, float]:
-    """Lines of a bundle that meet a patch some times in the mean, and the most that there may be."""
+    """Lines of a bundle for the default mean number per patch, and their limit."""
     sparse = 2 * np.pi * patches.sphere[1] ** 2 / patches.areas.sum()
     return max(LINES_PER_PATCH * sparse * len(patches), _FEWEST), max(_MOST, _MOST_PER_PATCH * len(patches))

@@ -1,4 +1,4 @@
-"""All hits of any lines, by one ray after the other."""
+"""All hits of arbitrary lines, ray by ray."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .segments import Pairs
 
 Index = NDArray[np.int64]
 
-#: Lines at once, and the most hits of one.
+#: Lines at once, and largest number of hits of a line.
 _BATCH, _MOST_HITS = 1 << 18, 10_000
 
 
@@ -44,7 +44,7 @@ class ChainedRays(LineEngine):
         return self.generator.expected(self.patches.areas, count)
 
     def piece(self, count: int) -> int:
-        """See :class:`LineEngine`: sixteen pieces at least, so that batches can be made of them."""
+        """See :class:`LineEngine`: at least sixteen pieces, so that there are enough batches."""
         return max(min(int(_BATCH / self.generator.lines_per_point), -(-count // 16)), 1)
 
     def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
@@ -57,7 +57,7 @@ class ChainedRays(LineEngine):
         sky = len(self.patches)
         origins, directions = self.scene.local(lines.origins), lines.directions
         line, travelled = np.arange(len(lines)), np.zeros(len(lines))
-        # The side that a line has left last, and its face.
+        # The last side that a line left, and its face.
         before, last_face = np.full(len(lines), sky), np.full(len(lines), -1)
         found: list[tuple[Index, Index, Index]] = []
         for _ in range(_MOST_HITS):

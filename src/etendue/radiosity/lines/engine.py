@@ -1,4 +1,4 @@
-"""What casts lines: engines that turn points of a set into segments."""
+"""Line engines: they turn points of a point set into segments."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from .generators import Bundles
 from .segments import Pairs, Segments
 from .spiral import ShuffledPoints
 
-#: Share of the segments that may lead to backs of faces without a warning.
+#: Accepted share of segments that lead to backs of faces, without a warning.
 _DARK = 0.01
 
 
 class LineEngine(ABC):
-    """Casts lines through patches, as many as there are points of a set of four dimensions.
+    """Casts a line, or a bundle of lines, through patches for each point of a four-dimensional point set.
 
     points: by default a scrambled Sobol' sequence.
 
@@ -31,7 +31,7 @@ class LineEngine(ABC):
     another dimension.
     """
 
-    #: What the lines of a point are: a bundle of parallel ones, or one line (``None``).
+    #: The lines of a point: a bundle of parallel lines, or one line (``None``).
     bundles: Bundles | None = None
 
     def __init__(self, patches: Patches, points: PointSet | None = None) -> None:
@@ -43,7 +43,7 @@ class LineEngine(ABC):
     @property
     def shares_directions(self) -> bool:
         """Whether lines that follow each other are parallel: bundles of more than one line."""
-        # The number is made of a distance: one line may be 1 + 1e-16 of them.
+        # Computed from a distance: a single line may give 1 + 1e-16.
         return self.bundles is not None and self.bundles.lines_per_point > 1 + 1e-9
 
     def shuffled(self, count: int, first: int = 0) -> Self:
@@ -54,7 +54,7 @@ class LineEngine(ABC):
 
     @abstractmethod
     def piece(self, count: int) -> int:
-        """Points of a piece of :meth:`stream`, when so many are cast; the last piece may have less."""
+        """Points per piece of :meth:`stream` if ``count`` points are cast; the last piece may have fewer."""
 
     @abstractmethod
     def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
@@ -63,10 +63,10 @@ class LineEngine(ABC):
 
     @abstractmethod
     def expected(self, count: int) -> Array:
-        """(n,) how many segments each patch should have, were it flat, for ``count`` points."""
+        """(n,) expected number of segments of each patch, if it is flat, for ``count`` points."""
 
     def cast(self, count: int, first: int = 0, batches: int = 16) -> Segments:
-        """The segments of ``count`` points from ``first`` on, in at most so many batches.
+        """The segments of ``count`` points from ``first`` on, in at most ``batches`` batches.
 
         Warns of patches that no line has met, and if many lines meet backs of faces.
 
@@ -77,8 +77,8 @@ class LineEngine(ABC):
         need, free = 4 * float(self.expected(count).sum()), free_memory()
         if free is not None and need > free:
             raise RadiosityError(
-                f"segments of {count} points need {need / 1e9:.1f} GB, there are {free / 1e9:.1f}: cast fewer points, "
-                "or take stream()"
+                f"segments of {count} points need {need / 1e9:.1f} GB, {free / 1e9:.1f} GB are free: cast fewer "
+                "points, or take stream()"
             )
         chunks = list(self.stream(count, first))
         batches = min(batches, len(chunks))

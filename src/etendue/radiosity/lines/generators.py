@@ -1,18 +1,18 @@
-"""Global lines: lines through a scene whose density is that of integral geometry, and four ways to draw them.
+"""Global lines: lines through a scene with the uniform density of integral geometry, and four ways to sample them.
 
-Lines are spread evenly if their number through a piece of surface does not depend on where the piece is and how it is
-turned. A line of a convex body of surface ``S`` then meets a flat patch of area ``A`` inside it with probability
-``2 A / S``, and leaves every patch in directions of cosine density, so that the share of the lines through patch ``i``
-that next meet patch ``j`` is the form factor [Sbert 1993].
+Their density is uniform: the number of lines through a piece of surface does not depend on its position and
+orientation. A line of a convex body of surface ``S`` then meets a flat patch of area ``A`` inside it with probability
+``2 A / S``, and leaves every patch with cosine density, so that the share of the lines through patch ``i`` that next
+hit patch ``j`` is the form factor [Sbert 1993].
 
-Each generator maps a point of the unit cube of four dimensions to a line, so that any point set of four dimensions can
-drive it [Castro 2002, sec. 3.4]:
+Each generator maps a point of the four-dimensional unit cube to a line, so any four-dimensional point set can be used
+[Castro 2002, sec. 3.4]:
 
 ==================== ================================================================================================
 :class:`SpherePairs` through two points of a sphere around the scene
-:class:`BoxWalls`    from a point of the walls of a box around the scene, by the cosine law; no line misses the box
-:class:`GreatCircle` of an even direction, through a point of the disc across it
-:class:`Bundles`     of an even direction, in a square grid across it at a random place: many lines for one point
+:class:`BoxWalls`    from a point on the walls of a box around the scene, by the cosine law; no line misses the box
+:class:`GreatCircle` of uniform direction, through a point of the disc across it
+:class:`Bundles`     of uniform direction, in a randomly shifted square grid across it: many lines for one point
 ==================== ================================================================================================
 """
 
@@ -31,7 +31,7 @@ from ..errors import RadiosityError
 
 #: Lines begin this far outside the body, in radii: a face on its surface is met.
 _MARGIN = 0.05
-#: Grids are turned by this angle (radians): walls along the axes are not to be along the rows of a grid.
+#: Rotation of grids (radians), so that walls along the axes are not aligned with the rows of a grid.
 _TURN = 0.4
 
 
@@ -54,7 +54,7 @@ class LineGenerator(ABC):
 
     def __init__(self, patches: Patches) -> None:
         self.centre, self.radius = patches.sphere
-        #: Surface of the convex body that the lines fill.
+        #: Surface area of the convex body from which the lines are sampled.
         self.surface = 4 * np.pi * self.radius**2
 
     @abstractmethod
@@ -63,11 +63,11 @@ class LineGenerator(ABC):
 
     @property
     def lines_per_point(self) -> float:
-        """Lines through the body that one point gives, in the mean."""
+        """Mean number of lines through the body per point."""
         return 1.0
 
     def expected(self, areas: Array, points: int) -> Array:
-        """How many of the lines of ``points`` points meet flat patches of these areas, in the mean: 2 A / S of each."""
+        """Mean number of lines of ``points`` points that hit flat patches of these areas: 2 A / S of all lines."""
         return points * self.lines_per_point * 2 * areas / self.surface
 
     def _outside(self, points: Array, directions: Array) -> Lines:
@@ -75,7 +75,7 @@ class LineGenerator(ABC):
 
 
 class SpherePairs(LineGenerator):
-    """Through two independent, evenly spread points of the bounding sphere. Four dimensions of equal rank."""
+    """Through two independent uniform points of the bounding sphere. All four dimensions are equally important."""
 
     name = "sphere-pairs"
 
@@ -90,14 +90,14 @@ class SpherePairs(LineGenerator):
 
 
 class BoxWalls(LineGenerator):
-    """From an even point of the walls of the box around the scene, into it by the cosine law."""
+    """From a uniform point on the walls of the box around the scene, into it by the cosine law."""
 
     name = "box-walls"
 
     def __init__(self, patches: Patches) -> None:
         super().__init__(patches)
         self.lower, upper = patches.bounds
-        # What is flat gets a thickness, or a box would have no volume to point into.
+        # Flat scenes get a thickness, so that the box has a volume.
         self.sides = np.maximum(upper - self.lower, 1e-3 * self.radius)
         walls = np.prod(self.sides) / self.sides
         self.surface = float(2 * walls.sum())
@@ -112,7 +112,7 @@ class BoxWalls(LineGenerator):
         place, way = np.empty((len(u), 3)), np.empty((len(u), 3))
         place[rows, axis] = is_upper
         place[rows, (axis + 1) % 3], place[rows, (axis + 2) % 3] = first, u[:, 1]
-        # A point of the unit disc, raised to the hemisphere, has cosine density.
+        # A point of the unit disc, projected up to the hemisphere, has cosine density.
         r, phi = np.sqrt(u[:, 2]), 2 * np.pi * u[:, 3]
         way[rows, axis] = np.sqrt(1 - u[:, 2]) * (1 - 2 * is_upper)
         way[rows, (axis + 1) % 3], way[rows, (axis + 2) % 3] = r * np.cos(phi), r * np.sin(phi)
@@ -120,7 +120,8 @@ class BoxWalls(LineGenerator):
 
 
 class GreatCircle(LineGenerator):
-    """Of an even direction, through an even point of the disc across it through the centre of the bounding sphere."""
+    """Of uniform direction, through a uniform point of the perpendicular disc through the centre of the bounding
+    sphere."""
 
     name = "great-circle"
 
@@ -134,10 +135,10 @@ class GreatCircle(LineGenerator):
 
 
 class Bundles(LineGenerator):
-    """Parallel lines across a plane of even direction, in a square grid whose place is even.
+    """Parallel lines of uniform direction, in a square grid with a uniform shift.
 
-    lines: how many of a bundle go through the bounding sphere, in the mean. The grid is turned against the axes of the
-        scene, alike in bundles of nearly the same direction: what one counts too much of a patch, the next lacks.
+    lines: mean number of lines of a bundle through the bounding sphere. The grid is rotated against the axes of the
+        scene, similarly in bundles of similar direction, so that their errors cancel.
 
     Raises :class:`RadiosityError` for less than one line.
     """
@@ -157,7 +158,7 @@ class Bundles(LineGenerator):
         return float(np.pi * self.radius**2 / self.spacing**2)
 
     def most(self, patches: Patches) -> Array:
-        """(n,) the most lines of a bundle that meet each patch, whatever its direction and place.
+        """(n,) upper bound of the lines of a bundle through each patch, for any direction and shift.
 
         A convex figure of area A and perimeter P holds at most ``A + P / 2 + 1`` points of the square grid of spacing 1
         [Nosarzewska 1948]; a face is not larger than itself in any direction.
@@ -179,7 +180,7 @@ class Bundles(LineGenerator):
         return np.stack([cosine * a + sine * b, cosine * b - sine * a, way], axis=1)
 
     def lines(self, u: Array) -> Lines:
-        """See :class:`LineGenerator`: those of a bundle one after the other, row by row."""
+        """See :class:`LineGenerator`: bundle by bundle, row by row."""
         reach = int(np.ceil(self.radius / self.spacing)) + 1
         j, i = (x.ravel() for x in np.meshgrid(*[np.arange(-reach, reach + 1)] * 2, indexing="ij"))
         frames, grid = self.frames(u), np.column_stack([i, j])
@@ -193,7 +194,7 @@ class Bundles(LineGenerator):
 
 
 def direction(u: Array) -> Array:
-    """Even directions (n, 3) of a hemisphere, from two columns: a line has no sense."""
+    """Uniform directions (n, 3) of a hemisphere, from two columns; a line has no orientation."""
     z, phi = u[:, 0], 2 * np.pi * u[:, 1]
     r = np.sqrt(1 - z**2)
     return np.stack([r * np.cos(phi), r * np.sin(phi), z], axis=1)

@@ -1,6 +1,7 @@
-"""Lists of the hits of lines, on the device: into order, and what lies between neighbours.
+"""Lists of the hits of lines, on the device: sorting, and the segments between neighbours.
 
-A hit is a number of 64 bits: depth in the upper half, then the face, and last whether the line meets the back of it.
+A hit is a 64-bit number: the depth in the upper half, then the face, and in the last bit whether the line hits its
+back.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-#: Hits of half a line that are sorted in registers; few lines have more.
+#: Number of hits of half a line that are sorted in registers; few lines have more.
 _FEW = 4
 #: No hit, or no segment.
 _NOTHING = 0xFFFFFFFFFFFFFFFF
@@ -19,8 +20,8 @@ _NOTHING = 0xFFFFFFFFFFFFFFFF
 
 @dataclass
 class Hits:
-    """Hits in the order in which they were found, and which half of which line they are: hits of the fronts of faces
-    and hits of their backs are apart, ``2 line + (key & 1)``."""
+    """Hits in the order of their discovery, and the half line of each, ``2 line + (key & 1)``: hits of fronts and of
+    backs are separate."""
 
     key: Any  #: UInt64
     half: Any  #: UInt32
@@ -28,7 +29,7 @@ class Hits:
 
 @dataclass
 class Lists:
-    """Hits line by line: those of a line from ``first`` on, ``count`` of them, and room for one more."""
+    """Hits line by line: ``count`` hits of a line from ``first`` on, and space for one more."""
 
     key: Any  #: UInt64
     first: Any  #: UInt32, a lane for each line that has hits
@@ -36,9 +37,9 @@ class Lists:
 
 
 def by_depth(hits: Hits, lines: int) -> Lists:
-    """The hits of each of so many lines, sorted."""
-    # Plane k has the k-th hit of each half line that has so many. All hits write to the plane at once; those that are
-    # not the one that stays there try the next. Atomic operations would take ten times as long on a CPU.
+    """The sorted hits of each line."""
+    # Plane k has the k-th hit of each half line. All hits write to a plane at once; those that were overwritten try the
+    # next plane. Atomic operations would take ten times as long on a CPU.
     planes: list[Any] = []
     halves, others = dr.zeros(mi.UInt32, 2 * lines), Hits(hits.key, hits.half)
     while len(planes) < _FEW and len(others.key):
@@ -98,7 +99,8 @@ def _network(size: int) -> list[tuple[int, int]]:
 
 
 def _sort_many(lists: Lists, chosen: Any) -> None:
-    """All hits of the chosen lines, by counting for each those before it: any number, without memory for them."""
+    """All hits of the chosen lines, by counting for each hit those before it: works for any number, without memory for
+    them."""
     dr.eval(lists, chosen)
     chosen = dr.compress(chosen)
     first, count = dr.gather(mi.UInt32, lists.first, chosen), dr.gather(mi.UInt32, lists.count, chosen)
@@ -124,8 +126,8 @@ def exchanges(lists: Lists, sides: Any, sky: Any, gap: Any, solid: Any) -> Any:
 
     ``sides``: two patches for each face, of front and back; ``sky`` and ``sky + 1`` stand for the sky and for the back
     of a face. Two faces of opposite sense that are nearer than ``gap`` may be a sheet, or solids that touch (a box on
-    the floor). Rounding does not decide which comes first, but whether the line is inside a solid, behind the back of a
-    face. ``solid``: whether the scene is the inside of something, so that lines begin there.
+    the floor). Their order is not decided by rounding but by whether the line is inside a solid, behind the back of a
+    face. ``solid``: whether the scene is an interior, so that lines begin inside a solid.
     """
     dark = sky + 1
     lines, first, count = _Lines(lists, sides, dark, gap, solid), lists.first, lists.count
@@ -168,7 +170,7 @@ class _Lines:
         self._sides, self._dark, self._gap, self._solid = sides, dark, gap, solid
 
     def hit(self, i: Any) -> tuple[Any, Any, Any]:
-        """Depth of a hit, patch of the near side and of the far side; anything behind the last."""
+        """Depth of a hit, patch of the near side and of the far side; arbitrary values after the last hit."""
         there = i < self._count
         key = dr.gather(mi.UInt64, self._key, self._first + i, there)
         identity = mi.UInt32(key & 0xFFFFFFFF)
@@ -177,14 +179,14 @@ class _Lines:
         return mi.UInt32(key >> 32), dr.select(is_back, back, front), dr.select(is_back, front, back)
 
     def touch(self, i: Any, at: Any, near: Any, far: Any, following: Any, near_2: Any, far_2: Any) -> Any:
-        """Whether a hit and the next are of opposite sense and nearer than the gap."""
+        """Whether a hit and the next have opposite orientation and are closer than the gap."""
         enters, leaves = far == self._dark, near == self._dark
         opposite = (enters != leaves) & (enters == (near_2 == self._dark)) & (leaves == (far_2 == self._dark))
         return (i + 1 < self._count) & (following - at < self._gap) & opposite
 
     def inside(self, i: Any, at: Any, near: Any, following: Any, before: Any, close: Any) -> Any:
         """Whether the line is inside a solid before hit ``i``, which is ``close`` to the next."""
-        # Outside of everything may be a solid or the open: the first face by itself tells.
+        # The outside may be solid or open: the first face that is not part of a pair decides.
         begins = close & (i == 0)
 
         def pair_after(k: Any, _near: Any, _again: Any) -> tuple[Any, Any, Any]:
@@ -198,8 +200,8 @@ class _Lines:
             pair_after,
             label="line lists: first face",
         )
-        # All are pairs: in the inside of something it is a box in a corner, through whose walls the line comes and
-        # goes; else a corner that is touched keeps its order, two faces in the same place are a sheet.
+        # Only pairs: in an interior it is a box in a corner, through whose walls the line passes; else a touched corner
+        # keeps its order, and two coincident faces are a sheet.
         corner = self._solid | ((near == self._dark) & (following - at > 1))
         at_first = dr.select(alone < self._count, near_alone == self._dark, corner)
         return dr.select(begins, at_first, before == self._dark)

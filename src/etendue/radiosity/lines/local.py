@@ -1,4 +1,4 @@
-"""Local lines: from points of the patches into their hemispheres, to what they meet first."""
+"""Local lines: from points on patches into their hemispheres, to the first hit."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from .segments import Pairs
 
 
 class LocalRays(LineEngine):
-    """Rays from even points of all patches by the cosine law; each makes a segment for both of its ends.
+    """Rays from uniform points of all patches by the cosine law; each is a segment for both of its ends.
 
-    They have the density of global lines [Sbert 1993], but each end of a segment is looked for by one ray, and nothing
-    behind it is found. Better than global lines where surfaces are few in a large space.
+    They have the density of global lines [Sbert 1993], but a ray finds one segment only. Better than global lines for
+    few surfaces in a large space.
 
-    bundle: rays that count as one, each with a point of its own, for what casts lines in bundles.
+    bundle: number of rays that count as one bundle, each with its own point.
     """
 
     def __init__(self, scene: RayScene, points: PointSet | None = None, bundle: int = 1) -> None:
@@ -32,11 +32,11 @@ class LocalRays(LineEngine):
         self._source = RaySource(scene, Sides.of(scene.patches))
 
     def expected(self, count: int) -> Array:
-        """See :class:`LineEngine`: as many from a patch as to it."""
+        """See :class:`LineEngine`: equal numbers from a patch and to it."""
         return 2 * count * self.bundle * self.patches.areas / self.patches.areas.sum()
 
     def piece(self, count: int) -> int:
-        """See :class:`LineEngine`: sixteen pieces at least, so that batches can be made of them."""
+        """See :class:`LineEngine`: at least sixteen pieces, so that there are enough batches."""
         return max(min(BATCH // self.bundle, -(-count // 16)), 1)
 
     def stream(self, count: int, first: int = 0, size: int | None = None) -> Iterator[Pairs]:
@@ -46,7 +46,7 @@ class LocalRays(LineEngine):
             places = self._source.any(u[0], u[1])
             found = self.scene.meets(places.origin, places.directions(cosine_lanes(u[2], u[3])))
             pairs = pairs_of(self._source.patch_of(places.side), found)
-            # A patch gets as many lines from another as it sends there, but none from the sky: these count twice.
+            # A patch receives as many lines from another as it sends there, but none from the sky: these count twice.
             yield np.concatenate([pairs, pairs[pairs[:, 1] >= len(self.patches)]])
 
 
@@ -62,8 +62,8 @@ class Rays:
 class Emission:
     """Rays of cosine density that carry the ``power`` (n, c) of patches.
 
-    Rays are shared out by power, all channels together, and have the colour of their source. They are scaled so that of
-    each channel all power is sent.
+    Rays are distributed by power, summed over channels, and have the colour of their source. They are scaled so that
+    the total power of each channel is sent.
     """
 
     def __init__(self, scene: RayScene, power: Array) -> None:

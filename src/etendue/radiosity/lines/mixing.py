@@ -1,4 +1,4 @@
-"""Global lines and local rays together: what small patches see, which few lines meet."""
+"""Global lines combined with local rays, for small patches that few lines hit."""
 
 from __future__ import annotations
 
@@ -16,24 +16,25 @@ from etendue.surfaces import BATCH, RayScene, RaySource, Sides, cosine_lanes, pa
 from ..errors import RadiosityError
 from .segments import Pairs, Segments
 
-#: Local rays may be this share of the segments: with what is made of them, they then take about the time of the lines.
+#: Largest share of local rays among the segments; they then take about as long as the lines, including their
+#: processing.
 _SHARE = 0.125
 
 
 class MixedSegments(Segments):
     """Segments of global lines, and of local rays from some of the patches.
 
-    Of the ``m_i`` lines that should meet patch i, ``m_i F_ij`` lead to j, of ``k_i`` rays from it ``k_i F_ij``. With
-    ``extra_i = k_i / m_i`` a pair is met ``1 + extra_i + extra_j`` times as often as by lines alone, and each of its
-    segments, whether of a line or a ray, counts one divided by that: the balance heuristic [Veach 1997]. Sums so have
-    the mean that lines alone have, and remain symmetric: weight_i F_ij = weight_j F_ji.
+    Of the ``m_i`` expected lines of patch i, ``m_i F_ij`` lead to j, and of ``k_i`` rays from it ``k_i F_ij``. With
+    ``extra_i = k_i / m_i`` a pair is sampled ``1 + extra_i + extra_j`` times as often as by lines alone, and each of
+    its segments, of a line or a ray, has the inverse of that as weight: the balance heuristic [Veach 1997]. Sums then
+    have the same mean as with lines alone, and stay symmetric: weight_i F_ij = weight_j F_ji.
 
     Attributes
     ----------
-    extra: (n,) local rays for each line that is expected, zero for most patches.
+    extra: (n,) local rays per expected line, zero for most patches.
     rays: number of local rays.
-    counted, to_sky, to_dark: (n,) weighted, and no whole numbers any more.
-    corrections: of each batch, what rays add to the counts of pairs, and weights take from those of lines: an
+    counted, to_sky, to_dark: (n,) weighted, so not whole numbers.
+    corrections: for each batch, what rays add to the counts of pairs and the weights subtract from those of lines: an
         (n + 2, n + 2) CSR array.
     """
 
@@ -49,7 +50,7 @@ class MixedSegments(Segments):
         self.to_dark = lines.to_dark + self._column(n + 1)
 
     def __add__(self, other: Segments) -> Segments:
-        """Not to be had: add the segments of lines first. Raises :class:`RadiosityError`."""
+        """Raises :class:`RadiosityError`: add the segments of lines first, then mix rays in."""
         raise RadiosityError("segments with local rays cannot be added: add those of lines, then mix rays in")
 
     def batch(self, number: int) -> Segments:
@@ -67,22 +68,22 @@ class MixedSegments(Segments):
 def with_local_rays(
     segments: Segments, scene: RayScene | None = None, *, least: int = 256, points: PointSet | None = None
 ) -> Segments:
-    """The same segments, and local rays from patches that so few lines meet that ``least`` rays tell more.
+    """The same segments, with local rays from patches that fewer than ``least`` lines hit.
 
-    Those are the patches that less than ``least`` lines should meet, by their area. There are fewer rays, by halves,
-    if they would be more than an eighth of the segments, but two, whose difference tells the error; where all patches
-    are alike, there are none, nor where one ray each would be too many. Rays have single precision: patches below 1e-5
-    of the scene's size are beyond them.
+    These are the patches with fewer than ``least`` expected lines, by their area, with ``least`` rays each. If rays
+    would be more than an eighth of the segments, their number is halved repeatedly, down to two, whose difference gives
+    the error. There are none if all patches are alike, or if one ray each would be too many. Rays have single
+    precision: they cannot resolve patches below 1e-5 of the scene's size.
 
-    scene: made of the patches if it is not given. points: of four dimensions, for the rays, a scrambled Sobol' sequence
-    by default; not those of the lines. Raises :class:`RadiosityError` if rays were mixed in before.
+    scene: made from the patches if not given. points: four-dimensional points for the rays, by default a scrambled
+    Sobol' sequence; not those of the lines. Raises :class:`RadiosityError` if rays were mixed in before.
     """
     if isinstance(segments, MixedSegments):
         raise RadiosityError("local rays have been mixed into these segments")
     rays, few = local_rays(segments.expected, len(segments), least)
     if len(few) == 0:
         return segments
-    extra = np.zeros(len(segments.patches) + 2)  # sky and darkness send no rays
+    extra = np.zeros(len(segments.patches) + 2)  # sky and dark send no rays
     extra[few] = rays / segments.expected[few]
     batches = max(segments.batch_count, 1)
     from_lines: list[list[Pairs]] = [[] for _ in range(batches)]
@@ -102,7 +103,7 @@ def with_local_rays(
 
 
 def local_rays(expected: Array, segments: int, least: int = 256) -> tuple[int, NDArray[np.int64]]:
-    """How many rays :func:`with_local_rays` casts from each of which patches."""
+    """Number of rays per patch that :func:`with_local_rays` casts, and the patches."""
     rays = least
     while rays and rays * np.count_nonzero(expected < rays) > _SHARE * segments:
         rays //= 2
@@ -111,7 +112,7 @@ def local_rays(expected: Array, segments: int, least: int = 256) -> tuple[int, N
 
 
 def _weighted(pairs: Pairs, extra: Array, less: float = 0.0) -> Any:
-    """Sums (n + 2, n + 2) of what segments count, ``less`` a number each, in both directions."""
+    """Sums (n + 2, n + 2) of the weights of segments, minus ``less`` each, in both directions."""
     i, j = pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64)
     weight = 1 / (1 + extra[i] + extra[j]) - less
     both = np.concatenate([weight, weight]), (np.concatenate([i, j]), np.concatenate([j, i]))
@@ -119,7 +120,7 @@ def _weighted(pairs: Pairs, extra: Array, less: float = 0.0) -> Any:
 
 
 def _rays(scene: RayScene, patches: NDArray[np.int64], rays: int, points: PointSet) -> Iterator[tuple[Pairs, Any]]:
-    """Segments (k, 2) of so many rays from each patch, and the number of each among those of its patch."""
+    """Segments (k, 2) of ``rays`` rays from each patch, and the index of each ray within its patch."""
     source = RaySource(scene, Sides.of(scene.patches))
     at_once = max(BATCH // rays, 1)
     for start in range(0, len(patches), at_once):

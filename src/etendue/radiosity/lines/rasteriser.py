@@ -1,14 +1,14 @@
-"""Bundles of parallel lines by Dr.Jit: the same code fills pixels on the cores of a CPU and on a GPU.
+"""Bundles of parallel lines by Dr.Jit: the same code rasterises on a CPU and on a GPU.
 
-What :mod:`etendue.radiosity.kernels` does for one bundle after the other, some kernels do for many at once:
+A few kernels process many bundles at once:
 
-1. a lane for each face of each bundle counts its hits, which makes room for them;
+1. a lane for each face of each bundle counts its hits, to allocate space for them;
 2. the same lanes write their hits, each with its line;
-3. hits find their place on the line, and a lane for each line sorts them and writes what lies between neighbours
+3. hits are assigned to their line, and a lane for each line sorts them and writes the segments between neighbours
    (:mod:`.linelists`).
 
-Coordinates are in double precision, or lines would slip between faces that are cut differently. A hit is one number of
-64 bits: its depth in fixed point, then its face, so that order does not depend on which lane came first.
+Coordinates are in double precision, or lines would pass between faces that are divided differently. A hit is one 64-bit
+number: its depth in fixed point, then its face, so that the order does not depend on the order of lanes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from etendue.core import Array, copied_to_device, use_variant
 from .linelists import Hits, by_depth, exchanges
 from .segments import Pairs
 
-#: Rows of a face that one lane fills. Larger faces are shared out, or all lanes would wait for one.
+#: Rows of a face that one lane rasterises. Larger faces are split, or all lanes would wait for one.
 _ROWS = 8
 #: Depths span the bounding sphere and a little more.
 _DEPTHS, _MARGIN = 2.0**32, 1.01
@@ -40,11 +40,11 @@ class Rasteriser:
     sides: (f, 2) the patch of the front and of the back, ``patches + 1`` for none.
     patches: their number.
     spacing: of neighbouring lines.
-    gap: of faces whose order rounding may not decide, a length.
+    gap: distance of faces below which rounding must not decide their order.
 
     Attributes
     ----------
-    lanes: of one bundle, when its faces are filled in.
+    lanes: of one bundle, for its faces.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class Rasteriser:
         self._solid = dr.opaque(mi.Bool, solid)
 
     def segments(self, frames: Array, shifts: Array) -> Pairs:
-        """Of the lines of bundles, line by line, each from its near end on, (k, 2).
+        """Segments (k, 2) of the lines of bundles, line by line, each from its near end on.
 
         frames: (b, 3, 3) as of :meth:`Bundles.frames`; shifts: (b, 2) of their grids, in units of the spacing.
         """
@@ -88,7 +88,7 @@ class Rasteriser:
 
 
 class _Grid:
-    """Lines of some bundles: pixels of one image for each bundle, large enough for the box around the scene."""
+    """Lines of some bundles: an image per bundle whose pixels are lines, large enough for the box around the scene."""
 
     def __init__(self, faces: Rasteriser, frames: Array, shifts: Array) -> None:
         self._faces = faces
@@ -96,7 +96,7 @@ class _Grid:
         moved = np.concatenate([-shifts, np.full((len(frames), 1), _DEPTHS / 2)], axis=1)
         middle, half = faces.extent.mean(axis=0), np.diff(faces.extent, axis=0)[0] / 2
         centre, reach = axes[:, :2] @ middle + moved[:, :2], np.abs(axes[:, :2]) @ half
-        # One line more on each side than the box needs: rounding must not lead out of the image.
+        # One more line on each side than the box needs, so that rounding does not leave the image.
         first = np.floor(centre - reach).astype(np.int64) - 1
         columns, rows = (np.ceil(centre + reach).astype(np.int64) + 2 - first).T
         begin = np.concatenate([[0], np.cumsum(columns * rows)])
@@ -112,7 +112,7 @@ class _Grid:
         return counts
 
     def fill(self, places: Any, number: int) -> Hits:
-        """All hits, those of each lane from its place on."""
+        """All hits, those of each lane from its position on."""
         keys, halves = dr.empty(mi.UInt64, number), dr.empty(mi.UInt32, number)
 
         def row(place: Any, stop: Any, column: Any, half: Any, key: Any) -> Any:
@@ -142,7 +142,7 @@ class _Grid:
         x, y, z = zip(*[_projected(axes, dr.gather(mi.Vector4d, faces.vertices, c)) for c in corners], strict=True)
         edges = [_edge(x[i], y[i], x[(i + 1) % 4], y[(i + 1) % 4]) for i in range(4)]
 
-        # Normal from the diagonals; of a triangle, whose last corner is there twice, as well.
+        # Normal from the diagonals; also for triangles, which repeat their last corner.
         a, b = mi.Vector3d(*(c[2] - c[0] for c in (x, y, z))), mi.Vector3d(*(c[3] - c[1] for c in (x, y, z)))
         normal = dr.cross(a, b)
         slope_x, slope_y = -normal.x / normal.z, -normal.y / normal.z
@@ -178,7 +178,7 @@ class _Grid:
 
 
 def _items(vertices: Array, faces: NDArray[np.uint32], spacing: float) -> NDArray[np.uint32]:
-    """What a lane works at, (i, 8): four corners, the face, and the first row and the step of its share of rows."""
+    """Work items of lanes, (i, 8): four corners, the face, and the first row and the step of its rows."""
     rows = np.linalg.norm(np.ptp(vertices[faces], axis=1), axis=1) / spacing  # at most, in any direction
     shares = np.maximum(np.ceil(rows / _ROWS), 1).astype(np.int64)
     face = np.repeat(np.arange(len(faces)), shares)
@@ -187,7 +187,7 @@ def _items(vertices: Array, faces: NDArray[np.uint32], spacing: float) -> NDArra
 
 
 def _projected(axes: list[Any], vertex: Any) -> tuple[Any, Any, Any]:
-    """Column, row and depth of a vertex. Spelt out: every face that has it must get the same numbers."""
+    """Column, row and depth of a vertex. Written out, so that all faces with this vertex get the same numbers."""
     x, y, z = (dr.fma(a.x, vertex.x, dr.fma(a.y, vertex.y, dr.fma(a.z, vertex.z, a.w))) for a in axes)
     return x, y, z
 

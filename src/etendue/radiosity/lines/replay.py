@@ -1,4 +1,4 @@
-"""Sums over stored segments on a GPU: what :mod:`etendue.radiosity.kernels` does on the CPU, by Dr.Jit."""
+"""Sums over stored segments on a GPU by Dr.Jit; :mod:`etendue.radiosity.kernels` is the CPU version."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class DeviceSegments:
         self._blocks = [mi.UInt64(block.view(np.uint64).ravel()) for block in _blocks(chunks)]
 
     def gather(self, values: Array) -> Array:
-        """For each end of a segment the sum of the ``values`` (n + 2, c) of the other ends, (n + 2, c)."""
+        """For each patch the sum of the ``values`` (n + 2, c) at the other ends of its segments, (n + 2, c)."""
         columns = [mi.Float64(np.ascontiguousarray(column)) for column in values.T]
         sums = [dr.zeros(mi.Float64, len(values)) for _ in columns]
         for block in self._blocks:
@@ -46,7 +46,7 @@ class DeviceSegments:
 
 
 def _blocks(chunks: Sequence[NDArray[np.uint32]]) -> Iterator[NDArray[np.uint32]]:
-    """The chunks that are not empty, a few together."""
+    """The chunks that are not empty, joined to larger blocks."""
     waiting: list[NDArray[np.uint32]] = []
     for chunk in chunks:
         if waiting and sum(map(len, waiting)) + len(chunk) > _BLOCK:

@@ -1,4 +1,4 @@
-"""Point sequences that take turns, so that the scatter of what they bring tells the error of all."""
+"""Independent point sequences used in turn, whose variance gives the error of their mean."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from etendue.points import PointSet
 
 
 class Replicates(PointSet):
-    """Runs of points of some independently randomised sequences in turn.
+    """Runs of points from several independently randomised sequences, in turn.
 
-    Parts of one sequence fill each other's gaps: they scatter two to nine times as much, in bundles of lines, as their
-    mean errs. Independent sequences scatter as it does; the price is that each is a shorter one.
+    Parts of one sequence complement each other: for bundles of lines their variance overestimates the error of the mean
+    by a factor of two to nine. With independent sequences the estimate is unbiased, but each sequence is shorter.
 
-    sequences: of one dimension. run: points of one of them before the next takes its turn.
+    sequences: of equal dimension. run: consecutive points from one of them before the next one.
     """
 
     name = "replicates"

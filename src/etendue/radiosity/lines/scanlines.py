@@ -1,9 +1,9 @@
 """Loops compiled for the CPU by Numba: bundles of lines through all faces, as segments.
 
-A *segment* is a pair of patch numbers, or of one and ``n`` for the sky, ``n + 1`` for darkness (the back of a face).
+A *segment* is a pair of patch indices, or a patch index and ``n`` for the sky, ``n + 1`` for dark (the back of a face).
 
-A *hit* is a number of 64 bits: depth before twice the face, and 1 if the line meets its back first. Depths are whole
-numbers of 32 bits from one side of the scene to the other, so that hits are sorted as they are.
+A *hit* is a 64-bit number: the depth, then twice the face index, plus 1 if the line hits its back. Depths are 32-bit
+integers over the extent of the scene, so that hits can be sorted as integers.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from numba import njit
 #: Depths of the scene, which has the radius 1, are from -_REACH to _REACH.
 _REACH = 1.001
 _UNIT = 2.0**31 / _REACH
-#: The order of faces nearer to each other than this follows from how they are turned, in units of depth: 2e-7 radii.
+#: Faces closer to each other than this are ordered by their orientation, in units of depth: 2e-7 radii.
 _GAP = int(2e-7 * _UNIT)
-#: As near, two faces are in the same place.
+#: Two faces this close coincide.
 _SAME = 1
 _NONE = np.int32(-1)
 _HALF, _LOW = np.uint64(32), np.uint64(0xFFFFFFFF)
-#: Hits of a line up to this number are sorted without branches.
+#: Up to this number of hits of a line are sorted without branches.
 _FEW = 8
 
 
@@ -35,13 +35,14 @@ def rasterise(
 
     vertices (v, 3) in the unit sphere; faces (f, 4), flat and convex; ends (2 f, 2): near and far patch of a face, and
     the same of the face seen from the back, ``patches + 1`` for none; frames (b, 3, 3) as of :meth:`Bundles.frames`;
-    shifts (b, 2) of the grid in units of ``spacing``; room, the hits of a bundle to be ready for; solid, whether the
-    scene is the inside of something, so that lines begin behind the backs of faces.
+    shifts (b, 2) of the grid in units of ``spacing``; room, the initial capacity for hits of a bundle; solid, whether
+    the scene is an interior, so that lines begin behind the backs of faces.
 
-    Each line has a list of its hits, in order of their discovery; see :func:`_settle` for those that are too near to
+    Each line has a list of its hits, in order of their discovery; see :func:`_settle` for hits that are too close to
     each other to be ordered by depth.
     """
-    # What may grow is passed on as an argument: arrays that change hands in a loop are counted at every turn of it.
+    # Growing arrays are passed as arguments: reassigning them in a loop would update reference counts in each
+    # iteration.
     place = np.empty((len(vertices), 3))
     heads = np.empty(1, np.int32)
     hits, nexts = np.empty(room, np.uint64), np.empty(room, np.int32)
@@ -108,11 +109,11 @@ def _fill(
 ) -> Any:
     """Put the hits of the faces from ``start`` on into the lists.
 
-    Returns the face before which room has run out (``len(faces)`` if it has not), the number of hits, and how many more
-    that face may have.
+    Returns the face at which the capacity was exceeded (``len(faces)`` if it was not), the number of hits, and the
+    largest number of hits of that face.
 
-    A face covers the half-open interval of a row between its edges, and an edge is computed alike for both faces that
-    share it: a line meets exactly one of them.
+    A face covers the half-open interval of a row between its edges, and an edge is computed in the same way for both
+    faces that share it: a line hits exactly one of them.
     """
     for f in range(start, len(faces)):
         i0, i1, i2, i3 = faces[f, 0], faces[f, 1], faces[f, 2], faces[f, 3]
@@ -127,7 +128,7 @@ def _fill(
         if count + (end - top) * width > len(hits):
             return f, count, (end - top) * width
         z0, z1, z2, z3 = place[i0, 2], place[i1, 2], place[i2, 2], place[i3, 2]
-        # Normal from the diagonals; of a triangle, whose last corner is there twice, as well.
+        # Normal from the diagonals; also for triangles, which repeat their last corner.
         ax, ay, az = x2 - x0, y2 - y0, z2 - z0
         bx, by, bz = x3 - x1, y3 - y1, z3 - z1
         nz = ax * by - ay * bx
@@ -136,7 +137,7 @@ def _fill(
         slope_x, slope_y = -(ay * bz - az * by) / nz, -(az * bx - ax * bz) / nz
         z_low, z_high = min(min(z0, z1), min(z2, z3)), max(max(z0, z1), max(z2, z3))
         side = np.uint64(2 * f + (nz > 0))
-        # Edges as x over y from their lower end; those along a row are infinitely slanted, and meet none.
+        # Edges as x over y from their lower end; edges along a row have infinite slope and cross no row.
         slant0, slant1, slant2, slant3 = (
             (x1 - x0) / (y1 - y0),
             (x2 - x1) / (y2 - y1),
@@ -230,31 +231,30 @@ def _walk(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _apart(order: Any, k: Any) -> Any:
-    """How much deeper than hit ``k`` of a line the next is."""
+    """Depth difference of hit ``k`` of a line and the next."""
     return np.int64(order[k + 1] >> _HALF) - np.int64(order[k] >> _HALF)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _settle(k: Any, inside: Any, count: Any, order: Any, ends: Any, dark: Any, solid: Any) -> Any:
-    """Put hit ``k`` of a line and the next, which are near to each other, into the right order. Returns the hit from
-    which on order is still to be looked at.
+    """Order hit ``k`` of a line and the next one, which are close to each other. Returns the next hit to be examined.
 
-    Two faces of opposite sense that are so near may be a sheet, or solids that touch (a box on the floor). Rounding
-    does not decide which comes first, but whether the line is inside a solid, behind the back of a face.
+    Two such faces of opposite orientation may be a sheet, or solids that touch (a box on the floor). Their order is not
+    decided by rounding but by whether the line is inside a solid, behind the back of a face.
     """
     if not _touch(k, count, order, ends, dark):
         return k
     leaves = ends[order[k] & _LOW, 0] == dark
     if k == 0:
-        # Outside of everything may be a solid or the open: the first face by itself tells.
+        # The outside may be solid or open: the first face that is not part of a pair decides.
         alone = 2
         while _touch(alone, count, order, ends, dark):
             alone += 2
         if alone < count:
             inside = ends[order[alone] & _LOW, 0] == dark
-        elif solid:  # a box in a corner of a room, through whose walls the line comes and goes
+        elif solid:  # a box in a corner of a room, through whose walls the line passes
             inside = True
-        elif leaves:  # a corner that is touched keeps its order, two faces in the same place are a sheet
+        elif leaves:  # a touched corner keeps its order, two coincident faces are a sheet
             inside = _apart(order, k) > _SAME
         else:
             inside = False
@@ -265,7 +265,7 @@ def _settle(k: Any, inside: Any, count: Any, order: Any, ends: Any, dark: Any, s
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _touch(k: Any, count: Any, order: Any, ends: Any, dark: Any) -> Any:
-    """Whether hit ``k`` of a line and the next are of opposite sense and nearly in the same place."""
+    """Whether hit ``k`` of a line and the next have opposite orientation and nearly the same position."""
     if k + 1 >= count or _apart(order, k) >= _GAP:
         return False
     a, b = order[k] & _LOW, order[k + 1] & _LOW

@@ -1,4 +1,4 @@
-"""Segments: what lines through a scene are reduced to, pairs of patches that see each other."""
+"""Segments: pairs of patches that see each other along a line, the stored form of lines."""
 
 from __future__ import annotations
 
@@ -17,30 +17,29 @@ from ..parallel import compiled, in_order, threads
 from .replay import DeviceSegments, uses_cuda
 
 Pairs = NDArray[np.uint32]
-#: How a sum over the segments of a patch becomes a mean: by their number, or by the number that its area lets expect.
+#: Divisor of a sum over the segments of a patch: their number, or the number expected from its area.
 Normalisation = Literal["counted", "expected"]
 
 
 class Segments:
     """Pieces of lines between two patches that face each other, 8 bytes each, in the order of the lines.
 
-    A segment is a pair of patch numbers. ``n`` stands for the sky, where a line ends that meets nothing, and ``n + 1``
-    for darkness: the back of a face that has one side. So every line through a patch is in one of its segments.
-    Of the segments of patch ``i`` the share that lead to ``j`` estimates the form factor F_ij, and whatever is a sum
-    over form factors is a run over the segments, at some hundred million in a second: a bounce, another band, another
-    hour.
+    A segment is a pair of patch indices. ``n`` is the sky, where a line without further hit ends, and ``n + 1`` is
+    dark: the back of a one-sided face. So every line through a patch is one of its segments. The share of the segments
+    of patch ``i`` that lead to ``j`` estimates the form factor F_ij, and any sum over form factors is a pass over the
+    segments, at a few hundred million per second: a bounce, another band, another hour.
 
-    Parts of the lines are kept apart as ``batches``, whose differences tell errors.
+    The lines are divided into ``batches``, whose variance gives errors.
 
     Attributes
     ----------
-    patches: those that the lines were cast through; only number and areas are asked for.
+    patches: those that the lines were cast through; only their number and areas are used.
     chunks: arrays (k, 2), one after the other.
     batches: (chunks,) the batch of each chunk, from 0 on.
-    expected: (n,) how many lines should meet each patch, if it is flat.
+    expected: (n,) expected number of lines through each patch, if it is flat.
     """
 
-    #: What local rays add, see :class:`MixedSegments`.
+    #: Contribution of local rays, see :class:`MixedSegments`.
     correction: Any = None
     extra: Array | None = None
 
@@ -50,7 +49,7 @@ class Segments:
         self.batches = np.asarray(batches, dtype=np.int64)
         self.expected = expected
         ends = self._ends()[: len(patches)]
-        #: (n,) segments of each patch: the lines that meet it.
+        #: (n,) segments of each patch: the lines through it.
         self.counted: NDArray[Any] = ends[:, 0].copy()
         #: (n,) those that lead to the sky.
         self.to_sky: NDArray[Any] = ends[:, 1].copy()
@@ -64,7 +63,7 @@ class Segments:
         return f"Segments({len(self)} of {len(self.patches)} patches, {self.batch_count} batches)"
 
     def __add__(self, other: Segments) -> Segments:
-        """Those of both, whose batches stay apart. Raises :class:`RadiosityError` if the patches are not the same."""
+        """The segments of both, with separate batches. Raises :class:`RadiosityError` if the patches differ."""
         if len(self.patches) != len(other.patches) or not np.array_equal(self.patches.areas, other.patches.areas):
             raise RadiosityError("segments of different patches cannot be put together")
         batches = np.concatenate([self.batches, other.batches + self.batch_count])
@@ -82,7 +81,7 @@ class Segments:
 
     @property
     def unseen(self) -> NDArray[np.int64]:
-        """Patches that no line has met: nothing is known of them."""
+        """Patches without any line: nothing is known about them."""
         return np.flatnonzero(self.counted == 0)
 
     @property
@@ -92,29 +91,27 @@ class Segments:
 
     @property
     def dark(self) -> Array:
-        """(n,) the share that lead to the back of a face: none in a closed mesh that is turned the right way."""
+        """(n,) the share that leads to the back of a face: zero in a closed mesh with the right orientation."""
         return _divide(self.to_dark[:, None], self.exchange_weights)[:, 0]
 
     @property
     def exchange_weights(self) -> Array:
-        """(n,) what makes the exchange symmetric: weight_i F_ij = weight_j F_ji."""
+        """(n,) weights that make the exchange symmetric: weight_i F_ij = weight_j F_ji."""
         return self.counted.astype(np.float64)
 
     def gather(self, values: ArrayLike, sky: ArrayLike = 0.0, normalisation: Normalisation = "counted") -> Array:
         """Mean of ``values`` (n, c) or (n,) over what each patch sees: F values, the irradiance if these are
         radiosities.
 
-        ``sky`` is the value of the sky, a number or (c,). A patch that no line has met gets zero.
+        ``sky`` is the value of the sky, a number or (c,). A patch without any line gets zero.
         """
         full, shape = self._with_sky(values, sky)
         return _divide(self._gather(full), self._weights(normalisation)).reshape(shape)
 
     def gather_error(self, values: ArrayLike, sky: ArrayLike = 0.0) -> Array:
-        """Standard error of :meth:`gather` (counted), from the scatter of the batches, in the shape of ``values``.
-
-        Batches of one point sequence scatter more than their mean errs: the error is then an upper estimate.
-        Nothing is known of patches that only one batch has met, and their error is zero. Raises
-        :class:`RadiosityError` for less than two batches.
+        """Standard error of :meth:`gather` (counted), from the variance of the batches, in the shape of ``values``. For
+        batches of one point sequence this overestimates the error. Patches that only one batch has hit get zero, as
+        their error is unknown. Raises :class:`RadiosityError` for less than two batches.
         """
         if self.batch_count < 2:
             raise RadiosityError("a standard error needs two batches of lines at least")
@@ -124,7 +121,7 @@ class Segments:
         return scatter(((part._gather(full), part.counted) for part in parts), mean).reshape(shape)
 
     def sums(self, values: ArrayLike, sky: ArrayLike = 0.0) -> tuple[Array, Array]:
-        """What :meth:`gather` (counted) divides, (n, c), by what, (n,); to be added up over segments."""
+        """Numerator (n, c) and denominator (n,) of :meth:`gather` (counted), which can be summed over segments."""
         return self._gather(self._with_sky(values, sky)[0]), self.exchange_weights
 
     def batch(self, number: int) -> Segments:
@@ -168,7 +165,7 @@ class Segments:
         return DeviceSegments(self.chunks)
 
     def _sum(self, loop: str, zero: Any, *arguments: Any) -> Any:
-        """What a compiled loop over all chunks adds to ``zero``, each thread having its own."""
+        """Sum of a compiled loop over all chunks, starting from ``zero`` in each thread."""
         add = getattr(compiled(), loop)
         parts = np.array_split(np.arange(len(self.chunks)), threads())
 
@@ -183,13 +180,13 @@ class Segments:
 
 def scatter(parts: Iterable[tuple[Array, Array]], mean: Array) -> Array:
     """Standard error (n, c) of a ``mean`` that is a quotient of sums, from the sums (n, c) and the weights (n,) of its
-    independent parts; zero where one part alone has a weight."""
+    independent parts; zero where only one part has a weight."""
     squares, weight, alike = np.zeros_like(mean), np.zeros(len(mean)), np.zeros(len(mean))
     for sums, weights in parts:
         weight += weights
         squares += (sums - mean * weights[:, None]) ** 2
         alike += weights**2.0
-    # The mean takes part of the scatter away: of parts that have the shares w of the weight, the sum of w^2.
+    # Bessel's correction for parts with shares w of the weight: the mean absorbs the sum of w^2 of the variance.
     return np.sqrt(_divide(squares, weight**2.0 - alike))
 
 

@@ -1,4 +1,4 @@
-"""Points for bundles: directions on a spiral over the hemisphere; and any points in random order."""
+"""Points for bundles: directions on a spiral over the hemisphere; and shuffled point sets."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from etendue.points import Halton, OwenSobol, PointSet
 
 from .generators import direction
 
-#: The golden ratio less one: the part of a turn from one direction to the next.
+#: The golden ratio minus one: the part of a turn between consecutive directions.
 _TURN = (np.sqrt(5.0) - 1) / 2
 _BELOW_ONE = 1 - 2.0**-24
-#: Points that an order is drawn from.
+#: Number of points that seed a random order.
 _SEEDING = 16
 
 
 class SpiralPoints(PointSet):
     """Points of four dimensions for :class:`Bundles`: directions on spherical Fibonacci lattices [Marques 2013].
 
-    Direction ``k`` of n has the height ``(k + 1/2) / n`` and is turned by k golden sections; then all are turned
-    together at random, so that each is even by itself. In a room with boxes 1024 leave two thirds of the error of
-    Sobol' points. They come in the order of the radical inverse, so that each part of them is spread, too, but less
-    well. The other dimensions are those of a scrambled Sobol' sequence.
+    Direction ``k`` of n has the height ``(k + 1/2) / n`` and is rotated by k golden sections; then all are rotated
+    together at random, so that each is uniform. In a room with boxes 1024 of them have two thirds of the error of
+    Sobol' points. They are in the order of the radical inverse, so that each part of them is distributed evenly, too,
+    but less well. The other dimensions are those of a scrambled Sobol' sequence.
 
-    directions: n, after which the next spiral begins, turned otherwise. Best is the number of bundles, if it is known.
+    directions: n, after which the next spiral begins with another rotation. Best is the number of bundles, if known.
     """
 
     name = "spiral"
@@ -41,7 +41,7 @@ class SpiralPoints(PointSet):
         self._sobol = OwenSobol(4, seed=seed)
 
     def randomised(self, seed: int) -> PointSet:
-        """Spirals turned otherwise."""
+        """Spirals with another rotation."""
         return SpiralPoints(seed, self.directions)
 
     def _coordinate(self, index: Any, dimension: int) -> Any:
@@ -61,8 +61,8 @@ class SpiralPoints(PointSet):
 class ShuffledPoints(PointSet):
     """The ``count`` points of a set from ``first`` on in a random order, at the same indices.
 
-    Neighbours of a sequence lie apart on purpose; of a random order they are nearly independent. The order is drawn
-    from the points: those of another seed have another.
+    Neighbours in a sequence are far apart by design; in a random order they are nearly independent. The order is seeded
+    by the points, so other seeds give other orders.
     """
 
     name = "shuffled"
@@ -71,7 +71,7 @@ class ShuffledPoints(PointSet):
         super().__init__(base.dimension)
         self.first = first
         points = base.block(count, first)
-        # Of 20 bits of the first ones: the last place, in which machines may differ, does not matter.
+        # From 20 bits of the first points, since machines may differ in the last bits.
         start = np.floor(points[:_SEEDING] * 2.0**20).astype(np.uint32)
         self._points = points[np.random.default_rng(start.ravel()).permutation(count)]
 
@@ -84,11 +84,11 @@ class ShuffledPoints(PointSet):
 
 @lru_cache(16)
 def _ways(seed: int, size: int, spiral: int) -> Array:
-    """Height and turn of the directions of a spiral, (2, size)."""
+    """Height and rotation of the directions of a spiral, (2, size)."""
     k = np.argsort(np.argsort(Halton(1).block(size)[:, 0]))
     ways = direction(np.stack([(k + 0.5) / size, np.mod(k * _TURN, 1.0)], axis=1))
     turned, scale = np.linalg.qr(np.random.default_rng(seed_key(seed, "spiral", spiral)).normal(size=(3, 3)))
     ways = ways @ (turned * np.sign(np.diag(scale)))
-    ways *= np.copysign(1.0, ways[:, 2:])  # a line has no sense
+    ways *= np.copysign(1.0, ways[:, 2:])  # a line has no orientation
     turn = np.mod(np.arctan2(ways[:, 1], ways[:, 0]) / (2 * np.pi), 1.0)
     return np.minimum(np.stack([ways[:, 2], turn]), _BELOW_ONE)

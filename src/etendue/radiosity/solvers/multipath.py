@@ -16,20 +16,20 @@ from ..lines.segments import Pairs
 from ..parallel import compiled
 from .shot import FirstShot
 
-#: Shares of a patch's power that a round of bundles takes from it, if what it sends never came back. More of them make
-#: the last round shorter, and the result noisier.
+#: Multiple of its power that a round of bundles could take from a patch, without feedback. A larger value makes the
+#: last round shorter, and the result noisier.
 _SHARES = 16.0
-#: Power on its way in the end, of what was sent; and the most rounds to get there.
+#: Accepted share of unshot power at the end, and largest number of rounds.
 _LEFT, _ROUNDS = 1e-6, 4
 
 
 @dataclass(frozen=True)
 class Multipath:
-    """What lines have exchanged.
+    """The result of the exchange along lines.
 
-    ``radiosity``: (n, c). ``unshot``: (n, c) power that patches have received and not sent on. Power (c,): ``sent`` of
-    their own by patches and sky, ``absorbed`` and gone ``to_sky``; what was sent is absorbed, in the sky or unshot. A
-    first shot is included.
+    ``radiosity``: (n, c). ``unshot``: (n, c) power that patches have received and not sent on. Power (c,): ``sent``,
+    the emission of patches and sky; ``absorbed``; and ``to_sky``. ``sent`` is the sum of absorbed, to_sky and unshot
+    power. A first shot is included.
     """
 
     radiosity: Array
@@ -42,15 +42,15 @@ class Multipath:
 def multipath(engine: LineEngine, count: int, first: int = 0, shot: FirstShot | None = None) -> Multipath:
     """Exchange power segment by segment, in the order in which lines were cast [Castro 2002, sec. 2.3.4].
 
-    Along a segment each end sends what it has unshot, and of its own power the share for one line; what the other end
-    reflects of it replaces what that had unshot. One line so advances many paths, and a path serves all its beginnings.
-    What a patch receives along one line leaves along the next that meets it: that must have another direction.
+    Along a segment each end sends its unshot power, and the share of its own power for one line; the part that the
+    other end reflects replaces the unshot power of that end. One line thus advances many paths. What a patch receives
+    along one line leaves along the next line through it, which must have another direction.
 
     The lines of ``count`` points from ``first`` on are cast through the patches of the engine. shot: of
-    :func:`first_shot`; the patches it has lit are then the sources. Power that is on its way in the end stays unshot.
+    :func:`first_shot`; the lit patches are then the sources. Power that is not yet absorbed at the end stays unshot.
 
     Raises :class:`RadiosityError` if nothing emits, for less than one point, and for an engine whose successive lines
-    are parallel (:attr:`LineEngine.shares_directions`): light would go to and fro between the same patches.
+    are parallel (:attr:`LineEngine.shares_directions`): light would bounce between the same two patches.
     """
     exchange = LineExchange(engine, count, shot)
     unshot, received = np.zeros((2, *exchange.shape))
@@ -94,32 +94,34 @@ class LineExchange:
 
 
 def multipath_bundles(engine: LineEngine, count: int, first: int = 0, shot: FirstShot | None = None) -> Multipath:
-    r"""Exchange power bundle by bundle: each line takes a share of what its patch has unshot, and what the patch
-    receives waits for the bundles to come.
+    r"""Exchange power bundle by bundle: each line takes a share of the unshot power of its patch, and later bundles
+    send on what the patch receives.
 
     A bundle has :math:`C_{ij}` segments between patches i and j, :math:`n_i` in all at i. With a part p of the own
-    power for each of N bundles, and w_i the share for a line, the unshot power u and the received r become
+    power for each of N bundles, and w_i the share per line, the unshot power u and the received power r become
 
     .. math:: u \leftarrow u + p, \quad \Delta r = C w u, \quad u \leftarrow u - n w u + \rho\, \Delta r.
 
-    *No bias.* :math:`E\,C_{ij} = m_i F_{ij}`, and a bundle knows nothing of those that have brought u. Of all that i
-    sends j so gets F_ij in the mean, whatever w is, and all that i sends is own + rho r but for u in the end. Where
-    that is gone, :math:`r = F^T (own + \rho r)` in the mean. A share of u / n_i instead would give all directions the
-    same power, where those across a patch have the most lines.
+    *No bias.* :math:`E\,C_{ij} = m_i F_{ij}`, and a bundle is independent of those that delivered u. So j gets the
+    share F_ij of all that i sends in the mean, for any w, and i sends own + rho r except for the final u. With u = 0,
+    :math:`r = F^T (own + \rho r)` in the mean. A share of u / n_i would be biased: it gives all directions the same
+    power, although directions along the normal have the most lines.
 
-    *Bounded variance.* A bundle has at most ``most_i`` lines through a patch (:meth:`Bundles.most`). With
-    :math:`w_i \le 1 / most_i` none sends more than it has: u is never negative, and its sum grows by p alone. Below
-    that bound shares are :math:`w_i = 16 / (m_i N (1 - \rho))`: smaller ones even out u, larger ones empty it sooner.
+    *Bounded variance.* A bundle has at most ``most_i`` lines through a patch (:meth:`Bundles.most`). If
+    :math:`w_i \le 1 / most_i`, none sends more than it has: u is never negative, and its sum grows by p only. Within
+    this bound the shares are :math:`w_i = 16 / (m_i N (1 - \rho))`: smaller ones smooth u, larger ones empty it sooner.
 
-    *Start-up.* The first bundles find little to send, and the last leave some: so bundles are a ring. The first ones
-    are cast once more, without own power, until a millionth of what was sent is unshot: 0.7 rounds more, or some where
-    bundles are few and reflectances high (64, 0.8: two), and four in all at most. What then is left is ``unshot``.
+    *Start-up.* The first bundles find little power to send, and the last leave some: so the bundles are used
+    cyclically. The first ones are cast once more, without own power, until a millionth of the sent power is unshot.
+    This takes 0.7 more rounds, or more with few bundles and high reflectances (two with 64 bundles and reflectances of
+    0.8); there are at most four rounds in all. The rest is ``unshot``.
 
-    *Order.* It is random, as successive points of a sequence lie apart on purpose; each bundle comes once. Bundles that
-    are more even than independent ones would still miss the light that returns along the bundle that brought it, a
-    part in N: it may leave at once, with the weight 1 / N. What remains is a part of the noise.
+    *Order.* It is random, since successive points of a sequence are far apart by design; each bundle occurs once per
+    round. Light can therefore not return along the bundle that delivered it, which independent bundles would allow with
+    the probability 1 / N: so it may leave at once along that bundle, with the weight 1 / N. The remaining bias is a
+    part of the noise.
 
-    Arguments and result as of :func:`multipath`. The result depends on the points of the engine alone, not on how many
+    Arguments and result as of :func:`multipath`. The result depends only on the points of the engine, not on how many
     are cast at once; backends differ by single lines. Raises :class:`RadiosityError` if nothing emits, for less than
     one point, and for an engine without bundles.
     """
@@ -172,7 +174,7 @@ def _received(pairs: Pairs, values: Array) -> Array:
 
 
 def _own(patches: Patches, shot: FirstShot | None, count: int) -> Array:
-    """Power (n, c) that patches have to send along the lines of so many points."""
+    """Power (n, c) that patches send along the lines of ``count`` points."""
     if count < 1:
         raise RadiosityError(f"there is nothing to cast: {count} points")
     if not (patches.emission.any() or patches.sky.any()):
@@ -183,7 +185,7 @@ def _own(patches: Patches, shot: FirstShot | None, count: int) -> Array:
 
 
 def _sky_per_line(patches: Patches, expected: Array) -> Array:
-    # A_i times the sky is what would come to a patch that sees nothing else, along all of its lines.
+    # A_i times the sky is the power that a patch would receive along all of its lines if it saw only the sky.
     return patches.sky * patches.areas.sum() / expected.sum()
 
 
@@ -192,7 +194,7 @@ def _result(patches: Patches, shot: FirstShot | None, sent: Array, unshot: Array
     absorbed = ((1 - patches.reflectance) * received[:-2]).sum(axis=0) + received[-1]
     to_sky = received[-2]
     if shot is not None:
-        # What the shot has sent and left to reflect is sent again by the lines.
+        # Light of the shot that patches reflect is sent on by the lines.
         sent = sent + (patches.areas[:, None] * shot.emission - shot.reflected).sum(axis=0)
         left = left + shot.reflected
         absorbed, to_sky = absorbed + shot.absorbed, to_sky + shot.to_sky

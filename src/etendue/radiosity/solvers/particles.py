@@ -1,4 +1,4 @@
-"""Particles: light sent by local lines, path by path or bounce by bounce, as before there were global lines."""
+"""Particles: light sent by local lines, path by path or bounce by bounce, the classical alternative to global lines."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from etendue.surfaces import STEP, RayScene, Sides, around, cosine_law
 from ..errors import RadiosityError
 from ..lines.local import Emission
 
-#: Most bounces of a particle.
+#: Largest number of bounces of a particle.
 _MOST_BOUNCES = 10_000
 
 
 @dataclass(frozen=True)
 class Particles:
-    """What particles have brought. ``radiosity``: (n, c). Power (c,): ``absorbed``, gone ``to_sky``, and ``unshot``,
-    what was not followed any more. ``rays``: how many were cast."""
+    """The result of particle tracing. ``radiosity``: (n, c). Power (c,): ``absorbed``, ``to_sky``, and ``unshot``, the
+    power not followed further. ``rays``: number of rays."""
 
     radiosity: Array
     absorbed: Array
@@ -39,10 +39,10 @@ def depth_first(
 ) -> Particles:
     """Follow particles, equal in power, from sources until they are absorbed [Castro 2002, sec. 2.3.3].
 
-    At a hit a particle survives with the probability of being reflected, and goes on by the cosine law from where it
-    is, or from an even point of the patch (``leave="patch"``), as a patch of one radiosity asks for. Sources and first
-    directions are from ``points`` of four dimensions, by default a scrambled Sobol' sequence; what follows from
-    independent numbers of the ``seed``. Raises :class:`RadiosityError` if no patch emits.
+    At a hit a particle survives with the probability of being reflected, and continues by the cosine law from the hit
+    point, or from a uniform point of the patch (``leave="patch"``), which is consistent with constant radiosity.
+    Sources and first directions are from four-dimensional ``points``, by default a scrambled Sobol' sequence; later
+    bounces use independent numbers of the ``seed``. Raises :class:`RadiosityError` if no patch emits.
     """
     patches, power = scene.patches, _power(scene)
     if leave not in ("hit", "patch"):
@@ -87,10 +87,10 @@ def depth_first(
 def breadth_first(
     scene: RayScene, rays: int, points: PointSet | None = None, tolerance: float = 1e-3, seed: int = 0
 ) -> Particles:
-    """Send the unshot power of all patches, bounce by bounce, until it is the part ``tolerance`` of what was emitted
+    """Send the unshot power of all patches, bounce by bounce, until it is the share ``tolerance`` of the emitted power
     [Castro 2002, sec. 2.3.3].
 
-    The emission is sent by so many ``rays``, a bounce by as many fewer as its power is less. ``points`` as in
+    The emission is sent by ``rays`` rays; the number for a bounce is proportional to its power. ``points`` as in
     :func:`depth_first`; each bounce takes the next of them. Raises :class:`RadiosityError` if no patch emits.
     """
     patches, unshot = scene.patches, _power(scene)
@@ -116,6 +116,6 @@ def _power(scene: RayScene) -> Array:
 def _result(scene: RayScene, received: Array, unshot: Array, rays: int) -> Particles:
     patches = scene.patches
     radiosity = patches.emission + patches.reflectance * received[:-2] / patches.areas[:, None]
-    # What arrives and is not reflected; of the last bounce what is reflected is unshot.
+    # Arriving power that is not reflected; the reflected power of the last bounce is unshot.
     absorbed = ((1 - patches.reflectance) * received[:-2]).sum(axis=0) + received[-1]
     return Particles(radiosity, absorbed, received[-2], unshot, rays)

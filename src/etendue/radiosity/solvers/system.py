@@ -24,7 +24,7 @@ SOLVERS: tuple[Solver, ...] = ("jacobi", "gauss-seidel", "southwell", "conjugate
 
 
 class Transport(Protocol):
-    """What carries light from patch to patch: :class:`FormFactors` or :class:`Segments`."""
+    """The transport operator: :class:`FormFactors` or :class:`Segments`."""
 
     @property
     def sky(self) -> Array:
@@ -59,7 +59,7 @@ class Solution:
 
     @property
     def residual(self) -> float:
-        """The last one."""
+        """The last residual."""
         return self.residuals[-1]
 
     @cached_property
@@ -75,25 +75,25 @@ class Solution:
         }
 
     def irradiance_error(self, segments: Segments) -> Array:
-        """(n, c) standard error of the irradiance, that of the lines and that of the shot: of the last bounce, which is
-        nearly all of it. ``segments``: those that were solved on. Raises :class:`RadiosityError` for one batch."""
+        """(n, c) standard error of the irradiance from lines and shot, for the last bounce, which is nearly all of it.
+        ``segments``: those used for the solution. Raises :class:`RadiosityError` for one batch."""
         error = segments.gather_error(self._by_lines, self.patches.sky)
         return error if self.shot is None else np.hypot(error, self.shot.error)
 
     @property
     def _by_lines(self) -> Array:
-        """Radiosity that lines carry on."""
+        """Radiosity that lines transport."""
         return self.radiosity if self.shot is None else self.radiosity - self.shot.emission
 
     @property
     def net_power(self) -> Array:
-        """(n, c) power that each patch sends less what arrives: its heat, if it is kept at its temperature."""
+        """(n, c) power that each patch sends minus what arrives: the heat that keeps it at its temperature."""
         return self.patches.areas[:, None] * (self.radiosity - self.irradiance)
 
     @property
     def imbalance(self) -> float:
-        """Power that comes in less what goes out, as a share of the first: zero if form factors are reciprocal and
-        their rows sum to 1, else of the size of their errors."""
+        """Input power minus output power, relative to the input: zero if form factors are reciprocal and their rows sum
+        to 1, else about as large as their errors."""
         come = self.power["emitted"] + self.power["from_sky"]
         gone = self.power["absorbed"] + self.power["to_sky"]
         return float(np.abs(come - gone).sum() / come.sum())
@@ -108,24 +108,23 @@ def solve(
     tolerance: float = 1e-6,
     max_iterations: int = 1000,
 ) -> Solution:
-    """Radiosities of patches whose light is carried by form factors or segments.
+    """Radiosities of patches, by form factors or segments.
 
     ====================== ============================================================================================
-    ``jacobi``             one bounce of all light in an iteration; on segments as well
-    ``gauss-seidel``       the same, each patch seeing what was found before it; on form factors
+    ``jacobi``             one bounce of all light per iteration; also on segments
+    ``gauss-seidel``       the same, using updated values at once; on form factors
     ``southwell``          progressive shooting: the patch of most unshot power first [Cohen 1988]; on form factors. An
                            iteration is as many shots as there are patches
     ``conjugate-gradient`` few iterations at high reflectance; on segments, and on form factors that are reciprocal
     ``direct``             elimination, a channel at a time; on form factors of some thousand patches
     ====================== ============================================================================================
 
-    shot: of :func:`first_shot`: light of emitters that has been sent by rays. The system is then solved for the rest,
-        to which patches contribute what they reflect of the shot: B = E + R, R = rho (D + F R) with the irradiance D
-        of the shot, which takes the place of F E.
+    shot: of :func:`first_shot`: light of emitters sent by rays. The system is then solved for the reflected part: B = E
+        + R, R = rho (D + F R), with the irradiance D of the shot in place of F E.
     tolerance: of the residual, see :class:`Solution`.
 
-    Raises :class:`RadiosityError` if nothing emits, if a solver does not work on such a transport, if a shot is of
-    other patches, or if the solver has not come that far after ``max_iterations``.
+    Raises :class:`RadiosityError` if nothing emits, if a solver does not support the transport, if a shot belongs to
+    other patches, or if the solver has not converged after ``max_iterations``.
     """
     if len(transport.sky) != len(patches):
         raise RadiosityError(f"there are {len(patches)} patches, but light is carried between {len(transport.sky)}")
@@ -137,7 +136,7 @@ def solve(
         raise RadiosityError(f"{solver} needs form factors; on segments there are jacobi and conjugate-gradient")
     rest = patches if shot is None else _after(shot, patches)
     steps = _STEPS[solver](rest, transport)
-    scale = max(rest.emission.max(), rest.sky.max()) or 1.0  # nothing is left of a shot at black patches
+    scale = max(rest.emission.max(), rest.sky.max()) or 1.0  # a shot at black patches leaves nothing
     residuals = []
     for _ in range(max_iterations):
         radiosity, irradiance = steps.step()
@@ -158,8 +157,8 @@ def check_direct(patches: int) -> None:
     free = free_memory()
     if free is not None and 24 * patches**2 > free:
         raise RadiosityError(
-            f"direct solution of {patches} patches needs {24e-9 * patches**2:.1f} GB, there are {free / 1e9:.1f}: take "
-            "another solver"
+            f"direct solution of {patches} patches needs {24e-9 * patches**2:.1f} GB, "
+            f"{free / 1e9:.1f} GB are free: take another solver"
         )
 
 

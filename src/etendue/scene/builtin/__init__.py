@@ -1,1 +1,1 @@
-"""The scenes that étendue brings along, built by code."""
+"""The bundled scenes, built by code."""

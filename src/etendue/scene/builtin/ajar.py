@@ -1,6 +1,6 @@
-"""A room that gets all its light through a door left ajar, from a lamp in the next room that is turned to the wall.
+"""A room whose light comes through a door left ajar, from a lamp in the next room that faces the wall.
 
-Nothing that the camera sees is lit directly, and next to nothing in this room by fewer than two bounces: a path must
+Nothing that the camera sees is lit directly, and almost nothing in this room by fewer than two bounces: a path must
 find the gap of the door before next event estimation finds the lamp.
 """
 

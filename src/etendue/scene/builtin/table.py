@@ -1,4 +1,4 @@
-"""The bundled scenes, by name. Every one is built by code, at the moment it is asked for."""
+"""The bundled scenes by name, built by code on request."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .caustics import caustics
 class BundledScene:
     """A scene that ships with the library. ``build()`` returns a fresh Mitsuba dictionary; a variant must be set.
 
-    ``reference`` is a converged picture of it at its own size, if one ships, ``reference_note`` how it was made.
+    ``reference`` is a converged picture at the scene's size, if one ships, ``reference_note`` says how it was made.
     """
 
     name: str
@@ -75,7 +75,7 @@ def cornell_box() -> dict[str, Any]:
 
 
 def cornell_glass() -> dict[str, Any]:
-    """The scene that costs are measured on: glass and rough metal under a small light, 512x512, depth 10."""
+    """The scene for measurements of cost: glass and rough metal under a small light, 512x512, depth 10."""
     scene = cornell_box()
     scene["integrator"]["max_depth"] = 10
     scene["sensor"]["film"] |= {"width": 512, "height": 512, "rfilter": {"type": "box"}}

@@ -1,1 +1,1 @@
-"""Lights: their power, choice and points, as tables that kernels read."""
+"""Lights: power, light selection and point sampling, as tables that kernels read."""

@@ -1,8 +1,8 @@
-"""Points on area lights whose radiance varies, drawn by the power of the cells of :mod:`.radiance`.
+"""Sampling of points on area lights whose radiance varies, by the power of the cells of :mod:`.radiance`.
 
     p_A = P(cell) / A(cell),    P(cell) = (1 - f) power(cell) / power + f A(cell) / A
 
-The share f that goes by area reaches what the points that measured a cell have missed, and bounds every weight.
+The share f that is sampled by area finds light that the measurement of a cell has missed, and bounds the weights.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from etendue.core import on_device
 
 from .radiance import SURFACES, Cells, place_of
 
-#: Share of the points that are drawn by area.
+#: Share of the points that are sampled by area.
 _BY_AREA = 0.05
 #: Largest number below 1.
 _BELOW_ONE = 1.0 - 2.0**-24
@@ -27,10 +27,10 @@ _KINDS = ("mesh", *SURFACES)
 
 
 class LightPoints:
-    """Tables of cells for the lights of a scene; ``lights`` has None for one that draws its points uniformly.
+    """Tables of cells for the lights of a scene; ``lights`` has None for lights with uniform points.
 
-    A light's cells lie row by row. A row is picked by one number, a cell in it by another, and what the two have left
-    is the point in the cell: numbers that are even over the unit square are even over each light.
+    The cells of a light are stored row by row. One number selects a row, another a cell in it, and their remainders
+    give the point in the cell, which preserves the stratification of the numbers.
     """
 
     def __init__(self, lights: Sequence[Cells | None]) -> None:
@@ -42,7 +42,7 @@ class LightPoints:
             height, width = share.shape
             below = _cumulative(chosen.sum(axis=1))
             within = np.stack([_cumulative(row) for row in chosen])
-            # As the rounded sums have it.
+            # From the rounded sums.
             exact = np.diff(below, prepend=0.0)[:, None] * np.diff(within, prepend=0.0, axis=1)
             heads.append([width, height, first_row, first_cell])
             kinds.append(_KINDS.index(light.surface) if light else len(_KINDS))
@@ -73,7 +73,8 @@ class LightPoints:
         return place, triangle, dr.gather(mi.Float, self._factors, first + column, active)
 
     def _pick(self, sums: Any, first: Any, count: Any, steps: int, u: Any, active: Any) -> tuple[Any, Any]:
-        """The entry of ``count`` cumulative sums from ``first`` on that ``u`` falls into, and what ``u`` has left."""
+        """The index among ``count`` cumulative sums from ``first`` on that ``u`` selects, and the remainder of
+        ``u``."""
         low, high = mi.UInt32(0), count - 1
         for _ in range(steps):
             middle = (low + high) >> 1
@@ -112,7 +113,7 @@ def _probabilities(light: Cells) -> NDArray[np.float64]:
 
 
 def _cumulative(probabilities: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Cumulative sums, in single precision, of probabilities that are brought to a sum of one."""
+    """Cumulative sums, in single precision, of normalised probabilities."""
     sums = np.cumsum(probabilities)
     if sums[-1] <= 0.0:  # a row of triangles without area, which is never picked
         return np.ones(len(sums))

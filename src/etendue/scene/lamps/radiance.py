@@ -1,7 +1,7 @@
-"""The radiance of area lights over their surface, cell by cell: what a light with a texture emits, and where.
+"""The radiance of area lights over their surface, in cells, for textured lights.
 
-A cell is a triangle of a mesh, or a piece of the unit square that a rectangle, disc, sphere or cylinder draws its
-points by. Its mean radiance is that of an even set of points, as close as the texels of the texture or closer.
+A cell is a triangle of a mesh, or a part of the unit square from which a rectangle, disc, sphere or cylinder samples
+its points. Its mean radiance is measured at evenly distributed points, at least as dense as the texels of the texture.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 from ..graph import as_array, contents, plugin_name
 
-#: Shapes that draw points uniformly by a map of the unit square that has an inverse. All other lights are meshes.
+#: Shapes that sample points uniformly by an invertible map of the unit square. All other lights are meshes.
 SURFACES = ("rectangle", "disk", "sphere", "cylinder")
-#: Cells along an axis of that square, least and most; a cell holds several texels of a larger texture.
+#: Smallest and largest number of cells per axis of that square; a cell has several texels of a larger texture.
 _LEAST_CELLS, _MOST_CELLS = 32, 512
-#: Points along an axis of a cell, and in a triangle, where no texels say how many are needed.
+#: Points along an axis of a cell, and in a triangle, if there are no texels to determine them.
 _POINTS, _TRIANGLE_POINTS = 4, 64
-#: Points to a texel in a triangle, where they are no grid.
+#: Points per texel in a triangle, where they are not a grid.
 _TEXEL_POINTS = 4
-#: Points that are looked at together, and of all triangles of a mesh together.
+#: Points that are evaluated at once, and limit for all triangles of a mesh.
 _CHUNK, _MOST_POINTS = 1 << 20, 1 << 24
 
 
@@ -56,7 +56,7 @@ def measure(emitter: Any) -> Cells:
 
 
 def is_black(emitter: Any) -> bool:
-    """Whether an emitter is known to emit nothing: a factor of its radiance is zero all over."""
+    """Whether an emitter is known to be black: a factor of its radiance is zero everywhere."""
     found = contents(emitter)
     numbers = [as_array(value) for name, value in found.values if name in ("data", "scale")]  # of an environment map
     textures = [value for name, value in found.objects if name in ("radiance", "intensity", "irradiance", "texture")]
@@ -68,7 +68,7 @@ def _is_black_texture(texture: Any) -> bool:
         return bool((as_array(dict(contents(texture).values)["data"]) <= 0).all())
     try:
         return float(texture.max()) <= 0.0
-    except RuntimeError:  # a texture that does not know
+    except RuntimeError:  # a texture without a known mean
         return False
 
 
@@ -80,22 +80,22 @@ def _texture(emitter: Any) -> Any:
 
 
 def surface_point(shape: Any, triangle: Any, place: Any, active: Any = True) -> Any:
-    """The point of an area light's shape that ``place`` in the unit square stands for; barycentric coordinates in
+    """The point of an area light's shape for ``place`` in the unit square; barycentric coordinates in
     ``triangle`` of a mesh."""
     kind = plugin_name(shape)
     if kind not in SURFACES:
         met = dr.zeros(mi.PreliminaryIntersection3f)
         met.t = mi.Float(1.0)
         met.prim_index, met.prim_uv, met.shape = triangle, place, mi.ShapePtr(shape)
-        ray = mi.Ray3f(mi.Point3f(0.0), mi.Vector3f(0.0, 0.0, 1.0))  # it says nothing: the triangle has its own corners
+        ray = mi.Ray3f(mi.Point3f(0.0), mi.Vector3f(0.0, 0.0, 1.0))  # unused: the triangle has its own corners
         return shape.compute_surface_interaction(ray, met, mi.RayFlags.All, active)
     return uniform_point(shape, place, active)
 
 
 def uniform_point(shape: Any, u: Any, active: Any = True) -> Any:
-    """The point that a shape draws by ``u``, uniform by area."""
+    """The point of a shape that ``u`` samples uniformly by area."""
     si = mi.SurfaceInteraction3f(shape.sample_position(0.0, u, active), dr.zeros(mi.Color0f))
-    if plugin_name(shape) == "sphere":  # Mitsuba 3.9 forgets to turn the normal with the sphere
+    if plugin_name(shape) == "sphere":  # Mitsuba 3.9 does not rotate the normal with the sphere
         si.n = dr.normalize(dict(contents(shape).values)["to_world"] @ mi.Vector3f(si.n))
     return si
 
@@ -134,7 +134,7 @@ def _of_texture(emitter: Any, shape: Any, texture: Any) -> Cells:
         texels = texels[1], texels[0]
     columns, rows = (int(np.clip(np.ceil(n), _LEAST_CELLS, _MOST_CELLS)) for n in texels or (0, 0))
     across, along = _POINTS, _POINTS
-    if texels and surface in ("rectangle", "cylinder"):  # else the texels lie askew
+    if texels and surface in ("rectangle", "cylinder"):  # else the texels are not aligned with the cells
         across, along = (max(2, int(np.ceil(n / cells))) for n, cells in zip(texels, (columns, rows), strict=True))
     elif texels:
         across = along = max(_POINTS, int(np.ceil(2.0 * max(texels) / min(columns, rows))))
@@ -161,7 +161,7 @@ def _of_mesh(emitter: Any, shape: Any, texture: Any) -> Cells:
     points = np.full(len(faces), _TRIANGLE_POINTS)
     texels, coordinates = _texels(texture), as_array(values.get("vertex_texcoords", np.zeros(0)))
     if texels:
-        covered = np.full(len(faces), 0.5)  # without coordinates of its own, each triangle shows half the texture
+        covered = np.full(len(faces), 0.5)  # without texture coordinates, each triangle covers half of the texture
         if coordinates.size:
             uv = coordinates.astype(np.float64).reshape(-1, 2)[faces]
             e, f = uv[:, 1] - uv[:, 0], uv[:, 2] - uv[:, 0]

@@ -1,4 +1,4 @@
-"""The light table: what every bidirectional technique must know of a scene's emitters and Mitsuba does not say.
+"""The light table: densities of emitters that bidirectional techniques need and Mitsuba does not provide.
 
 Mitsuba's emitters sample rays and directions but return no densities for emission, so densities are derived here from
 four kinds of emitter:
@@ -15,10 +15,11 @@ infinite   1 / (pi R^2), disc of the scene     the emitter's own (constant, envm
 beam       1 / A, uniform over the shape       1, along the normal (directionalarea)
 =========  ==================================  ====================================================================
 
-Next event draws a point of a spherical light by its direction, as the lit point sees it; emission as in the table.
+Next event estimation samples a spherical light by its solid angle from the lit point; emission as in the table.
 Each density is multiplied by the probability of picking the emitter, which is proportional to its emitted power; that
-of a texture is measured texel by texel. An emitter that is not known to be black is picked now and then in any case.
-A projector draws its rays by its texture and not uniformly; weights only need a density that all techniques share.
+of a texture is measured texel by texel. An emitter that is not known to be black has a positive probability in any
+case. A projector samples its rays by its texture, not uniformly; the weights only need a density that all techniques
+share.
 """
 
 from __future__ import annotations
@@ -37,9 +38,9 @@ from ..plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
 from .points import LightPoints
 from .radiance import Cells, is_black, measure, varies
 
-#: Rays drawn from an emitter, and points of a shape, to estimate its power.
+#: Rays from an emitter, and points of a shape, that estimate its power.
 _POWER_SAMPLES = 1 << 12
-#: Of an equal share of the picks, what every emitter gets that is not known to be black.
+#: Smallest probability of an emitter that is not known to be black, relative to an equal share.
 _LEAST_PICK = 0.01
 
 
@@ -112,10 +113,10 @@ class LightTable:
         self._is_delta = on_device(mi.Bool, [r.is_delta for r in rows])
         self.has_sphere = any(r.sphere[3] for r in rows)
         self._sphere = on_device(mi.Float, np.ravel([r.sphere for r in rows])) if self.has_sphere else None
-        #: How points are drawn on area lights whose radiance varies; None where no light of the scene is one.
+        #: Point sampling on area lights whose radiance varies; None if the scene has no such light.
         self.points = LightPoints([r.cells for r in rows]) if any(r.cells for r in rows) else None
         self._cdf = mi.DiscreteDistribution(on_device(mi.Float, pick))
-        # A hit knows its emitter only as a pointer: registry numbers lead back to rows.
+        # A hit has only a pointer to its emitter: registry numbers map it to rows.
         ids = np.asarray(dr.reinterpret_array(mi.UInt32, self._emitters))
         row_of = np.zeros(int(ids.max()) + 1, np.uint32)
         row_of[ids] = np.arange(len(rows))
@@ -128,7 +129,7 @@ class LightTable:
         return self.row(self._cdf.sample(u, active), active)
 
     def left_by_pick(self, u: Any) -> Any:
-        """What a number that picks an emitter has left: uniform in [0, 1), independent of the emitter."""
+        """The remainder of a number that picks an emitter: uniform in [0, 1), independent of the emitter."""
         if self.count == 1:
             return u
         return dr.clip(self._cdf.sample_reuse(u)[1], 0.0, 1.0 - 2.0**-24)
@@ -185,13 +186,13 @@ def _describe(emitter: Any, scene_radius: float) -> _Row:
         return _Row(name, "point", _power(emitter), 1.0, _cone_density(emitter), is_delta=True)
     area = float(np.asarray(emitter.get_shape().surface_area()).ravel()[0])
     if not area > 0:
-        raise SceneError(f"area emitter '{name}' sits on a shape without area; remove it or mend the shape")
+        raise SceneError(f"area emitter '{name}' sits on a shape without area; remove it or repair the shape")
     if one_direction:
         return _Row(name, "beam", _power(emitter), 1.0 / area, is_delta=True)
     exponent = float(np.asarray(emitter.exponent).ravel()[0]) if plugin_name(emitter) == "focusarea" else 0.0
     cells = measure(emitter) if varies(emitter) else None
     radiance = cells.mean if cells else _radiance(emitter)
-    # Focus keeps the power, and makes the radiance along the normal larger.
+    # Focus keeps the power and increases the radiance along the normal.
     power = np.pi * area * radiance / (0.5 * exponent + 1.0)
     return _Row(name, "area", power, 1.0 / area, exponent=exponent, cells=cells, sphere=_sphere(emitter.get_shape()))
 

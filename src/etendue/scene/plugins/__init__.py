@@ -1,8 +1,8 @@
 """étendue's own Mitsuba plugins: BSDFs ``phong`` and ``ward``, emitter ``focusarea``, sensor ``spherical``; and
 materials made of functions.
 
-Mitsuba 3.9.1 has no plugin of these names. Each class is made when a plugin is first asked for under a variant, since
-its base class is Mitsuba's of that variant.
+Mitsuba 3.9.1 has no plugin of these names. Each class is made when a plugin is first used under a variant, since its
+base class is Mitsuba's of that variant.
 """
 
 from __future__ import annotations
@@ -30,8 +30,7 @@ _SENSORS = {"spherical": make_spherical}
 def register() -> None:
     """Make the plugins known to Mitsuba under the variant that is set; harmless when repeated.
 
-    Under variants that are not supported the names are known as well, and asking for one raises
-    :class:`BackendError`.
+    Under unsupported variants the names are registered, too, and using one raises :class:`BackendError`.
     """
     import mitsuba as mi
 

@@ -1,4 +1,4 @@
-"""A material that is a function: what the algebra of :mod:`etendue.integration` has put together, for any scene."""
+"""A material defined by a function composed with :mod:`etendue.integration`, for any scene."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ def composed_bsdf(f: Integrand) -> Any:
     f: the BRDF, a function of (u, v), the direction towards the light (x, y, z) and that towards the eye; unit vectors
         in the frame of the surface, z its normal. Real, or a colour of three values; on the device, or on either side.
 
-    One-sided; ``twosided`` shows it on both sides. Directions are drawn by their cosine, since a function does not say
-    how to draw by it: narrow lobes are noisy. ``etendue.check`` tells whether it keeps energy and is reciprocal. It is
-    asked inside kernels, so it may not hold integrals. Raises :class:`OptionError` for a function of other parameters
+    One-sided; wrap it in ``twosided`` for both sides. Directions are sampled by the cosine, since a general function
+    cannot be sampled: narrow lobes are noisy. ``etendue.check`` tests whether it conserves energy and is reciprocal. It
+    is evaluated inside kernels, so it must not contain integrals. Raises :class:`OptionError` for a function of other
+    parameters
     or values, or of the host.
     """
     if f.dimension != PARAMETERS or f.values not in (1, 3) or f.on == "host":
@@ -35,13 +36,13 @@ def composed_bsdf(f: Integrand) -> Any:
     use_variant()
 
     class ComposedBSDF(mi.BSDF):
-        """f cos, and the density of a direction drawn by its cosine."""
+        """f cos, and the density of cosine sampling."""
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
             self.plugin_name = "composed"
             flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.SpatiallyVarying
-            # A function does not say whether it turns with the surface: taken to, a path keeps the whole frame.
+            # It is unknown whether the function is isotropic: assume not, so that paths keep the whole frame.
             self.m_components = [flags | mi.BSDFFlags.Anisotropic]
             self.m_flags = self.m_components[0]
 
@@ -58,7 +59,7 @@ def composed_bsdf(f: Integrand) -> Any:
             cos = mi.Frame3f.cos_theta(wo)
             active = active & (mi.Frame3f.cos_theta(si.wi) > 0.0) & (cos > 0.0)
             active &= ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 0)
-            # Light comes from `wo` in Mitsuba, where paths begin at the eye.
+            # In Mitsuba light comes from `wo`, since paths begin at the eye.
             found = f.parts(f.evaluate([*si.uv, *wo, *si.wi]))
             value = mi.Color3f(*found) if f.values == 3 else mi.Color3f(mi.Float(found[0]))
             return value * cos & active, cos * dr.inv_pi & active

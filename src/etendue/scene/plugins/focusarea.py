@@ -2,10 +2,11 @@
 
     L(x, w) = radiance(x) (n + 2) / 2 cos^n        cos: between w and the normal, n: the focus exponent
 
-The factor keeps the emitted radiosity, pi radiance, whatever the exponent; n = 0 is Mitsuba's ``area``. A focused light
-therefore illuminates a scene with the same power, seen from straight ahead it is (n + 2) / 2 times as bright.
+The factor keeps the radiosity, pi radiance, for every exponent; n = 0 is Mitsuba's ``area``. A focused light therefore
+has the same power, and along the normal it is (n + 2) / 2 times as bright.
 
-Parameters: ``radiance`` (1), a colour or texture: what the diffuse light of the same radiosity emits; ``exponent`` (0),
+Parameters: ``radiance`` (1), a colour or texture: the radiance of a diffuse light with the same radiosity; ``exponent``
+(0),
 a number of at least 0; ``sampling_weight`` as in every emitter. It stands inside a shape, as ``area`` does.
 
 Sampling densities: points p_A as in ``area`` (the shape's own, or by the texture), directions of emitted rays
@@ -68,7 +69,7 @@ def make_focusarea() -> type:
             return ps, dr.select(active & (ps.pdf > 0.0), dr.rcp(ps.pdf), 0.0)
 
         def _sample_texture(self, shape: Any, sample: Any, active: Any) -> tuple[Any, Any]:
-            """A point of the shape drawn by the brightness of the texture, and its area density."""
+            """A point of the shape sampled by the brightness of the texture, and its area density."""
             uv, pdf = self.radiance.sample_position(sample, active)
             si = shape.eval_parameterization(uv, active=active & (pdf > 0.0))
             density = pdf * dr.rcp(dr.norm(dr.cross(si.dp_du, si.dp_dv)))

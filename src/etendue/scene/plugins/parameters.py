@@ -30,12 +30,12 @@ def check_range(owner: str, key: str, value: Any, low: float, strict: bool = Fal
 
 
 def settle(*values: Any) -> None:
-    """Keep values that may change out of the kernels' code, so that a change recompiles nothing."""
+    """Make values opaque, so that a change does not recompile kernels."""
     dr.make_opaque(*values)
 
 
 def block(name: str, **rows: Any) -> str:
-    """The text of a plugin as Mitsuba prints its own."""
+    """The description of a plugin in Mitsuba's style."""
     lines = []
     for key, value in rows.items():
         text = str(value).replace("\n", "\n  ")

@@ -1,4 +1,4 @@
-"""A BSDF of two components, a diffuse one and a lobe: what ``phong`` and ``ward`` have in common."""
+"""A BSDF with a diffuse component and a lobe, shared by ``phong`` and ``ward``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def make_reflection(lobe_type: Any) -> type:
     """The BSDF class of a lobe (``PhongLobe``, ``WardLobe``) for the current variant."""
 
     class DiffuseAndLobe(mi.BSDF):
-        """f = k_d / pi + k_s lobe; one component is picked by its share of the reflectance, one sample drawn of it."""
+        """f = k_d / pi + k_s lobe; a component is selected by its share of the reflectance and sampled."""
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)

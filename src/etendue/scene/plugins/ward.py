@@ -4,8 +4,8 @@
                                / (4 pi a_u a_v sqrt(cos_i cos_o))
 
 with (t_h, p_h) the half vector in the frame of the surface and a_u, a_v the RMS slopes along its tangents [Ward 1992].
-Towards grazing incidence that lobe reflects more than it receives, without bound. So no cosine under the root is taken
-below min(a^3 / 4, 1/20), ``a`` the larger slope: the model is exact but for directions that close to the surface
+Towards grazing incidence the albedo of this lobe is unbounded. The cosines under the root are therefore clamped to at
+least min(a^3 / 4, 1/20), ``a`` the larger slope: the model is exact except for directions that close to the surface
 (within 0.1 degrees of it for a = 0.2, 3 for a = 0.6), stays reciprocal, and reflects less than k_s for every slope.
 The bound follows from the lobe's albedo near grazing, at most 0.36 sqrt(a^3 / cos_i).
 

@@ -1,4 +1,4 @@
-"""A direction around the z axis drawn from a power of the cosine, shared by the Phong lobe and the focused light."""
+"""Sampling of directions by a power of the cosine around the z axis, shared by the Phong lobe and the focused light."""
 
 from __future__ import annotations
 
