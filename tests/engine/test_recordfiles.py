@@ -110,7 +110,7 @@ def test_a_save_that_fails_leaves_the_checkpoint_of_before(tmp_path, monkeypatch
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(OutputError, match="there is no folder .*gone"):
+    with pytest.raises(OutputError, match=r"there is no folder .*gone"):
         checkpoint(measured(range(2))).write(tmp_path / "gone" / "a")
 
 
