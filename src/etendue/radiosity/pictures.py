@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import drjit as dr
@@ -11,11 +12,11 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from etendue.core import Measurement, OptionError, Replica, Result
-from etendue.methods import ImageMethod, ImageSettings, Path
+from etendue.core import Measurement, OptionError, Replica, Result, SampleSource
+from etendue.methods import CameraSettings, ImageMethod, ImageSettings, total
 from etendue.scene import Problem, check, load
 from etendue.surfaces import PatchSurfaces, SurfaceValues
-from etendue.transport import Camera
+from etendue.transport import Camera, CameraPath, DirectWeights, Walker
 
 from .errors import RadiosityError
 from .solvers.system import Solution
@@ -131,46 +132,76 @@ class _Seen(ImageMethod):
         return {"image": image}, {"rays": 2 * count, "paths": count, "nonfinite": 0.0}
 
 
-class _Gathered(Path):
+@dataclass(kw_only=True)
+class _EndedPath(CameraPath):
+    """A camera path that ends at the second surface that is no mirror."""
+
+    scattered: mi.Bool  #: the first has scattered it
+    reached: mi.Bool  #: the second was reached, at a point, on the side of a normal, with a throughput
+    end: mi.Point3f
+    normal: mi.Normal3f
+    at_end: mi.Color3f
+
+
+class _Gathered(ImageMethod):
     """Path tracing that ends at the second surface that is no mirror, with what the solution says it reflects."""
 
     name: ClassVar[str] = "radiosity-gather"
+    Settings: ClassVar[type[ImageSettings]] = CameraSettings
     citations: ClassVar[tuple[str, ...]] = ("Reichert1992",)
 
     def __init__(self, surfaces: PatchSurfaces, reflected: SurfaceValues) -> None:
         super().__init__()
         self._surfaces, self._reflected = surfaces, reflected
 
-    def trace(self, pixel: Any, source: Any) -> Any:
-        """See :class:`Path`. What has been reached is read off the solution when all paths have ended, since it takes
-        rays of another scene."""
-        state = super().trace(pixel, source)
-        _, p, n, throughput, reached = state.parts
-        _, weight, _ = self.camera.primary(pixel, source)
-        throughput = throughput * weight
-        dr.eval(state.radiance, state.rays, p, n, throughput, reached)
-        value = self._reflected.at(self._surfaces.find(p, n, reached, self.problem.space))
-        state.radiance += dr.select(reached, throughput * value / np.pi, 0.0)
-        return state
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Any], dict[str, float]]:
+        """See :class:`ImageMethod`. What has been reached is read off the solution when all paths have ended, since it
+        takes rays of another scene."""
+        lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
+        source = self.camera_numbers(lanes, samples, seed, iteration)
+        ray, importance, _ = self.camera.primary(lanes // samples, source)
+        walker = self.walker(Walker)
+        path = _EndedPath.at(
+            ray,
+            walker.max_edges,
+            scattered=mi.Bool(False),
+            reached=mi.Bool(False),
+            end=mi.Point3f(0.0),
+            normal=mi.Normal3f(0.0),
+            at_end=mi.Color3f(0.0),
+        )
+        path = walker.trace(path, lambda s: self._edge(s, walker, source), "radiosity gathering")
+        radiance, throughput = path.radiance * importance, path.at_end * importance
+        dr.eval(radiance, path.rays, path.end, path.normal, throughput, path.reached)
+        place = self._surfaces.find(path.end, path.normal, path.reached, self.problem.space)
+        reflected = throughput * self._reflected.at(place) / np.pi
+        radiance, bad = self.kept(radiance + dr.select(path.reached, reflected, 0.0))
+        dr.eval(radiance, bad)
+        counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
+        return {"image": self.image(radiance, seed, iteration)}, counters
 
-    def parts(self, source: Any) -> list[Any]:
-        """Whether a surface has scattered that is no mirror; where the path ended: point, normal, throughput, and
-        whether it did."""
-        return [mi.Bool(False), mi.Point3f(0.0), mi.Normal3f(0.0), mi.Color3f(0.0), mi.Bool(False)]
+    def _edge(self, s: _EndedPath, walker: Walker, source: SampleSource) -> _EndedPath:
+        """Trace one edge, and leave its end by another unless the solution says what comes from there."""
+        vertex, weights = walker.arrive(s), DirectWeights()
+        hit = walker.emission(s, vertex)
+        s.radiance[hit.active] += s.throughput * hit.radiance * weights.hit(s.pdf, hit.direct_pdf)
+        s.active &= vertex.valid & (s.depth < walker.max_edges)
 
-    def leave(self, s: Any, here: Any, scattered: Any) -> None:
-        """See :class:`Path`."""
-        s.parts[0] = s.parts[0] | (s.active & scattered.active & ~scattered.is_delta & ~scattered.is_null)
-
-    def finish(self, s: Any, source: Any, si: Any, bsdf: Any) -> Any:
-        """See :class:`Path`."""
-        ends = s.active & s.parts[0]
-        found = (si.p, _towards(si, s.ray.d), s.throughput)
-        for k, value in enumerate(found, start=1):
-            s.parts[k] = dr.select(ends, value, s.parts[k])
-        s.parts[4] = s.parts[4] | ends
+        ends = s.active & s.scattered
+        s.end = dr.select(ends, vertex.position, s.end)
+        s.normal = dr.select(ends, _towards(vertex.si, vertex.incoming), s.normal)
+        s.at_end = dr.select(ends, s.throughput, s.at_end)
+        s.reached |= ends
         s.active &= ~ends
-        return ends
+
+        light = walker.light_point(vertex, source, s.active & vertex.smooth)
+        scattered, (f,) = vertex.sample(source, s.active, [light])
+        contribution, seen = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
+        s.radiance[seen] += contribution
+        s.scattered |= s.active & scattered.active & ~scattered.is_delta & ~scattered.is_null
+        s.pdf = walker.kept(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
+        walker.advance(s, vertex, scattered, source)
+        return s
 
 
 def _towards(si: Any, direction: Any) -> Any:

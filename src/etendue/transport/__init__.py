@@ -3,8 +3,10 @@
 from . import dimensions
 from .camera import Camera, CameraConnection, Splats
 from .camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
+from .direct import DirectWeights
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
 from .functions import TransportFunctions, film_picture
+from .guided_walk import FOUND_UNITS, GuidedPath, GuidedWalk, Lesson
 from .guiding import NOWHERE, Guide, GuidedScattered, direction_of, square_of
 from .irradiance import IrradianceCache, irradiance_gradients, stratified_hemispheres
 from .light_choice import MOST_LIGHTS, LightChoice, LocalLights
@@ -14,6 +16,7 @@ from .photons import Photon, Photons, unfolded
 from .pyramid import PYRAMID_MAX, Pyramid
 from .scattering import (
     Evaluated,
+    Proposal,
     Scattered,
     cosine_ratio,
     evaluate_camera_end,
@@ -27,10 +30,13 @@ from .scattering import (
     scatter_uniform,
     shadow_roulette,
 )
+from .vertex import Joined, Vertex, WalkVertex
 from .vertices import Kind, LightVertex, LightVertices, needs_interaction
 from .visibility import Visibility
+from .walk import CameraPath, Emission, SubPath, Walker, ones
 
 __all__ = [
+    "FOUND_UNITS",
     "GRAZING",
     "MOST_LIGHTS",
     "NOWHERE",
@@ -38,15 +44,22 @@ __all__ = [
     "PYRAMID_MAX",
     "Camera",
     "CameraConnection",
+    "CameraPath",
     "CameraWalk",
     "DirectSample",
+    "DirectWeights",
+    "Emission",
     "EmittedRay",
     "Evaluated",
     "Gather",
     "Guide",
+    "GuidedPath",
     "GuidedScattered",
+    "GuidedWalk",
     "IrradianceCache",
+    "Joined",
     "Kind",
+    "Lesson",
     "LightCache",
     "LightChoice",
     "LightVertex",
@@ -56,12 +69,17 @@ __all__ = [
     "Mis",
     "Photon",
     "Photons",
+    "Proposal",
     "Pyramid",
     "Scattered",
     "Splats",
+    "SubPath",
     "Techniques",
     "TransportFunctions",
+    "Vertex",
     "Visibility",
+    "WalkVertex",
+    "Walker",
     "cosine_ratio",
     "dimensions",
     "direction_of",
@@ -76,6 +94,7 @@ __all__ = [
     "is_emissive",
     "is_smooth",
     "needs_interaction",
+    "ones",
     "point_on",
     "roulette",
     "sample_direct",

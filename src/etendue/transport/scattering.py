@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -29,15 +29,41 @@ _GRAZING = 1e-6
 class Scattered:
     """One sampled direction, one lane each."""
 
-    direction: Any  #: world
-    weight: Any  #: factor on the throughput
-    pdf: Any  #: solid-angle density of the direction
-    reverse_pdf: Any  #: of the opposite walk at the same vertex
-    cos: Any  #: |cos| of the direction and the geometric normal
-    eta: Any  #: relative index of refraction along the way
-    is_delta: Any
-    is_null: Any  #: went straight on through a null component
-    active: Any
+    direction: mi.Vector3f  #: world
+    weight: mi.Color3f  #: factor on the throughput
+    pdf: mi.Float  #: solid-angle density of the direction
+    reverse_pdf: mi.Float  #: of the opposite walk at the same vertex
+    cos: mi.Float  #: |cos| of the direction and the geometric normal
+    eta: mi.Float  #: relative index of refraction along the way
+    is_delta: mi.Bool
+    is_null: mi.Bool  #: went straight on through a null component
+    active: mi.Bool
+
+
+@dataclass
+class Evaluated:
+    """A BSDF towards one given direction, one lane each."""
+
+    value: mi.Color3f  #: f |cos_s(light side)|
+    pdf: mi.Float  #: solid-angle density of the direction
+    reverse_pdf: mi.Float  #: of the opposite walk
+
+
+class Proposal(Protocol):
+    """How directions are drawn at a vertex: by the BSDF, uniformly, or by a guide."""
+
+    def __call__(
+        self,
+        bsdf: mi.BSDFPtr,
+        si: mi.SurfaceInteraction3f,
+        source: SampleSource,
+        vertex: mi.UInt32,
+        active: mi.Bool,
+        directions: Sequence[tuple[mi.Vector3f, mi.Bool]] = (),
+    ) -> tuple[Scattered, list[Evaluated]]:
+        """Draw a direction by the numbers of ``vertex``, and evaluate towards the given (local direction, mask)
+        pairs."""
+        ...
 
 
 def is_smooth(bsdf: Any) -> Any:
@@ -55,15 +81,6 @@ def exchanged(si: Any, wo: Any) -> Any:
 def geometric_cos(si: Any, direction: Any) -> Any:
     """``|cos|`` of a world direction and the geometric normal."""
     return dr.abs(dr.dot(si.n, direction))
-
-
-@dataclass
-class Evaluated:
-    """A BSDF towards one given direction, one lane each."""
-
-    value: Any  #: f |cos_s(light side)|
-    pdf: Any  #: solid-angle density of the direction
-    reverse_pdf: Any  #: of the opposite walk
 
 
 def evaluate_camera_end(bsdf: Any, si: Any, wo: Any, active: Any) -> Evaluated:

@@ -1,0 +1,170 @@
+"""The guided walk: a camera path whose directions, light points and roulette a guide decides, and what it teaches.
+
+The estimator is that of a path with light points, whatever the guide says. Roulette judges a path by the light that the
+guide expects it to bring from here on, relative to that of its first vertex [Vorba 2016]: by its throughput it would
+end the best paths, since that is small where the guide expects much light.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core import SampleSource
+
+from .direct import DirectWeights
+from .emission import DirectSample
+from .guiding import NOWHERE, Guide, GuidedScattered
+from .walk import CameraPath, Walker
+
+#: What a path found is added up in integers, whose sum does not depend on the order: so many to the picture's mean,
+#: and a path counts as many times the mean at most.
+FOUND_UNITS = 1 << 20
+_MOST = FOUND_UNITS << 14
+#: Vertices of a path that are learned from, from the first on, and bytes of each.
+_VERTICES = 6
+_BYTES = 16
+#: Throughput below which what a path finds is not divided by it.
+_FAINT = 1e-20
+#: Roulette lets a path go on at least with this probability.
+_LEAST_SURVIVAL = 0.1
+
+
+@dataclass(kw_only=True)
+class GuidedPath(CameraPath):
+    """A camera path, and what it knows of the light on its way."""
+
+    found: mi.Float  #: luminance so far
+    expected: mi.Float  #: that it is expected to find from here on; 0: unknown
+    expected_at_first: mi.Float  #: the same at the first vertex where that was known
+    cell: mi.UInt32  #: that the edge comes from
+
+
+class Lesson:
+    """What the paths of a pass find out: light beyond their vertices, and what light points bring to cells.
+
+    Parameters
+    ----------
+    lanes: numbers of the paths.
+    stride: one in so many paths tells what is beyond its vertices.
+    unit: mean light of a path; 0 while it is not known, and light points are not counted.
+    recording: whether anything is learned.
+    """
+
+    #: Bytes that a path takes that tells.
+    path_bytes = _BYTES * _VERTICES
+
+    def __init__(self, guide: Guide, lanes: mi.UInt32, stride: int, unit: float, recording: bool) -> None:
+        opaque = dr.opaque(mi.UInt32, stride)
+        self._count = -(-len(lanes) // stride) if recording else 0
+        self._path = lanes // opaque
+        self._mine = dr.opaque(mi.Bool, recording) & (self._path * opaque == lanes)
+        self._stride = opaque
+        self._packets = dr.zeros(mi.UInt32, 4 * max(1, self._count * _VERTICES))
+        #: Units of luminance.
+        self._scale = dr.opaque(mi.Float, FOUND_UNITS / unit if recording and unit > 0.0 else 0.0)
+        self._lights = guide.light_count
+        #: What points of each light brought to each cell, in units.
+        self.brought = dr.zeros(mi.UInt64, guide.cells * max(1, self._lights))
+
+    def leave(self, s: GuidedPath, scattered: GuidedScattered) -> None:
+        """A path leaves vertex ``s.depth``: remember where to, and what it had found and carried until then."""
+        active = self._mine & s.active & (scattered.place != NOWHERE) & (s.depth <= _VERTICES)
+        carried = dr.rcp(dr.maximum(mi.luminance(s.throughput), _FAINT))
+        bits = (dr.reinterpret_array(mi.UInt32, value) for value in (s.found, carried))
+        packet = mi.Vector4u(scattered.place + 1, *bits, 0)
+        dr.scatter(self._packets, packet, self._path * _VERTICES + (s.depth - 1), active)
+
+    def lit(self, s: GuidedPath, cell: mi.UInt32, light: DirectSample, contribution: mi.Color3f, seen: mi.Bool) -> None:
+        """A light point brought something to a vertex in ``cell``."""
+        if not self._lights:
+            return
+        units = mi.luminance(contribution) / dr.maximum(mi.luminance(s.throughput), _FAINT) * self._scale
+        units = mi.UInt64(dr.minimum(dr.select(seen & (units >= 1.0), units, 0.0), float(_MOST)))
+        place = cell * self._lights + light.light
+        dr.scatter_add(self.brought, units, place, seen & (self._scale > 0.0), dr.ReduceMode.Direct)
+
+    def deposit(self, places: int, found: mi.Float, unit: float) -> tuple[mi.UInt64, mi.UInt32]:
+        """(light beyond each of the guide's ``places``, in units; how many paths looked there). ``found``: what the
+        paths have found in all."""
+        light, seen = dr.zeros(mi.UInt64, places), dr.zeros(mi.UInt32, places)
+        path = dr.arange(mi.UInt32, self._count)
+        found = dr.gather(mi.Float, found, path * self._stride)
+        scale = dr.opaque(mi.Float, FOUND_UNITS / unit)
+        for vertex in range(_VERTICES):
+            packet = dr.gather(mi.Vector4u, self._packets, path * _VERTICES + vertex)
+            before, factor = (dr.reinterpret_array(mi.Float, packet[i]) for i in (1, 2))
+            value = dr.minimum((found - before) * factor * scale, float(_MOST))
+            active = packet[0] > 0
+            place = packet[0] - 1
+            # Directly: other ways have the number of places in the kernel.
+            dr.scatter_add(seen, mi.UInt32(1), place, active, dr.ReduceMode.Direct)
+            active &= value >= 1.0
+            dr.scatter_add(light, mi.UInt64(value), place, active, dr.ReduceMode.Direct)
+        return light, seen
+
+
+@dataclass(kw_only=True)
+class GuidedWalk(Walker):
+    """Traces guided paths. The guide proposes directions in turn with ``proposal``."""
+
+    guide: Guide
+    weights: DirectWeights
+    lesson: Lesson
+
+    def follow(self, ray: mi.Ray3f, source: SampleSource) -> GuidedPath:
+        """Paths that begin with camera rays, not yet evaluated."""
+        path = GuidedPath.at(
+            ray,
+            self.max_edges,
+            found=mi.Float(0.0),
+            expected=mi.Float(0.0),
+            expected_at_first=mi.Float(0.0),
+            cell=mi.UInt32(0),
+        )
+        return self.trace(path, lambda s: self._edge(s, source), "guided path")
+
+    def _edge(self, s: GuidedPath, source: SampleSource) -> GuidedPath:
+        """Trace one edge, and leave its end by another."""
+        vertex = self.arrive(s)
+
+        # ---- The path hits a light, which a light point at the last vertex could have been on
+        hit = self.emission(s, vertex, self.guide.lights_at(s.cell, self.lights))
+        self._add(s, s.throughput * hit.radiance * self.weights.hit(s.pdf, hit.direct_pdf), hit.active)
+        s.active &= vertex.valid & (s.depth < self.max_edges)
+
+        # ---- A light point and a direction, as the cell suggests them
+        cell = self.guide.locate(vertex.si, s.active)
+        nearby = self.guide.lights_at(cell, self.lights)
+        looking = s.active & vertex.smooth
+        lights = [self.light_point(vertex, source, looking, lights=nearby)] if self.weights.next_event else []
+        guided = functools.partial(self.guide.scatter, cell, vertex.proposal)
+        scattered, towards = vertex.sample(source, s.active, lights, guided)
+        for light, f in zip(lights, towards, strict=True):
+            contribution, seen = self.next_event(s, vertex, light, f, self.weights.light_point(light, f.pdf))
+            self._add(s, contribution, seen)
+            self.lesson.lit(s, cell, light, contribution, seen)
+
+        # ---- What the way on is worth decides whether it is taken
+        assert isinstance(scattered, GuidedScattered)
+        self.lesson.leave(s, scattered)
+        known = s.active & (scattered.glow > 0.0)
+        carried = mi.luminance(s.throughput) * scattered.glow
+        s.expected = dr.select(known, carried, s.expected * dr.max(scattered.weight))
+        s.expected_at_first = dr.select(known & (s.expected_at_first == 0.0), carried, s.expected_at_first)
+        s.cell = dr.select(scattered.is_null, s.cell, cell)
+        s.pdf = self.kept(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
+        expects = s.expected_at_first > 0.0
+        share = mi.Color3f(dr.maximum(s.expected / s.expected_at_first, _LEAST_SURVIVAL))
+        worth = dr.select(expects, share, s.throughput * scattered.weight)
+        eta = dr.select(expects, 1.0, s.eta * scattered.eta)
+        s.expected = s.expected * self.advance(s, vertex, scattered, source, (worth, eta))
+        return s
+
+    def _add(self, s: GuidedPath, contribution: mi.Color3f, active: mi.Bool) -> None:
+        """Count light that the path has found."""
+        s.radiance[active] += contribution
+        s.found = s.found + dr.select(active, mi.luminance(contribution), 0.0)
