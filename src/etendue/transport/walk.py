@@ -52,19 +52,19 @@ class CameraPath(SubPath):
 
     @classmethod
     def at(cls, ray: mi.Ray3f, max_edges: mi.UInt32, **own: Any) -> Self:
-        """One that begins with ``ray``; ``own``: the fields that a subclass has added."""
-        return cls(
-            active=max_edges > 0,
-            ray=mi.Ray3f(ray),
-            throughput=mi.Color3f(1.0),
-            eta=mi.Float(1.0),
-            depth=mi.UInt32(1),
-            travelled=mi.Float(0.0),
-            rays=mi.UInt32(0),
-            radiance=mi.Color3f(0.0),
-            pdf=mi.Float(0.0),
-            **own,
-        )
+        """One that begins with ``ray``; ``own``: the fields that a subclass has added, or begins with otherwise."""
+        fields = {
+            "active": max_edges > 0,
+            "ray": mi.Ray3f(ray),
+            "throughput": mi.Color3f(1.0),
+            "eta": mi.Float(1.0),
+            "depth": mi.UInt32(1),
+            "travelled": mi.Float(0.0),
+            "rays": mi.UInt32(0),
+            "radiance": mi.Color3f(0.0),
+            "pdf": mi.Float(0.0),
+        }
+        return cls(**fields | own)
 
 
 S = TypeVar("S", bound=SubPath)
