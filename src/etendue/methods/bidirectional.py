@@ -30,6 +30,7 @@ from etendue.scene import Problem
 from etendue.transport import (
     PICK_BLOCK,
     PYRAMID_MAX,
+    CameraSink,
     CameraWalk,
     Gather,
     LightCache,
@@ -38,6 +39,7 @@ from etendue.transport import (
     Mis,
     Pyramid,
     Splats,
+    SplatSink,
     Techniques,
     dimensions,
     needs_interaction,
@@ -299,22 +301,17 @@ class Bidirectional(Carrying, ImageMethod):
         paths = run.light.count
         dr.make_opaque(run.camera, run.pixel)  # however they were made, pilot and passes share their kernels
         mis = self._mis(run.radius, paths)
-        common = (
-            self.visibility,
-            self.lights,
-            self.camera,
-            mis,
-            dr.opaque(mi.UInt32, self.max_edges()),
-            self.settings.rr_depth,
-            dr.opaque(mi.Float, self._dark),
-        )
+        common = {"camera": self.camera, "mis": mis, "dark": dr.opaque(mi.Float, self._dark)}
         connecting = self.techniques.connection > 0
         numbered = run.pyramid is not None and self.visibility.transparent
         vertices = None
         if self._stores:
             vertices = LightVertices(run.capacity, paths, self._indexed, connecting, numbered, mis.radius_free)
         source = self.light_numbers(run.light, self._paths, run.seed, run.iteration, run.role + "light")
-        light_rays, light_bad = LightWalk(*common, run.pyramid).trace(paths, source, vertices, run.splats)
+        sink = None
+        if run.splats:
+            sink = SplatSink(pyramid=run.pyramid, splats=run.splats, paths_per_sample=mis.paths_per_sample)
+        light_rays, light_bad = self.walker(LightWalk, **common, sink=sink).trace(paths, source, vertices)
         dr.schedule(light_rays, light_bad)
         for film in (run.splats, run.pyramid):
             if film:
@@ -325,7 +322,8 @@ class Bidirectional(Carrying, ImageMethod):
 
         picks = IndependentSource(run.camera // PICK_BLOCK, run.seed, run.role + "connect", run.iteration)
         cache, gather = self._cache(vertices, paths, picks), self._gather(vertices, paths, run.radius)
-        walk = CameraWalk(*common, self.settings.split_layers, cache, gather, run.pyramid, self._more_radii)
+        seen = CameraSink(pyramid=run.pyramid, split_layers=self.settings.split_layers, more_radii=self._more_radii)
+        walk = self.walker(CameraWalk, **common, sink=seen, cache=cache, gather=gather)
         source = self.camera_numbers(run.camera, run.samples, run.seed, run.iteration, run.role + "camera")
         radiance, rays = walk.trace(run.pixel, source)
         bad = {}

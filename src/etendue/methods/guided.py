@@ -108,7 +108,7 @@ class Guided(Carrying, ImageMethod):
         lesson = Lesson(self._guide, lanes, self._stride(len(lanes)), self._unit, training)
         o = self.settings
         walk = self.walker(GuidedWalk, proposal=o.proposal, guide=self._guide, weights=o.direct_weights, lesson=lesson)
-        path = walk.follow(ray, source)
+        path = walk.trace(ray, source)
         radiance, bad = self.kept(path.radiance * importance)
         found = dr.select(dr.isfinite(path.found), path.found, 0.0)
         dr.eval(radiance, path.rays, bad, found)

@@ -61,7 +61,7 @@ class Path(ImageMethod):
         ray, importance, _ = self.camera.primary(lanes // samples, source)
         walker, weights = self.walker(Walker, proposal=self.settings.proposal), self.settings.direct_weights
         path = CameraPath.at(ray, walker.max_edges)
-        path = walker.trace(path, lambda s: follow_edge(s, walker, weights, source), "path")
+        path = walker.walk(path, lambda s: follow_edge(s, walker, weights, source), "path")
         radiance, bad = self.kept(path.radiance * importance)
         dr.eval(radiance, path.rays, bad)  # one kernel; the sums below would launch it once each
         counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}

@@ -170,7 +170,7 @@ class _Gathered(ImageMethod):
             normal=mi.Normal3f(0.0),
             at_end=mi.Color3f(0.0),
         )
-        path = walker.trace(path, lambda s: self._edge(s, walker, source), "radiosity gathering")
+        path = walker.walk(path, lambda s: self._edge(s, walker, source), "radiosity gathering")
         radiance, throughput = path.radiance * importance, path.at_end * importance
         dr.eval(radiance, path.rays, path.end, path.normal, throughput, path.reached)
         place = self._surfaces.find(path.end, path.normal, path.reached, self.problem.space)

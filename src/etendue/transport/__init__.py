@@ -30,6 +30,7 @@ from .scattering import (
     scatter_uniform,
     shadow_roulette,
 )
+from .sinks import Brought, CameraSink, Sink, SplatSink
 from .vertex import Joined, Vertex, WalkVertex
 from .vertices import Kind, LightVertex, LightVertices, needs_interaction
 from .visibility import Visibility
@@ -42,9 +43,11 @@ __all__ = [
     "NOWHERE",
     "PICK_BLOCK",
     "PYRAMID_MAX",
+    "Brought",
     "Camera",
     "CameraConnection",
     "CameraPath",
+    "CameraSink",
     "CameraWalk",
     "DirectSample",
     "DirectWeights",
@@ -72,6 +75,8 @@ __all__ = [
     "Proposal",
     "Pyramid",
     "Scattered",
+    "Sink",
+    "SplatSink",
     "Splats",
     "SubPath",
     "Techniques",

@@ -115,7 +115,7 @@ class GuidedWalk(Walker):
     weights: DirectWeights
     lesson: Lesson
 
-    def follow(self, ray: mi.Ray3f, source: SampleSource) -> GuidedPath:
+    def trace(self, ray: mi.Ray3f, source: SampleSource) -> GuidedPath:
         """Paths that begin with camera rays, not yet evaluated."""
         path = GuidedPath.at(
             ray,
@@ -125,7 +125,7 @@ class GuidedWalk(Walker):
             expected_at_first=mi.Float(0.0),
             cell=mi.UInt32(0),
         )
-        return self.trace(path, lambda s: self._edge(s, source), "guided path")
+        return self.walk(path, lambda s: self._edge(s, source), "guided path")
 
     def _edge(self, s: GuidedPath, source: SampleSource) -> GuidedPath:
         """Trace one edge, and leave its end by another."""

@@ -91,7 +91,7 @@ class Walker:
     rr_depth: int
     proposal: Proposal = scatter_camera  #: how directions are drawn
 
-    def trace(self, path: S, edge: Callable[[S], S], label: str) -> S:
+    def walk(self, path: S, edge: Callable[[S], S], label: str) -> S:
         """Follow sub-paths to their ends, in one kernel; ``edge`` traces an edge and what follows from it."""
         (path,) = dr.while_loop((path,), lambda s: s.active, lambda s: (edge(s),), label=label)
         return path

@@ -110,7 +110,7 @@ class AdaptivePath(ImageMethod):
         walker = self.walker(Walker, proposal=self.settings.proposal)
         parts = [mi.Float(0.0) for _ in source.drawn] if learning else []
         path = NumberedPath.at(ray, walker.max_edges, parts=parts)
-        path = walker.trace(path, lambda s: self._edge(s, walker, source), "path of given numbers")
+        path = walker.walk(path, lambda s: self._edge(s, walker, source), "path of given numbers")
         path.radiance *= importance
         return path
 

@@ -147,7 +147,7 @@ class PhotonMapping(ImageMethod):
             first=mi.Bool(True),
             lane=mi.UInt32(lanes),
         )
-        path = walker.trace(path, lambda s: self._edge(s, walker, fresh, fixed), "photon gathering")
+        path = walker.walk(path, lambda s: self._edge(s, walker, fresh, fixed), "photon gathering")
         path.radiance *= importance
         return path
 

@@ -46,7 +46,6 @@ class PhotonTracer:
 
     def __init__(self, method: ImageMethod, seed: int) -> None:
         self._method = method
-        self._edges = dr.opaque(mi.UInt32, method.max_edges())
         pilot = self._trace("pilot ", 0, seed, PILOT_PATHS, 64 * PILOT_PATHS)
         #: What a number of light paths may follow: the same in every pass, and in a run that is resumed.
         self.photons_per_path = float(pilot.vertices.wanted[0]) / PILOT_PATHS
@@ -72,11 +71,10 @@ class PhotonTracer:
         """Trace light paths and store their vertices; not yet looked at, so that nothing waits."""
         method = self._method
         mis = Mis(Techniques(emission=0, next_event=0, connection=0, splat=False), [0.0], mi.Float(1.0))
-        rr_depth = method.settings.rr_depth
-        walk = LightWalk(method.visibility, method.lights, method.camera, mis, self._edges, rr_depth, mi.Float(0.0))
+        walk = method.walker(LightWalk, camera=method.camera, mis=mis, dark=mi.Float(0.0))
         vertices = LightVertices(capacity, paths, indexed=False, connected=False)
         source = method.light_numbers(Lanes(0, paths), paths, seed, iteration, role + "light")
-        rays, _ = walk.trace(paths, source, vertices, None)
+        rays, _ = walk.trace(paths, source, vertices)
         dr.schedule(rays)
         vertices.launch()
         return Shot(vertices, paths, total(rays), capacity)
