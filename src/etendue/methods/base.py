@@ -139,6 +139,8 @@ class ImageMethod(ABC):
         self.camera = Camera(problem, self.settings.reconstruction == "independent")
         self.lights = LightTable(problem.scene)
         self.visibility = Visibility(problem.scene)
+        #: :meth:`max_edges` on the device, opaque.
+        self.edges = dr.opaque(mi.UInt32, self.max_edges())
 
     def bind(self, scene: Any) -> None:
         """Take the scene that this was prepared for back, or let it go (``None``) until the next run."""
@@ -209,8 +211,7 @@ class ImageMethod(ABC):
 
     def walker(self, kind: type[W], **own: Any) -> W:
         """What the sub-paths of a pass are traced by; ``own``: fields of the ``kind`` beyond scene and lengths."""
-        edges = dr.opaque(mi.UInt32, self.max_edges())
-        common = {"visibility": self.visibility, "lights": self.lights, "max_edges": edges}
+        common = {"visibility": self.visibility, "lights": self.lights, "max_edges": self.edges}
         return kind(**common, rr_depth=self.settings.rr_depth, **own)
 
     def camera_numbers(self, lanes: Any, samples: int, seed: int, iteration: int, role: str = "camera") -> SampleSource:

@@ -1,19 +1,21 @@
 """The shared words of every path method: emission, camera, scattering with both densities, weights, stored vertices."""
 
 from . import dimensions
+from .bidirectional.camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
+from .bidirectional.light_walk import LightWalk
+from .bidirectional.mis import GRAZING, Mis, Techniques
+from .bidirectional.photons import Photon, Photons, unfolded
+from .bidirectional.pyramid import PYRAMID_MAX, Pyramid
+from .bidirectional.sinks import Brought, CameraSink, Sink, SplatSink
+from .bidirectional.vertices import Kind, LightVertex, LightVertices, needs_interaction
 from .camera import Camera, CameraConnection, Splats
-from .camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
 from .direct import DirectWeights
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
 from .functions import TransportFunctions, film_picture
-from .guided_walk import FOUND_UNITS, GuidedPath, GuidedWalk, Lesson
-from .guiding import NOWHERE, Guide, GuidedScattered, direction_of, square_of
+from .guiding.guide import NOWHERE, Guide, GuidedScattered, direction_of, square_of
+from .guiding.lights import MOST_LIGHTS, LightChoice, LocalLights
+from .guiding.walk import FOUND_UNITS, GuidedPath, GuidedWalk, Lesson
 from .irradiance import IrradianceCache, irradiance_gradients, stratified_hemispheres
-from .light_choice import MOST_LIGHTS, LightChoice, LocalLights
-from .light_walk import LightWalk
-from .mis import GRAZING, Mis, Techniques
-from .photons import Photon, Photons, unfolded
-from .pyramid import PYRAMID_MAX, Pyramid
 from .scattering import (
     Evaluated,
     Proposal,
@@ -30,9 +32,7 @@ from .scattering import (
     scatter_uniform,
     shadow_roulette,
 )
-from .sinks import Brought, CameraSink, Sink, SplatSink
 from .vertex import Joined, Vertex, WalkVertex
-from .vertices import Kind, LightVertex, LightVertices, needs_interaction
 from .visibility import Visibility
 from .walk import CameraPath, Emission, SubPath, Walker, ones
 

@@ -24,7 +24,7 @@ from etendue.scene import LightTable
 
 from . import dimensions as dim
 from .emission import DirectSample, emission_of_hit, is_emissive, sample_direct
-from .light_choice import LocalLights
+from .guiding.lights import LocalLights
 from .scattering import Evaluated, Proposal, Scattered, roulette, scatter_camera
 from .vertex import WalkVertex
 from .visibility import Visibility

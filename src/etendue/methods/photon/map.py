@@ -121,7 +121,7 @@ class Pm(PhotonMapping):
         def visit(photon: Any, _: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
             flux, found = state
             position, depth = photons.position(photon, active)
-            allowed = (depth + s.depth <= self._edges) & (dr.squared_norm(position - si.p) < rim)
+            allowed = (depth + s.depth <= self.edges) & (dr.squared_norm(position - si.p) < rim)
             value = reflected_by(photons, photon, si, vertex.bsdf, limit, self.settings.kernel, active)
             return flux + dr.select(allowed, value, 0.0), found + 1
 

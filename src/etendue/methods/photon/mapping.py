@@ -86,7 +86,6 @@ class PhotonMapping(ImageMethod):
     def prepare(self, problem: Problem, seed: int) -> None:
         """Tables, and a pilot that measures how many photons a light path stores."""
         super().prepare(problem, seed)
-        self._edges = dr.opaque(mi.UInt32, self.max_edges())
         self.tracer = PhotonTracer(self, seed)
         self._light_paths = self.tracer.fitting(self.light_paths())
 

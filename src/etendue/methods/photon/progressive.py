@@ -118,7 +118,7 @@ class Sppm(Carrying, PhotonMapping):
             squared = self._tree.kth_distance_squared(vertex.position, self.settings.neighbours, self._limit, active)
             return mi.Color3f(0.0), dr.reinterpret_array(mi.UInt32, squared)
         limit = dr.gather(mi.Float, self._radius_squared, s.lane // self._sharing, active)
-        return self._photons.reflected(vertex.si, vertex.bsdf, self._edges - s.depth, limit, active)
+        return self._photons.reflected(vertex.si, vertex.bsdf, self.edges - s.depth, limit, active)
 
     def finish(self, found: mi.UInt32) -> None:
         """Shrink the radii [Hachisuka 2008, eq. 6, 8; KnausZwicker 2011]."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
-from .camera import SplatPlace, Splats
+from ..camera import SplatPlace, Splats
 from .mis import Techniques
 from .pyramid import Pyramid
 

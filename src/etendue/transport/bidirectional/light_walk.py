@@ -9,16 +9,16 @@ import mitsuba as mi
 
 from etendue.core import SampleSource
 
-from . import dimensions as dim
-from .camera import CameraConnection
-from .emission import emit
+from .. import dimensions as dim
+from ..camera import CameraConnection
+from ..emission import emit
+from ..scattering import Evaluated, Proposal, cosine_ratio, geometric_cos, scatter_light
+from ..spheres import seen_density
+from ..vertex import WalkVertex
+from ..walk import ones
 from .joining import JoiningPath, JoiningWalk
-from .scattering import Evaluated, Proposal, cosine_ratio, geometric_cos, scatter_light
 from .sinks import SplatSink
-from .spheres import seen_density
-from .vertex import WalkVertex
 from .vertices import Kind, LightVertices
-from .walk import ones
 
 
 @dataclass(kw_only=True)

@@ -12,13 +12,13 @@ import mitsuba as mi
 from etendue.core import SampleSource
 from etendue.density import HashGrid
 
-from . import dimensions as dim
-from .emission import DirectSample
+from .. import dimensions as dim
+from ..emission import DirectSample
+from ..scattering import Evaluated, cosine_ratio, geometric_cos
+from ..vertex import WalkVertex
 from .joining import JoiningPath, JoiningWalk
 from .photons import Photons, unfolded
-from .scattering import Evaluated, cosine_ratio, geometric_cos
 from .sinks import Brought, CameraSink
-from .vertex import WalkVertex
 from .vertices import LightVertex, LightVertices
 
 

@@ -26,9 +26,9 @@ from etendue.core import SampleSource, copied_to_device
 from etendue.density import Cells, Quadtrees, QuadtreeSampler
 from etendue.scene import LightTable
 
-from . import dimensions as dim
-from .light_choice import MOST_LIGHTS, LightChoice, LocalLights
-from .scattering import Evaluated, Proposal, Scattered, geometric_cos, is_smooth
+from .. import dimensions as dim
+from ..scattering import Evaluated, Proposal, Scattered, geometric_cos, is_smooth
+from .lights import MOST_LIGHTS, LightChoice, LocalLights
 
 #: Of the square's density, that of the sphere.
 _PER_STERADIAN = 0.25 / np.pi

@@ -10,13 +10,13 @@ import mitsuba as mi
 
 from etendue.core import SampleSource
 
-from .camera import Camera
+from ..camera import Camera
+from ..scattering import Scattered, shadow_roulette
+from ..vertex import WalkVertex
+from ..walk import SubPath, Walker, ones
 from .mis import Mis, RadiusFree
 from .pyramid import Pyramid
-from .scattering import Scattered, shadow_roulette
 from .sinks import Brought, Sink
-from .vertex import WalkVertex
-from .walk import SubPath, Walker, ones
 
 
 @dataclass(kw_only=True)

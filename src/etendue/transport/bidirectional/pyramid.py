@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from etendue.core import OptionError, on_device
 from etendue.film import LONGER, Technique
 
-from .camera import SplatPlace
+from ..camera import SplatPlace
 from .mis import Techniques
 
 #: Bytes that a pixel of a layer takes: four floats on the device; on the host a pass's sum, the sum of all passes, the

@@ -17,10 +17,10 @@ import mitsuba as mi
 
 from etendue.scene import materials
 
+from ..scattering import Evaluated, evaluate_light_end
+from ..vertex import Vertex, WalkVertex
 from .mis import RadiusFree
 from .photons import Photons, depth_of, number_of, packed_direction, packed_normal, unpacked_direction
-from .scattering import Evaluated, evaluate_light_end
-from .vertex import Vertex, WalkVertex
 
 #: Packets of four floats in a record: of a vertex that is connected to, and of one that is only merged with.
 _PACKETS = 6

@@ -15,10 +15,10 @@ import mitsuba as mi
 
 from etendue.core import SampleSource
 
-from .direct import DirectWeights
-from .emission import DirectSample
-from .guiding import NOWHERE, Guide, GuidedScattered
-from .walk import CameraPath, Walker
+from ..direct import DirectWeights
+from ..emission import DirectSample
+from ..walk import CameraPath, Walker
+from .guide import NOWHERE, Guide, GuidedScattered
 
 #: What a path found is added up in integers, whose sum does not depend on the order: so many to the picture's mean,
 #: and a path counts as many times the mean at most.
