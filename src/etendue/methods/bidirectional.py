@@ -229,11 +229,6 @@ class Bidirectional(Carrying, ImageMethod):
     def _splats(self) -> Splats | None:
         return Splats(self.camera.pixels, len(self._factors)) if self.techniques.splat else None
 
-    @property
-    def _stores(self) -> bool:
-        """Whether light vertices are kept for the camera pass."""
-        return bool(self.techniques.connection or self.techniques.merge)
-
     def _count_groups(self) -> int:
         """Into how many groups the light paths of a pass are split, so that their vertices fit into memory, and they
         into a kernel."""
@@ -304,13 +299,12 @@ class Bidirectional(Carrying, ImageMethod):
         common = {"camera": self.camera, "mis": mis, "dark": dr.opaque(mi.Float, self._dark)}
         connecting = self.techniques.connection > 0
         numbered = run.pyramid is not None and self.visibility.transparent
-        vertices = None
-        if self._stores:
+        vertices, sink = None, None
+        if connecting or self.techniques.merge:
             vertices = LightVertices(run.capacity, paths, self._indexed, connecting, numbered, mis.radius_free)
-        source = self.light_numbers(run.light, self._paths, run.seed, run.iteration, run.role + "light")
-        sink = None
         if run.splats:
             sink = SplatSink(pyramid=run.pyramid, splats=run.splats, paths_per_sample=mis.paths_per_sample)
+        source = self.light_numbers(run.light, self._paths, run.seed, run.iteration, run.role + "light")
         light_rays, light_bad = self.walker(LightWalk, **common, sink=sink).trace(paths, source, vertices)
         dr.schedule(light_rays, light_bad)
         for film in (run.splats, run.pyramid):

@@ -72,12 +72,8 @@ class WalkVertex(Vertex):
     hit: mi.PreliminaryIntersection3f
     incoming: mi.Vector3f  #: world direction of the edge
     distance: mi.Float  #: length of the edge, with what lies before surfaces that it has crossed
+    valid: mi.Bool  #: whether the edge has met a surface
     proposal: Proposal = scatter_camera  #: how directions are drawn
-
-    @property
-    def valid(self) -> mi.Bool:
-        """Whether the edge has met a surface."""
-        return self.si.is_valid()
 
     def sample(
         self, source: SampleSource, active: mi.Bool, joined: Sequence[Joined] = (), proposal: Proposal | None = None

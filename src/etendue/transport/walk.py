@@ -108,6 +108,7 @@ class Walker:
             hit=hit,
             incoming=s.ray.d,
             distance=s.travelled + si.t,
+            valid=si.is_valid(),
             proposal=self.proposal,
         )
 
