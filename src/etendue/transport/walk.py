@@ -101,6 +101,7 @@ class Walker:
         hit = self.visibility.scene.ray_intersect_preliminary(s.ray, active=s.active)
         si = hit.compute_surface_interaction(s.ray, active=s.active)
         s.rays += 1
+        valid = si.is_valid()
         return WalkVertex(
             si=si,
             bsdf=si.bsdf(s.ray),
@@ -108,7 +109,7 @@ class Walker:
             hit=hit,
             incoming=s.ray.d,
             distance=s.travelled + si.t,
-            valid=si.is_valid(),
+            valid=valid,
             proposal=self.proposal,
         )
 
