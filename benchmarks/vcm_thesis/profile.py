@@ -135,7 +135,7 @@ def _camera_walk(estimator: Any) -> tuple[float, float, float]:
         walker.advance(s, vertex, scattered, source)
         return s
 
-    path = Counted.at(ray, walker.max_edges, met=mi.UInt32(0), ends=mi.UInt32(0))
+    path = Counted.start(ray, walker.max_edges, met=mi.UInt32(0), ends=mi.UInt32(0))
     path = walker.walk(path, edge, "camera lengths")
     depth, met, ends = path.depth, path.met, path.ends
     dr.eval(depth, met, ends)

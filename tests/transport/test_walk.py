@@ -1,4 +1,4 @@
-"""The words that path methods are written in: an edge is traced, a light point joined, a vertex left."""
+"""Operations of a walk: trace an edge, connect a light point, advance."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def walker(*sheets: float, material: dict[str, Any] | None = None, rr_depth: int
 def falling(tracer: Walker, x: float = 0.5, height: float = 5.0, **own: Any) -> CameraPath:
     """Paths that begin straight down."""
     origin = mi.Point3f(dr.full(mi.Float, x, N), 0.0, height)
-    return CameraPath.at(mi.Ray3f(origin, mi.Vector3f(0.0, 0.0, -1.0)), tracer.max_edges, **own)
+    return CameraPath.start(mi.Ray3f(origin, mi.Vector3f(0.0, 0.0, -1.0)), tracer.max_edges, **own)
 
 
 def numbers(role: str = "walk") -> IndependentSource:
@@ -60,7 +60,7 @@ def test_an_edge_goes_on_behind_what_it_crosses(sheets):
         vertex = tracer.arrive(path)
         scattered, _ = vertex.sample(source, path.active)
         assert np.asarray(scattered.is_null).all()
-        path.pdf = tracer.kept(scattered, path.pdf, scattered.pdf)
+        path.pdf = tracer.keep_if_null(scattered, path.pdf, scattered.pdf)
         tracer.advance(path, vertex, scattered, source)
     vertex = tracer.arrive(path)
     beside = 5e-4 * (1 + len(sheets))  # a ray begins so far, at most, from the surface that it leaves
@@ -70,7 +70,7 @@ def test_an_edge_goes_on_behind_what_it_crosses(sheets):
     assert set(np.asarray(path.pdf).tolist()) == {np.float32(0.7)}
     assert set(np.asarray(vertex.number).tolist()) == set(np.asarray(path.rays).tolist()) == {len(sheets) + 1}
     scattered, _ = vertex.sample(source, path.active)
-    after = tracer.kept(scattered, path.pdf, scattered.pdf)
+    after = tracer.keep_if_null(scattered, path.pdf, scattered.pdf)
     assert (np.asarray(after) != np.float32(0.7)).all()
     tracer.advance(path, vertex, scattered, source)
     assert not np.asarray(path.travelled).any()
@@ -95,13 +95,13 @@ def test_a_light_point_brings_what_a_point_light_does(x):
 
 
 def test_roulette_keeps_the_mean():
-    """By the throughput, or by what a caller says that a path is worth."""
+    """By the throughput of the path, or by one that the caller gives."""
     tracer = walker(rr_depth=1)
-    for worth, survival in ((None, 0.5), ((mi.Color3f(0.2), mi.Float(1.0)), 0.2)):
+    for by, survival in ((None, 0.5), ((mi.Color3f(0.2), mi.Float(1.0)), 0.2)):
         path = falling(tracer, throughput=mi.Color3f(0.5 / ALBEDO))
         vertex = tracer.arrive(path)
         scattered, _ = vertex.sample(numbers(), path.active)
-        factor = tracer.advance(path, vertex, scattered, numbers(), worth)
+        factor = tracer.advance(path, vertex, scattered, numbers(), by)
         np.testing.assert_allclose(np.asarray(factor), 1.0 / survival, rtol=1e-5)
         alive = np.asarray(path.active)
         assert abs(alive.mean() - survival) < 4.5 * np.sqrt(survival * (1.0 - survival) / N)

@@ -210,7 +210,7 @@ class ImageMethod(ABC):
         return self.settings.max_depth if self.settings.max_depth >= 0 else 1 << 30
 
     def walker(self, kind: type[W], **own: Any) -> W:
-        """What the sub-paths of a pass are traced by; ``own``: fields of the ``kind`` beyond scene and lengths."""
+        """A walker of this ``kind`` for the prepared scene; ``own``: the fields that the kind adds."""
         common = {"visibility": self.visibility, "lights": self.lights, "max_edges": self.edges}
         return kind(**common, rr_depth=self.settings.rr_depth, **own)
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from etendue.core import Carrying, CheckpointError, Measurement, Result, State, copied_to_device, setting
 from etendue.scene import Problem
-from etendue.transport import FOUND_UNITS, Guide, GuidedWalk, Lesson
+from etendue.transport import FOUND_UNITS, Guide, GuidedWalk, TrainingSamples
 
 from .base import STEP_LANES, ImageMethod, ImageSettings, Layer, total
 from .path import Path, PathSettings
@@ -105,15 +105,17 @@ class Guided(Carrying, ImageMethod):
         source = self.camera_numbers(lanes, samples, seed, iteration)
         ray, importance, _ = self.camera.primary(lanes // samples, source)
         training = self._generation < self.settings.generations
-        lesson = Lesson(self._guide, lanes, self._stride(len(lanes)), self._unit, training)
+        collected = TrainingSamples(self._guide, lanes, self._stride(len(lanes)), self._unit, training)
         o = self.settings
-        walk = self.walker(GuidedWalk, proposal=o.proposal, guide=self._guide, weights=o.direct_weights, lesson=lesson)
+        walk = self.walker(
+            GuidedWalk, proposal=o.proposal, guide=self._guide, weights=o.direct_weights, training=collected
+        )
         path = walk.trace(ray, source)
         radiance, bad = self.kept(path.radiance * importance)
         found = dr.select(dr.isfinite(path.found), path.found, 0.0)
         dr.eval(radiance, path.rays, bad, found)
         if training:
-            self._learn(lesson, found)
+            self._learn(collected, found)
         counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
         return {"image": self.image(radiance, seed, iteration)}, counters
 
@@ -121,19 +123,19 @@ class Guided(Carrying, ImageMethod):
         """One in so many paths is learned from."""
         most = _PATHS
         if self.problem.memory:
-            most = max(1, min(most, int(STORE_SHARE * self.problem.memory / Lesson.path_bytes)))
+            most = max(1, min(most, int(STORE_SHARE * self.problem.memory / TrainingSamples.path_bytes)))
         return -(-lanes // most)
 
     # ------------------------------------------------------------------ learning
 
-    def _learn(self, lesson: Lesson, found: mi.Float) -> None:
+    def _learn(self, collected: TrainingSamples, found: mi.Float) -> None:
         """Count what the paths of a pass found, and take it over at the end of a generation."""
         if self._unit <= 0.0:
             self._unit = float(np.asarray(found).mean(dtype=np.float64))
         if self._unit > 0.0:
-            light, seen = lesson.deposit(self._guide.places, found, self._unit)
+            light, seen = collected.deposit(self._guide.places, found, self._unit)
             self._found, self._seen = self._found + light, self._seen + seen
-        self._brought = self._brought + lesson.brought
+        self._brought = self._brought + collected.brought
         dr.eval(self._found, self._seen, self._brought)
         self._passes += 1
         if self._passes < 1 << self._generation:

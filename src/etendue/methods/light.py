@@ -18,7 +18,7 @@ import mitsuba as mi
 
 from etendue.core import SampleSource, UnsupportedError, setting
 from etendue.scene import Problem
-from etendue.transport import Brought, LightWalk, Mis, Splats, SplatSink, Techniques, ones, point_on
+from etendue.transport import Contribution, LightWalk, Mis, Splats, SplatSink, Techniques, ones, point_on
 from etendue.transport import dimensions as dim
 
 from . import base
@@ -119,4 +119,4 @@ class Light(ImageMethod):
         ray = mi.Ray3f(joined.target, -joined.direction, reach, 0.0, mi.Color0f())
         active, share = self.visibility.along(ray, dr.opaque(mi.UInt32, max(self.max_edges() - 1, 0)), active)
         contribution *= share
-        return rays, sink.add(mi.UInt32(1), place, Brought([contribution], contribution, active, active))
+        return rays, sink.add(mi.UInt32(1), place, Contribution([contribution], contribution, active, active))

@@ -42,7 +42,7 @@ class PathSettings(CameraSettings):
 
     @property
     def proposal(self) -> Proposal:
-        """How directions are drawn."""
+        """Samples directions."""
         return scatter_camera if self.bsdf_sampling else scatter_uniform
 
 
@@ -60,33 +60,33 @@ class Path(ImageMethod):
         source = self.camera_numbers(lanes, samples, seed, iteration)
         ray, importance, _ = self.camera.primary(lanes // samples, source)
         walker, weights = self.walker(Walker, proposal=self.settings.proposal), self.settings.direct_weights
-        path = CameraPath.at(ray, walker.max_edges)
-        path = walker.walk(path, lambda s: follow_edge(s, walker, weights, source), "path")
+        path = CameraPath.start(ray, walker.max_edges)
+        path = walker.walk(path, lambda s: _edge(s, walker, weights, source), "path")
         radiance, bad = self.kept(path.radiance * importance)
         dr.eval(radiance, path.rays, bad)  # one kernel; the sums below would launch it once each
         counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
         return {"image": self.image(radiance, seed, iteration)}, counters
 
 
-def follow_edge(s: CameraPath, walker: Walker, weights: DirectWeights, source: SampleSource) -> CameraPath:
-    """The j-th term of the sum: trace the edge to z_j, and leave z_j by another."""
+def _edge(s: CameraPath, walker: Walker, weights: DirectWeights, source: SampleSource) -> CameraPath:
+    """The j-th term of the sum: trace the edge to z_j, and scatter there."""
     vertex = walker.arrive(s)
 
-    # ---- The path hits a light: alpha_j w^e_j L_e(z_j)
+    # ---- Emission: alpha_j w^e_j L_e(z_j)
     hit = walker.emission(s, vertex)
     s.radiance[hit.active] += s.throughput * hit.radiance * weights.hit(s.pdf, hit.direct_pdf)
     s.active &= vertex.valid & (s.depth < walker.max_edges)
 
-    # ---- A light point y and a direction are drawn; one call asks the BSDF about both
+    # ---- Sample a light point y and a direction; one call of the BSDF evaluates both
     lights = [walker.light_point(vertex, source, s.active & vertex.smooth)] if weights.next_event else []
     scattered, towards = vertex.sample(source, s.active, lights)
 
-    # ---- The light point is joined to the path: alpha_j w^d_j f_s(z_j) |cos| L_e(y) / p(y)
+    # ---- Next event: alpha_j w^d_j f_s(z_j) |cos| L_e(y) / p(y), if y is visible
     for light, f in zip(lights, towards, strict=True):
-        contribution, seen = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
-        s.radiance[seen] += contribution
+        contribution, visible = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
+        s.radiance[visible] += contribution
 
-    # ---- On to z_j+1: alpha_j+1 = alpha_j f_s(z_j) |cos| / p_e, or Russian roulette ends the path
-    s.pdf = walker.kept(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
+    # ---- Advance: alpha_j+1 = alpha_j f_s(z_j) |cos| / p_e(z_j+1), and Russian roulette
+    s.pdf = walker.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
     walker.advance(s, vertex, scattered, source)
     return s

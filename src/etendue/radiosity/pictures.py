@@ -134,13 +134,13 @@ class _Seen(ImageMethod):
 
 @dataclass(kw_only=True)
 class _EndedPath(CameraPath):
-    """A camera path that ends at the second surface that is no mirror."""
+    """State of a camera path that ends at the second surface that is no mirror."""
 
-    scattered: mi.Bool  #: the first has scattered it
-    reached: mi.Bool  #: the second was reached, at a point, on the side of a normal, with a throughput
-    end: mi.Point3f
-    normal: mi.Normal3f
-    at_end: mi.Color3f
+    scattered: mi.Bool  #: it has scattered at the first
+    reached: mi.Bool  #: it has reached the second
+    end: mi.Point3f  #: where it has
+    normal: mi.Normal3f  #: there, on the side of the path
+    at_end: mi.Color3f  #: throughput there
 
 
 class _Gathered(ImageMethod):
@@ -161,7 +161,7 @@ class _Gathered(ImageMethod):
         source = self.camera_numbers(lanes, samples, seed, iteration)
         ray, importance, _ = self.camera.primary(lanes // samples, source)
         walker = self.walker(Walker)
-        path = _EndedPath.at(
+        path = _EndedPath.start(
             ray,
             walker.max_edges,
             scattered=mi.Bool(False),
@@ -181,7 +181,7 @@ class _Gathered(ImageMethod):
         return {"image": self.image(radiance, seed, iteration)}, counters
 
     def _edge(self, s: _EndedPath, walker: Walker, source: SampleSource) -> _EndedPath:
-        """Trace one edge, and leave its end by another unless the solution says what comes from there."""
+        """Trace one edge, and scatter at its end unless the path ends there."""
         vertex, weights = walker.arrive(s), DirectWeights()
         hit = walker.emission(s, vertex)
         s.radiance[hit.active] += s.throughput * hit.radiance * weights.hit(s.pdf, hit.direct_pdf)
@@ -196,10 +196,10 @@ class _Gathered(ImageMethod):
 
         light = walker.light_point(vertex, source, s.active & vertex.smooth)
         scattered, (f,) = vertex.sample(source, s.active, [light])
-        contribution, seen = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
-        s.radiance[seen] += contribution
+        contribution, visible = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
+        s.radiance[visible] += contribution
         s.scattered |= s.active & scattered.active & ~scattered.is_delta & ~scattered.is_null
-        s.pdf = walker.kept(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
+        s.pdf = walker.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
         walker.advance(s, vertex, scattered, source)
         return s
 

@@ -6,7 +6,7 @@ from .bidirectional.light_walk import LightWalk
 from .bidirectional.mis import GRAZING, Mis, Techniques
 from .bidirectional.photons import Photon, Photons, unfolded
 from .bidirectional.pyramid import PYRAMID_MAX, Pyramid
-from .bidirectional.sinks import Brought, CameraSink, Sink, SplatSink
+from .bidirectional.sinks import CameraSink, Contribution, Sink, SplatSink
 from .bidirectional.vertices import Kind, LightVertex, LightVertices, needs_interaction
 from .camera import Camera, CameraConnection, Splats
 from .direct import DirectWeights
@@ -14,7 +14,7 @@ from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissi
 from .functions import TransportFunctions, film_picture
 from .guiding.guide import NOWHERE, Guide, GuidedScattered, direction_of, square_of
 from .guiding.lights import MOST_LIGHTS, LightChoice, LocalLights
-from .guiding.walk import FOUND_UNITS, GuidedPath, GuidedWalk, Lesson
+from .guiding.walk import FOUND_UNITS, GuidedPath, GuidedWalk, TrainingSamples
 from .irradiance import IrradianceCache, irradiance_gradients, stratified_hemispheres
 from .scattering import (
     Evaluated,
@@ -43,12 +43,12 @@ __all__ = [
     "NOWHERE",
     "PICK_BLOCK",
     "PYRAMID_MAX",
-    "Brought",
     "Camera",
     "CameraConnection",
     "CameraPath",
     "CameraSink",
     "CameraWalk",
+    "Contribution",
     "DirectSample",
     "DirectWeights",
     "Emission",
@@ -62,7 +62,6 @@ __all__ = [
     "IrradianceCache",
     "Joined",
     "Kind",
-    "Lesson",
     "LightCache",
     "LightChoice",
     "LightVertex",
@@ -80,6 +79,7 @@ __all__ = [
     "Splats",
     "SubPath",
     "Techniques",
+    "TrainingSamples",
     "TransportFunctions",
     "Vertex",
     "Visibility",

@@ -1,4 +1,4 @@
-"""The two ways to a light, and the weights by which they share what it sends: a ray that hits it, a point drawn on it.
+"""Weights of the two techniques of path tracing: a ray that hits a light, and a point sampled on a light.
 
 .. math:: w^e = \\frac{p_e^\\beta}{p_e^\\beta + p_d^\\beta}, \\qquad w^d = \\frac{p_d^\\beta}{p_e^\\beta + p_d^\\beta}
 
@@ -19,8 +19,8 @@ from .emission import DirectSample
 class DirectWeights:
     """Weights of hits and of light points.
 
-    ``mode``: ``naive`` counts hits only, ``next_event`` light points wherever one can be drawn and hits elsewhere,
-    ``mis`` both, by the ``heuristic``: ``balance`` (beta = 1) or ``power`` (beta = 2).
+    ``mode``: ``naive`` counts hits only; ``next_event`` counts light points wherever one can be sampled, and hits
+    elsewhere; ``mis`` weighs both by the ``heuristic``, ``balance`` (beta = 1) or ``power`` (beta = 2).
     """
 
     mode: str = "mis"
@@ -28,11 +28,12 @@ class DirectWeights:
 
     @property
     def next_event(self) -> bool:
-        """Whether light points are drawn."""
+        """Whether light points are sampled."""
         return self.mode != "naive"
 
     def hit(self, pdf: mi.Float, direct_pdf: mi.Float) -> mi.Float:
-        """w^e. ``pdf``: p_e, 0 where no light point competes: on the first edge, and after a delta scattering."""
+        """w^e of a hit. ``pdf``: p_e, or 0 where only a hit can find the light: on the first edge and after a delta
+        scattering; ``direct_pdf``: p_d."""
         if self.mode == "naive":
             return mi.Float(1.0)
         if self.mode == "next_event":
@@ -40,7 +41,7 @@ class DirectWeights:
         return dr.select(pdf == 0.0, 1.0, dr.rcp(1.0 + self._power(direct_pdf / pdf)))
 
     def light_point(self, light: DirectSample, pdf: mi.Float) -> mi.Float:
-        """w^d. ``pdf``: p_e; no ray hits a delta light."""
+        """w^d of a light point. ``pdf``: p_e; a delta light has w^d = 1, as no ray hits it."""
         if self.mode == "next_event":
             return mi.Float(1.0)
         return dr.select(light.is_delta, 1.0, dr.rcp(1.0 + self._power(pdf / light.pdf)))

@@ -50,7 +50,7 @@ class Evaluated:
 
 
 class Proposal(Protocol):
-    """How directions are drawn at a vertex: by the BSDF, uniformly, or by a guide."""
+    """Samples directions at a vertex: from the BSDF, uniformly, or from a guide."""
 
     def __call__(
         self,
@@ -61,8 +61,8 @@ class Proposal(Protocol):
         active: mi.Bool,
         directions: Sequence[tuple[mi.Vector3f, mi.Bool]] = (),
     ) -> tuple[Scattered, list[Evaluated]]:
-        """Draw a direction by the numbers of ``vertex``, and evaluate towards the given (local direction, mask)
-        pairs."""
+        """Sample a direction with the random numbers of ``vertex``, and evaluate the BSDF in the given (local
+        direction, mask) pairs."""
         ...
 
 

@@ -1,7 +1,6 @@
-"""A vertex of a path: where it may change its direction, and all that walks, next event and connections ask there.
+"""A vertex of a path, where the path scatters: position, frame, evaluation and sampling of directions.
 
-It has a position and a frame, samples a direction to go on in, and evaluates given ones. Here it is a point of a
-surface with a BSDF; a point of a medium with a phase function would answer the same questions.
+The only kind so far is a surface point with a BSDF. A medium point with a phase function would have the same interface.
 """
 
 from __future__ import annotations
@@ -18,67 +17,67 @@ from .scattering import Evaluated, Proposal, Scattered, evaluate_camera_end, is_
 
 
 class Joined(Protocol):
-    """What a vertex may be joined to by an edge, one lane each: a light point, a stored vertex, the sensor."""
+    """An end of an edge that a vertex is connected to, one lane each: a light point, a stored vertex, the sensor."""
 
     @property
     def direction(self) -> mi.Vector3f:
-        """World, from the vertex."""
+        """World direction from the vertex to it."""
 
     @property
     def active(self) -> mi.Bool:
-        """Where there is such a thing."""
+        """Lanes in which it exists."""
 
 
 @dataclass(kw_only=True)
 class Vertex:
-    """A point of a surface, one lane each."""
+    """A surface point of a sub-path, one lane each."""
 
-    si: mi.SurfaceInteraction3f  #: ``wi`` towards the side that the sub-path comes from
+    si: mi.SurfaceInteraction3f  #: ``wi`` points back along the sub-path
     bsdf: mi.BSDFPtr
 
     @property
     def position(self) -> mi.Point3f:
-        """World."""
+        """World position."""
         return self.si.p
 
     @property
     def frame(self) -> mi.Frame3f:
-        """Of shading; local directions are in it."""
+        """Shading frame, in which local directions are given."""
         return self.si.sh_frame
 
     @property
     def smooth(self) -> mi.Bool:
-        """Whether it can be joined to something, or merged at."""
+        """Whether the BSDF has a component without delta functions, so that the vertex can be connected or merged."""
         return is_smooth(self.bsdf)
 
     def evaluate(self, direction: mi.Vector3f, active: mi.Bool) -> Evaluated:
-        """What it scatters from a world direction towards the camera's side, and with what densities."""
+        """BSDF value and densities at a camera vertex, for light that arrives from a world direction."""
         return evaluate_camera_end(self.bsdf, self.si, self.si.to_local(direction), active)
 
     def ray(self, direction: mi.Vector3f) -> mi.Ray3f:
-        """From here in a world direction."""
+        """Ray from the vertex in a world direction."""
         return self.si.spawn_ray(direction)
 
     def ray_to(self, target: mi.Point3f) -> mi.Ray3f:
-        """From here to a point, and no further."""
+        """Shadow ray from the vertex to a point."""
         return self.si.spawn_ray_to(target)
 
 
 @dataclass(kw_only=True)
 class WalkVertex(Vertex):
-    """The end of the edge that a walk has just traced, one lane each; a miss where not ``valid``."""
+    """End of the edge that a walk has traced last, one lane each; the ray missed the scene where not ``valid``."""
 
-    number: mi.UInt32  #: edges of the sub-path to here; names the random numbers of the vertex
+    number: mi.UInt32  #: edges of the sub-path up to the vertex; selects the random numbers of the vertex
     hit: mi.PreliminaryIntersection3f
     incoming: mi.Vector3f  #: world direction of the edge
-    distance: mi.Float  #: length of the edge, with what lies before surfaces that it has crossed
-    valid: mi.Bool  #: whether the edge has met a surface
-    proposal: Proposal = scatter_camera  #: how directions are drawn
+    distance: mi.Float  #: length of the edge from the last vertex, through null surfaces on the way
+    valid: mi.Bool  #: whether the edge ends on a surface
+    proposal: Proposal = scatter_camera  #: samples directions
 
     def sample(
         self, source: SampleSource, active: mi.Bool, joined: Sequence[Joined] = (), proposal: Proposal | None = None
     ) -> tuple[Scattered, list[Evaluated]]:
-        """Draw a direction, and evaluate towards all that the vertex is ``joined`` to; one call of the BSDF answers for
-        all. ``proposal`` stands in for the walk's."""
+        """Sample a direction, and evaluate the BSDF in the directions of ``joined``, all in one call of the BSDF.
+        ``proposal`` replaces the proposal of the walk."""
         directions: list[tuple[Any, Any]] = [(self.si.to_local(other.direction), other.active) for other in joined]
         return (proposal or self.proposal)(self.bsdf, self.si, source, self.number, active, directions)

@@ -1,12 +1,12 @@
-"""A random walk, edge by edge: what every path method is written in.
+"""Random walks, edge by edge: the operations from which every path method is composed.
 
-A method keeps the loop. Each turn of it traces one edge to a :class:`WalkVertex`, counts what is found there, and goes
-on::
+A method writes the body of the loop over the edges of its paths. Each iteration traces one edge to a
+:class:`WalkVertex`, adds the contributions of that vertex, and advances::
 
     vertex = walker.arrive(path)
     light = walker.light_point(vertex, source, path.active & vertex.smooth)
     scattered, (f,) = vertex.sample(source, path.active, [light])
-    brought, seen = walker.next_event(path, vertex, light, f, weight)
+    contribution, visible = walker.next_event(path, vertex, light, f, weight)
     walker.advance(path, vertex, scattered, source)
 """
 
@@ -32,27 +32,27 @@ from .visibility import Visibility
 
 @dataclass(kw_only=True)
 class SubPath:
-    """A sub-path under way, one lane each: what the loop over its edges carries on. Methods add fields of their own."""
+    """State of the loop over the edges of a sub-path, one lane each. Methods add fields of their own."""
 
     active: mi.Bool
-    ray: mi.Ray3f  #: of the edge that is traced next
+    ray: mi.Ray3f  #: the next edge
     throughput: mi.Color3f
-    eta: mi.Float | None  #: product of the relative indices of refraction; None where the throughput does not hold it
-    depth: mi.UInt32  #: edges so far, the one that is traced next included
-    travelled: mi.Float  #: length of that edge before the surfaces that it has crossed
-    rays: mi.UInt32  #: that were cast, shadow rays included
+    eta: mi.Float | None  #: product of the relative indices of refraction; None for light sub-paths
+    depth: mi.UInt32  #: number of edges, including the next one
+    travelled: mi.Float  #: length of the next edge up to the last null surface that it has crossed
+    rays: mi.UInt32  #: rays cast so far, including shadow rays
 
 
 @dataclass(kw_only=True)
 class CameraPath(SubPath):
-    """A path from the camera that finds lights by hits and light points."""
+    """State of a camera path that finds lights by hits and light points."""
 
-    radiance: mi.Color3f  #: found so far
-    pdf: mi.Float  #: solid-angle density of the edge's direction; 0 where no light point competes with it
+    radiance: mi.Color3f  #: sum of the contributions
+    pdf: mi.Float  #: solid-angle density of the next edge's direction; 0 where only a hit can find a light
 
     @classmethod
-    def at(cls, ray: mi.Ray3f, max_edges: mi.UInt32, **own: Any) -> Self:
-        """One that begins with ``ray``; ``own``: the fields that a subclass has added, or begins with otherwise."""
+    def start(cls, ray: mi.Ray3f, max_edges: mi.UInt32, **own: Any) -> Self:
+        """The state before the first edge, along ``ray``. ``own``: fields of the subclass, or other initial values."""
         fields = {
             "active": max_edges > 0,
             "ray": mi.Ray3f(ray),
@@ -72,32 +72,32 @@ S = TypeVar("S", bound=SubPath)
 
 @dataclass
 class Emission:
-    """Light that an edge has ended on, one lane each; the densities include the picking of the light."""
+    """Emission at the end of an edge, one lane each. Densities include the choice of the light."""
 
     radiance: mi.Color3f
-    area_density: mi.Float  #: of the point under next event from where the edge begins; infinite: of the direction
-    emission_density: mi.Float  #: of point and direction of emission
-    direct_pdf: mi.Float  #: solid-angle density of the edge's direction under next event
+    area_density: mi.Float  #: next event's, at the start of the edge, for the point; infinite lights: for the direction
+    emission_density: mi.Float  #: emission's, for point and direction
+    direct_pdf: mi.Float  #: next event's, at the start of the edge, per solid angle
     active: mi.Bool
 
 
 @dataclass(kw_only=True)
 class Walker:
-    """What sub-paths of one scene are traced by."""
+    """Traces sub-paths in one scene."""
 
     visibility: Visibility
     lights: LightTable
     max_edges: mi.UInt32  #: opaque
     rr_depth: int
-    proposal: Proposal = scatter_camera  #: how directions are drawn
+    proposal: Proposal = scatter_camera  #: samples directions
 
     def walk(self, path: S, edge: Callable[[S], S], label: str) -> S:
-        """Follow sub-paths to their ends, in one kernel; ``edge`` traces an edge and what follows from it."""
+        """Run the loop over the edges until all sub-paths have ended. ``edge`` is the body of the loop."""
         (path,) = dr.while_loop((path,), lambda s: s.active, lambda s: (edge(s),), label=label)
         return path
 
     def arrive(self, s: SubPath) -> WalkVertex:
-        """Trace an edge."""
+        """Trace the next edge."""
         hit = self.visibility.scene.ray_intersect_preliminary(s.ray, active=s.active)
         si = hit.compute_surface_interaction(s.ray, active=s.active)
         s.rays += 1
@@ -114,8 +114,8 @@ class Walker:
         )
 
     def emission(self, s: SubPath, vertex: WalkVertex, lights: LightTable | LocalLights | None = None) -> Emission:
-        """Light at the end of an edge, that of the environment included. ``lights``: as light points were drawn on them
-        where the edge begins, if not by the table."""
+        """Emission at the end of the edge, including the environment's. ``lights``: those of :meth:`light_point` at the
+        start of the edge, if they were not the table's."""
         si, scene = vertex.si, self.visibility.scene
         active = s.active & is_emissive(scene, si)
         found = emission_of_hit(lights or self.lights, scene, si, active, vertex.distance)
@@ -131,31 +131,31 @@ class Walker:
         index: int = 0,
         lights: LightTable | LocalLights | None = None,
     ) -> DirectSample:
-        """Draw the ``index``-th light point for a vertex. ``lights``: as they are picked there, if not by the table."""
+        """Sample the ``index``-th light point of a vertex. ``lights`` replaces the light table."""
         return sample_direct(lights or self.lights, vertex.si, source, vertex.number, index, active)
 
     def next_event(
         self, s: SubPath, vertex: WalkVertex, light: DirectSample, f: Evaluated, weight: mi.Float, wanted: Any = True
     ) -> tuple[mi.Color3f, mi.Bool]:
-        """(what a light point brings by way of a vertex, where it is seen from there): throughput times BSDF times
-        radiance over density, weighted. No ray is cast where nothing would come, or where it is not ``wanted``."""
+        """(throughput times BSDF times radiance over density, times ``weight``; whether the light point is visible).
+        No shadow ray is cast where the contribution is zero or not ``wanted``."""
         contribution = s.throughput * f.value * light.radiance * weight
         asked = light.active & ~dr.all(contribution == 0.0) & wanted
         s.rays += ones(asked)
-        seen, share = self.seen(vertex, light.target, vertex.number + 1, asked)
-        return contribution * share, seen
+        visible, transmittance = self.visible(vertex, light.target, vertex.number + 1, asked)
+        return contribution * transmittance, visible
 
-    def seen(
+    def visible(
         self, vertex: WalkVertex, target: mi.Point3f, edges: mi.UInt32, active: mi.Bool
     ) -> tuple[mi.Bool, mi.Color3f | float]:
-        """Whether ``target`` is seen from a vertex, and the share of light that gets through; ``edges``: of the path
-        that is made so, without surfaces that the edge between the two crosses."""
+        """Whether ``target`` is visible from a vertex, and the transmittance of the null surfaces between them.
+        ``edges``: length of the resulting path; each null surface adds one, up to ``max_edges``."""
         return self.visibility.along(vertex.ray_to(target), self.max_edges - edges, active)
 
-    def kept(self, scattered: Scattered, on_edge: Any, after: Any) -> Any:
-        """What holds for the next edge: ``after`` scattering, but ``on_edge``, as before, where a surface was crossed:
-        that is no vertex, and the edge goes on."""
-        return dr.select(scattered.is_null, on_edge, after) if self.visibility.transparent else after
+    def keep_if_null(self, scattered: Scattered, before: Any, after: Any) -> Any:
+        """``after`` where the vertex has scattered; ``before`` where the path went straight on through a null surface,
+        which is no vertex of the path."""
+        return dr.select(scattered.is_null, before, after) if self.visibility.transparent else after
 
     def advance(
         self,
@@ -163,17 +163,18 @@ class Walker:
         vertex: WalkVertex,
         scattered: Scattered,
         source: SampleSource,
-        worth: tuple[mi.Color3f, mi.Float] | None = None,
+        roulette_by: tuple[mi.Color3f, mi.Float] | None = None,
     ) -> mi.Float:
-        """Leave a vertex in the direction that was drawn, and play Russian roulette; returns the factor on the
-        throughput by which paths pay for those that end. ``worth``: what roulette judges by, in place of throughput
-        and eta after the vertex."""
+        """Leave a vertex in the sampled direction, and play Russian roulette. Returns roulette's factor on the
+        throughput.
+
+        ``roulette_by``: throughput and eta after the vertex by which roulette decides, in place of the path's own."""
         s.throughput = s.throughput * scattered.weight
         if s.eta is not None:
             s.eta = s.eta * scattered.eta
-        s.travelled = self.kept(scattered, vertex.distance, mi.Float(0.0))
+        s.travelled = self.keep_if_null(scattered, vertex.distance, mi.Float(0.0))
         s.ray = vertex.ray(scattered.direction)
-        by, eta = worth or (s.throughput, s.eta)
+        by, eta = roulette_by or (s.throughput, s.eta)
         u = source.decide(vertex.number, dim.ROULETTE)
         alive, factor = roulette(by, eta, vertex.number, self.rr_depth, u)
         s.throughput = s.throughput * factor

@@ -1,9 +1,9 @@
-r"""Path tracing by numbers of which some are given, and which may end in a map of photons.
+r"""Path tracing with some of its random numbers drawn from given densities; paths may end in a photon map.
 
 .. math::
     L = \sum_j \alpha_j \left( \frac{w^e_j L_e(z_j)}{p_j(u)} + \frac{w^d_j f_s(z_j) |cos| L_e(y)}{p(y) q_j(u)} \right)
 
-as in ``path``; p_j and q_j are the densities of those of the given numbers u that a contribution depends on
+as in ``path``, where p_j and q_j are the densities of those numbers u that the contribution depends on
 [Leeson 2001, sec. 5.4.1, 5.7.4].
 """
 
@@ -44,9 +44,9 @@ class AdaptiveSettings(PathSettings):
 
 @dataclass(kw_only=True)
 class NumberedPath(CameraPath):
-    """A camera path, and what depends on its given numbers."""
+    """State of a camera path by a :class:`NumberedSource`."""
 
-    parts: list[mi.Float]  #: for each draw of a group the luminance that depends on it; empty where nobody asks
+    parts: list[mi.Float]  #: luminance that depends on each draw of a group; empty where nothing is learned
 
 
 class AdaptivePath(ImageMethod):
@@ -104,34 +104,33 @@ class AdaptivePath(ImageMethod):
     # ------------------------------------------------------------------ camera paths
 
     def trace(self, pixel: mi.UInt32, source: NumberedSource, learning: bool = False) -> NumberedPath:
-        """A path through each of the pixels (indices y * width + x), not yet evaluated. With ``learning`` it says what
-        depends on which numbers."""
+        """A path through each pixel (indices y * width + x), not yet evaluated. ``learning``: fill ``parts``."""
         ray, importance, _ = self.camera.primary(pixel, source)
         walker = self.walker(Walker, proposal=self.settings.proposal)
         parts = [mi.Float(0.0) for _ in source.drawn] if learning else []
-        path = NumberedPath.at(ray, walker.max_edges, parts=parts)
+        path = NumberedPath.start(ray, walker.max_edges, parts=parts)
         path = walker.walk(path, lambda s: self._edge(s, walker, source), "path of given numbers")
         path.radiance *= importance
         return path
 
     def _edge(self, s: NumberedPath, walker: Walker, source: NumberedSource) -> NumberedPath:
-        """Trace one edge, and leave its end by another."""
+        """Trace one edge, and scatter at its end."""
         vertex, weights = walker.arrive(s), self.settings.direct_weights
 
-        # ---- The path hits a light
+        # ---- Emission
         hit = walker.emission(s, vertex)
         weight = weights.hit(s.pdf, hit.direct_pdf)
         _count(s, source, s.throughput * hit.radiance * weight, hit.active, by_light_point=False)
         s.active &= vertex.valid & (s.depth < walker.max_edges) & source.goes_on(s.depth)
 
-        # ---- Past the last point that numbers are looked for, the photons around are all that is reflected
+        # ---- After ``maps`` vertices the photon map replaces the rest of the path at the first smooth material
         done = mi.Bool(False)
         if self._maps is not None:
             done = s.active & vertex.smooth & (s.depth > self.settings.maps)
             reflected = self._mapped(s, walker, vertex, done)
             _count(s, source, s.throughput * reflected, done, by_light_point=False)
 
-        # ---- A light point and a direction are drawn
+        # ---- Next event
         looking = s.active & ~done & vertex.smooth
         lights = [walker.light_point(vertex, source, looking)] if weights.next_event else []
         scattered, towards = vertex.sample(source, s.active, lights)
@@ -140,13 +139,13 @@ class AdaptivePath(ImageMethod):
             contribution, seen = walker.next_event(s, vertex, light, f, weight, wanted)
             _count(s, source, contribution, seen, by_light_point=True)
 
-        s.pdf = walker.kept(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
+        s.pdf = walker.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
         walker.advance(s, vertex, scattered, source)
         s.active &= ~done | scattered.is_delta
         return s
 
     def _mapped(self, s: NumberedPath, walker: Walker, vertex: WalkVertex, active: mi.Bool) -> mi.Color3f:
-        """Radiance that a vertex reflects, by the photons around."""
+        """Radiance that a vertex reflects, by density estimation."""
         assert self._maps is not None
         reflected, _ = self._maps.reflected(vertex.si, vertex.bsdf, walker.max_edges - s.depth, self._limit, active)
         return reflected
@@ -155,8 +154,7 @@ class AdaptivePath(ImageMethod):
 def _count(
     s: NumberedPath, source: NumberedSource, contribution: mi.Color3f, active: mi.Bool, by_light_point: bool
 ) -> None:
-    """Count what a light contributes at the end of edge ``s.depth``, over the density of the numbers that it depends
-    on."""
+    """Add a contribution at the end of edge ``s.depth``, divided by the density of the numbers that it depends on."""
     active = active & source.counts(s.depth + 1 if by_light_point else s.depth)
     contribution = contribution * source.weight(s.depth, by_light_point)
     s.radiance[active] += contribution

@@ -43,12 +43,12 @@ class PhotonSettings(CameraSettings):
 
 @dataclass(kw_only=True)
 class GatherPath(CameraPath):
-    """A camera path that gathers photons."""
+    """State of a camera path that gathers photons."""
 
-    beyond: mi.Bool  #: a smooth material has scattered it
-    found: mi.UInt32  #: photons that were found where it first gathered; see ``first``
-    first: mi.Bool  #: nothing was gathered yet
-    lane: mi.UInt32  #: its number; does not change
+    beyond: mi.Bool  #: it has scattered at a smooth material
+    found: mi.UInt32  #: photons found at its first gather point; see ``first``
+    first: mi.Bool  #: it has not gathered yet
+    lane: mi.UInt32  #: number of the path; does not change
 
 
 class _Chosen:
@@ -137,7 +137,7 @@ class PhotonMapping(ImageMethod):
         fixed = self.camera_numbers(lanes, samples, seed, 0, role + "camera") if self.fixed_points else fresh
         ray, importance, _ = self.camera.primary(lanes // samples, fixed)
         walker = self.walker(Walker)
-        path = GatherPath.at(
+        path = GatherPath.start(
             ray,
             walker.max_edges,
             radiance=mi.Color3f(dr.opaque(mi.Float, 0.0)),  # not literal: a scene may have nothing to gather at
@@ -151,22 +151,22 @@ class PhotonMapping(ImageMethod):
         return path
 
     def _edge(self, s: GatherPath, walker: Walker, fresh: SampleSource, fixed: SampleSource) -> GatherPath:
-        """Trace one edge; gather at its end, and leave it by another."""
+        """Trace one edge; gather and scatter at its end."""
         vertex, weights = walker.arrive(s), DirectWeights()
         next_event = self.settings.direct == "next_event"
 
-        # ---- Light: all of it from the camera through specular surfaces, its share against next event after a smooth
-        # one; what comes through more surfaces after that is in the photons
+        # ---- Emission: unweighted through specular surfaces, weighted against next event one edge after a smooth
+        # one; light through further surfaces is in the photons
         hit = walker.emission(s, vertex)
         shared = weights.hit(s.pdf, hit.direct_pdf) if next_event else mi.Float(0.0)
         weight = dr.select(s.beyond, dr.select(s.pdf > 0.0, shared, 0.0), 1.0)
         s.radiance[hit.active & (weight > 0.0)] += s.throughput * hit.radiance * weight
-        # The edge after a smooth material was for the emission at its end, and leads on only to gather there.
+        # The edge after a smooth material is for emission; the path goes on behind it only to gather.
         s.active &= vertex.valid & (s.depth < walker.max_edges)
         if not self.final_gather and not self.visibility.transparent:
             s.active &= ~s.beyond
 
-        # ---- Photons around
+        # ---- Density estimation
         smooth = s.active & vertex.smooth
         here = smooth if self.final_gather else smooth & ~s.beyond
         reflected, found = self.gather(s, vertex, here)
@@ -174,7 +174,7 @@ class PhotonMapping(ImageMethod):
         s.found = dr.select(here & s.first, found, s.found)
         s.first &= ~here
 
-        # ---- A light point and a direction are drawn
+        # ---- Next event
         source: SampleSource = _Chosen(smooth, fresh, fixed) if self.fixed_points else fresh
         lights = [walker.light_point(vertex, source, smooth & ~s.beyond)] if next_event else []
         scattered, towards = vertex.sample(source, s.active, lights)
@@ -182,12 +182,12 @@ class PhotonMapping(ImageMethod):
             contribution, seen = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
             s.radiance[seen] += contribution
 
-        # ---- On through specular components; after a smooth one for the light at the edge's end, or to gather there
+        # ---- Advance: through specular components, and for one edge after a smooth one
         rough = ~scattered.is_delta
         specular_on = scattered.is_delta if self.final_gather else scattered.is_null | (scattered.is_delta & ~s.beyond)
         goes_on = specular_on | (rough & ~s.beyond & next_event)
         s.beyond |= rough
-        s.pdf = walker.kept(scattered, s.pdf, dr.select(rough, scattered.pdf, 0.0))
+        s.pdf = walker.keep_if_null(scattered, s.pdf, dr.select(rough, scattered.pdf, 0.0))
         walker.advance(s, vertex, scattered, source)
         s.active &= goes_on
         return s

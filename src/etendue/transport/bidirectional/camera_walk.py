@@ -16,14 +16,14 @@ from .. import dimensions as dim
 from ..emission import DirectSample
 from ..scattering import Evaluated, cosine_ratio, geometric_cos
 from ..vertex import WalkVertex
-from .joining import JoiningPath, JoiningWalk
 from .photons import Photons, unfolded
-from .sinks import Brought, CameraSink
+from .sinks import CameraSink, Contribution
 from .vertices import LightVertex, LightVertices
+from .walk import BidirectionalPath, BidirectionalWalk
 
 
 @dataclass(kw_only=True)
-class _State(JoiningPath):
+class _State(BidirectionalPath):
     """Loop state, one lane a camera sub-path."""
 
     lane: mi.UInt32  #: number of the camera path; does not change
@@ -91,7 +91,7 @@ class Gather:
 
 
 @dataclass(kw_only=True)
-class CameraWalk(JoiningWalk):
+class CameraWalk(BidirectionalWalk):
     """What a camera pass needs; :meth:`trace` runs it as one kernel."""
 
     sink: CameraSink
@@ -150,9 +150,9 @@ class CameraWalk(JoiningWalk):
             self._next_event(s, vertex, light, towards[index], u)
         for index, joined in enumerate(picked):
             u = source.decide(s.depth, dim.CONNECT + index)
-            brought, rays = self._connection(s, vertex, joined, towards[len(lights) + index], u)
+            contribution, rays = self._connection(s, vertex, joined, towards[len(lights) + index], u)
             s.rays += rays
-            self.sink.add(s.layers, "connection", brought, joined.active)
+            self.sink.add(s.layers, "connection", contribution, joined.active)
         if self.cache is not None and self.cache.picks is None:
             self._connect_pair(s, vertex, source.decide(s.depth, dim.CONNECT), smooth)
 
@@ -170,7 +170,7 @@ class CameraWalk(JoiningWalk):
         alone = s.throughput * hit.radiance
         values = [alone * weight for weight in weights]
         self.sink.add(s.layers, "emission", values, hit.active)
-        self.sink.show(mi.UInt32(0), number + 1, Brought(values, alone, hit.active, hit.active))
+        self.sink.show(mi.UInt32(0), number + 1, Contribution(values, alone, hit.active, hit.active))
 
     def _next_event(self, s: _State, vertex: WalkVertex, light: DirectSample, f: Evaluated, u: mi.Float) -> None:
         """s = 1 [Georgiev 2012b, eq. 44, 45]."""
@@ -182,10 +182,12 @@ class CameraWalk(JoiningWalk):
         count = self.mis.techniques.next_event
         alone = s.throughput * f.value * light.radiance
         values = [alone * (weight / count) for weight in weights]
-        brought, rays = self.join(vertex, light.target, s.depth + 1, values, alone / count, self.dark, u, light.active)
+        contribution, rays = self.connect(
+            vertex, light.target, s.depth + 1, values, alone / count, self.dark, u, light.active
+        )
         s.rays += rays
-        self.sink.show(mi.UInt32(1), number + 1, brought)
-        self.sink.add(s.layers, "next_event", brought.weighted, brought.active)
+        self.sink.show(mi.UInt32(1), number + 1, contribution)
+        self.sink.add(s.layers, "next_event", contribution.weighted, contribution.active)
 
     def _pick_vertices(self, s: _State, vertex: WalkVertex, active: mi.Bool) -> list[_Joined]:
         """Light vertices drawn at random from the cache, joined to a camera vertex."""
@@ -260,9 +262,9 @@ class CameraWalk(JoiningWalk):
         alone *= joined.inverse_square * cosine_ratio(other.si, joined.direction) * self.cache.factor
         values = [alone * weight for weight in weights]
         edges = other.depth + s.depth + 1
-        brought, rays = self.join(vertex, other.position, edges, values, alone, self.dark, u, active)
-        self.sink.show(other.number + 1, number + 1, brought)
-        return [dr.select(brought.active, value, 0.0) for value in brought.weighted], rays
+        contribution, rays = self.connect(vertex, other.position, edges, values, alone, self.dark, u, active)
+        self.sink.show(other.number + 1, number + 1, contribution)
+        return [dr.select(contribution.active, value, 0.0) for value in contribution.weighted], rays
 
     def _merge(self, s: _State, vertex: WalkVertex, active: mi.Bool) -> None:
         """s >= 2, t >= 2, no edge between them [Georgiev 2012b, eq. 38, 39]."""
@@ -292,6 +294,6 @@ class CameraWalk(JoiningWalk):
         if self.pyramid is not None:
             alone = value * s.throughput * self.gather.factors[0]
             here = active & inside[0]
-            merged = Brought([alone * weights[0]], alone, here, here)
+            merged = Contribution([alone * weights[0]], alone, here, here)
             self.sink.show(photons.number(photon, active) + 1, number + 1, merged, merged=True)
         return [dr.select(ok, value * w, 0.0) for ok, w in zip(inside, weights, strict=True)]

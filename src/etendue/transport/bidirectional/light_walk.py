@@ -16,13 +16,13 @@ from ..scattering import Evaluated, Proposal, cosine_ratio, geometric_cos, scatt
 from ..spheres import seen_density
 from ..vertex import WalkVertex
 from ..walk import ones
-from .joining import JoiningPath, JoiningWalk
 from .sinks import SplatSink
 from .vertices import Kind, LightVertices
+from .walk import BidirectionalPath, BidirectionalWalk
 
 
 @dataclass(kw_only=True)
-class _State(JoiningPath):
+class _State(BidirectionalPath):
     """Loop state, one lane a light sub-path."""
 
     stored: mi.UInt32  #: vertices stored so far
@@ -34,7 +34,7 @@ class _State(JoiningPath):
 
 
 @dataclass(kw_only=True)
-class LightWalk(JoiningWalk):
+class LightWalk(BidirectionalWalk):
     """What a light pass needs; :meth:`trace` runs it as one kernel."""
 
     proposal: Proposal = scatter_light
@@ -117,12 +117,12 @@ class LightWalk(JoiningWalk):
         s.d_vcm, s.d_vc = self.mis.scatter_light(s.d_vcm, s.d_vc, light_cos, *way)
         through = dr.select(s.kind == mi.UInt32(Kind.INDIRECT), s.kind, mi.UInt32(Kind.CAUSTIC))
         kind = dr.select(scattered.is_delta, through, mi.UInt32(Kind.INDIRECT))
-        s.kind = self.kept(scattered, s.kind, kind)
-        s.from_infinity = self.kept(scattered, s.from_infinity, mi.Bool(False))
+        s.kind = self.keep_if_null(scattered, s.kind, kind)
+        s.from_infinity = self.keep_if_null(scattered, s.from_infinity, mi.Bool(False))
         if s.waiting is not None:
-            s.waiting = self.kept(scattered, s.waiting, mi.Float(0.0))
+            s.waiting = self.keep_if_null(scattered, s.waiting, mi.Float(0.0))
         relative = s.throughput * scattered.weight / self.lights.total_power
-        self.leave(s, vertex, scattered, source, on_edge, worth=(relative, 1.0))
+        self.leave(s, vertex, scattered, source, on_edge, roulette_by=(relative, 1.0))
         return s
 
     def _splat(
@@ -145,6 +145,8 @@ class LightWalk(JoiningWalk):
         # One splat is to its pixel's sum over paths what a camera path is to that over samples.
         threshold, u = self.dark * self.mis.paths_per_sample, source.decide(s.depth, dim.SPLAT_SHADOW)
         on_film = joined.active & place.on_film
-        brought, rays = self.join(vertex, joined.target, s.depth + 1, values, alone * factor, threshold, u, on_film)
+        contribution, rays = self.connect(
+            vertex, joined.target, s.depth + 1, values, alone * factor, threshold, u, on_film
+        )
         s.rays += rays
-        s.nonfinite += ones(sink.add(self.number(s) + 1, place, brought))
+        s.nonfinite += ones(sink.add(self.number(s) + 1, place, contribution))

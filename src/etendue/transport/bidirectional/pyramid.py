@@ -88,7 +88,7 @@ class Pyramid:
 
     def layers(self, image: Callable[[Any], NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
         """The pictures by name, (height, width, 3), sums over all paths. ``image`` makes one of what camera paths
-        brought to their pixels, a lane a pixel."""
+        contribution to their pixels, a lane a pixel."""
         lanes = dr.arange(mi.UInt32, self._pixels)
         sums = []
         for slot, technique in enumerate([*self.techniques, None, *self.techniques, None]):

@@ -46,7 +46,7 @@ def needs_interaction(scene: Any) -> bool:
 
 
 class Kind(enum.IntEnum):
-    """What brought light to a vertex, in Heckbert's notation [Heckbert 1990]."""
+    """What contribution light to a vertex, in Heckbert's notation [Heckbert 1990]."""
 
     INDIRECT = 0  #: L...D...D
     DIRECT = 1  #: LD
