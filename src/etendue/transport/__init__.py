@@ -1,4 +1,4 @@
-"""The shared words of every path method: emission, camera, scattering with both densities, weights, stored vertices."""
+"""What path methods share: vertices and walks, emission, camera, scattering with both densities, weights, stores."""
 
 from . import dimensions
 from .bidirectional.camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
