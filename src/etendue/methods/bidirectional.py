@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -127,15 +127,15 @@ class _Run:
     seed: int
     radius: float
     light: Lanes  #: the light paths
-    camera: Any  #: numbers of the camera paths
-    pixel: Any  #: their pixels
+    camera: mi.UInt32  #: numbers of the camera paths
+    pixel: mi.UInt32  #: their pixels
     samples: int  #: of a pixel
     splats: Splats | None
     pyramid: Pyramid | None
     capacity: int  #: of the vertex store
 
 
-def _joined(colours: list[Any]) -> Any:
+def _joined(colours: list[mi.Color3f]) -> mi.Color3f:
     """Colours of several groups of lanes as one."""
     return colours[0] if len(colours) == 1 else mi.Color3f(*(dr.concat([c[i] for c in colours]) for i in range(3)))
 
@@ -257,7 +257,7 @@ class Bidirectional(Carrying, ImageMethod):
         splats = self._splats()
         s = self.settings
         pyramid = Pyramid(self.techniques, s.pyramid_depth, self.camera.pixels) if s.pyramid else None
-        parts: list[dict[str, Any]] = []
+        parts: list[dict[str, mi.Color3f]] = []
         counters = {"rays": 0.0, "light_vertices": 0.0, "nonfinite": 0.0}
         for index in range(self._groups):
             light = Lanes(0, self._paths).part(index, self._groups)
@@ -290,7 +290,7 @@ class Bidirectional(Carrying, ImageMethod):
         etas = [dr.opaque(mi.Float, area * factor**2) for factor in self._factors]
         return Mis(self.techniques, etas, dr.opaque(mi.Float, self._paths / self.samples_per_iteration))
 
-    def _trace(self, run: _Run) -> tuple[dict[str, Any], dict[str, float]]:
+    def _trace(self, run: _Run) -> tuple[dict[str, mi.Color3f], dict[str, float]]:
         """Light paths, then camera paths. Kernels are queued without waiting for one another, so that Python traces the
         next while one runs. Returns radiance by technique family, a lane a camera path, and counters."""
         paths = run.light.count

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import mitsuba as mi
 
@@ -79,5 +79,5 @@ class WalkVertex(Vertex):
     ) -> tuple[Scattered, list[Evaluated]]:
         """Sample a direction, and evaluate the BSDF in the directions of ``joined``, all in one call of the BSDF.
         ``proposal`` replaces the proposal of the walk."""
-        directions: list[tuple[Any, Any]] = [(self.si.to_local(other.direction), other.active) for other in joined]
+        directions = [(self.si.to_local(other.direction), other.active) for other in joined]
         return (proposal or self.proposal)(self.bsdf, self.si, source, self.number, active, directions)

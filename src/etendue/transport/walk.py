@@ -68,6 +68,7 @@ class CameraPath(SubPath):
 
 
 S = TypeVar("S", bound=SubPath)
+V = TypeVar("V")
 
 
 @dataclass
@@ -135,7 +136,13 @@ class Walker:
         return sample_direct(lights or self.lights, vertex.si, source, vertex.number, index, active)
 
     def next_event(
-        self, s: SubPath, vertex: WalkVertex, light: DirectSample, f: Evaluated, weight: mi.Float, wanted: Any = True
+        self,
+        s: SubPath,
+        vertex: WalkVertex,
+        light: DirectSample,
+        f: Evaluated,
+        weight: mi.Float,
+        wanted: mi.Bool | bool = True,
     ) -> tuple[mi.Color3f, mi.Bool]:
         """(throughput times BSDF times radiance over density, times ``weight``; whether the light point is visible).
         No shadow ray is cast where the contribution is zero or not ``wanted``."""
@@ -152,7 +159,7 @@ class Walker:
         ``edges``: length of the resulting path; each null surface adds one, up to ``max_edges``."""
         return self.visibility.along(vertex.ray_to(target), self.max_edges - edges, active)
 
-    def keep_if_null(self, scattered: Scattered, before: Any, after: Any) -> Any:
+    def keep_if_null(self, scattered: Scattered, before: V, after: V) -> V:
         """``after`` where the vertex has scattered; ``before`` where the path went straight on through a null surface,
         which is no vertex of the path."""
         return dr.select(scattered.is_null, before, after) if self.visibility.transparent else after

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -97,7 +97,7 @@ class AdaptivePath(ImageMethod):
             constant |= {(0, dim.APERTURE), (0, dim.APERTURE + 1)}
         return constant
 
-    def left_by_pick(self) -> Callable[[Any], Any] | None:
+    def left_by_pick(self) -> Callable[[mi.Float], mi.Float] | None:
         """What a number that picks a light has left, if it is to be used."""
         return self.lights.left_by_pick if self.settings.merge else None
 
@@ -147,7 +147,7 @@ class AdaptivePath(ImageMethod):
     def _mapped(self, s: NumberedPath, walker: Walker, vertex: WalkVertex, active: mi.Bool) -> mi.Color3f:
         """Radiance that a vertex reflects, by density estimation."""
         assert self._maps is not None
-        reflected, _ = self._maps.reflected(vertex.si, vertex.bsdf, walker.max_edges - s.depth, self._limit, active)
+        reflected, _ = self._maps.reflected(vertex, walker.max_edges - s.depth, self._limit, active)
         return reflected
 
 

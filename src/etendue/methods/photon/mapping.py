@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -54,21 +53,21 @@ class GatherPath(CameraPath):
 class _Chosen:
     """One source of numbers or another, lane by lane."""
 
-    def __init__(self, condition: Any, where: SampleSource, elsewhere: SampleSource) -> None:
+    def __init__(self, condition: mi.Bool, where: SampleSource, elsewhere: SampleSource) -> None:
         self._condition, self._where, self._elsewhere = condition, where, elsewhere
 
-    def next_1d(self, vertex: Any, component: int) -> Any:
+    def next_1d(self, vertex: mi.UInt32, component: int) -> mi.Float:
         """See :class:`SampleSource`."""
         return dr.select(
             self._condition, self._where.next_1d(vertex, component), self._elsewhere.next_1d(vertex, component)
         )
 
-    def next_2d(self, vertex: Any, component: int) -> tuple[Any, Any]:
+    def next_2d(self, vertex: mi.UInt32, component: int) -> tuple[mi.Float, mi.Float]:
         """See :class:`SampleSource`."""
         here, there = self._where.next_2d(vertex, component), self._elsewhere.next_2d(vertex, component)
         return tuple(dr.select(self._condition, a, b) for a, b in zip(here, there, strict=True))
 
-    def decide(self, vertex: Any, component: int) -> Any:
+    def decide(self, vertex: mi.UInt32, component: int) -> mi.Float:
         """See :class:`SampleSource`."""
         return dr.select(
             self._condition, self._where.decide(vertex, component), self._elsewhere.decide(vertex, component)

@@ -20,7 +20,7 @@ slower than R does where photons are found in every pass [KnausZwicker 2011].
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -95,7 +95,7 @@ class Sppm(Carrying, PhotonMapping):
         self._radius_squared, self._tree = dr.block_sum(squared, self._sharing) / self._sharing, None
         dr.eval(self._radius_squared)
 
-    def _wanted(self, shot: Shot) -> tuple[Any, Any]:
+    def _wanted(self, shot: Shot) -> tuple[mi.Point3f, mi.Bool]:
         """(positions, which of them are gathered), one lane a slot."""
         positions, kind, held = shot.vertices.positions()
         if self.settings.direct == "next_event":
@@ -118,7 +118,7 @@ class Sppm(Carrying, PhotonMapping):
             squared = self._tree.kth_distance_squared(vertex.position, self.settings.neighbours, self._limit, active)
             return mi.Color3f(0.0), dr.reinterpret_array(mi.UInt32, squared)
         limit = dr.gather(mi.Float, self._radius_squared, s.lane // self._sharing, active)
-        return self._photons.reflected(vertex.si, vertex.bsdf, self.edges - s.depth, limit, active)
+        return self._photons.reflected(vertex, self.edges - s.depth, limit, active)
 
     def finish(self, found: mi.UInt32) -> None:
         """Shrink the radii [Hachisuka 2008, eq. 6, 8; KnausZwicker 2011]."""

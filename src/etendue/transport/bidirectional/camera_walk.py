@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -20,6 +20,8 @@ from .photons import Photons, unfolded
 from .sinks import CameraSink, Contribution
 from .vertices import LightVertex, LightVertices
 from .walk import BidirectionalPath, BidirectionalWalk
+
+T = TypeVar("T")
 
 
 @dataclass(kw_only=True)
@@ -76,11 +78,11 @@ class Gather:
         self,
         point: mi.Point3f,
         edges: mi.UInt32,
-        visit: Callable[[mi.UInt32, Any], Any],
-        state: Any,
+        visit: Callable[[mi.UInt32, T], T],
+        state: T,
         active: mi.Bool,
         radius_squared: mi.Float | None = None,
-    ) -> Any:
+    ) -> T:
         """Visit the photons around ``point`` that have at most ``edges`` edges behind them; see ``HashGrid.within``."""
 
         def read(photon: mi.UInt32) -> tuple[mi.Point3f, mi.Bool]:
@@ -208,7 +210,9 @@ class CameraWalk(BidirectionalWalk):
         assert self.cache is not None
         first, count = self.cache.vertices.path_vertices(s.lane % self.cache.paths, active)
 
-        def connect(j: mi.UInt32, totals: list[mi.Color3f], rays: mi.UInt32) -> tuple[Any, ...]:
+        def connect(
+            j: mi.UInt32, totals: list[mi.Color3f], rays: mi.UInt32
+        ) -> tuple[mi.UInt32, list[mi.Color3f], mi.UInt32]:
             joined = self._join(s, vertex, first + j, active)
             f = vertex.evaluate(joined.direction, joined.active)
             # Roulette of all of a path's connections by one number: each decision is right by itself.
