@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import statistics
+from dataclasses import dataclass
 from typing import Any
 
 from etendue.core import Replica
@@ -116,35 +117,29 @@ def _camera_walk(estimator: Any) -> tuple[float, float, float]:
     import mitsuba as mi
     import numpy as np
 
-    from etendue.transport import dimensions, is_smooth, roulette, scatter_camera
+    from etendue.transport import CameraPath, Walker, ones
+
+    @dataclass(kw_only=True)
+    class Counted(CameraPath):
+        met: mi.UInt32
+        ends: mi.UInt32
 
     lanes = dr.arange(mi.UInt32, estimator.camera.pixels)
     source = estimator.camera_numbers(lanes, 1, 0, 0)
     ray, _, _ = estimator.camera.primary(lanes, source)
-    rr_depth = estimator.settings.rr_depth
+    walker = estimator.walker(Walker)
 
-    def edge(active: Any, ray: Any, throughput: Any, eta: Any, depth: Any, met: Any, ends: Any) -> tuple[Any, ...]:
-        si = estimator.scene.ray_intersect(ray, active)
-        active = active & si.is_valid()
-        bsdf = si.bsdf(ray)
-        ends = ends + dr.select(active & is_smooth(bsdf), mi.UInt32(1), mi.UInt32(0))
-        scattered, _ = scatter_camera(bsdf, si, source, depth, active)
-        met = met + dr.select(active & ~scattered.is_null, mi.UInt32(1), mi.UInt32(0))
-        throughput, eta = throughput * scattered.weight, eta * scattered.eta
-        alive, factor = roulette(throughput, eta, depth, rr_depth, source.decide(depth, dimensions.ROULETTE))
-        ray = si.spawn_ray(scattered.direction)
-        return active & scattered.active & alive, ray, throughput * factor, eta, depth + 1, met, ends
+    def edge(s: Counted) -> Counted:
+        vertex = walker.arrive(s)
+        s.active &= vertex.valid
+        s.ends = s.ends + ones(s.active & vertex.smooth)
+        scattered, _ = vertex.sample(source, s.active)
+        s.met = s.met + ones(s.active & ~scattered.is_null)
+        walker.advance(s, vertex, scattered, source)
+        return s
 
-    width = len(lanes)
-    start = (
-        dr.full(mi.Bool, True, width),
-        mi.Ray3f(ray),
-        dr.full(mi.Color3f, 1.0, width),
-        dr.full(mi.Float, 1.0, width),
-        dr.full(mi.UInt32, 1, width),
-        dr.zeros(mi.UInt32, width),
-        dr.zeros(mi.UInt32, width),
-    )
-    *_, depth, met, ends = dr.while_loop(start, lambda active, *_: active, edge, label="camera lengths")
+    path = Counted.start(ray, walker.max_edges, met=mi.UInt32(0), ends=mi.UInt32(0))
+    path = walker.walk(path, edge, "camera lengths")
+    depth, met, ends = path.depth, path.met, path.ends
     dr.eval(depth, met, ends)
     return float(np.asarray(depth).mean()) - 1.0, float(np.asarray(met).mean()), float(np.asarray(ends).mean())

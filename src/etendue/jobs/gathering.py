@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import drjit as dr
@@ -14,13 +15,13 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike
 
-from etendue.core import OptionError, Progress, Result, is_whole
+from etendue.core import OptionError, Progress, Result, SampleSource, is_whole
 from etendue.engine import Budget, Runner
-from etendue.methods import ImageMethod, ImageSettings, Path
+from etendue.methods import CameraSettings, ImageMethod, ImageSettings, total
 from etendue.radiosity import RadiosityError, Solution, check_colours, radiosity_on
 from etendue.scene import Problem, check, load
 from etendue.surfaces import PatchSurfaces, SurfaceValues
-from etendue.transport import Camera
+from etendue.transport import Camera, CameraPath, DirectWeights, Walker
 
 #: Suffixes of pictures, and what they are.
 PICTURE_FILES = {".exr": "picture with its layers", ".png": "picture, tone-mapped"}
@@ -129,46 +130,76 @@ class _Seen(ImageMethod):
         return {"image": image}, {"rays": 2 * count, "paths": count, "nonfinite": 0.0}
 
 
-class _Gathered(Path):
+@dataclass(kw_only=True)
+class _EndedPath(CameraPath):
+    """State of a camera path that ends at the second surface that is no mirror."""
+
+    scattered: mi.Bool  #: it has scattered at the first
+    reached: mi.Bool  #: it has reached the second
+    end: mi.Point3f  #: where it has
+    normal: mi.Normal3f  #: there, on the side of the path
+    at_end: mi.Color3f  #: throughput there
+
+
+class _Gathered(ImageMethod):
     """Path tracing that ends at the second surface that is no mirror, with what the solution says it reflects."""
 
     name: ClassVar[str] = "radiosity-gather"
+    Settings: ClassVar[type[ImageSettings]] = CameraSettings
     citations: ClassVar[tuple[str, ...]] = ("Reichert1992",)
 
     def __init__(self, surfaces: PatchSurfaces, reflected: SurfaceValues) -> None:
         super().__init__()
         self._surfaces, self._reflected = surfaces, reflected
 
-    def trace(self, pixel: Any, source: Any) -> Any:
-        """See :class:`Path`. What has been reached is read off the solution when all paths have ended, since it takes
-        rays of another scene."""
-        state = super().trace(pixel, source)
-        _, p, n, throughput, reached = state.parts
-        _, weight, _ = self.camera.primary(pixel, source)
-        throughput = throughput * weight
-        dr.eval(state.radiance, state.rays, p, n, throughput, reached)
-        value = self._reflected.at(self._surfaces.find(p, n, reached, self.problem.space))
-        state.radiance += dr.select(reached, throughput * value / np.pi, 0.0)
-        return state
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Any], dict[str, float]]:
+        """See :class:`ImageMethod`. What has been reached is read off the solution when all paths have ended, since it
+        takes rays of another scene."""
+        lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
+        source = self.camera_numbers(lanes, samples, seed, iteration)
+        ray, importance, _ = self.camera.primary(lanes // samples, source)
+        walker = self.walker(Walker)
+        path = _EndedPath.start(
+            ray,
+            walker.max_edges,
+            scattered=mi.Bool(False),
+            reached=mi.Bool(False),
+            end=mi.Point3f(0.0),
+            normal=mi.Normal3f(0.0),
+            at_end=mi.Color3f(0.0),
+        )
+        path = walker.walk(path, lambda s: self._edge(s, walker, source), "radiosity gathering")
+        radiance, throughput = path.radiance * importance, path.at_end * importance
+        dr.eval(radiance, path.rays, path.end, path.normal, throughput, path.reached)
+        place = self._surfaces.find(path.end, path.normal, path.reached, self.problem.space)
+        reflected = throughput * self._reflected.at(place) / np.pi
+        radiance, bad = self.kept(radiance + dr.select(path.reached, reflected, 0.0))
+        dr.eval(radiance, bad)
+        counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
+        return {"image": self.image(radiance, seed, iteration)}, counters
 
-    def parts(self, source: Any) -> list[Any]:
-        """Whether a surface has scattered that is no mirror; where the path ended: point, normal, throughput, and
-        whether it did."""
-        return [mi.Bool(False), mi.Point3f(0.0), mi.Normal3f(0.0), mi.Color3f(0.0), mi.Bool(False)]
+    def _edge(self, s: _EndedPath, walker: Walker, source: SampleSource) -> _EndedPath:
+        """Trace one edge, and scatter at its end unless the path ends there."""
+        vertex, weights = walker.arrive(s), DirectWeights()
+        hit = walker.emission(s, vertex)
+        s.radiance[hit.active] += s.throughput * hit.radiance * weights.hit(s.pdf, hit.direct_pdf)
+        s.active &= vertex.valid & (s.depth < walker.max_edges)
 
-    def leave(self, s: Any, here: Any, scattered: Any) -> None:
-        """See :class:`Path`."""
-        s.parts[0] = s.parts[0] | (s.active & scattered.active & ~scattered.is_delta & ~scattered.is_null)
-
-    def finish(self, s: Any, source: Any, si: Any, bsdf: Any) -> Any:
-        """See :class:`Path`."""
-        ends = s.active & s.parts[0]
-        found = (si.p, _towards(si, s.ray.d), s.throughput)
-        for k, value in enumerate(found, start=1):
-            s.parts[k] = dr.select(ends, value, s.parts[k])
-        s.parts[4] = s.parts[4] | ends
+        ends = s.active & s.scattered
+        s.end = dr.select(ends, vertex.position, s.end)
+        s.normal = dr.select(ends, _towards(vertex.si, vertex.incoming), s.normal)
+        s.at_end = dr.select(ends, s.throughput, s.at_end)
+        s.reached |= ends
         s.active &= ~ends
-        return ends
+
+        light = walker.light_point(vertex, source, s.active & vertex.smooth)
+        scattered, (f,) = vertex.sample(source, s.active, [light])
+        contribution, visible = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
+        s.radiance[visible] += contribution
+        s.scattered |= s.active & scattered.active & ~scattered.is_delta & ~scattered.is_null
+        s.pdf = walker.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
+        walker.advance(s, vertex, scattered, source)
+        return s
 
 
 def _towards(si: Any, direction: Any) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from .adaptive.stratified import Stratified
 from .adaptive.vegas import Vegas
 from .auto import Auto
-from .base import ImageMethod, ImageSettings, Layer, total
+from .base import CameraSettings, ImageMethod, ImageSettings, Layer, total
 from .bidirectional import Bidirectional, Bpm, Bpt, Vcm
 from .guided import Guided
 from .light import Light
@@ -19,6 +19,7 @@ __all__ = [
     "Bidirectional",
     "Bpm",
     "Bpt",
+    "CameraSettings",
     "Guided",
     "ImageMethod",
     "ImageSettings",

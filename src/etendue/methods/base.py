@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -26,8 +26,10 @@ from etendue.core import (
 )
 from etendue.points import OwenSobolSource
 from etendue.scene import LightTable, Problem
-from etendue.transport import Camera, Visibility
+from etendue.transport import Camera, Visibility, Walker
 from etendue.transport import dimensions as dim
+
+W = TypeVar("W", bound=Walker)
 
 #: One pass's sums of a layer, (height, width, channels).
 Layer = NDArray[np.float32]
@@ -137,6 +139,8 @@ class ImageMethod(ABC):
         self.camera = Camera(problem, self.settings.reconstruction == "independent")
         self.lights = LightTable(problem.scene)
         self.visibility = Visibility(problem.scene)
+        #: :meth:`max_edges` on the device, opaque.
+        self.edges = dr.opaque(mi.UInt32, self.max_edges())
 
     def bind(self, scene: Any) -> None:
         """Take the scene that this was prepared for back, or let it go (``None``) until the next run."""
@@ -204,6 +208,11 @@ class ImageMethod(ABC):
     def max_edges(self) -> int:
         """``max_depth`` as a number a kernel can compare with."""
         return self.settings.max_depth if self.settings.max_depth >= 0 else 1 << 30
+
+    def walker(self, kind: type[W], **own: Any) -> W:
+        """A walker of this ``kind`` for the prepared scene; ``own``: the fields that the kind adds."""
+        common = {"visibility": self.visibility, "lights": self.lights, "max_edges": self.edges}
+        return kind(**common, rr_depth=self.settings.rr_depth, **own)
 
     def camera_numbers(self, lanes: Any, samples: int, seed: int, iteration: int, role: str = "camera") -> SampleSource:
         """Random numbers of the camera paths ``lanes``, ``samples`` consecutive ones a pixel."""

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -30,6 +30,7 @@ from etendue.scene import Problem
 from etendue.transport import (
     PICK_BLOCK,
     PYRAMID_MAX,
+    CameraSink,
     CameraWalk,
     Gather,
     LightCache,
@@ -38,6 +39,7 @@ from etendue.transport import (
     Mis,
     Pyramid,
     Splats,
+    SplatSink,
     Techniques,
     dimensions,
     needs_interaction,
@@ -125,15 +127,15 @@ class _Run:
     seed: int
     radius: float
     light: Lanes  #: the light paths
-    camera: Any  #: numbers of the camera paths
-    pixel: Any  #: their pixels
+    camera: mi.UInt32  #: numbers of the camera paths
+    pixel: mi.UInt32  #: their pixels
     samples: int  #: of a pixel
     splats: Splats | None
     pyramid: Pyramid | None
     capacity: int  #: of the vertex store
 
 
-def _joined(colours: list[Any]) -> Any:
+def _joined(colours: list[mi.Color3f]) -> mi.Color3f:
     """Colours of several groups of lanes as one."""
     return colours[0] if len(colours) == 1 else mi.Color3f(*(dr.concat([c[i] for c in colours]) for i in range(3)))
 
@@ -227,11 +229,6 @@ class Bidirectional(Carrying, ImageMethod):
     def _splats(self) -> Splats | None:
         return Splats(self.camera.pixels, len(self._factors)) if self.techniques.splat else None
 
-    @property
-    def _stores(self) -> bool:
-        """Whether light vertices are kept for the camera pass."""
-        return bool(self.techniques.connection or self.techniques.merge)
-
     def _count_groups(self) -> int:
         """Into how many groups the light paths of a pass are split, so that their vertices fit into memory, and they
         into a kernel."""
@@ -260,7 +257,7 @@ class Bidirectional(Carrying, ImageMethod):
         splats = self._splats()
         s = self.settings
         pyramid = Pyramid(self.techniques, s.pyramid_depth, self.camera.pixels) if s.pyramid else None
-        parts: list[dict[str, Any]] = []
+        parts: list[dict[str, mi.Color3f]] = []
         counters = {"rays": 0.0, "light_vertices": 0.0, "nonfinite": 0.0}
         for index in range(self._groups):
             light = Lanes(0, self._paths).part(index, self._groups)
@@ -293,28 +290,22 @@ class Bidirectional(Carrying, ImageMethod):
         etas = [dr.opaque(mi.Float, area * factor**2) for factor in self._factors]
         return Mis(self.techniques, etas, dr.opaque(mi.Float, self._paths / self.samples_per_iteration))
 
-    def _trace(self, run: _Run) -> tuple[dict[str, Any], dict[str, float]]:
+    def _trace(self, run: _Run) -> tuple[dict[str, mi.Color3f], dict[str, float]]:
         """Light paths, then camera paths. Kernels are queued without waiting for one another, so that Python traces the
         next while one runs. Returns radiance by technique family, a lane a camera path, and counters."""
         paths = run.light.count
         dr.make_opaque(run.camera, run.pixel)  # however they were made, pilot and passes share their kernels
         mis = self._mis(run.radius, paths)
-        common = (
-            self.visibility,
-            self.lights,
-            self.camera,
-            mis,
-            dr.opaque(mi.UInt32, self.max_edges()),
-            self.settings.rr_depth,
-            dr.opaque(mi.Float, self._dark),
-        )
+        common = {"camera": self.camera, "mis": mis, "dark": dr.opaque(mi.Float, self._dark)}
         connecting = self.techniques.connection > 0
         numbered = run.pyramid is not None and self.visibility.transparent
-        vertices = None
-        if self._stores:
+        vertices, sink = None, None
+        if connecting or self.techniques.merge:
             vertices = LightVertices(run.capacity, paths, self._indexed, connecting, numbered, mis.radius_free)
+        if run.splats:
+            sink = SplatSink(pyramid=run.pyramid, splats=run.splats, paths_per_sample=mis.paths_per_sample)
         source = self.light_numbers(run.light, self._paths, run.seed, run.iteration, run.role + "light")
-        light_rays, light_bad = LightWalk(*common, run.pyramid).trace(paths, source, vertices, run.splats)
+        light_rays, light_bad = self.walker(LightWalk, **common, sink=sink).trace(paths, source, vertices)
         dr.schedule(light_rays, light_bad)
         for film in (run.splats, run.pyramid):
             if film:
@@ -325,7 +316,8 @@ class Bidirectional(Carrying, ImageMethod):
 
         picks = IndependentSource(run.camera // PICK_BLOCK, run.seed, run.role + "connect", run.iteration)
         cache, gather = self._cache(vertices, paths, picks), self._gather(vertices, paths, run.radius)
-        walk = CameraWalk(*common, self.settings.split_layers, cache, gather, run.pyramid, self._more_radii)
+        seen = CameraSink(pyramid=run.pyramid, split_layers=self.settings.split_layers, more_radii=self._more_radii)
+        walk = self.walker(CameraWalk, **common, sink=seen, cache=cache, gather=gather)
         source = self.camera_numbers(run.camera, run.samples, run.seed, run.iteration, run.role + "camera")
         radiance, rays = walk.trace(run.pixel, source)
         bad = {}

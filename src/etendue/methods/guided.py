@@ -15,48 +15,24 @@ are drawn on, and roulette [Vorba 2016].
 
 from __future__ import annotations
 
-import functools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from etendue.core import Carrying, CheckpointError, Measurement, Result, State, copied_to_device, setting
-from etendue.scene import LightTable, Problem
-from etendue.transport import (
-    MOST_LIGHTS,
-    NOWHERE,
-    DirectSample,
-    Evaluated,
-    Guide,
-    GuidedScattered,
-    LightChoice,
-    LocalLights,
-    roulette,
-)
-from etendue.transport import dimensions as dim
+from etendue.scene import Problem
+from etendue.transport import FOUND_UNITS, Guide, GuidedWalk, TrainingSamples
 
-from .base import STEP_LANES, ImageSettings, Layer, total
-from .path import Path, PathSettings, PathState
+from .base import STEP_LANES, ImageMethod, ImageSettings, Layer, total
+from .path import Path, PathSettings
 from .store import STORE_SHARE
 
-#: Camera paths of a pass that are learned from at most, and vertices of each, from the first on.
+#: Camera paths of a pass that are learned from at most.
 _PATHS = 1 << 18
-_VERTICES = 6
-#: Bytes of a vertex that is learned from.
-_BYTES = 16
-#: What a path found is added up in integers, whose sum does not depend on the order: so many to the picture's mean,
-#: and a path counts as many times the mean at most.
-_PARTS = 1 << 20
-_MOST = 1 << 14
-#: Throughput below which what a path finds is not divided by it.
-_FAINT = 1e-20
-#: Roulette lets a path go on at least with this probability.
-_LEAST_SURVIVAL = 0.1
 
 
 @dataclass(frozen=True)
@@ -84,46 +60,7 @@ class GuidedSettings(PathSettings):
     )
 
 
-class _Records:
-    """What paths find out at their vertices: where they went on to, and what they had found and carried until then."""
-
-    def __init__(self, lanes: Any, stride: int, recording: bool) -> None:
-        opaque = dr.opaque(mi.UInt32, stride)
-        self.count = -(-len(lanes) // stride) if recording else 0
-        self._path = lanes // opaque
-        self._mine = dr.opaque(mi.Bool, recording) & (self._path * opaque == lanes)
-        self._stride = opaque
-        self._packets = dr.zeros(mi.UInt32, 4 * max(1, self.count * _VERTICES))
-
-    def put(self, s: PathState, scattered: Any) -> None:
-        """Vertex ``s.depth``, which the path leaves."""
-        active = self._mine & s.active & (scattered.place != NOWHERE) & (s.depth <= _VERTICES)
-        carried = dr.rcp(dr.maximum(mi.luminance(s.throughput), _FAINT))
-        bits = (dr.reinterpret_array(mi.UInt32, value) for value in (s.parts[0], carried))
-        packet = mi.Vector4u(scattered.place + 1, *bits, 0)
-        dr.scatter(self._packets, packet, self._path * _VERTICES + (s.depth - 1), active)
-
-    def deposit(self, places: int, light: Any, unit: float) -> tuple[Any, Any]:
-        """Place by place, what the paths, which found ``light`` in all, found beyond each vertex, in parts of ``unit``;
-        and how many looked there."""
-        found, seen = dr.zeros(mi.UInt64, places), dr.zeros(mi.UInt32, places)
-        path = dr.arange(mi.UInt32, self.count)
-        light = dr.gather(mi.Float, light, path * self._stride)
-        scale = dr.opaque(mi.Float, _PARTS / unit)
-        for vertex in range(_VERTICES):
-            packet = dr.gather(mi.Vector4u, self._packets, path * _VERTICES + vertex)
-            before, factor = (dr.reinterpret_array(mi.Float, packet[i]) for i in (1, 2))
-            value = dr.minimum((light - before) * factor * scale, float(_PARTS * _MOST))
-            active = packet[0] > 0
-            place = packet[0] - 1
-            # Directly: other ways have the number of places in the kernel.
-            dr.scatter_add(seen, mi.UInt32(1), place, active, dr.ReduceMode.Direct)
-            active &= value >= 1.0
-            dr.scatter_add(found, mi.UInt64(value), place, active, dr.ReduceMode.Direct)
-        return found, seen
-
-
-class Guided(Carrying, Path):
+class Guided(Carrying, ImageMethod):
     """Path tracing guided by a density over directions that it learns, cell by cell of the scene."""
 
     name: ClassVar[str] = "guided"
@@ -137,10 +74,8 @@ class Guided(Carrying, Path):
         super().prepare(problem, seed)
         box = problem.scene.bbox()
         lower, upper = (np.asarray(corner, np.float64).ravel().tolist() for corner in (box.min, box.max))
-        self._guide = Guide(lower, upper)
-        #: None where there is no choice, or too much of it.
-        few = 1 < self.lights.count <= MOST_LIGHTS and self.settings.learn_lights and self.settings.generations > 0
-        self._choice = LightChoice(self.lights, self._guide.cells) if few else None
+        learned = self.settings.learn_lights and self.settings.generations > 0
+        self._guide = Guide(lower, upper, self.lights if learned else None)
         self._generation = 0
         self._passes = 0  # of this generation
         self._unit = 0.0  # mean light of a path, once it is known
@@ -153,7 +88,7 @@ class Guided(Carrying, Path):
     def _forget(self) -> None:
         self._found = dr.zeros(mi.UInt64, self._guide.places)
         self._seen = dr.zeros(mi.UInt32, self._guide.places)
-        self._brought = dr.zeros(mi.UInt64, self._guide.cells * self.lights.count)
+        self._brought = dr.zeros(mi.UInt64, self._guide.cells * max(1, self._guide.light_count))
 
     # ------------------------------------------------------------------ a pass
 
@@ -167,119 +102,53 @@ class Guided(Carrying, Path):
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
+        source = self.camera_numbers(lanes, samples, seed, iteration)
+        ray, importance, _ = self.camera.primary(lanes // samples, source)
         training = self._generation < self.settings.generations
-        #: Of the light that is counted, to a unit of luminance; 0 while it is not counted.
-        self._parts = dr.opaque(mi.Float, _PARTS / self._unit if training and self._unit > 0.0 else 0.0)
-        self._records = _Records(lanes, self._stride(len(lanes)), training)
-        #: What points of each light bring to each cell, in the same unit.
-        self._lit = dr.zeros(mi.UInt64, self._guide.cells * self.lights.count)
-        state = self.trace(lanes // samples, self.camera_numbers(lanes, samples, seed, iteration))
-        radiance, bad = self.kept(state.radiance)
-        light = dr.select(dr.isfinite(state.parts[0]), state.parts[0], 0.0)
-        dr.eval(radiance, state.rays, bad, light)
+        collected = TrainingSamples(self._guide, lanes, self._stride(len(lanes)), self._unit, training)
+        o = self.settings
+        walk = self.walker(
+            GuidedWalk, proposal=o.proposal, guide=self._guide, weights=o.direct_weights, training=collected
+        )
+        path = walk.trace(ray, source)
+        radiance, bad = self.kept(path.radiance * importance)
+        found = dr.select(dr.isfinite(path.found), path.found, 0.0)
+        dr.eval(radiance, path.rays, bad, found)
         if training:
-            self._learn(light)
-        del self._records, self._parts, self._lit
-        counters = {"rays": total(state.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
+            self._learn(collected, found)
+        counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
         return {"image": self.image(radiance, seed, iteration)}, counters
 
     def _stride(self, lanes: int) -> int:
         """One in so many paths is learned from."""
         most = _PATHS
         if self.problem.memory:
-            most = max(1, min(most, int(STORE_SHARE * self.problem.memory / (_BYTES * _VERTICES))))
+            most = max(1, min(most, int(STORE_SHARE * self.problem.memory / TrainingSamples.path_bytes)))
         return -(-lanes // most)
-
-    def locate(self, s: PathState, si: Any) -> Any:
-        """The cell."""
-        return self._guide.locate(si, s.active)
-
-    def lights_at(self, here: Any) -> LightTable | LocalLights:
-        """With the probabilities of the cell."""
-        return self.lights if self._choice is None else self._choice.at(here)
-
-    def lights_of_edge(self, s: PathState) -> LightTable | LocalLights:
-        """With those of the cell that the edge comes from."""
-        return self.lights if self._choice is None else self._choice.at(s.parts[3])
-
-    def scatter(
-        self,
-        here: Any,
-        bsdf: Any,
-        si: Any,
-        source: Any,
-        vertex: Any,
-        active: Any,
-        directions: Sequence[tuple[Any, Any]] = (),
-    ) -> tuple[GuidedScattered, list[Evaluated]]:
-        """By the BSDF and the guide in turn."""
-        plain = functools.partial(super().scatter, here)
-        return self._guide.scatter(here, plain, bsdf, si, source, vertex, active, directions)
-
-    def lit(self, s: PathState, here: Any, direct: DirectSample, contribution: Any, active: Any) -> None:
-        """Count what the light brought to the cell."""
-        if self._choice is None:
-            return
-        parts = mi.luminance(contribution) / dr.maximum(mi.luminance(s.throughput), _FAINT) * self._parts
-        parts = mi.UInt64(dr.minimum(dr.select(active & (parts >= 1.0), parts, 0.0), float(_PARTS * _MOST)))
-        place = here * self.lights.count + direct.light
-        dr.scatter_add(self._lit, parts, place, active & (self._parts > 0.0), dr.ReduceMode.Direct)
-
-    def parts(self, source: Any) -> list[Any]:
-        """The luminance that the path has found; what it is expected to find from here on, and was at first; the cell
-        that the edge comes from."""
-        return [mi.Float(0.0), mi.Float(0.0), mi.Float(0.0), mi.UInt32(0)]
-
-    def add(self, s: PathState, source: Any, contribution: Any, active: Any, by_light_point: bool) -> None:
-        """See :class:`Path`."""
-        super().add(s, source, contribution, active, by_light_point)
-        s.parts[0] = s.parts[0] + dr.select(active, mi.luminance(contribution), 0.0)
-
-    def leave(self, s: PathState, here: Any, scattered: Any) -> None:
-        """Remember the vertex."""
-        self._records.put(s, scattered)
-        known = s.active & (scattered.glow > 0.0)
-        carried = mi.luminance(s.throughput) * scattered.glow
-        s.parts[1] = dr.select(known, carried, s.parts[1] * dr.max(scattered.weight))
-        s.parts[2] = dr.select(known & (s.parts[2] == 0.0), carried, s.parts[2])
-        s.parts[3] = dr.select(scattered.is_null, s.parts[3], here)
-
-    def survives(self, s: PathState, source: Any) -> Any:
-        """By the light that the path is expected to bring from here, relative to that of its first vertex
-        [Vorba 2016]. The throughput would end the best paths: it is small where the guide expects much light."""
-        u = source.decide(s.depth, dim.ROULETTE)
-        expects = s.parts[2] > 0.0
-        worth = dr.select(expects, mi.Color3f(dr.maximum(s.parts[1] / s.parts[2], _LEAST_SURVIVAL)), s.throughput)
-        alive, factor = roulette(worth, dr.select(expects, 1.0, s.eta), s.depth, self.settings.rr_depth, u)
-        s.throughput *= factor
-        s.parts[1] = s.parts[1] * factor
-        return alive
 
     # ------------------------------------------------------------------ learning
 
-    def _learn(self, light: Any) -> None:
-        """Count what a pass found, and take it over at the end of a generation."""
+    def _learn(self, collected: TrainingSamples, found: mi.Float) -> None:
+        """Count what the paths of a pass found, and take it over at the end of a generation."""
         if self._unit <= 0.0:
-            self._unit = float(np.asarray(light).mean(dtype=np.float64))
+            self._unit = float(np.asarray(found).mean(dtype=np.float64))
         if self._unit > 0.0:
-            found, seen = self._records.deposit(self._guide.places, light, self._unit)
-            self._found, self._seen = self._found + found, self._seen + seen
-        self._brought = self._brought + self._lit
+            light, seen = collected.deposit(self._guide.places, found, self._unit)
+            self._found, self._seen = self._found + light, self._seen + seen
+        self._brought = self._brought + collected.brought
         dr.eval(self._found, self._seen, self._brought)
         self._passes += 1
         if self._passes < 1 << self._generation:
             return
         o = self.settings
-        origin = self._guide.learn(
-            np.array(self._found, np.float64) * (self._unit / _PARTS),
+        self._guide.learn(
+            np.array(self._found, np.float64) * (self._unit / FOUND_UNITS),
             np.array(self._seen),
             most=o.cell_samples * math.sqrt(self._passes),
             leaf_share=o.leaf_share,
             share=o.share,
+            brought=np.array(self._brought, np.float64).reshape(self._guide.cells, -1),
         )
-        if self._choice is not None:
-            brought = np.array(self._brought, np.float64).reshape(-1, self.lights.count)
-            self._choice.learn(brought, origin)
         self._generation += 1
         self._passes = 0
         self._forget()
@@ -301,7 +170,6 @@ class Guided(Carrying, Path):
             "found": self._found,
             "seen": self._seen,
             "brought": self._brought,
-            **({} if self._choice is None else {"lights": self._choice.shares}),
         }
 
     def _take(self, state: State) -> None:
@@ -317,5 +185,3 @@ class Guided(Carrying, Path):
         brought = np.asarray(state["brought"], np.uint64)
         self._found, self._seen = copied_to_device(mi.UInt64, found), copied_to_device(mi.UInt32, seen)
         self._brought = copied_to_device(mi.UInt64, brought)
-        if self._choice is not None:
-            self._choice.restore(state["lights"])

@@ -11,18 +11,18 @@ lights. Limits: what the camera sees through a mirror or smooth glass stays blac
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import UnsupportedError, setting
+from etendue.core import SampleSource, UnsupportedError, setting
 from etendue.scene import Problem
-from etendue.transport import LightWalk, Mis, Splats, Techniques, point_on
+from etendue.transport import Contribution, LightWalk, Mis, Splats, SplatSink, Techniques, ones, point_on
 from etendue.transport import dimensions as dim
 
 from . import base
-from .base import ImageMethod, ImageSettings, Lanes, Layer, keep_finite, total
+from .base import ImageMethod, ImageSettings, Lanes, Layer, total
 
 #: Share of its length by which a shadow ray stops short of a light.
 _SHADOW_EPSILON = 1e-3
@@ -55,30 +55,29 @@ class Light(ImageMethod):
         paths = max(1, round(self.settings.light_paths * self.camera.pixels * samples))
         techniques = Techniques(emission=0, next_event=0, connection=0, splat=True, merge=False)
         mis = Mis(techniques, [0.0], dr.opaque(mi.Float, paths / samples))
-        max_edges = dr.opaque(mi.UInt32, self.max_edges())
-        walk = LightWalk(
-            self.visibility, self.lights, self.camera, mis, max_edges, self.settings.rr_depth, mi.Float(0.0)
+        scattered, seen = (
+            SplatSink(splats=Splats(self.camera.pixels), paths_per_sample=mis.paths_per_sample) for _ in range(2)
         )
-        scattered, seen = Splats(self.camera.pixels), Splats(self.camera.pixels)
+        walk = self.walker(LightWalk, camera=self.camera, mis=mis, dark=mi.Float(0.0), sink=scattered)
         counters = {"rays": 0.0, "paths": float(paths), "nonfinite": 0.0}
         groups = -(-paths // base.MOST_LIGHT_LANES)
         for group in range(groups):
             lanes = Lanes(0, paths).part(group, groups)
-            rays, bad = walk.trace(lanes.count, self.light_numbers(lanes, paths, seed, iteration), None, scattered)
-            dr.eval(rays, bad, scattered.array)
+            rays, bad = walk.trace(lanes.count, self.light_numbers(lanes, paths, seed, iteration))
+            dr.eval(rays, bad, scattered.splats.array)
             source = self.light_numbers(lanes, paths, seed, iteration, "visible light")
             seen_rays, seen_bad = self._seen_directly(source, lanes.count, seen)
-            dr.eval(seen_rays, seen_bad, seen.array)
+            dr.eval(seen_rays, seen_bad, seen.splats.array)
             counters["rays"] += total(rays) + total(seen_rays)
             counters["nonfinite"] += total(bad) + total(seen_bad)
 
         layers = {
-            name: splats.sums(self.camera.height, self.camera.width)[0] * (samples / paths)
-            for name, splats in (("splat", scattered), ("emission", seen))
+            name: sink.splats.sums(self.camera.height, self.camera.width)[0] * (samples / paths)
+            for name, sink in (("splat", scattered), ("emission", seen))
         }
         return layers, counters
 
-    def _seen_directly(self, source: Any, paths: int, splats: Splats) -> tuple[Any, Any]:
+    def _seen_directly(self, source: SampleSource, paths: int, sink: SplatSink) -> tuple[mi.UInt32, mi.Bool]:
         """Join points of the lights themselves to the camera (s = 1, t = 1); (rays, non-finite values)."""
         active = dr.full(mi.Bool, True, paths)
         light = self.lights.pick(source.next_1d(0, dim.LIGHT_PICK), active)
@@ -116,10 +115,8 @@ class Light(ImageMethod):
         place = self.camera.splat_place(joined, source, 1)
         contribution = radiance * (joined.importance * cos * place.weight / density)
         active &= place.on_film & ~dr.all(contribution == 0.0)
-        contribution, bad = keep_finite(contribution)
-        bad &= active
-        rays = dr.select(active, mi.UInt32(1), mi.UInt32(0))
+        rays = ones(active)
         ray = mi.Ray3f(joined.target, -joined.direction, reach, 0.0, mi.Color0f())
         active, share = self.visibility.along(ray, dr.opaque(mi.UInt32, max(self.max_edges() - 1, 0)), active)
-        splats.add(place, [contribution * share], active)
-        return rays, bad
+        contribution *= share
+        return rays, sink.add(mi.UInt32(1), place, Contribution([contribution], contribution, active, active))

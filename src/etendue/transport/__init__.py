@@ -1,19 +1,24 @@
-"""The shared words of every path method: emission, camera, scattering with both densities, weights, stored vertices."""
+"""What path methods share: vertices and walks, emission, camera, scattering with both densities, weights, stores."""
 
 from . import dimensions
+from .bidirectional.camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
+from .bidirectional.light_walk import LightWalk
+from .bidirectional.mis import GRAZING, Mis, Techniques
+from .bidirectional.photons import Photon, Photons, unfolded
+from .bidirectional.pyramid import PYRAMID_MAX, Pyramid
+from .bidirectional.sinks import CameraSink, Contribution, Sink, SplatSink
+from .bidirectional.vertices import Kind, LightVertex, LightVertices, needs_interaction
 from .camera import Camera, CameraConnection, Splats
-from .camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
+from .direct import DirectWeights
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
 from .functions import TransportFunctions, film_picture
-from .guiding import NOWHERE, Guide, GuidedScattered, direction_of, square_of
+from .guiding.guide import NOWHERE, Guide, GuidedScattered, direction_of, square_of
+from .guiding.lights import MOST_LIGHTS, LightChoice, LocalLights
+from .guiding.walk import FOUND_UNITS, GuidedPath, GuidedWalk, TrainingSamples
 from .irradiance import IrradianceCache, irradiance_gradients, stratified_hemispheres
-from .light_choice import MOST_LIGHTS, LightChoice, LocalLights
-from .light_walk import LightWalk
-from .mis import GRAZING, Mis, Techniques
-from .photons import Photon, Photons, unfolded
-from .pyramid import PYRAMID_MAX, Pyramid
 from .scattering import (
     Evaluated,
+    Proposal,
     Scattered,
     cosine_ratio,
     evaluate_camera_end,
@@ -27,10 +32,12 @@ from .scattering import (
     scatter_uniform,
     shadow_roulette,
 )
-from .vertices import Kind, LightVertex, LightVertices, needs_interaction
+from .vertex import Joined, Vertex, WalkVertex
 from .visibility import Visibility
+from .walk import CameraPath, Emission, SubPath, Walker, ones
 
 __all__ = [
+    "FOUND_UNITS",
     "GRAZING",
     "MOST_LIGHTS",
     "NOWHERE",
@@ -38,14 +45,22 @@ __all__ = [
     "PYRAMID_MAX",
     "Camera",
     "CameraConnection",
+    "CameraPath",
+    "CameraSink",
     "CameraWalk",
+    "Contribution",
     "DirectSample",
+    "DirectWeights",
+    "Emission",
     "EmittedRay",
     "Evaluated",
     "Gather",
     "Guide",
+    "GuidedPath",
     "GuidedScattered",
+    "GuidedWalk",
     "IrradianceCache",
+    "Joined",
     "Kind",
     "LightCache",
     "LightChoice",
@@ -56,12 +71,20 @@ __all__ = [
     "Mis",
     "Photon",
     "Photons",
+    "Proposal",
     "Pyramid",
     "Scattered",
+    "Sink",
+    "SplatSink",
     "Splats",
+    "SubPath",
     "Techniques",
+    "TrainingSamples",
     "TransportFunctions",
+    "Vertex",
     "Visibility",
+    "WalkVertex",
+    "Walker",
     "cosine_ratio",
     "dimensions",
     "direction_of",
@@ -76,6 +99,7 @@ __all__ = [
     "is_emissive",
     "is_smooth",
     "needs_interaction",
+    "ones",
     "point_on",
     "roulette",
     "sample_direct",

@@ -12,7 +12,7 @@ from etendue.core import SampleSource
 from etendue.scene import Light, LightTable, graph, sphere_point, surface_point, uniform_point, varies
 
 from . import dimensions as dim
-from .light_choice import LocalLights
+from .guiding.lights import LocalLights
 from .spheres import cone_of, point_in, seen_density
 
 

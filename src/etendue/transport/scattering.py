@@ -12,7 +12,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -29,73 +29,94 @@ _GRAZING = 1e-6
 class Scattered:
     """One sampled direction, one lane each."""
 
-    direction: Any  #: world
-    weight: Any  #: factor on the throughput
-    pdf: Any  #: solid-angle density of the direction
-    reverse_pdf: Any  #: of the opposite walk at the same vertex
-    cos: Any  #: |cos| of the direction and the geometric normal
-    eta: Any  #: relative index of refraction along the way
-    is_delta: Any
-    is_null: Any  #: went straight on through a null component
-    active: Any
-
-
-def is_smooth(bsdf: Any) -> Any:
-    """Whether a BSDF has a component that can be connected to or merged at."""
-    return mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
-
-
-def exchanged(si: Any, wo: Any) -> Any:
-    """A copy of ``si`` seen from the local direction ``wo``."""
-    other = mi.SurfaceInteraction3f(si)
-    other.wi = wo
-    return other
-
-
-def geometric_cos(si: Any, direction: Any) -> Any:
-    """``|cos|`` of a world direction and the geometric normal."""
-    return dr.abs(dr.dot(si.n, direction))
+    direction: mi.Vector3f  #: world
+    weight: mi.Color3f  #: factor on the throughput
+    pdf: mi.Float  #: solid-angle density of the direction
+    reverse_pdf: mi.Float  #: of the opposite walk at the same vertex
+    cos: mi.Float  #: |cos| of the direction and the geometric normal
+    eta: mi.Float  #: relative index of refraction along the way
+    is_delta: mi.Bool
+    is_null: mi.Bool  #: went straight on through a null component
+    active: mi.Bool
 
 
 @dataclass
 class Evaluated:
     """A BSDF towards one given direction, one lane each."""
 
-    value: Any  #: f |cos_s(light side)|
-    pdf: Any  #: solid-angle density of the direction
-    reverse_pdf: Any  #: of the opposite walk
+    value: mi.Color3f  #: f |cos_s(light side)|
+    pdf: mi.Float  #: solid-angle density of the direction
+    reverse_pdf: mi.Float  #: of the opposite walk
 
 
-def evaluate_camera_end(bsdf: Any, si: Any, wo: Any, active: Any) -> Evaluated:
+class Proposal(Protocol):
+    """Samples directions at a vertex: from the BSDF, uniformly, or from a guide."""
+
+    def __call__(
+        self,
+        bsdf: mi.BSDFPtr,
+        si: mi.SurfaceInteraction3f,
+        source: SampleSource,
+        vertex: mi.UInt32,
+        active: mi.Bool,
+        directions: Sequence[tuple[mi.Vector3f, mi.Bool]] = (),
+    ) -> tuple[Scattered, list[Evaluated]]:
+        """Sample a direction with the random numbers of ``vertex``, and evaluate the BSDF in the given (local
+        direction, mask) pairs."""
+        ...
+
+
+def is_smooth(bsdf: mi.BSDFPtr) -> mi.Bool:
+    """Whether a BSDF has a component that can be connected to or merged at."""
+    return mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
+
+
+def exchanged(si: mi.SurfaceInteraction3f, wo: mi.Vector3f) -> mi.SurfaceInteraction3f:
+    """A copy of ``si`` seen from the local direction ``wo``."""
+    other = mi.SurfaceInteraction3f(si)
+    other.wi = wo
+    return other
+
+
+def geometric_cos(si: mi.SurfaceInteraction3f, direction: mi.Vector3f) -> mi.Float:
+    """``|cos|`` of a world direction and the geometric normal."""
+    return dr.abs(dr.dot(si.n, direction))
+
+
+def evaluate_camera_end(bsdf: mi.BSDFPtr, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Evaluated:
     """The BSDF at a camera vertex towards the light-side local direction ``wo``."""
     return Evaluated(*dr.dispatch(bsdf, _camera_end, si, wo, active))
 
 
-def evaluate_light_end(bsdf: Any, si: Any, wo: Any, active: Any) -> Evaluated:
+def evaluate_light_end(bsdf: mi.BSDFPtr, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool) -> Evaluated:
     """The BSDF at a light vertex towards the eye-side local direction ``wo``; its value, times :func:`cosine_ratio`,
     is the adjoint BSDF times its cosine."""
     return Evaluated(*dr.dispatch(bsdf, _light_end, si, wo, active))
 
 
-def _camera_end(bsdf: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any, Any]:
+def _camera_end(
+    bsdf: mi.BSDFPtr, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool
+) -> tuple[mi.Color3f, mi.Float, mi.Float]:
     value, pdf = bsdf.eval_pdf(mi.BSDFContext(), si, wo, active)
     reverse = bsdf.pdf(mi.BSDFContext(mi.TransportMode.Importance), exchanged(si, wo), si.wi, active)
     return _leaving(wo, value, pdf, reverse)
 
 
-def _light_end(bsdf: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any, Any]:
+def _light_end(
+    bsdf: mi.BSDFPtr, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool
+) -> tuple[mi.Color3f, mi.Float, mi.Float]:
     value, reverse = bsdf.eval_pdf(mi.BSDFContext(), exchanged(si, wo), si.wi, active)
     pdf = bsdf.pdf(mi.BSDFContext(mi.TransportMode.Importance), si, wo, active)
     return _leaving(wo, value, pdf, reverse)
 
 
-def _leaving(wo: Any, value: Any, *densities: Any) -> tuple[Any, ...]:
+def _leaving(wo: mi.Vector3f, value: mi.Color3f, *densities: mi.Float) -> tuple[Any, ...]:
     """Nothing for directions in the surface: they carry nothing, and some materials answer 0 / 0 there."""
     leaves = dr.abs(mi.Frame3f.cos_theta(wo)) > _GRAZING
     return value & leaves, *(dr.select(leaves, pdf, 0.0) for pdf in densities)
 
 
-def cosine_ratio(si: Any, direction: Any) -> Any:
+def cosine_ratio(si: mi.SurfaceInteraction3f, direction: mi.Vector3f) -> mi.Float:
     """cos_g(eye) / cos_g(light) at a light vertex, ``direction`` pointing to the eye side: what turns the value of
     :func:`evaluate_light_end`, which holds the cosine of the light side, into the adjoint BSDF times its cosine."""
     cos_light = geometric_cos(si, si.to_world(si.wi))
@@ -103,14 +124,24 @@ def cosine_ratio(si: Any, direction: Any) -> Any:
 
 
 def scatter_camera(
-    bsdf: Any, si: Any, source: SampleSource, vertex: Any, active: Any, directions: Sequence[tuple[Any, Any]] = ()
+    bsdf: mi.BSDFPtr,
+    si: mi.SurfaceInteraction3f,
+    source: SampleSource,
+    vertex: mi.UInt32,
+    active: mi.Bool,
+    directions: Sequence[tuple[mi.Vector3f, mi.Bool]] = (),
 ) -> tuple[Scattered, list[Evaluated]]:
     """Sample a direction at a camera vertex, and evaluate towards the given (local direction, mask) pairs."""
     return _scatter(_sample_camera, _camera_end, bsdf, si, source, vertex, active, directions)
 
 
 def scatter_light(
-    bsdf: Any, si: Any, source: SampleSource, vertex: Any, active: Any, directions: Sequence[tuple[Any, Any]] = ()
+    bsdf: mi.BSDFPtr,
+    si: mi.SurfaceInteraction3f,
+    source: SampleSource,
+    vertex: mi.UInt32,
+    active: mi.Bool,
+    directions: Sequence[tuple[mi.Vector3f, mi.Bool]] = (),
 ) -> tuple[Scattered, list[Evaluated]]:
     """The same at a light vertex, for importance."""
     scattered, evaluated = _scatter(_sample_light, _light_end, bsdf, si, source, vertex, active, directions)
@@ -123,7 +154,12 @@ def scatter_light(
 
 
 def scatter_uniform(
-    bsdf: Any, si: Any, source: SampleSource, vertex: Any, active: Any, directions: Sequence[tuple[Any, Any]] = ()
+    bsdf: mi.BSDFPtr,
+    si: mi.SurfaceInteraction3f,
+    source: SampleSource,
+    vertex: mi.UInt32,
+    active: mi.Bool,
+    directions: Sequence[tuple[mi.Vector3f, mi.Bool]] = (),
 ) -> tuple[Scattered, list[Evaluated]]:
     """As :func:`scatter_camera`, but knowing nothing of the BSDF: directions are uniform over the sphere of the world's
     directions, or the half of it that a surface which lets no light through reflects to.
@@ -136,13 +172,20 @@ def scatter_uniform(
 
 
 def _scatter(
-    sample: Any, evaluate: Any, bsdf: Any, si: Any, source: SampleSource, vertex: Any, active: Any, directions: Any
+    sample: Any,
+    evaluate: Any,
+    bsdf: mi.BSDFPtr,
+    si: mi.SurfaceInteraction3f,
+    source: SampleSource,
+    vertex: mi.UInt32,
+    active: mi.Bool,
+    directions: Any,
 ) -> tuple[Scattered, list[Evaluated]]:
     """One call a BSDF for everything that is asked of it: a call of its own for each question costs a seventh more."""
     # An even number for the lobe costs time and gains nothing that could be measured.
     u = source.decide(vertex, dim.LOBE), mi.Point2f(*source.next_2d(vertex, dim.DIRECTION))
 
-    def ask(self: Any, si: Any, u: Any, active: Any, directions: list[tuple[Any, Any]]) -> Any:
+    def ask(self: Any, si: mi.SurfaceInteraction3f, u: Any, active: mi.Bool, directions: list[tuple[Any, Any]]) -> Any:
         return sample(self, si, u, active), [evaluate(self, si, wo, mask) for wo, mask in directions]
 
     sampled, evaluated = dr.dispatch(bsdf, ask, si, u, active, list(directions))
@@ -155,7 +198,9 @@ def _scatter(
     return scattered, [Evaluated(*e) for e in evaluated]
 
 
-def _sample_camera(bsdf: Any, si: Any, u: Any, active: Any) -> tuple[Any, ...]:
+def _sample_camera(
+    bsdf: mi.BSDFPtr, si: mi.SurfaceInteraction3f, u: tuple[mi.Float, mi.Point2f], active: mi.Bool
+) -> tuple[Any, ...]:
     bs, weight = bsdf.sample(mi.BSDFContext(), si, *u, active)
     is_delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
     context = mi.BSDFContext(mi.TransportMode.Importance)
@@ -163,7 +208,9 @@ def _sample_camera(bsdf: Any, si: Any, u: Any, active: Any) -> tuple[Any, ...]:
     return bs.wo, weight, bs.pdf, reverse_pdf, bs.eta, bs.sampled_type
 
 
-def _sample_light(bsdf: Any, si: Any, u: Any, active: Any) -> tuple[Any, ...]:
+def _sample_light(
+    bsdf: mi.BSDFPtr, si: mi.SurfaceInteraction3f, u: tuple[mi.Float, mi.Point2f], active: mi.Bool
+) -> tuple[Any, ...]:
     bs, weight = bsdf.sample(mi.BSDFContext(mi.TransportMode.Importance), si, *u, active)
     is_delta = mi.has_flag(bs.sampled_type, mi.BSDFFlags.Delta)
     value, reverse_pdf = bsdf.eval_pdf(mi.BSDFContext(), exchanged(si, bs.wo), si.wi, active & ~is_delta)
@@ -173,7 +220,9 @@ def _sample_light(bsdf: Any, si: Any, u: Any, active: Any) -> tuple[Any, ...]:
     return bs.wo, weight, bs.pdf, reverse_pdf, bs.eta, bs.sampled_type
 
 
-def _sample_uniform(bsdf: Any, si: Any, u: Any, active: Any) -> tuple[Any, ...]:
+def _sample_uniform(
+    bsdf: mi.BSDFPtr, si: mi.SurfaceInteraction3f, u: tuple[mi.Float, mi.Point2f], active: mi.Bool
+) -> tuple[Any, ...]:
     lobe, u_direction = u
     share, pdf = _uniform_share(bsdf)
     smooth = active & (lobe < share)
@@ -201,13 +250,15 @@ def _sample_uniform(bsdf: Any, si: Any, u: Any, active: Any) -> tuple[Any, ...]:
     )
 
 
-def _uniform_end(bsdf: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any, Any]:
+def _uniform_end(
+    bsdf: mi.BSDFPtr, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool
+) -> tuple[mi.Color3f, mi.Float, mi.Float]:
     value = bsdf.eval(mi.BSDFContext(), si, wo, active)
     _, pdf = _uniform_share(bsdf)
     return _leaving(wo, value, mi.Float(pdf), mi.Float(pdf))
 
 
-def _uniform_share(bsdf: Any) -> tuple[float, float]:
+def _uniform_share(bsdf: mi.BSDFPtr) -> tuple[float, float]:
     """Share of the samples that are uniform, and their density."""
     flags = bsdf.flags()
     if not mi.has_flag(flags, mi.BSDFFlags.Smooth):
@@ -217,7 +268,9 @@ def _uniform_share(bsdf: Any) -> tuple[float, float]:
     return share, share / (4.0 if mi.has_flag(flags, mi.BSDFFlags.Transmission) else 2.0) / dr.pi
 
 
-def roulette(throughput: Any, eta: Any, depth: Any, first_depth: int, u: Any) -> tuple[Any, Any]:
+def roulette(
+    throughput: mi.Color3f, eta: mi.Float, depth: mi.UInt32, first_depth: int, u: mi.Float
+) -> tuple[mi.Bool, mi.Float]:
     """Russian roulette by throughput from ``first_depth`` on: (survives, factor on the throughput).
 
     ``eta`` undoes the radiance scaling of refraction, so that paths inside glass are not cut short; pass 1 for light
@@ -228,7 +281,9 @@ def roulette(throughput: Any, eta: Any, depth: Any, first_depth: int, u: Any) ->
     return ~playing | ~(u >= survival), dr.select(playing, dr.rcp(survival), 1.0)
 
 
-def shadow_roulette(contributions: Sequence[Any], threshold: Any, u: Any, active: Any) -> tuple[Any, Any]:
+def shadow_roulette(
+    contributions: Sequence[mi.Color3f], threshold: mi.Float, u: mi.Float, active: mi.Bool
+) -> tuple[mi.Bool, mi.Float]:
     """Decide before a shadow ray is cast whether its contribution is worth it: (goes on, factor on the contribution).
     Of several that share the ray the largest decides.
 

@@ -16,21 +16,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import OptionError, SampleSource, setting, suggest
+from etendue.core import OptionError, SampleSource, suggest
 from etendue.integration import AxisBins, CellGrid, DeviceBackend, Factor, PlaneBins, Tabulated, warp_rows
-from etendue.scene import Problem
-from etendue.transport import Camera, is_smooth
 from etendue.transport import dimensions as dim
-
-from .. import radius as radii
-from ..base import STEP_LANES, ImageSettings, corners
-from ..path import Path, PathSettings, PathState
-from ..photon.photons import PhotonGrid, PhotonTracer
 
 #: A number of a path: (vertex, component).
 Draw = tuple[int, int]
@@ -269,104 +262,6 @@ class AdaptiveSource(NumberedSource):
         pairs = (dim.FILM, dim.APERTURE) if vertex == 0 else (dim.DIRECTION, dim.NEXT_EVENT + 1)
         first = max(pair for pair in pairs if pair <= component)
         return self._base.next_2d(vertex, first)[component - first]
-
-
-@dataclass(frozen=True)
-class AdaptiveSettings(PathSettings):
-    """Settings of ``vegas`` and ``stratified``."""
-
-    merge: bool = setting(True, "let one number pick a light and the first coordinate of the point on it")
-    maps: int = setting(
-        0, "surface points after which a path ends in a map of photons, at the next smooth material; 0: none", minimum=0
-    )
-    light_paths: float = setting(1.0, "light paths traced for the maps, per camera path", above=0.0, maximum=64.0)
-    radius: float = setting(0.006, "first radius of the maps, in the unit of radius_unit", above=0.0)
-    radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
-    alpha: float = setting(0.75, "radius reduction: r_i = radius i^((alpha - 1) / 2)", above=0.0, maximum=1.0)
-
-
-class AdaptivePath(Path):
-    """Path tracing by the numbers of a :class:`NumberedSource`, which may end in maps of photons
-    [Leeson 2001, sec. 5.4.1, 5.7.4]."""
-
-    Settings: ClassVar[type[ImageSettings]] = AdaptiveSettings
-
-    def prepare(self, problem: Problem, seed: int) -> None:
-        """See :class:`Path`; the pilot of the maps."""
-        super().prepare(problem, seed)
-        o = self.settings
-        self._edges = dr.opaque(mi.UInt32, self.max_edges())
-        self._maps: PhotonGrid | None = None
-        if not o.maps:
-            return
-        self._box = corners(problem)
-        self._first_radius = radii.absolute_radius(self, o.radius, o.radius_unit, seed)
-        self._tracer = PhotonTracer(self, seed)
-        wanted = round(o.light_paths * self.camera.pixels * self.samples_per_iteration)
-        self._light_paths = self._tracer.fitting(max(1, wanted))
-
-    def full_lanes(self) -> int:
-        """See :class:`ImageMethod`."""
-        return STEP_LANES if self.settings.maps else super().full_lanes()
-
-    def draw_film(self, named: Sequence[Group]) -> None:
-        """Give up the places that all pixels share if groups draw places on the film."""
-        film = {(0, dim.FILM), (0, dim.FILM + 1)}
-        if any(film & set(draws) for group in named for draws in group.draws):
-            self.camera = Camera(self.problem, independent=True)
-
-    def map_light(self, iteration: int, seed: int) -> float:
-        """Trace the photons of a pass, if paths end in maps; returns the rays that it took."""
-        if not self.settings.maps:
-            return 0.0
-        shot = self._tracer.shoot(iteration, seed, self._light_paths)
-        positions, _, held = shot.vertices.positions()
-        radius = radii.reduced(self._first_radius, iteration, self.settings.alpha)
-        self._maps = PhotonGrid(shot, positions, held, radius, self._box)
-        self._limit = dr.opaque(mi.Float, radius * radius)
-        return shot.rays
-
-    def finish(self, s: PathState, source: Any, si: Any, bsdf: Any) -> Any:
-        """See :class:`Path`: past the last point that numbers are looked for, by the photons around."""
-        if self._maps is None:
-            return mi.Bool(False)
-        done = s.active & is_smooth(bsdf) & (s.depth > self.settings.maps)
-        reflected, _ = self._maps.reflected(si, bsdf, self._edges - s.depth, self._limit, done)
-        self.add(s, source, s.throughput * reflected, done, False)
-        return done
-
-    def constant_numbers(self) -> set[Draw]:
-        """Numbers that decide nothing; those of vertex 1 stand for all surface points."""
-        constant: set[Draw] = set()
-        if self.settings.merge or self.lights.count == 1:
-            constant.add((1, dim.NEXT_EVENT))
-        if not self.camera.sensor.needs_aperture_sample():
-            constant |= {(0, dim.APERTURE), (0, dim.APERTURE + 1)}
-        return constant
-
-    def left_by_pick(self) -> Callable[[Any], Any] | None:
-        """What a number that picks a light has left, if it is to be used."""
-        return self.lights.left_by_pick if self.settings.merge else None
-
-    def add(self, s: PathState, source: Any, contribution: Any, active: Any, by_light_point: bool) -> None:
-        """See :class:`Path`."""
-        active = active & source.counts(s.depth + 1 if by_light_point else s.depth)
-        contribution = contribution * source.weight(s.depth, by_light_point)
-        s.radiance[active] += contribution
-        if s.parts:
-            luminance = mi.luminance(contribution)
-            s.parts = [
-                part + dr.select(active & drawn.used(s.depth, by_light_point), luminance, 0.0)
-                for part, drawn in zip(s.parts, source.drawn, strict=True)
-            ]
-
-    def goes_on(self, s: PathState, source: Any) -> Any:
-        """See :class:`Path`."""
-        return source.goes_on(s.depth)
-
-    def wants(self, s: PathState, source: Any) -> Any:
-        """See :class:`Path`."""
-        return source.counts(s.depth + 1)
 
 
 def check_merge(names: str, merge: bool) -> None:

@@ -29,7 +29,8 @@ from etendue.scene import Problem
 
 from ..base import ImageSettings, Layer, total
 from ..path import Path
-from .dimensions import AdaptivePath, AdaptiveSettings, AdaptiveSource, NumberedSource, check_merge, groups
+from .dimensions import AdaptiveSource, NumberedSource, check_merge, groups
+from .path import AdaptivePath, AdaptiveSettings
 
 #: Surface points whose numbers may be named.
 _VERTICES = 16

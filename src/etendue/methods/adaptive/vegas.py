@@ -30,7 +30,8 @@ from etendue.scene import Problem
 
 from ..base import STEP_LANES, ImageSettings, Layer, total
 from ..path import Path
-from .dimensions import LENGTH, AdaptivePath, AdaptiveSettings, AdaptiveSource, check_merge, groups
+from .dimensions import LENGTH, AdaptiveSource, check_merge, groups
+from .path import AdaptivePath, AdaptiveSettings
 
 #: What each bin gets beside what it was found to hold: this share of the mean, spread evenly over the group's
 #: dimensions. What was missed so far is found again, and no weight is much above its inverse.
@@ -127,7 +128,7 @@ class Vegas(Carrying, AdaptivePath):
         pixel = lanes // samples
         base = self.camera_numbers(lanes, samples, seed, iteration)
         source = AdaptiveSource(base, self._groups, self._densities, self._row(pixel), self.left_by_pick())
-        state = self.trace(pixel, source)
+        state = self.trace(pixel, source, learning=True)
         radiance, bad = self.kept(state.radiance)
         parts = [dr.select(dr.isfinite(part), part, 0.0) for part in state.parts]
         found = [(drawn.group, drawn.bin, part) for drawn, part in zip(source.drawn, parts, strict=True)]
@@ -143,10 +144,6 @@ class Vegas(Carrying, AdaptivePath):
         y = pixel // self.camera.width
         x = pixel - y * self.camera.width
         return y // self.settings.tile * self._tiles[0] + x // self.settings.tile
-
-    def parts(self, source: Any) -> list[Any]:
-        """For each draw of a group the luminance that depends on it."""
-        return [mi.Float(0.0) for _ in source.drawn]
 
     # ------------------------------------------------------------------ learning
 

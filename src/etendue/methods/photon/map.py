@@ -11,18 +11,19 @@ k nearest does not. Where that matters, use ``sppm`` or ``vcm``.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
 
 from etendue.core import OptionError, setting
 from etendue.density import KdTree
-from etendue.transport import Kind, Photons
+from etendue.scene import Problem
+from etendue.transport import Kind, Photons, WalkVertex
 
 from .. import radius as radii
 from ..base import ImageSettings
-from .mapping import PhotonMapping, PhotonSettings
+from .mapping import GatherPath, PhotonMapping, PhotonSettings
 from .photons import Shot, photon_room, reflected_by
 
 #: Light paths for each photon asked for, at most: where next to nothing is stored, more paths do not help.
@@ -57,7 +58,7 @@ class Pm(PhotonMapping):
     Settings: ClassVar[type[ImageSettings]] = PmSettings
     citations: ClassVar[tuple[str, ...]] = ("Jensen1996",)
 
-    def prepare(self, problem: Any, seed: int) -> None:
+    def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`PhotonMapping`."""
         self.final_gather = self.settings.final_gather
         if self.final_gather and self.settings.direct != "next_event":
@@ -91,7 +92,7 @@ class Pm(PhotonMapping):
         # Without next event, what the camera sees directly lit is seen in the photons.
         self._paths = dr.opaque(mi.Float, shot.paths)
 
-    def _map(self, shot: Shot, positions: Any, mask: Any) -> _Map:
+    def _map(self, shot: Shot, positions: mi.Point3f, mask: mi.Bool) -> _Map:
         dr.eval(mask)
         tree = KdTree(positions, mask)
         place = dr.arange(mi.UInt32, tree.count)
@@ -99,28 +100,30 @@ class Pm(PhotonMapping):
         dr.scatter(destination, place, dr.gather(mi.UInt32, tree.order, place))
         return _Map(tree, shot.vertices.sorted_by(destination, mask))
 
-    def gather(self, si: Any, bsdf: Any, s: Any, active: Any) -> tuple[Any, Any]:
+    def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[mi.Color3f, mi.UInt32]:
         """See :class:`PhotonMapping`."""
         if not self.final_gather:
-            caustic, _ = self._nearest(self._caustic, si, bsdf, s, active)
-            rest, found = self._nearest(self._global, si, bsdf, s, active)
+            caustic, _ = self._nearest(self._caustic, s, vertex, active)
+            rest, found = self._nearest(self._global, s, vertex, active)
             return caustic + rest, found
-        caustic, _ = self._nearest(self._caustic, si, bsdf, s, active & ~s.beyond)
-        rest, found = self._nearest(self._global, si, bsdf, s, active & s.beyond)
+        caustic, _ = self._nearest(self._caustic, s, vertex, active & ~s.beyond)
+        rest, found = self._nearest(self._global, s, vertex, active & s.beyond)
         return caustic + rest, found
 
-    def _nearest(self, photon_map: _Map, si: Any, bsdf: Any, s: Any, active: Any) -> tuple[Any, Any]:
+    def _nearest(
+        self, photon_map: _Map, s: GatherPath, vertex: WalkVertex, active: mi.Bool
+    ) -> tuple[mi.Color3f, mi.UInt32]:
         """(radiance, photons) from the nearest photons of one map."""
-        tree, photons = photon_map.tree, photon_map.photons
+        tree, photons, si = photon_map.tree, photon_map.photons, vertex.si
         limit = tree.kth_distance_squared(si.p, self._neighbours, self._limit, active)
         # The disc ends at the last photon: counted too, it would make the estimate k / (k - 1) too bright.
         rim = dr.select(limit < self._limit, limit * _INSIDE, dr.inf)
 
-        def visit(photon: Any, _: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
+        def visit(photon: mi.UInt32, _: mi.Float, state: tuple[mi.Color3f, mi.UInt32]) -> tuple[mi.Color3f, mi.UInt32]:
             flux, found = state
             position, depth = photons.position(photon, active)
-            allowed = (depth + s.depth <= self._edges) & (dr.squared_norm(position - si.p) < rim)
-            value = reflected_by(photons, photon, si, bsdf, limit, self.settings.kernel, active)
+            allowed = (depth + s.depth <= self.edges) & (dr.squared_norm(position - si.p) < rim)
+            value = reflected_by(photons, photon, vertex, limit, self.settings.kernel, active)
             return flux + dr.select(allowed, value, 0.0), found + 1
 
         flux, found = tree.within(si.p, limit, (mi.Color3f(0.0), mi.UInt32(0)), visit, active)

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -23,16 +22,7 @@ import mitsuba as mi
 from etendue.core import SampleSource, setting
 from etendue.density import KERNELS
 from etendue.scene import Problem
-from etendue.transport import dimensions as dim
-from etendue.transport import (
-    emission_of_hit,
-    geometric_cos,
-    is_emissive,
-    is_smooth,
-    roulette,
-    sample_direct,
-    scatter_camera,
-)
+from etendue.transport import CameraPath, DirectWeights, Walker, WalkVertex
 
 from ..base import STEP_LANES, CameraSettings, ImageMethod, Layer, total
 from .photons import PhotonTracer, Shot
@@ -50,43 +40,34 @@ class PhotonSettings(CameraSettings):
     kernel: str = setting("uniform", "weight of a photon over the disc it is gathered from", choices=tuple(KERNELS))
 
 
-@dataclass
-class _State:
-    """Loop state, one lane a camera path."""
+@dataclass(kw_only=True)
+class GatherPath(CameraPath):
+    """State of a camera path that gathers photons."""
 
-    active: Any
-    ray: Any
-    throughput: Any
-    eta: Any  #: product of the relative indices of refraction
-    radiance: Any
-    depth: Any  #: edges so far, the one being traced included
-    travelled: Any  #: length of the edge before the surfaces that it has crossed
-    pdf: Any  #: density of the edge's direction if it left a smooth material, else 0
-    beyond: Any  #: the path has been scattered by a smooth material
-    found: Any  #: photons that were found where the path first gathered; see ``first``
-    first: Any  #: nothing was gathered yet
-    rays: Any
-    lane: Any
+    beyond: mi.Bool  #: it has scattered at a smooth material
+    found: mi.UInt32  #: photons found at its first gather point; see ``first``
+    first: mi.Bool  #: it has not gathered yet
+    lane: mi.UInt32  #: number of the path; does not change
 
 
 class _Chosen:
     """One source of numbers or another, lane by lane."""
 
-    def __init__(self, condition: Any, where: SampleSource, elsewhere: SampleSource) -> None:
+    def __init__(self, condition: mi.Bool, where: SampleSource, elsewhere: SampleSource) -> None:
         self._condition, self._where, self._elsewhere = condition, where, elsewhere
 
-    def next_1d(self, vertex: Any, component: int) -> Any:
+    def next_1d(self, vertex: mi.UInt32, component: int) -> mi.Float:
         """See :class:`SampleSource`."""
         return dr.select(
             self._condition, self._where.next_1d(vertex, component), self._elsewhere.next_1d(vertex, component)
         )
 
-    def next_2d(self, vertex: Any, component: int) -> tuple[Any, Any]:
+    def next_2d(self, vertex: mi.UInt32, component: int) -> tuple[mi.Float, mi.Float]:
         """See :class:`SampleSource`."""
         here, there = self._where.next_2d(vertex, component), self._elsewhere.next_2d(vertex, component)
         return tuple(dr.select(self._condition, a, b) for a, b in zip(here, there, strict=True))
 
-    def decide(self, vertex: Any, component: int) -> Any:
+    def decide(self, vertex: mi.UInt32, component: int) -> mi.Float:
         """See :class:`SampleSource`."""
         return dr.select(
             self._condition, self._where.decide(vertex, component), self._elsewhere.decide(vertex, component)
@@ -104,7 +85,6 @@ class PhotonMapping(ImageMethod):
     def prepare(self, problem: Problem, seed: int) -> None:
         """Tables, and a pilot that measures how many photons a light path stores."""
         super().prepare(problem, seed)
-        self._edges = dr.opaque(mi.UInt32, self.max_edges())
         self.tracer = PhotonTracer(self, seed)
         self._light_paths = self.tracer.fitting(self.light_paths())
 
@@ -121,10 +101,10 @@ class PhotonMapping(ImageMethod):
         """Make the photons ready for :meth:`gather`."""
 
     @abstractmethod
-    def gather(self, si: Any, bsdf: Any, s: Any, active: Any) -> tuple[Any, Any]:
-        """(reflected radiance, photons found) at ``si``; ``s`` is the camera path's loop state."""
+    def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[mi.Color3f, mi.UInt32]:
+        """(radiance that a vertex reflects, photons found there)."""
 
-    def finish(self, found: Any) -> None:
+    def finish(self, found: mi.UInt32) -> None:
         """Called after a pass with the number of photons that each path found where it first gathered."""
 
     def shoot(self, iteration: int, seed: int) -> Shot:
@@ -137,103 +117,76 @@ class PhotonMapping(ImageMethod):
         """See :class:`ImageMethod`."""
         shot = self.shoot(iteration, seed)
         self.build(shot, iteration, seed)
-        state, weight = self._trace("", iteration, seed, samples)
-        radiance, bad = self.kept(state.radiance * weight)
-        dr.eval(radiance, state.rays, state.found, bad)
-        self.finish(state.found)
+        path = self._trace("", iteration, seed, samples)
+        radiance, bad = self.kept(path.radiance)
+        dr.eval(radiance, path.rays, path.found, bad)
+        self.finish(path.found)
         counters = {
-            "rays": total(state.rays) + shot.rays,
+            "rays": total(path.rays) + shot.rays,
             "paths": float(len(radiance[0]) + shot.paths),
             "photons": float(shot.vertices.wanted[0]),
             "nonfinite": total(bad),
         }
         return {"image": self.image(radiance, seed, 0 if self.fixed_points else iteration)}, counters
 
-    def _trace(self, role: str, iteration: int, seed: int, samples: int) -> tuple[_State, Any]:
-        """Camera paths: (last state, weight of the camera ray), not yet evaluated."""
+    def _trace(self, role: str, iteration: int, seed: int, samples: int) -> GatherPath:
+        """Camera paths, not yet evaluated."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         fresh = self.camera_numbers(lanes, samples, seed, iteration, role + "camera")
         fixed = self.camera_numbers(lanes, samples, seed, 0, role + "camera") if self.fixed_points else fresh
-        ray, weight, _ = self.camera.primary(lanes // samples, fixed)
-        state = _State(
-            active=dr.full(mi.Bool, True, len(lanes)) & (self._edges > 0),
-            ray=mi.Ray3f(ray),
-            throughput=mi.Color3f(1.0),
-            eta=mi.Float(1.0),
-            radiance=mi.Color3f(dr.opaque(mi.Float, 0.0)),
-            depth=mi.UInt32(1),
-            travelled=mi.Float(0.0),
-            pdf=mi.Float(0.0),
+        ray, importance, _ = self.camera.primary(lanes // samples, fixed)
+        walker = self.walker(Walker)
+        path = GatherPath.start(
+            ray,
+            walker.max_edges,
+            radiance=mi.Color3f(dr.opaque(mi.Float, 0.0)),  # not literal: a scene may have nothing to gather at
             beyond=mi.Bool(False),
             found=mi.UInt32(0),
             first=mi.Bool(True),
-            rays=mi.UInt32(0),
             lane=mi.UInt32(lanes),
         )
-        (state,) = dr.while_loop(
-            (state,), lambda s: s.active, lambda s: (self._edge(s, fresh, fixed),), label="photon gathering"
-        )
-        return state, weight
+        path = walker.walk(path, lambda s: self._edge(s, walker, fresh, fixed), "photon gathering")
+        path.radiance *= importance
+        return path
 
-    def _edge(self, s: _State, fresh: SampleSource, fixed: SampleSource) -> _State:
-        """Trace one edge; gather at its end, and scatter."""
-        si = self.scene.ray_intersect(s.ray, s.active)
-        s.rays += 1
-        distance = s.travelled + si.t
-        self._emission(s, si, distance)
-        # The edge after a smooth material was for the emission at its end, and leads on only to gather there.
-        going = s.active & si.is_valid() & (s.depth < self._edges)
+    def _edge(self, s: GatherPath, walker: Walker, fresh: SampleSource, fixed: SampleSource) -> GatherPath:
+        """Trace one edge; gather and scatter at its end."""
+        vertex, weights = walker.arrive(s), DirectWeights()
+        next_event = self.settings.direct == "next_event"
+
+        # ---- Emission: unweighted through specular surfaces, weighted against next event one edge after a smooth
+        # one; light through further surfaces is in the photons
+        hit = walker.emission(s, vertex)
+        shared = weights.hit(s.pdf, hit.direct_pdf) if next_event else mi.Float(0.0)
+        weight = dr.select(s.beyond, dr.select(s.pdf > 0.0, shared, 0.0), 1.0)
+        s.radiance[hit.active & (weight > 0.0)] += s.throughput * hit.radiance * weight
+        # The edge after a smooth material is for emission; the path goes on behind it only to gather.
+        s.active &= vertex.valid & (s.depth < walker.max_edges)
         if not self.final_gather and not self.visibility.transparent:
-            going &= ~s.beyond
-        s.active = going
+            s.active &= ~s.beyond
 
-        bsdf = si.bsdf(s.ray)
-        smooth = s.active & is_smooth(bsdf)
+        # ---- Density estimation
+        smooth = s.active & vertex.smooth
         here = smooth if self.final_gather else smooth & ~s.beyond
-        reflected, found = self.gather(si, bsdf, s, here)
+        reflected, found = self.gather(s, vertex, here)
         s.radiance[here] += s.throughput * reflected
         s.found = dr.select(here & s.first, found, s.found)
         s.first &= ~here
 
+        # ---- Next event
         source: SampleSource = _Chosen(smooth, fresh, fixed) if self.fixed_points else fresh
-        if self.settings.direct == "next_event":
-            direct = sample_direct(self.lights, si, source, s.depth, 0, smooth & ~s.beyond)
-            wo = si.to_local(direct.direction)
-            scattered, (value,) = scatter_camera(bsdf, si, source, s.depth, s.active, [(wo, direct.active)])
-            weight = dr.select(direct.is_delta, 1.0, dr.rcp(1.0 + value.pdf / direct.pdf))
-            contribution = s.throughput * value.value * direct.radiance * weight
-            lit = direct.active & ~dr.all(contribution == 0.0)
-            s.rays += dr.select(lit, mi.UInt32(1), mi.UInt32(0))
-            lit, share = self.visibility.along(si.spawn_ray_to(direct.target), self._edges - (s.depth + 1), lit)
-            s.radiance[lit] += contribution * share
-        else:
-            scattered, _ = scatter_camera(bsdf, si, source, s.depth, s.active)
+        lights = [walker.light_point(vertex, source, smooth & ~s.beyond)] if next_event else []
+        scattered, towards = vertex.sample(source, s.active, lights)
+        for light, f in zip(lights, towards, strict=True):
+            contribution, seen = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
+            s.radiance[seen] += contribution
 
+        # ---- Advance: through specular components, and for one edge after a smooth one
         rough = ~scattered.is_delta
         specular_on = scattered.is_delta if self.final_gather else scattered.is_null | (scattered.is_delta & ~s.beyond)
-        # A direction of the smooth component is for the light at its end, or for the gathering there.
-        rough_on = ~s.beyond & (self.settings.direct == "next_event")
-        s.active &= scattered.active & (specular_on | (rough & rough_on))
-        s.pdf = dr.select(scattered.is_null, s.pdf, dr.select(rough, scattered.pdf, 0.0))
-        s.travelled = dr.select(scattered.is_null, distance, 0.0)
+        goes_on = specular_on | (rough & ~s.beyond & next_event)
         s.beyond |= rough
-        s.throughput *= scattered.weight
-        s.eta *= scattered.eta
-        s.ray = si.spawn_ray(scattered.direction)
-        u = source.decide(s.depth, dim.ROULETTE)
-        alive, factor = roulette(s.throughput, s.eta, s.depth, self.settings.rr_depth, u)
-        s.throughput *= factor
-        s.active &= alive
-        s.depth += 1
+        s.pdf = walker.keep_if_null(scattered, s.pdf, dr.select(rough, scattered.pdf, 0.0))
+        walker.advance(s, vertex, scattered, source)
+        s.active &= goes_on
         return s
-
-    def _emission(self, s: _State, si: Any, distance: Any) -> None:
-        """Light that the edge ends on: all of it from the camera through specular surfaces, its share against next
-        event after a smooth one; what comes through more surfaces after that is in the photons."""
-        on_light = s.active & is_emissive(self.scene, si)
-        radiance, area_density, _ = emission_of_hit(self.lights, self.scene, si, on_light, distance)
-        cos = geometric_cos(si, s.ray.d)
-        direct_pdf = dr.select(si.is_valid(), area_density * dr.square(distance) / cos, area_density)
-        shared = dr.rcp(1.0 + direct_pdf / s.pdf) if self.settings.direct == "next_event" else mi.Float(0.0)
-        weight = dr.select(s.beyond, dr.select(s.pdf > 0.0, shared, 0.0), 1.0)
-        s.radiance[on_light & (weight > 0.0)] += s.throughput * radiance * weight

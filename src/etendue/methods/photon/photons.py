@@ -8,15 +8,14 @@ over the photons j within the distance r, N light paths traced [Jensen 1996].
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import logger
+from etendue.core import Array, logger
 from etendue.density import KERNELS, HashGrid
 from etendue.scene import Problem
-from etendue.transport import Gather, LightVertices, LightWalk, Mis, Photons, Techniques, unfolded
+from etendue.transport import Gather, LightVertices, LightWalk, Mis, Photons, Techniques, Vertex, unfolded
 
 from .. import base
 from ..base import PILOT_PATHS, ImageMethod, Lanes, total
@@ -46,7 +45,6 @@ class PhotonTracer:
 
     def __init__(self, method: ImageMethod, seed: int) -> None:
         self._method = method
-        self._edges = dr.opaque(mi.UInt32, method.max_edges())
         pilot = self._trace("pilot ", 0, seed, PILOT_PATHS, 64 * PILOT_PATHS)
         #: What a number of light paths may follow: the same in every pass, and in a run that is resumed.
         self.photons_per_path = float(pilot.vertices.wanted[0]) / PILOT_PATHS
@@ -72,23 +70,25 @@ class PhotonTracer:
         """Trace light paths and store their vertices; not yet looked at, so that nothing waits."""
         method = self._method
         mis = Mis(Techniques(emission=0, next_event=0, connection=0, splat=False), [0.0], mi.Float(1.0))
-        rr_depth = method.settings.rr_depth
-        walk = LightWalk(method.visibility, method.lights, method.camera, mis, self._edges, rr_depth, mi.Float(0.0))
+        walk = method.walker(LightWalk, camera=method.camera, mis=mis, dark=mi.Float(0.0))
         vertices = LightVertices(capacity, paths, indexed=False, connected=False)
         source = method.light_numbers(Lanes(0, paths), paths, seed, iteration, role + "light")
-        rays, _ = walk.trace(paths, source, vertices, None)
+        rays, _ = walk.trace(paths, source, vertices)
         dr.schedule(rays)
         vertices.launch()
         return Shot(vertices, paths, total(rays), capacity)
 
 
-def reflected_by(photons: Photons, photon: Any, si: Any, bsdf: Any, limit: Any, kernel: str, active: Any) -> Any:
+def reflected_by(
+    photons: Photons, photon: mi.UInt32, vertex: Vertex, limit: mi.Float, kernel: str, active: mi.Bool
+) -> mi.Color3f:
     """Reflected radiance that one photon stands for, times ``N pi r^2``; ``limit``: r^2."""
     p = photons.read(photon, active)
-    distance_squared, weight = unfolded(si, photons.position(photon, active)[0], p)
+    distance_squared, weight = unfolded(vertex.si, photons.position(photon, active)[0], p)
     if kernel != "uniform":
         weight *= KERNELS[kernel].on_disc(dr.minimum(distance_squared / limit, 1.0))
-    value = p.fluence * bsdf.eval(mi.BSDFContext(), si, si.to_local(p.direction), active)
+    si = vertex.si
+    value = p.fluence * vertex.bsdf.eval(mi.BSDFContext(), si, si.to_local(p.direction), active)
     return dr.select(distance_squared <= limit, value * weight, 0.0)
 
 
@@ -103,21 +103,29 @@ class PhotonGrid:
     """
 
     def __init__(
-        self, shot: Shot, positions: Any, held: Any, radius: float, box: tuple[Any, Any], kernel: str = "uniform"
+        self,
+        shot: Shot,
+        positions: mi.Point3f,
+        held: mi.Bool,
+        radius: float,
+        box: tuple[Array, Array],
+        kernel: str = "uniform",
     ) -> None:
         grid = HashGrid(positions, radius, *box, held)
         self._gather = Gather(grid, shot.vertices.sorted_by(grid.destination, held), (), ())
         self._paths = dr.opaque(mi.Float, shot.paths)
         self._kernel = kernel
 
-    def reflected(self, si: Any, bsdf: Any, edges: Any, limit: Any, active: Any) -> tuple[Any, Any]:
-        """(radiance that a surface reflects, photons found that it reflects) by the photons with at most ``edges``
+    def reflected(
+        self, vertex: Vertex, edges: mi.UInt32, limit: mi.Float, active: mi.Bool
+    ) -> tuple[mi.Color3f, mi.UInt32]:
+        """(radiance that a vertex reflects, photons found that it reflects) by the photons with at most ``edges``
         edges behind them within the root of ``limit``."""
 
-        def visit(photon: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
+        def visit(photon: mi.UInt32, state: tuple[mi.Color3f, mi.UInt32]) -> tuple[mi.Color3f, mi.UInt32]:
             flux, found = state
-            value = reflected_by(self._gather.photons, photon, si, bsdf, limit, self._kernel, active)
+            value = reflected_by(self._gather.photons, photon, vertex, limit, self._kernel, active)
             return flux + value, found + dr.select(dr.all(value == 0.0), mi.UInt32(0), mi.UInt32(1))
 
-        flux, found = self._gather.around(si.p, edges, visit, (mi.Color3f(0.0), mi.UInt32(0)), active, limit)
+        flux, found = self._gather.around(vertex.position, edges, visit, (mi.Color3f(0.0), mi.UInt32(0)), active, limit)
         return flux / (dr.pi * limit * self._paths), found

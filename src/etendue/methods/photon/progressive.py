@@ -20,7 +20,7 @@ slower than R does where photons are found in every pass [KnausZwicker 2011].
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -29,11 +29,11 @@ import numpy as np
 from etendue.core import Carrying, CheckpointError, State, copied_to_device, setting
 from etendue.density import KdTree
 from etendue.scene import Problem
-from etendue.transport import Kind
+from etendue.transport import Kind, WalkVertex
 
 from .. import radius as radii
 from ..base import ImageSettings, corners
-from .mapping import PhotonMapping, PhotonSettings
+from .mapping import GatherPath, PhotonMapping, PhotonSettings
 from .photons import PhotonGrid, Shot
 
 #: Smallest first radius over the largest, squared.
@@ -88,14 +88,14 @@ class Sppm(Carrying, PhotonMapping):
         will look at; ``limit``: the largest, squared."""
         positions, held = self._wanted(self.shoot(0, seed))
         self._tree, self._limit = KdTree(positions, held), dr.opaque(mi.Float, limit)
-        state, _ = self._trace("", 0, seed, self.samples_per_iteration)
-        squared = dr.reinterpret_array(mi.Float, state.found)
+        path = self._trace("", 0, seed, self.samples_per_iteration)
+        squared = dr.reinterpret_array(mi.Float, path.found)
         # Photons may lie on one spot: a radius of zero would never find another.
-        squared = dr.select(state.first, self._limit, dr.maximum(squared, _LEAST_SHARE * self._limit))
+        squared = dr.select(path.first, self._limit, dr.maximum(squared, _LEAST_SHARE * self._limit))
         self._radius_squared, self._tree = dr.block_sum(squared, self._sharing) / self._sharing, None
         dr.eval(self._radius_squared)
 
-    def _wanted(self, shot: Shot) -> tuple[Any, Any]:
+    def _wanted(self, shot: Shot) -> tuple[mi.Point3f, mi.Bool]:
         """(positions, which of them are gathered), one lane a slot."""
         positions, kind, held = shot.vertices.positions()
         if self.settings.direct == "next_event":
@@ -112,15 +112,15 @@ class Sppm(Carrying, PhotonMapping):
         largest = float(np.sqrt(np.asarray(self._radius_squared).max()))
         self._photons = PhotonGrid(shot, positions, held, largest, self._box, self.settings.kernel)
 
-    def gather(self, si: Any, bsdf: Any, s: Any, active: Any) -> tuple[Any, Any]:
+    def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[mi.Color3f, mi.UInt32]:
         """See :class:`PhotonMapping`."""
         if self._tree is not None:  # only the distance is asked for; it goes where the number of photons goes
-            squared = self._tree.kth_distance_squared(si.p, self.settings.neighbours, self._limit, active)
+            squared = self._tree.kth_distance_squared(vertex.position, self.settings.neighbours, self._limit, active)
             return mi.Color3f(0.0), dr.reinterpret_array(mi.UInt32, squared)
         limit = dr.gather(mi.Float, self._radius_squared, s.lane // self._sharing, active)
-        return self._photons.reflected(si, bsdf, self._edges - s.depth, limit, active)
+        return self._photons.reflected(vertex, self.edges - s.depth, limit, active)
 
-    def finish(self, found: Any) -> None:
+    def finish(self, found: mi.UInt32) -> None:
         """Shrink the radii [Hachisuka 2008, eq. 6, 8; KnausZwicker 2011]."""
         alpha = self.settings.alpha
         found = mi.Float(dr.block_sum(found, self._sharing))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from etendue.core import OptionError, on_device
 from etendue.film import LONGER, Technique
 
-from .camera import SplatPlace
+from ..camera import SplatPlace
 from .mis import Techniques
 
 #: Bytes that a pixel of a layer takes: four floats on the device; on the host a pass's sum, the sum of all passes, the
@@ -88,7 +88,7 @@ class Pyramid:
 
     def layers(self, image: Callable[[Any], NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
         """The pictures by name, (height, width, 3), sums over all paths. ``image`` makes one of what camera paths
-        brought to their pixels, a lane a pixel."""
+        contribution to their pixels, a lane a pixel."""
         lanes = dr.arange(mi.UInt32, self._pixels)
         sums = []
         for slot, technique in enumerate([*self.techniques, None, *self.techniques, None]):

@@ -13,7 +13,7 @@ disc, so that equal areas stay equal [Shirley 1997].
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,9 +24,11 @@ from numpy.typing import NDArray
 
 from etendue.core import SampleSource, copied_to_device
 from etendue.density import Cells, Quadtrees, QuadtreeSampler
+from etendue.scene import LightTable
 
-from . import dimensions as dim
-from .scattering import Evaluated, Scattered, geometric_cos, is_smooth
+from .. import dimensions as dim
+from ..scattering import Evaluated, Proposal, Scattered, geometric_cos, is_smooth
+from .lights import MOST_LIGHTS, LightChoice, LocalLights
 
 #: Of the square's density, that of the sphere.
 _PER_STERADIAN = 0.25 / np.pi
@@ -60,8 +62,8 @@ def direction_of(point: Any) -> Any:
 class GuidedScattered(Scattered):
     """A direction by the BSDF or the guide, one lane each."""
 
-    place: Any  #: of the guide's trees, in which the direction lies; NOWHERE for a delta scattering
-    glow: Any  #: luminance that the surface is expected to reflect, less that of its light points; 0: unknown
+    place: mi.UInt32  #: of the guide's trees, in which the direction lies; NOWHERE for a delta scattering
+    glow: mi.Float  #: luminance that the surface is expected to reflect, less that of its light points; 0: unknown
 
 
 class Guide:
@@ -70,10 +72,16 @@ class Guide:
     Parameters
     ----------
     lower, upper: corners of a box that holds the scene.
+    lights: those whose choice is learned, too, unless there is only one or more than :data:`MOST_LIGHTS`.
     """
 
-    def __init__(self, lower: Sequence[float], upper: Sequence[float]) -> None:
+    def __init__(self, lower: Sequence[float], upper: Sequence[float], lights: LightTable | None = None) -> None:
         self._cells = Cells(lower, upper)
+        if lights is not None and not 1 < lights.count <= MOST_LIGHTS:
+            lights = None
+        self._choice = None if lights is None else LightChoice(lights, self._cells.count)
+        #: Lights whose choice is learned.
+        self.light_count = 0 if lights is None else lights.count
         self._trees = Quadtrees.even(self._cells.count)
         self._glow = np.zeros(self._cells.count)
         self._share = 0.0
@@ -101,10 +109,14 @@ class Guide:
         facing = si.sh_frame.n * dr.sign(mi.Frame3f.cos_theta(si.wi))
         return self._cells.find(si.p, facing, active)
 
+    def lights_at(self, cell: mi.UInt32, lights: LightTable) -> LightTable | LocalLights:
+        """``lights`` as light points are drawn on them in a cell."""
+        return lights if self._choice is None else self._choice.at(cell)
+
     def scatter(
         self,
         cell: Any,
-        scatter: Callable[..., tuple[Scattered, list[Evaluated]]],
+        scatter: Proposal,
         bsdf: Any,
         si: Any,
         source: SampleSource,
@@ -162,6 +174,7 @@ class Guide:
         most: float,
         leaf_share: float,
         share: float,
+        brought: NDArray[np.float64] | None = None,
     ) -> NDArray[np.int64]:
         """Take over what was found in each place, and refine. Returns for each cell that there is now the one that it
         was a part of.
@@ -173,6 +186,7 @@ class Guide:
         most: samples above which a cell is divided.
         leaf_share: of a cell's light, the share above which directions are divided.
         share: of directions that are drawn from the guide where light was found.
+        brought: (cells, lights) what light points brought to each cell, where the choice of lights is learned.
         """
         tree = self._trees.tree_of_place()
         light, count = np.bincount(tree, found, self.cells), np.bincount(tree, samples, self.cells)
@@ -182,6 +196,8 @@ class Guide:
         origin = self._cells.split(count, most)
         self._glow = self._glow[origin]
         self._trees = trees.refined(origin, leaf_share)
+        if self._choice is not None and brought is not None:
+            self._choice.learn(brought, origin)
         self._upload()
         return origin
 
@@ -192,11 +208,14 @@ class Guide:
             "share": np.array(self._share),
             **self._cells.to_arrays(),
             **self._trees.to_arrays(),
+            **({} if self._choice is None else {"lights": self._choice.shares}),
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Inverse of :meth:`state`."""
         self._cells.set_arrays(state)
+        if self._choice is not None:
+            self._choice.restore(state["lights"])
         self._trees = Quadtrees.from_arrays(state)
         self._glow, self._share = np.asarray(state["glow"], np.float64), float(state["share"])
         self._upload()

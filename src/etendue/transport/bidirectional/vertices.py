@@ -17,6 +17,8 @@ import mitsuba as mi
 
 from etendue.scene import materials
 
+from ..scattering import Evaluated, evaluate_light_end
+from ..vertex import Vertex, WalkVertex
 from .mis import RadiusFree
 from .photons import Photons, depth_of, number_of, packed_direction, packed_normal, unpacked_direction
 
@@ -44,25 +46,28 @@ def needs_interaction(scene: Any) -> bool:
 
 
 class Kind(enum.IntEnum):
-    """What brought light to a vertex, in Heckbert's notation [Heckbert 1990]."""
+    """What contribution light to a vertex, in Heckbert's notation [Heckbert 1990]."""
 
     INDIRECT = 0  #: L...D...D
     DIRECT = 1  #: LD
     CAUSTIC = 2  #: LS+D
 
 
-@dataclass
-class LightVertex:
+@dataclass(kw_only=True)
+class LightVertex(Vertex):
     """Vertices read back, one lane each."""
 
-    si: Any  #: SurfaceInteraction3f, ``wi`` towards the light side
-    bsdf: Any
-    direction: Any  #: world, towards the light side
-    throughput: Any
-    d_vcm: Any
-    d_vc: Any  #: a number, or a :class:`RadiusFree`
-    depth: Any  #: edges from the light
-    number: Any  #: the same without the surfaces that were crossed, where these are counted
+    direction: mi.Vector3f  #: world, towards the light side
+    throughput: mi.Color3f
+    d_vcm: mi.Float
+    d_vc: mi.Float | RadiusFree
+    depth: mi.UInt32  #: edges from the light
+    number: mi.UInt32  #: the same without the surfaces that were crossed, where these are counted
+
+    def evaluate(self, direction: mi.Vector3f, active: mi.Bool) -> Evaluated:
+        """The BSDF towards the eye side; its value, times :func:`cosine_ratio`, is the adjoint BSDF times its
+        cosine."""
+        return evaluate_light_end(self.bsdf, self.si, self.si.to_local(direction), active)
 
 
 class LightVertices:
@@ -128,28 +133,25 @@ class LightVertices:
 
     def append(
         self,
-        path: Any,
-        index: Any,
-        depth: Any,
-        hit: Any,
-        si: Any,
-        bsdf: Any,
-        throughput: Any,
-        fluence: Any,
-        mis: tuple[Any, Any],
-        kind: Any,
-        active: Any,
-        number: Any = 0,
+        path: mi.UInt32,
+        index: mi.UInt32,
+        vertex: WalkVertex,
+        throughput: mi.Color3f,
+        fluence: mi.Float,
+        mis: tuple[mi.Float, mi.Float | RadiusFree],
+        kind: mi.UInt32,
+        active: mi.Bool,
+        number: mi.UInt32,
     ) -> None:
-        """Store one vertex per active lane, inside the walk; ``hit`` is the preliminary intersection, ``fluence`` what
-        the throughput is multiplied by for merging (see :meth:`Mis.fluence`),
-        ``index`` counts the vertices that the path has stored, ``kind`` is one of :class:`Kind`, ``number`` counts the
-        path's vertices and is kept if the store is ``numbered``.
+        """Store one vertex per active lane, inside the walk; ``fluence`` is what the throughput is multiplied by for
+        merging (see :meth:`Mis.fluence`), ``index`` counts the vertices that the path has stored, ``kind`` is one of
+        :class:`Kind`, ``number`` counts the path's vertices and is kept if the store is ``numbered``.
 
         A full store drops vertices but goes on counting, so that the caller sees ``wanted > capacity`` and repeats
         the pass with more room."""
         slot = dr.scatter_inc(self.wanted, mi.UInt32(0), active)
         active = active & (slot < self._limit)
+        si, hit, depth = vertex.si, vertex.hit, vertex.number
         if self.numbered:
             depth = dr.minimum(depth, (1 << self._depth_bits) - 1) | (dr.minimum(number, 15) << self._depth_bits)
         tag = _as_float(depth | (index << 16) | (kind << 30))
@@ -174,7 +176,7 @@ class LightVertices:
             first, second = mi.Vector4f(n.x, n.y, n.z, si.uv.x), mi.Vector4f(g.x, g.y, g.z, si.uv.y)
         self._put(3, first, slot, active)
         self._put(4, second, slot, active)
-        self._put(5, mi.Vector4f(_as_float(_pointer(bsdf)), _as_float(path), fluence, 0.0), slot, active)
+        self._put(5, mi.Vector4f(_as_float(_pointer(vertex.bsdf)), _as_float(path), fluence, 0.0), slot, active)
 
     def close_paths(self, path: Any, stored: Any) -> None:
         """Record how many vertices each path has stored; called once after the walk, in the same kernel."""

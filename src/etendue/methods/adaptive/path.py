@@ -1,0 +1,166 @@
+r"""Path tracing with some of its random numbers drawn from given densities; paths may end in a photon map.
+
+.. math::
+    L = \sum_j \alpha_j \left( \frac{w^e_j L_e(z_j)}{p_j(u)} + \frac{w^d_j f_s(z_j) |cos| L_e(y)}{p(y) q_j(u)} \right)
+
+as in ``path``, where p_j and q_j are the densities of those numbers u that the contribution depends on
+[Leeson 2001, sec. 5.4.1, 5.7.4].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core import setting
+from etendue.scene import Problem
+from etendue.transport import Camera, CameraPath, Walker, WalkVertex
+from etendue.transport import dimensions as dim
+
+from .. import radius as radii
+from ..base import STEP_LANES, ImageMethod, ImageSettings, corners
+from ..path import PathSettings
+from ..photon.photons import PhotonGrid, PhotonTracer
+from .dimensions import Draw, Group, NumberedSource
+
+
+@dataclass(frozen=True)
+class AdaptiveSettings(PathSettings):
+    """Settings of ``vegas`` and ``stratified``."""
+
+    merge: bool = setting(True, "let one number pick a light and the first coordinate of the point on it")
+    maps: int = setting(
+        0, "surface points after which a path ends in a map of photons, at the next smooth material; 0: none", minimum=0
+    )
+    light_paths: float = setting(1.0, "light paths traced for the maps, per camera path", above=0.0, maximum=64.0)
+    radius: float = setting(0.006, "first radius of the maps, in the unit of radius_unit", above=0.0)
+    radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
+    alpha: float = setting(0.75, "radius reduction: r_i = radius i^((alpha - 1) / 2)", above=0.0, maximum=1.0)
+
+
+@dataclass(kw_only=True)
+class NumberedPath(CameraPath):
+    """State of a camera path by a :class:`NumberedSource`."""
+
+    parts: list[mi.Float]  #: luminance that depends on each draw of a group; empty where nothing is learned
+
+
+class AdaptivePath(ImageMethod):
+    """Path tracing by the numbers of a :class:`NumberedSource`."""
+
+    Settings: ClassVar[type[ImageSettings]] = AdaptiveSettings
+
+    def prepare(self, problem: Problem, seed: int) -> None:
+        """See :class:`ImageMethod`; the pilot of the maps."""
+        super().prepare(problem, seed)
+        o = self.settings
+        self._maps: PhotonGrid | None = None
+        if not o.maps:
+            return
+        self._box = corners(problem)
+        self._first_radius = radii.absolute_radius(self, o.radius, o.radius_unit, seed)
+        self._tracer = PhotonTracer(self, seed)
+        wanted = round(o.light_paths * self.camera.pixels * self.samples_per_iteration)
+        self._light_paths = self._tracer.fitting(max(1, wanted))
+
+    def full_lanes(self) -> int:
+        """See :class:`ImageMethod`."""
+        return STEP_LANES if self.settings.maps else super().full_lanes()
+
+    def draw_film(self, named: Sequence[Group]) -> None:
+        """Give up the places that all pixels share if groups draw places on the film."""
+        film = {(0, dim.FILM), (0, dim.FILM + 1)}
+        if any(film & set(draws) for group in named for draws in group.draws):
+            self.camera = Camera(self.problem, independent=True)
+
+    def map_light(self, iteration: int, seed: int) -> float:
+        """Trace the photons of a pass, if paths end in maps; returns the rays that it took."""
+        if not self.settings.maps:
+            return 0.0
+        shot = self._tracer.shoot(iteration, seed, self._light_paths)
+        positions, _, held = shot.vertices.positions()
+        radius = radii.reduced(self._first_radius, iteration, self.settings.alpha)
+        self._maps = PhotonGrid(shot, positions, held, radius, self._box)
+        self._limit = dr.opaque(mi.Float, radius * radius)
+        return shot.rays
+
+    def constant_numbers(self) -> set[Draw]:
+        """Numbers that decide nothing; those of vertex 1 stand for all surface points."""
+        constant: set[Draw] = set()
+        if self.settings.merge or self.lights.count == 1:
+            constant.add((1, dim.NEXT_EVENT))
+        if not self.camera.sensor.needs_aperture_sample():
+            constant |= {(0, dim.APERTURE), (0, dim.APERTURE + 1)}
+        return constant
+
+    def left_by_pick(self) -> Callable[[mi.Float], mi.Float] | None:
+        """What a number that picks a light has left, if it is to be used."""
+        return self.lights.left_by_pick if self.settings.merge else None
+
+    # ------------------------------------------------------------------ camera paths
+
+    def trace(self, pixel: mi.UInt32, source: NumberedSource, learning: bool = False) -> NumberedPath:
+        """A path through each pixel (indices y * width + x), not yet evaluated. ``learning``: fill ``parts``."""
+        ray, importance, _ = self.camera.primary(pixel, source)
+        walker = self.walker(Walker, proposal=self.settings.proposal)
+        parts = [mi.Float(0.0) for _ in source.drawn] if learning else []
+        path = NumberedPath.start(ray, walker.max_edges, parts=parts)
+        path = walker.walk(path, lambda s: self._edge(s, walker, source), "path of given numbers")
+        path.radiance *= importance
+        return path
+
+    def _edge(self, s: NumberedPath, walker: Walker, source: NumberedSource) -> NumberedPath:
+        """Trace one edge, and scatter at its end."""
+        vertex, weights = walker.arrive(s), self.settings.direct_weights
+
+        # ---- Emission
+        hit = walker.emission(s, vertex)
+        weight = weights.hit(s.pdf, hit.direct_pdf)
+        _count(s, source, s.throughput * hit.radiance * weight, hit.active, by_light_point=False)
+        s.active &= vertex.valid & (s.depth < walker.max_edges) & source.goes_on(s.depth)
+
+        # ---- After ``maps`` vertices the photon map replaces the rest of the path at the first smooth material
+        done = mi.Bool(False)
+        if self._maps is not None:
+            done = s.active & vertex.smooth & (s.depth > self.settings.maps)
+            reflected = self._mapped(s, walker, vertex, done)
+            _count(s, source, s.throughput * reflected, done, by_light_point=False)
+
+        # ---- Next event
+        looking = s.active & ~done & vertex.smooth
+        lights = [walker.light_point(vertex, source, looking)] if weights.next_event else []
+        scattered, towards = vertex.sample(source, s.active, lights)
+        for light, f in zip(lights, towards, strict=True):
+            weight, wanted = weights.light_point(light, f.pdf), source.counts(s.depth + 1)
+            contribution, seen = walker.next_event(s, vertex, light, f, weight, wanted)
+            _count(s, source, contribution, seen, by_light_point=True)
+
+        s.pdf = walker.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
+        walker.advance(s, vertex, scattered, source)
+        s.active &= ~done | scattered.is_delta
+        return s
+
+    def _mapped(self, s: NumberedPath, walker: Walker, vertex: WalkVertex, active: mi.Bool) -> mi.Color3f:
+        """Radiance that a vertex reflects, by density estimation."""
+        assert self._maps is not None
+        reflected, _ = self._maps.reflected(vertex, walker.max_edges - s.depth, self._limit, active)
+        return reflected
+
+
+def _count(
+    s: NumberedPath, source: NumberedSource, contribution: mi.Color3f, active: mi.Bool, by_light_point: bool
+) -> None:
+    """Add a contribution at the end of edge ``s.depth``, divided by the density of the numbers that it depends on."""
+    active = active & source.counts(s.depth + 1 if by_light_point else s.depth)
+    contribution = contribution * source.weight(s.depth, by_light_point)
+    s.radiance[active] += contribution
+    if s.parts:
+        luminance = mi.luminance(contribution)
+        s.parts = [
+            part + dr.select(active & drawn.used(s.depth, by_light_point), luminance, 0.0)
+            for part, drawn in zip(s.parts, source.drawn, strict=True)
+        ]

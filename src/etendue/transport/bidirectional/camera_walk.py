@@ -1,0 +1,303 @@
+"""The camera pass: sub-paths from the sensor, at each vertex every technique that joins it to the light side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core import SampleSource
+from etendue.density import HashGrid
+
+from .. import dimensions as dim
+from ..emission import DirectSample
+from ..scattering import Evaluated, cosine_ratio, geometric_cos
+from ..vertex import WalkVertex
+from .photons import Photons, unfolded
+from .sinks import CameraSink, Contribution
+from .vertices import LightVertex, LightVertices
+from .walk import BidirectionalPath, BidirectionalWalk
+
+T = TypeVar("T")
+
+
+@dataclass(kw_only=True)
+class _State(BidirectionalPath):
+    """Loop state, one lane a camera sub-path."""
+
+    lane: mi.UInt32  #: number of the camera path; does not change
+    layers: dict[str, mi.Color3f]  #: technique family -> radiance
+
+
+@dataclass
+class LightCache:
+    """The stored light vertices as connections use them.
+
+    With ``picks``: ``techniques.connection`` vertices drawn at random from all paths [Davidovic 2014]. The lanes of a
+    block draw one number together and take consecutive vertices from there, so that they read memory together; each
+    vertex is as likely as any other for each lane. Without: every vertex of the light path of the same number.
+    """
+
+    vertices: LightVertices
+    count: mi.UInt32  #: M, on the device
+    factor: mi.Float  #: M / (N k), or 1 without ``picks``; on the device
+    paths: mi.UInt32  #: N, opaque
+    picks: SampleSource | None  #: one number a block of ``PICK_BLOCK`` lanes
+
+
+#: Lanes that pick light vertices together.
+PICK_BLOCK = 16
+
+
+@dataclass
+class _Joined:
+    """An edge from a camera vertex to a light vertex."""
+
+    vertex: LightVertex
+    direction: mi.Vector3f  #: world, towards the light vertex
+    inverse_square: mi.Float
+    active: mi.Bool
+
+
+@dataclass
+class Gather:
+    """The stored light vertices as merging uses them: sorted by a grid for the largest radius.
+
+    Of each radius ``factors`` holds 1 / (n_VM pi r^2), and ``squares`` r^2.
+    """
+
+    grid: HashGrid
+    photons: Photons
+    factors: Sequence[mi.Float]
+    squares: Sequence[mi.Float]
+
+    def around(
+        self,
+        point: mi.Point3f,
+        edges: mi.UInt32,
+        visit: Callable[[mi.UInt32, T], T],
+        state: T,
+        active: mi.Bool,
+        radius_squared: mi.Float | None = None,
+    ) -> T:
+        """Visit the photons around ``point`` that have at most ``edges`` edges behind them; see ``HashGrid.within``."""
+
+        def read(photon: mi.UInt32) -> tuple[mi.Point3f, mi.Bool]:
+            position, depth = self.photons.position(photon, active)
+            return position, depth <= edges
+
+        return self.grid.within(point, read, visit, state, active, radius_squared)
+
+
+@dataclass(kw_only=True)
+class CameraWalk(BidirectionalWalk):
+    """What a camera pass needs; :meth:`trace` runs it as one kernel."""
+
+    sink: CameraSink
+    cache: LightCache | None = None
+    gather: Gather | None = None
+
+    def trace(self, pixel: mi.UInt32, source: SampleSource) -> tuple[dict[str, mi.Color3f], mi.UInt32]:
+        """One camera path an entry of ``pixel``. Returns (layers of radiance, rays), a lane each, not yet evaluated."""
+        lanes = dr.width(pixel)
+        ray, importance, aperture = self.camera.primary(pixel, source)
+        # The first edge is measured from the aperture, though its ray starts at the near plane.
+        density, lead = self.camera.density(ray, aperture)
+        d_vcm, d_vc = self.mis.start_camera(density)
+        state = _State(
+            active=dr.full(mi.Bool, True, lanes) & (self.max_edges > 0),
+            ray=mi.Ray3f(ray),
+            throughput=dr.full(mi.Color3f, 1.0, lanes),
+            eta=dr.full(mi.Float, 1.0, lanes),
+            d_vcm=d_vcm,
+            d_vc=d_vc,
+            depth=dr.full(mi.UInt32, 1, lanes),
+            vertex=mi.UInt32(1),
+            travelled=lead,
+            rays=dr.zeros(mi.UInt32, lanes),
+            lane=dr.arange(mi.UInt32, lanes),
+            layers=self.sink.begin(self.mis.techniques, pixel, importance),
+        )
+        state = self.walk(state, lambda s: self._edge(s, source), "camera walk")
+        return {name: radiance * importance for name, radiance in state.layers.items()}, state.rays
+
+    def _edge(self, s: _State, source: SampleSource) -> _State:
+        """Trace one edge, join its end to the light side in every way, and scatter."""
+        techniques = self.mis.techniques
+        vertex = self.arrive(s)
+
+        # ---- Arrive: the environment is weighted before the densities become those of an area
+        on_edge = s.d_vcm, s.d_vc
+        cos = geometric_cos(vertex.si, vertex.incoming)
+        d_vcm, d_vc = self.mis.hit(*on_edge, dr.square(vertex.distance), cos)
+        s.d_vcm, s.d_vc = dr.select(vertex.valid, d_vcm, s.d_vcm), dr.select(vertex.valid, d_vc, s.d_vc)
+        self._emission(s, vertex)
+        s.active &= vertex.valid
+
+        smooth = s.active & vertex.smooth
+        if techniques.merge and self.gather is not None:
+            self._merge(s, vertex, smooth)
+        s.active &= s.depth < self.max_edges
+        smooth &= s.active
+
+        # ---- Choose light points and light vertices; ask the BSDF about all of them and a way on, in one call
+        lights = [self.light_point(vertex, source, smooth, index) for index in range(techniques.next_event)]
+        picked = self._pick_vertices(s, vertex, smooth)
+        scattered, towards = vertex.sample(source, s.active, [*lights, *picked])
+        for index, light in enumerate(lights):
+            u = source.decide(s.depth, dim.NEXT_EVENT + 4 * index + 3)
+            self._next_event(s, vertex, light, towards[index], u)
+        for index, joined in enumerate(picked):
+            u = source.decide(s.depth, dim.CONNECT + index)
+            contribution, rays = self._connection(s, vertex, joined, towards[len(lights) + index], u)
+            s.rays += rays
+            self.sink.add(s.layers, "connection", contribution, joined.active)
+        if self.cache is not None and self.cache.picks is None:
+            self._connect_pair(s, vertex, source.decide(s.depth, dim.CONNECT), smooth)
+
+        # ---- Go on
+        way = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
+        s.d_vcm, s.d_vc = self.mis.scatter_camera(self.number(s), s.d_vcm, s.d_vc, *way)
+        self.leave(s, vertex, scattered, source, on_edge)
+        return s
+
+    def _emission(self, s: _State, vertex: WalkVertex) -> None:
+        """s = 0 [Georgiev 2012b, eq. 43]."""
+        hit = self.emission(s, vertex)
+        number = self.number(s)
+        weights = self.mis.emission_weight(number, s.d_vcm, s.d_vc, hit.area_density, hit.emission_density)
+        alone = s.throughput * hit.radiance
+        values = [alone * weight for weight in weights]
+        self.sink.add(s.layers, "emission", values, hit.active)
+        self.sink.show(mi.UInt32(0), number + 1, Contribution(values, alone, hit.active, hit.active))
+
+    def _next_event(self, s: _State, vertex: WalkVertex, light: DirectSample, f: Evaluated, u: mi.Float) -> None:
+        """s = 1 [Georgiev 2012b, eq. 44, 45]."""
+        number, cos = self.number(s), geometric_cos(vertex.si, light.direction)
+        hit_pdf = dr.select(light.is_delta, 0.0, f.pdf)
+        weights = self.mis.next_event_weight(
+            number, s.d_vcm, s.d_vc, cos, hit_pdf, f.reverse_pdf, light.pdf, light.light_ratio * cos
+        )
+        count = self.mis.techniques.next_event
+        alone = s.throughput * f.value * light.radiance
+        values = [alone * (weight / count) for weight in weights]
+        contribution, rays = self.connect(
+            vertex, light.target, s.depth + 1, values, alone / count, self.dark, u, light.active
+        )
+        s.rays += rays
+        self.sink.show(mi.UInt32(1), number + 1, contribution)
+        self.sink.add(s.layers, "next_event", contribution.weighted, contribution.active)
+
+    def _pick_vertices(self, s: _State, vertex: WalkVertex, active: mi.Bool) -> list[_Joined]:
+        """Light vertices drawn at random from the cache, joined to a camera vertex."""
+        if self.cache is None or self.cache.picks is None:
+            return []
+        active = active & (self.cache.count > 0)
+        joined = []
+        for index in range(self.mis.techniques.connection):
+            u = self.cache.picks.next_1d(s.depth, dim.CONNECT + index)
+            offset = dr.select(self.cache.count >= PICK_BLOCK, s.lane % PICK_BLOCK, 0)
+            number = mi.UInt32(u * mi.Float(self.cache.count)) + offset
+            number = dr.select(number < self.cache.count, number, number - self.cache.count)
+            joined.append(self._join(s, vertex, number, active))
+        return joined
+
+    def _connect_pair(self, s: _State, vertex: WalkVertex, u: mi.Float, active: mi.Bool) -> None:
+        """Connect to every vertex of the light path that goes with this camera path."""
+        assert self.cache is not None
+        first, count = self.cache.vertices.path_vertices(s.lane % self.cache.paths, active)
+
+        def connect(
+            j: mi.UInt32, totals: list[mi.Color3f], rays: mi.UInt32
+        ) -> tuple[mi.UInt32, list[mi.Color3f], mi.UInt32]:
+            joined = self._join(s, vertex, first + j, active)
+            f = vertex.evaluate(joined.direction, joined.active)
+            # Roulette of all of a path's connections by one number: each decision is right by itself.
+            values, ray = self._connection(s, vertex, joined, f, u)
+            return j + 1, [total + value for total, value in zip(totals, values, strict=True)], rays + ray
+
+        n = dr.width(s.depth)
+        _, totals, rays = dr.while_loop(
+            (dr.zeros(mi.UInt32, n), self._blank(n), dr.zeros(mi.UInt32, n)),
+            lambda j, *_: active & (j < count),
+            connect,
+            label="connect",
+        )
+        s.rays += rays
+        self.sink.add(s.layers, "connection", totals, active)
+
+    def _blank(self, lanes: int) -> list[mi.Color3f]:
+        """Black, once a radius."""
+        return [dr.zeros(mi.Color3f, lanes) for _ in range(1 + len(self.sink.more_radii))]
+
+    def _join(self, s: _State, vertex: WalkVertex, number: mi.UInt32, active: mi.Bool) -> _Joined:
+        """The edge between a camera vertex and light vertex ``number``."""
+        assert self.cache is not None
+        light = self.cache.vertices.read(self.cache.vertices.slot(number, active), active)
+        offset = light.position - vertex.position
+        distance_squared = dr.squared_norm(offset)
+        active = active & (light.depth + s.depth + 1 <= self.max_edges) & (distance_squared > 0.0)
+        return _Joined(light, offset * dr.rsqrt(distance_squared), dr.rcp(distance_squared), active)
+
+    def _connection(
+        self, s: _State, vertex: WalkVertex, joined: _Joined, f: Evaluated, u: mi.Float
+    ) -> tuple[list[mi.Color3f], mi.UInt32]:
+        """s >= 2, t >= 2: (weighted contribution by radius, shadow rays) [Georgiev 2012b, eq. 40, 41]."""
+        assert self.cache is not None
+        other, number = joined.vertex, self.number(s)
+        active = joined.active & ~dr.all(f.value == 0.0)
+        f_light = other.evaluate(-joined.direction, active)
+        cos = geometric_cos(vertex.si, joined.direction)
+        weights = self.mis.connection_weight(
+            number,
+            (s.d_vcm, s.d_vc),
+            (other.d_vcm, other.d_vc),
+            cos,
+            geometric_cos(other.si, other.direction),
+            f.pdf * geometric_cos(other.si, joined.direction) * joined.inverse_square,
+            f_light.pdf * cos * joined.inverse_square,
+            f.reverse_pdf,
+            f_light.reverse_pdf,
+        )
+        alone = s.throughput * other.throughput * f.value * f_light.value
+        alone *= joined.inverse_square * cosine_ratio(other.si, joined.direction) * self.cache.factor
+        values = [alone * weight for weight in weights]
+        edges = other.depth + s.depth + 1
+        contribution, rays = self.connect(vertex, other.position, edges, values, alone, self.dark, u, active)
+        self.sink.show(other.number + 1, number + 1, contribution)
+        return [dr.select(contribution.active, value, 0.0) for value in contribution.weighted], rays
+
+    def _merge(self, s: _State, vertex: WalkVertex, active: mi.Bool) -> None:
+        """s >= 2, t >= 2, no edge between them [Georgiev 2012b, eq. 38, 39]."""
+        assert self.gather is not None
+        if not self.mis.techniques.merge_first:
+            active = active & (self.number(s) > 1)
+
+        def visit(photon: mi.UInt32, totals: list[mi.Color3f]) -> list[mi.Color3f]:
+            values = self._merged(s, vertex, photon, active)
+            return [total + value for total, value in zip(totals, values, strict=True)]
+
+        totals = self.gather.around(vertex.position, self.max_edges - s.depth, visit, self._blank(1), active)
+        factors = self.gather.factors
+        values = [s.throughput * total * factor for total, factor in zip(totals, factors, strict=True)]
+        self.sink.add(s.layers, "merge", values, active)
+
+    def _merged(self, s: _State, vertex: WalkVertex, photon: mi.UInt32, active: mi.Bool) -> list[mi.Color3f]:
+        """Weighted contribution of one photon, by radius."""
+        assert self.gather is not None
+        photons, number = self.gather.photons, self.number(s)
+        p = photons.read(photon, active)
+        f = vertex.evaluate(p.direction, active)
+        weights = self.mis.merge_weight(number, (s.d_vcm, s.d_vc), (p.d_vcm, p.d_vc), f.pdf, f.reverse_pdf)
+        distance_squared, share = unfolded(vertex.si, photons.position(photon, active)[0], p)
+        value = p.fluence * f.value * share
+        inside = [distance_squared <= square for square in self.gather.squares]
+        if self.pyramid is not None:
+            alone = value * s.throughput * self.gather.factors[0]
+            here = active & inside[0]
+            merged = Contribution([alone * weights[0]], alone, here, here)
+            self.sink.show(photons.number(photon, active) + 1, number + 1, merged, merged=True)
+        return [dr.select(ok, value * w, 0.0) for ok, w in zip(inside, weights, strict=True)]

@@ -1,0 +1,152 @@
+"""The light pass: sub-paths from the lights, joined to the camera on the way and stored vertex by vertex."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core import SampleSource
+
+from .. import dimensions as dim
+from ..camera import CameraConnection
+from ..emission import emit
+from ..scattering import Evaluated, Proposal, cosine_ratio, geometric_cos, scatter_light
+from ..spheres import seen_density
+from ..vertex import WalkVertex
+from ..walk import ones
+from .sinks import SplatSink
+from .vertices import Kind, LightVertices
+from .walk import BidirectionalPath, BidirectionalWalk
+
+
+@dataclass(kw_only=True)
+class _State(BidirectionalPath):
+    """Loop state, one lane a light sub-path."""
+
+    stored: mi.UInt32  #: vertices stored so far
+    kind: mi.UInt32  #: the :class:`Kind` of the vertex that the edge leads to
+    from_infinity: mi.Bool  #: the edge being traced leaves an infinite light
+    light: mi.UInt32 | None  #: number of the light that the path left; None where no light is spherical
+    waiting: mi.Float | None  #: area density of the light point until the end of the first edge says another; then 0
+    nonfinite: mi.UInt32
+
+
+@dataclass(kw_only=True)
+class LightWalk(BidirectionalWalk):
+    """What a light pass needs; :meth:`trace` runs it as one kernel."""
+
+    proposal: Proposal = scatter_light
+    sink: SplatSink | None = None
+
+    def trace(
+        self, paths: int, source: SampleSource, vertices: LightVertices | None = None
+    ) -> tuple[mi.UInt32, mi.UInt32]:
+        """Trace ``paths`` sub-paths; stores into ``vertices`` and splats into the sink where there are such. Returns
+        (rays, non-finite splats) a lane, not yet evaluated."""
+        emitted = emit(self.lights, source, mi.Bool(True))
+        d_vcm, d_vc = self.mis.start_light(
+            emitted.area_density, emitted.emission_density, emitted.cos_light, emitted.is_delta
+        )
+        path = dr.arange(mi.UInt32, paths)
+        # Whether next event draws the points of some light by the point that is lit: the end of the first edge.
+        waits = self.lights.has_sphere and self.mis.techniques.next_event > 0
+        numbered = self.pyramid is not None or (vertices is not None and vertices.numbered)
+        state = _State(
+            active=emitted.active & (self.max_edges > 1),
+            ray=emitted.ray,
+            throughput=emitted.throughput,
+            eta=None,
+            d_vcm=d_vcm,
+            d_vc=d_vc,
+            depth=dr.full(mi.UInt32, 1, paths),
+            vertex=mi.UInt32(1) if numbered else None,
+            stored=dr.zeros(mi.UInt32, paths),
+            # A beam is out of reach for next event, so what it shines on counts as a caustic.
+            kind=dr.select(emitted.area_density > 0.0, mi.UInt32(Kind.DIRECT), mi.UInt32(Kind.CAUSTIC)),
+            from_infinity=emitted.is_infinite,
+            light=mi.UInt32(emitted.light) if waits else None,
+            waiting=mi.Float(emitted.area_density) if waits else None,
+            travelled=mi.Float(0.0),
+            rays=dr.zeros(mi.UInt32, paths),
+            nonfinite=dr.zeros(mi.UInt32, paths),
+        )
+        state = self.walk(state, lambda s: self._edge(s, path, source, vertices), "light walk")
+        if vertices is not None:
+            vertices.close_paths(path, state.stored)
+        return state.rays, state.nonfinite
+
+    def _edge(self, s: _State, path: mi.UInt32, source: SampleSource, vertices: LightVertices | None) -> _State:
+        """Trace one edge; splat, store and scatter at its end."""
+        vertex = self.arrive(s)
+        s.active &= vertex.valid
+
+        # ---- Arrive: solid angle to area
+        on_edge = s.d_vcm, s.d_vc
+        light_cos = geometric_cos(vertex.si, vertex.incoming)
+        distance_squared = dr.square(vertex.distance)
+        if self.lights.has_infinite:
+            distance_squared = dr.select(s.from_infinity, 1.0, distance_squared)
+        d_vcm = s.d_vcm
+        if s.waiting is not None:
+            light = self.lights.row(s.light, s.active & (s.waiting > 0.0))
+            waiting = dr.select(s.waiting > 0.0, s.waiting, 1.0)
+            density = seen_density(light, vertex.position, -vertex.incoming, vertex.distance, waiting)
+            d_vcm = self.mis.lit(d_vcm, dr.select(s.waiting > 0.0, density / waiting, 1.0))
+        s.d_vcm, s.d_vc = self.mis.hit(d_vcm, s.d_vc, distance_squared, light_cos)
+
+        # ---- Store
+        smooth = s.active & vertex.smooth
+        if vertices is not None:
+            mis, fluence = (s.d_vcm, s.d_vc), self.mis.fluence(light_cos)
+            vertices.append(path, s.stored, vertex, s.throughput, fluence, mis, s.kind, smooth, self.number(s))
+            s.stored += ones(smooth)
+
+        # ---- Splat, and draw a way on. Going on takes an edge, and using the vertex it leads to at least one more
+        s.active &= s.depth + 1 < self.max_edges
+        if self.sink is None:
+            scattered, _ = vertex.sample(source, s.active)
+        else:
+            joined = self.camera.connect(vertex.si, self.camera.splat_aperture(source, s.depth), smooth)
+            scattered, (f,) = vertex.sample(source, s.active, [joined])
+            self._splat(s, vertex, joined, light_cos, f, source, self.sink)
+
+        # ---- Go on
+        way = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
+        s.d_vcm, s.d_vc = self.mis.scatter_light(s.d_vcm, s.d_vc, light_cos, *way)
+        through = dr.select(s.kind == mi.UInt32(Kind.INDIRECT), s.kind, mi.UInt32(Kind.CAUSTIC))
+        kind = dr.select(scattered.is_delta, through, mi.UInt32(Kind.INDIRECT))
+        s.kind = self.keep_if_null(scattered, s.kind, kind)
+        s.from_infinity = self.keep_if_null(scattered, s.from_infinity, mi.Bool(False))
+        if s.waiting is not None:
+            s.waiting = self.keep_if_null(scattered, s.waiting, mi.Float(0.0))
+        relative = s.throughput * scattered.weight / self.lights.total_power
+        self.leave(s, vertex, scattered, source, on_edge, roulette_by=(relative, 1.0))
+        return s
+
+    def _splat(
+        self,
+        s: _State,
+        vertex: WalkVertex,
+        joined: CameraConnection,
+        light_cos: mi.Float,
+        f: Evaluated,
+        source: SampleSource,
+        sink: SplatSink,
+    ) -> None:
+        """Join the vertex to the camera (t = 1) [Georgiev 2012b, eq. 46, 47]."""
+        area_pdf = joined.area_pdf(geometric_cos(vertex.si, joined.direction))
+        weights = self.mis.splat_weight(s.d_vcm, s.d_vc, light_cos, f.reverse_pdf, area_pdf)
+        place = self.camera.splat_place(joined, source, s.depth)
+        factor = joined.importance * place.weight * cosine_ratio(vertex.si, joined.direction)
+        alone = s.throughput * f.value
+        values = [alone * (factor * weight) for weight in weights]
+        # One splat is to its pixel's sum over paths what a camera path is to that over samples.
+        threshold, u = self.dark * self.mis.paths_per_sample, source.decide(s.depth, dim.SPLAT_SHADOW)
+        on_film = joined.active & place.on_film
+        contribution, rays = self.connect(
+            vertex, joined.target, s.depth + 1, values, alone * factor, threshold, u, on_film
+        )
+        s.rays += rays
+        s.nonfinite += ones(sink.add(self.number(s) + 1, place, contribution))

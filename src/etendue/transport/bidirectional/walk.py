@@ -1,0 +1,88 @@
+"""What the camera walk and the light walk share: the recursion of the weights, and connections along untraced edges."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core import SampleSource
+
+from ..camera import Camera
+from ..scattering import Scattered, shadow_roulette
+from ..vertex import WalkVertex
+from ..walk import SubPath, Walker, ones
+from .mis import Mis, RadiusFree
+from .pyramid import Pyramid
+from .sinks import Contribution, Sink
+
+
+@dataclass(kw_only=True)
+class BidirectionalPath(SubPath):
+    """State of a sub-path whose vertices are connected to others; ``d_vcm`` and ``d_vc``: see :class:`Mis`."""
+
+    d_vcm: mi.Float
+    d_vc: mi.Float | RadiusFree
+    vertex: mi.UInt32 | None  #: as ``depth``, without null surfaces; None where it is not used
+
+
+@dataclass(kw_only=True)
+class BidirectionalWalk(Walker):
+    """A walk whose vertices are connected by several techniques, weighted against each other [Georgiev 2012b]."""
+
+    camera: Camera
+    mis: Mis
+    dark: mi.Float  #: opaque; contributions below this radiance play roulette before their shadow ray
+    sink: Sink | None
+
+    @property
+    def pyramid(self) -> Pyramid | None:
+        """The technique pyramid, if one is recorded."""
+        return None if self.sink is None else self.sink.pyramid
+
+    def number(self, s: BidirectionalPath) -> mi.UInt32:
+        """Number of the vertex at the end of the edge; 0 is the sensor or the light, null surfaces do not count."""
+        return s.vertex if self.visibility.transparent and s.vertex is not None else s.depth
+
+    def connect(
+        self,
+        vertex: WalkVertex,
+        target: mi.Point3f,
+        edges: mi.UInt32,
+        contributions: Sequence[mi.Color3f],
+        alone: mi.Color3f,
+        threshold: mi.Float,
+        u: mi.Float,
+        active: mi.Bool,
+    ) -> tuple[Contribution, mi.UInt32]:
+        """(contribution of the path through the untraced edge from a vertex to ``target``, shadow rays cast).
+
+        edges: length of the path. contributions: one a radius, without visibility; alone: without a weight. Roulette by
+        ``u`` skips shadow rays of contributions below ``threshold``. With a pyramid, a ray is cast wherever ``alone``
+        is not zero.
+        """
+        lit, factor = shadow_roulette(contributions, threshold, u, active)
+        asked = lit if self.pyramid is None else active & ~dr.all(alone == 0.0)
+        visible, transmittance = self.visible(vertex, target, edges, asked)
+        weighted = [contribution * (factor * transmittance) for contribution in contributions]
+        active = visible if self.pyramid is None else visible & lit
+        return Contribution(weighted, alone * transmittance, active, visible), ones(asked)
+
+    def leave(
+        self,
+        s: BidirectionalPath,
+        vertex: WalkVertex,
+        scattered: Scattered,
+        source: SampleSource,
+        on_edge: tuple[mi.Float, mi.Float | RadiusFree],
+        roulette_by: tuple[mi.Color3f, mi.Float] | None = None,
+    ) -> None:
+        """:meth:`Walker.advance`, with ``d_vcm`` and ``d_vc`` after scattering; ``on_edge``: the two before the vertex,
+        restored at null surfaces."""
+        s.d_vcm = self.keep_if_null(scattered, on_edge[0], s.d_vcm)
+        s.d_vc = self.keep_if_null(scattered, on_edge[1], s.d_vc)
+        if self.visibility.transparent and s.vertex is not None:
+            s.vertex = s.vertex + ones(~scattered.is_null)
+        self.advance(s, vertex, scattered, source, roulette_by)

@@ -1,0 +1,171 @@
+"""The guided walk: camera paths with directions, light choice and roulette from a :class:`Guide`, and training samples.
+
+The estimator is that of path tracing, for any guide. Roulette compares the light that the guide expects beyond a vertex
+with that beyond the first vertex [Vorba 2016]. Throughput would end the best paths, since it is small where the guide
+expects much light.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core import SampleSource
+
+from ..direct import DirectWeights
+from ..emission import DirectSample
+from ..walk import CameraPath, Walker
+from .guide import NOWHERE, Guide, GuidedScattered
+
+#: Light found by paths is summed as integers, so that the sum does not depend on the order. Units per mean of the
+#: picture; and the largest value of one path.
+FOUND_UNITS = 1 << 20
+_MOST = FOUND_UNITS << 14
+#: Vertices of a path that give training samples, from the first on, and bytes of a sample.
+_VERTICES = 6
+_BYTES = 16
+#: Least throughput that light is divided by.
+_FAINT = 1e-20
+#: Least survival probability of roulette.
+_LEAST_SURVIVAL = 0.1
+
+
+@dataclass(kw_only=True)
+class GuidedPath(CameraPath):
+    """State of a guided camera path; luminances."""
+
+    found: mi.Float  #: sum of the contributions
+    expected: mi.Float  #: expected beyond the last vertex; 0: unknown
+    expected_at_first: mi.Float  #: the same at the first vertex where it was known
+    cell: mi.UInt32  #: the guide's cell at the start of the next edge
+
+
+class TrainingSamples:
+    """Training samples of a pass: light found beyond vertices, and light that light points bring to each cell.
+
+    Parameters
+    ----------
+    lanes: numbers of the paths.
+    stride: one path in ``stride`` gives samples.
+    unit: mean luminance of a path; light points are not counted while it is unknown, 0.
+    recording: whether the guide is trained in this pass.
+    """
+
+    #: Memory of the samples of one path.
+    path_bytes = _BYTES * _VERTICES
+
+    def __init__(self, guide: Guide, lanes: mi.UInt32, stride: int, unit: float, recording: bool) -> None:
+        opaque = dr.opaque(mi.UInt32, stride)
+        self._count = -(-len(lanes) // stride) if recording else 0
+        self._path = lanes // opaque
+        self._mine = dr.opaque(mi.Bool, recording) & (self._path * opaque == lanes)
+        self._stride = opaque
+        self._packets = dr.zeros(mi.UInt32, 4 * max(1, self._count * _VERTICES))
+        self._scale = dr.opaque(mi.Float, FOUND_UNITS / unit if recording and unit > 0.0 else 0.0)
+        self._lights = guide.light_count
+        #: (cells, lights) light by light points, in units.
+        self.brought = dr.zeros(mi.UInt64, guide.cells * max(1, self._lights))
+
+    def record(self, s: GuidedPath, scattered: GuidedScattered) -> None:
+        """Store the sampled direction at vertex ``s.depth``, and luminance and throughput of the path before it."""
+        active = self._mine & s.active & (scattered.place != NOWHERE) & (s.depth <= _VERTICES)
+        carried = dr.rcp(dr.maximum(mi.luminance(s.throughput), _FAINT))
+        bits = (dr.reinterpret_array(mi.UInt32, value) for value in (s.found, carried))
+        packet = mi.Vector4u(scattered.place + 1, *bits, 0)
+        dr.scatter(self._packets, packet, self._path * _VERTICES + (s.depth - 1), active)
+
+    def record_light(
+        self, s: GuidedPath, cell: mi.UInt32, light: DirectSample, contribution: mi.Color3f, seen: mi.Bool
+    ) -> None:
+        """Add the contribution of a light point to a vertex in ``cell``."""
+        if not self._lights:
+            return
+        units = mi.luminance(contribution) / dr.maximum(mi.luminance(s.throughput), _FAINT) * self._scale
+        units = mi.UInt64(dr.minimum(dr.select(seen & (units >= 1.0), units, 0.0), float(_MOST)))
+        place = cell * self._lights + light.light
+        dr.scatter_add(self.brought, units, place, seen & (self._scale > 0.0), dr.ReduceMode.Direct)
+
+    def deposit(self, places: int, found: mi.Float, unit: float) -> tuple[mi.UInt64, mi.UInt32]:
+        """Sums over the samples in each of the guide's ``places``: (light, in units; samples). ``found``: luminance of
+        the finished paths."""
+        light, seen = dr.zeros(mi.UInt64, places), dr.zeros(mi.UInt32, places)
+        path = dr.arange(mi.UInt32, self._count)
+        found = dr.gather(mi.Float, found, path * self._stride)
+        scale = dr.opaque(mi.Float, FOUND_UNITS / unit)
+        for vertex in range(_VERTICES):
+            packet = dr.gather(mi.Vector4u, self._packets, path * _VERTICES + vertex)
+            before, factor = (dr.reinterpret_array(mi.Float, packet[i]) for i in (1, 2))
+            value = dr.minimum((found - before) * factor * scale, float(_MOST))
+            active = packet[0] > 0
+            place = packet[0] - 1
+            # Directly: other ways have the number of places in the kernel.
+            dr.scatter_add(seen, mi.UInt32(1), place, active, dr.ReduceMode.Direct)
+            active &= value >= 1.0
+            dr.scatter_add(light, mi.UInt64(value), place, active, dr.ReduceMode.Direct)
+        return light, seen
+
+
+@dataclass(kw_only=True)
+class GuidedWalk(Walker):
+    """Traces guided paths. Directions are sampled from the mixture of ``guide`` and ``proposal``."""
+
+    guide: Guide
+    weights: DirectWeights
+    training: TrainingSamples
+
+    def trace(self, ray: mi.Ray3f, source: SampleSource) -> GuidedPath:
+        """Paths along camera rays, not yet evaluated."""
+        path = GuidedPath.start(
+            ray,
+            self.max_edges,
+            found=mi.Float(0.0),
+            expected=mi.Float(0.0),
+            expected_at_first=mi.Float(0.0),
+            cell=mi.UInt32(0),
+        )
+        return self.walk(path, lambda s: self._edge(s, source), "guided path")
+
+    def _edge(self, s: GuidedPath, source: SampleSource) -> GuidedPath:
+        """Trace one edge, and scatter at its end."""
+        vertex = self.arrive(s)
+
+        # ---- Emission, weighted by the light choice of the cell where the edge begins
+        hit = self.emission(s, vertex, self.guide.lights_at(s.cell, self.lights))
+        self._add(s, s.throughput * hit.radiance * self.weights.hit(s.pdf, hit.direct_pdf), hit.active)
+        s.active &= vertex.valid & (s.depth < self.max_edges)
+
+        # ---- Light point and direction by the cell of the vertex
+        cell = self.guide.locate(vertex.si, s.active)
+        nearby = self.guide.lights_at(cell, self.lights)
+        looking = s.active & vertex.smooth
+        lights = [self.light_point(vertex, source, looking, lights=nearby)] if self.weights.next_event else []
+        guided = functools.partial(self.guide.scatter, cell, vertex.proposal)
+        scattered, towards = vertex.sample(source, s.active, lights, guided)
+        for light, f in zip(lights, towards, strict=True):
+            contribution, seen = self.next_event(s, vertex, light, f, self.weights.light_point(light, f.pdf))
+            self._add(s, contribution, seen)
+            self.training.record_light(s, cell, light, contribution, seen)
+
+        # ---- Advance; roulette by expected light
+        assert isinstance(scattered, GuidedScattered)
+        self.training.record(s, scattered)
+        known = s.active & (scattered.glow > 0.0)
+        carried = mi.luminance(s.throughput) * scattered.glow
+        s.expected = dr.select(known, carried, s.expected * dr.max(scattered.weight))
+        s.expected_at_first = dr.select(known & (s.expected_at_first == 0.0), carried, s.expected_at_first)
+        s.cell = dr.select(scattered.is_null, s.cell, cell)
+        s.pdf = self.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
+        expects = s.expected_at_first > 0.0
+        share = mi.Color3f(dr.maximum(s.expected / s.expected_at_first, _LEAST_SURVIVAL))
+        by = dr.select(expects, share, s.throughput * scattered.weight)
+        eta = dr.select(expects, 1.0, s.eta * scattered.eta)
+        s.expected = s.expected * self.advance(s, vertex, scattered, source, (by, eta))
+        return s
+
+    def _add(self, s: GuidedPath, contribution: mi.Color3f, active: mi.Bool) -> None:
+        """Add a contribution."""
+        s.radiance[active] += contribution
+        s.found = s.found + dr.select(active, mi.luminance(contribution), 0.0)

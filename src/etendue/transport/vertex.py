@@ -1,0 +1,83 @@
+"""A vertex of a path, where the path scatters: position, frame, evaluation and sampling of directions.
+
+The only kind so far is a surface point with a BSDF. A medium point with a phase function would have the same interface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import mitsuba as mi
+
+from etendue.core import SampleSource
+
+from .scattering import Evaluated, Proposal, Scattered, evaluate_camera_end, is_smooth, scatter_camera
+
+
+class Joined(Protocol):
+    """An end of an edge that a vertex is connected to, one lane each: a light point, a stored vertex, the sensor."""
+
+    @property
+    def direction(self) -> mi.Vector3f:
+        """World direction from the vertex to it."""
+
+    @property
+    def active(self) -> mi.Bool:
+        """Lanes in which it exists."""
+
+
+@dataclass(kw_only=True)
+class Vertex:
+    """A surface point of a sub-path, one lane each."""
+
+    si: mi.SurfaceInteraction3f  #: ``wi`` points back along the sub-path
+    bsdf: mi.BSDFPtr
+
+    @property
+    def position(self) -> mi.Point3f:
+        """World position."""
+        return self.si.p
+
+    @property
+    def frame(self) -> mi.Frame3f:
+        """Shading frame, in which local directions are given."""
+        return self.si.sh_frame
+
+    @property
+    def smooth(self) -> mi.Bool:
+        """Whether the BSDF has a component without delta functions, so that the vertex can be connected or merged."""
+        return is_smooth(self.bsdf)
+
+    def evaluate(self, direction: mi.Vector3f, active: mi.Bool) -> Evaluated:
+        """BSDF value and densities at a camera vertex, for light that arrives from a world direction."""
+        return evaluate_camera_end(self.bsdf, self.si, self.si.to_local(direction), active)
+
+    def ray(self, direction: mi.Vector3f) -> mi.Ray3f:
+        """Ray from the vertex in a world direction."""
+        return self.si.spawn_ray(direction)
+
+    def ray_to(self, target: mi.Point3f) -> mi.Ray3f:
+        """Shadow ray from the vertex to a point."""
+        return self.si.spawn_ray_to(target)
+
+
+@dataclass(kw_only=True)
+class WalkVertex(Vertex):
+    """End of the edge that a walk has traced last, one lane each; the ray missed the scene where not ``valid``."""
+
+    number: mi.UInt32  #: edges of the sub-path up to the vertex; selects the random numbers of the vertex
+    hit: mi.PreliminaryIntersection3f
+    incoming: mi.Vector3f  #: world direction of the edge
+    distance: mi.Float  #: length of the edge from the last vertex, through null surfaces on the way
+    valid: mi.Bool  #: whether the edge ends on a surface
+    proposal: Proposal = scatter_camera  #: samples directions
+
+    def sample(
+        self, source: SampleSource, active: mi.Bool, joined: Sequence[Joined] = (), proposal: Proposal | None = None
+    ) -> tuple[Scattered, list[Evaluated]]:
+        """Sample a direction, and evaluate the BSDF in the directions of ``joined``, all in one call of the BSDF.
+        ``proposal`` replaces the proposal of the walk."""
+        directions = [(self.si.to_local(other.direction), other.active) for other in joined]
+        return (proposal or self.proposal)(self.bsdf, self.si, source, self.number, active, directions)

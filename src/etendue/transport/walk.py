@@ -1,0 +1,195 @@
+"""Random walks, edge by edge: the operations from which every path method is composed.
+
+A method writes the body of the loop over the edges of its paths. Each iteration traces one edge to a
+:class:`WalkVertex`, adds the contributions of that vertex, and advances::
+
+    vertex = walker.arrive(path)
+    light = walker.light_point(vertex, source, path.active & vertex.smooth)
+    scattered, (f,) = vertex.sample(source, path.active, [light])
+    contribution, visible = walker.next_event(path, vertex, light, f, weight)
+    walker.advance(path, vertex, scattered, source)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Self, TypeVar
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core import SampleSource
+from etendue.scene import LightTable
+
+from . import dimensions as dim
+from .emission import DirectSample, emission_of_hit, is_emissive, sample_direct
+from .guiding.lights import LocalLights
+from .scattering import Evaluated, Proposal, Scattered, roulette, scatter_camera
+from .vertex import WalkVertex
+from .visibility import Visibility
+
+
+@dataclass(kw_only=True)
+class SubPath:
+    """State of the loop over the edges of a sub-path, one lane each. Methods add fields of their own."""
+
+    active: mi.Bool
+    ray: mi.Ray3f  #: the next edge
+    throughput: mi.Color3f
+    eta: mi.Float | None  #: product of the relative indices of refraction; None for light sub-paths
+    depth: mi.UInt32  #: number of edges, including the next one
+    travelled: mi.Float  #: length of the next edge up to the last null surface that it has crossed
+    rays: mi.UInt32  #: rays cast so far, including shadow rays
+
+
+@dataclass(kw_only=True)
+class CameraPath(SubPath):
+    """State of a camera path that finds lights by hits and light points."""
+
+    radiance: mi.Color3f  #: sum of the contributions
+    pdf: mi.Float  #: solid-angle density of the next edge's direction; 0 where only a hit can find a light
+
+    @classmethod
+    def start(cls, ray: mi.Ray3f, max_edges: mi.UInt32, **own: Any) -> Self:
+        """The state before the first edge, along ``ray``. ``own``: fields of the subclass, or other initial values."""
+        fields = {
+            "active": max_edges > 0,
+            "ray": mi.Ray3f(ray),
+            "throughput": mi.Color3f(1.0),
+            "eta": mi.Float(1.0),
+            "depth": mi.UInt32(1),
+            "travelled": mi.Float(0.0),
+            "rays": mi.UInt32(0),
+            "radiance": mi.Color3f(0.0),
+            "pdf": mi.Float(0.0),
+        }
+        return cls(**fields | own)
+
+
+S = TypeVar("S", bound=SubPath)
+V = TypeVar("V")
+
+
+@dataclass
+class Emission:
+    """Emission at the end of an edge, one lane each. Densities include the choice of the light."""
+
+    radiance: mi.Color3f
+    area_density: mi.Float  #: next event's, at the start of the edge, for the point; infinite lights: for the direction
+    emission_density: mi.Float  #: emission's, for point and direction
+    direct_pdf: mi.Float  #: next event's, at the start of the edge, per solid angle
+    active: mi.Bool
+
+
+@dataclass(kw_only=True)
+class Walker:
+    """Traces sub-paths in one scene."""
+
+    visibility: Visibility
+    lights: LightTable
+    max_edges: mi.UInt32  #: opaque
+    rr_depth: int
+    proposal: Proposal = scatter_camera  #: samples directions
+
+    def walk(self, path: S, edge: Callable[[S], S], label: str) -> S:
+        """Run the loop over the edges until all sub-paths have ended. ``edge`` is the body of the loop."""
+        (path,) = dr.while_loop((path,), lambda s: s.active, lambda s: (edge(s),), label=label)
+        return path
+
+    def arrive(self, s: SubPath) -> WalkVertex:
+        """Trace the next edge."""
+        hit = self.visibility.scene.ray_intersect_preliminary(s.ray, active=s.active)
+        si = hit.compute_surface_interaction(s.ray, active=s.active)
+        s.rays += 1
+        valid = si.is_valid()
+        return WalkVertex(
+            si=si,
+            bsdf=si.bsdf(s.ray),
+            number=mi.UInt32(s.depth),
+            hit=hit,
+            incoming=s.ray.d,
+            distance=s.travelled + si.t,
+            valid=valid,
+            proposal=self.proposal,
+        )
+
+    def emission(self, s: SubPath, vertex: WalkVertex, lights: LightTable | LocalLights | None = None) -> Emission:
+        """Emission at the end of the edge, including the environment's. ``lights``: those of :meth:`light_point` at the
+        start of the edge, if they were not the table's."""
+        si, scene = vertex.si, self.visibility.scene
+        active = s.active & is_emissive(scene, si)
+        found = emission_of_hit(lights or self.lights, scene, si, active, vertex.distance)
+        per_area = dr.square(vertex.distance) / dr.abs(dr.dot(si.n, vertex.incoming))
+        direct_pdf = found[1] * dr.select(vertex.valid, per_area, 1.0)
+        return Emission(*found, direct_pdf, active)
+
+    def light_point(
+        self,
+        vertex: WalkVertex,
+        source: SampleSource,
+        active: mi.Bool,
+        index: int = 0,
+        lights: LightTable | LocalLights | None = None,
+    ) -> DirectSample:
+        """Sample the ``index``-th light point of a vertex. ``lights`` replaces the light table."""
+        return sample_direct(lights or self.lights, vertex.si, source, vertex.number, index, active)
+
+    def next_event(
+        self,
+        s: SubPath,
+        vertex: WalkVertex,
+        light: DirectSample,
+        f: Evaluated,
+        weight: mi.Float,
+        wanted: mi.Bool | bool = True,
+    ) -> tuple[mi.Color3f, mi.Bool]:
+        """(throughput times BSDF times radiance over density, times ``weight``; whether the light point is visible).
+        No shadow ray is cast where the contribution is zero or not ``wanted``."""
+        contribution = s.throughput * f.value * light.radiance * weight
+        asked = light.active & ~dr.all(contribution == 0.0) & wanted
+        s.rays += ones(asked)
+        visible, transmittance = self.visible(vertex, light.target, vertex.number + 1, asked)
+        return contribution * transmittance, visible
+
+    def visible(
+        self, vertex: WalkVertex, target: mi.Point3f, edges: mi.UInt32, active: mi.Bool
+    ) -> tuple[mi.Bool, mi.Color3f | float]:
+        """Whether ``target`` is visible from a vertex, and the transmittance of the null surfaces between them.
+        ``edges``: length of the resulting path; each null surface adds one, up to ``max_edges``."""
+        return self.visibility.along(vertex.ray_to(target), self.max_edges - edges, active)
+
+    def keep_if_null(self, scattered: Scattered, before: V, after: V) -> V:
+        """``after`` where the vertex has scattered; ``before`` where the path went straight on through a null surface,
+        which is no vertex of the path."""
+        return dr.select(scattered.is_null, before, after) if self.visibility.transparent else after
+
+    def advance(
+        self,
+        s: SubPath,
+        vertex: WalkVertex,
+        scattered: Scattered,
+        source: SampleSource,
+        roulette_by: tuple[mi.Color3f, mi.Float] | None = None,
+    ) -> mi.Float:
+        """Leave a vertex in the sampled direction, and play Russian roulette. Returns roulette's factor on the
+        throughput.
+
+        ``roulette_by``: throughput and eta after the vertex by which roulette decides, in place of the path's own."""
+        s.throughput = s.throughput * scattered.weight
+        if s.eta is not None:
+            s.eta = s.eta * scattered.eta
+        s.travelled = self.keep_if_null(scattered, vertex.distance, mi.Float(0.0))
+        s.ray = vertex.ray(scattered.direction)
+        by, eta = roulette_by or (s.throughput, s.eta)
+        u = source.decide(vertex.number, dim.ROULETTE)
+        alive, factor = roulette(by, eta, vertex.number, self.rr_depth, u)
+        s.throughput = s.throughput * factor
+        s.depth = vertex.number + 1
+        s.active &= scattered.active & alive
+        return factor
+
+
+def ones(mask: mi.Bool) -> mi.UInt32:
+    """1 where a mask holds, else 0."""
+    return dr.select(mask, mi.UInt32(1), mi.UInt32(0))
