@@ -18,8 +18,8 @@ from support.tables import thinned
 
 from etendue.core import Measurement, Replica
 from etendue.engine import Budget, Checkpoint, Job, RunError, Runner, RunResult
-from etendue.methods.adaptive.stratified import Stratified
-from etendue.methods.adaptive.vegas import Vegas
+from etendue.methods.adaptive.stratified import StratifiedPath
+from etendue.methods.adaptive.vegas import VegasPath
 from etendue.methods.bidirectional import Bidirectional
 from etendue.methods.guided import Guided
 from etendue.methods.photon.progressive import Sppm
@@ -35,9 +35,9 @@ LEARNERS: dict[str, tuple[str, dict[str, Any], type, str, int, type[BaseExceptio
     "guided within a generation": ("guided", GUIDED, Guided, "_learn", 5, KeyboardInterrupt),
     "guided at the end of one": ("guided", GUIDED, Guided, "_learn", 3, RuntimeError),
     "guided in the midst of that": ("guided", GUIDED, LightChoice, "learn", 2, KeyboardInterrupt),
-    "vegas between two changes": ("vegas", VEGAS, Vegas, "_learn", 5, RuntimeError),
-    "vegas at a change": ("vegas", VEGAS | {"tile": 8}, Vegas, "_learn", 4, KeyboardInterrupt),
-    "stratified": ("stratified", {"samples_per_pass": 64, "update": 2}, Stratified, "_plan", 2, RuntimeError),
+    "vegas between two changes": ("vegas", VEGAS, VegasPath, "_learn", 5, RuntimeError),
+    "vegas at a change": ("vegas", VEGAS | {"tile": 8}, VegasPath, "_learn", 4, KeyboardInterrupt),
+    "stratified": ("stratified", {"samples_per_pass": 64, "update": 2}, StratifiedPath, "_plan", 2, RuntimeError),
     "sppm": ("sppm", {"samples_per_pass": 2, "radius": 0.05}, Sppm, "finish", 4, KeyboardInterrupt),
     "ppm": ("ppm", {"samples_per_pass": 2, "radius": 0.05}, Sppm, "finish", 4, RuntimeError),
 }

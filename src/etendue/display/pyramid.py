@@ -33,7 +33,7 @@ class Triangle:
 
 
 @dataclass(frozen=True)
-class Pyramid:
+class PyramidView:
     """Triangles of one picture, and the picture of the paths that are too long for them."""
 
     title: str
@@ -46,7 +46,7 @@ def in_pyramid(layer: str) -> bool:
     return layer == LONGER or Technique.of_layer(layer) is not None
 
 
-def pyramids(name: str, image: Image, layers: Mapping[str, Image], exposure: float, curve: str) -> list[Pyramid]:
+def pyramids(name: str, image: Image, layers: Mapping[str, Image], exposure: float, curve: str) -> list[PyramidView]:
     """The pyramids of one picture, weighted and unweighted; none if ``layers`` holds no technique."""
     whole, found = _level(image), []
 
@@ -82,7 +82,7 @@ def pyramids(name: str, image: Image, layers: Mapping[str, Image], exposure: flo
         longer = None
         if weighted and LONGER in layers:
             longer = show(layers[LONGER], f"longer paths of {name}, weighted", "longer paths")
-        found.append(Pyramid(f"{name}, {kind}: {meaning}", triangles, longer))
+        found.append(PyramidView(f"{name}, {kind}: {meaning}", triangles, longer))
     return found
 
 

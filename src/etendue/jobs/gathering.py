@@ -21,7 +21,7 @@ from etendue.methods import CameraSettings, ImageMethod, ImageSettings, total
 from etendue.radiosity import RadiosityError, Solution, check_colours, radiosity_on
 from etendue.scene import Problem, check, load
 from etendue.surfaces import PatchSurfaces, SurfaceValues
-from etendue.transport import Camera, CameraPath, DirectWeights, Walker
+from etendue.transport import CameraPath, CameraSampler, DirectWeights, Walker
 
 #: Suffixes of pictures, and what they are.
 PICTURE_FILES = {".exr": "picture with its layers", ".png": "picture, tone-mapped"}
@@ -114,7 +114,7 @@ class _Seen(ImageMethod):
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. Lights are not asked for: there may be none."""
-        self.problem, self.scene, self.camera = problem, problem.scene, Camera(problem)
+        self.problem, self.scene, self.camera = problem, problem.scene, CameraSampler(problem)
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Any], dict[str, float]]:
         """See :class:`ImageMethod`."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from .adaptive.stratified import Stratified
-from .adaptive.vegas import Vegas
+from .adaptive.stratified import StratifiedPath
+from .adaptive.vegas import VegasPath
 from .auto import Auto
 from .base import CameraSettings, ImageMethod, ImageSettings, Layer, total
 from .bidirectional import Bidirectional, Bpm, Bpt, Vcm
 from .guided import Guided
-from .light import Light
+from .light import LightTracing
 from .path import Path
 from .photon.map import Pm
 from .photon.progressive import Ppm, Sppm
@@ -24,14 +24,14 @@ __all__ = [
     "ImageMethod",
     "ImageSettings",
     "Layer",
-    "Light",
+    "LightTracing",
     "Path",
     "Pm",
     "Ppm",
     "Sppm",
-    "Stratified",
+    "StratifiedPath",
     "Vcm",
-    "Vegas",
+    "VegasPath",
     "by_plugin",
     "get",
     "register",

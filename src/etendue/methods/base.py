@@ -26,7 +26,7 @@ from etendue.core import (
 )
 from etendue.points import OwenSobolSource
 from etendue.scene import LightTable, Problem
-from etendue.transport import Camera, Visibility, Walker
+from etendue.transport import CameraSampler, Visibility, Walker
 from etendue.transport import dimensions as dim
 
 W = TypeVar("W", bound=Walker)
@@ -136,7 +136,7 @@ class ImageMethod(ABC):
             raise OptionError("a pass has more camera paths than fit; lower samples_per_pass or the size")
         self.problem = problem
         self.scene = problem.scene
-        self.camera = Camera(problem, self.settings.reconstruction == "independent")
+        self.camera = CameraSampler(problem, self.settings.reconstruction == "independent")
         self.lights = LightTable(problem.scene)
         self.visibility = Visibility(problem.scene)
         #: :meth:`max_edges` on the device, opaque.

@@ -35,7 +35,7 @@ class LightSettings(ImageSettings):
     light_paths: float = setting(1.0, "light paths traced per sample of a pixel", above=0.0, maximum=64.0)
 
 
-class Light(ImageMethod):
+class LightTracing(ImageMethod):
     """Light tracing: every vertex of every light path is splatted."""
 
     name: ClassVar[str] = "light"

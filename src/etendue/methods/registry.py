@@ -18,13 +18,12 @@ from importlib.metadata import EntryPoint, entry_points
 
 from etendue.core import OptionError, bibliography, describe, logger, suggest
 
-from .adaptive.stratified import Stratified
-from .adaptive.vegas import Vegas
+from .adaptive.stratified import StratifiedPath
+from .adaptive.vegas import VegasPath
 from .auto import Auto
 from .base import ImageMethod, ImageSettings
 from .bidirectional import Bpm, Bpt, Vcm
 from .guided import Guided
-from .light import Light
 from .path import Path
 from .photon.map import Pm
 from .photon.progressive import Ppm, Sppm
@@ -32,7 +31,20 @@ from .photon.progressive import Ppm, Sppm
 #: Entry points of other packages.
 GROUP = "etendue.methods"
 
-_OWN: tuple[type[ImageMethod], ...] = (Auto, Path, Guided, Vegas, Stratified, Light, Pm, Ppm, Sppm, Bpt, Bpm, Vcm)
+_OWN: tuple[type[ImageMethod], ...] = (
+    Auto,
+    Path,
+    Guided,
+    VegasPath,
+    StratifiedPath,
+    LightTracing,
+    Pm,
+    Ppm,
+    Sppm,
+    Bpt,
+    Bpm,
+    Vcm,
+)
 _methods: dict[str, type[ImageMethod]] = {cls.name: cls for cls in _OWN}
 #: Methods of other packages that could not be loaded, and why.
 _broken: dict[str, str] = {}

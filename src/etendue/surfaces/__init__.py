@@ -10,7 +10,7 @@ from .atlases import (
     save_textured_mesh,
     scene_mesh,
 )
-from .diagnosis import Diagnosis, diagnose
+from .diagnosis import MeshDiagnosis, diagnose
 from .errors import PatchError, SurfaceError
 from .faces import face_vectors, triangles
 from .heat import STEFAN_BOLTZMANN, band_shares, thermal
@@ -30,8 +30,8 @@ __all__ = [
     "LIGHTMAP_MESHES",
     "STEFAN_BOLTZMANN",
     "STEP",
-    "Diagnosis",
     "Lightmap",
+    "MeshDiagnosis",
     "PatchError",
     "PatchSurfaces",
     "Patches",

@@ -14,7 +14,7 @@ Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class MeshDiagnosis:
     """The result of :func:`diagnose`. Vertices at the same position count as one.
 
     Edges do not show that a mesh is inside out as a whole; lines that hit backs of faces do, see :attr:`Segments.dark`.
@@ -45,7 +45,7 @@ class Diagnosis:
         return ("closed" if self.is_closed else "not closed") + "".join(f", {fault}" for fault in faults)
 
 
-def diagnose(patches: Patches) -> Diagnosis:
+def diagnose(patches: Patches) -> MeshDiagnosis:
     """Find duplicate faces, and edges that a closed mesh cannot have."""
     _, place = np.unique(patches.vertices, axis=0, return_inverse=True)
     faces = place.reshape(-1)[patches.faces]
@@ -59,7 +59,7 @@ def diagnose(patches: Patches) -> Diagnosis:
     key = np.minimum(start, end) * (len(place) + 1) + np.maximum(start, end)
     _, first, inverse, count = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
     forward = np.bincount(inverse.reshape(-1), start < end)
-    return Diagnosis(
+    return MeshDiagnosis(
         duplicates=repeated(patches.vertices, patches.faces),
         open_edges=where[first[count == 1]],
         crowded_edges=where[first[count > 2]],

@@ -8,7 +8,7 @@ from .bidirectional.photons import Photon, Photons, unfolded
 from .bidirectional.pyramid import PYRAMID_MAX, Pyramid
 from .bidirectional.sinks import CameraSink, Contribution, Sink, SplatSink
 from .bidirectional.vertices import Kind, LightVertex, LightVertices, needs_interaction
-from .camera import Camera, CameraConnection, Splats
+from .camera import CameraConnection, CameraSampler, Splats
 from .direct import DirectWeights
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
 from .functions import TransportFunctions, film_picture
@@ -43,9 +43,9 @@ __all__ = [
     "NOWHERE",
     "PICK_BLOCK",
     "PYRAMID_MAX",
-    "Camera",
     "CameraConnection",
     "CameraPath",
+    "CameraSampler",
     "CameraSink",
     "CameraWalk",
     "Contribution",

@@ -68,7 +68,7 @@ class Splats:
         return np.asarray(self.array).reshape(-1, height, width, 4)[..., :3]
 
 
-class Camera:
+class CameraSampler:
     """Primary rays and splats of one sensor, with its film's reconstruction filter.
 
     ``independent``: a camera path counts for its own pixel, a splat for one of the pixels in reach, so that pixels

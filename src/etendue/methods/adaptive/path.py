@@ -18,7 +18,7 @@ import mitsuba as mi
 
 from etendue.core import setting
 from etendue.scene import Problem
-from etendue.transport import Camera, CameraPath, Walker, WalkVertex
+from etendue.transport import CameraPath, CameraSampler, Walker, WalkVertex
 from etendue.transport import dimensions as dim
 
 from .. import radius as radii
@@ -75,7 +75,7 @@ class AdaptivePath(ImageMethod):
         """Give up the places that all pixels share if groups draw places on the film."""
         film = {(0, dim.FILM), (0, dim.FILM + 1)}
         if any(film & set(draws) for group in named for draws in group.draws):
-            self.camera = Camera(self.problem, independent=True)
+            self.camera = CameraSampler(self.problem, independent=True)
 
     def map_light(self, iteration: int, seed: int) -> float:
         """Trace the photons of a pass, if paths end in maps; returns the rays that it took."""

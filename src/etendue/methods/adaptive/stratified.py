@@ -62,7 +62,7 @@ class StratifiedSettings(AdaptiveSettings):
     update: int = setting(8, "passes that share a plan", minimum=1)
 
 
-class Stratified(AdaptivePath):
+class StratifiedPath(AdaptivePath):
     """Path tracing whose random numbers are stratified recursively, where light varies."""
 
     name: ClassVar[str] = "stratified"

@@ -73,7 +73,7 @@ class VegasSettings(AdaptiveSettings):
     lengths: int = setting(6, "lengths that one_path draws from; the last stands for all longer ones", minimum=1)
 
 
-class Vegas(Carrying, AdaptivePath):
+class VegasPath(Carrying, AdaptivePath):
     """Path tracing whose random numbers are drawn from densities that it learns, after VEGAS."""
 
     name: ClassVar[str] = "vegas"

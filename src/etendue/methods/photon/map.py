@@ -24,7 +24,7 @@ from etendue.transport import Kind, Photons, WalkVertex
 from .. import radius as radii
 from ..base import ImageSettings
 from .mapping import GatherPath, PhotonMapping, PhotonSettings
-from .photons import Shot, photon_room, reflected_by
+from .photons import PhotonShot, photon_room, reflected_by
 
 #: Light paths for each photon asked for, at most: where next to nothing is stored, more paths do not help.
 _MOST_PATHS_PER_PHOTON = 20
@@ -78,7 +78,7 @@ class Pm(PhotonMapping):
         """As many as store the photons that were asked for."""
         return max(1, round(self.settings.photons / max(self.tracer.photons_per_path, 1.0 / _MOST_PATHS_PER_PHOTON)))
 
-    def build(self, shot: Shot, iteration: int, seed: int) -> None:
+    def build(self, shot: PhotonShot, iteration: int, seed: int) -> None:
         """The two maps."""
         positions, kind, held = shot.vertices.positions()
         caustic = held & (kind == mi.UInt32(Kind.CAUSTIC))
@@ -92,7 +92,7 @@ class Pm(PhotonMapping):
         # Without next event, what the camera sees directly lit is seen in the photons.
         self._paths = dr.opaque(mi.Float, shot.paths)
 
-    def _map(self, shot: Shot, positions: mi.Point3f, mask: mi.Bool) -> _Map:
+    def _map(self, shot: PhotonShot, positions: mi.Point3f, mask: mi.Bool) -> _Map:
         dr.eval(mask)
         tree = KdTree(positions, mask)
         place = dr.arange(mi.UInt32, tree.count)

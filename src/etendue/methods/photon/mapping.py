@@ -25,7 +25,7 @@ from etendue.scene import Problem
 from etendue.transport import CameraPath, DirectWeights, Walker, WalkVertex
 
 from ..base import STEP_LANES, CameraSettings, ImageMethod, Layer, total
-from .photons import PhotonTracer, Shot
+from .photons import PhotonShot, PhotonTracer
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class PhotonMapping(ImageMethod):
         """Light paths that a pass shall trace."""
 
     @abstractmethod
-    def build(self, shot: Shot, iteration: int, seed: int) -> None:
+    def build(self, shot: PhotonShot, iteration: int, seed: int) -> None:
         """Make the photons ready for :meth:`gather`."""
 
     @abstractmethod
@@ -107,7 +107,7 @@ class PhotonMapping(ImageMethod):
     def finish(self, found: mi.UInt32) -> None:
         """Called after a pass with the number of photons that each path found where it first gathered."""
 
-    def shoot(self, iteration: int, seed: int) -> Shot:
+    def shoot(self, iteration: int, seed: int) -> PhotonShot:
         """The photons of a pass."""
         return self.tracer.shoot(iteration, seed, self._light_paths)
 

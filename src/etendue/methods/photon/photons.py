@@ -31,7 +31,7 @@ def photon_room(problem: Problem) -> VertexRoom:
 
 
 @dataclass
-class Shot:
+class PhotonShot:
     """The photons of a pass."""
 
     vertices: LightVertices
@@ -59,14 +59,14 @@ class PhotonTracer:
             logger.info("%d instead of %d light paths a pass: %s", paths, wanted, why)
         return paths
 
-    def shoot(self, iteration: int, seed: int, paths: int) -> Shot:
+    def shoot(self, iteration: int, seed: int, paths: int) -> PhotonShot:
         """The photons of a pass, all of them."""
         while True:
             shot = self._trace("", iteration, seed, paths, self.room.capacity(paths))
             if self.room.held(float(shot.vertices.wanted[0]), paths):
                 return shot
 
-    def _trace(self, role: str, iteration: int, seed: int, paths: int, capacity: int) -> Shot:
+    def _trace(self, role: str, iteration: int, seed: int, paths: int, capacity: int) -> PhotonShot:
         """Trace light paths and store their vertices; not yet looked at, so that nothing waits."""
         method = self._method
         mis = Mis(Techniques(emission=0, next_event=0, connection=0, splat=False), [0.0], mi.Float(1.0))
@@ -76,7 +76,7 @@ class PhotonTracer:
         rays, _ = walk.trace(paths, source, vertices)
         dr.schedule(rays)
         vertices.launch()
-        return Shot(vertices, paths, total(rays), capacity)
+        return PhotonShot(vertices, paths, total(rays), capacity)
 
 
 def reflected_by(
@@ -104,7 +104,7 @@ class PhotonGrid:
 
     def __init__(
         self,
-        shot: Shot,
+        shot: PhotonShot,
         positions: mi.Point3f,
         held: mi.Bool,
         radius: float,

@@ -34,7 +34,7 @@ from etendue.transport import Kind, WalkVertex
 from .. import radius as radii
 from ..base import ImageSettings, corners
 from .mapping import GatherPath, PhotonMapping, PhotonSettings
-from .photons import PhotonGrid, Shot
+from .photons import PhotonGrid, PhotonShot
 
 #: Smallest first radius over the largest, squared.
 _LEAST_SHARE = 1e-6
@@ -95,7 +95,7 @@ class Sppm(Carrying, PhotonMapping):
         self._radius_squared, self._tree = dr.block_sum(squared, self._sharing) / self._sharing, None
         dr.eval(self._radius_squared)
 
-    def _wanted(self, shot: Shot) -> tuple[mi.Point3f, mi.Bool]:
+    def _wanted(self, shot: PhotonShot) -> tuple[mi.Point3f, mi.Bool]:
         """(positions, which of them are gathered), one lane a slot."""
         positions, kind, held = shot.vertices.positions()
         if self.settings.direct == "next_event":
@@ -106,7 +106,7 @@ class Sppm(Carrying, PhotonMapping):
         """See :class:`PhotonMapping`."""
         return max(1, round(self.settings.light_paths * self.camera.pixels * self.samples_per_iteration))
 
-    def build(self, shot: Shot, iteration: int, seed: int) -> None:
+    def build(self, shot: PhotonShot, iteration: int, seed: int) -> None:
         """Sort the photons into a grid for the largest radius there is."""
         positions, held = self._wanted(shot)
         largest = float(np.sqrt(np.asarray(self._radius_squared).max()))

@@ -19,7 +19,7 @@ _NOTHING = 0xFFFFFFFFFFFFFFFF
 
 
 @dataclass
-class Hits:
+class LineHits:
     """Hits in the order of their discovery, and the half line of each, ``2 line + (key & 1)``: hits of fronts and of
     backs are separate."""
 
@@ -29,26 +29,26 @@ class Hits:
 
 @dataclass
 class Lists:
-    """Hits line by line: ``count`` hits of a line from ``first`` on, and space for one more."""
+    """LineHits line by line: ``count`` hits of a line from ``first`` on, and space for one more."""
 
     key: Any  #: UInt64
     first: Any  #: UInt32, a lane for each line that has hits
     count: Any
 
 
-def by_depth(hits: Hits, lines: int) -> Lists:
+def by_depth(hits: LineHits, lines: int) -> Lists:
     """The sorted hits of each line."""
     # Plane k has the k-th hit of each half line. All hits write to a plane at once; those that were overwritten try the
     # next plane. Atomic operations would take ten times as long on a CPU.
     planes: list[Any] = []
-    halves, others = dr.zeros(mi.UInt32, 2 * lines), Hits(hits.key, hits.half)
+    halves, others = dr.zeros(mi.UInt32, 2 * lines), LineHits(hits.key, hits.half)
     while len(planes) < _FEW and len(others.key):
         planes.append(dr.empty(mi.UInt64, 2 * lines))
         dr.scatter(planes[-1], others.key, others.half)
         dr.scatter(halves, dr.opaque(mi.UInt32, len(planes)), others.half)
         dr.eval(planes[-1], halves, others)
         rest = dr.compress(dr.gather(mi.UInt64, planes[-1], others.half) != others.key)
-        others = Hits(dr.gather(mi.UInt64, others.key, rest), dr.gather(mi.UInt32, others.half, rest))
+        others = LineHits(dr.gather(mi.UInt64, others.key, rest), dr.gather(mi.UInt32, others.half, rest))
 
     few, many = dr.sum(dr.gather(mi.Vector2u, halves, dr.arange(mi.UInt32, lines))), dr.zeros(mi.UInt32, lines)
     if len(others.key):

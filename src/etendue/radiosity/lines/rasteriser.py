@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from etendue.core import Array, copied_to_device, use_variant
 
-from .linelists import Hits, by_depth, exchanges
+from .linelists import LineHits, by_depth, exchanges
 from .segments import Pairs
 
 #: Rows of a face that one lane rasterises. Larger faces are split, or all lanes would wait for one.
@@ -107,11 +107,11 @@ class _Grid:
         self._rows = copied_to_device(mi.UInt32, np.column_stack([columns, origin & 0xFFFFFFFF]).astype(np.uint32))
 
     def count(self) -> Any:
-        """Hits of each lane."""
+        """LineHits of each lane."""
         _, counts = self._rows_of(lambda count, stop, column, *_: count + mi.UInt32(stop - column))
         return counts
 
-    def fill(self, places: Any, number: int) -> Hits:
+    def fill(self, places: Any, number: int) -> LineHits:
         """All hits, those of each lane from its position on."""
         keys, halves = dr.empty(mi.UInt64, number), dr.empty(mi.UInt32, number)
 
@@ -128,7 +128,7 @@ class _Grid:
 
         _ = self._rows_of(row, places)
         dr.eval(keys, halves)
-        return Hits(keys, halves)
+        return LineHits(keys, halves)
 
     def _rows_of(self, visit: Callable[..., Any], state: Any = None) -> Any:
         faces, lanes = self._faces, self._faces.lanes

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from etendue.core import on_device
 
-from .radiance import SURFACES, Cells, place_of
+from .radiance import SURFACES, RadianceCells, place_of
 
 #: Share of the points that are sampled by area.
 _BY_AREA = 0.05
@@ -33,7 +33,7 @@ class LightPoints:
     give the point in the cell, which preserves the stratification of the numbers.
     """
 
-    def __init__(self, lights: Sequence[Cells | None]) -> None:
+    def __init__(self, lights: Sequence[RadianceCells | None]) -> None:
         heads, kinds, rows, cells, factors = [], [], [], [], []
         first_row = first_cell = 0
         for light in lights:
@@ -103,7 +103,7 @@ class LightPoints:
         return dr.gather(mi.Float, self._factors, first_cell + cell, active)
 
 
-def _probabilities(light: Cells) -> NDArray[np.float64]:
+def _probabilities(light: RadianceCells) -> NDArray[np.float64]:
     """P of each cell."""
     power = light.share * np.maximum(light.radiance, 0.0)
     if power.sum() <= 0.0:

@@ -29,7 +29,7 @@ _CHUNK, _MOST_POINTS = 1 << 20, 1 << 24
 
 
 @dataclass
-class Cells:
+class RadianceCells:
     """An area light's surface in cells, each an entry of (rows, columns) arrays. Triangles fill the rows in turn."""
 
     surface: str  #: "mesh" or one of ``SURFACES``
@@ -48,7 +48,7 @@ def varies(emitter: Any) -> bool:
     return texture is not None and (texture.is_spatially_varying() or plugin_name(texture) == "meshattribute")
 
 
-def measure(emitter: Any) -> Cells:
+def measure(emitter: Any) -> RadianceCells:
     """The cells of an area light that :func:`varies`."""
     shape, texture = emitter.get_shape(), _texture(emitter)
     measured = _of_texture if plugin_name(shape) in SURFACES else _of_mesh
@@ -128,7 +128,7 @@ def place_of(surface: str, uv: Any) -> Any:
 # ---------------------------------------------------------------------------------------------------- measuring
 
 
-def _of_texture(emitter: Any, shape: Any, texture: Any) -> Cells:
+def _of_texture(emitter: Any, shape: Any, texture: Any) -> RadianceCells:
     surface, texels = plugin_name(shape), _texels(texture)
     if texels and surface == "cylinder":
         texels = texels[1], texels[0]
@@ -150,10 +150,10 @@ def _of_texture(emitter: Any, shape: Any, texture: Any) -> Cells:
         values = _along_normal(emitter, surface_point(shape, mi.UInt32(0), mi.Point2f(u, v)))
         radiance[first:end] = np.array(dr.block_sum(values, per_cell), np.float64) / per_cell
     share = np.full((rows, columns), 1.0 / (rows * columns))
-    return Cells(surface, share, radiance.reshape(rows, columns))
+    return RadianceCells(surface, share, radiance.reshape(rows, columns))
 
 
-def _of_mesh(emitter: Any, shape: Any, texture: Any) -> Cells:
+def _of_mesh(emitter: Any, shape: Any, texture: Any) -> RadianceCells:
     values = dict(contents(shape).values)
     faces = as_array(values["faces"]).reshape(-1, 3)
     corners = as_array(values["vertex_positions"]).astype(np.float64).reshape(-1, 3)[faces]
@@ -183,7 +183,7 @@ def _of_mesh(emitter: Any, shape: Any, texture: Any) -> Cells:
     rows = -(-len(faces) // columns)
     share, mean = np.zeros(rows * columns), np.zeros(rows * columns)
     share[: len(faces)], mean[: len(faces)] = area / area.sum(), radiance / points
-    return Cells("mesh", share.reshape(rows, columns), mean.reshape(rows, columns))
+    return RadianceCells("mesh", share.reshape(rows, columns), mean.reshape(rows, columns))
 
 
 def _along_normal(emitter: Any, si: Any) -> Any:

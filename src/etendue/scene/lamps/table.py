@@ -36,7 +36,7 @@ from etendue.core import SceneError, on_device
 from ..graph import as_array, contents, plugin_name
 from ..plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
 from .points import LightPoints
-from .radiance import Cells, is_black, measure, varies
+from .radiance import RadianceCells, is_black, measure, varies
 
 #: Rays from an emitter, and points of a shape, that estimate its power.
 _POWER_SAMPLES = 1 << 12
@@ -172,7 +172,7 @@ class _Row:
     direction_density: float = 0.0
     is_delta: bool = False
     exponent: float = 0.0
-    cells: Cells | None = None  #: of an area light whose radiance varies
+    cells: RadianceCells | None = None  #: of an area light whose radiance varies
     sphere: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  #: centre and radius of a spherical one
 
 

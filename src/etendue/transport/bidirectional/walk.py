@@ -10,7 +10,7 @@ import mitsuba as mi
 
 from etendue.core import SampleSource
 
-from ..camera import Camera
+from ..camera import CameraSampler
 from ..scattering import Scattered, shadow_roulette
 from ..vertex import WalkVertex
 from ..walk import SubPath, Walker, ones
@@ -32,7 +32,7 @@ class BidirectionalPath(SubPath):
 class BidirectionalWalk(Walker):
     """A walk whose vertices are connected by several techniques, weighted against each other [Georgiev 2012b]."""
 
-    camera: Camera
+    camera: CameraSampler
     mis: Mis
     dark: mi.Float  #: opaque; contributions below this radiance play roulette before their shadow ray
     sink: Sink | None
