@@ -24,6 +24,7 @@ from .auto import Auto
 from .base import ImageMethod, ImageSettings
 from .bidirectional import Bpm, Bpt, Vcm
 from .guided import Guided
+from .light import LightTracing
 from .path import Path
 from .photon.map import Pm
 from .photon.progressive import Ppm, Sppm

@@ -29,7 +29,7 @@ class LineHits:
 
 @dataclass
 class Lists:
-    """LineHits line by line: ``count`` hits of a line from ``first`` on, and space for one more."""
+    """Hits line by line: ``count`` hits of a line from ``first`` on, and space for one more."""
 
     key: Any  #: UInt64
     first: Any  #: UInt32, a lane for each line that has hits

@@ -107,7 +107,7 @@ class _Grid:
         self._rows = copied_to_device(mi.UInt32, np.column_stack([columns, origin & 0xFFFFFFFF]).astype(np.uint32))
 
     def count(self) -> Any:
-        """LineHits of each lane."""
+        """Hits of each lane."""
         _, counts = self._rows_of(lambda count, stop, column, *_: count + mi.UInt32(stop - column))
         return counts
 
