@@ -7,9 +7,11 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import mitsuba as mi
 import numpy as np
+import typer
 
 from etendue import film
 from etendue.api import render
@@ -18,6 +20,7 @@ from etendue.methods.auto import CANDIDATES
 from etendue.scene import bundled
 
 from .measuring import PUBLIC_SCENES, Record, child, console, verdict
+from .options import Names, Pixels, Seconds, Seeds
 
 #: ``auto`` may need this many times the error of the best single choice.
 BAR = 1.2
@@ -47,10 +50,16 @@ def sources() -> dict[str, Any]:
 
 
 def measure(
-    names: Sequence[str], pixels: int, seconds: float, seeds: int, cold: float = 0.0, variant: str = ""
+    names: Names = "",
+    pixels: Pixels = 65536,
+    seconds: Seconds = 30.0,
+    seeds: Seeds = 1,
+    cold: Annotated[
+        float, typer.Option(min=0.0, help="Seconds in fresh processes with an empty kernel cache; 0: left out.")
+    ] = 5.0,
 ) -> list[Record]:
-    """One row a scene; the candidates and ``auto`` take turns, seed by seed. With ``cold`` seconds above 0 a second
-    table, of ``path`` and ``auto`` in fresh processes with an empty kernel cache."""
+    """One row a scene, by default each there is; the candidates and ``auto`` take turns, seed by seed. With ``cold``
+    seconds above 0 a second table, of ``path`` and ``auto`` in fresh processes with an empty kernel cache."""
     known = sources()
     record = Record(
         f"Choice of auto, about {pixels} pixels, {seconds:g} s",
@@ -66,7 +75,7 @@ def measure(
         errors: dict[str, list[float]] = {choice: [] for choice in (*CANDIDATES, "probe")}
         chosen, shares = [], []
         with tempfile.TemporaryDirectory(prefix="kernels-") as folder:
-            common = {"variant": variant, "scene": str(known[name]), "size": size, "method": "auto"}
+            common = {"variant": mi.variant(), "scene": str(known[name]), "size": size, "method": "auto"}
             for choice in CANDIDATES:  # fills the kernel cache
                 _picture(common | {"choice": choice, "seconds": _FILL, "seed": 0}, folder)
             for seed in range(seeds):
@@ -91,7 +100,7 @@ def measure(
         names_of = ", ".join(dict.fromkeys(chosen))
         record.add(name, *cells, names_of, f"{ratio:.2f}", verdict(ratio, BAR), f"{share:.2f}", enough)
         if cold > 0:
-            first.add(name, *_cold(known[name], size, halves, cold, seeds, variant))
+            first.add(name, *_cold(known[name], size, halves, cold, seeds))
     pictures = f"median of {seeds} seed{'s' if seeds > 1 else ''}"
     record.notes += [
         f"error: mean of (x - ref)² / (ref² + {RELATIVE_EPSILON:g}) without the worst 0.1 % of pixels, less that of "
@@ -111,16 +120,14 @@ def _halves(name: str, source: Any, size: tuple[int, int], seconds: float) -> li
     return [render(source, method, seconds=seconds, size=size, seed=1000 + half, **settings).image for half in range(2)]
 
 
-def _cold(
-    source: Any, size: tuple[int, int], halves: Sequence[np.ndarray], seconds: float, seeds: int, variant: str
-) -> list[str]:
+def _cold(source: Any, size: tuple[int, int], halves: Sequence[np.ndarray], seconds: float, seeds: int) -> list[str]:
     """Cells of the second table."""
     errors: dict[str, list[float]] = {"path": [], "auto": []}
     chosen = []
     for seed in range(seeds):
         for method, values in errors.items():
             with tempfile.TemporaryDirectory(prefix="kernels-") as folder:
-                options = {"variant": variant, "scene": str(source), "size": size, "method": method}
+                options = {"variant": mi.variant(), "scene": str(source), "size": size, "method": method}
                 image, outcome = _picture(options | {"seconds": seconds, "seed": seed}, folder)
                 values.append(_error(image, halves))
                 chosen += [outcome["chosen"]] if method == "auto" else []

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import re
 import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from etendue import methods, scene
 from etendue.cli.options import parse_pairs
 from etendue.core import Replica
 
 from .measuring import COST_SCENE, COST_SETTINGS, Clock, Record, interleaved, spread, verdict
+from .options import Rounds, Size, WarmUp
 
 BARS = {"bpt": 2.8, "vcm": 4.0, "sppm": 3.0}
 BAR_SIZE = (512, 512)
@@ -40,8 +44,25 @@ class Variant:
         return " ".join([self.method, *(f"{key}={value}" for key, value in self.settings.items())])
 
 
+def _variants(text: str) -> list[Variant]:
+    """Those between commas; a comma before a number is one of a setting: ``vcm:radii=0.5,2``."""
+    return [Variant.parse(part) for part in re.split(r"\s*,\s*(?=[a-z])", text.strip())]
+
+
 def measure(
-    variants: Sequence[Variant], size: tuple[int, int], rounds: int, warm_up: int, source: str = COST_SCENE
+    variants: Annotated[
+        Any,
+        typer.Option(
+            "--methods",
+            parser=_variants,
+            help="Names, separated by commas; vcm:split_layers=true is vcm with that setting.",
+            metavar="NAME[:SETTING=VALUE]...,...",
+        ),
+    ] = "path,bpt,vcm,sppm",
+    size: Size = "512x512",
+    rounds: Rounds = 11,
+    warm_up: WarmUp = 2,
+    source: str = COST_SCENE,
 ) -> Record:
     """Passes in turn: Mitsuba's ``path``, then each variant, again and again.
 

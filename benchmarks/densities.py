@@ -8,19 +8,26 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 from etendue.density import BinnedKernel, Estimator, FixedKernel, NearestNeighbours, VariableKernel, silverman
 
 from .measuring import Record, interleaved, spread
+from .options import Rounds, WarmUp
 
 #: What scipy is given: samples and queries.
 _PART = (20_000, 500)
 
 
-def measure(count: int, near: int, rounds: int, warm_up: int) -> Record:
+def measure(
+    count: Annotated[int, typer.Option(min=1000, help="Samples, and queries.")] = 1_000_000,
+    near: Annotated[int, typer.Option(min=1, max=999, help="Samples within a kernel on average, and k.")] = 50,
+    rounds: Rounds = 5,
+    warm_up: WarmUp = 1,
+) -> Record:
     """``count`` samples and as many queries; ``near`` samples in a kernel of fixed width on average."""
     try:
         from scipy.stats import gaussian_kde

@@ -8,13 +8,15 @@ whose difference has the square root of two times the error of either.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from typing import Annotated, Any, get_args
 
 import numpy as np
+import typer
 
 from etendue.radiosity import ABuffer, Backend, Patches, Segments, SpiralPoints, box, joined, solve
 
 from .measuring import Record, timed
+from .options import Bundles, Cells, named
 
 _BOXES = (
     ((0.12, 0.15, 0.1), (0.42, 0.4, 0.55)),
@@ -38,7 +40,21 @@ def smooth_radiosity(patches: Patches) -> np.ndarray:
     return np.exp(2 * x) * (1 + 0.5 * np.sin(7 * y + 5 * z))
 
 
-def measure(sizes: list[int], bundles: int, lines: float | None, backends: Sequence[Backend] = ("auto",)) -> Record:
+def measure(
+    sizes: Cells = "20,107",
+    bundles: Bundles = 1024,
+    lines: Annotated[
+        float | None, typer.Option(min=1, help="Lines of a bundle; four for each patch by default, 16384 at least.")
+    ] = None,
+    backends: Annotated[
+        Any,
+        typer.Option(
+            parser=named(get_args(Backend), "backend"),
+            help="auto, compiled (Numba), drjit, separated by commas.",
+            metavar="NAME,...",
+        ),
+    ] = "auto",
+) -> Record:
     """Cast and replay ``bundles`` of so many ``lines`` through rooms of these numbers of cells, by these backends."""
     columns = (
         "patches",

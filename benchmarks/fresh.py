@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from typing import Annotated, Any
+
+import mitsuba as mi
+import typer
+
+from etendue.cli.options import parse_size
 
 from .measuring import COST_SCENE, COST_SETTINGS, Record, child, verdict
+from .options import Methods, Size, words
 
 #: Seconds of the first pass: nothing compiled before, and kernels found on disk.
 BAR_COLD, BAR_WARM = 5.0, 1.0
@@ -14,7 +20,7 @@ MEMORY_BARS = {(512, 512): 0.5e9, (1920, 1080): 2.0e9}
 
 
 def first_pass(
-    names: Sequence[str], size: tuple[int, int], variant: str, passes: int = 4, source: str = COST_SCENE
+    names: Methods = "path,bpt,vcm", size: Size = "512x512", passes: int = 4, source: str = COST_SCENE
 ) -> Record:
     """Time to the first picture; an empty folder stands in for Dr.Jit's kernel cache, then the same one again."""
     record = Record(
@@ -29,7 +35,7 @@ def first_pass(
                     "size": size,
                     "method": name,
                     "settings": COST_SETTINGS[name],
-                    "variant": variant,
+                    "variant": mi.variant(),
                     "passes": passes,
                 }
                 outcome = child("first-pass", options, {"DRJIT_CACHE_DIR": cache})
@@ -56,12 +62,17 @@ def first_pass(
     return record
 
 
+def _sizes(text: str) -> list[tuple[int, int]]:
+    return [parse_size(word) for word in words(text)]
+
+
 def memory(
-    names: Sequence[str],
-    sizes: Sequence[tuple[int, int]],
-    variant: str,
+    names: Methods = "vcm",
+    sizes: Annotated[
+        Any, typer.Option(parser=_sizes, help="Sizes, separated by commas.", metavar="WxH,...")
+    ] = "512x512,1920x1080",
+    bound: Annotated[float | None, typer.Option(help="What --memory is given, in MB.", metavar="MB")] = None,
     passes: int = 3,
-    bound: int | None = None,
     source: str = COST_SCENE,
 ) -> Record:
     """Peak resident memory of a process that loads the scene and runs a few passes."""
@@ -73,9 +84,9 @@ def memory(
                 "size": size,
                 "method": name,
                 "settings": COST_SETTINGS[name],
-                "variant": variant,
+                "variant": mi.variant(),
                 "passes": passes,
-                "memory": bound,
+                "memory": int(bound * 1e6) if bound else None,
             }
             outcome = child("memory", options)
             if not outcome:
@@ -91,7 +102,7 @@ def memory(
                 f"{peak / 1e6:.0f}",
                 f"≤ {bar / 1e6:.0f} MB: {'reached' if peak <= bar else 'missed'}" if bar else "",
             )
-    limit = f"--memory {bound / 1e6:.0f} MB" if bound else "no bound on the light store"
+    limit = f"--memory {bound:.0f} MB" if bound else "no bound on the light store"
     record.notes.append(
         f"largest resident size (getrusage), everything included; {passes} passes; {limit}; 1 MB = 10⁶ bytes"
     )

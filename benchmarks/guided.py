@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import gc
 import statistics
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 
 from etendue import film, scene
 from etendue.api import render
+from etendue.cli.options import parse_pairs
 
 from .choice import scaled_size
 from .measuring import Record, console, verdict
+from .mitsuba_pictures import picture
+from .options import Define, Names, Seconds, Seeds, Size
 from .quality import Case, find
 
 #: Error times time of ``guided``, relative to Mitsuba's ``path``, at most.
 BAR = 1 / 3
-SCENES = ("veach-bidir", "ajar")
+SCENES = "veach-bidir,ajar"
 #: Share of the brightest errors that is left out: one firefly must not decide.
 _TRIM = 0.001
 #: Without a picture by somebody else: each half of the reference takes this many times the time of a picture.
@@ -30,10 +31,14 @@ _PART = 0.5
 
 
 def measure(
-    names: Sequence[str], size: tuple[int, int], seconds: float, seeds: int, settings: Mapping[str, Any]
-) -> list[Record]:
-    """One table a scene; the three take turns, seed by seed."""
-    records = []
+    names: Names = SCENES,
+    size: Size = "512x512",
+    seconds: Seconds = 30.0,
+    seeds: Seeds = 3,
+    define: Define = None,
+) -> Iterator[Record]:
+    """One table a scene; the three take turns, seed by seed. ``define``: settings of ``guided``."""
+    settings = parse_pairs(define, "-D")
     for name in names:
         case, own = _case(name, size, seconds)
         if case is None:
@@ -43,7 +48,7 @@ def measure(
             for method, runs in outcomes.items():
                 gc.collect()  # a scene that is still alive makes the next one's kernels larger
                 image, samples, taken = (
-                    _mitsuba(case, seconds, seed)
+                    picture(scene.load(case.source, size=case.size), seed, seconds=seconds, part_seconds=_PART)
                     if method == "Mitsuba path"
                     else _etendue(case, method, seconds, seed, settings if method == "guided" else {})
                 )
@@ -58,8 +63,7 @@ def measure(
                     }
                 )
                 console.print(f"{name}, {method}, seed {seed}: {error:.4g} after {taken:.1f} s", style="dim")
-        records.append(_record(case, outcomes, seconds, seeds, settings))
-    return records
+        yield _record(case, outcomes, seconds, seeds, settings)
 
 
 def _record(
@@ -119,23 +123,3 @@ def _etendue(
 ) -> tuple[np.ndarray, float, float]:
     rendering = render(case.source, method, seconds=seconds, size=case.size, seed=seed, **settings)
     return rendering.image, float(rendering.metadata["samples"]), float(rendering.metadata["seconds"])
-
-
-def _mitsuba(case: Case, seconds: float, seed: int) -> tuple[np.ndarray, float, float]:
-    """Pictures of a few samples a pixel, as many as there is time for, and their mean."""
-    problem = scene.load(case.source, size=case.size)
-    integrator = mi.load_dict({"type": "path", "max_depth": problem.max_depth})
-    begin = time.perf_counter()
-    total, samples, count, part = np.zeros((*case.size[::-1], 3)), 0, 0, 1
-    while True:
-        began = time.perf_counter()
-        image = mi.render(
-            problem.scene, sensor=problem.sensor, integrator=integrator, spp=part, seed=100_000 * seed + count
-        )
-        total += part * np.array(image, np.float64)[:, :, :3]
-        samples, count = samples + part, count + 1
-        now = time.perf_counter()
-        if now - begin + (now - began) > seconds:
-            return total / samples, float(samples), now - begin
-        if count > 1 and now - began < _PART / 2:
-            part *= 2

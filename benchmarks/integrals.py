@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 from etendue.integration import Integrand, Vegas, library
 
 from .measuring import Record, interleaved, spread, verdict
+from .options import Rounds, WarmUp, whole_numbers
 
 _DOMAIN = [(-1.0, 1.0), (0.0, 1.0), (0.0, 1.0), (0.0, 1.0)]
 _SCALE = 1013.2118364296088  # the integral is 1 to 13 digits
@@ -39,6 +41,22 @@ def _theirs() -> tuple[Any, Callable[[int], Any]]:
     except ImportError:
         raise SystemExit("integration compares with vegas, which is not installed: pip install -e .[dev]") from None
     return vegas, gvar.ranseed
+
+
+def measure(
+    evaluations: Annotated[
+        Any, typer.Option(parser=whole_numbers, help="An iteration's, separated by commas.", metavar="N,...")
+    ] = "1000,10000,100000",
+    seeds: Annotated[int, typer.Option(min=2, help="Runs whose errors are averaged.")] = 40,
+    timed: Annotated[
+        int, typer.Option("--speed", min=1000, help="Evaluations of an iteration that is timed.")
+    ] = 1_000_000,
+    rounds: Rounds = 7,
+    warm_up: WarmUp = 2,
+) -> Iterator[Record]:
+    """Errors, then speeds."""
+    yield errors(evaluations, seeds)
+    yield speed(timed, rounds, warm_up)
 
 
 def errors(evaluations: list[int], seeds: int) -> Record:

@@ -22,7 +22,6 @@ from rich.console import Console
 from rich.table import Table
 
 ROOT = Path(__file__).resolve().parent.parent
-RESULTS = Path(__file__).resolve().parent / "RESULTS.md"
 PUBLIC_SCENES = ROOT.parent / "shared" / "scenes"
 
 #: The scene for costs, and what a pass of ``bpt`` and ``vcm`` is when its cost is stated: one light path per camera
@@ -143,7 +142,7 @@ def _program(script: Path) -> str:
 
 @dataclass
 class Record:
-    """A table with what must be known to read it; printed, and on request appended to ``RESULTS.md``."""
+    """A table with what must be known to read it; printed, and on request appended to a file."""
 
     title: str
     columns: Sequence[str]
@@ -154,8 +153,8 @@ class Record:
         """Add a row."""
         self.rows.append(cells)
 
-    def publish(self, variant: str, keep: bool, results: Path | None = None) -> None:
-        """Print the table; with ``keep`` append it to the file ``results``, by default ``benchmarks/RESULTS.md``."""
+    def publish(self, variant: str, results: Path | None = None) -> None:
+        """Print the table, and append it to the file ``results``, if one is given."""
         console.print(self.title, style="italic")
         table = Table(box=None, pad_edge=False)
         for column in self.columns:
@@ -166,8 +165,8 @@ class Record:
         for note in self.notes:
             console.print(f"- {note}")
         console.print()
-        if keep:
-            with (results or RESULTS).open("a", encoding="utf-8") as out:
+        if results is not None:
+            with results.open("a", encoding="utf-8") as out:
                 out.write(self._markdown(variant))
 
     def _markdown(self, variant: str) -> str:

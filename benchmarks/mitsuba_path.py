@@ -6,24 +6,27 @@ from __future__ import annotations
 import gc
 import statistics
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import typer
 
 from etendue import film, methods, scene
-from etendue.core import Replica
+from etendue.core import OptionError, Replica
 from etendue.scene import Problem, bundled
 
 from .choice import scaled_size
 from .measuring import PUBLIC_SCENES, Record, console, interleaved, verdict
+from .mitsuba_pictures import picture
+from .options import Names, Pixels, Rounds, Seconds, Seeds, named, whole_numbers
 from .quality import filtered
 
 FILTERS = ("box", "tent", "gaussian", "mitchell", "lanczos")
-SCENES = ("cornell-box", "grey-white-room", "wooden-staircase")
+SCENES = "cornell-box,grey-white-room,wooden-staircase"
 #: Error at equal samples relative to Mitsuba's, by sampler; and after equal time.
 BARS = {"independent": 1.05, "owen": 0.9}
 TIME_BAR = 0.9
@@ -52,15 +55,7 @@ def _problem(name: str, pixels: int, kind: str | None = None) -> Problem:
 
 def _by_mitsuba(problem: Problem, spp: int, seed: int) -> np.ndarray:
     """A picture by Mitsuba, in parts that fit its sampler."""
-    integrator = mi.load_dict({"type": "path", "max_depth": problem.max_depth})
-    parts = -(-spp // 256)
-    total = np.zeros((*problem.size[::-1], 3))
-    for part in range(parts):
-        image = mi.render(
-            problem.scene, sensor=problem.sensor, integrator=integrator, spp=spp // parts, seed=1000 * seed + part
-        )
-        total += np.array(image, np.float64)[:, :, :3]
-    return total / parts
+    return picture(problem, seed, samples=spp, part=spp // -(-spp // 256))[0]
 
 
 def _by_us(problem: Problem, spp: int, seed: int, sampler: str) -> np.ndarray:
@@ -78,6 +73,33 @@ def _error(image: np.ndarray, halves: Sequence[np.ndarray]) -> float:
     """Error against the mean of the halves, less that of the mean itself."""
     mean = (halves[0] + halves[1]) / 2
     return max(film.relative_mse(image, mean, trim=_TRIM) - film.relative_mse(halves[0], mean, trim=_TRIM), 0.0)
+
+
+def measure(
+    part: Annotated[str, typer.Option(help="samples, time or speed; all by default.")] = "",
+    scenes: Names = SCENES,
+    filters: Annotated[
+        Any, typer.Option(parser=named(FILTERS, "filter"), help="Filters, separated by commas.", metavar="NAMES")
+    ] = "box,tent,gaussian,mitchell,lanczos",
+    pixels: Pixels = 16384,
+    spp: Annotated[int, typer.Option(min=16, help="Samples a pixel of `samples`.")] = 64,
+    seconds: Seconds = 30.0,
+    seeds: Seeds = 3,
+    sides: Annotated[
+        Any, typer.Option(parser=whole_numbers, help="Of `speed`: the root of the number of pixels.", metavar="N,...")
+    ] = "128,256,512,1024",
+    rounds: Rounds = 7,
+) -> Iterator[Record]:
+    """Error at equal samples, error after equal time, samples a second."""
+    if part not in ("", "samples", "time", "speed"):
+        raise OptionError(f"--part is samples, time or speed, not '{part}'")
+    if part in ("", "samples"):
+        yield equal_samples(scenes, filters, pixels, spp, seeds)
+    if part in ("", "time"):
+        yield equal_time([*scenes, "veach-bidir"], pixels, seconds, seeds)
+    if part in ("", "speed"):
+        for name in scenes:
+            yield speed(name, sides, rounds)
 
 
 def equal_samples(names: Sequence[str], filters: Sequence[str], pixels: int, spp: int, seeds: int) -> Record:
@@ -150,17 +172,8 @@ def equal_time(names: Sequence[str], pixels: int, seconds: float, seeds: int) ->
 def _timed_mitsuba(problem: Problem, seconds: float, seed: int) -> tuple[np.ndarray, float]:
     """Passes of the size that is the fastest of :data:`_PASSES`."""
     integrator = mi.load_dict({"type": "path", "max_depth": problem.max_depth})
-    part = _best_pass(problem, integrator)
-    begin = time.perf_counter()
-    total, count, took = np.zeros((*problem.size[::-1], 3)), 0, 0.0
-    while not count or time.perf_counter() - begin + took <= seconds:
-        began = time.perf_counter()
-        image = mi.render(
-            problem.scene, sensor=problem.sensor, integrator=integrator, spp=part, seed=100_000 * seed + count
-        )
-        total += np.array(image, np.float64)[:, :, :3]
-        count, took = count + 1, time.perf_counter() - began
-    return total / count, float(part * count)
+    image, spp, _ = picture(problem, seed, seconds=seconds, part=_best_pass(problem, integrator))
+    return image, spp
 
 
 def _best_pass(problem: Problem, integrator: Any) -> int:

@@ -8,11 +8,15 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Iterable
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
+
+from etendue.core import OptionError
 
 from .measuring import Clock, Record, interleaved, spread, verdict
+from .options import Rounds, Size, WarmUp
 
 _SPHERE, _RADIUS = np.array([0.3, -0.65, 0.2]), 0.35
 _CAMERA, _SLOPE = np.array([0.0, 0.0, 3.9]), 0.34
@@ -53,8 +57,16 @@ def seen(width: int, height: int) -> np.ndarray:
     return points
 
 
-def measure(count: int, k: int, size: tuple[int, int], rounds: int, warm_up: int) -> Record:
+def measure(
+    count: Annotated[int, typer.Option("--points", min=1, help="Points in the tree.")] = 1_000_000,
+    k: Annotated[int, typer.Option("-k", min=1, help="Neighbours of a query.")] = 50,
+    size: Size = "512x512",
+    rounds: Rounds = 7,
+    warm_up: WarmUp = 1,
+) -> Record:
     """Both trees in turn, on the same points and with all cores of this process."""
+    if k > count:
+        raise OptionError(f"-k {k} is more than there are points ({count})")
     import drjit as dr
     import mitsuba as mi
 

@@ -7,7 +7,7 @@ import re
 import shutil
 import statistics
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,11 @@ import numpy as np
 
 from etendue import film
 from etendue.api import render
-from etendue.cli.options import settings_by_method
+from etendue.cli.options import parse_pairs, settings_by_method
 from etendue.scene import bundled
 
 from .measuring import PUBLIC_SCENES, Record, console, verdict
+from .options import Define, Methods, Names, Seconds, Seeds, Size
 
 #: relMSE after 60 s at 512x512.
 BARS = {
@@ -30,8 +31,7 @@ BARS = {
     ("water-caustic", "sppm"): 0.03,
 }
 BAR_SECONDS, BAR_SIZE = 60.0, (512, 512)
-PUBLIC = ("veach-bidir", "water-caustic", "cornell-box")
-DEMO = "caustics"
+SCENES = "caustics,veach-bidir,water-caustic,cornell-box"
 
 
 @dataclass(frozen=True)
@@ -85,22 +85,21 @@ def filtered(folder: Path, kind: str = "box") -> Path:
 
 
 def measure(
-    scenes: Sequence[str],
-    names: Sequence[str],
-    size: tuple[int, int],
-    seconds: float,
-    seeds: int,
-    settings: Mapping[str, str],
-) -> list[Record]:
+    scenes: Names = SCENES,
+    names: Methods = "auto,path,light,sppm,bpt,bpm,vcm",
+    size: Size = "512x512",
+    seconds: Seconds = 60.0,
+    seeds: Seeds = 1,
+    define: Define = None,
+) -> Iterator[Record]:
     """One table a scene; the methods take turns, seed by seed."""
-    records = []
+    settings = parse_pairs(define, "-D")
     for scene in scenes:
         case = find(scene, size)
         if isinstance(case, str):
             console.print(case)
-            continue
-        records.append(_scene(case, names, seconds, seeds, settings))
-    return records
+        else:
+            yield _scene(case, names, seconds, seeds, settings)
 
 
 def _scene(case: Case, names: Sequence[str], seconds: float, seeds: int, settings: Mapping[str, str]) -> Record:

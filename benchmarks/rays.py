@@ -17,6 +17,7 @@ from etendue import methods, scene
 from etendue.core import Replica
 
 from .measuring import COST_SCENE, COST_SETTINGS, Record, interleaved, spread
+from .options import Methods, Rounds, Size, WarmUp
 
 _CLOSEST = ("ray_intersect", "ray_intersect_preliminary")
 _FLOATS = 7  # origin, direction, length
@@ -110,7 +111,13 @@ def _record(estimator: Any) -> tuple[Any, Any]:
     return recorders[0].rays(), recorders[1].rays()
 
 
-def measure(names: Sequence[str], size: tuple[int, int], rounds: int, warm_up: int, source: str = COST_SCENE) -> Record:
+def measure(
+    names: Methods = "path,bpt,vcm",
+    size: Size = "512x512",
+    rounds: Rounds = 9,
+    warm_up: WarmUp = 2,
+    source: str = COST_SCENE,
+) -> Record:
     """A pass and the replay of its rays in turn."""
     import drjit as dr
 

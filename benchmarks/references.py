@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from etendue import film
 from etendue.api import render
 from etendue.core import Result
 
-from .measuring import console
+from .measuring import Record, console
 from .racing import TRIM, Image
 
 #: Other seeds than those of the experiments, one for each half.
@@ -65,6 +65,15 @@ class Recipe:
     def _path(self, size: tuple[int, int], folder: Path) -> Path:
         mark = f"-{self.mark}" if self.mark else ""
         return folder / f"reference-{self.name}{mark}-{size[0]}x{size[1]}.exr"
+
+
+def remade(recipes: Sequence[tuple[Recipe, tuple[int, int]]], seconds: float, folder: Path) -> Record:
+    """References made anew, whatever there is of them, and their noise."""
+    record = Record(f"References, {seconds:g} s", ("", "noise (RMS of luminance)", "made by"))
+    for recipe, size in recipes:
+        made = recipe.make(size, folder, seconds)
+        record.add(f"{recipe.name}, {size[0]}x{size[1]}", f"{made.noise:.5f}", made.note)
+    return record
 
 
 def _read(path: Path) -> Reference:

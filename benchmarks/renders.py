@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from etendue import scene
 
 from .measuring import COST_SCENE, COST_SETTINGS, Record, interleaved, spread
+from .options import Methods, Rounds, Size, WarmUp
 
 _MITSUBA = "Mitsuba path"
 
 
 def measure(
-    methods: Sequence[str], size: tuple[int, int], rounds: int, warm_up: int, source: str = COST_SCENE
+    methods: Methods = "bpt,vcm",
+    size: Size = "256x192",
+    rounds: Rounds = 100,
+    warm_up: WarmUp = 2,
+    source: str = COST_SCENE,
 ) -> Record:
     """Pictures of one sample in turn, a seed a round: Mitsuba's ``path``, then each method twice."""
     import drjit as dr

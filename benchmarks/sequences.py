@@ -8,18 +8,27 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from etendue.points import point_set
 
 from .measuring import Record, interleaved
+from .options import Rounds, WarmUp
 
 #: Millions of 4-D points a second on two cores that issue 4 asks for.
 _BARS = {"halton": 350.0, "sobol": 350.0, "owen-sobol": 150.0}
 _NAMES = ("halton", "sobol", "owen-sobol", "faure-halton", "weyl", "independent", "halton+shift")
 
 
-def measure(count: int, dimension: int, rounds: int, warm_up: int, scipy_count: int = 1 << 20) -> Record:
+def measure(
+    count: Annotated[int, typer.Option(min=1, max=1 << 31, help="Points of a round.")] = 1 << 27,
+    dimension: Annotated[int, typer.Option("--dimension", "-d", min=1, max=1024, help="Coordinates of a point.")] = 4,
+    rounds: Rounds = 7,
+    warm_up: WarmUp = 2,
+    scipy_count: int = 1 << 20,
+) -> Record:
     """Every sequence in turn, ``count`` points of it a round; scipy's sequences make ``scipy_count``."""
     import drjit as dr
     import mitsuba as mi

@@ -17,13 +17,16 @@ import subprocess
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import typer
 
 from etendue.radiosity import ABuffer, Patches, SpiralPoints, solve
 
 from .exchanges import room, smooth_radiosity
 from .measuring import Record, child, verdict
+from .options import Bundles, Cells
 
 #: Share of the CPU time and of the error of pyViewFactor; the error of F J in rooms of these numbers of cells, and
 #: those where time counts with the solution.
@@ -45,7 +48,15 @@ class Outcome:
     irradiance: np.ndarray
 
 
-def measure(sizes: list[int], bundles: int, lines: float, peer_python: str | None, view3d: str | None) -> Record:
+def measure(
+    sizes: Cells = "20,24",
+    bundles: Bundles = 1024,
+    lines: Annotated[float, typer.Option(min=1, help="Lines of a bundle.")] = 48000,
+    peer_python: Annotated[
+        str | None, typer.Option(help="A Python that has pyViewFactor 1.1.0.", metavar="PROGRAM")
+    ] = None,
+    view3d: Annotated[str | None, typer.Option("--view3d", help="The program of View3D.", metavar="PROGRAM")] = None,
+) -> Record:
     """Every program on rooms of these numbers of cells."""
     columns = ("", "patches", "first call s", "factors CPU s", "F J error", "worst", "solution CPU s", "error", "whole")
     record = Record("View factors of a room with boxes", columns)

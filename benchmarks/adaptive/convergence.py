@@ -3,7 +3,7 @@ costs."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +13,30 @@ from etendue import display
 
 from .. import plotting
 from ..measuring import Record, console
+from ..options import Out, ReferenceSeconds, Seconds, Seeds
 from ..racing import TRIM, Entrant, Image, Point, marks, order, race
 from .entrants import PER_PASS, WITHOUT_BSDF, integrand, ours, recipe, the_three
-from .scenes import open_scene
+from .options import ALL, BOXES, OUT, PictureSize, Samples, Scenes
+from .scenes import SIZES, open_scene
 
 #: Numbers of samples whose pictures the thesis shows, relative to the last.
 _SHOWN = 4
 
 
 def over_samples(
+    scenes: Scenes = ALL,
+    size: PictureSize = None,
+    samples: Samples = 2048,
+    seeds: Seeds = 1,
+    reference_seconds: ReferenceSeconds = 60.0,
+    out: Out = OUT,
+) -> Iterator[Record]:
+    """A table of each scene."""
+    for name in scenes:
+        yield _over_samples(name, size or SIZES[name], samples, seeds, out, reference_seconds)
+
+
+def _over_samples(
     name: str, size: tuple[int, int], samples: int, seeds: int, out: Path, reference_seconds: float
 ) -> Record:
     """RMS at growing numbers of samples, the order at each, and a sheet of the pictures."""
@@ -56,6 +71,19 @@ def over_samples(
 
 
 def equal_time(
+    scenes: Scenes = ALL,
+    size: PictureSize = None,
+    seconds: Seconds = 20.0,
+    seeds: Seeds = 1,
+    reference_seconds: ReferenceSeconds = 60.0,
+    out: Out = OUT,
+) -> Iterator[Record]:
+    """A table of each scene."""
+    for name in scenes:
+        yield _equal_time(name, size or SIZES[name], seconds, seeds, out, reference_seconds)
+
+
+def _equal_time(
     name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference_seconds: float
 ) -> Record:
     """RMS after the same time, and the pictures side by side."""
@@ -90,7 +118,20 @@ LEARNERS = {"the image, from 64": (0, 64), "each pixel, from 64": (1, 64), "each
 _BINS = 8
 
 
-def warm_up(name: str, size: tuple[int, int], samples: int, seeds: int, out: Path, reference_seconds: float) -> Record:
+def warm_up(
+    scenes: Scenes = BOXES,
+    size: PictureSize = "32x32",
+    samples: Samples = 2048,
+    seeds: Seeds = 1,
+    reference_seconds: ReferenceSeconds = 20.0,
+    out: Out = OUT,
+) -> Iterator[Record]:
+    """A table of each scene."""
+    for name in scenes:
+        yield _warm_up(name, size or SIZES[name], samples, seeds, out, reference_seconds)
+
+
+def _warm_up(name: str, size: tuple[int, int], samples: int, seeds: int, out: Path, reference_seconds: float) -> Record:
     """RMS of VEGAS relative to that of random paths over samples: a density for all pixels, or for each."""
     reference = recipe(name).find(size, out, reference_seconds)
     problem, at = open_scene(name, size), _marks(samples)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from ..measuring import Record
+from ..options import Out, Seconds
 from ..racing import Entrant
-from ..references import Recipe
-from .scenes import SCENES
+from ..references import Recipe, remade
+from .options import ALL, OUT, PictureSize, Scenes
+from .scenes import SCENES, SIZES
 
 #: Camera paths of a pass; VEGAS learns after each.
 PER_PASS = 16
@@ -42,3 +45,8 @@ def ours() -> list[Entrant]:
 def recipe(name: str) -> Recipe:
     """How the reference of a scene is made: unbiased; with light paths where its caustic needs them."""
     return Recipe(name, SCENES[name], "bpt" if name in ("ring", "sitting-room") else "path")
+
+
+def remake(scenes: Scenes = ALL, size: PictureSize = None, seconds: Seconds = 60.0, out: Out = OUT) -> Record:
+    """The references anew, and their noise."""
+    return remade([(recipe(name), size or SIZES[name]) for name in scenes], seconds, out)

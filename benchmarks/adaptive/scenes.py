@@ -66,7 +66,7 @@ SCENES: dict[str, Callable[[], dict[str, Any]]] = {
     "sitting-room": sitting_room,
 }
 #: The thesis's sizes of pictures, as far as it states them.
-SIZES = {"cornell": "100x100", "cornell-specular": "100x100", "ring": "100x75", "sitting-room": "128x91"}
+SIZES = {"cornell": (100, 100), "cornell-specular": (100, 100), "ring": (100, 75), "sitting-room": (128, 91)}
 
 
 def open_scene(name: str, size: tuple[int, int]) -> scene.Problem:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 from etendue.core import Array
 from etendue.integration import AxisBins, Integrand, Vegas, library
 
 from .. import plotting
 from ..measuring import Record
+from ..options import Out, Seeds, whole_numbers
+from .options import OUT
 
 BINS = 10
 SINE = Integrand(lambda x: library(x[0]).sin(x[0]), [(0.0, math.pi)])
@@ -64,7 +66,15 @@ def learned(mode: str, how: Stabiliser, samples: int, iterations: int, seed: int
     return borders
 
 
-def measure(counts: Sequence[int], iterations: int, seeds: int, out: Path) -> list[Record]:
+def measure(
+    counts: Annotated[
+        Any,
+        typer.Option("--samples", parser=whole_numbers, help="Of an iteration, separated by commas.", metavar="N,..."),
+    ] = "100,1000,10000,100000",
+    iterations: Annotated[int, typer.Option(min=2, help="The bins of the last one are judged.")] = 5,
+    seeds: Seeds = 40,
+    out: Out = OUT,
+) -> list[Record]:
     """A table and a plot for each mode: the variance of the last iteration's bins over the samples of an iteration."""
     records = []
     for mode in ("importance", "stratified"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +12,30 @@ from etendue import film, scene
 from etendue.core import Replica
 
 from ..measuring import Record
+from ..options import Out, ReferenceSeconds, Seeds
 from ..racing import TRIM, Entrant, Image
 from .entrants import PER_PASS, integrand, recipe
-from .scenes import open_scene
+from .options import BOXES, OUT, PictureSize, Samples, Scenes
+from .scenes import SIZES, open_scene
 
 #: More passes than any run has: what is learned after these is never used.
 _NEVER = 1 << 30
 
 
-def measure(name: str, size: tuple[int, int], samples: int, seeds: int, out: Path, reference_seconds: float) -> Record:
+def measure(
+    scenes: Scenes = BOXES,
+    size: PictureSize = None,
+    samples: Samples = 256,
+    seeds: Seeds = 3,
+    reference_seconds: ReferenceSeconds = 60.0,
+    out: Out = OUT,
+) -> Iterator[Record]:
+    """A table of each scene."""
+    for name in scenes:
+        yield _scene(name, size or SIZES[name], samples, seeds, out, reference_seconds)
+
+
+def _scene(name: str, size: tuple[int, int], samples: int, seeds: int, out: Path, reference_seconds: float) -> Record:
     """Errors at equal samples and at equal rays, with and without learning."""
     reference = recipe(name).find(size, out, reference_seconds)
     problem = open_scene(name, size)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 
 from etendue.core import Array
 from etendue.points import Independent
@@ -21,6 +23,10 @@ from etendue.radiosity import (
 
 from .. import plotting
 from ..measuring import Record
+from ..options import Out, Seeds, whole_numbers
+from .options import BUNDLES, OUT, Detail, ReferenceBundles, Scenes
+from .references import factor_reference
+from .scenes import SCENES
 from .sweeping import WholeRays
 
 #: Sums of squared errors of table 4.1, for nine-cubes.
@@ -39,6 +45,23 @@ def errors(scene: RayScene, exact: FormFactors, lines: int, seed: int) -> dict[E
 
 
 def measure(
+    scenes: Scenes = "nine-cubes,test-one",
+    lines: Annotated[
+        Any, typer.Option(parser=whole_numbers, help="Numbers, separated by commas.", metavar="N,...")
+    ] = "50000,100000,500000,1000000",
+    seeds: Seeds = 10,
+    detail: Detail = 1.0,
+    bundles: ReferenceBundles = BUNDLES,
+    out: Out = OUT,
+) -> Iterator[Record]:
+    """A table of each scene."""
+    for name in scenes:
+        scene = RayScene(SCENES[name](detail))
+        exact, noise = factor_reference(scene.patches, bundles)
+        yield _scene(name, scene, exact, noise, lines, seeds, out)
+
+
+def _scene(
     title: str, scene: RayScene, exact: FormFactors, noise: float, counts: Sequence[int], seeds: int, out: Path
 ) -> Record:
     """A row for each estimator, a column for each number of lines."""

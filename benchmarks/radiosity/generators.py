@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from etendue.radiosity import GENERATORS, Bundles, LineGenerator, RayScene, SpherePairs
 
 from .. import plotting
 from ..measuring import Record
+from ..options import Out, Seeds
 from .drivers import DRIVERS, INDEPENDENT
-from .references import Reference, mean_squared_error
+from .options import BUNDLES, GOOD, OUT, RAYS, Detail, Least, Lines, Rays, ReferenceBundles, Scenes, Sequences
+from .references import Reference, mean_squared_error, opened
 from .sweeping import Task, half_and_half, marks, sweep
 
 #: Slopes of table 3.2, of the sequence that was best with each.
@@ -35,6 +38,22 @@ def tasks(scene: RayScene, exact: Reference, names: list[str]) -> dict[tuple[str
 
 
 def measure(
+    scenes: Scenes = "four-chairs",
+    sequences: Sequences = GOOD,
+    lines: Lines = 1 << 17,
+    least: Least = 1 << 12,
+    seeds: Seeds = 10,
+    detail: Detail = 1.0,
+    rays: Rays = RAYS,
+    bundles: ReferenceBundles = BUNDLES,
+    out: Out = OUT,
+) -> Iterator[Record]:
+    """A table of each scene."""
+    for name in scenes:
+        yield _scene(name, *opened(name, detail, rays, bundles), sequences, lines, least, seeds, out)
+
+
+def _scene(
     title: str, scene: RayScene, exact: Reference, names: list[str], lines: int, least: int, seeds: int, out: Path
 ) -> Record:
     """Errors and slopes of every generator with every sequence."""

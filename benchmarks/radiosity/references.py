@@ -11,6 +11,8 @@ from etendue.core import Array
 from etendue.points import OwenSobol
 from etendue.radiosity import ABuffer, FormFactors, Patches, RayScene, first_shot, form_factors, pair_errors, solve
 
+from .scenes import SCENES
+
 #: Rays at once.
 _BLOCK = 1 << 19
 #: Half of a reference of form factors: runs of so many bundles of so many lines.
@@ -53,6 +55,12 @@ def _half(scene: RayScene, rays: int, bundles: int, seed: int) -> tuple[Array, A
     segments = ABuffer(patches, OwenSobol(4, seed=2000 + seed)).cast(bundles)
     later = solve(patches.with_properties(emission=first), segments, "conjugate-gradient", tolerance=1e-8)
     return patches.emission + later.radiosity, patches.emission + first
+
+
+def opened(name: str, detail: float, rays: int, bundles: int) -> tuple[RayScene, Reference]:
+    """A scene by its name, and its reference."""
+    scene = RayScene(SCENES[name](detail))
+    return scene, reference(scene, rays, bundles)
 
 
 def factor_reference(patches: Patches, bundles: int = _BUNDLES) -> tuple[FormFactors, float]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -12,8 +13,10 @@ from etendue.radiosity import RayScene
 
 from .. import plotting
 from ..measuring import Record, verdict
+from ..options import Out, Seeds
 from .drivers import DRIVERS, INDEPENDENT
-from .references import Reference, mean_squared_error
+from .options import BUNDLES, EVERY, GOOD, OUT, RAYS, Detail, Least, Lines, Rays, ReferenceBundles, Scenes, Sequences
+from .references import Reference, mean_squared_error, opened
 from .sweeping import Task, Track, half_and_half, marks, shot_only, sweep
 
 #: What the thesis says of errors relative to those of independent numbers, at equal time.
@@ -62,6 +65,22 @@ def direct_tasks(scene: RayScene, exact: Reference, names: list[str]) -> dict[st
 
 
 def measure(
+    scenes: Scenes = "six-cubes,room",
+    sequences: Sequences = EVERY,
+    lines: Lines = 1 << 19,
+    least: Least = 1 << 13,
+    seeds: Seeds = 10,
+    detail: Detail = 1.0,
+    rays: Rays = RAYS,
+    bundles: ReferenceBundles = BUNDLES,
+    out: Out = OUT,
+) -> Iterator[Record]:
+    """Two tables of each scene."""
+    for name in scenes:
+        yield from _scene(name, *opened(name, detail, rays, bundles), sequences, lines, least, seeds, out)
+
+
+def _scene(
     title: str, scene: RayScene, exact: Reference, names: list[str], lines: int, least: int, seeds: int, out: Path
 ) -> list[Record]:
     """Two tables: errors relative to independent numbers, and slopes."""
@@ -120,6 +139,22 @@ def _slopes(heading: str, title: str, tracks: dict[str, Track]) -> Record:
 
 
 def direct(
+    scenes: Scenes = "six-cubes",
+    sequences: Sequences = GOOD,
+    lines: Lines = 1 << 17,
+    least: Least = 1 << 13,
+    seeds: Seeds = 16,
+    detail: Detail = 1.0,
+    rays: Rays = RAYS,
+    bundles: ReferenceBundles = BUNDLES,
+    out: Out = OUT,
+) -> Iterator[Record]:
+    """A table of each scene."""
+    for name in scenes:
+        yield _direct(name, *opened(name, detail, rays, bundles), sequences, lines, least, seeds, out)
+
+
+def _direct(
     title: str, scene: RayScene, exact: Reference, names: list[str], lines: int, least: int, seeds: int, out: Path
 ) -> Record:
     """By how much sequences reduce the error of direct light and of the whole solution."""

@@ -2,16 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from .. import plotting
 from ..measuring import Record
+from ..options import Out, ReferenceSeconds, Seconds, Seeds, Size
 from ..racing import ORDER, TRIM, Entrant, marks, order, race
 from ..references import Reference
 from .entrants import RADIUS, open_scene, the_four
+from .options import ALL, OUT, SIZE, ReferenceMethod, ReferenceRadius, Scenes
+from .references import recipe
 
 
-def measure(name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference: Reference) -> Record:
+def measure(
+    scenes: Scenes = ALL,
+    size: Size = SIZE,
+    seconds: Seconds = 20.0,
+    seeds: Seeds = 3,
+    reference_seconds: ReferenceSeconds = 60.0,
+    method: ReferenceMethod = "vcm",
+    millimetres: ReferenceRadius = 5.0,
+    out: Out = OUT,
+) -> Iterator[Record]:
+    """A table of each scene."""
+    for name in scenes:
+        reference = recipe(name, method, millimetres).find(size, out, reference_seconds)
+        yield _scene(name, size, seconds, seeds, out, reference)
+
+
+def _scene(name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference: Reference) -> Record:
     """A table of one scene: RMS at four times, and the order early and late."""
     times = marks(seconds)
     four = the_four()

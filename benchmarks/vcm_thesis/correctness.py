@@ -11,12 +11,13 @@ that the variance over the passes can be measured, and two tests of the mean dif
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from numpy.typing import NDArray
 
 from etendue import film
@@ -24,14 +25,29 @@ from etendue.core import Replica
 
 from .. import plotting
 from ..measuring import Record
+from ..options import Out, Size
 from ..racing import Entrant
 from .entrants import merging, open_scene
+from .options import OUT, SIZE, Radii, Scenes
 
 _BLOCK = 16
 Array = NDArray[np.float64]
 
 
 def measure(
+    scenes: Scenes = "diffuse",
+    size: Size = SIZE,
+    passes: Annotated[int, typer.Option(min=4, help="Passes of each method.")] = 128,
+    seeds: Annotated[int, typer.Option(min=1, help="Independent runs; the tests need two.")] = 5,
+    millimetres: Radii = "1,12",
+    out: Out = OUT,
+) -> Iterator[Record]:
+    """Two tables of each scene."""
+    for name in scenes:
+        yield from _scene(name, size, passes, seeds, millimetres, out)
+
+
+def _scene(
     name: str, size: tuple[int, int], passes: int, seeds: int, millimetres: Sequence[float], out: Path
 ) -> list[Record]:
     """The RMS of the differences at growing numbers of passes, and the tests of the blocks at the end; ``vcm`` with

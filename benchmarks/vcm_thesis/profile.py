@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Sequence
 from typing import Any
 
 from etendue.core import Replica
 
 from ..measuring import Record, interleaved
+from ..options import Rounds, Seconds, Size, WarmUp
 from ..racing import Entrant
 from .entrants import RADIUS, merging, open_scene
+from .options import ALL, SIZE, Scenes
 
 
-def measure(names: Sequence[str], size: tuple[int, int], seconds: float, rounds: int, warm_up: int) -> Record:
+def measure(
+    names: Scenes = ALL, size: Size = SIZE, seconds: Seconds = 60.0, rounds: Rounds = 9, warm_up: WarmUp = 2
+) -> Record:
     """A row for each scene. ``seconds``: the time that the passes are counted for."""
     record = Record(
         f"Profile of VCM, {size[0]}x{size[1]}",

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from etendue.core import OptionError
 
-from ..references import Recipe
+from ..measuring import Record
+from ..options import Out, Seconds, Size
+from ..references import Recipe, remade
+from .options import ALL, OUT, SIZE, ReferenceMethod, ReferenceRadius, Scenes
 from .scenes import SCENES
 
 #: ``vcm`` merges like what is measured, and shares its blur; the others do not, and are noisier.
@@ -23,3 +26,15 @@ def recipe(scene: str, method: str = "vcm", millimetres: float = 5.0) -> Recipe:
     settings = {"radius": millimetres / 1000.0, "radius_unit": "absolute"}
     remark, mark = f", first radius {millimetres:g} mm", f"vcm-{millimetres:g}mm"
     return Recipe(scene, SCENES[scene], "vcm", settings, remark, mark)
+
+
+def remake(
+    scenes: Scenes = ALL,
+    size: Size = SIZE,
+    seconds: Seconds = 60.0,
+    method: ReferenceMethod = "vcm",
+    millimetres: ReferenceRadius = 5.0,
+    out: Out = OUT,
+) -> Record:
+    """The references anew, and their noise."""
+    return remade([(recipe(name, method, millimetres), size) for name in scenes], seconds, out)

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 from etendue.core import Replica
 
 from .. import plotting
 from ..measuring import Record, interleaved, spread
+from ..options import Out, ReferenceSeconds, Rounds, Seconds, Seeds, Size, WarmUp
 from ..racing import ORDER, TRIM, Entrant, marks, race
 from ..references import Reference
 from .entrants import RADIUS, merging, open_scene
+from .options import OUT, SIZE, SPECULAR, ReferenceMethod, ReferenceRadius, Scenes
+from .references import recipe
 
 #: The radii of the sweep, in millimetres, and the one for the photons.
 RADII = (5.0, 12.0, 25.0)
@@ -20,6 +23,22 @@ PHOTON_RADIUS = 0.0125
 
 
 def radius(
+    scenes: Scenes = "living-room",
+    size: Size = SIZE,
+    seconds: Seconds = 20.0,
+    seeds: Seeds = 3,
+    reference_seconds: ReferenceSeconds = 60.0,
+    method: ReferenceMethod = "vcm",
+    millimetres: ReferenceRadius = 5.0,
+    out: Out = OUT,
+) -> Iterator[Record]:
+    """Passes and RMS for each scene."""
+    for name in scenes:
+        reference = recipe(name, method, millimetres).find(size, out, reference_seconds)
+        yield from _radius(name, size, seconds, seeds, out, reference)
+
+
+def _radius(
     name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference: Reference
 ) -> list[Record]:
     """Passes and RMS at growing times, for each radius with and without merging at the first camera vertex."""
@@ -48,7 +67,23 @@ def radius(
     return [passes, errors]
 
 
-def photons(name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference: Reference) -> Record:
+def photons(
+    scenes: Scenes = "living-room",
+    size: Size = SIZE,
+    seconds: Seconds = 30.0,
+    seeds: Seeds = 3,
+    reference_seconds: ReferenceSeconds = 60.0,
+    method: ReferenceMethod = "vcm",
+    millimetres: ReferenceRadius = 5.0,
+    out: Out = OUT,
+) -> Iterator[Record]:
+    """A table of each scene."""
+    for name in scenes:
+        reference = recipe(name, method, millimetres).find(size, out, reference_seconds)
+        yield _photons(name, size, seconds, seeds, out, reference)
+
+
+def _photons(name: str, size: tuple[int, int], seconds: float, seeds: int, out: Path, reference: Reference) -> Record:
     """More light paths against a larger radius, at equal time: both have the same weights for merging."""
     millimetres = 1000.0 * PHOTON_RADIUS
     entrants = [
@@ -81,7 +116,7 @@ def _errors(seeds: int, reference: Reference) -> list[str]:
     return [f"{what}; reference: {reference.note}", ORDER]
 
 
-def radii(names: Sequence[str], size: tuple[int, int], rounds: int, warm_up: int) -> Record:
+def radii(names: Scenes = SPECULAR, size: Size = SIZE, rounds: Rounds = 9, warm_up: WarmUp = 2) -> Record:
     """What a pass costs that makes a picture for one, two and three radii."""
     record = Record(
         f"Several radii in one run, {size[0]}x{size[1]}",

@@ -9,7 +9,7 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.experiments import is_number, tables_of
+from support.experiments import call, is_number, tables_of
 
 from etendue import methods
 from etendue.core import OptionError, Replica
@@ -115,7 +115,7 @@ def test_a_pixel_that_learns_is_better_once_it_has_warmed_up(tmp_path, monkeypat
     learner = "each pixel, from 256"
     monkeypatch.setattr(convergence, "FINDING", {"hits": convergence.FINDING["hits"]})
     monkeypatch.setattr(convergence, "LEARNERS", {learner: convergence.LEARNERS[learner]})
-    record = convergence.warm_up("cornell", (32, 32), 1024, 2, tmp_path, 10.0)
+    (record,) = convergence.warm_up(["cornell"], (32, 32), 1024, 2, 10.0, tmp_path)
     (row,) = record.rows
     ratios = dict(zip(record.columns[2:], map(float, row[2:]), strict=True))
     assert all(ratios[f"at {count}"] == 1.0 for count in (16, 32, 64, 128, 256))
@@ -151,5 +151,5 @@ def test_commands_make_tables_of_numbers(command, tmp_path, monkeypatch):
 
 
 def test_an_unknown_scene_is_named():
-    with pytest.raises(OptionError, match="unknown scene 'rink'; did you mean 'ring'"):
-        module("__main__")._names("cornell,rink")
+    error = call("adaptive", ["convergence", "--scene", "cornell,rink"]).exception
+    assert isinstance(error, OptionError) and str(error) == "unknown scene 'rink'; did you mean 'ring'?"

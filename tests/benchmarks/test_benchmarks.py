@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import importlib
+import re
 import sys
 import types
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.experiments import call
+from typer.testing import CliRunner
 
 from etendue import methods, scene
 from etendue.core import OptionError, Replica
@@ -23,6 +26,63 @@ def _benchmarks_importable(monkeypatch):
 
 def module(name):
     return importlib.import_module(f"benchmarks.{name}")
+
+
+@pytest.mark.parametrize("package", ["", "vcm_thesis", "adaptive", "radiosity"])
+def test_every_benchmark_is_a_command(package):
+    """Its options have the defaults that its function has; ``--help`` says what it measures and for how long."""
+    program = module("registry").PROGRAMS[f"benchmarks.{package}".rstrip(".")]
+    for benchmark in program.benchmarks:
+        shown = re.sub(r"[│\s]+", " ", call(package, [benchmark.name, "--help"]).output)
+        assert f"{benchmark.measures} About {benchmark.minutes} min." in shown
+        assert "--variant" in shown and ("--record" in shown) == benchmark.recorded
+    assert program.results.is_file()
+    assert f"all are run, {program.minutes} minutes" in re.sub(r"[│\s]+", " ", call(package, ["--help"]).output)
+
+
+def test_the_list_has_every_benchmark():
+    registry = module("registry")
+    shown = call("", ["list"]).output
+    for program in registry.PROGRAMS.values():
+        assert f"python -m {program.package}: {program.minutes} minutes" in shown
+        for benchmark in program.benchmarks:
+            row = rf"^{benchmark.name} +{benchmark.minutes} +{re.escape(benchmark.measures[:30])}"
+            assert re.search(row, shown, re.MULTILINE), row
+
+
+def test_without_a_command_all_are_run(monkeypatch, tmp_path):
+    """With their defaults, and the options that all share; those that take too long are run by name only."""
+    registry, options, measuring = (module(name) for name in ("registry", "options", "measuring"))
+    calls, recorded = [], []
+
+    def table(size: options.Size = "6x4", out: options.Out = Path("here"), hidden: int = 3):
+        calls.append((size, out, hidden))
+        return measuring.Record("One", ("",), rows=[("1",)])
+
+    def tables(names: options.Names = "a,b"):
+        calls.append(names)
+        for name in names:
+            yield measuring.Record(name, ("",), rows=[("1",)])
+
+    made = types.ModuleType("benchmarks.made")
+    for function in (table, tables):
+        function.__annotations__ = {k: eval(v, {"options": options}) for k, v in function.__annotations__.items()}
+        setattr(made, function.__name__, function)
+    monkeypatch.setitem(sys.modules, "benchmarks.made", made)
+    monkeypatch.setattr(registry.Program, "results", measuring.ROOT / "benchmarks" / "made")
+    monkeypatch.setattr(measuring.Record, "publish", lambda self, variant, to=None: recorded.append((self.title, to)))
+    names = (("one", "table", True, False), ("many", "tables", True, True), ("long", "tables", False, True))
+    program = registry.Program(
+        "benchmarks",
+        "About.",
+        tuple(registry.Benchmark(n, f"made.{f}", 1, "", in_all=all_, recorded=kept) for n, f, all_, kept in names),
+    )
+    app = registry.command_line(program)
+    assert CliRunner().invoke(app, ["--record", "--out", str(tmp_path)]).exception is None
+    assert calls == [((6, 4), tmp_path, 3), ["a", "b"]]
+    assert recorded == [("One", None), *[(name, measuring.ROOT / "benchmarks" / "made") for name in "ab"]]
+    calls.clear()
+    assert CliRunner().invoke(app, ["long"]).exit_code == 0 and calls == [["a", "b"]]
 
 
 def test_tasks_take_turns():
@@ -67,7 +127,7 @@ def test_short_renders_take_turns():
 
 @pytest.mark.slow
 def test_guiding_is_compared_seed_by_seed():
-    (record,) = module("guided").measure(["ajar"], (12, 12), 0.3, 2, {"cell_samples": 200})
+    (record,) = module("guided").measure(["ajar"], (12, 12), 0.3, 2, ["cell_samples=200"])
     assert [row[0] for row in record.rows] == ["Mitsuba path", "path", "guided"]
     assert float(record.rows[0][6]) == 1.0
     assert "0.333" in record.rows[2][7]
@@ -110,13 +170,12 @@ def test_every_ray_is_recorded(name):
 
 def test_a_record_is_appended(tmp_path, monkeypatch):
     measuring = module("measuring")
-    monkeypatch.setattr(measuring, "RESULTS", tmp_path / "RESULTS.md")
     monkeypatch.setattr(sys, "argv", [str(measuring.ROOT / "benchmarks" / "__main__.py"), "cost", "--size", "8x8"])
     for number in range(2):
         record = measuring.Record(f"Table {number}", ("", "a|b"))
         record.add("vcm", "1.0")
         record.notes.append("a note")
-        record.publish("llvm_ad_rgb", keep=True)
+        record.publish("llvm_ad_rgb", tmp_path / "RESULTS.md")
     text = (tmp_path / "RESULTS.md").read_text("utf-8")
     assert text.index("## Table 0") < text.index("## Table 1")
     assert "| vcm | 1.0 |" in text and "a\\|b" in text and "- a note" in text
@@ -141,7 +200,8 @@ def test_settings_of_quality_are_those_of_the_command_line(monkeypatch):
 
     monkeypatch.setattr(quality, "render", render)
     monkeypatch.setattr(quality, "find", lambda name, size: quality.Case(name, name, picture, "a note"))
-    quality.measure(["x"], ["path", "vcm"], (4, 4), 1.0, 1, {"vcm.radius": "1", "radius": "3", "max_dept": "2"})
+    define = ["vcm.radius=1", "radius=3", "max_dept=2"]
+    assert len(list(quality.measure(["x"], ["path", "vcm"], (4, 4), 1.0, 1, define))) == 1
     assert given == [("path", {"max_dept": "2"}), ("vcm", {"radius": "1"})]
 
 

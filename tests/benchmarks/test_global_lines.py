@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.experiments import is_number, tables_of
+from support.experiments import call, is_number, tables_of
 
 from etendue.core import OptionError
 from etendue.points import Halton, uniformity_score
@@ -198,7 +198,7 @@ _TINY = ["--detail", "0.3", "--lines", "256", "--least", "64", "--seeds", "2", "
 COMMANDS = {
     "sequences": ["--scene", "six-cubes,room", *_TINY],
     "generators": _TINY,
-    "direct": _TINY,
+    "direct": [*_TINY, "--sequences", "sobol"],
     "estimators": ["--detail", "0.3", "--lines", "500,1000", "--seeds", "2", "--bundles", "32"],
 }
 FILES = {"sequences": 6, "generators": 1, "direct": 1, "estimators": 2}
@@ -211,14 +211,16 @@ def test_commands_make_tables_of_numbers(command, tmp_path, monkeypatch):
     assert len(tables) == {"sequences": 4, "estimators": 2}.get(command, 1)
     for row in (row for table in tables for row in table.rows):
         assert any(map(is_number, row)) and not re.search(r"nan|inf", "".join(row)), row
+    if command == "direct":  # independent numbers come first, as all others are compared to them
+        assert [row[0] for row in tables[0].rows] == ["independent", "independent", "sobol", "sobol"]
     assert (tmp_path / "RESULTS.md").exists()
     assert len(list(tmp_path.glob("*.svg"))) == FILES[command]
 
 
 def test_unknown_names_are_told():
-    main = module("__main__")
-    with pytest.raises(OptionError, match="unknown scene 'rooms'; did you mean 'room'"):
-        main._scenes("six-cubes,rooms")
-    with pytest.raises(OptionError, match="unknown sequence 'sobel'; did you mean 'sobol'"):
-        main._sequences("sobel")
-    assert main._sequences("sobol,halton") == ["independent", "sobol", "halton"]
+    for words, message in (
+        (["--scene", "six-cubes,rooms"], "unknown scene 'rooms'; did you mean 'room'?"),
+        (["--sequences", "sobel"], "unknown sequence 'sobel'; did you mean 'sobol'?"),
+    ):
+        error = call("radiosity", ["sequences", *words]).exception
+        assert isinstance(error, OptionError) and str(error) == message

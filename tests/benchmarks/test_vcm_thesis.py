@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.experiments import is_number, tables_of
+from support.experiments import call, is_number, tables_of
 
 from etendue import film, methods
-from etendue.core import Replica
+from etendue.core import OptionError, Replica
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = ("mirror-balls", "living-room", "bathroom", "diffuse")
@@ -127,8 +127,6 @@ def test_a_reference_is_kept(tmp_path):
 
 def test_references_of_several_kinds_lie_apart(tmp_path):
     """Methods and radii have a file each; a method that makes none is named."""
-    from etendue.core import OptionError
-
     recipe = module("references").recipe
     kinds = [("vcm", 5.0), ("vcm", 1.0), ("bpt", 5.0), ("path", 5.0)]
     files = {recipe("bathroom", *kind)._path((8, 6), tmp_path) for kind in kinds}
@@ -210,15 +208,10 @@ def test_commands_make_tables_of_numbers(command, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("text", ["", "x", "1,0", "-1", "inf"])
 def test_radii_are_lengths(text):
-    from etendue.core import OptionError
-
-    assert module("__main__")._lengths("1, 12") == [1.0, 12.0]
-    with pytest.raises(OptionError, match="option '--radius' takes millimetres"):
-        module("__main__")._lengths(text)
+    error = call("vcm_thesis", ["correctness", "--radius", text]).exception
+    assert isinstance(error, OptionError) and "option '--radius' takes millimetres" in str(error)
 
 
 def test_an_unknown_scene_is_named():
-    from etendue.core import OptionError
-
-    with pytest.raises(OptionError, match="unknown scene 'bathrom'; did you mean 'bathroom'"):
-        module("__main__")._names("diffuse,bathrom")
+    error = call("vcm_thesis", ["radii", "--scene", "diffuse,bathrom"]).exception
+    assert isinstance(error, OptionError) and str(error) == "unknown scene 'bathrom'; did you mean 'bathroom'?"

@@ -1,4 +1,4 @@
-"""Commands of the packages of experiments in ``benchmarks/``, run as a user would."""
+"""Commands of the programs in ``benchmarks/``, run as a user would."""
 
 from __future__ import annotations
 
@@ -8,19 +8,24 @@ import re
 from typer.testing import CliRunner
 
 
+def call(package, words):
+    """Run a command of ``benchmarks``, or of a package in it; the result of typer's runner."""
+    registry = importlib.import_module("benchmarks.registry")
+    program = registry.PROGRAMS[f"benchmarks.{package}" if package else "benchmarks"]
+    return CliRunner().invoke(registry.command_line(program), words)
+
+
 def tables_of(package, words, folder, monkeypatch):
     """The tables that a command publishes; what it records goes to ``folder / "RESULTS.md"``."""
-    main = importlib.import_module(f"benchmarks.{package}.__main__")
     measuring = importlib.import_module("benchmarks.measuring")
     tables, publish = [], measuring.Record.publish
 
-    def kept(self, variant, keep, results=None):
+    def kept(self, variant, results=None):
         tables.append(self)
-        publish(self, variant, keep, results)
+        publish(self, variant, results and folder / results.name)
 
     monkeypatch.setattr(measuring.Record, "publish", kept)
-    monkeypatch.setattr(main, "RESULTS", folder / "RESULTS.md")
-    result = CliRunner().invoke(main.app, words)
+    result = call(package, words)
     assert result.exit_code == 0, result.output + repr(result.exception)
     assert tables
     for table in tables:

@@ -1,0 +1,201 @@
+"""All benchmarks: what each measures, about how many minutes it takes on two cores, and the function that makes its
+tables, whose annotated parameters are the options of its command.
+
+A program is a package that ``python -m`` runs; what it measures is recorded in its ``RESULTS.md``.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any, get_origin
+
+import typer
+from rich.table import Table
+
+from etendue.core import EtendueError, use_variant
+
+from .measuring import ROOT, Record, console, machine, software
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """A command of a program."""
+
+    name: str
+    function: str  #: module.name inside the program's package; returns a table or several
+    minutes: int
+    measures: str
+    in_all: bool = True  #: whether it runs when no command is given
+    recorded: bool = True
+
+
+@dataclass(frozen=True)
+class Program:
+    """A package of benchmarks."""
+
+    package: str
+    about: str
+    benchmarks: tuple[Benchmark, ...]
+
+    @property
+    def results(self) -> Path:
+        """Where tables are recorded."""
+        return ROOT.joinpath(*self.package.split("."), "RESULTS.md")
+
+    @property
+    def minutes(self) -> int:
+        """Of all that run when no command is given."""
+        return sum(benchmark.minutes for benchmark in self.benchmarks if benchmark.in_all)
+
+
+PROGRAMS = {
+    program.package: program
+    for program in (
+        Program(
+            "benchmarks",
+            "Speed, memory and quality of the methods.",
+            (
+                Benchmark("cost", "cost.measure", 2, "Seconds of a pass, and of settings, relative to Mitsuba's path."),
+                Benchmark("renders", "renders.measure", 1, "Pictures of one sample by mi.render, prepared and anew."),
+                Benchmark("first-pass", "fresh.first_pass", 1, "The first pass, with and without compiled kernels."),
+                Benchmark("memory", "fresh.memory", 1, "Peak memory of a fresh process."),
+                Benchmark("rays", "rays.measure", 1, "Share of ray casting in a pass."),
+                Benchmark("quality", "quality.measure", 30, "Error after a given time, for every method."),
+                Benchmark("choice", "choice.measure", 60, "Error of auto beside its candidates, warm and cold."),
+                Benchmark("mitsuba-path", "mitsuba_path.measure", 90, "path beside Mitsuba's path.", in_all=False),
+                Benchmark("guided", "guided.measure", 13, "Error times time of guided, beside path."),
+                Benchmark("knn", "neighbours.measure", 1, "A kd-tree and nearest neighbours, beside scipy's cKDTree."),
+                Benchmark("points", "sequences.measure", 1, "Points of sequences a second, beside scipy's qmc."),
+                Benchmark("integration", "integrals.measure", 1, "Vegas beside the vegas package: errors and speed."),
+                Benchmark("density", "densities.measure", 1, "Density estimates in the plane, beside gaussian_kde."),
+                Benchmark("radiosity", "exchanges.measure", 2, "Segments of global lines: cast, replayed and solved."),
+                Benchmark("view-factors", "view_factors.measure", 5, "View factors, beside pyViewFactor and View3D."),
+            ),
+        ),
+        Program(
+            "benchmarks.vcm_thesis",
+            "The experiments of the thesis on vertex connection and merging.",
+            (
+                Benchmark("reference", "references.remake", 4, "Render the references anew.", recorded=False),
+                Benchmark("correctness", "correctness.measure", 10, "vcm and bpt minus path: noise, or structure?"),
+                Benchmark("convergence", "convergence.measure", 25, "Error of vcm, bpt, bpm and path over time."),
+                Benchmark("profile", "profile.measure", 2, "What a pass of vcm is made of."),
+                Benchmark(
+                    "radius", "sweeps.radius", 7, "5, 12 and 25 mm, with and without merging at the first vertex."
+                ),
+                Benchmark("photons", "sweeps.photons", 6, "Four times the light paths against twice the radius."),
+                Benchmark("radii", "sweeps.radii", 2, "What further radii in the same run cost."),
+            ),
+        ),
+        Program(
+            "benchmarks.adaptive",
+            "The experiments of the thesis on adaptive path tracing.",
+            (
+                Benchmark("reference", "entrants.remake", 4, "Render the references anew.", recorded=False),
+                Benchmark("sine", "sine.measure", 1, "VEGAS on the sine: what smoothing and damping do."),
+                Benchmark("convergence", "convergence.over_samples", 9, "Errors over samples and time, and pictures."),
+                Benchmark("equal-time", "convergence.equal_time", 7, "Errors and pictures after the same time."),
+                Benchmark("warm-up", "convergence.warm_up", 2, "From how many samples on VEGAS beats random paths."),
+                Benchmark("single", "single.measure", 1, "One path an evaluation against one of each length."),
+            ),
+        ),
+        Program(
+            "benchmarks.radiosity",
+            "The experiments of the thesis on global lines.",
+            (
+                Benchmark("sequences", "sequences.measure", 7, "Error of multipath over lines, by point sequence."),
+                Benchmark("generators", "generators.measure", 2, "The four generators of global lines."),
+                Benchmark("direct", "sequences.direct", 1, "What sequences gain for direct light and for all light."),
+                Benchmark("estimators", "estimators.measure", 1, "The estimators F1 to F4 on the same lines."),
+            ),
+        ),
+    )
+}
+
+
+def main(package: str) -> None:
+    """Run a program. An error on purpose is a line on stderr."""
+    try:
+        command_line(PROGRAMS[package])()
+    except EtendueError as error:
+        raise SystemExit(str(error)) from None
+
+
+def command_line(program: Program) -> typer.Typer:
+    """The commands of a program. Without a command it runs them in turn, with their default options."""
+    app = typer.Typer(
+        help=f"{program.about} Run on an idle machine; without a command all are run, {program.minutes} minutes.",
+        add_completion=False,
+        pretty_exceptions_enable=False,
+    )
+    taken: dict[str, dict[str, inspect.Parameter]] = {}
+    for benchmark in program.benchmarks:
+        command = _command(program, benchmark)
+        taken[benchmark.name] = dict(inspect.signature(command).parameters)
+        app.command(benchmark.name, help=f"{benchmark.measures} About {benchmark.minutes} min.")(command)
+    app.command("list")(_list)
+    shared = {name: p for own in taken.values() for name, p in own.items() if name in ("variant", "record", "out")}
+
+    def everything(context: typer.Context, **given: Any) -> None:
+        for benchmark in program.benchmarks:
+            if benchmark.in_all and context.invoked_subcommand is None:
+                words = [benchmark.name]
+                for name, value in given.items():
+                    if name in taken[benchmark.name] and value:
+                        words += [f"--{name}"] if value is True else [f"--{name}", str(value)]
+                typer.main.get_command(app).main(words, standalone_mode=False)
+
+    first = _option("context", typer.Context, inspect.Parameter.empty)
+    app.callback(invoke_without_command=True)(_taking(everything, [first, *shared.values()]))
+    return app
+
+
+def _command(program: Program, benchmark: Benchmark) -> Callable[..., None]:
+    """The function of a benchmark as a command: it sets the variant, and prints and records what is measured."""
+    module, _, name = benchmark.function.rpartition(".")
+    function: Callable[..., Record | Iterable[Record]] = getattr(import_module(f"{program.package}.{module}"), name)
+    found = inspect.signature(function, eval_str=True).parameters.values()
+    own = [parameter for parameter in found if get_origin(parameter.annotation) is Annotated]
+    where = program.results.relative_to(ROOT)
+    variant = typer.Option(help="Mitsuba variant; by default CUDA where usable, else LLVM.")
+    record = typer.Option("--record", help=f"Append the tables to {where}.")
+    common = [
+        _option("variant", Annotated[str | None, variant], None),
+        _option("record", Annotated[bool, record], False),
+    ]
+
+    def run(variant: str | None, record: bool = False, **options: Any) -> None:
+        chosen = use_variant(variant)
+        console.print(f"{machine()}; {software(chosen)}\n", style="dim")
+        made = function(**options)
+        for table in [made] if isinstance(made, Record) else made:
+            table.publish(chosen, program.results if record else None)
+
+    return _taking(run, [*own, *common[: 2 if benchmark.recorded else 1]])
+
+
+def _option(name: str, annotation: Any, default: Any) -> inspect.Parameter:
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default)
+
+
+def _taking(function: Callable[..., None], parameters: Sequence[inspect.Parameter]) -> Callable[..., None]:
+    """The function, said to take these, which typer makes options of."""
+    parameters = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in parameters]
+    function.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    function.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return function
+
+
+def _list() -> None:
+    """Show every benchmark of every program: what it measures, its minutes, and where it is recorded."""
+    for program in PROGRAMS.values():
+        title = f"python -m {program.package}: {program.minutes} minutes in all; {program.results.relative_to(ROOT)}"
+        table = Table("", "minutes", "measures", title=title, title_justify="left", box=None, pad_edge=False)
+        for benchmark in program.benchmarks:
+            note = "" if benchmark.in_all else " Only by name."
+            table.add_row(benchmark.name, str(benchmark.minutes), benchmark.measures + note)
+        console.print(table, "")
