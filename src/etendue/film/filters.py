@@ -54,7 +54,7 @@ class FilterTable:
         self.reach = max(math.ceil(2.0 * radius - 1e-6), 1) / 2.0
         count = round(2.0 * self.reach * BINS_PER_PIXEL)
         points = (np.arange(count * _POINTS_PER_BIN) + 0.5) / (_POINTS_PER_BIN * BINS_PER_PIXEL) - self.reach
-        sampled = np.array(rfilter.eval(mi.Float(points.astype(np.float32))), dtype=np.float64)
+        sampled = np.array(rfilter.eval(on_device(mi.Float, points)), dtype=np.float64)
         # A filter given by a fitted polynomial may be anything beyond its radius.
         sampled[np.abs(points) > radius] = 0.0
         self.values: NDArray[np.float64] = sampled.reshape(count, _POINTS_PER_BIN).mean(axis=1)

@@ -221,7 +221,7 @@ def _radiance(emitter: Any) -> float:
 def _weyl(n: int) -> list[Any]:
     """``n`` points of a four-dimensional Kronecker sequence."""
     i = np.arange(n) + 0.5
-    return [mi.Float(np.mod(i * a, 1.0).astype(np.float32)) for a in (0.8566749, 0.7338919, 0.6287067, 0.5385973)]
+    return [on_device(mi.Float, np.mod(i * a, 1.0)) for a in (0.8566749, 0.7338919, 0.6287067, 0.5385973)]
 
 
 def _cone_density(emitter: Any) -> float:
