@@ -162,7 +162,7 @@ def test_what_a_number_has_left():
 
 
 def lit_room(**view: Any) -> Any:
-    return scenes.room("mixed", "rough", **view)
+    return scenes.room("mixed", scenes.FEW, **view)
 
 
 @pytest.mark.parametrize("bsdf_sampling", [True, False])
@@ -195,7 +195,7 @@ SWITCHES: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("name", thinned(SWITCHES, list(SWITCHES)[::6]))
 def test_switches_do_not_change_the_mean(name):
     emitter = "rectangle" if "naive" in name else "mixed"
-    scene = scenes.room(emitter, "rough", rfilter="gaussian")
+    scene = scenes.room(emitter, scenes.FEW, rfilter="gaussian")
     reference = mitsuba_path(scene, passes=6, samples=256)
     images = replicas(scene, "vegas", runs=6, passes=3, samples=192, **SWITCHES[name])
     assert_agree(images, reference, name, precision=0.03)

@@ -21,7 +21,7 @@ TRAINED = {"cell_samples": 500, "generations": 3}
 
 
 def lit_room(**view: Any) -> Any:
-    return scenes.room("mixed", "rough", **view)
+    return scenes.room("mixed", scenes.FEW, **view)
 
 
 def behind_a_door() -> Any:
@@ -61,7 +61,7 @@ SWITCHES: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("name", thinned(SWITCHES, list(SWITCHES)[::6]))
 def test_switches_do_not_change_the_mean(name):
     emitter = "rectangle" if name == "naive" else "mixed"
-    scene = scenes.room(emitter, "rough", rfilter="gaussian")
+    scene = scenes.room(emitter, scenes.FEW, rfilter="gaussian")
     reference = mitsuba_path(scene, passes=6, samples=256)
     images = replicas(scene, "guided", runs=6, passes=6, samples=96, **TRAINED | SWITCHES[name])
     assert_agree(images, reference, name, precision=0.03)
@@ -173,7 +173,7 @@ def test_learning_compiles_nothing():
 
 
 def test_little_memory_learns_from_fewer_paths():
-    scene = scenes.room("sphere", "rough")
+    scene = scenes.room("sphere", scenes.FEW)
     scene.memory = 1_000_000
     runner = prepared(scene, "guided", samples_per_pass=128, **TRAINED)
     assert runner._stride(192 * 128) == 6

@@ -40,7 +40,7 @@ INDEPENDENT = [name for name in METHODS if name not in ("guided", "vegas", "ppm"
 
 def problem() -> Any:
     """Every family of techniques has something to do here."""
-    return scenes.room("mixed", "rough", rfilter="gaussian")
+    return scenes.room("mixed", scenes.FEW, rfilter="gaussian")
 
 
 @pytest.mark.parametrize("settings", [{"light_source": "path", "heuristic": "power"}, {"connections": 2}], ids=str)
@@ -67,7 +67,7 @@ def test_vcm_tends_to_bpt_with_the_radius(settings):
 
 def test_hits_and_next_event_alone_are_path():
     """The bidirectional estimator with path tracing's two techniques, against ``path``: the same mean."""
-    scene = scenes.room("sphere", "rough")
+    scene = scenes.room("sphere", scenes.FEW)
     runner = prepared(scene, "bpt", samples_per_pass=128, connections=0)
     runner.techniques = Techniques(emission=1, next_event=1, connection=0, splat=False, merge=False)
     assert_agree(go(runner, 6).images, run(scene, "path", passes=6, seed=9).images, "hits and next event")
@@ -75,7 +75,7 @@ def test_hits_and_next_event_alone_are_path():
 
 def test_splats_alone_are_light():
     """With nothing but splats, against ``light`` less the lights seen directly."""
-    scene = scenes.room("sphere", "rough")
+    scene = scenes.room("sphere", scenes.FEW)
     runner = prepared(scene, "bpt", samples_per_pass=256, connections=0, light_paths=2.0, split_layers=True)
     runner.techniques = Techniques(emission=0, next_event=0, connection=0, splat=True, merge=False)
     splats = np.stack([runner.step(i, 1).mean("splat") for i in range(6)])
@@ -83,7 +83,7 @@ def test_splats_alone_are_light():
     assert_agree(splats, np.stack([light.step(i, 5).mean("splat") for i in range(6)]), "splats", precision=0.03)
 
 
-@pytest.mark.parametrize("name", LAYERED)
+@pytest.mark.parametrize("name", thinned(LAYERED, ("light", "bpt cache", "bpm", "vcm path")))
 def test_layers_sum_to_the_image(name):
     method, settings = METHODS[name]
     if method != "light":
@@ -95,7 +95,7 @@ def test_layers_sum_to_the_image(name):
     np.testing.assert_allclose(total, measurement.mean(), **SAME)
 
 
-@pytest.mark.parametrize("name", ["bpt cache", "vcm", "bpm"])
+@pytest.mark.parametrize("name", thinned(("bpt cache", "vcm", "bpm"), ("vcm",)))
 def test_layers_may_be_left_unsplit(name):
     method, settings = METHODS[name]
     settings = settings | {"shadow_roulette": 0.0}  # its threshold is measured, and differs a little
@@ -131,17 +131,19 @@ def test_a_seed_gives_one_picture(name):
     assert np.abs(first - other).max() > 1e-3
 
 
-@pytest.mark.parametrize("name", METHODS)
+@pytest.mark.parametrize(
+    "name", thinned(METHODS, [name for name in METHODS if name not in ("bpt path", "bpm", "vcm path")])
+)
 def test_passes_differ(name):
     method, settings = METHODS[name]
-    images = run(problem(), method, passes=2, samples=1, **settings).images
+    images = run(problem(), method, passes=2, samples=4, **settings).images
     assert np.abs(images[0] - images[1]).max() > 1e-3
 
 
 @pytest.mark.parametrize("depth", thinned(range(5), (0, 1, 3)))
 def test_max_depth_counts_edges_as_mitsuba_does(depth):
     """0 is black, 1 shows lights, 2 adds direct light, and so on."""
-    scene = scenes.room("sphere", "rough")
+    scene = scenes.room("sphere", scenes.FEW)
     reference = mitsuba_path(scene, passes=6, samples=256, max_depth=depth)
     for method, settings in (("path", {}), ("light", {"light_paths": 3.0}), ("bpt", {})):
         images = run(scene, method, passes=6, max_depth=depth, **settings).images
@@ -156,7 +158,7 @@ def test_max_depth_counts_edges_as_mitsuba_does(depth):
 
 @pytest.mark.parametrize("depth", [pytest.param(1, marks=pytest.mark.slow), 2, pytest.param(3, marks=pytest.mark.slow)])
 def test_max_depth_of_merging(depth):
-    scene = scenes.room("sphere", "rough")
+    scene = scenes.room("sphere", scenes.FEW)
     settings = {"radius": 0.02, "radius_unit": "absolute", "alpha": 1.0, "max_depth": depth}
     bpm = run(scene, "bpm", passes=6, samples=64, **settings).images
     vcm = run(scene, "vcm", passes=6, samples=64, **settings).images
@@ -166,7 +168,7 @@ def test_max_depth_of_merging(depth):
 
 
 def test_first_hit_layers_are_those_of_mitsuba():
-    scene = scenes.room("rectangle", "rough")
+    scene = scenes.room("rectangle", scenes.FEW)
     layers = "albedo:albedo,n:sh_normal,d:depth"
     reference = mitsuba_images(scene, mi.load_dict({"type": "aov", "aovs": layers}), passes=6, samples=128, seed=50)
     for method in ("path", "bpt"):
@@ -187,7 +189,7 @@ def test_first_hit_layers_are_those_of_mitsuba():
 def test_light_paths_in_groups_have_the_same_mean(name):
     """A memory bound splits the light paths of a pass into groups; the estimate stays."""
     method, settings = METHODS[name]
-    grouped, whole = scenes.room("sphere", "rough"), scenes.room("sphere", "rough")
+    grouped, whole = scenes.room("sphere", scenes.FEW), scenes.room("sphere", scenes.FEW)
     grouped.memory = 2_000_000
     settings = settings | {"radius": 0.02, "radius_unit": "absolute", "alpha": 1.0, "light_paths": 1.0}
     runner = prepared(grouped, method, samples_per_pass=64, **settings)
@@ -253,7 +255,7 @@ def test_a_nan_is_counted_and_not_written(name):
 def test_noise_falls_with_the_root_of_the_passes(name):
     """Means of n passes scatter as n^(-1/2), and so do passes of n samples: no draw is used twice."""
     method, settings = METHODS[name]
-    scene = scenes.room("sphere", "wrapped", size=(8, 8))
+    scene = scenes.room("sphere", ("blendbsdf", "roughdielectric"), size=(8, 8))
     images = run(scene, method, passes=64, samples=16, **settings).images
     counts = np.array([1, 2, 4, 8])
     groups = [images.reshape(len(images) // n, n, *images.shape[1:]).mean(1) for n in counts]
@@ -281,7 +283,8 @@ def test_a_pilot_that_guessed_too_low(name):
 @pytest.mark.parametrize("method", ["vcm", "pm", "sppm"])
 def test_another_seed_compiles_nothing(method):
     scene = problem()
-    prepared(scene, method, seed=1, samples_per_pass=4).step(0, 1)
+    for _ in range(2):  # Dr.Jit writes the filter's small kernel in another order once it has seen its constants
+        prepared(scene, method, seed=1, samples_per_pass=4).step(0, 1)
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
         prepared(scene, method, seed=2, samples_per_pass=4).step(0, 2)

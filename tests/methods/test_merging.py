@@ -48,7 +48,7 @@ FAST = ("bpm", "vcm")
 @pytest.mark.parametrize("name", [n if n in FAST else pytest.param(n, marks=pytest.mark.slow) for n in ROWS])
 def test_three_radii_extrapolate_to_path(name):
     method, settings, emitter = ROWS[name]
-    problem = scenes.room(emitter, "rough", size=(12, 8))
+    problem = scenes.room(emitter, scenes.FEW, size=(12, 8))
     reference = run(problem, "path", passes=8, samples=256).images
     extrapolated, widest = three_radii(problem, method, **settings)
     z = z_scores(extrapolated.mean(axis=(1, 2)), reference.mean(axis=(1, 2)))
@@ -73,7 +73,7 @@ def test_several_radii_in_one_run_are_as_many_runs(name):
     """The same paths, so the same pictures up to rounding; roulette before shadow rays would decide by all radii."""
     method, settings = SEVERAL[name]
     settings = settings | {"radius_unit": "absolute", "shadow_roulette": 0.0, "samples_per_pass": 4}
-    problem = scenes.room("mixed", "rough")
+    problem = scenes.room("mixed", scenes.FEW)
     together = go(prepared(problem, method, radius=0.2, radii="0.5, 2", **settings), 2)
     for layer, radius in (("image", 0.2), ("radius_0.5", 0.1), ("radius_2", 0.4)):
         alone = go(prepared(problem, method, radius=radius, **settings), 2).mean
@@ -85,7 +85,7 @@ def test_several_radii_in_one_run_are_as_many_runs(name):
 
 def test_several_radii_with_roulette_before_shadow_rays():
     """Roulette that all radii share is right for each: the same mean as without."""
-    problem = scenes.room("mixed", "rough", size=(12, 8))
+    problem = scenes.room("mixed", scenes.FEW, size=(12, 8))
     settings = {"radius": 0.1, "radius_unit": "absolute", "radii": "3", "alpha": 1.0, "samples_per_pass": 64}
     runs = []
     for level, seed in ((0.0, 1), (1.0, 2)):

@@ -215,7 +215,7 @@ def test_more_photons_less_error():
 
 
 def test_photons_are_as_many_as_asked_for():
-    problem = scenes.room("sphere", "rough")
+    problem = scenes.room("sphere", scenes.FEW)
     for photons in (1, 1000, 20_000):
         stored = prepared(problem, "pm", photons=photons, samples_per_pass=1).step(0, 1).counters["photons"]
         assert abs(stored - photons) < 6.0 * np.sqrt(5.0 * photons) + 0.05 * photons, photons
@@ -324,10 +324,10 @@ def test_the_caustic_of_a_point_light_in_a_mirror(method):
 
 
 def test_photons_beyond_memory_are_refused_or_fewer():
-    problem = scenes.room("sphere", "rough")
+    problem = scenes.room("sphere", scenes.FEW)
     with pytest.raises(OptionError, match=r"photons=100000000 need a memory limit of \d+ MB; \d+ fit"):
         prepared(problem, "pm", photons=100_000_000)
-    problem.memory = 2_000_000
+    problem.memory = 1_300_000
     with pytest.raises(OptionError, match="memory limit"):
         prepared(problem, "pm")
     settings = {"radius": 0.05, "radius_unit": "absolute", "alpha": 1.0}
@@ -343,7 +343,7 @@ def test_photons_beyond_memory_are_refused_or_fewer():
 @pytest.mark.parametrize("method", ["pm", "sppm"])
 def test_a_pilot_that_guessed_too_low(method):
     """The store overflows, and the light paths are traced again with more room: as many, and the same picture."""
-    problem = scenes.room("sphere", "rough")
+    problem = scenes.room("sphere", scenes.FEW)
     first, second = (prepared(problem, method, samples_per_pass=16) for _ in range(2))
     expected = first.step(0, 1)
     second.tracer.room.per_path = 0.01

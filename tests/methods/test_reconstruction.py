@@ -26,7 +26,7 @@ METHODS = {
 @pytest.mark.parametrize("rfilter", thinned(FILTERS, ("gaussian",)))
 @pytest.mark.parametrize("name", thinned(METHODS, ("light", "bpt", "vegas film")))
 def test_both_ways_have_the_same_mean(name, rfilter):
-    problem = scenes.room("sphere", "rough", rfilter=rfilter)
+    problem = scenes.room("sphere", scenes.FEW, rfilter=rfilter)
     images = [
         run(problem, name.split()[0], seed=seed, reconstruction=how, **METHODS[name]).images
         for seed, how in ((1, "neighbours"), (2, "independent"))
@@ -39,7 +39,7 @@ def test_neighbours_have_less_noise():
     by more, as places in the pixel are even within a pass."""
     variance = {}
     for rfilter in ("box", "tent", "gaussian"):
-        problem = scenes.room("sphere", "rough", rfilter=rfilter)
+        problem = scenes.room("sphere", scenes.FEW, rfilter=rfilter)
         for how in ("neighbours", "independent"):
             images = run(problem, "path", passes=24, samples=16, clamp=0.5, reconstruction=how).images
             variance[rfilter, how] = images.var(axis=0, ddof=1).mean()
@@ -52,7 +52,7 @@ def test_neighbours_have_less_noise():
 
 def test_pixels_alone_share_no_noise():
     """Correlation of neighbours over passes: the Gaussian's with itself, exp(-1 / (4 sigma^2)) = 1 / e; and none."""
-    problem = scenes.room("sphere", "rough", rfilter="gaussian")
+    problem = scenes.room("sphere", scenes.FEW, rfilter="gaussian")
     for how, expected in (("neighbours", np.exp(-1.0)), ("independent", 0.0)):
         images = run(problem, "path", passes=40, samples=16, reconstruction=how).images
         z = (images - images.mean(0)) / np.maximum(images.std(0), 1e-9)
@@ -72,12 +72,12 @@ def test_a_sky_is_even_from_the_first_sample():
 @pytest.mark.parametrize("method", ["bpt", "vcm"])
 def test_layers_are_filtered_as_the_picture_is(method):
     """Families of techniques, the pyramid and first hits: the former add up to the picture."""
-    problem = scenes.room("sphere", "rough", rfilter="gaussian")
+    problem = scenes.room("sphere", scenes.FEW, rfilter="gaussian")
     common = {"samples_per_pass": 4, "aovs": True}
     split = go(prepared(problem, method, split_layers=True, **common), 2).measurement
     names = split.sums.keys() - {"image", "albedo", "normal", "depth"}
     np.testing.assert_allclose(sum(split.mean(n) for n in names), split.mean(), rtol=1e-4, atol=1e-6)
-    pyramid = go(prepared(problem, method, pyramid=True, pyramid_depth=4, **common), 2).measurement
+    pyramid = go(prepared(problem, method, pyramid=True, pyramid_depth=3, **common), 2).measurement
     weighted = [n for n in pyramid.sums if n == LONGER or (Technique.of_layer(n) or (None, False))[1]]
     assert len(weighted) > 6
     np.testing.assert_allclose(sum(pyramid.mean(n) for n in weighted), pyramid.mean(), rtol=1e-4, atol=1e-6)
@@ -87,7 +87,7 @@ def test_layers_are_filtered_as_the_picture_is(method):
 
 def test_passes_in_any_order_give_the_same_bits():
     """No sum of a pass depends on an order: nothing is scattered."""
-    problem = scenes.room("sphere", "rough", rfilter="mitchell")
+    problem = scenes.room("sphere", scenes.FEW, rfilter="mitchell")
     runner = prepared(problem, "path", sampler="owen", samples_per_pass=4)
     forth = [runner.step(i, 1).sums["image"] for i in range(3)]
     back = [runner.step(i, 1).sums["image"] for i in reversed(range(3))]
@@ -97,7 +97,7 @@ def test_passes_in_any_order_give_the_same_bits():
 @pytest.mark.parametrize("samples", [1, 4, 8])
 def test_the_numbers_of_a_sample_do_not_depend_on_the_pass_it_is_in(samples):
     """Even numbers go on from pass to pass, places in the pixel included. Near the border a pass divides by its own."""
-    problem = scenes.room("sphere", "rough", rfilter="tent")
+    problem = scenes.room("sphere", scenes.FEW, rfilter="tent")
     image = run(problem, "path", passes=8 // samples, samples=samples, sampler="owen").mean
     whole = run(problem, "path", passes=4, samples=2, sampler="owen").mean
     np.testing.assert_allclose(image[1:-1, 1:-1], whole[1:-1, 1:-1], rtol=1e-4, atol=1e-6)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -99,23 +100,34 @@ def package(tmp_path):
     return tmp_path
 
 
-def command(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    code = f"import sys; sys.path.insert(0, {str(folder)!r}); from etendue.cli.main import main; sys.exit(main())"
-    return subprocess.run(
-        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, cwd=folder, timeout=300
-    )
+def commands(folder: Path, *lines: str) -> list[tuple[str, str, int]]:
+    """What each command writes to both streams and its exit status; in one process, which finds the package."""
+    code = f"""
+import sys
+sys.path.insert(0, {str(folder)!r})
+from etendue.cli.main import main
+for line in sys.argv[1:]:
+    status = main(line.split())
+    print(f"--{{status}}--", flush=True)
+    print("----", file=sys.stderr, flush=True)
+"""
+    done = subprocess.run([sys.executable, "-c", code, *lines], capture_output=True, text=True, cwd=folder, timeout=300)
+    assert done.returncode == 0, done.stderr
+    out = re.split(r"--(\d+)--\n", done.stdout)
+    return list(zip(out[:-1:2], done.stderr.split("----\n"), map(int, out[1::2]), strict=False))
 
 
 def test_an_entry_point_is_in_the_command_line(package):
-    listed = command(package, "methods")
-    assert "occlusion" in listed.stdout and "Share of the hemisphere" in listed.stdout
-    assert "method 'broken' of another package cannot be loaded: occluded:Missing" in listed.stderr
-    assert "reach" in command(package, "methods", "occlusion").stdout
-    made = command(
+    listed, shown, made, refused = commands(
         package,
-        *["compare", "cornell-box", "-m", "path", "-m", "occlusion", "--spp", "2", "--size", "8x8", "-o", "page"],
+        "methods",
+        "methods occlusion",
+        "compare cornell-box -m path -m occlusion --spp 2 --size 8x8 -o page",
+        "render cornell-box -m broken --spp 1 -o a.exr",
     )
-    assert made.returncode == 0, made.stderr
+    assert "occlusion" in listed[0] and "Share of the hemisphere" in listed[0]
+    assert "method 'broken' of another package cannot be loaded: occluded:Missing" in listed[1]
+    assert "reach" in shown[0]
+    assert made[2] == 0, made
     assert "occlusion" in (package / "page" / "index.html").read_text("utf-8")
-    refused = command(package, *["render", "cornell-box", "-m", "broken", "--spp", "1", "-o", "a.exr"])
-    assert refused.returncode == 2 and "method 'broken' cannot be loaded: occluded:Missing" in refused.stderr
+    assert refused[2] == 2 and "method 'broken' cannot be loaded: occluded:Missing" in refused[1]

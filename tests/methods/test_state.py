@@ -98,7 +98,7 @@ def assert_goes_on(new: Callable[[], Any], left: RunResult, whole: Measurement, 
 @pytest.mark.parametrize("name", thinned(LEARNERS, list(LEARNERS)[::2]))
 def test_a_pass_that_fails_as_it_learns(name, monkeypatch, tmp_path):
     method, settings, owner, step, call, error = LEARNERS[name]
-    problem = scenes.room("mixed", "rough")
+    problem = scenes.room("mixed", scenes.FEW)
 
     def new() -> Any:
         return prepared(problem, method, **settings).method
@@ -120,7 +120,7 @@ def grouped(problem: Any, method: str) -> Any:
 @pytest.mark.parametrize("method", thinned(("bpt", "auto"), ("bpt",)))
 def test_groups_of_light_paths_are_a_part_of_the_state(method, monkeypatch, tmp_path):
     """The second pass finds more vertices than there is room for; the run ends in the fourth."""
-    problem = scenes.room("sphere", "rough")
+    problem = scenes.room("sphere", scenes.FEW)
     problem.memory = MEMORY
 
     def overflow(at: int) -> None:
@@ -148,7 +148,7 @@ def test_groups_of_light_paths_are_a_part_of_the_state(method, monkeypatch, tmp_
 
 
 def test_groups_that_a_failing_pass_has_made_are_given_up(monkeypatch, tmp_path):
-    problem = scenes.room("sphere", "rough")
+    problem = scenes.room("sphere", scenes.FEW)
     problem.memory = MEMORY
     whole = finished(grouped(problem, "bpt"))
 
@@ -185,7 +185,7 @@ CARRYING = {
 def test_replicas_share_a_method(name):
     """In turn, each from its own state, as each alone; and a pass from a state that was kept is that pass again."""
     method, settings, near = CARRYING[name]
-    problem = scenes.room("mixed", "rough")
+    problem = scenes.room("mixed", scenes.FEW)
 
     def new() -> Any:
         return prepared(problem, method, **settings).method
