@@ -89,6 +89,7 @@ def stage(*emitters: str) -> tuple[Any, LightTable]:
 def rays(lights: LightTable) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray]:
     """(emitted, 1 / density, directions, origins) of ``N`` emitted rays; inactive rays have 1 / density zero."""
     emitted = emit(lights, source("light"), dr.full(mi.Bool, True, N))
+    dr.eval(emitted)  # once, or each array that is read would compile a kernel that draws the rays anew
     inverse = np.array(dr.select(emitted.active, dr.rcp(emitted.emission_density), 0.0), np.float64)
     shape = (3, N)
     direction = np.broadcast_to(np.array(emitted.ray.d, np.float64), shape)
@@ -237,6 +238,7 @@ def test_next_event_and_hits_agree_about_densities(names):
     """A ray sent to where next event points meets the light; both give it the same densities and radiance."""
     scene, lights = stage(*names)
     si = scene.ray_intersect(floor_points())
+    dr.eval(si)
     direct = sample_direct(lights, si, source("camera"), mi.UInt32(1), 0, si.is_valid())
     ray = si.spawn_ray(direct.direction)
     if not lights.has_infinite:  # from where it starts, a little beside the point
@@ -251,6 +253,7 @@ def test_next_event_and_hits_agree_about_densities(names):
     # The ray starts a little off the floor: at a grazing angle it meets another point of the light.
     seen &= cos > 0.3
     radiance, area_density, emission_density = emission_of_hit(lights, scene, hit, seen)
+    dr.eval(direct, hit, seen, cos, radiance, area_density, emission_density)
     pdf = dr.select(infinite, area_density, area_density * dr.square(hit.t) / cos)
     ratio = direct.light_ratio * direct.pdf * cos
     mask = np.array(seen)
@@ -273,6 +276,7 @@ def test_next_event_covers_the_cone_of_a_sphere(name):
         si = dr.zeros(mi.SurfaceInteraction3f, N)
         si.p = mi.Point3f((np.array([[x], [y], [z]]) + factor * radius * towards).astype(np.float32))
         direct = sample_direct(lights, si, source("camera"), mi.UInt32(1), 0, dr.full(mi.Bool, True, N))
+        dr.eval(direct)
         active = np.array(direct.active)
         assert active.mean() > 0.999
         cosine = -(np.array(direct.direction, np.float64) * towards).sum(0)
@@ -294,6 +298,7 @@ def test_next_event_covers_the_sky(name):
     scene, lights = stage(name)
     si = scene.ray_intersect(floor_points())
     direct = sample_direct(lights, si, source("camera"), mi.UInt32(1), 0, si.is_valid())
+    dr.eval(direct)
     inverse = np.array(dr.select(direct.active, dr.rcp(direct.pdf), 0.0), np.float64)
     for octant in octants(np.array(direct.direction, np.float64)):
         assert_mean(octant * inverse, np.pi / 2, name)
@@ -312,6 +317,7 @@ def balls(material: str, inside: bool = False) -> tuple[Any, Any]:
     origin = target - (0.0 if inside else 1.5) * towards + random.uniform(-0.15, 0.15, (3, n))
     ray = mi.Ray3f(mi.Point3f(origin.astype(np.float32)), mi.Vector3f(towards.astype(np.float32)))
     si = problem.scene.ray_intersect(ray)
+    dr.eval(si)
     return problem.scene, si
 
 
@@ -330,9 +336,10 @@ def test_scattering_gives_both_densities(material):
         wo = si.to_local(scattered.direction)
         swapped = mi.SurfaceInteraction3f(si)
         swapped.wi = wo
-        smooth = np.array(scattered.active & ~scattered.is_delta)
-        pdf = np.array(bsdf.pdf(forward, si, wo, active))
-        reverse = np.array(bsdf.pdf(backward, swapped, si.wi, active))
+        smooth = scattered.active & ~scattered.is_delta
+        pdf, reverse = bsdf.pdf(forward, si, wo, active), bsdf.pdf(backward, swapped, si.wi, active)
+        dr.eval(scattered, smooth, pdf, reverse)
+        smooth, pdf, reverse = np.array(smooth), np.array(pdf), np.array(reverse)
         # Mitsuba's rough glass samples and evaluates apart in one case of two hundred, near total reflection.
         share = 0.99 if material == "roughdielectric" else 0.999
         assert_close(np.array(scattered.pdf)[smooth], pdf[smooth], share)
@@ -351,6 +358,7 @@ def test_both_ends_evaluate_one_function(material):
     exchanged = mi.SurfaceInteraction3f(si)
     exchanged.wi = local
     light = evaluate_light_end(bsdf, exchanged, si.wi, active)
+    dr.eval(camera, light)
     mask = np.array(active)
     for a, b in ((camera.value, light.value), (camera.pdf, light.reverse_pdf), (camera.reverse_pdf, light.pdf)):
         np.testing.assert_allclose(np.array(a)[..., mask], np.array(b)[..., mask], rtol=1e-3, atol=1e-5)
@@ -366,6 +374,7 @@ def test_the_weight_of_a_light_side_scattering(material):
     scattered, _ = scatter_light(bsdf, si, source("light", dr.width(si)), mi.UInt32(1), active)
     wo = si.to_local(scattered.direction)
     value = evaluate_light_end(bsdf, si, wo, active).value * cosine_ratio(si, scattered.direction)
+    dr.eval(scattered, value)
     mask = np.array(scattered.active & ~scattered.is_delta & (scattered.pdf > 1e-2))
     weight, expected = np.array(scattered.weight * scattered.pdf)[:, mask], np.array(value)[:, mask]
     np.testing.assert_allclose(weight, expected, rtol=2e-2, atol=1e-3)
@@ -376,6 +385,7 @@ def test_a_mirror_keeps_the_flux():
     for material in ("conductor", "dielectric"):
         _scene, si = balls(material)  # the interactions need the scene alive
         scattered, _ = scatter_light(si.bsdf(), si, source("light", dr.width(si)), mi.UInt32(1), si.is_valid())
+        dr.eval(scattered)
         weight = np.array(scattered.weight)[:, np.array(scattered.active)]
         assert weight.max() < 1.001
         if material == "dielectric":
@@ -406,8 +416,10 @@ def test_the_mean_weight_of_scattering_is_the_integral(material, end):
             value = dr.select(local.z * si.wi.z > 0.0, value, 0.0)
         # Delta lobes (of plastic) have no value to integrate.
         smooth = scattered.active & ~scattered.is_delta
-        sampled.append(np.array(dr.select(smooth, scattered.weight.y, 0.0), np.float64).mean())
-        integrated.append(np.array(dr.select(active, value.y * (4 * dr.pi), 0.0), np.float64).mean())
+        drawn, uniform = dr.select(smooth, scattered.weight.y, 0.0), dr.select(active, value.y * (4 * dr.pi), 0.0)
+        dr.eval(drawn, uniform)
+        sampled.append(np.array(drawn, np.float64).mean())
+        integrated.append(np.array(uniform, np.float64).mean())
     difference = np.array(sampled) - np.array(integrated)
     assert np.mean(integrated) > 0.05
     assert_mean(difference, 0.0, (material, end, np.mean(sampled), np.mean(integrated)), sigmas=6.0)
@@ -435,6 +447,7 @@ def test_uniform_directions_carry_what_those_of_the_material_do(material, inside
             scattered, _ = scatter(bsdf, si, numbers, mi.UInt32(1), active)
             back = dr.dot(scattered.direction, si.n) * dr.dot(si.wi, si.to_local(si.n)) > 0.0
             weight = dr.select(scattered.active, scattered.weight.y, 0.0)
+            dr.eval(back, weight)
             weights.append([np.array(dr.select(mask, weight, 0.0), np.float64) for mask in (back, ~back)])
         means.append(weights[0][0].mean() + weights[0][1].mean())
         for side, a, b in zip(differences, *weights, strict=True):
