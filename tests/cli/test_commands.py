@@ -322,20 +322,17 @@ def test_a_killed_render_leaves_its_last_intermediate_save(folder):
 
 
 def processor_seconds(*command: str) -> float:
-    """Least of two runs: what a loaded machine adds is not ours."""
-    seconds = []
-    for _ in range(2):
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run(command, capture_output=True, check=True, timeout=60)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        seconds.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-    return min(seconds)
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run(command, capture_output=True, check=True, timeout=60)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def test_help_is_immediate():
-    """Beside importing what it stands on: a variant of Mitsuba, or Numba, would add as much again."""
-    ground = processor_seconds(sys.executable, "-c", "import mitsuba, drjit, numpy, typer, rich.console")
-    assert processor_seconds(*COMMAND, "--help") < 3.2 * ground
+    """Beside importing what it stands on: a variant of Mitsuba, or Numba, would add as much again. Once in two
+    tries: what a loaded machine adds is not ours."""
+    ground = [sys.executable, "-c", "import mitsuba, drjit, numpy, typer, rich.console"]
+    assert any(processor_seconds(*COMMAND, "--help") < 3.2 * processor_seconds(*ground) for _ in range(2))
 
 
 def test_every_paper_cited_in_the_source_is_in_the_bibliography():
