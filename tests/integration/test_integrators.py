@@ -114,7 +114,7 @@ def test_batches_do_not_change_what_is_estimated(monkeypatch):
 
     f, integral = known("bell")
     whole = Stratified(6).integrate(f, 6**3 * 4, seed=3)
-    monkeypatch.setattr(HostBackend, "batch", 100)
+    monkeypatch.setattr(HostBackend, "batch", 300)
     for make, samples, freedom in list(TABLE.values())[::2]:
         assert_honest(runs(make(f), f, samples, 60), integral, freedom=freedom)
     parts = Stratified(6).integrate(f, 6**3 * 4, seed=3)

@@ -63,7 +63,7 @@ def test_two_narrow_peaks(name):
 def test_reuse_of_exploration_is_biased_and_less_with_more_samples():
     f, integral = two_peaks(narrow=500.0)
     bias = []
-    for samples, count in ((1000, 400), (16_000, 100)):
+    for samples, count in ((1000, 200), (16_000, 50)):
         values = np.array([e.value for e in runs(RecursiveStratified(reuse=True), f, samples, count)]) / integral - 1
         bias.append((abs(values.mean()), values.std(ddof=1) / math.sqrt(count)))
     (few, error), (many, _) = bias

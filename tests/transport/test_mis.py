@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 from support.tables import crossed, thinned
 
+from etendue.core import on_device
 from etendue.transport import GRAZING, Mis, Techniques
 
 #: Random paths for each pattern of specular vertices.
@@ -151,14 +152,14 @@ class Paths:
             distance = mi.Float(1.0) if j == 1 and self.light == "infinite" else d2[j - 1]
             state = light[j] = mis.hit(*state, distance, cos_in[j])
             state = mis.scatter_light(
-                *state, cos_in[j], cos_out[j], forward[j], reverse[j], mi.Bool(self.is_specular(j))
+                *state, cos_in[j], cos_out[j], forward[j], reverse[j], on_device(mi.Bool, self.is_specular(j))
             )
 
         camera: dict[int, Any] = {}
         state = mis.start_camera(pixel)
         for j in range(k - 1, 0, -1):
             state = camera[j] = mis.hit(*state, d2[j], cos_out[j])
-            specular = mi.Bool(self.is_specular(j))
+            specular = on_device(mi.Bool, self.is_specular(j))
             state = mis.scatter_camera(depth(k, j), *state, cos_in[j], reverse[j], forward[j], specular)
         if self.light != "infinite":
             state = mis.hit(*state, d2[0], cos_out[0])
@@ -198,7 +199,7 @@ def depth(k: int, j: int) -> Any:
 
 
 def _floats(values: Any) -> list[Any]:
-    return [mi.Float(np.asarray(v, np.float32)) for v in values]
+    return [on_device(mi.Float, v) for v in values]
 
 
 def check(paths: Paths, t: Techniques, eta: float = 0.3, light_paths: float = 12.0, more: Iterable[float] = ()) -> int:
