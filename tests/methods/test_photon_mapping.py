@@ -16,13 +16,15 @@ from etendue import methods
 from etendue.core import CheckpointError, OptionError, Replica
 from etendue.engine import Budget, Checkpoint, Job, Task
 
+#: Of a pass of ``pm``: building the tree is most of its time.
+PHOTONS = 60_000
 #: Every switch that changes which photons are looked up.
 VARIANTS = {
     "sppm": ("sppm", {"radius": 0.02, "radius_unit": "absolute", "alpha": 1.0}),
     "sppm photons": ("sppm", {"radius": 0.02, "radius_unit": "absolute", "alpha": 1.0, "direct": "photons"}),
-    "pm": ("pm", {"neighbours": 12}),
-    "pm photons": ("pm", {"neighbours": 12, "direct": "photons"}),
-    "pm final gather": ("pm", {"neighbours": 12, "final_gather": True}),
+    "pm": ("pm", {"neighbours": 12, "photons": PHOTONS}),
+    "pm photons": ("pm", {"neighbours": 12, "photons": PHOTONS, "direct": "photons"}),
+    "pm final gather": ("pm", {"neighbours": 12, "photons": PHOTONS, "final_gather": True}),
 }
 
 
@@ -228,7 +230,7 @@ def test_photons_are_as_many_as_asked_for():
 def test_max_depth_counts_edges_as_path_does(name, depth):
     method, settings = VARIANTS[name]
     problem = scene(**scenes.EMITTERS["rectangle"](), ball=scenes.thing("dielectric", (0.0, 0.302, 0.0)))
-    images = run(problem, method, passes=6, samples=24 if method == "pm" else 64, max_depth=depth, **settings).images
+    images = run(problem, method, passes=6, samples=64, max_depth=depth, **settings).images
     reference = run(problem, "path", passes=6, samples=256, max_depth=depth).images
     if depth < 2:  # the lamp faces away from the eye
         assert not images.any()
@@ -312,10 +314,9 @@ def test_the_caustic_of_a_point_light_in_a_mirror_is_out_of_reach(method):
 def test_the_caustic_of_a_point_light_in_a_mirror(method):
     """What photons make of it is what next event makes of the same light without the bulb."""
     settings = {"radius": 0.06, "radius_unit": "absolute", "alpha": 1.0, "light_paths": 2.0}
-    samples = 64
-    if method == "pm":  # a search for neighbours takes longer than a look into the grid, and finds as many each time
-        settings, samples = {"neighbours": 20}, 24
-    images = run(caustic_in_a_mirror(bulb=True), method, passes=6, samples=samples, **settings).images
+    if method == "pm":
+        settings = {"neighbours": 20, "photons": PHOTONS}
+    images = run(caustic_in_a_mirror(bulb=True), method, passes=6, samples=64, **settings).images
     reference = run(caustic_in_a_mirror(bulb=False), "path", passes=6, samples=64).images
     assert reference.mean() > 0.05
     near(images, reference, 0.03, method)
