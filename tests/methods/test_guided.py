@@ -24,9 +24,9 @@ def lit_room(**view: Any) -> Any:
     return scenes.room("mixed", scenes.FEW, **view)
 
 
-def behind_a_door() -> Any:
+def behind_a_door(size: tuple[int, int] = (24, 18)) -> Any:
     """Indirect light only."""
-    return load("ajar", size=(24, 18))
+    return load("ajar", size=size)
 
 
 def variance(images: np.ndarray, mean: np.ndarray) -> float:
@@ -77,10 +77,10 @@ def test_delta_and_null_components(group):
 
 def test_it_learns_where_the_door_is():
     """Passes after training have less than a third of the variance of those before; and the mean is that of path."""
-    runner = prepared(behind_a_door(), "guided", samples_per_pass=256, generations=3, cell_samples=1000)
+    runner = prepared(behind_a_door((16, 12)), "guided", samples_per_pass=256, generations=3, cell_samples=1000)
     go(runner, 7)
     trained = go(runner, 8, first=7).images
-    plain = run(behind_a_door(), "path", passes=8, samples=512, seed=2).images
+    plain = run(behind_a_door((16, 12)), "path", passes=8, samples=512, seed=2).images
     mean = trained.mean(0)
     assert variance(trained, mean) < 0.33 * 2.0 * variance(plain, mean)
     assert_agree(trained, plain, "ajar", block=6, precision=0.15)
