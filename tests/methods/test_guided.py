@@ -24,9 +24,9 @@ def lit_room(**view: Any) -> Any:
     return scenes.room("mixed", scenes.FEW, **view)
 
 
-def behind_a_door() -> Any:
+def behind_a_door(size: tuple[int, int] = (24, 18)) -> Any:
     """Indirect light only."""
-    return load("ajar", size=(24, 18))
+    return load("ajar", size=size)
 
 
 def variance(images: np.ndarray, mean: np.ndarray) -> float:
@@ -77,10 +77,10 @@ def test_delta_and_null_components(group):
 
 def test_it_learns_where_the_door_is():
     """Passes after training have less than a third of the variance of those before; and the mean is that of path."""
-    runner = prepared(behind_a_door(), "guided", samples_per_pass=256, generations=3, cell_samples=1000)
+    runner = prepared(behind_a_door((16, 12)), "guided", samples_per_pass=256, generations=3, cell_samples=1000)
     go(runner, 7)
     trained = go(runner, 8, first=7).images
-    plain = run(behind_a_door(), "path", passes=8, samples=512, seed=2).images
+    plain = run(behind_a_door((16, 12)), "path", passes=8, samples=512, seed=2).images
     mean = trained.mean(0)
     assert variance(trained, mean) < 0.33 * 2.0 * variance(plain, mean)
     assert_agree(trained, plain, "ajar", block=6, precision=0.15)
@@ -110,18 +110,20 @@ def test_it_learns_which_lamp_matters():
 
 
 def test_the_guide_grows_and_stays():
+    """Cells of the scene and nodes of their trees, in the state after each pass."""
     runner = prepared(behind_a_door(), "guided", samples_per_pass=64, generations=3, cell_samples=200)
-    cells, places = [runner._guide.cells], [runner._guide.places]
+    guides = [runner.state()["guide"]]
     for iteration in range(9):
         runner.step(iteration, 1)
-        cells.append(runner._guide.cells)
-        places.append(runner._guide.places)
-    changes = [i for i, (a, b) in enumerate(itertools.pairwise(places)) if a != b]
-    assert changes == [0, 2, 6]
+        guides.append(runner.state()["guide"])
+    nodes = [len(guide["parent"]) for guide in guides]
+    assert [i for i, (a, b) in enumerate(itertools.pairwise(nodes)) if a != b] == [0, 2, 6]
+    cells = [len(guide["level"]) for guide in guides]
     assert cells[-1] > cells[1] > 6
-    trees = runner._guide._trees
-    assert trees.count == runner._guide.cells
-    assert trees.level.max() >= 3
+    parent, node = guides[-1]["parent"], np.arange(nodes[-1])  # 4 n + q of the q-th quarter of node n; -1 of a root
+    for _ in range(3):  # a tree has three levels and more
+        node = parent[node[parent[node] >= 0]] // 4
+    assert len(node) > 0
 
 
 def test_passes_weigh_more_as_it_learns():

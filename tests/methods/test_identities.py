@@ -193,7 +193,7 @@ def test_light_paths_in_groups_have_the_same_mean(name):
     grouped.memory = 2_000_000
     settings = settings | {"radius": 0.02, "radius_unit": "absolute", "alpha": 1.0, "light_paths": 1.0}
     runner = prepared(grouped, method, samples_per_pass=64, **settings)
-    assert runner._groups > 1
+    assert runner.state()["groups"] > 1
     assert_agree(go(runner, 6).images, run(whole, method, passes=6, samples=64, seed=2, **settings).images, name)
 
 
@@ -274,7 +274,7 @@ def test_a_pilot_that_guessed_too_low(name):
     method, settings = METHODS[name]
     runner = prepared(problem(), method, samples_per_pass=16, light_paths=1.0, **settings)
     expected = runner.step(0, 1)
-    runner._room.per_path = 0.1
+    runner.restore({"groups": 1, "vertices_per_path": 0.1})
     result = runner.step(0, 1)
     assert result.counters["light_vertices"] == expected.counters["light_vertices"]
     np.testing.assert_allclose(result.mean(), expected.mean(), **SAME)

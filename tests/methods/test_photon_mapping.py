@@ -50,17 +50,20 @@ def near(images: np.ndarray, reference: np.ndarray, bias: float, what: Any = "")
 
 
 def test_the_update_of_the_radius():
-    """N = 10 and M = 10 at alpha = 0.5 make N = 15, and R^2 shrinks by 15 / 20 [Hachisuka 2008, eq. 6, 8]."""
-    runner = prepared(scenes.field(0.5, 1.0), "ppm", samples_per_pass=1, alpha=0.5, radius=0.2, radius_unit="absolute")
+    """M photons within R make N + alpha M of N, and R^2 shrinks by (N + alpha M) / (N + M) [Hachisuka 2008, eq. 6, 8];
+    where there is none, both stay."""
+    settings = {"alpha": 0.5, "radius": 0.3, "radius_unit": "absolute", "light_paths": 10.0}
+    runner = prepared(scenes.field(0.5, 1.3), "ppm", samples_per_pass=1, direct="photons", **settings)
     size = len(runner.state()["count"])
     assert size == 64
-    statistics = {"radius_squared": np.full(size, 0.04, np.float32), "count": np.full(size, 10.0, np.float32)}
-    runner.restore(statistics | {"most": 1.0, "passes": 0})
-    found = np.where(np.arange(size) < 32, 10, 0)
-    runner.finish(mi.UInt32(found.astype(np.uint32)))
-    state = runner.method._left()
-    np.testing.assert_allclose(state["count"], np.where(found, 15.0, 10.0))
-    np.testing.assert_allclose(state["radius_squared"], np.where(found, 0.04 * 15 / 20, 0.04), rtol=1e-6)
+    before = np.where(np.arange(size) < 32, 0.09, 1e-12).astype(np.float32)
+    runner.restore({"radius_squared": before, "count": np.full(size, 10.0, np.float32), "most": 1.0, "passes": 0})
+    runner.step(0, 1)
+    state = runner.state()
+    found = (np.asarray(state["count"]) - 10.0) / 0.5
+    assert found[:32].min() > 3.0 and not found[32:].any()
+    np.testing.assert_allclose(found, np.round(found), atol=1e-3)
+    np.testing.assert_allclose(state["radius_squared"], before * (10.0 + 0.5 * found) / (10.0 + found), rtol=1e-5)
 
 
 @pytest.mark.parametrize("kernel", ["uniform", "cone"])

@@ -73,7 +73,7 @@ def test_the_sum_with_crossed_surfaces_groups_and_families():
     problem = scenes.room("sphere", ("mask", "cutout", "conductor"))
     settings = {"radius": 0.02, "split_layers": True, "pyramid": True, "pyramid_depth": 3}
     runner = prepared(problem, "vcm", samples_per_pass=4, **settings)
-    runner._groups = 3
+    runner.restore(runner.state() | {"groups": 3})
     measurement = go(runner, 2).measurement
     np.testing.assert_allclose(weighted_sum(measurement), measurement.mean(), rtol=1e-5, atol=2e-6)
     families = sum(measurement.mean(f) for f in ("emission", "next_event", "connection", "splat", "merge"))
