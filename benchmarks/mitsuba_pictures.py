@@ -29,11 +29,12 @@ def picture(
     total, done, count, taken = np.zeros((*problem.size[::-1], 3)), 0, 0, 0.0
     begin = time.perf_counter()
     while True:
+        spp = part if math.isinf(samples) else min(part, int(samples) - done)
         image = mi.render(
-            problem.scene, sensor=problem.sensor, integrator=integrator, spp=part, seed=100_000 * seed + count
+            problem.scene, sensor=problem.sensor, integrator=integrator, spp=spp, seed=100_000 * seed + count
         )
-        total += part * np.array(image, np.float64)[:, :, :3]
-        done, count = done + part, count + 1
+        total += spp * np.array(image, np.float64)[:, :, :3]
+        done, count = done + spp, count + 1
         before, taken = taken, time.perf_counter() - begin
         if done >= samples or 2.0 * taken - before > seconds:
             return total / done, float(done), taken

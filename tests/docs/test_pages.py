@@ -81,6 +81,11 @@ def test_symbols_name_what_their_files_have(row):
     assert names
     for word in re.findall(r"\w\w+", " ".join(names)):
         assert re.search(rf"\b{word}\b", text), f"docs/symbols.md: no {word} in {files.strip()}"
+    for name in names:
+        if "." in name and name[0].isupper():
+            assert re.search(rf"^class {name.split('.')[0]}\b", text, re.MULTILINE), (
+                f"no class {name} in {files.strip()}"
+            )
 
 
 def short(function):

@@ -50,28 +50,57 @@ def check(path, passes):
 
 def test_a_save_writes_what_is_new(tmp_path):
     path = tmp_path / "a"
-    total = measured(range(6))
+    total = measured(range(PASSES))
     checkpoint(total).write(path)
     before = files(path)
     assert len(before) == 2
     checkpoint(total).write(path)
     assert files(path) == before  # nothing is new
-    total += measured(range(6, PASSES))
+    total += measured(range(PASSES, PASSES + 4))
     checkpoint(total).write(path)
     after = files(path)
     assert len(after) == 4 and {name: after[name] for name in before} == before
-    found = check(path, PASSES)
+    found = check(path, PASSES + 4)
     # Rows lie in the files, for what was read and for what was written.
     for record in (found.records["hits"], total.records["hits"]):
         assert not any(array.flags.writeable for array in record)
     # A resumed run goes on in the same way; another name gets all.
-    found += measured(range(PASSES, PASSES + 3))
+    found += measured(range(PASSES + 4, PASSES + 6))
     checkpoint(found).write(path)
-    assert len(files(path)) == 6
+    assert before.items() < files(path).items()
     checkpoint(found).write(tmp_path / "b")
     assert len(files(tmp_path / "b")) == 2
-    check(path, PASSES + 3)
-    check(tmp_path / "b", PASSES + 3)
+    check(path, PASSES + 6)
+    check(tmp_path / "b", PASSES + 6)
+
+
+def test_many_saves_leave_few_files(tmp_path):
+    """Each is mapped into memory, for which the system gives so many at a time."""
+    path, total = tmp_path / "a", measured(range(1))
+    saves, written, seen = 200, 0, {}
+    for i in range(1, saves):
+        total += measured([i])
+        checkpoint(total).write(path)
+        now = files(path)
+        written += sum(stat.st_size for name, stat in now.items() if name not in seen)
+        seen = now
+    assert len(seen) <= 2 * (np.log2(saves) + 2)
+    size = sum(stat.st_size for stat in seen.values())
+    assert written < np.log2(saves) * size + 200 * saves * 2  # rows are written log n times, headers each time
+    check(path, saves)
+
+
+def test_two_runs_of_one_name(tmp_path):
+    """The last one to save is what the checkpoint has, as for a picture."""
+    path, first, second = tmp_path / "a", measured(range(5)), measured(range(7))
+    checkpoint(first).write(path)
+    checkpoint(second).write(path)  # removes the files of the first
+    first += measured(range(5, 6))
+    checkpoint(first).write(path)
+    check(path, 6)
+    shutil.rmtree(tmp_path / "a.records")
+    checkpoint(first).write(path)
+    check(path, 6)
 
 
 def test_what_no_checkpoint_names_is_removed_by_the_next_save(tmp_path):
@@ -79,9 +108,12 @@ def test_what_no_checkpoint_names_is_removed_by_the_next_save(tmp_path):
     checkpoint(measured(range(9))).write(path)
     left_over = tmp_path / "a.records" / "hits-0123456789ab.npy"
     np.save(left_over, rows(4))
+    mine = tmp_path / "a.records" / "mine.npy"
+    np.save(mine, rows(4))
     check(path, 9)
     checkpoint(measured(range(4))).write(path)  # another run
-    assert not left_over.exists() and len(files(path)) == 2
+    assert not left_over.exists() and mine.exists() and len(files(path)) == 3
+    mine.unlink()
     check(path, 4)
     checkpoint(Measurement({}, {}, Iterations.single(0))).write(path)
     assert not (tmp_path / "a.records").exists()

@@ -39,8 +39,9 @@ INDEPENDENT = [name for name in METHODS if name not in ("guided", "vegas", "ppm"
 
 
 def problem() -> Any:
-    """Every family of techniques has something to do here."""
-    return scenes.room("mixed", scenes.FEW, rfilter="gaussian")
+    """Every family of techniques has something to do here, delta and null scattering included; an anisotropic material
+    has the store of vertices keep hits instead of frames."""
+    return scenes.room("mixed", ("anisotropic", "dielectric", "mask"), rfilter="gaussian")
 
 
 @pytest.mark.parametrize("settings", [{"light_source": "path", "heuristic": "power"}, {"connections": 2}], ids=str)

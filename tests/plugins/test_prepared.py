@@ -198,9 +198,18 @@ def test_one_integrator_and_two_scenes():
     assert same(pictures[1], picture(two, mi.load_dict({"type": "light"} | one.integrator().options)))
 
 
-def test_a_scene_is_freed():
-    scene = mi.load_dict(room())
-    picture(scene)
+@pytest.mark.parametrize("method", ["vcm", "sppm", "a pass that fails"])
+def test_a_scene_is_freed(method, monkeypatch):
+    """Also of a method that carries something on, and after a failure."""
+    name = "vcm" if method == "a pass that fails" else method
+    scene = mi.load_dict(room(name))
+    with monkeypatch.context() as patch:
+        if name != method:
+            patch.setattr(methods.get(name), "step", lambda *_: 1 / 0)
+            with pytest.raises(RuntimeError):
+                picture(scene)
+        else:
+            picture(scene)
     integrator = weakref.ref(scene.integrator())
     del scene
     gc.collect()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
-from etendue.core import Progress, format_seconds, logger
+from etendue.core import EtendueError, Progress, format_seconds, logger
 from etendue.jobs import FormFactorResult, RadiosityResult, start_work
 
 from .console import error_console, note
@@ -43,6 +44,9 @@ class _Casting:
         self.work.keep(run)
 
     def finish(self, run: RunResult) -> RunResult:
+        # While signals only ask for an end. If it fails, `LinesWork.finish` tries again and says so.
+        with suppress(EtendueError, OSError):
+            self.work.keep(run)
         return run
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Mapping
+from bisect import insort
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,11 +21,14 @@ Rows = NDArray[Any]
 class RecordFile:
     """A file, never changed once it is written, that holds the rows of some passes one after the other."""
 
-    path: str
+    path: str  #: absolute
     #: CRC-32 of the rows.
     checksum: int
     #: Passes and the number of rows of each, in the order of the file.
     passes: tuple[tuple[PassKey, int], ...]
+
+    def __len__(self) -> int:
+        return sum(count for _, count in self.passes)
 
 
 class Record:
@@ -37,6 +40,8 @@ class Record:
 
     def __init__(self, parts: Mapping[PassKey, Rows] | None = None) -> None:
         self._parts: dict[PassKey, Rows] = dict(parts or {})
+        self._order = sorted(self._parts)
+        self._rows = sum(map(len, self._parts.values()))
         #: Those that hold a part of the rows; the others are in memory alone.
         self.files: list[RecordFile] = []
 
@@ -46,10 +51,10 @@ class Record:
         return cls({(replica, iteration): rows})
 
     def __len__(self) -> int:
-        return sum(map(len, self._parts.values()))
+        return self._rows
 
     def __iter__(self) -> Iterator[Rows]:
-        return (self._parts[key] for key in self.passes)
+        return (self._parts[key] for key in self._order)
 
     def __getitem__(self, key: PassKey) -> Rows:
         return self._parts[key]
@@ -57,7 +62,7 @@ class Record:
     @property
     def passes(self) -> list[PassKey]:
         """Replica and iteration of each array, in order."""
-        return sorted(self._parts)
+        return list(self._order)
 
     @property
     def nbytes(self) -> int:
@@ -82,23 +87,22 @@ class Record:
     def __iadd__(self, other: Record) -> Record:
         self.check(other)
         self._parts |= other._parts
+        for key in other._order:
+            insort(self._order, key)
+        self._rows += other._rows
         self.files += other.files
         return self
 
-    def keep(self, file: RecordFile, rows: Rows) -> None:
-        """Take the ``rows`` of a file in place of those in memory, which they equal."""
+    def keep(self, files: Iterable[RecordFile], file: RecordFile, rows: Rows) -> None:
+        """Take the ``rows`` of a new ``file`` in place of those that were there, which they equal. The record then lies
+        in ``files`` and in the new one."""
         ends = np.cumsum([0, *(count for _, count in file.passes)])
-        for (key, _), start, end in zip(file.passes, ends[:-1], ends[1:], strict=True):
-            self._parts[key] = rows[start:end]
-        self.files.append(file)
-
-    def unkept(self, folder: str | os.PathLike[str]) -> list[PassKey]:
-        """Passes whose rows no file in ``folder`` holds, in order."""
-        here = os.path.realpath(folder)
-        kept = {
-            key for file in self.files if os.path.dirname(os.path.realpath(file.path)) == here for key, _ in file.passes
-        }
-        return [key for key in self.passes if key not in kept]
+        parts = {key: rows[a:b] for (key, _), a, b in zip(file.passes, ends[:-1], ends[1:], strict=True)}
+        self._rows += sum(count for key, count in file.passes if key not in self._parts)
+        for key in parts.keys() - self._parts.keys():
+            insort(self._order, key)
+        self._parts |= parts
+        self.files = [*files, file]
 
     def _first(self) -> list[Rows]:
         return [next(iter(self._parts.values()))] if self._parts else []

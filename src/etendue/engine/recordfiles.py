@@ -1,15 +1,17 @@
 """Records beside a checkpoint: files that are written once and count as soon as the checkpoint names them.
 
-Each save writes the rows that no file has yet, so it costs what is new. The folder is ``NAME.records`` beside the
-checkpoint ``NAME``; its files are arrays of NumPy, which map into memory: a resumed run reads rows where they are used.
-Files that the checkpoint does not name are of a save that was cut short, or of a run before: the next save removes
-them.
+Each save writes the rows that no file has yet, and joins to them files that are not larger than what it writes: so a
+run that saves n times has log n files, as a merge sort has, and a save costs about what is new. The folder is
+``NAME.records`` beside the checkpoint ``NAME``; its files are arrays of NumPy, which map into memory: a resumed run
+reads rows where they are used. Files that the checkpoint does not name are of a save that was cut short, or of a run
+before: the next save removes them.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import re
 import secrets
 import zlib
 from collections.abc import Mapping
@@ -24,6 +26,8 @@ from etendue.film import check_writable, replacing
 
 #: Bytes that are looked at together for a checksum.
 _BLOCK = 1 << 24
+#: How names of files end, those of unfinished ones included.
+_OURS = re.compile(r"-[0-9a-f]{12}\.npy(\.[0-9a-f]{16}\.npy)?$")
 
 
 def folder_of(checkpoint: str | os.PathLike[str]) -> Path:
@@ -47,11 +51,23 @@ def write_records(records: Mapping[str, Record], checkpoint: str | os.PathLike[s
 
 
 def _write(name: str, record: Record, folder: Path) -> list[dict[str, Any]]:
-    new = record.unkept(folder)
+    here = [file for file in record.files if _is_in(folder, file)]
+    kept = {key for file in here for key, _ in file.passes}
+    new = [key for key in record.passes if key not in kept]
     if new:
-        path, parts, checksum = folder / f"{name}-{secrets.token_hex(6)}.npy", [record[key] for key in new], 0
+        count = sum(len(record[key]) for key in new)
+        while here and len(here[-1]) <= count:
+            joined = here.pop()
+            count += len(joined)
+            new += [key for key, _ in joined.passes]
+        new.sort()
+        path, parts, checksum = (
+            folder.absolute() / f"{name}-{secrets.token_hex(6)}.npy",
+            [record[key] for key in new],
+            0,
+        )
         with replacing(path) as part, open(part, "wb") as file:
-            shape = (sum(map(len, parts)), *parts[0].shape[1:])
+            shape = (count, *parts[0].shape[1:])
             layout = {"descr": parts[0].dtype.str, "fortran_order": False, "shape": shape}
             np.lib.format.write_array_header_2_0(file, layout)
             for rows in parts:
@@ -59,13 +75,18 @@ def _write(name: str, record: Record, folder: Path) -> list[dict[str, Any]]:
                 checksum = _checksum(data, checksum)
                 data.tofile(file)
         passes = tuple((key, len(rows)) for key, rows in zip(new, parts, strict=True))
-        record.keep(RecordFile(str(path), checksum, passes), _mapped(path))
-    here = os.path.realpath(folder)
+        record.keep(here, RecordFile(str(path), checksum, passes), _mapped(path))
+        here = record.files
     return [
         {"file": Path(file.path).name, "checksum": file.checksum, "passes": [[*key, n] for key, n in file.passes]}
-        for file in record.files
-        if os.path.dirname(os.path.realpath(file.path)) == here
+        for file in here
     ]
+
+
+def _is_in(folder: Path, file: RecordFile) -> bool:
+    """Whether a file is there still: another run of the same name may have removed it."""
+    path = Path(file.path)
+    return path.parent.resolve() == folder.resolve() and path.is_file()
 
 
 def read_records(header: Mapping[str, Any], checkpoint: str | os.PathLike[str]) -> dict[str, Record]:
@@ -75,7 +96,7 @@ def read_records(header: Mapping[str, Any], checkpoint: str | os.PathLike[str]) 
     for name, files in header.items():
         record = records[name] = Record()
         for known in files:
-            path = folder_of(checkpoint) / known["file"]
+            path = folder_of(checkpoint).absolute() / known["file"]
             passes = tuple(((int(replica), int(iteration)), int(n)) for replica, iteration, n in known["passes"])
             try:
                 rows = _mapped(path)
@@ -84,11 +105,15 @@ def read_records(header: Mapping[str, Any], checkpoint: str | os.PathLike[str]) 
                     f"{path} is missing, which checkpoint {checkpoint} needs: move the checkpoint and its folder "
                     f"{folder_of(checkpoint).name} together"
                 ) from None
-            except (OSError, ValueError, EOFError) as error:
+            except OSError as error:
+                raise CheckpointError(
+                    f"cannot read {path}, a part of checkpoint {checkpoint}: {error.strerror or error}"
+                ) from error
+            except (ValueError, EOFError) as error:
                 raise CheckpointError(f"{path}, a part of checkpoint {checkpoint}, is damaged ({error})") from error
             if len(rows) != sum(n for _, n in passes) or _checksum(rows) != known["checksum"]:
                 raise CheckpointError(f"{path}, a part of checkpoint {checkpoint}, is damaged; cast the lines anew")
-            record.keep(RecordFile(str(path), known["checksum"], passes), rows)
+            record.keep(record.files, RecordFile(str(path), known["checksum"], passes), rows)
     return records
 
 
@@ -98,7 +123,7 @@ def remove_others(header: Mapping[str, Any], checkpoint: str | os.PathLike[str])
     named = {known["file"] for files in header.values() for known in files}
     with contextlib.suppress(OSError):
         for path in folder.glob("*.npy"):
-            if path.name not in named:
+            if _OURS.search(path.name) and path.name not in named:
                 path.unlink()
         if not named and folder.is_dir():
             folder.rmdir()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -47,7 +48,7 @@ def rescued(name: str, *ways: tuple[str, Write]) -> Path | None:
             with contextlib.suppress(Exception):
                 write(place := folder / (name + suffix))
                 return place
-        folder.rmdir()
+        shutil.rmtree(folder)
     return None
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from etendue.core import OptionError, Progress, Result, SampleSource, is_whole
-from etendue.engine import Budget, Runner
+from etendue.engine import Budget, RunError, Runner
 from etendue.methods import CameraSettings, ImageMethod, ImageSettings, total
 from etendue.radiosity import RadiosityError, Solution, check_colours, radiosity_on
 from etendue.scene import Problem, check, load
@@ -98,7 +98,12 @@ def _run(
         if on_pass is not None:
             on_pass(progress.passes, passes)
 
-    return Runner(method, seed=seed, budget=Budget(iterations=passes), on_progress=tell).run().result.image
+    runner = Runner(method, seed=seed, budget=Budget(iterations=passes), on_progress=tell, watched=False)
+    try:
+        return runner.run().result.image
+    except RunError as error:  # nobody keeps the passes of a picture
+        failure = error.__cause__ or error
+    raise failure
 
 
 class _Seen(ImageMethod):

@@ -3,6 +3,7 @@ as that goes before anything is read."""
 
 from __future__ import annotations
 
+import json
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -187,13 +188,19 @@ class LinesRequest(ABC):
         place: Any = Path(self.source) if self.is_mesh else locate(self.source, logger.debug)
         plain = {name: getattr(self, name) for name in self._noted()}
         plain |= {"seed": int(self.seed), "source": str(place.absolute()) if isinstance(place, Path) else place.name}
-        return {_NOTE: {"work": self.work, **plain, **self._noted_outputs()}}
+        return {_NOTE: _plain({"work": self.work, **plain, **self._noted_outputs()})}
 
     def _noted(self) -> tuple[str, ...]:
         return ("lines", "local_rays", "max_area", "mesh")
 
     @abstractmethod
     def _noted_outputs(self) -> dict[str, Any]: ...
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    """The same without types of NumPy, which JSON does not know."""
+    plain: dict[str, Any] = json.loads(json.dumps(values, default=lambda value: value.item()))
+    return plain
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -86,7 +86,7 @@ def _edge(s: CameraPath, walker: Walker, weights: DirectWeights, source: SampleS
         contribution, visible = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
         s.radiance[visible] += contribution
 
-    # ---- Advance: alpha_j+1 = alpha_j f_s(z_j) |cos| / p_e(z_j+1), and Russian roulette
+    # ---- Advance: alpha_j+1 = alpha_j f_s(z_j) |cos| / p_s(z_j+1), and Russian roulette
     s.pdf = walker.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
     walker.advance(s, vertex, scattered, source)
     return s

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
@@ -102,17 +103,21 @@ def _integrator_class(method: Any, variant: str) -> type:
         def _run(self, ready: Any, seed: int, spp: int) -> RunResult:
             """The passes of a picture; the first one is made also if it is cancelled before."""
             passes = -(-spp // ready.samples_per_iteration)
-            budget = Budget(seconds=self.timeout if self.timeout > 0 else None, iterations=passes)
-            runner = Runner(ready, seed=seed, budget=budget, cancel=self, watched=False)
-            self._runner = runner
+            seconds = self.timeout if 0 < self.timeout < math.inf else None
+            budget = Budget(seconds=seconds, iterations=passes)
+            self._runner = Runner(ready, seed=seed, budget=budget, cancel=self, watched=False)
             try:
-                return runner.run()
+                return self._runner.run()
             except RunError as error:
-                raise error.__cause__ or error from None
+                failure = error.__cause__ or error
+            finally:
+                self._runner = None  # it knows the scene, which knows this integrator
+            raise failure
 
         def is_set(self) -> bool:
             """Whether the passes under way should end: see ``engine.CancelEvent``."""
-            return self._cancelled and self._runner is not None and self._runner.progress.passes > 0
+            runner = self._runner
+            return self._cancelled and runner is not None and runner.progress.passes > 0
 
         def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
             """Raises: derivatives are not computed."""

@@ -1,8 +1,8 @@
 """Weights of the two techniques of path tracing: a ray that hits a light, and a point sampled on a light.
 
-.. math:: w^e = \\frac{p_e^\\beta}{p_e^\\beta + p_d^\\beta}, \\qquad w^d = \\frac{p_d^\\beta}{p_e^\\beta + p_d^\\beta}
+.. math:: w^e = \\frac{p_s^\\beta}{p_s^\\beta + p_d^\\beta}, \\qquad w^d = \\frac{p_d^\\beta}{p_s^\\beta + p_d^\\beta}
 
-with the solid-angle densities p_e of the scattered direction and p_d of the light point [Veach 1997, sec. 9.2].
+with the solid-angle densities p_s of the scattered direction and p_d of the light point [Veach 1997, sec. 9.2].
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class DirectWeights:
         return self.mode != "naive"
 
     def hit(self, pdf: mi.Float, direct_pdf: mi.Float) -> mi.Float:
-        """w^e of a hit. ``pdf``: p_e, or 0 where only a hit can find the light: on the first edge and after a delta
+        """w^e of a hit. ``pdf``: p_s, or 0 where only a hit can find the light: on the first edge and after a delta
         scattering; ``direct_pdf``: p_d."""
         if self.mode == "naive":
             return mi.Float(1.0)
@@ -41,7 +41,7 @@ class DirectWeights:
         return dr.select(pdf == 0.0, 1.0, dr.rcp(1.0 + self._power(direct_pdf / pdf)))
 
     def light_point(self, light: DirectSample, pdf: mi.Float) -> mi.Float:
-        """w^d of a light point. ``pdf``: p_e; a delta light has w^d = 1, as no ray hits it."""
+        """w^d of a light point. ``pdf``: p_s; a delta light has w^d = 1, as no ray hits it."""
         if self.mode == "next_event":
             return mi.Float(1.0)
         return dr.select(light.is_delta, 1.0, dr.rcp(1.0 + self._power(pdf / light.pdf)))

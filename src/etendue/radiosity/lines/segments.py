@@ -45,7 +45,8 @@ class Segments:
 
     def __init__(self, patches: Patches, chunks: Sequence[Pairs], batches: ArrayLike, expected: Array) -> None:
         self.patches = patches
-        self.chunks = list(chunks)
+        # All read-only, as those in files are: compiled loops are made anew for arrays that are not.
+        self.chunks = [_read_only(chunk) for chunk in chunks]
         self.batches = np.asarray(batches, dtype=np.int64)
         self.expected = expected
         ends = self._ends()[: len(patches)]
@@ -176,6 +177,12 @@ class Segments:
             return out
 
         return sum(in_order(partial(task, part) for part in parts), start=zero)
+
+
+def _read_only(chunk: Pairs) -> Pairs:
+    view = chunk.view()
+    view.flags.writeable = False
+    return view
 
 
 def scatter(parts: Iterable[tuple[Array, Array]], mean: Array) -> Array:

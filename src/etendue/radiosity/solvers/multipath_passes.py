@@ -13,6 +13,7 @@ from etendue.core import Settings as AnySettings
 from etendue.points import OwenSobol
 from etendue.surfaces import Patches, RayScene
 
+from ..errors import RadiosityError
 from ..lines.chained import ChainedRays
 from ..lines.engine import LineEngine
 from ..problem import PatchProblem
@@ -69,7 +70,7 @@ class MultipathPasses:
     def prepare(self, problem: PatchProblem, seed: int) -> None:
         """Build the engine, and send the light of small emitters. Raises :class:`RadiosityError` if nothing emits, and
         for an engine whose successive lines are parallel."""
-        self.patches = problem.patches
+        self.patches, self._seed = problem.patches, seed
         self._engine = self._make_engine(problem.patches, seed)
         self._exchange = LineExchange(self._engine, self.samples_per_iteration, self._shoot(seed))
 
@@ -84,6 +85,8 @@ class MultipathPasses:
 
     def step(self, iteration: int, seed: int, state: State) -> Pass:
         """Exchange power along the lines of a pass."""
+        if seed != self._seed:
+            raise RadiosityError(f"lines of seed {seed} are cast by what was prepared with that seed, not {self._seed}")
         unshot, received = state["unshot"].copy(), np.zeros(self._exchange.shape)
         size, sent, segments = self.samples_per_iteration, np.zeros(self.patches.channels), 0
         for chunk in self._engine.stream(size, iteration * size):
