@@ -266,8 +266,8 @@ class PixelFilter:
 
     def taps(self, x: Any, y: Any) -> list[tuple[Any, Any, Any]]:
         """The pixels of a contribution at film position (``x``, ``y``): a list of (pixel index ``y * width + x``,
-        signed weight, mask). The contribution is measured per unit of film area in pixels, and pixel ``c`` gets it times
-        ``f(x - c - 1/2) / Z_c``. All masks are false off the film."""
+        signed weight, mask). The contribution is measured per unit of film area in pixels, and pixel ``c`` gets it
+        times ``f(x - c - 1/2) / Z_c``. All masks are false off the film."""
         if self.is_box:
             return [self.splat(x, y, 0.5, 0.5)]
         on_film = self._x.holds(x) & self._y.holds(y)
