@@ -137,5 +137,5 @@ def test_a_missing_netcdf_library_is_named_first(absent, monkeypatch, capsys, va
     assert run("-o s.nc", variant) == 6
     assert (
         capsys.readouterr().err
-        == f"error: the netCDF file s.nc takes {absent}, which is not here: pip install 'etendue[netcdf]'\n"
+        == f"error: the netCDF file s.nc needs {absent}, which is not installed: pip install 'etendue[netcdf]'\n"
     )

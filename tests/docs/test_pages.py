@@ -15,7 +15,7 @@ from support.run_files import SCENE, example
 
 import etendue
 from etendue import api, methods
-from etendue.cli import compare, doctor, radiosity, rendering
+from etendue.cli import compare, doctor, rendering, solutions
 from etendue.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -147,9 +147,9 @@ def test_commands_are_understood(command, folder, monkeypatch, capsys):
     monkeypatch.setattr(rendering, "choose_device", lambda variant, threads: None)
     monkeypatch.setattr(rendering, "render_to_files", lambda *arguments: begun.append(arguments) or 0)
     monkeypatch.setattr(compare.Comparison, "run", lambda *arguments: begun.append(arguments) or 0)
-    monkeypatch.setattr(radiosity, "cast", lambda *arguments: begun.append(arguments) or radiosity.Cast(None, 0, print))
-    monkeypatch.setattr(radiosity.out.SolutionOutput, "write_again", lambda *arguments: begun.append(arguments) or 0)
-    monkeypatch.setattr(radiosity, "exact_to_file", lambda *arguments: begun.append(arguments) or 0)
+    monkeypatch.setattr(solutions, "cast", lambda *arguments: begun.append(arguments) or rendering.Outcome(None, 0))
+    for name in ("solution_to_files", "exact_to_files"):
+        monkeypatch.setattr(solutions, name, lambda *arguments: begun.append(arguments))
     monkeypatch.setattr(doctor, "run_doctor", lambda *arguments: begun.append(arguments) or 0)
     words = shlex.split(command, comments=True)[1:]
     assert main(words) == 0, capsys.readouterr().err

@@ -125,7 +125,7 @@ def test_an_entry_point_is_in_the_command_line(package):
         "compare cornell-box -m path -m occlusion --spp 2 --size 8x8 -o page",
         "render cornell-box -m broken --spp 1 -o a.exr",
     )
-    assert "occlusion" in listed[0] and "Share of the hemisphere" in listed[0]
+    assert "occlusion" in listed[0] and "share of the hemisphere" in listed[0]
     assert "method 'broken' of another package cannot be loaded: occluded:Missing" in listed[1]
     assert "reach" in shown[0]
     assert made[2] == 0, made
