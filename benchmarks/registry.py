@@ -141,7 +141,8 @@ def command_line(program: Program) -> typer.Typer:
     shared = {name: p for own in taken.values() for name, p in own.items() if name in ("variant", "record", "out")}
 
     def everything(context: typer.Context, **given: Any) -> None:
-        if context.invoked_subcommand is not None and any(given.values()):
+        sources = [context.get_parameter_source(name) for name in given]
+        if context.invoked_subcommand is not None and any(s is not None and s.name == "COMMANDLINE" for s in sources):
             raise typer.BadParameter(f"options of one benchmark stand after its name, '{context.invoked_subcommand}'")
         for benchmark in program.benchmarks:
             if benchmark.in_all and context.invoked_subcommand is None:
