@@ -133,6 +133,12 @@ def software(variant: str) -> str:
     return ", ".join([variant, *names])
 
 
+def _without_out(words: Sequence[str]) -> list[str]:
+    """Options of a command without ``--out``: a folder of this machine, which says nothing of the measurement."""
+    kept = [word for before, word in zip(["", *words], words, strict=False) if before != "--out"]
+    return [word for word in kept if word.split("=")[0] != "--out"]
+
+
 def _program(script: Path) -> str:
     """What stands behind ``python -m`` for a script of ours, else the script."""
     folder = script.resolve().parent
@@ -173,7 +179,7 @@ class Record:
         def line(cells: Sequence[str]) -> str:
             return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
-        words = [_program(Path(sys.argv[0])), *sys.argv[1:]]
+        words = [_program(Path(sys.argv[0])), *_without_out(sys.argv[1:])]
         load = f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown"
         lines = [
             f"\n## {self.title}, {datetime.now():%Y-%m-%d %H:%M}\n",

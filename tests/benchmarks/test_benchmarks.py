@@ -170,7 +170,11 @@ def test_every_ray_is_recorded(name):
 
 def test_a_record_is_appended(tmp_path, monkeypatch):
     measuring = module("measuring")
-    monkeypatch.setattr(sys, "argv", [str(measuring.ROOT / "benchmarks" / "__main__.py"), "cost", "--size", "8x8"])
+    monkeypatch.setattr(
+        sys,
+        "argv",
+        [str(measuring.ROOT / "benchmarks" / "__main__.py"), "cost", "--out", "a/b", "--size", "8x8", "--out=c"],
+    )
     for number in range(2):
         record = measuring.Record(f"Table {number}", ("", "a|b"))
         record.add("vcm", "1.0")
@@ -179,7 +183,7 @@ def test_a_record_is_appended(tmp_path, monkeypatch):
     text = (tmp_path / "RESULTS.md").read_text("utf-8")
     assert text.index("## Table 0") < text.index("## Table 1")
     assert "| vcm | 1.0 |" in text and "a\\|b" in text and "- a note" in text
-    assert "python -m benchmarks cost --size 8x8" in text and "mitsuba" in text
+    assert "`python -m benchmarks cost --size 8x8`" in text and "mitsuba" in text
 
 
 @pytest.mark.parametrize(("value", "words"), [(2.8, "reached"), (2.81, "missed")])
