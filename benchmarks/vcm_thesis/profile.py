@@ -6,6 +6,8 @@ import statistics
 from dataclasses import dataclass
 from typing import Any
 
+import mitsuba as mi
+
 from etendue.core import Replica
 
 from ..measuring import Record, interleaved
@@ -114,11 +116,11 @@ def _lengths(problem: Any, size: tuple[int, int]) -> tuple[float, float, float]:
 def _camera_walk(estimator: Any) -> tuple[float, float, float]:
     """Means over the camera paths of the first pass: edges, surfaces met, surfaces that take connections."""
     import drjit as dr
-    import mitsuba as mi
     import numpy as np
 
     from etendue.transport import CameraPath, Walker, ones
 
+    # Dr.Jit looks for the types of its members among the names of this module.
     @dataclass(kw_only=True)
     class Counted(CameraPath):
         met: mi.UInt32
