@@ -36,17 +36,22 @@ def z_scores(a: np.ndarray, b: np.ndarray | float) -> np.ndarray:
     return np.sign(t) * stats.norm.isf(np.maximum(stats.t.sf(np.abs(t), freedom), 1e-300))
 
 
+class TooNoisy(AssertionError):
+    """A comparison whose runs are too short for the precision that it needs."""
+
+
 def assert_agree(a: np.ndarray, b: np.ndarray | float, what: Any = "", block: int = 4, precision: float = 0.02) -> None:
     """Two stacks of pass pictures (passes, h, w, c), or one and the true value, have the same mean.
 
     Two tests a channel: the sum over the picture, and chi-square of the blocks' z. ``precision`` is the largest
-    relative standard error of the sum with which the comparison still says something.
+    relative standard error of the sum with which the comparison still says something; :class:`TooNoisy` beyond it.
     """
     total_a, total_b = a.mean(axis=(1, 2)), b.mean(axis=(1, 2)) if isinstance(b, np.ndarray) else b
     error = total_a.std(0, ddof=1) / np.sqrt(len(a))
     scale = np.abs(total_a.mean(0)).max()
     assert scale > 0.0, f"{what}: black"
-    assert (error <= precision * scale).all(), f"{what}: too noisy to say anything, {error / scale}"
+    if not (error <= precision * scale).all():
+        raise TooNoisy(f"{what}: too noisy to say anything, {error / scale}")
     z_total = z_scores(total_a, total_b)
     p_total = 2.0 * stats.norm.sf(np.abs(z_total)).min()
     z = z_scores(blocks(a, block), blocks(b, block) if isinstance(b, np.ndarray) else b)
