@@ -17,9 +17,9 @@ from etendue.core import Array
 from .boundary import Boundary, check_boundary, reflected, share_inside
 from .errors import DensityError
 from .estimator import Estimator, positive
-from .hashgrid import HashGrid
 from .kernels import Kernel, kernel_of
 from .samples import Frame, Surface, uploaded
+from .search.hashgrid import HashGrid
 
 #: Smallest reach of a kernel relative to the extent of the samples.
 _FINEST = 3e-6

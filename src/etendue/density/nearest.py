@@ -16,9 +16,9 @@ from etendue.core import Array
 from .boundary import Boundary, check_boundary, share_inside
 from .estimator import Estimator, neighbours
 from .fixed import check_surface, over
-from .kdtree import KdTree
 from .kernels import Kernel, kernel_of
 from .samples import Frame, Surface, uploaded
+from .search.kdtree import KdTree
 
 
 class NearestNeighbours(Estimator):

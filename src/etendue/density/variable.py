@@ -20,9 +20,9 @@ from .boundary import Boundary, check_boundary, reflected
 from .errors import DensityError
 from .estimator import Estimator, neighbours, positive
 from .fixed import FixedKernel
-from .kdtree import KdTree
 from .kernels import Kernel, kernel_of
 from .samples import Frame, Samples, box_of, by_place, uploaded
+from .search.kdtree import KdTree
 
 _BOUNDARIES = ("none", "reflect")
 

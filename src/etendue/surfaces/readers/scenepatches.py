@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from etendue.core import Array, SceneError, UnsupportedError, logger, seed_key, use_variant
 from etendue.scene import Problem, RenderSpace, graph, load, warn_of_steps
 
-from .errors import PatchError, SurfaceError
+from ..errors import PatchError, SurfaceError
+from ..patches import Patches
 from .meshfiles import sound_faces
-from .patches import Patches
 from .tessellation import face_means, tessellate
 
 Index = NDArray[np.int64]

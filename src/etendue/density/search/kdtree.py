@@ -20,16 +20,14 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-_LEAF = 16
+from .halving import LEAF, highest, lowest, sorted_into_halves
+
 #: Thresholds at which one search counts.
 _THRESHOLDS = 8
 #: Number of sorted distances that the last search keeps.
 _KEPT = 8
 #: A first threshold below the k-th distance costs a search, one far above it makes the first search slower.
 _MARGIN = 1.1
-#: A sort key has the number of a node in its upper bits and a position along an axis below, at most single precision.
-_KEY_BITS = 32
-_AXIS_BITS = 24
 #: Below the squared distance of an empty place, which is infinite.
 _LARGEST = 3.4e38
 _UNKNOWN = 0xFFFFFFFF
@@ -80,23 +78,23 @@ class KdTree:
         chosen = dr.compress(dr.full(mi.Bool, True, width) & active & dr.all(dr.isfinite(points))) if width else []
         self.count = len(chosen)
         self._count = dr.opaque(mi.UInt32, self.count)
-        leaves = 1 << max(-(-self.count // _LEAF) - 1, 0).bit_length()
+        leaves = 1 << max(-(-self.count // LEAF) - 1, 0).bit_length()
         self._first_leaf = dr.opaque(mi.UInt32, leaves)
-        place = dr.arange(mi.UInt32, leaves * _LEAF)
+        place = dr.arange(mi.UInt32, leaves * LEAF)
         # Empty places are at infinity, so they come last here and in every sort.
         filled = place < self._count
         index = dr.gather(mi.UInt32, chosen, place, filled) if self.count else place
-        sides = [dr.full(mi.Float, dr.inf, leaves * _LEAF) for _ in range(3)]
+        sides = [dr.full(mi.Float, dr.inf, leaves * LEAF) for _ in range(3)]
         if self.count:
             sides = [dr.select(filled, dr.gather(mi.Float, side, index, filled), dr.inf) for side in points]
-        index, sides = _sorted_into_halves(index, sides)
+        index, sides = sorted_into_halves(index, sides)
         self.order = dr.gather(mi.UInt32, index, dr.arange(mi.UInt32, self.count))
-        self._points = dr.zeros(mi.Float, 4 * leaves * _LEAF)
+        self._points = dr.zeros(mi.Float, 4 * leaves * LEAF)
         self._boxes = dr.zeros(mi.Float, 16 * leaves)
         felt = dr.gather(mi.Float, reach, index, filled) if reach is not None and self.count else mi.Float(0)
         dr.scatter(self._points, mi.Vector4f(*sides, felt), place)
         dr.eval(self.order, self._points, self._boxes)
-        self._build_boxes(sides, None if reach is None else felt + dr.zeros(mi.Float, leaves * _LEAF), leaves)
+        self._build_boxes(sides, None if reach is None else felt + dr.zeros(mi.Float, leaves * LEAF), leaves)
 
     def within(
         self,
@@ -121,7 +119,7 @@ class KdTree:
 
         def leaf(first: Any, found: Any, state: Any) -> Any:
             near = mi.UInt32(0)
-            for i in range(_LEAF):
+            for i in range(LEAF):
                 inside = found & (self.distance_squared(first + i, point, found) <= radius_squared)
                 near |= dr.select(inside, mi.UInt32(1 << i), 0)
             return self._visited(first, near, point, state, visit)
@@ -133,7 +131,7 @@ class KdTree:
 
         def leaf(first: Any, found: Any, state: Any) -> Any:
             near = mi.UInt32(0)
-            for i in range(_LEAF):
+            for i in range(LEAF):
                 position = dr.gather(mi.Vector4f, self._points, first + i, found)
                 distance = _squared_norm(position.x - point.x, position.y - point.y, position.z - point.z)
                 near |= dr.select(found & (distance <= dr.square(position.w)), mi.UInt32(1 << i), 0)
@@ -212,7 +210,7 @@ class KdTree:
             """Go to the next leaf, so that all lanes are at a leaf when points are compared."""
             node, _ = dr.while_loop((mi.UInt32(node), node != 0), lambda _, go: go, descend, label="kd-tree: descend")
             found = node != 0
-            state = leaf((node - self._first_leaf) * _LEAF, found, state)
+            state = leaf((node - self._first_leaf) * LEAF, found, state)
             return dr.select(found, _behind(node), 0), state
 
         root = dr.select(mi.Bool(active) & (self._count > 0), mi.UInt32(1), 0)
@@ -232,7 +230,7 @@ class KdTree:
 
         def count(first: Any, found: Any, counts: Any) -> Any:
             counts = list(counts)
-            for i in range(_LEAF):
+            for i in range(LEAF):
                 distance = dr.select(found, self.distance_squared(first + i, point, found), dr.inf)
                 for j, threshold in enumerate(thresholds):
                     counts[j] = counts[j] + dr.select(distance <= threshold, mi.UInt32(1), 0)
@@ -263,7 +261,7 @@ class KdTree:
 
         def keep(first: Any, found: Any, kept: Any) -> Any:
             kept = list(kept)
-            for i in range(_LEAF):
+            for i in range(LEAF):
                 value = self.distance_squared(first + i, point, found)
                 value = dr.select(found & (value > lower), value, dr.inf)
                 for j in range(_KEPT):
@@ -285,7 +283,7 @@ class KdTree:
             return 2 * node + dr.select(second, mi.UInt32(1), 0), places >> 1
 
         node, places = dr.while_loop(
-            (dr.select(active, mi.UInt32(1), 0), self._first_leaf * _LEAF),
+            (dr.select(active, mi.UInt32(1), 0), self._first_leaf * LEAF),
             lambda node, places: (node != 0) & (node < self._first_leaf) & (places >= 2 * k),
             descend,
             label="kd-tree: guess",
@@ -306,9 +304,9 @@ class KdTree:
 
     def _build_boxes(self, sides: Sequence[Any], reach: Any, leaves: int) -> None:
         """From the leaves to the root; an empty node has its corners reversed, at infinity."""
-        felt = 0.0 if reach is None else dr.block_reduce(dr.ReduceOp.Max, reach, _LEAF)
-        lower = mi.Point3f(*(_lowest(side, _LEAF) for side in sides))
-        upper = mi.Point3f(*(_highest(side, _LEAF) for side in sides))
+        felt = 0.0 if reach is None else dr.block_reduce(dr.ReduceOp.Max, reach, LEAF)
+        lower = mi.Point3f(*(lowest(side, LEAF) for side in sides))
+        upper = mi.Point3f(*(highest(side, LEAF) for side in sides))
         self._put_box(dr.arange(mi.UInt32, leaves) + self._first_leaf, lower, upper, felt)
         while leaves > 1:
             leaves //= 2
@@ -368,47 +366,3 @@ def _behind(node: Any) -> Any:
     node = node + 1
     node = node >> dr.tzcnt(node)
     return dr.select(node == 1, 0, node)
-
-
-def _lowest(side: Any, block: int) -> Any:
-    return dr.block_reduce(dr.ReduceOp.Min, side, block)
-
-
-def _highest(side: Any, block: int) -> Any:
-    """Without empty places."""
-    return dr.block_reduce(dr.ReduceOp.Max, dr.select(side == dr.inf, -dr.inf, side), block)
-
-
-def _sorted_into_halves(index: Any, sides: list[Any]) -> tuple[Any, list[Any]]:
-    """Reorder, so that every aligned block of a leaf's size times a power of two is a node of the kd-tree.
-
-    A level is one sort by the number of the node and the position along the axis that this node is cut at. The position
-    is rounded to the bits that are left: a cut need not be exact, since the boxes are taken from the points afterwards.
-    """
-    places = dr.width(index)
-    block, depth = places, 0
-    while block > _LEAF:
-        lower = [_lowest(side, block) for side in sides]
-        extent = [_highest(side, block) - a for side, a in zip(sides, lower, strict=True)]
-        axis = dr.select(extent[1] > extent[0], mi.UInt32(1), 0)
-        axis = dr.select(extent[2] > dr.maximum(extent[0], extent[1]), 2, axis)
-        bits = min(_AXIS_BITS, _KEY_BITS - depth)
-        steps, shift = dr.opaque(mi.Float, float(1 << bits)), dr.opaque(mi.UInt32, bits)
-        origin, scale = _along(axis, lower), steps / _along(axis, extent)
-        dr.eval(axis, origin, scale)
-
-        node = dr.arange(mi.UInt32, places) // dr.opaque(mi.UInt32, block)
-        position = _along(dr.gather(mi.UInt32, axis, node), sides) - dr.gather(mi.Float, origin, node)
-        position = position * dr.gather(mi.Float, scale, node)
-        # NaN if a box has no extent, or between two empty places.
-        position = dr.select(position < steps - 1.0, mi.UInt32(position), mi.UInt32(steps - 1.0))
-        permutation = dr.argsort((node << shift) | position)
-        index = dr.gather(mi.UInt32, index, permutation)
-        sides = [dr.gather(mi.Float, side, permutation) for side in sides]
-        dr.eval(index, sides)
-        block, depth = block // 2, depth + 1
-    return index, sides
-
-
-def _along(axis: Any, values: Sequence[Any]) -> Any:
-    return dr.select(axis == 0, values[0], dr.select(axis == 1, values[1], values[2]))

@@ -16,12 +16,12 @@ from etendue.film import replacing
 from etendue.formats import GltfMesh, read_texture_coordinates, write_gltf
 from etendue.scene import graph
 
-from .errors import SurfaceError
-from .faces import triangles
-from .patches import Patches
-from .scenepatches import loaded_scene
-from .smoothing import face_sides
-from .tessellation import tessellate
+from ..errors import SurfaceError
+from ..faces import triangles
+from ..patches import Patches
+from ..readers.scenepatches import loaded_scene
+from ..readers.tessellation import tessellate
+from ..smoothing import face_sides
 
 Index = NDArray[np.int64]
 

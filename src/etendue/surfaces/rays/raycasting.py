@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from etendue.core import Array, copied_to_device, use_variant
 
-from .faces import triangles
-from .patches import Patches
+from ..faces import triangles
+from ..patches import Patches
 
 Index = NDArray[np.int64]
 

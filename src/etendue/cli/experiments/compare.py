@@ -18,9 +18,9 @@ from etendue.engine import Budget, Job, Task
 from etendue.jobs import Outputs, Update
 from etendue.scene import bundled
 
-from .console import note, say
-from .options import settings_by_method
-from .rendering import check_reference, follow, make_folder, summary
+from ..console import note, say
+from ..options import settings_by_method
+from ..rendering import check_reference, follow, make_folder, summary
 
 Image = NDArray[np.float32]
 

@@ -15,9 +15,9 @@ from etendue.core import Array, Result
 from etendue.film import write_exr
 from etendue.scene import RenderSpace
 
+from ..errors import SurfaceError
+from ..places import PatchSurfaces, SurfaceValues
 from .atlases import TexturedMesh, mesh_normals
-from .errors import SurfaceError
-from .places import PatchSurfaces, SurfaceValues
 
 Index = NDArray[np.int64]
 

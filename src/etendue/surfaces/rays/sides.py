@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from etendue.core import Array
 
-from .faces import triangles
-from .patches import Patches
+from ..faces import triangles
+from ..patches import Patches
 
 Index = NDArray[np.int64]
 

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import Array, library, logger, suggest
 
-from .errors import PatchError
-from .faces import face_vectors, flat_faces, repeated
-from .heat import thermal
-from .patches import Patches
+from ..errors import PatchError
+from ..faces import face_vectors, flat_faces, repeated
+from ..heat import thermal
+from ..patches import Patches
 
 Index = NDArray[np.int64]
 
