@@ -9,6 +9,7 @@ import logging
 import sys
 import traceback
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -107,6 +108,9 @@ def resume(
     bundles: Annotated[
         int | None, typer.Option(help="For radiosity: stop at this many bundles of lines.", min=1, metavar="N")
     ] = None,
+    points: Annotated[
+        int | None, typer.Option(help="For multipath: stop at this many lines.", min=1, metavar="N")
+    ] = None,
     variant: opt.Variant = None,
     threads: opt.Threads = None,
     save_every: opt.SaveEvery = 60.0,
@@ -119,22 +123,24 @@ def resume(
     (if there are none, an .exr is written); for a run file, the remaining saves, log and table continue.
     """
     from etendue import methods
-    from etendue.engine import Budget, Checkpoint, Job
+    from etendue.engine import Checkpoint, Job, remaining
     from etendue.jobs import Outputs
 
     from .experiments.records import Recorder, run_of
     from .rendering import choose_device, render_to_files
 
-    budget = Budget(time, spp, None, error)
+    budget = opt.budget(time, spp, error)
     saved = Checkpoint.read(checkpoint)
-    if saved.method == LINES:
+    if saved.method in LINES:
         if (spp, method, define) != (None, None, None):
-            raise OptionError(f"{checkpoint} has lines for radiosity: --spp, -m and -D do not apply")
-        return resume_lines(saved, checkpoint, output or [], scene, bundles, time, error, save_every, variant, threads)
-    if bundles is not None:
-        raise OptionError(f"{checkpoint} has a picture: --bundles does not apply")
+            raise OptionError(f"{checkpoint} is a checkpoint of radiosity: --spp, -m and -D do not apply")
+        limits = {"bundles": bundles, "points": points, "seconds": time, "error": error}
+        return resume_lines(saved, checkpoint, output or [], scene, limits, save_every, variant, threads)
+    if (bundles, points) != (None, None):
+        raise OptionError(f"{checkpoint} is a checkpoint of a picture: --bundles and --points do not apply")
     kind = methods.get(saved.method if method is None else method)
     saved.settings_of(kind, opt.parse_pairs(define, "-D"))
+    rest = partial(remaining, saved, "--time, --spp or --error")
     file = run_of(saved, checkpoint) if output is None else None
     if file is not None:
         console = error_console()
@@ -142,7 +148,7 @@ def resume(
         choose_device(variant or file.variant, threads or file.threads)
 
         def open_job() -> Job:
-            job = Job.resume(saved, kind, budget=budget or None, scene=scene)
+            job = Job.resume(saved, kind, budget=budget or rest(), scene=scene)
             recorder.check(job)
             return job
 
@@ -151,7 +157,7 @@ def resume(
     beside = [checkpoint.with_suffix(suffix) for suffix in (".exr", ".png")]
     outputs = Outputs.of(output or [p for p in beside if p.exists()] or beside[:1], checkpoint, save_every)
     choose_device(variant, threads)
-    return render_to_files(lambda: Job.resume(saved, kind, budget=budget or None, scene=scene), outputs, saved.method)
+    return render_to_files(lambda: Job.resume(saved, kind, budget=budget or rest(), scene=scene), outputs, saved.method)
 
 
 app.command()(run)

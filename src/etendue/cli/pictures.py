@@ -58,7 +58,7 @@ def render(
     Ctrl-C stops after the current pass and writes the picture and the checkpoint.
     """
     from etendue.api import choose_method
-    from etendue.engine import Budget, Job, Task
+    from etendue.engine import Job, Task
     from etendue.jobs import Outputs
     from etendue.scene import locate
 
@@ -66,7 +66,7 @@ def render(
 
     if no_checkpoint and checkpoint is not None:
         raise OptionError("--checkpoint and --no-checkpoint exclude each other; give one of them")
-    budget = Budget(time, spp, None, error)
+    budget = opt.budget(time, spp, error)
     settings = opt.settings(define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling)
     parameters = opt.parse_pairs(param, "-P")
     choose_device(variant, threads)
@@ -160,7 +160,7 @@ def compare(
     from .experiments.compare import Comparison, tasks
     from .rendering import choose_device
 
-    budget = Budget(time, spp, None, error) or Budget(seconds=60)
+    budget = opt.budget(time, spp, error) or Budget(seconds=60)
     notes: list[str] = []
     wanted = tasks(
         locate(scene, notes.append),
@@ -192,6 +192,6 @@ def demo(
     from .experiments.compare import demonstration
     from .rendering import choose_device
 
-    comparison = demonstration(output, time, size)
+    comparison = demonstration(output, opt.budget(time, None, None), size)
     choose_device(variant, threads)
     return comparison.run(error_console())

@@ -25,9 +25,9 @@ class Budget:
     error: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "seconds", _positive("seconds (--time)", self.seconds))
-        object.__setattr__(self, "error", _positive("error (--error)", self.error))
-        object.__setattr__(self, "samples", _count("samples per pixel (--spp)", self.samples))
+        object.__setattr__(self, "seconds", _positive("seconds", self.seconds))
+        object.__setattr__(self, "error", _positive("error", self.error))
+        object.__setattr__(self, "samples", _count("samples per pixel", self.samples))
         object.__setattr__(self, "iterations", _count("passes", self.iterations))
 
     def __bool__(self) -> bool:

@@ -272,14 +272,14 @@ def _settings(task: Task, problem: Problem) -> Settings:
     return task.method.Settings.from_mapping(values, owner=f"method '{task.method.name}'")
 
 
-def remaining(checkpoint: Checkpoint, options: str = "--time, --spp or --error") -> Budget:
-    """What an interrupted run had left of its budget; ``options`` say more of it. Raises :class:`CheckpointError` if
-    that is nothing."""
+def remaining(checkpoint: Checkpoint, options: str = "seconds=, samples= or error=") -> Budget:
+    """The rest of the budget of an interrupted run. ``options`` names the options of a new budget, for the message.
+    Raises :class:`CheckpointError` if the budget is used up."""
     if checkpoint.stopped_by in ("seconds", "samples", "error"):
-        raise CheckpointError(f"the checkpoint's budget is used up; say how much more with {options}")
+        raise CheckpointError(f"the budget of the checkpoint is used up; give a new one with {options}")
     saved = dict(checkpoint.budget)
     if "seconds" in saved:
         saved["seconds"] -= checkpoint.elapsed
         if saved["seconds"] <= 0:
-            raise CheckpointError(f"the checkpoint's time is used up; say how much more with {options}")
+            raise CheckpointError(f"the time of the checkpoint is used up; give a new budget with {options}")
     return Budget(**saved)

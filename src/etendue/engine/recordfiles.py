@@ -36,6 +36,15 @@ def folder_of(checkpoint: str | os.PathLike[str]) -> Path:
     return path.with_name(path.name + ".records")
 
 
+def check_records(checkpoint: str | os.PathLike[str]) -> None:
+    """Raise :class:`OutputError` if the records of a checkpoint could not be written now; leaves nothing behind."""
+    folder = folder_of(checkpoint)
+    if folder.is_dir():
+        check_writable(folder / "rows.npy")
+    elif folder.exists() or folder.is_symlink():
+        raise OutputError(f"cannot write '{folder}': it is not a folder; remove it, or choose another checkpoint")
+
+
 def write_records(records: Mapping[str, Record], checkpoint: str | os.PathLike[str]) -> dict[str, Any]:
     """Write rows that are not there yet, and let the records have them from the files; what the header of the
     checkpoint says of them. Raises :class:`OutputError`; files that were there stay."""

@@ -83,6 +83,7 @@ class Runner:
         on_save: Callable[[RunResult], None] | None = None,
         save_every: float | None = None,
         save_at: Sequence[float] = (),
+        save_if: Callable[[Measurement], bool] | None = None,
         cancel: CancelEvent | None = None,
         spent: float = 0.0,
         executor: MakeExecutor = InTurn,
@@ -100,7 +101,7 @@ class Runner:
         self._measurement = start
         self._state = method.start() if state is None else state  # after the last pass of the measurement
         self.on_progress = on_progress
-        self._on_save = on_save
+        self._on_save, self._save_if = on_save, save_if
         self._spent = spent
         self._make_executor = executor
         self._clock = clock
@@ -145,13 +146,15 @@ class Runner:
                     self._pass(executor.next)
                     if self.on_progress is not None:
                         self.on_progress(self.progress)
+                    if self._on_save is not None:
+                        assert self._measurement is not None
+                        must_save = self._save_if is not None and self._save_if(self._measurement)
+                        self._saving.after_pass(self._elapsed(), self._save, must_save)
                 except Exception as error:
                     if self._measurement is None:
                         raise
                     run = self._result("failure")
                     raise RunError(f"{describe(error)} (after {run.passes} passes, which are kept)", run) from error
-                if self._on_save is not None:
-                    self._saving.after_pass(self._elapsed(), self._save)
         finally:
             executor.close()
         if self._measurement is None:

@@ -55,17 +55,21 @@ class Saving:
             passed.append(self._ahead.popleft())
         return tuple(passed)
 
-    def after_pass(self, elapsed: float, save: Callable[[tuple[float, ...]], object]) -> None:
-        """Call ``save`` with the times that were reached, if it is time. If it fails, that is reported, and the run
-        goes on."""
+    def after_pass(self, elapsed: float, save: Callable[[tuple[float, ...]], object], must_save: bool = False) -> None:
+        """Call ``save`` with the times that were reached, if a save is due or ``must_save`` is set.
+
+        A failed save is logged and the run continues; one that ``must_save`` demands raises.
+        """
         times = self.passed(elapsed)
-        if not times and self._clock() - self._last < self._every:
+        if not (times or must_save) and self._clock() - self._last < self._every:
             return
         begin = self._clock()
         try:
             save(times)
         except Exception as error:
-            logger.warning("intermediate save failed, rendering goes on: %s", describe(error))
+            if must_save:
+                raise
+            logger.warning("an intermediate save failed, the run continues: %s", describe(error))
         cost = self._clock() - begin
         # A slow disk makes periodic saves rarer, never the rendering slow.
         self._last = self._clock() + max(0.0, cost / SAVE_SHARE - self._every)

@@ -41,6 +41,7 @@ class Stopping:
         self._done = 0  # passes of this run
         self._error: float | None = None
         self._next_error = 2
+        self._finish_seconds: float | None = None  # after the latest pass, once it is estimated
 
     @property
     def has_begun(self) -> bool:
@@ -51,6 +52,7 @@ class Stopping:
         """A pass was made."""
         self._durations.append((seconds, rays))
         self._done += 1
+        self._finish_seconds = None
 
     def reason(self, measurement: Measurement | None, elapsed: float) -> StoppedBy | None:
         """Why no further pass should be begun; ``None`` if one should. The first pass of a run is not predicted."""
@@ -116,9 +118,11 @@ class Stopping:
         )
 
     def _finish(self, measurement: Measurement) -> float:
-        """Seconds that the method needs after its last pass."""
-        finish = getattr(self.method, "finish_seconds", None)
-        return 0.0 if finish is None else float(finish(measurement))
+        """Seconds that the method needs after its last pass; estimated once for each pass."""
+        if self._finish_seconds is None:
+            finish = getattr(self.method, "finish_seconds", None)
+            self._finish_seconds = 0.0 if finish is None else float(finish(measurement))
+        return self._finish_seconds
 
     def _predict(self) -> float:
         """Seconds that the next pass will take, on the safe side."""

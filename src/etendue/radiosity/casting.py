@@ -58,6 +58,8 @@ _TIMED = 64
 _FEWEST_RAYS = 8192
 #: "No end" of a stream, and the number of bundles that the size of a pass suits.
 _ENDLESS, _USUAL = 1 << 31, 1024
+#: Size of a segment: two patch indices.
+_SEGMENT_BYTES = 8
 #: Of a measurement: the record of segments, the counter of bundles, the sums of the first shot by sequence.
 _SEGMENTS, _BUNDLES, _SHOT = "segments", "bundles", "shot"
 
@@ -260,16 +262,25 @@ class LineCasting:
         missing = self._shot.blocks(self._shot_rays(self.bundles(measurement))) - int(known.blocks.sum())
         return self._shot.result(known + self._shot.light(first, max(missing, 0)))
 
-    def memory(self, matrix: bool = False) -> int:
-        """Bundles whose segments fit into the memory that is free now; with ``matrix`` form factors as well."""
+    def memory(self, matrix: bool = False, in_files: bool = False) -> int:
+        """Number of bundles whose segments fit into the memory that is free now.
+
+        matrix: form factors must fit as well. in_files: segments lie in the files of a record and take no memory.
+        """
         free, each = free_memory(), float(self.engine.expected(1).sum()) / 2
-        if free is None:
+        stored = 0 if in_files else _SEGMENT_BYTES
+        if free is None or not (matrix or stored):
             return _ENDLESS
         if not matrix:
-            return int(free / (8 * each))
-        # As form_factors reckons: a matrix of as many entries as pairs, or a full one.
+            return int(free / (stored * each))
+        # The estimates of form_factors: a matrix with an entry for each pair, or a full one.
         full = 64 * len(self.patches) ** 2
-        return int(max(free / ((8 + 4 + 128) * each), (free - full) / ((8 + 4) * each)))
+        return int(max(free / ((stored + 4 + 128) * each), (free - full) / ((stored + 4) * each)))
+
+    @property
+    def bytes_per_bundle(self) -> float:
+        """Expected size of the segments of a bundle."""
+        return _SEGMENT_BYTES * float(self.engine.expected(1).sum()) / 2
 
     def close(self) -> None:
         """Cast no more: end what is being cast ahead."""
