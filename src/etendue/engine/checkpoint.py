@@ -13,9 +13,10 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import CheckpointError, Iterations, Measurement, OptionError, Settings
 from etendue.film import replacing
@@ -169,7 +170,7 @@ class Checkpoint:
         return f"the checkpoint was made by étendue {version}, whose '{self.method}' has other settings"
 
 
-def _load(file: Any) -> dict[str, Any]:
+def _load(file: BinaryIO) -> dict[str, NDArray[Any]]:
     if not zipfile.is_zipfile(file):
         raise ValueError("not an archive, or cut off")
     file.seek(0)

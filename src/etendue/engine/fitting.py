@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from etendue.core import Method, OptionError
+from etendue.scene import Problem
 
 
-def fit_samples(method: Method, samples: int, problem: Any, seed: int) -> Method:
+def fit_samples(method: Method, samples: int, problem: Problem, seed: int) -> Method:
     """``method``, or one like it whose passes share ``samples`` (camera paths per pixel) with :func:`fitting_samples`.
 
     Both are prepared for ``problem`` with ``seed``. A method that was told ``samples_per_pass``, or has no such

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Any, Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Generic, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from etendue.core import Progress, describe, logger
 
 from .runner import Cancelled, RunError, Runner, RunResult
+
+if TYPE_CHECKING:
+    import drjit as dr
 
 T = TypeVar("T")
 
@@ -127,7 +130,7 @@ class Session(Generic[T]):
         return f"<etendue.Session {'running' if self.running else 'done'}: {self.progress}>"
 
 
-def _jit_flags() -> dict[Any, bool]:
+def _jit_flags() -> dict[dr.JitFlag, bool]:
     if "drjit" not in sys.modules:
         return {}
     import drjit as dr
@@ -137,7 +140,7 @@ def _jit_flags() -> dict[Any, bool]:
     return {flag: dr.flag(flag) for flag in dr.JitFlag if flag.name not in own}
 
 
-def _set_jit_flags(flags: dict[Any, bool]) -> None:
+def _set_jit_flags(flags: dict[dr.JitFlag, bool]) -> None:
     if flags:
         import drjit as dr
 

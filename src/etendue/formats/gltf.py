@@ -15,7 +15,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,9 @@ from etendue.core import Array, library
 from etendue.film import write_bytes
 
 from .errors import FormatError
+
+if TYPE_CHECKING:
+    import trimesh
 
 Index = NDArray[np.int64]
 
@@ -129,7 +132,7 @@ def read_texture_coordinates(path: str | os.PathLike[str], number: int = 1) -> t
     return vertices, faces.astype(np.int64), np.column_stack([uv[:, 0], 1.0 - uv[:, 1]])
 
 
-def _placed(scene: Any) -> list[tuple[str, str]]:
+def _placed(scene: trimesh.Scene) -> list[tuple[str, str]]:
     """Nodes and the triangle meshes that they place."""
     nodes = [(node, scene.graph[node][1]) for node in scene.graph.nodes_geometry]
     return [(node, geometry) for node, geometry in nodes if hasattr(scene.geometry[geometry], "faces")]

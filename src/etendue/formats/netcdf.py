@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import BackendError, library
 from etendue.film import replacing
@@ -35,7 +35,7 @@ class NetcdfFile:
     lengths: dict[str, int] = field(default_factory=dict)
     variables: dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]] = field(default_factory=dict)
 
-    def add(self, name: str, dimensions: str, values: Any, long_name: str, units: str = "", **more: Any) -> None:
+    def add(self, name: str, dimensions: str, values: ArrayLike, long_name: str, units: str = "", **more: Any) -> None:
         """A variable. Dimensions are names with a blank between; their lengths are those of ``values``."""
         names = tuple(dimensions.split())
         array = np.asarray(values)

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import OptionError, Progress, Result, SampleSource, is_whole
 from etendue.engine import Budget, RunError, Runner
@@ -87,7 +87,7 @@ def picture(
 
 def _run(
     method: ImageMethod, problem: Problem, samples: int, seed: int, on_pass: Callable[[int, int], object] | None = None
-) -> Any:
+) -> NDArray[np.float32]:
     """The picture by ``samples`` paths a pixel, or a few more."""
     method.prepare(problem, seed)
     if method.samples_per_iteration > samples:
@@ -121,7 +121,7 @@ class _Seen(ImageMethod):
         """See :class:`ImageMethod`. Lights are not asked for: there may be none."""
         self.problem, self.scene, self.camera = problem, problem.scene, CameraSampler(problem)
 
-    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Any], dict[str, float]]:
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, mi.TensorXf], dict[str, float]]:
         """See :class:`ImageMethod`."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         source = self.camera_numbers(lanes, samples, seed, iteration)
@@ -157,7 +157,7 @@ class _Gathered(ImageMethod):
         super().__init__()
         self._surfaces, self._reflected = surfaces, reflected
 
-    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Any], dict[str, float]]:
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, mi.TensorXf], dict[str, float]]:
         """See :class:`ImageMethod`. What has been reached is read off the solution when all paths have ended, since it
         takes rays of another scene."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
@@ -207,6 +207,6 @@ class _Gathered(ImageMethod):
         return s
 
 
-def _towards(si: Any, direction: Any) -> Any:
+def _towards(si: mi.SurfaceInteraction3f, direction: mi.Vector3f) -> mi.Normal3f:
     """The geometric normal on the side that rays along ``direction`` come from."""
     return dr.select(dr.dot(si.n, direction) > 0.0, -si.n, si.n)

@@ -246,7 +246,7 @@ class RadiosityWork(LinesWork[RadiosityRequest, RadiosityResult]):
         request, solver = self.request, self.request.solver
         tell("solving")
         shot = lines.shot()
-        transport: Any = form_factors(segments) if request.needs_matrix else segments
+        transport = form_factors(segments) if request.needs_matrix else segments
         solution = solve(self.patches, transport, solver, shot=shot)  # type: ignore[arg-type]
         error = solution.irradiance_error(segments) if segments.batch_count > 1 else None
         known = self._metadata(bundles=lines.count, solver=solver, imbalance=solution.imbalance)

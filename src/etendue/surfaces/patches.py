@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -244,7 +243,7 @@ class Patches:
         return result
 
 
-def _vertices(values: Any) -> Array:
+def _vertices(values: ArrayLike) -> Array:
     try:
         vertices = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -15,17 +14,17 @@ _KEY_BITS = 32
 _AXIS_BITS = 24
 
 
-def lowest(side: Any, block: int) -> Any:
+def lowest(side: mi.Float, block: int) -> mi.Float:
     """Smallest value of each block of ``block`` lanes."""
     return dr.block_reduce(dr.ReduceOp.Min, side, block)
 
 
-def highest(side: Any, block: int) -> Any:
+def highest(side: mi.Float, block: int) -> mi.Float:
     """Largest value of each block of ``block`` lanes, empty places excluded."""
     return dr.block_reduce(dr.ReduceOp.Max, dr.select(side == dr.inf, -dr.inf, side), block)
 
 
-def sorted_into_halves(index: Any, sides: list[Any]) -> tuple[Any, list[Any]]:
+def sorted_into_halves(index: mi.UInt32, sides: list[mi.Float]) -> tuple[mi.UInt32, list[mi.Float]]:
     """Reorder, so that every aligned block of a leaf's size times a power of two is a node of the kd-tree.
 
     A level is one sort by the number of the node and the position along the axis that this node is cut at. The position
@@ -56,5 +55,5 @@ def sorted_into_halves(index: Any, sides: list[Any]) -> tuple[Any, list[Any]]:
     return index, sides
 
 
-def _along(axis: Any, values: Sequence[Any]) -> Any:
+def _along(axis: mi.UInt32, values: Sequence[mi.Float]) -> mi.Float:
     return dr.select(axis == 0, values[0], dr.select(axis == 1, values[1], values[2]))

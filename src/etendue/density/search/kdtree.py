@@ -15,13 +15,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import drjit as dr
 import mitsuba as mi
 
 from .halving import LEAF, highest, lowest, sorted_into_halves
 
+#: State of a search: what a Dr.Jit loop takes.
+S = TypeVar("S")
 #: Thresholds at which one search counts.
 _THRESHOLDS = 8
 #: Number of sorted distances that the last search keeps.
@@ -37,12 +39,12 @@ _UNKNOWN = 0xFFFFFFFF
 class _Interval:
     """Squared distances that may be that of the k-th neighbour: above ``lower``, at most ``upper``."""
 
-    lower: Any
-    below: Any  #: number of points up to ``lower``
-    upper: Any
-    total: Any  #: number of points up to ``upper``, or ``_UNKNOWN``
-    turn: Any
-    wide: Any  #: whether another division is needed
+    lower: mi.Float
+    below: mi.UInt32  #: number of points up to ``lower``
+    upper: mi.Float
+    total: mi.UInt32  #: number of points up to ``upper``, or ``_UNKNOWN``
+    turn: mi.UInt32
+    wide: mi.Bool  #: whether another division is needed
 
 
 class KdTree:
@@ -73,7 +75,7 @@ class KdTree:
     sphere).
     """
 
-    def __init__(self, points: Any, active: Any = True, reach: Any = None) -> None:
+    def __init__(self, points: mi.Point3f, active: mi.Bool | bool = True, reach: mi.Float | None = None) -> None:
         width = dr.width(points)
         chosen = dr.compress(dr.full(mi.Bool, True, width) & active & dr.all(dr.isfinite(points))) if width else []
         self.count = len(chosen)
@@ -98,12 +100,12 @@ class KdTree:
 
     def within(
         self,
-        point: Any,
-        radius_squared: Any,
-        state: Any,
-        visit: Callable[[Any, Any, Any], Any],
-        active: Any = True,
-    ) -> Any:
+        point: mi.Point3f,
+        radius_squared: mi.Float | None,
+        state: S,
+        visit: Callable[[mi.UInt32, mi.Float, S], S],
+        active: mi.Bool | bool = True,
+    ) -> S:
         """Visit every point whose squared distance from ``point`` is at most ``radius_squared``.
 
         Parameters
@@ -117,7 +119,7 @@ class KdTree:
         """
         radius_squared = dr.minimum(radius_squared, _LARGEST)
 
-        def leaf(first: Any, found: Any, state: Any) -> Any:
+        def leaf(first: mi.UInt32, found: mi.Bool, state: S) -> S:
             near = mi.UInt32(0)
             for i in range(LEAF):
                 inside = found & (self.distance_squared(first + i, point, found) <= radius_squared)
@@ -126,10 +128,12 @@ class KdTree:
 
         return self._search(point, radius_squared, active, state, leaf)
 
-    def covering(self, point: Any, state: Any, visit: Callable[[Any, Any, Any], Any], active: Any = True) -> Any:
+    def covering(
+        self, point: mi.Point3f, state: S, visit: Callable[[mi.UInt32, mi.Float, S], S], active: mi.Bool | bool = True
+    ) -> S:
         """Visit every point whose ``reach`` is at least its distance from ``point``; otherwise as :meth:`within`."""
 
-        def leaf(first: Any, found: Any, state: Any) -> Any:
+        def leaf(first: mi.UInt32, found: mi.Bool, state: S) -> S:
             near = mi.UInt32(0)
             for i in range(LEAF):
                 position = dr.gather(mi.Vector4f, self._points, first + i, found)
@@ -139,7 +143,9 @@ class KdTree:
 
         return self._search(point, None, active, state, leaf)
 
-    def kth_distance_squared(self, point: Any, k: Any, limit: Any, active: Any = True) -> Any:
+    def kth_distance_squared(
+        self, point: mi.Point3f, k: mi.UInt32 | int, limit: mi.Float | float, active: mi.Bool | bool = True
+    ) -> mi.Float:
         """Squared distance from ``point`` to its ``k``-th nearest point, exact, or ``limit`` if there are fewer below.
 
         Points at equal distances count each, so a range search with the result visits at least ``k`` points, more if
@@ -176,37 +182,51 @@ class KdTree:
             result = dr.select(few & (k - last.below == number), value, result)
         return result
 
-    def distance_squared(self, place: Any, point: Any, active: Any = True) -> Any:
+    def distance_squared(self, place: mi.UInt32, point: mi.Point3f, active: mi.Bool | bool = True) -> mi.Float:
         """Squared distance of ``point`` from the point at ``place``; all searches compare exactly this value."""
         position = dr.gather(mi.Vector4f, self._points, place, active)
         return _squared_norm(position.x - point.x, position.y - point.y, position.z - point.z)
 
     # Traversal
 
-    def _visited(self, first: Any, near: Any, point: Any, state: Any, visit: Callable[[Any, Any, Any], Any]) -> Any:
+    def _visited(
+        self,
+        first: mi.UInt32,
+        near: mi.UInt32,
+        point: mi.Point3f,
+        state: S,
+        visit: Callable[[mi.UInt32, mi.Float, S], S],
+    ) -> S:
         """The state after a visit to each point of a leaf whose bit is set."""
 
-        def one(near: Any, state: Any) -> tuple[Any, Any]:
+        def one(near: mi.UInt32, state: S) -> tuple[mi.UInt32, S]:
             """Take the neighbour of the lowest bit."""
             place = first + dr.tzcnt(near)
             return near & (near - 1), visit(place, self.distance_squared(place, point), state)
 
         return dr.while_loop((near, state), lambda near, _: near != 0, one, label="kd-tree: neighbours")[1]
 
-    def _search(self, point: Any, radius_squared: Any, active: Any, state: Any, leaf: Callable[..., Any]) -> Any:
+    def _search(
+        self,
+        point: mi.Point3f,
+        radius_squared: mi.Float | None,
+        active: mi.Bool | bool,
+        state: S,
+        leaf: Callable[[mi.UInt32, mi.Bool, S], S],
+    ) -> S:
         """``state = leaf(first place, found, state)`` for every leaf whose box the ball touches.
 
         Without a radius: for every leaf whose box, widened by the largest reach of its points, holds the point.
         """
 
-        def descend(node: Any, _: Any) -> tuple[Any, Any]:
+        def descend(node: mi.UInt32, _: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
             limit = dr.square(self._reach(node)) if radius_squared is None else radius_squared
             touched = self._box_distance_squared(node, point) <= limit
             found = touched & (node >= self._first_leaf)
             node = dr.select(found, node, dr.select(touched, 2 * node, _behind(node)))
             return node, ~found & (node != 0)
 
-        def advance(node: Any, state: Any) -> tuple[Any, Any]:
+        def advance(node: mi.UInt32, state: S) -> tuple[mi.UInt32, S]:
             """Go to the next leaf, so that all lanes are at a leaf when points are compared."""
             node, _ = dr.while_loop((mi.UInt32(node), node != 0), lambda _, go: go, descend, label="kd-tree: descend")
             found = node != 0
@@ -216,7 +236,7 @@ class KdTree:
         root = dr.select(mi.Bool(active) & (self._count > 0), mi.UInt32(1), 0)
         return dr.while_loop((root, state), lambda node, _: node != 0, advance, label="kd-tree: search")[1]
 
-    def _box_distance_squared(self, node: Any, point: Any) -> Any:
+    def _box_distance_squared(self, node: mi.UInt32, point: mi.Point3f) -> mi.Float:
         """Rounding is monotonic, so this is never above the ``distance_squared`` of a point in the box."""
         lower, upper = self._box(node)
         outside = dr.maximum(dr.maximum(lower - point, point - upper), 0.0)
@@ -224,17 +244,19 @@ class KdTree:
 
     # The k-th distance
 
-    def _divided(self, interval: _Interval, point: Any, k: Any, limit: Any) -> _Interval:
+    def _divided(
+        self, interval: _Interval, point: mi.Point3f, k: mi.UInt32 | int, limit: mi.Float | float
+    ) -> _Interval:
         """The part of ``interval`` that holds the k-th distance, or the interval behind it."""
         thresholds = _thresholds(interval)
 
-        def count(first: Any, found: Any, counts: Any) -> Any:
-            counts = list(counts)
+        def count(first: mi.UInt32, found: mi.Bool, counts: tuple[mi.UInt32, ...]) -> tuple[mi.UInt32, ...]:
+            added = list(counts)
             for i in range(LEAF):
                 distance = dr.select(found, self.distance_squared(first + i, point, found), dr.inf)
                 for j, threshold in enumerate(thresholds):
-                    counts[j] = counts[j] + dr.select(distance <= threshold, mi.UInt32(1), 0)
-            return tuple(counts)
+                    added[j] = added[j] + dr.select(distance <= threshold, mi.UInt32(1), 0)
+            return tuple(added)
 
         reach = dr.minimum(interval.upper, _LARGEST)
         counts = self._search(point, reach, interval.wide, tuple(mi.UInt32(0) for _ in thresholds), count)
@@ -256,26 +278,28 @@ class KdTree:
         wide = dr.select(unknown, interval.upper < limit, (total - below > _KEPT) & ~adjacent)
         return _Interval(lower, below, upper, total, interval.turn + 1, interval.wide & wide)
 
-    def _smallest_above(self, lower: Any, point: Any, upper: Any, active: Any) -> tuple[Any, ...]:
+    def _smallest_above(
+        self, lower: mi.Float, point: mi.Point3f, upper: mi.Float, active: mi.Bool | bool
+    ) -> tuple[mi.Float, ...]:
         """The ``_KEPT`` smallest squared distances above ``lower``, ascending, if no more are up to ``upper``."""
 
-        def keep(first: Any, found: Any, kept: Any) -> Any:
-            kept = list(kept)
+        def keep(first: mi.UInt32, found: mi.Bool, kept: tuple[mi.Float, ...]) -> tuple[mi.Float, ...]:
+            smallest = list(kept)
             for i in range(LEAF):
                 value = self.distance_squared(first + i, point, found)
                 value = dr.select(found & (value > lower), value, dr.inf)
                 for j in range(_KEPT):
-                    kept[j], value = dr.minimum(kept[j], value), dr.maximum(kept[j], value)
-            return tuple(kept)
+                    smallest[j], value = dr.minimum(smallest[j], value), dr.maximum(smallest[j], value)
+            return tuple(smallest)
 
         nothing = tuple(mi.Float(dr.inf) for _ in range(_KEPT))
-        kept: tuple[Any, ...] = self._search(point, dr.minimum(upper, _LARGEST), active, nothing, keep)
+        kept: tuple[mi.Float, ...] = self._search(point, dr.minimum(upper, _LARGEST), active, nothing, keep)
         return kept
 
-    def _first_guess(self, point: Any, k: Any, active: Any) -> Any:
+    def _first_guess(self, point: mi.Point3f, k: mi.UInt32 | int, active: mi.Bool | bool) -> mi.Float:
         """A squared distance near that of the k-th neighbour, from the smallest node here with ``k`` points or more."""
 
-        def descend(node: Any, places: Any) -> tuple[Any, Any]:
+        def descend(node: mi.UInt32, places: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
             near = [self._box_distance_squared(child, point) for child in (2 * node, 2 * node + 1)]
             far = [self._farthest_squared(child, point) for child in (2 * node, 2 * node + 1)]
             # The smaller of two boxes around the point: the other may extend from one surface to another.
@@ -296,13 +320,13 @@ class KdTree:
         guess = self._box_distance_squared(node, point) + _MARGIN * dr.maximum(disc, segment)
         return dr.maximum(guess, dr.maximum(1e-12 * dr.squared_norm(self._extent(mi.UInt32(1))), 1e-36))
 
-    def _farthest_squared(self, node: Any, point: Any) -> Any:
+    def _farthest_squared(self, node: mi.UInt32, point: mi.Point3f) -> mi.Float:
         lower, upper = self._box(node)
         return dr.squared_norm(dr.maximum(point - lower, upper - point))
 
     # Boxes
 
-    def _build_boxes(self, sides: Sequence[Any], reach: Any, leaves: int) -> None:
+    def _build_boxes(self, sides: Sequence[mi.Float], reach: mi.Float | None, leaves: int) -> None:
         """From the leaves to the root; an empty node has its corners reversed, at infinity."""
         felt = 0.0 if reach is None else dr.block_reduce(dr.ReduceOp.Max, reach, LEAF)
         lower = mi.Point3f(*(lowest(side, LEAF) for side in sides))
@@ -318,24 +342,24 @@ class KdTree:
             self._put_box(node, dr.minimum(left[0], right[0]), dr.maximum(left[1], right[1]), felt)
         dr.eval(self._boxes)
 
-    def _put_box(self, node: Any, lower: Any, upper: Any, reach: Any) -> None:
+    def _put_box(self, node: mi.UInt32, lower: mi.Float, upper: mi.Float, reach: mi.Float | None) -> None:
         dr.scatter(self._boxes, mi.Vector4f(*lower, reach), 2 * node)
         dr.scatter(self._boxes, mi.Vector4f(*upper, 0.0), 2 * node + 1)
 
-    def _box(self, node: Any) -> tuple[Any, Any]:
+    def _box(self, node: mi.UInt32) -> tuple[mi.Point3f, mi.Point3f]:
         lower = dr.gather(mi.Vector4f, self._boxes, 2 * node)
         upper = dr.gather(mi.Vector4f, self._boxes, 2 * node + 1)
         return mi.Point3f(lower.x, lower.y, lower.z), mi.Point3f(upper.x, upper.y, upper.z)
 
-    def _reach(self, node: Any) -> Any:
+    def _reach(self, node: mi.UInt32) -> mi.Float:
         return dr.gather(mi.Float, self._boxes, 8 * node + 3)
 
-    def _extent(self, node: Any) -> Any:
+    def _extent(self, node: mi.UInt32) -> mi.Vector3f:
         lower, upper = self._box(node)
         return upper - lower
 
 
-def _thresholds(interval: _Interval) -> list[Any]:
+def _thresholds(interval: _Interval) -> list[mi.Float]:
     """Ascending, the last one the upper end: evenly spaced, alternately in value and in bit pattern.
 
     The first converges quickly for evenly spread points, the second ends within eleven turns in any case.
@@ -351,17 +375,17 @@ def _thresholds(interval: _Interval) -> list[Any]:
     return [*thresholds, interval.upper]
 
 
-def _bits(value: Any) -> Any:
+def _bits(value: mi.Float) -> mi.UInt32:
     """The bit pattern of a non-negative number, a monotonic function of it."""
     return dr.reinterpret_array(mi.UInt32, value)
 
 
-def _squared_norm(x: Any, y: Any, z: Any) -> Any:
+def _squared_norm(x: mi.Float, y: mi.Float, z: mi.Float) -> mi.Float:
     """Always with the same three roundings, also if a compiler would fuse operations."""
     return dr.fma(x, x, dr.fma(y, y, z * z))
 
 
-def _behind(node: Any) -> Any:
+def _behind(node: mi.UInt32) -> mi.UInt32:
     """The node after ``node`` and all below it, in depth-first order; 0 after the last."""
     node = node + 1
     node = node >> dr.tzcnt(node)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from ..errors import RadiosityError
 from ..factors.formfactors import FormFactors
 from ..lines.segments import Segments
 from ..solvers.system import Solution
+
+if TYPE_CHECKING:
+    import scipy.sparse
 
 _PER_AREA, _SHARE, _METRES, _AREA = "W m-2", "1", "m", "m2"
 
@@ -142,7 +145,7 @@ _MEANINGS = {
 }
 
 
-def same_structure(factors: FormFactors) -> tuple[Any, Any]:
+def same_structure(factors: FormFactors) -> tuple[scipy.sparse.csr_array, scipy.sparse.csr_array]:
     """Matrix and errors with sorted columns; raises :class:`RadiosityError` if entries and errors do not match."""
     matrix, errors = factors.matrix.tocsr(copy=True), factors.errors.tocsr(copy=True)
     matrix.sort_indices()

@@ -51,11 +51,11 @@ class Segments:
         self.expected = expected
         ends = self._ends()[: len(patches)]
         #: (n,) segments of each patch: the lines through it.
-        self.counted: NDArray[Any] = ends[:, 0].copy()
+        self.counted: NDArray[np.int64] | Array = ends[:, 0].copy()
         #: (n,) those that lead to the sky.
-        self.to_sky: NDArray[Any] = ends[:, 1].copy()
+        self.to_sky: NDArray[np.int64] | Array = ends[:, 1].copy()
         #: (n,) those that lead to the back of a face.
-        self.to_dark: NDArray[Any] = ends[:, 2].copy()
+        self.to_dark: NDArray[np.int64] | Array = ends[:, 2].copy()
 
     def __len__(self) -> int:
         return sum(len(chunk) for chunk in self.chunks)
@@ -185,7 +185,7 @@ def _read_only(chunk: Pairs) -> Pairs:
     return view
 
 
-def scatter(parts: Iterable[tuple[Array, Array]], mean: Array) -> Array:
+def scatter(parts: Iterable[tuple[Array, NDArray[np.int64] | Array]], mean: Array) -> Array:
     """Standard error (n, c) of a ``mean`` that is a quotient of sums, from the sums (n, c) and the weights (n,) of its
     independent parts; zero where only one part has a weight."""
     squares, weight, alike = np.zeros_like(mean), np.zeros(len(mean)), np.zeros(len(mean))

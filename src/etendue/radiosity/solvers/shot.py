@@ -11,7 +11,6 @@ of which brings Phi / N. Each pair of points has one way, so that nothing counts
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -195,7 +194,7 @@ class _Lamps:
         received[:, :-2] += self._whole / self.each * self._aimed(turns, count)
         return list(zip((block for turn in turns for block in turn), received, strict=True))
 
-    def _points(self, turns: list[range], size: int) -> list[Any]:
+    def _points(self, turns: list[range], size: int) -> list[mi.Float64]:
         """Points of blocks of this size, sequence by sequence."""
         parts = [
             points.lanes(mi.UInt32, len(turn) * size, turn.start // len(turns) * size)

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from ..factors.formfactors import FormFactors
 from ..lines.segments import Segments
 from ..parallel import compiled
 from .shot import FirstShot
+
+if TYPE_CHECKING:
+    import scipy.sparse
 
 Solver = Literal["jacobi", "gauss-seidel", "southwell", "conjugate-gradient", "direct"]
 SOLVERS: tuple[Solver, ...] = ("jacobi", "gauss-seidel", "southwell", "conjugate-gradient", "direct")
@@ -186,7 +189,7 @@ class _Steps(ABC):
         """Radiosity and irradiance after another iteration."""
 
     @property
-    def matrix(self) -> Any:
+    def matrix(self) -> scipy.sparse.csr_array:
         """F as CSR; :func:`solve` has seen to it that there is one."""
         assert isinstance(self.transport, FormFactors)
         return self.transport.matrix

@@ -160,7 +160,9 @@ def _refuse_overlap(owner: Index, texel: Index, triangle: Index, width: int) -> 
     )
 
 
-def _evaluate(surfaces: PatchSurfaces, values: SurfaceValues, points: Array, normals: Array) -> tuple[Any, Any]:
+def _evaluate(
+    surfaces: PatchSurfaces, values: SurfaceValues, points: Array, normals: Array
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Colours (k, 3) at points, and where there are any."""
     import mitsuba as mi
 

@@ -139,7 +139,7 @@ def _cell_array(path: Path, cells: dict[str, Array], value: Any, whole: bool = F
     return labels.astype(np.int64)
 
 
-def _means(values: Any, group: Index, areas: Array, count: int) -> Array:
+def _means(values: ArrayLike, group: Index, areas: Array, count: int) -> Array:
     columns = np.asarray(values, dtype=np.float64).reshape(len(group), -1).T
     weight = np.bincount(group, areas, count)
     return np.stack([np.bincount(group, column * areas, count) / weight for column in columns], axis=1)

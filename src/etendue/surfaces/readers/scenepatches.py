@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import drjit as dr
 import numpy as np
@@ -16,6 +16,9 @@ from ..errors import PatchError, SurfaceError
 from ..patches import Patches
 from .meshfiles import sound_faces
 from .tessellation import face_means, tessellate
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 Index = NDArray[np.int64]
 
@@ -70,7 +73,7 @@ def scene_patches(
     return patches if max_area is None else patches.subdivided(max_area)
 
 
-def loaded_scene(scene: Any) -> tuple[Any, RenderSpace]:
+def loaded_scene(scene: Any) -> tuple[mi.Scene, RenderSpace]:
     """The ``mi.Scene`` for an argument of :func:`scene_patches`, and its space, which differs from that of the rays of
     patches."""
     import mitsuba as mi
@@ -93,7 +96,7 @@ class _Part:
     is_sheet: bool
 
 
-def _part(shape: Any, segments: int) -> _Part:
+def _part(shape: mi.Shape, segments: int) -> _Part:
     import mitsuba as mi
 
     points, faces, at = tessellate(shape, segments)
@@ -123,7 +126,7 @@ def _part(shape: Any, segments: int) -> _Part:
     return _Part(vertices, faces, front[kept], back[kept], emission[kept], is_sheet)
 
 
-def _albedo(bsdf: Any, at: Any) -> Any:
+def _albedo(bsdf: mi.BSDF, at: mi.SurfaceInteraction3f) -> mi.Color3f:
     """Share of the light that is reflected on the side of ``at.wi``."""
     import mitsuba as mi
 
@@ -139,7 +142,7 @@ def _albedo(bsdf: Any, at: Any) -> Any:
     return _hemispherical_albedo(bsdf, at)
 
 
-def _hemispherical_albedo(bsdf: Any, at: Any, directions: int = 16) -> Any:
+def _hemispherical_albedo(bsdf: mi.BSDF, at: mi.SurfaceInteraction3f, directions: int = 16) -> mi.Color3f:
     """Mean over uniform incident light, with the same random numbers for every face."""
     import mitsuba as mi
 
@@ -156,7 +159,7 @@ def _hemispherical_albedo(bsdf: Any, at: Any, directions: int = 16) -> Any:
     return total / directions
 
 
-def _sky(scene: Any) -> Array:
+def _sky(scene: mi.Scene) -> Array:
     light = np.zeros(3)
     for emitter in scene.emitters():
         kind = graph.plugin_name(emitter)
