@@ -75,8 +75,8 @@ def radiosity(outputs=None, **asked):
         (
             radiosity,
             {"outputs": {"files": (Path("a.png"),), "error_picture": True}, "bundles": 1},
-            "error_picture= needs two bundles at least",
-            "--error-picture needs two",
+            "error_picture= needs at least two bundles",
+            "--error-picture needs at least two",
         ),
         (
             radiosity,
@@ -263,7 +263,7 @@ def test_pictures_and_lightmaps_from_python():
     assert max(result.lightmap.values.shape[:2]) <= 64
     np.testing.assert_array_equal(read_solution("s.npz")[0].radiosity, result.solution.radiosity)
     assert etendue.solve_radiosity("cornell-box", bundles=8, max_area=0.5).picture is None
-    with pytest.raises(OptionError, match="a picture takes a scene, for its camera"):
+    with pytest.raises(OptionError, match="a picture needs a scene with a camera"):
         etendue.solve_radiosity(cube(1, emission=1.0), bundles=8, save="q.png")
 
 

@@ -26,8 +26,8 @@ def normal_reference(samples: Samples | Points, kernel: Kernel | str = "gaussian
     """The bandwidth with the smallest error for normal samples: for the Gaussian ``s (4 / ((d + 2) n))^(1 / (d + 4))``.
 
     s is the root mean square of the standard deviations along the axes [Silverman 1986, sec. 4.3.2]; n the effective
-    number of samples. Too wide for densities with several peaks. Raises
-    :class:`DensityError` if all samples coincide, and for samples on surfaces.
+    number of samples. Too wide for densities with several peaks. Raises :class:`DensityError` if all samples coincide,
+    and for samples on surfaces.
     """
     checked = _plain(samples)
     deviation = _deviations(checked)

@@ -54,13 +54,12 @@ class Cells:
 
     @property
     def count(self) -> int:
-        """Cells."""
+        """Number of cells."""
         return len(self.level)
 
     def split(self, samples: NDArray[np.integer[Any]], most: float) -> NDArray[np.int64]:
-        """Halve every cell with more than ``most`` samples, and recursively its halves, assumed to hold half of them
-        each.
-        Returns for each new cell the old cell that contains it."""
+        """Halve every cell with more than ``most`` samples, and recursively its halves, each of which is assumed to
+        hold half of the samples. Returns for each new cell the old cell that contains it."""
         origin, held = np.arange(self.count), samples.astype(np.float64)
         self.level = self.level.copy()  # arrays returned by to_arrays() must not change
         changed = np.zeros(self.count, bool)

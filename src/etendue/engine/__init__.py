@@ -1,4 +1,5 @@
-"""Engine: drives whatever has ``step``. Budgets, progress, checkpoints, resume, cancellation; no concrete method."""
+"""Engine: runs a method pass by pass, with budgets, progress, checkpoints, resuming and cancelling. It knows no
+concrete method."""
 
 from .budget import Budget
 from .checkpoint import Checkpoint

@@ -1,4 +1,4 @@
-"""Jobs: what is asked for, what runs, and what it leaves behind, for pictures and for lines through patches."""
+"""Jobs: requests, their execution and their output files, for pictures and for radiosity."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING
@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from .solutions import ERROR_SCALE, SolutionOutputs
     from .solving import FormFactorWork, LinesWork, PatchWork, RadiosityWork, about, radiosity_work
 else:
-    #: Modules that take radiosity, which is loaded when one of their names is asked for: renderers do without.
+    #: Modules that import radiosity. They are imported when one of their names is used, since rendering does not need
+    #: them.
     _LATER = {
         "gathering": ("PICTURE_FILES", "picture"),
         "lines": ("LinesJob", "LinesTask"),

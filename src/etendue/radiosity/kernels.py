@@ -40,7 +40,7 @@ def gather_one(pairs: Pairs, values: Array, sums: Array) -> None:
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def count_ends(pairs: Pairs, counts: NDArray[np.int64]) -> None:
-    """Add to ``counts`` (n + 2, 3) of each end: segments, those whose other end is the sky, those that is dark."""
+    """Add to ``counts`` (n + 2, 3) of each end: segments, those to the sky, and those to dark."""
     sky = len(counts) - 2
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
@@ -142,8 +142,7 @@ def shoot(
     steps: int,
 ) -> None:
     """Steps of progressive refinement over the columns (CSC) of F: the patch with the most unshot power distributes it
-    to all
-    [Cohen 1988]. ``unshot``, ``radiosity`` (n, c) are changed."""
+    to all others [Cohen 1988]. ``unshot``, ``radiosity`` (n, c) are changed."""
     power = np.empty(len(areas))
     for i in range(len(areas)):
         power[i] = areas[i] * unshot[i].sum()

@@ -1,5 +1,4 @@
-"""Surfaces: patches and faces, meshes and scenes as their sources, rays from and against them, values and maps on
-them."""
+"""Surfaces: patches and faces, read from meshes and scenes; ray casting; values and lightmaps on surfaces."""
 
 from .diagnosis import MeshDiagnosis, diagnose
 from .errors import PatchError, SurfaceError

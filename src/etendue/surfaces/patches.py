@@ -26,8 +26,7 @@ class Patches:
 
     A face has two sides. Its front, from which the corners are seen counterclockwise, belongs to a patch; its back
     belongs to another patch if it is ``two_sided``; otherwise it belongs to none and only occludes. Patches seen from
-    the front come
-    first, in order of their faces or ``ids``; the backs of sheets follow, in the same order.
+    the front come first, in order of their faces or ``ids``; the backs of sheets follow, in the same order.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ _LOOKS = (
     *((height, 0.0, 0.0) for height in (1e-4, 1e-3, 2e-2)),
     *((1e-5, aside * x, aside * y) for aside in (6e-5, 6e-4, 6e-3) for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1))),
 )
-#: Each side of a face is this far in front of it, so that of two coincident faces the right one is hit.
+#: Each side of a face is this far in front of it, so that a ray hits the right one of two coincident faces.
 _LIFT = 2e-6
 #: Smallest cosine between the normals of a surface and of the face that represents it.
 _SAME_SIDE = 0.3
@@ -37,7 +37,7 @@ _SAME_SIDE = 0.3
 
 @dataclass
 class Place:
-    """Points on patches, one lane each."""
+    """Points on patches, a lane for each point."""
 
     side: mi.UInt32  #: the side of a face, as :func:`face_sides` numbers them
     weights: mi.Vector4f  #: of its four corners
@@ -157,7 +157,7 @@ class SurfaceValues:
 
 
 def _colours(values: ArrayLike) -> mi.Float:
-    """(n, c) numbers as those of colours on the device."""
+    """(n, c) numbers as colours on the device."""
     import mitsuba as mi
 
     rows: Array = np.asarray(values, dtype=np.float64)

@@ -9,17 +9,17 @@ numbers.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
 from etendue.core import Array
 
-from ..backend import Backend
+from ..backend import Backend, Numbers, Whole
 from .binning import damp, rebin, smooth
 
 #: Points (a list of coordinates), 1 / density there, and the bin of each.
-Warped = tuple[list[Any], Any, Any]
+Warped: TypeAlias = "tuple[list[Numbers], Numbers, Whole]"
 #: Smallest probability of a cell of a grid, relative to a uniform one, so that a missed cell is sampled again.
 _FLOOR = 0.05
 
@@ -30,7 +30,7 @@ class Tabulated(Protocol):
     dimension: int
     bins: int
     #: Probability of each bin.
-    shares: Any
+    shares: float | Array
 
     @property
     def volume(self) -> Array:
@@ -42,7 +42,7 @@ class Tabulated(Protocol):
         each."""
         ...
 
-    def look_up(self, backend: Backend, tables: Sequence[Any], u: Sequence[Any], row: Any) -> Warped:
+    def look_up(self, backend: Backend, tables: Sequence[Numbers], u: Sequence[Numbers], row: Whole | int) -> Warped:
         """(points, 1 / density, bin of each) from the tables, by the density with index ``row``."""
         ...
 
@@ -53,11 +53,11 @@ class Factor(Tabulated, Protocol):
     #: Power of the contribution by which its bins adapt; bins with movable borders equalise its square.
     order: int
 
-    def warp(self, backend: Backend, u: Sequence[Any]) -> Warped:
+    def warp(self, backend: Backend, u: Sequence[Numbers]) -> Warped:
         """(points, 1 / density, bin of each)."""
         ...
 
-    def pdf(self, backend: Backend, x: Sequence[Any]) -> Any:
+    def pdf(self, backend: Backend, x: Sequence[Numbers]) -> Numbers:
         """Density at points."""
         ...
 
@@ -69,7 +69,7 @@ class Factor(Tabulated, Protocol):
 class _ByTables:
     """Shared by all factors."""
 
-    def warp(self: Any, backend: Backend, u: Sequence[Any]) -> Warped:
+    def warp(self: Any, backend: Backend, u: Sequence[Numbers]) -> Warped:
         """See :class:`Factor`."""
         return warp_rows(backend, [self], u, 0)
 
@@ -83,7 +83,7 @@ class AxisBins(_ByTables):
     def __init__(self, edges: Array) -> None:
         self.edges = np.asarray(edges, dtype=np.float64)
         self.bins = len(self.edges) - 1
-        self.shares = 1.0 / self.bins
+        self.shares: float | Array = 1.0 / self.bins
 
     @classmethod
     def even(cls, bins: int) -> AxisBins:
@@ -99,14 +99,14 @@ class AxisBins(_ByTables):
         """See :class:`Factor`: widths and lower borders of the bins."""
         return [np.diff(self.edges), self.edges[:-1]]
 
-    def look_up(self, backend: Backend, tables: Sequence[Any], u: Sequence[Any], row: Any) -> Warped:
+    def look_up(self, backend: Backend, tables: Sequence[Numbers], u: Sequence[Numbers], row: Whole | int) -> Warped:
         """See :class:`Factor`."""
         place, rest = backend.split(u[0] * self.bins, self.bins)
         index = row * self.bins + place
         width = backend.take(tables[0], index)
         return [backend.take(tables[1], index) + rest * width], width * self.bins, place
 
-    def pdf(self, backend: Backend, x: Sequence[Any]) -> Any:
+    def pdf(self, backend: Backend, x: Sequence[Numbers]) -> Numbers:
         """See :class:`Factor`."""
         density = 1.0 / (self.bins * np.maximum(np.diff(self.edges), np.finfo(float).tiny))
         place = bisect(backend, backend.table(self.edges), x[0], self.bins)
@@ -131,7 +131,7 @@ class PlaneBins(_ByTables):
         self.inner = np.asarray(inner, dtype=np.float64)
         self._outer_bins, self._inner_bins = len(self.edges) - 1, self.inner.shape[1] - 1
         self.bins = self._outer_bins * self._inner_bins
-        self.shares = 1.0 / self.bins
+        self.shares: float | Array = 1.0 / self.bins
 
     @classmethod
     def even(cls, bins: int) -> PlaneBins:
@@ -149,7 +149,7 @@ class PlaneBins(_ByTables):
         outer, inner = self.edges, self.inner
         return [np.diff(outer), outer[:-1], np.diff(inner).ravel(), inner[:, :-1].ravel()]
 
-    def look_up(self, backend: Backend, tables: Sequence[Any], u: Sequence[Any], row: Any) -> Warped:
+    def look_up(self, backend: Backend, tables: Sequence[Numbers], u: Sequence[Numbers], row: Whole | int) -> Warped:
         """See :class:`Factor`."""
         outer, outer_rest = backend.split(u[0] * self._outer_bins, self._outer_bins)
         inner, inner_rest = backend.split(u[1] * self._inner_bins, self._inner_bins)
@@ -160,7 +160,7 @@ class PlaneBins(_ByTables):
         y = backend.take(tables[3], second) + inner_rest * inner_width
         return [x, y], width * inner_width * self.bins, place
 
-    def pdf(self, backend: Backend, x: Sequence[Any]) -> Any:
+    def pdf(self, backend: Backend, x: Sequence[Numbers]) -> Numbers:
         """See :class:`Factor`."""
         tiny = np.finfo(float).tiny
         density = 1.0 / (self.bins * np.maximum(np.diff(self.inner) * np.diff(self.edges)[:, None], tiny))
@@ -191,7 +191,7 @@ class CellGrid(_ByTables):
         p = np.asarray(probability, dtype=np.float64)
         self.probability = p / p.sum()
         self.dimension, self.cells, self.bins = p.ndim, p.shape[0], p.size
-        self.shares = self.probability.ravel()
+        self.shares: float | Array = self.probability.ravel()
 
     @classmethod
     def even(cls, bins: int, dimension: int) -> CellGrid:
@@ -208,7 +208,7 @@ class CellGrid(_ByTables):
         p = self.probability.ravel()
         return [p, np.cumsum(p) - p]
 
-    def look_up(self, backend: Backend, tables: Sequence[Any], u: Sequence[Any], row: Any) -> Warped:
+    def look_up(self, backend: Backend, tables: Sequence[Numbers], u: Sequence[Numbers], row: Whole | int) -> Warped:
         """See :class:`Factor`. The first number selects the cell, and its remainder the position in it."""
         first = row * self.bins
         place = bisect(backend, tables[1], u[0], self.bins, first)
@@ -223,7 +223,7 @@ class CellGrid(_ByTables):
             x.append((backend.number(along) + (rest if axis == 0 else u[axis])) * (1.0 / self.cells))
         return x, 1.0 / (chosen * self.bins), place
 
-    def pdf(self, backend: Backend, x: Sequence[Any]) -> Any:
+    def pdf(self, backend: Backend, x: Sequence[Numbers]) -> Numbers:
         """See :class:`Factor`."""
         place: Any = 0
         for value in x:
@@ -245,7 +245,7 @@ class CellGrid(_ByTables):
         return CellGrid(np.maximum(mixed, _FLOOR / self.bins))
 
 
-def warp_rows(backend: Backend, factors: Sequence[Tabulated], u: Sequence[Any], row: Any) -> Warped:
+def warp_rows(backend: Backend, factors: Sequence[Tabulated], u: Sequence[Numbers], row: Whole | int) -> Warped:
     """(points, 1 / density, bin of each) by the factor of number ``row`` of ``factors``, which are of one shape."""
     tables = [backend.table(np.concatenate(parts)) for parts in zip(*(f.tables() for f in factors), strict=True)]
     return factors[0].look_up(backend, tables, u, row)
@@ -258,8 +258,8 @@ def stabilised(values: Array, smoothing: bool, damping: float | None) -> Array:
 
 
 def bin_values(factor: Factor, sums: Array, samples: int, mode: str, steady: bool = False) -> Array:
-    """The values of a factor's bins, from sums over the ``samples`` in each: (1, bins)
-    of (f / p)^2 in mode ``"importance"``, (3, bins) of (f / p)^2, f / p and 1 in mode ``"stratified"``.
+    """The values of a factor's bins, from sums over the ``samples`` in each: (1, bins) of (f / p)^2 in mode
+    ``"importance"``, (3, bins) of (f / p)^2, f / p and 1 in mode ``"stratified"``.
 
     In importance mode the mean of (f / p)^2, for cells of a grid its root; else the deviation of f / p, with the sign
     of [Leeson 2001, eq. 5.8] corrected. Adapting to squares, borders overshoot, which damping compensates; without
@@ -273,7 +273,7 @@ def bin_values(factor: Factor, sums: Array, samples: int, mode: str, steady: boo
     return np.sqrt(np.maximum(squares / counts - (values / counts) ** 2, 0.0))
 
 
-def bisect(backend: Backend, table: Any, value: Any, bins: int, start: Any = 0) -> Any:
+def bisect(backend: Backend, table: Numbers, value: Numbers, bins: int, start: Whole | int = 0) -> Whole:
     """The bin of ``value`` between ascending borders ``table[start … start + bins]``."""
     low: Any = value * 0.0
     low = backend.split(low, 1)[0]

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import numpy as np
 
 from etendue.core import Array
 
-from ..backend import Backend, HostBackend
+from ..backend import Backend, HostBackend, Numbers, Points, Whole
 from ..errors import IntegrationError
 from ..functions import Box, Domain, Integrand
 from .binning import rebin
@@ -22,11 +22,11 @@ class Density(Protocol):
 
     domain: Box
 
-    def sample(self, backend: Backend, u: Any) -> tuple[Any, Any]:
+    def sample(self, backend: Backend, u: Points) -> tuple[Points, Numbers]:
         """Points of the domain from points ``u`` of the unit cube, coordinate-major, and the density at each."""
         ...
 
-    def pdf(self, backend: Backend, x: Any) -> Any:
+    def pdf(self, backend: Backend, x: Points) -> Numbers:
         """The density at points of the domain."""
         ...
 
@@ -80,10 +80,10 @@ class ProductDensity:
             factor = start.adapted(rows.ravel(), False, None, 1.0)
         return cls(f.domain, [tuple(range(f.dimension))], [factor])
 
-    def warp(self, backend: Backend, u: Any) -> tuple[Any, Any, list[Any]]:
+    def warp(self, backend: Backend, u: Points) -> tuple[list[Numbers], Numbers, list[Whole]]:
         """Points of the unit cube, 1 / density there, and the bin in each factor."""
         x = list(u)
-        weight: Any = 1.0
+        weight: Numbers | float = 1.0
         places = []
         for group, factor in zip(self.groups, self.factors, strict=True):
             warped, inverse, place = factor.warp(backend, [u[a] for a in group])
@@ -93,15 +93,15 @@ class ProductDensity:
             places.append(place)
         return x, weight, places
 
-    def sample(self, backend: Backend, u: Any) -> tuple[Any, Any]:
+    def sample(self, backend: Backend, u: Points) -> tuple[Points, Numbers]:
         """See :class:`Density`."""
         x, weight, _ = self.warp(backend, u)
         return self.domain.from_unit(x), 1.0 / (weight * self.domain.volume)
 
-    def pdf(self, backend: Backend, x: Any) -> Any:
+    def pdf(self, backend: Backend, x: Points) -> Numbers:
         """See :class:`Density`."""
         unit = self.domain.to_unit(x)
-        p: Any = 1.0 / self.domain.volume
+        p: Numbers | float = 1.0 / self.domain.volume
         for group, factor in zip(self.groups, self.factors, strict=True):
             p = p * factor.pdf(backend, [unit[a] for a in group])
         return backend.broadcast(p, x)
@@ -119,14 +119,14 @@ class Warp:
     Both take and return coordinate-major arrays, as functions of an :class:`Integrand` do.
     """
 
-    def __init__(self, domain: Domain, sample: Any, pdf: Any) -> None:
+    def __init__(self, domain: Domain, sample: Callable[[Points], Points], pdf: Callable[[Points], Numbers]) -> None:
         self.domain, self._sample, self._pdf = Box.of(domain), sample, pdf
 
-    def sample(self, backend: Backend, u: Any) -> tuple[Any, Any]:
+    def sample(self, backend: Backend, u: Points) -> tuple[Points, Numbers]:
         """See :class:`Density`."""
         x = self._sample(u)
         return x, backend.broadcast(self._pdf(x), x)
 
-    def pdf(self, backend: Backend, x: Any) -> Any:
+    def pdf(self, backend: Backend, x: Points) -> Numbers:
         """See :class:`Density`."""
         return backend.broadcast(self._pdf(x), x)

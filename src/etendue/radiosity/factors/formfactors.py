@@ -50,7 +50,7 @@ class FormFactors:
         return self.matrix @ x + light * np.asarray(sky)
 
     def row_sums(self) -> Array:
-        """(n,) with the sky; 1 in a closed scene, up to the error."""
+        """(n,) row sums including the sky; 1 in a closed scene, up to the error."""
         return np.asarray(self.matrix.sum(axis=1)).ravel() + self.sky
 
     def row_errors(self) -> Array:
@@ -74,9 +74,9 @@ class FormFactors:
     def repaired(self) -> FormFactors:
         """With every row sum 1 and ``A_i F_ij = A_j F_ji``, by the smallest change.
 
-        The mean of ``A_i F_ij`` and ``A_j F_ji`` is changed by the smallest relative sum of squares, so that zeros stay
-        zero. The sky is not changed. Raises :class:`RadiosityError` if a factor would become negative, which means that
-        there are too few lines.
+        The mean of ``A_i F_ij`` and ``A_j F_ji`` is changed with the smallest relative sum of squares, so that zeros
+        remain zero. The sky is not changed. Raises :class:`RadiosityError` if a factor would become negative, which
+        means that there are too few lines.
         """
         from scipy.sparse.linalg import lsmr
 

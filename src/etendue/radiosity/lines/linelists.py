@@ -82,7 +82,7 @@ def _sort_few(planes: list[mi.UInt64], counts: mi.Vector2u, line: mi.UInt32, lis
 
 
 def _network(size: int) -> list[tuple[int, int]]:
-    """Pairs to compare, by odd-even merging; ``size`` a power of two."""
+    """Comparisons of a sorting network by odd-even merging; ``size`` a power of two."""
     pairs = []
     p = 1
     while p < size:
@@ -98,8 +98,7 @@ def _network(size: int) -> list[tuple[int, int]]:
 
 
 def _sort_many(lists: Lists, chosen: mi.Bool) -> None:
-    """All hits of the chosen lines, by counting for each hit those before it: works for any number, without memory for
-    them."""
+    """Sort the hits of the chosen lines by counting for each hit those before it, which needs no memory per line."""
     dr.eval(lists, chosen)
     chosen = dr.compress(chosen)
     first, count = dr.gather(mi.UInt32, lists.first, chosen), dr.gather(mi.UInt32, lists.count, chosen)

@@ -25,7 +25,7 @@ from etendue.core import Array, copied_to_device, use_variant
 from .linelists import LineHits, by_depth, exchanges
 from .segments import Pairs
 
-#: Rows of a face that one lane rasterises. Larger faces are split, or all lanes would wait for one.
+#: Rows of a face that one lane rasterises. Larger faces are split, so that no lane takes much longer than the others.
 _ROWS = 8
 #: Depths span the bounding sphere and a little more.
 _DEPTHS, _MARGIN = 2.0**32, 1.01
@@ -106,12 +106,12 @@ class _Grid:
         self._rows = copied_to_device(mi.UInt32, np.column_stack([columns, origin & 0xFFFFFFFF]).astype(np.uint32))
 
     def count(self) -> mi.UInt32:
-        """Hits of each lane."""
+        """Number of hits of each lane."""
         _, counts = self._rows_of(lambda count, stop, column, *_: count + mi.UInt32(stop - column))
         return counts
 
     def fill(self, places: mi.UInt32, number: int) -> LineHits:
-        """All hits, those of each lane from its position on."""
+        """All hits, those of each lane from its place on."""
         keys, halves = dr.empty(mi.UInt64, number), dr.empty(mi.UInt32, number)
 
         def row(

@@ -32,7 +32,8 @@ class SpiralPoints(PointSet):
     Sobol' points. They are in the order of the radical inverse, so that each part of them is distributed evenly, too,
     but less well. The other dimensions are those of a scrambled Sobol' sequence.
 
-    directions: n, after which the next spiral begins with another rotation. Best is the number of bundles, if known.
+    directions: n, after which the next spiral begins with another rotation. The best value is the number of bundles, if
+    known.
     """
 
     name = "spiral"

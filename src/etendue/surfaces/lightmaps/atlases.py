@@ -97,8 +97,8 @@ def gltf_mesh(path: str | os.PathLike[str]) -> TexturedMesh:
 
 
 def scene_mesh(scene: Any) -> TexturedMesh:
-    """The meshes of a Mitsuba scene with their texture coordinates, taken as one atlas; ``scene`` is whatever
-    :func:`etendue.scene.load` takes, or what it returns. Raises :class:`SceneError` for shapes that have none."""
+    """The meshes of a Mitsuba scene with their texture coordinates, as one atlas; ``scene`` is an argument or a result
+    of :func:`etendue.scene.load`. Raises :class:`SceneError` for shapes that have none."""
     use_variant()
     loaded, space = loaded_scene(scene)
     parts, offset = [], 0

@@ -49,7 +49,7 @@ class RayScene:
         parameters["faces"] = np.ascontiguousarray(corners, np.uint32).ravel()
         parameters.update()
         self._scene = mi.load_dict({"type": "scene", "patches": mesh})
-        # Of triangles on the device: the face, its normal, and the patches of its front and its back.
+        # For each triangle, on the device: the face, its normal, and the patches of its front and its back.
         n, front, back = len(patches), patches.front[self._face], patches.back[self._face]
         self._faces = copied_to_device(mi.UInt32, self._face)
         self._normals = copied_to_device(mi.Float, patches.face_normals[self._face])
@@ -71,7 +71,7 @@ class RayScene:
         return Hits(hit, distance[hit], self._face[triangle[hit]])
 
     def first_patches(self, origins: Array, directions: Array) -> Index:
-        """What rays (n, 3) hit first: a patch, ``n`` for the sky, ``n + 1`` for the back of a face."""
+        """The patch that each ray (n, 3) hits first; ``n`` for the sky, ``n + 1`` for the back of a face."""
         import mitsuba as mi
 
         if len(origins) == 0:  # Dr.Jit cannot trace empty arrays

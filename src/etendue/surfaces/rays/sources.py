@@ -35,7 +35,7 @@ class Places:
         return self.point + STEP * self.normal
 
     def directions(self, ways: mi.Vector3f) -> mi.Vector3f:
-        """Directions of a frame whose third axis is the normal, as of the scene."""
+        """Directions in scene coordinates from ``ways`` in frames whose third axis is the normal."""
         return mi.Frame3f(mi.Normal3f(self.normal)).to_world(ways)
 
 

@@ -45,8 +45,7 @@ def read_patches(
 
     Reads triangles and quadrilaterals and ignores lines and solids. Faces without area and duplicates are left out with
     a warning. Raises :class:`PatchError` for a file that cannot be read, without faces, with other types of faces, or
-    without the named array, and :class:`etendue.core.BackendError` if the library that reads it is not
-    installed.
+    without the named array, and :class:`etendue.core.BackendError` if the library that reads it is not installed.
     """
     path = Path(path)
     if not path.is_file():

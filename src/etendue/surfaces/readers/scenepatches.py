@@ -26,15 +26,14 @@ Index = NDArray[np.int64]
 def scene_patches(
     scene: Any, *, max_area: float | None = None, per: Literal["face", "shape"] = "face", segments: int = 32
 ) -> Patches:
-    """Patches of a scene: an ``mi.Scene``, whatever else :func:`etendue.scene.load` takes, or what it returns. Channels
-    are red, green, blue.
+    """Patches of a scene: an ``mi.Scene``, or another argument or a result of :func:`etendue.scene.load`. Channels are
+    red, green, blue.
 
     Each face of a shape is a patch, with the mean of its textures, or each shape is one (``per="shape"``). Rectangles
     become quadrilaterals, spheres, cylinders and disks polygons of ``segments`` sides inside them. Reflectance is that
     of a diffuse material; other reflecting materials are replaced by diffuse ones with the same hemispherical albedo,
     with a warning. A ``twosided`` material makes sheets. Area lights emit from their fronts; a ``constant`` light is
-    the
-    sky.
+    the sky.
 
     max_area: larger faces are subdivided after textures are read, see :meth:`Patches.subdivided`.
 
