@@ -7,6 +7,7 @@ import importlib.util
 import re
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -29,7 +30,8 @@ FORBIDDEN = {
     "distributed": {"methods", "radiosity"},
     "display": {"methods", "radiosity", "engine"},
 }
-MAX_LINES = 450
+MAX_LINES = 400
+MAX_FILES = 15
 FILES = sorted(SOURCE.rglob("*.py"))
 #: A citation in a docstring or comment: [Georgiev 2012, eq. 31] stands for the key Georgiev2012; several take a ";".
 CITATION = re.compile(r"\[([A-Z][A-Za-z]+ (?:19|20)\d\d\w*\b[^\]\n]*)\]")
@@ -132,6 +134,12 @@ def test_the_check_itself_finds_faults(room, text, wrong, tmp_path, monkeypatch)
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SOURCE)))
 def test_files_are_of_a_readable_size(path):
     assert len(path.read_text("utf-8").splitlines()) <= MAX_LINES
+
+
+def test_folders_are_of_a_readable_size():
+    """Modules of a folder, without its ``__init__``."""
+    count = Counter(path.parent for path in FILES if path.name != "__init__.py")
+    assert {str(folder): n for folder, n in count.items() if n > MAX_FILES} == {}
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(SOURCE)))

@@ -1,4 +1,4 @@
-"""The Python door: one call that renders, one that renders in the background, one that goes on with a checkpoint."""
+"""Rendering from Python: :func:`render`, :func:`start` in the background, and :func:`resume` from a checkpoint."""
 
 from __future__ import annotations
 
@@ -34,21 +34,21 @@ def render(
 ) -> Rendering:
     """Render ``scene`` by ``method`` and return the picture with its layers and metadata.
 
-    Without a method it is the integrator that the scene names, if that is one of étendue's other than ``path`` (which
-    every scene file for Mitsuba names), else ``vcm``.
+    The default method is the scene's integrator, if it is a method of étendue other than ``path``, and else ``vcm``.
+    (Nearly every scene file for Mitsuba names ``path``.)
 
     ``scene`` is the path of a Mitsuba XML file, a scene dictionary, a loaded ``mi.Scene`` or the name of a bundled
-    scene. ``seconds``, ``samples`` (camera paths per pixel) and ``error`` (relative noise) limit the run, the first
-    one reached ends it; without any the scene's own sample count does. ``settings`` are those of the method (see
-    ``etendue methods NAME``). If no Mitsuba variant is set, a usable one is chosen.
+    scene. ``seconds``, ``samples`` (camera paths per pixel) and ``error`` (relative noise) limit the run; the first
+    limit that is reached ends it. Without limits the scene's own sample count is used. ``settings`` are those of the
+    method (see ``etendue methods NAME``). If no Mitsuba variant is set, a usable one is chosen.
 
-    ``callback`` is called after each pass with an :class:`Update`; if it returns ``False``, rendering stops there.
-    ``save`` names ``.exr`` or ``.png`` files and ``checkpoint`` a file for :func:`resume`; they are written at the end
-    and, with ``save_every``, every so many seconds. If a pass fails, or Ctrl-C interrupts, they are written with what
-    there is before the error goes on.
+    ``callback`` is called after each pass with an :class:`Update`; ``False`` ends the run. ``save`` names ``.exr`` or
+    ``.png`` files, ``checkpoint`` a file for :func:`resume`. They are written at the end and, with ``save_every``, at
+    intervals of so many seconds. If a pass fails, or at Ctrl-C, the passes so far are written before the error is
+    raised.
 
-    Raises :class:`OptionError`, :class:`SceneError`, :class:`OutputError`, :class:`BackendError`, each before the first
-    pass where that is possible, and :class:`engine.RunError` if a later pass fails.
+    Raises :class:`OptionError`, :class:`SceneError`, :class:`OutputError` or :class:`BackendError`, where possible
+    before the first pass, and :class:`engine.RunError` if a later pass fails.
     """
     budget, outputs = Budget(seconds, samples, None, error), Outputs.of(save, checkpoint, save_every)
     use_variant(variant)
@@ -76,11 +76,11 @@ def start(
     save_every: float | None = None,
     **settings: Any,
 ) -> Session[Rendering]:
-    """As :func:`render`, but return at once: a thread loads the scene, renders it and calls ``callback``.
+    """Start :func:`render` in the background: a thread loads the scene, renders it and calls ``callback``.
 
-    The session has the picture so far in ``image`` and its state in ``progress``; ``cancel()`` stops after the current
-    pass and returns when that has happened; ``wait()`` and ``result`` raise what went wrong. Options and budgets are
-    checked before this returns.
+    The session has the current picture in ``image`` and the progress in ``progress``. ``cancel()`` ends the run after
+    the current pass and waits for it. ``wait()`` and ``result`` raise the error of the run. Options and budgets are
+    checked before this function returns.
     """
     budget, outputs = Budget(seconds, samples, None, error), Outputs.of(save, checkpoint, save_every)
     use_variant(variant)
@@ -103,12 +103,12 @@ def resume(
     save_every: float | None = None,
     **settings: Any,
 ) -> Rendering:
-    """Go on with a checkpoint, and update it.
+    """Continue the run of a checkpoint, and update the file.
 
-    The result is that of a run that was never interrupted. ``seconds`` count from now, ``samples`` and ``error`` speak
-    of the whole picture; without a budget the interrupted one is used up. ``scene`` is needed if the scene lay in
-    memory or has moved. ``method`` and ``settings`` need not be given; they cannot be changed. Raises
-    :class:`CheckpointError` if the file is damaged, or scene, method or settings are other ones.
+    The result is that of an uninterrupted run. ``seconds`` are those of this run, ``samples`` and ``error`` are limits
+    of the whole picture; without a budget the rest of the saved one is used. ``scene`` is needed if the scene was in
+    memory or has moved. ``method`` and ``settings`` are not needed and cannot be changed. Raises
+    :class:`CheckpointError` if the file is damaged, or if scene, method or settings differ.
     """
     from etendue import methods
 
@@ -125,10 +125,10 @@ def resume(
 def choose_method(
     name: str | None, scene: Any, parameters: Mapping[str, Any] | None, tell: Callable[[str], object] = logger.info
 ) -> type[Any]:
-    """The class of the method ``name``; without a name that of the scene's integrator (not ``path``), else ``vcm``.
+    """The class of the method ``name``; by default that of the scene's integrator (except ``path``), else ``vcm``.
 
-    ``tell`` is given a line if the scene's integrator is passed over.
-    Raises :class:`OptionError` for an unknown name, and what the parsing of the scene raises.
+    ``tell`` receives a line if the scene's integrator is not used. Raises :class:`OptionError` for an unknown name, and
+    the errors of parsing the scene.
     """
     from etendue import methods
     from etendue.scene import integrator_of
@@ -139,12 +139,12 @@ def choose_method(
     if (method := methods.by_plugin(named)) is not None:
         return method
     if named:
-        tell(f"the scene names the integrator '{named}'; as no method was asked for, vcm renders it")
+        tell(f"the scene names the integrator '{named}'; no method is given, so vcm renders it")
     return methods.get("vcm")
 
 
 def _named(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """``settings``, unless one is a budget by the name that it has elsewhere."""
+    """``settings``; refuses names of budgets from the command line."""
     for elsewhere, here in (("spp", "samples"), ("time", "seconds")):
         if elsewhere in settings:
             raise OptionError(f"there is no argument '{elsewhere}'; did you mean '{here}'?")
@@ -152,7 +152,7 @@ def _named(settings: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def start_job(open_job: Callable[[], Job], outputs: Writer, callback: Callback | None = None) -> Session[Rendering]:
-    """A session that opens a job in its thread, runs it and writes ``outputs``, also when a pass fails.
+    """A session that opens a job in its thread, runs it and writes ``outputs``, also if a pass fails.
 
     ``callback`` is called in that thread after each pass.
     """

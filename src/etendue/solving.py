@@ -1,4 +1,4 @@
-"""The Python door to form factors and radiosity: what `etendue form-factors` and `etendue radiosity` do, as calls."""
+"""Form factors and radiosity from Python: the functions behind `etendue form-factors` and `etendue radiosity`."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from etendue.engine import Checkpoint, Runner, Session
 from etendue.jobs import FormFactorResult, PathLike, RadiosityResult, listed, run_work, start_work
 
 if TYPE_CHECKING:
-    from etendue.jobs import FormFactorWork, RadiosityWork
+    from etendue.jobs import FormFactorWork, PatchWork, RadiosityRequest
 
-#: Called after each piece of lines; casting ends there if it returns ``False``.
+#: Called after each pass of lines; ``False`` ends the casting.
 Callback = Callable[[Progress], object]
 
 
@@ -37,19 +37,20 @@ def compute_form_factors(
 
     mesh: :class:`etendue.radiosity.Patches`, or the path of a mesh file, each face of which is a patch.
     estimator: ``F1``, ``F2``, ``F3``, ``F4`` or ``reciprocal``, see :func:`etendue.radiosity.form_factors`.
-    seconds, bundles, error: the first one reached ends the casting; ``error`` is the standard error of the row of a
-        patch, mean over patches. Without any, 1024 bundles.
-    lines: of a bundle through the bounding sphere; 0 for as many as suit the patches.
-    callback: called with a :class:`etendue.core.Progress` after each piece of lines; ``False`` ends the casting. Its
-        ``samples`` are bundles, its ``relative_error`` is the square of what ``error`` means.
-    save: files of the form factors, ``.npz``, ``.nc`` or ``.vf``.
-    checkpoint: file for ``resume``, written at the end and, with ``save_every``, every so many seconds.
-    resume: a checkpoint of the same patches, seed and options to go on with; ``bundles`` and ``error`` speak of all.
+    seconds, bundles, error: the first limit that is reached ends the casting; ``error`` is the standard error of a row
+        of form factors, averaged over patches. Without limits, 1024 bundles.
+    lines: lines of a bundle through the bounding sphere; 0 for a number that suits the patches.
+    callback: called with a :class:`etendue.core.Progress` after each pass; ``False`` ends the casting. Its ``samples``
+        are bundles, its ``relative_error`` is the square of the standard error.
+    save: files for the form factors, ``.npz``, ``.nc`` or ``.vf``.
+    checkpoint: file for ``resume``, written at the end and, with ``save_every``, at intervals of so many seconds. Lines
+        are stored in a folder beside it instead of memory.
+    resume: a checkpoint of the same patches, seed and options to continue; ``bundles`` and ``error`` are limits of the
+        whole, ``seconds`` are those of this run.
 
-    Raises :class:`OptionError`, :class:`SceneError`, :class:`OutputError` or :class:`CheckpointError`, before lines are
-    cast where that is possible, and :class:`etendue.engine.RunError` if a later piece fails. Then, and at Ctrl-C, the
-    checkpoint is written first, if one is named. Where nothing can be made of the lines, the error says where they are
-    kept.
+    Raises :class:`OptionError`, :class:`SceneError`, :class:`OutputError` or :class:`CheckpointError`, where possible
+    before lines are cast, and :class:`etendue.engine.RunError` if a later pass fails. In this case, and at Ctrl-C, the
+    checkpoint is written first, if one is named. If the lines cannot be evaluated, the error says where they are kept.
     """
     open_work, watch = _form_factors(**locals())
     return run_work(open_work(), watch)
@@ -71,7 +72,7 @@ def start_form_factors(
     save_every: float | None = None,
     resume: PathLike | None = None,
 ) -> Session[FormFactorResult]:
-    """As :func:`compute_form_factors`, but return at once; see :func:`start_radiosity`."""
+    """Start :func:`compute_form_factors` in the background; see :func:`start_radiosity`."""
     return start_work(*_form_factors(**locals()))
 
 
@@ -81,6 +82,7 @@ def solve_radiosity(
     *,
     seconds: float | None = None,
     bundles: int | None = None,
+    points: int | None = None,
     error: float | None = None,
     max_area: float | None = None,
     seed: int = 0,
@@ -103,24 +105,27 @@ def solve_radiosity(
     save_every: float | None = None,
     resume: PathLike | None = None,
 ) -> RadiosityResult:
-    """Radiosities of the surfaces of a scene, all of whose materials count as diffuse.
+    """Radiosities of the surfaces of a scene; all materials are treated as diffuse.
 
-    scene: :class:`etendue.radiosity.Patches`; or a Mitsuba scene in any form that :func:`etendue.render` takes, each
-        face of which is a patch, cut where it is larger than ``max_area``. ``parameters`` give values to ``$variables``
-        of an XML file.
-    solver: ``conjugate-gradient``, ``jacobi``, ``gauss-seidel``, ``southwell`` or ``direct``.
-    seconds, bundles, error: the first one reached ends the casting; ``error`` is the standard error of the irradiance,
-        mean over the surface in units of its mean. Without any, 1024 bundles.
+    scene: :class:`etendue.radiosity.Patches`, or a Mitsuba scene in any form that :func:`etendue.render` takes. Each
+        face of a scene is a patch; faces larger than ``max_area`` are subdivided. ``parameters`` are the values of
+        ``$variables`` of an XML file.
+    solver: ``conjugate-gradient``, ``jacobi``, ``gauss-seidel``, ``southwell`` or ``direct``; or ``multipath``, which
+        exchanges light along single lines and stores none.
+    seconds, bundles, error: the first limit that is reached ends the casting; ``error`` is the standard error of the
+        irradiance, averaged over the surface and divided by the mean irradiance. Without limits, 1024 bundles.
+    points: number of lines of multipath, in place of ``bundles``; 4,194,304 without limits.
     shot: send the light of small emitters by local rays first.
-    save: files of the solution, ``.vtu``, ``.ply``, ``.glb``, ``.gltf``, ``.npz`` or ``.nc``; and pictures of it,
-        ``.exr`` or ``.png``, which are in the result, too.
-    size, sensor, gather, samples, smooth: of pictures, see :func:`etendue.jobs.picture`.
-    error_picture: beside a ``.png``, its relative standard error in false colours.
-    lightmap: an ``.exr`` file, or that of a mesh that fits, ``.glb``, ``.gltf`` or ``.obj``, beside which the ``.exr``
-        is; of at most ``lightmap_size`` texels a side. ``uv``: its coordinates, a glTF file with ``TEXCOORD_1``, or
-        ``"scene"`` for the scene's own; without this an atlas is made.
+    save: files for the solution, ``.vtu``, ``.ply``, ``.glb``, ``.gltf``, ``.npz`` or ``.nc``, and for pictures of it,
+        ``.exr`` or ``.png``. The picture is also in the result.
+    size, sensor, gather, samples, smooth: options of pictures, see :func:`etendue.jobs.picture`.
+    error_picture: beside a ``.png``, write its relative standard error in false colours.
+    lightmap: an ``.exr`` file, or a ``.glb``, ``.gltf`` or ``.obj`` file for the mesh with the ``.exr`` beside it; of
+        at most ``lightmap_size`` texels a side.
+    uv: texture coordinates of the lightmap: a glTF file with ``TEXCOORD_1``, or ``"scene"`` for those of the scene.
+        Without it an atlas is made.
 
-    The rest, and what is raised, is as for :func:`compute_form_factors`.
+    The other arguments and the errors are those of :func:`compute_form_factors`.
     """
     open_work, watch = _radiosity(**locals())
     return run_work(open_work(), watch)
@@ -132,6 +137,7 @@ def start_radiosity(
     *,
     seconds: float | None = None,
     bundles: int | None = None,
+    points: int | None = None,
     error: float | None = None,
     max_area: float | None = None,
     seed: int = 0,
@@ -154,12 +160,12 @@ def start_radiosity(
     save_every: float | None = None,
     resume: PathLike | None = None,
 ) -> Session[RadiosityResult]:
-    """As :func:`solve_radiosity`, but return at once: a thread reads the scene, casts lines, calls ``callback`` after
-    each piece, solves and writes.
+    """Start :func:`solve_radiosity` in the background: a thread reads the scene, casts lines, calls ``callback`` after
+    each pass, solves and writes.
 
-    The session has the state of the casting in ``progress``; ``cancel()`` ends it after the current piece, and returns
-    when what was cast is solved and written; ``wait()`` and ``result`` raise what went wrong. Options, budgets and the
-    names of files are checked before this returns.
+    The session's ``progress`` is that of the casting. ``cancel()`` ends the casting after the current pass, and returns
+    when the solution from the lines so far is written. ``wait()`` and ``result`` raise the error of the run. Options,
+    budgets and names of files are checked before this function returns.
     """
     return start_work(*_radiosity(**locals()))
 
@@ -172,7 +178,7 @@ def _form_factors(
     callback: Callback | None,
     **asked: Any,
 ) -> tuple[Callable[[], FormFactorWork], Callable[[Progress, Runner], object]]:
-    """What opens the work, and what watches it. The arguments are those of :func:`compute_form_factors`."""
+    """Functions that open and watch the work. The arguments are those of :func:`compute_form_factors`."""
     from etendue.jobs import FormFactorRequest, FormFactorWork
 
     files = () if save is None else listed(save)
@@ -191,9 +197,9 @@ def _radiosity(
     resume: PathLike | None,
     callback: Callback | None,
     **asked: Any,
-) -> tuple[Callable[[], RadiosityWork], Callable[[Progress, Runner], object]]:
+) -> tuple[Callable[[], PatchWork[RadiosityRequest, RadiosityResult]], Callable[[Progress, Runner], object]]:
     """As :func:`_form_factors`, with the arguments of :func:`solve_radiosity`."""
-    from etendue.jobs import RadiosityRequest, RadiosityWork, SolutionOutputs
+    from etendue.jobs import RadiosityRequest, SolutionOutputs, radiosity_work
 
     names = ("size", "sensor", "gather", "samples", "smooth", "error_picture", "lightmap_size")
     outputs = SolutionOutputs(
@@ -205,7 +211,7 @@ def _radiosity(
     request = RadiosityRequest(source=scene, outputs=outputs, checkpoint=_path(checkpoint), **asked)
     saved = None if resume is None else Checkpoint.read(resume)
     use_variant()
-    return lambda: RadiosityWork(request, saved), _watch(callback)
+    return lambda: radiosity_work(request, saved), _watch(callback)
 
 
 def _path(given: PathLike | None) -> Path | None:

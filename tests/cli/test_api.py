@@ -213,7 +213,7 @@ def test_a_failing_pass_is_reported_even_if_nothing_can_be_written(tmp_path, tem
 
     with pytest.raises(RunError, match="plot window closed"):
         api.render("cornell-box", "path", samples=4, callback=callback, save=tmp_path / "a.exr", **SMALL)
-    assert "what was done could not be saved" in caplog.text
+    assert "the finished passes could not be saved" in caplog.text
     assert rescued(caplog.text, "a.exr.npz").exists()
 
 

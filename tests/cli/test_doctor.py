@@ -11,13 +11,13 @@ import sys
 import pytest
 from rich.console import Console
 
-from etendue.cli.doctor import Check, _kernel, _package, diagnose, render
+from etendue.cli.inspection.doctor import Check, _kernel, _package, diagnose, render
 from etendue.core import llvm
 
 RUN = """
 import sys
 from rich.console import Console
-from etendue.cli.doctor import run_doctor
+from etendue.cli.inspection.doctor import run_doctor
 sys.exit(run_doctor(Console()))
 """
 
@@ -39,7 +39,8 @@ def test_a_planted_fault_is_found_and_explained():
 
 def test_a_kernel_that_aborts_does_not_abort_the_doctor(monkeypatch):
     monkeypatch.setattr(
-        "etendue.cli.doctor._PROBE", "import os, sys; print('LLVM ERROR: x', file=sys.stderr, flush=True); os.abort()"
+        "etendue.cli.inspection.doctor._PROBE",
+        "import os, sys; print('LLVM ERROR: x', file=sys.stderr, flush=True); os.abort()",
     )
     check = _kernel("llvm_ad_rgb")
     assert check.status == "fail"

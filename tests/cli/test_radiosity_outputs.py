@@ -99,7 +99,7 @@ def test_a_lightmap_and_its_mesh(output, mesh, capsys, variant):
         ("-o s.vtu --gather 4", "--gather is for pictures"),
         ("-o s.exr --lightmap 64 --uv scene --size 8x8", "--size is for pictures"),
         ("-o s.exr --error-picture", "--error-picture is for .png"),
-        ("-o s.png --error-picture --bundles 1", "--error-picture needs two bundles"),
+        ("-o s.png --error-picture --bundles 1", "--error-picture needs at least two bundles"),
         ("-o s.exr --uv scene", "--uv is for lightmaps"),
         ("-o s.vtu --lightmap 64", "take .exr, .glb, .gltf, .obj"),
         ("-o s.exr --lightmap 64 --uv scene", "texture coordinates overlap"),

@@ -138,7 +138,7 @@ def test_a_checkpoint_goes_on_to_more_of_the_same_and_to_nothing_else(capsys):
     assert run("resume c --bundles 64 -o more.npz") == 0
     assert arrays_of("more.npz")[1]["bundles"] == 64
     for arguments, message in (
-        ("", "used up; say how much more with --bundles, --time or --error"),
+        ("", "used up; give a new one with --bundles, --time or --error"),
         ("--spp 3", "--spp, -m and -D do not apply"),
         ("--bundles 50", "64 bundles, more than 50"),
         ("--bundles 80 -o a.npz -o b.npz", "writes one file, not 2"),

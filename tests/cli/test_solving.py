@@ -131,7 +131,7 @@ def test_lines_of_which_nothing_can_be_made_are_kept(named, tmp_path, monkeypatc
         (lambda: etendue.compute_form_factors(cube(1), "F9"), OptionError, "no estimator 'F9'"),
         (lambda: etendue.solve_radiosity(cube(2, **LIT), "jacoby"), OptionError, "did you mean 'jacobi'"),
         (lambda: etendue.solve_radiosity(cube(1)), SceneError, "has no light"),
-        (lambda: etendue.solve_radiosity(cube(1, emission=1.0), max_area=1.0), OptionError, "leave out max_area"),
+        (lambda: etendue.solve_radiosity(cube(1, emission=1.0), max_area=1.0), OptionError, "max_area= is for scenes"),
         (lambda: etendue.compute_form_factors(cube(1), bundles=0), OptionError, "in bundles must be a whole number"),
         (lambda: etendue.compute_form_factors(cube(1), save="a.csv"), OptionError, "not known"),
         (lambda: etendue.compute_form_factors(cube(1), save="no/where/a.npz"), OutputError, "no folder"),

@@ -15,7 +15,9 @@ from support.run_files import SCENE, example
 
 import etendue
 from etendue import api, methods
-from etendue.cli import compare, doctor, rendering, solutions
+from etendue.cli import rendering, solutions
+from etendue.cli.experiments import compare
+from etendue.cli.inspection import doctor
 from etendue.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -203,7 +203,7 @@ def test_saves_come_in_time_and_their_failure_costs_nothing(timed, caplog, error
     result = Runner(method, seed=0, budget=Budget(iterations=9), on_save=save, save_every=3.0, clock=clock).run()
     assert saves == [(3, "running"), (6, "running"), (9, "running")]
     assert result.passes == 9
-    assert caplog.messages == [f"intermediate save failed, rendering goes on: {words}"] * 3
+    assert caplog.messages == [f"an intermediate save failed, the run continues: {words}"] * 3
 
 
 def test_slow_saves_become_rare(timed):
@@ -251,6 +251,28 @@ def test_a_save_in_time_stands_for_a_periodic_one_too(timed):
 def test_times_of_saves_are_checked(noise, save_at):
     with pytest.raises(OptionError, match="times of saves"):
         Runner(noise, seed=0, budget=Budget(iterations=1), on_save=print, save_at=save_at)
+
+
+def test_a_save_that_must_be_made(noise):
+    """After the passes that ask for it; if it fails, so does the run, with what was done."""
+    passes = []
+    options = {"seed": 0, "budget": Budget(iterations=7), "save_if": lambda measured: len(measured.iterations) % 3 == 0}
+    Runner(noise, on_save=lambda run: passes.append(run.passes), **options).run()
+    assert passes == [3, 6]
+
+    def fail(run):
+        raise OutputError("the disk is full")
+
+    with pytest.raises(RunError, match=r"the disk is full \(after 3 passes") as caught:
+        Runner(noise, on_save=fail, **options).run()
+    assert caught.value.run.passes == 3
+
+
+def test_the_end_is_estimated_once_a_pass(noise, monkeypatch):
+    asked = []
+    monkeypatch.setattr(noise, "finish_seconds", lambda measured: asked.append(len(measured.iterations)) or 0, False)
+    Runner(noise, seed=0, budget=Budget(iterations=5, seconds=60)).run()
+    assert asked == [1, 2, 3, 4, 5]
 
 
 @pytest.mark.parametrize("save_every", [0.0, -1.0, float("nan")])

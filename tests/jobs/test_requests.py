@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import meshio
 import numpy as np
@@ -16,7 +18,7 @@ from etendue.cli.radiosity_outputs import Options
 from etendue.core import BackendError, CheckpointError, OptionError, OutputError
 from etendue.engine import Checkpoint
 from etendue.film import read_exr, read_image
-from etendue.jobs import FormFactorRequest, RadiosityRequest, SolutionOutputs, asked_before, solutions
+from etendue.jobs import FormFactorRequest, RadiosityRequest, SolutionOutputs, asked_before, lines, solutions
 from etendue.radiosity import RadiosityError, read_form_factors, read_solution
 
 #: Light leaves one wall.
@@ -49,8 +51,8 @@ def radiosity(outputs=None, **asked):
         (factors, {"estimator": "F9"}, "there is no estimator 'F9'", "there is no estimator"),
         (factors, {"outputs": (Path("a.csv"),)}, "take .npz, .vf, .nc", "take .npz"),
         (factors, {"outputs": (Path("a.nc"),), "checkpoint": Path("a.nc")}, "'a.nc' is named for two", "'a.nc' is"),
-        (factors, {"max_area": 1.0}, "leave out max_area=, or give a scene", "leave out --max-area"),
-        (factors, {"source": {"type": "scene"}}, "form factors are those of a mesh", "form factors are"),
+        (factors, {"max_area": 1.0}, "max_area= is for scenes and mesh files", "--max-area is for"),
+        (factors, {"source": {"type": "scene"}}, "form factors need a mesh", "form factors need"),
         (factors, {"source": "a.ply", "parameters": {"a": 1}}, "parameters= is for scenes in XML", "-P is for scenes"),
         (radiosity, {"solver": "gauss"}, "there is no solver 'gauss'", "there is no solver"),
         (radiosity, {"outputs": {"files": (Path("a.tiff"),)}}, "take .npz, .vtu, .ply", "take .npz"),
@@ -73,13 +75,13 @@ def radiosity(outputs=None, **asked):
         (
             radiosity,
             {"outputs": {"files": (Path("a.png"),), "error_picture": True}, "bundles": 1},
-            "error_picture= needs two bundles at least",
-            "--error-picture needs two",
+            "error_picture= needs at least two bundles",
+            "--error-picture needs at least two",
         ),
         (
             radiosity,
             {"source": "cornell-box", "mesh": {"reflectance": 0.5}},
-            "reflectance= is for mesh files; the materials",
+            "reflectance= is for mesh files; a scene has",
             "--reflectance is for",
         ),
         (
@@ -110,6 +112,51 @@ def test_a_request_is_checked_at_once(ask, asked, python, terminal):
 def test_places_that_cannot_be_written(ask, asked, text):
     with pytest.raises(OutputError, match=text):
         ask(**asked)
+
+
+@pytest.mark.parametrize("ask", [factors, radiosity])
+def test_records_that_cannot_be_written_cost_no_line(ask):
+    Path("c.records").write_text("")
+    with pytest.raises(OutputError, match=r"'c.records': it is not a folder; remove it, or choose another checkpoint"):
+        ask(checkpoint=Path("c"))
+    Path("c.records").unlink()
+    Path("c.records").mkdir(mode=0o500)
+    if not os.access("c.records", os.W_OK):  # as for every user but root
+        with pytest.raises(OutputError, match="you may write to"):
+            ask(checkpoint=Path("c"))
+    Path("c.records").chmod(0o700)
+    ask(checkpoint=Path("c"))
+    assert not list(Path("c.records").iterdir())
+
+
+def test_segments_go_to_files_where_memory_is_short(monkeypatch):
+    """With a checkpoint, memory limits neither the number of bundles nor what is kept in it between saves."""
+    whole = etendue.solve_radiosity(cube(2, **LIT), bundles=64)
+    monkeypatch.setattr(etendue.radiosity.casting, "free_memory", lambda: 20 * 10_000 * 8)
+    monkeypatch.setattr(lines, "free_memory", lambda: 20 * 10_000 * 8)
+    in_memory = []
+
+    def look(run, *arguments):
+        (record,) = run.measurement.records.values()
+        in_memory.append(len(record) - sum(map(len, record.files)))
+        return save(run, *arguments)
+
+    save = Checkpoint.write
+    monkeypatch.setattr(Checkpoint, "write", look)
+    with pytest.raises(RadiosityError, match="do not fit into memory"):
+        etendue.solve_radiosity(cube(2, **LIT), bundles=64)
+    result = etendue.solve_radiosity(cube(2, **LIT), bundles=64, checkpoint="c")
+    np.testing.assert_array_equal(result.solution.radiosity, whole.solution.radiosity)
+    assert len(in_memory) > 2 and max(in_memory) < len(whole.segments) / 2
+    with pytest.raises(RadiosityError, match="do not fit into memory"):  # the matrix is not in files
+        etendue.solve_radiosity(cube(2, **LIT), "direct", bundles=1 << 14, checkpoint="d")
+
+
+def test_a_disk_that_is_too_small(monkeypatch):
+    monkeypatch.setattr(lines.shutil, "disk_usage", lambda path: SimpleNamespace(free=2 * 20 * 10_000 * 8))
+    with pytest.raises(RadiosityError, match="do not fit on the disk of 'c'"):
+        etendue.solve_radiosity(cube(2, **LIT), bundles=1 << 14, checkpoint="c")
+    assert not list(Path().iterdir())
 
 
 def test_pictures_of_errors_and_lightmaps_are_outputs_as_well():
@@ -179,7 +226,7 @@ def test_what_was_asked_is_in_the_checkpoint(monkeypatch):
     assert asked_before(saved, output=Path("b.obj")).files == (Path("b.exr"), Path("b.obj"))
     assert RadiosityRequest(source=BOX).notes() == {}
     saved.notes = {}
-    with pytest.raises(CheckpointError, match="does not say what was asked for"):
+    with pytest.raises(CheckpointError, match="does not contain its request"):
         asked_before(saved)
 
 
@@ -216,7 +263,7 @@ def test_pictures_and_lightmaps_from_python():
     assert max(result.lightmap.values.shape[:2]) <= 64
     np.testing.assert_array_equal(read_solution("s.npz")[0].radiosity, result.solution.radiosity)
     assert etendue.solve_radiosity("cornell-box", bundles=8, max_area=0.5).picture is None
-    with pytest.raises(OptionError, match="a picture takes a scene, for its camera"):
+    with pytest.raises(OptionError, match="a picture needs a scene with a camera"):
         etendue.solve_radiosity(cube(1, emission=1.0), bundles=8, save="q.png")
 
 
@@ -246,6 +293,6 @@ def test_a_bug_costs_no_line(monkeypatch):
 
     monkeypatch.setattr("etendue.jobs.solving.solve", fail)
     with pytest.raises(
-        OutputError, match=r"nothing could be made of the lines: MemoryError; the lines are kept: resume='c'"
+        OutputError, match=r"the lines could not be evaluated: MemoryError; the lines are kept: resume='c'"
     ):
         etendue.solve_radiosity(cube(2, **LIT), bundles=8, checkpoint="c")

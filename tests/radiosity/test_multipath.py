@@ -79,7 +79,7 @@ def test_parallel_lines_are_refused(lines):
         engines.append(ChainedRays(Bundles(patches, lines), RayScene(patches)))
     for engine in engines:
         assert engine.shares_directions
-        with pytest.raises(RadiosityError, match=r"take multipath_bundles\(\), or one line a bundle") as error:
+        with pytest.raises(RadiosityError, match=r"take multipath_bundles\(\), or one line per bundle") as error:
             multipath(engine, 64)
         assert type(engine).__name__ in str(error.value) and "\n" not in str(error.value)
 

@@ -222,7 +222,7 @@ def test_what_cannot_be_solved():
         (lambda: solve(patches, segments, "guess"), "there is no solver"),
         (lambda: solve(patches, form_factors(segments, "F2"), "conjugate-gradient"), "reciprocal form factors"),
         (lambda: solve(patches, segments, tolerance=1e-9, max_iterations=2), "after 2 iterations"),
-        (lambda: solve(cube(2, emission=1.0), factors), "there are 24 patches, but light is carried between 6"),
+        (lambda: solve(cube(2, emission=1.0), factors), "there are 24 patches, but the transport is that of 6"),
     ):
         with pytest.raises(RadiosityError) as error:
             call()

@@ -24,7 +24,7 @@ from etendue.radiosity import (
     save_textured_mesh,
     scene_mesh,
 )
-from etendue.surfaces import atlases
+from etendue.surfaces.lightmaps import atlases
 
 pytest.importorskip("scipy.ndimage")
 

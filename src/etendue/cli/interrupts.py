@@ -6,7 +6,7 @@ import os
 import signal
 from collections.abc import Callable
 from types import FrameType, TracebackType
-from typing import Any, Self
+from typing import Self
 
 #: Signals that ask a process to end.
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -22,7 +22,7 @@ class Interrupts:
     def __init__(self, stop: Callable[[], None], abort: Callable[[], None]) -> None:
         self._stop = stop
         self._abort = abort
-        self._former: dict[int, Any] = {}
+        self._former: dict[int, Callable[[int, FrameType | None], object] | int | None] = {}
         #: The received signal, if any.
         self.received: int | None = None
 

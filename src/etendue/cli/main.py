@@ -9,6 +9,7 @@ import logging
 import sys
 import traceback
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +19,7 @@ from etendue.core import EtendueError, OptionError, describe, logger
 
 from . import options as opt
 from .console import ConsoleHandler, error_console, note, print_error, say
+from .pictures import compare, demo, render, run
 from .radiosity import LINES, form_factors, radiosity, resume_lines
 
 app = typer.Typer(
@@ -82,76 +84,7 @@ def root(
     """Options of the command itself."""
 
 
-@app.command()
-def render(
-    scene: opt.Scene,
-    method: Annotated[
-        str | None,
-        typer.Option(
-            "--method",
-            "-m",
-            help="See `etendue methods`; by default the scene's integrator if it is one of them but path, else vcm.",
-            metavar="NAME",
-        ),
-    ] = None,
-    output: opt.Output = None,
-    time: opt.Time = None,
-    spp: opt.Spp = None,
-    error: opt.Error = None,
-    size: opt.PictureSize = None,
-    sensor: opt.Sensor = 0,
-    seed: opt.Seed = 0,
-    variant: opt.Variant = None,
-    define: opt.Define = None,
-    param: opt.Param = None,
-    max_depth: opt.MaxDepth = None,
-    threads: opt.Threads = None,
-    memory: opt.Memory = None,
-    aovs: opt.Aovs = False,
-    pyramid: opt.Pyramid = False,
-    pyramid_depth: opt.PyramidDepth = None,
-    no_bsdf_sampling: opt.NoBsdfSampling = False,
-    save_every: opt.SaveEvery = 60.0,
-    checkpoint: Annotated[
-        Path | None,
-        typer.Option(help="Checkpoint for `etendue resume`; by default beside the first picture.", metavar="FILE"),
-    ] = None,
-    no_checkpoint: Annotated[bool, typer.Option("--no-checkpoint", help="Write no checkpoint.")] = False,
-    debug: opt.Debug = False,
-) -> int:
-    """Render a scene.
-
-    Stops at the first of --time, --spp and --error that is reached; without any, at the scene's own sample count.
-    Ctrl-C stops after the current pass and writes the picture and the checkpoint.
-    """
-    from etendue.api import choose_method
-    from etendue.engine import Budget, Job, Task
-    from etendue.jobs import Outputs
-    from etendue.scene import locate
-
-    from .rendering import choose_device, default_name, render_to_files
-
-    if no_checkpoint and checkpoint is not None:
-        raise OptionError("--checkpoint and --no-checkpoint exclude each other; give one of them")
-    budget = Budget(time, spp, None, error)
-    settings = opt.settings(define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling)
-    parameters = opt.parse_pairs(param, "-P")
-    choose_device(variant, threads)
-    notes: list[str] = []  # shown when all is checked
-    found = locate(scene, notes.append)
-    chosen = choose_method(method, found, parameters, notes.append)
-    task = Task(found, chosen, settings, seed, budget, size, sensor, parameters, memory)
-    pictures = output or [Path(f"{default_name(found)}-{chosen.name}.exr")]
-    beside = pictures[0].parent / f"{pictures[0].stem}.checkpoint"
-    outputs = Outputs.of(pictures, None if no_checkpoint else checkpoint or beside, save_every)
-
-    def open_job() -> Job:
-        job = Job.open(task)
-        for text in notes:
-            note(error_console(), text)
-        return job
-
-    return render_to_files(open_job, outputs, chosen.name)
+app.command()(render)
 
 
 @app.command()
@@ -175,6 +108,9 @@ def resume(
     bundles: Annotated[
         int | None, typer.Option(help="For radiosity: stop at this many bundles of lines.", min=1, metavar="N")
     ] = None,
+    points: Annotated[
+        int | None, typer.Option(help="For multipath: stop at this many lines.", min=1, metavar="N")
+    ] = None,
     variant: opt.Variant = None,
     threads: opt.Threads = None,
     save_every: opt.SaveEvery = 60.0,
@@ -187,22 +123,24 @@ def resume(
     (if there are none, an .exr is written); for a run file, the remaining saves, log and table continue.
     """
     from etendue import methods
-    from etendue.engine import Budget, Checkpoint, Job
+    from etendue.engine import Checkpoint, Job, remaining
     from etendue.jobs import Outputs
 
-    from .records import Recorder, run_of
+    from .experiments.records import Recorder, run_of
     from .rendering import choose_device, render_to_files
 
-    budget = Budget(time, spp, None, error)
+    budget = opt.budget(time, spp, error)
     saved = Checkpoint.read(checkpoint)
-    if saved.method == LINES:
+    if saved.method in LINES:
         if (spp, method, define) != (None, None, None):
-            raise OptionError(f"{checkpoint} has lines for radiosity: --spp, -m and -D do not apply")
-        return resume_lines(saved, checkpoint, output or [], scene, bundles, time, error, save_every, variant, threads)
-    if bundles is not None:
-        raise OptionError(f"{checkpoint} has a picture: --bundles does not apply")
+            raise OptionError(f"{checkpoint} is a checkpoint of radiosity: --spp, -m and -D do not apply")
+        limits = {"bundles": bundles, "points": points, "seconds": time, "error": error}
+        return resume_lines(saved, checkpoint, output or [], scene, limits, save_every, variant, threads)
+    if (bundles, points) != (None, None):
+        raise OptionError(f"{checkpoint} is a checkpoint of a picture: --bundles and --points do not apply")
     kind = methods.get(saved.method if method is None else method)
     saved.settings_of(kind, opt.parse_pairs(define, "-D"))
+    rest = partial(remaining, saved, "--time, --spp or --error")
     file = run_of(saved, checkpoint) if output is None else None
     if file is not None:
         console = error_console()
@@ -210,7 +148,7 @@ def resume(
         choose_device(variant or file.variant, threads or file.threads)
 
         def open_job() -> Job:
-            job = Job.resume(saved, kind, budget=budget or None, scene=scene)
+            job = Job.resume(saved, kind, budget=budget or rest(), scene=scene)
             recorder.check(job)
             return job
 
@@ -219,120 +157,12 @@ def resume(
     beside = [checkpoint.with_suffix(suffix) for suffix in (".exr", ".png")]
     outputs = Outputs.of(output or [p for p in beside if p.exists()] or beside[:1], checkpoint, save_every)
     choose_device(variant, threads)
-    return render_to_files(lambda: Job.resume(saved, kind, budget=budget or None, scene=scene), outputs, saved.method)
+    return render_to_files(lambda: Job.resume(saved, kind, budget=budget or rest(), scene=scene), outputs, saved.method)
 
 
-@app.command()
-def run(
-    file: Annotated[Path, typer.Argument(help="Run file in TOML, see docs/run-files.md.", metavar="FILE")],
-    check: Annotated[bool, typer.Option("--check", help="Only check the file and the files that it names.")] = False,
-    debug: opt.Debug = False,
-) -> int:
-    """Render the experiment of a run file: scene, camera, method, budget, saves at given times, error against a
-    reference.
-
-    Ctrl-C stops after the current pass and writes the pictures and the checkpoint.
-    """
-    from etendue.engine import Job
-
-    from .records import Recorder
-    from .rendering import choose_device, render_to_files
-    from .run_file import RunFile
-
-    wanted = RunFile.read(file)
-    choose_device(wanted.variant, wanted.threads)
-    notes: list[str] = []  # shown when all is checked
-    task = wanted.task(notes.append)
-    console = error_console()
-    recorder = Recorder(wanted, lambda text: note(console, text))
-
-    def open_job() -> Job:
-        job = Job.open(task)
-        recorder.check(job)
-        for text in notes:
-            note(console, text)
-        return job
-
-    if check:
-        say(f"{file} is in order: {wanted.describe(open_job())}")
-        return 0
-    with recorder:
-        return render_to_files(open_job, recorder, task.method.name)
-
-
-@app.command()
-def compare(
-    scene: opt.Scene,
-    method: Annotated[
-        list[str] | None, typer.Option("--method", "-m", help="A method; give it twice or more.", metavar="NAME")
-    ] = None,
-    output: opt.Folder = Path("comparison"),
-    reference: Annotated[
-        Path | None, typer.Option(help="A converged picture to measure the error against.", metavar="FILE")
-    ] = None,
-    time: opt.Time = None,
-    spp: opt.Spp = None,
-    error: opt.Error = None,
-    size: opt.PictureSize = None,
-    sensor: opt.Sensor = 0,
-    seed: opt.Seed = 0,
-    variant: opt.Variant = None,
-    define: opt.Define = None,
-    param: opt.Param = None,
-    max_depth: opt.MaxDepth = None,
-    threads: opt.Threads = None,
-    memory: opt.Memory = None,
-    pyramid: opt.Pyramid = False,
-    pyramid_depth: opt.PyramidDepth = None,
-    no_bsdf_sampling: opt.NoBsdfSampling = False,
-    debug: opt.Debug = False,
-) -> int:
-    """Render a scene by several methods for the same time, and write a page that compares them.
-
-    By default `path` and `vcm`, 60 seconds each.
-    """
-    from etendue.engine import Budget
-    from etendue.scene import locate
-
-    from .compare import Comparison, tasks
-    from .rendering import choose_device
-
-    budget = Budget(time, spp, None, error) or Budget(seconds=60)
-    notes: list[str] = []
-    wanted = tasks(
-        locate(scene, notes.append),
-        method or ["path", "vcm"],
-        opt.settings(define, max_depth, False, pyramid, pyramid_depth, no_bsdf_sampling),
-        seed=seed,
-        budget=budget,
-        size=size,
-        sensor=sensor,
-        parameters=opt.parse_pairs(param, "-P"),
-        memory=memory,
-    )
-    choose_device(variant, threads)
-    console = error_console()
-    for text in notes:
-        note(console, text)
-    return Comparison(wanted, output, reference).run(console)
-
-
-@app.command()
-def demo(
-    output: opt.Folder = Path("demo-output"),
-    time: opt.Time = 45.0,
-    size: opt.PictureSize = None,
-    variant: opt.Variant = None,
-    threads: opt.Threads = None,
-    debug: opt.Debug = False,
-) -> int:
-    """Render the bundled caustic scene by path tracing and by VCM for the same time, and write a page."""
-    from .compare import demonstration
-    from .rendering import choose_device
-
-    comparison = demonstration(output, time, size)
-    choose_device(variant, threads)
-    return comparison.run(error_console())
+app.command()(run)
+app.command()(compare)
+app.command()(demo)
 
 
 @app.command()
@@ -341,7 +171,7 @@ def methods(
     debug: opt.Debug = False,
 ) -> int:
     """List the methods, or show one's manual page with its settings."""
-    from .listings import show_method, show_methods
+    from .inspection.listings import show_method, show_methods
 
     return show_method(name) if name else show_methods()
 
@@ -349,7 +179,7 @@ def methods(
 @app.command()
 def scenes(debug: opt.Debug = False) -> int:
     """List the bundled scenes."""
-    from .listings import show_scenes
+    from .inspection.listings import show_scenes
 
     return show_scenes()
 
@@ -373,7 +203,7 @@ def points(
     debug: opt.Debug = False,
 ) -> int:
     """List point sets and sequences, or write points as CSV, measure their discrepancy, draw projections."""
-    from .points import show_point_sets, show_points
+    from .inspection.points import show_point_sets, show_points
 
     if name is None:
         return show_point_sets()
@@ -391,7 +221,7 @@ def cite(
     method: Annotated[list[str], typer.Argument(help="Methods.", metavar="METHOD...")], debug: opt.Debug = False
 ) -> int:
     """Print the papers that a method implements, as BibTeX."""
-    from .listings import show_citations
+    from .inspection.listings import show_citations
 
     return show_citations(method)
 
@@ -414,7 +244,7 @@ def check(
     """
     from etendue.scene import locate
 
-    from .check import show_check
+    from .inspection.check import show_check
     from .rendering import choose_device
 
     parameters = opt.parse_pairs(param, "-P")
@@ -428,7 +258,7 @@ def doctor(debug: opt.Debug = False) -> int:
     """Report what is installed, what is wrong and how to fix it."""
     from rich.console import Console
 
-    from .doctor import run_doctor
+    from .inspection.doctor import run_doctor
 
     return run_doctor(Console())
 

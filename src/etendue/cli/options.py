@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from etendue.core import OptionError
+
+if TYPE_CHECKING:
+    from etendue.engine import Budget
 
 _TIME = re.compile(r"^(?:(?P<h>[\d.]+)h)?(?:(?P<m>[\d.]+)m(?:in)?)?(?:(?P<s>-?[\d.]+(?:e[+-]?\d+)?)s?)?$")
 _MEMORY = re.compile(r"^(?P<number>[\d.]+)\s*(?P<unit>[kmgt]?)i?b?$", re.IGNORECASE)
@@ -49,6 +53,16 @@ def parse_size(text: str) -> Size:
     if match is None or "0" in (match[1].lstrip("0") or "0", match[2].lstrip("0") or "0"):
         raise OptionError(f"--size wants WIDTHxHEIGHT in pixels, as 640x480, not '{text}'")
     return Size(int(match[1]), int(match[2]))
+
+
+def budget(time: float | None, spp: int | None, error: float | None) -> Budget:
+    """The budget from --time, --spp and --error. Raises :class:`OptionError` for values that are not above 0."""
+    from etendue.engine import Budget
+
+    for option, value in (("--time", time), ("--spp", spp), ("--error", error)):
+        if value is not None and not 0 < value < math.inf:
+            raise OptionError(f"{option} must be above 0, not {value:g}")
+    return Budget(time, spp, None, error)
 
 
 def parse_memory(text: str) -> int:

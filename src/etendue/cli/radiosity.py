@@ -11,20 +11,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from etendue.core import OptionError, format_seconds
-from etendue.jobs import DEFAULT_BUNDLES
+from etendue.jobs import DEFAULT_BUNDLES, DEFAULT_POINTS
 
 from . import options as opt
 from . import radiosity_outputs as out
 from .console import error_console, note, say
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from etendue.engine import Checkpoint
-    from etendue.jobs import FormFactorRequest, LinesRequest, LinesWork, RadiosityRequest
+    from etendue.jobs import FormFactorRequest, LinesRequest, PatchWork, RadiosityRequest
 
-#: The method of checkpoints: the name of :class:`etendue.radiosity.LineCasting`.
-LINES = "global-lines"
+#: Methods of checkpoints: the names of ``LineCasting`` and ``MultipathPasses`` of ``etendue.radiosity``.
+LINES = ("global-lines", "multipath")
 Bundles = Annotated[
     int | None,
     typer.Option(
@@ -136,8 +136,21 @@ def radiosity(
     max_area: MaxArea = None,
     solver: Annotated[
         str,
-        typer.Option("--solver", help="conjugate-gradient, jacobi, gauss-seidel, southwell or direct.", metavar="NAME"),
+        typer.Option(
+            "--solver",
+            help="conjugate-gradient, jacobi, gauss-seidel, southwell or direct; or multipath, which stores no lines.",
+            metavar="NAME",
+        ),
     ] = "conjugate-gradient",
+    points: Annotated[
+        int | None,
+        typer.Option(
+            "--points",
+            help=f"Lines of multipath, in place of --bundles. {DEFAULT_POINTS}, if no budget is given.",
+            min=1,
+            metavar="N",
+        ),
+    ] = None,
     reflectance: Reflectance = None,
     emission: Annotated[
         str | None,
@@ -175,10 +188,10 @@ def radiosity(
 ) -> int:
     """Compute the radiosities of a scene's or mesh's surfaces, each face a patch; materials count as diffuse.
 
-    Stops at the first of --bundles, --time and --error that is reached, or by Ctrl-C, and writes the solution on the
-    lines so far.
+    Stops at the first of --bundles (or --points), --time and --error that is reached, or by Ctrl-C, and writes the
+    solution from the lines so far.
     """
-    from etendue.jobs import RadiosityRequest, RadiosityWork, SolutionOutputs
+    from etendue.jobs import RadiosityRequest, SolutionOutputs, radiosity_work
 
     request = RadiosityRequest(
         source=scene,
@@ -197,6 +210,7 @@ def radiosity(
         ),
         seconds=time,
         bundles=bundles,
+        points=points,
         error=error,
         seed=seed,
         max_area=max_area,
@@ -217,7 +231,7 @@ def radiosity(
     )
     if solution is not None:
         return _write_again(request, solution, variant, threads)
-    return _run(request, lambda **options: RadiosityWork(request, **options), variant, threads)
+    return _run(request, lambda **options: radiosity_work(request, **options), variant, threads)
 
 
 def resume_lines(
@@ -225,31 +239,29 @@ def resume_lines(
     checkpoint: Path,
     output: Sequence[Path],
     scene: str | None,
-    bundles: int | None,
-    time: float | None,
-    error: float | None,
+    limits: Mapping[str, float | None],
     save_every: float | None,
     variant: str | None,
     threads: int | None,
 ) -> int:
-    """Go on with a checkpoint of one of these commands, and write its file anew."""
-    from etendue.jobs import FormFactorRequest, FormFactorWork, RadiosityWork, asked_before
+    """Resume a checkpoint of one of these commands up to new ``limits``, and write its file again."""
+    from etendue.jobs import FormFactorRequest, FormFactorWork, asked_before, radiosity_work
 
+    if limits.get("points") is not None and saved.method != "multipath":
+        raise OptionError(f"{checkpoint} has bundles of lines: give --bundles in place of --points")
     request: Any = asked_before(
         saved,
         source=scene,
         output=output[0] if output else None,
-        seconds=time,
-        bundles=bundles,
-        error=error,
+        **{name: limit for name, limit in limits.items() if limit is not None},
         checkpoint=checkpoint,
         save_every=save_every,
         wording=out.Options(),
     )
     if len(output) > 1:
         raise OptionError(f"etendue {request.work} writes one file, not {len(output)}")
-    kind: Any = FormFactorWork if isinstance(request, FormFactorRequest) else RadiosityWork
-    return _run(request, lambda **options: kind(request, saved, **options), variant, threads)
+    work: Any = FormFactorWork if isinstance(request, FormFactorRequest) else radiosity_work
+    return _run(request, lambda **options: work(request, saved, **options), variant, threads)
 
 
 def _quantity(text: str | None) -> float | str | list[list[float]] | None:
@@ -271,7 +283,7 @@ def _sky(text: str | None) -> float | list[float] | None:
 
 
 def _run(
-    request: LinesRequest, open_work: Callable[..., LinesWork[Any, Any]], variant: str | None, threads: int | None
+    request: LinesRequest, open_work: Callable[..., PatchWork[Any, Any]], variant: str | None, threads: int | None
 ) -> int:
     """From a request to files. Returns the exit status."""
     from .rendering import choose_device

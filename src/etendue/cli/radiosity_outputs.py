@@ -58,7 +58,14 @@ class Options(Wording):
 
     mesh_light = "give --emission or --temperature (a number, or the name of an array of the file), or --sky"
     lightmap = "give the size of one, as --lightmap 1024"
-    _NAMES = {"seconds": "--time", "samples": "--spp", "parameters": "-P", "lightmap_size": "--lightmap"}  # noqa: RUF012
+    _NAMES = {  # noqa: RUF012
+        "seconds": "--time",
+        "samples": "--spp",
+        "parameters": "-P",
+        "lightmap_size": "--lightmap",
+        "shot": "--no-shot",
+        "local_rays": "--no-local-rays",
+    }
 
     def option(self, name: str) -> str:
         """See :class:`Wording`."""
@@ -68,6 +75,6 @@ class Options(Wording):
         """See :class:`Wording`."""
         return f"{name} ({self.option(name)})"
 
-    def resume(self, checkpoint: Path, bundles: int) -> str:
+    def resume(self, checkpoint: Path, limit: str, count: int) -> str:
         """See :class:`Wording`."""
-        return f"etendue resume {checkpoint} --bundles {bundles}"
+        return f"etendue resume {checkpoint} {self.option(limit)} {count}"

@@ -21,7 +21,7 @@ from .rendering import Outcome, follow
 
 if TYPE_CHECKING:
     from etendue.engine import Runner, RunResult
-    from etendue.jobs import FormFactorRequest, LinesRequest, LinesWork, RadiosityRequest
+    from etendue.jobs import FormFactorRequest, LinesRequest, PatchWork, RadiosityRequest
     from etendue.radiosity import FirstShot, FormFactors, Lightmap, Patches, Segments
     from etendue.scene import Problem
 
@@ -35,7 +35,7 @@ _NO_SKY = 1e-6
 class _Casting:
     """The lines of some work alone: what is made of them is made in the main thread, where Ctrl-C ends it."""
 
-    work: LinesWork[Any, Any]
+    work: PatchWork[Any, Any]
 
     def runner(self, **options: Any) -> Runner:
         return self.work.runner(**options)
@@ -44,19 +44,19 @@ class _Casting:
         self.work.keep(run)
 
     def finish(self, run: RunResult) -> RunResult:
-        # While signals only ask for an end. If it fails, `LinesWork.finish` tries again and says so.
+        # While signals only ask for an end. If it fails, `PatchWork.finish` tries again and says so.
         with suppress(EtendueError, OSError):
             self.work.keep(run)
         return run
 
 
-def cast(work: LinesWork[Any, Any]) -> Outcome[RunResult]:
+def cast(work: PatchWork[Any, Any]) -> Outcome[RunResult]:
     """Cast lines until the budget is used up or a signal comes."""
     session = _Casting(work)
     return follow(lambda: start_work(lambda: session), error_console(), work.request.work, _words(work))
 
 
-def finish(work: LinesWork[Any, Any], run: RunResult) -> None:
+def finish(work: PatchWork[Any, Any], run: RunResult) -> None:
     """Make what was asked for, write it, and say what came of it."""
     console = error_console()
     with console.status("counting") as status:
@@ -126,6 +126,8 @@ def _describe_solution(solver: str, result: RadiosityResult) -> None:
         _say(_of_shot(result.shot))
     steps = len(solution.residuals)
     parts = [f"{solver}: {steps} iteration{'' if steps == 1 else 's'}, residual {solution.residual:.1g}"]
+    if result.points:
+        parts = [f"{solver}: {result.points} lines, {solution.residual:.1%} of the power unshot"]
     parts.append(f"imbalance of power {solution.imbalance:.2g}")
     if error is not None and (light := (areas * solution.irradiance).sum()) > 0:
         parts.append(f"standard error of irradiance {(areas * error).sum() / light:.2g} in the mean")
@@ -163,11 +165,10 @@ def _describe_segments(console: Console, bundles: int, segments: Segments) -> No
         )
 
 
-def _words(work: LinesWork[Any, Any]) -> Callable[[Progress], list[str]]:
+def _words(work: PatchWork[Any, Any]) -> Callable[[Progress], list[str]]:
     def words(progress: Progress) -> list[str]:
-        count = min(progress.samples, work.lines.casting.most or progress.samples)
-        bundles = f"{count} bundle{'' if count == 1 else 's'}"
-        parts = [bundles, f"{progress.rays:.3g} segments", format_seconds(progress.elapsed)]
+        seconds = format_seconds(progress.elapsed)
+        parts = [work.progress_text(progress.samples), f"{progress.rays:.3g} segments", seconds]
         if progress.eta is not None:
             parts.append(f"ETA {format_seconds(progress.eta)}")
         if progress.relative_error is not None:

@@ -8,13 +8,13 @@ from .diagnosis import Diagnosis, best_bandwidth, by_bootstrap, by_expansion, by
 from .errors import DensityError
 from .estimator import Estimator
 from .fixed import FixedKernel, Naive
-from .hashgrid import HashGrid, Query
 from .histogram import BinnedKernel, Histogram
-from .kdtree import KdTree
 from .kernels import KERNELS, Kernel
 from .nearest import NearestNeighbours
 from .quadtrees import Quadtrees, QuadtreeSampler
 from .samples import Samples, Surface
+from .search.hashgrid import HashGrid, Query
+from .search.kdtree import KdTree
 from .variable import AdaptiveKernel, SampleBandwidths, VariableKernel
 
 __all__ = [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +14,7 @@ from .errors import DensityError
 from .estimator import positive
 from .histogram import share_out, smallest_box
 from .kernels import KERNELS, Kernel, kernel_of
-from .samples import Samples
+from .samples import Points, Samples
 
 #: Nodes along an axis of the grid on which cross-validation adds up pairs, by dimension.
 _NODES = {1: 1 << 14, 2: 1 << 10}
@@ -23,12 +22,12 @@ _NODES = {1: 1 << 14, 2: 1 << 10}
 _TRIED = (0.05, 2.0, 60)
 
 
-def normal_reference(samples: Any, kernel: Kernel | str = "gaussian") -> float:
+def normal_reference(samples: Samples | Points, kernel: Kernel | str = "gaussian") -> float:
     """The bandwidth with the smallest error for normal samples: for the Gaussian ``s (4 / ((d + 2) n))^(1 / (d + 4))``.
 
     s is the root mean square of the standard deviations along the axes [Silverman 1986, sec. 4.3.2]; n the effective
-    number of samples. Too wide for densities with several peaks. Raises
-    :class:`DensityError` if all samples coincide, and for samples on surfaces.
+    number of samples. Too wide for densities with several peaks. Raises :class:`DensityError` if all samples coincide,
+    and for samples on surfaces.
     """
     checked = _plain(samples)
     deviation = _deviations(checked)
@@ -36,7 +35,7 @@ def normal_reference(samples: Any, kernel: Kernel | str = "gaussian") -> float:
     return _of_spread(spread, checked, (4 / (checked.dimension + 2)) ** (1 / (checked.dimension + 4)), kernel)
 
 
-def silverman(samples: Any, kernel: Kernel | str = "gaussian") -> float:
+def silverman(samples: Samples | Points, kernel: Kernel | str = "gaussian") -> float:
     """Silverman's rule of thumb: on a line ``0.9 min(s, q / 1.34) n^(-1/5)`` for the Gaussian.
 
     q is the distance between the quartiles [Silverman 1986, eq. 3.31]. In the plane it is :func:`normal_reference`
@@ -51,7 +50,7 @@ def silverman(samples: Any, kernel: Kernel | str = "gaussian") -> float:
 
 
 def cross_validation(
-    samples: Any, kernel: Kernel | str = "gaussian", bandwidths: ArrayLike | None = None
+    samples: Samples | Points, kernel: Kernel | str = "gaussian", bandwidths: ArrayLike | None = None
 ) -> tuple[float, Array, Array]:
     """The bandwidth that minimises ``int f^2 - 2 sum_i w_i f_without_i(x_i)``: (bandwidth, candidates, their scores).
 
@@ -127,7 +126,7 @@ class _Pairs:
         return self.sum(math.sqrt(2) * h) - 2 * others
 
 
-def _plain(samples: Any) -> Samples:
+def _plain(samples: Samples | Points) -> Samples:
     checked = Samples.of(samples)
     if checked.coordinates == 3:
         raise DensityError("rules for bandwidths are for samples on a line or in the plane, not on surfaces")

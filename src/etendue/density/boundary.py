@@ -10,14 +10,15 @@ from __future__ import annotations
 
 import math
 from itertools import product
-from typing import Any, Literal
+from typing import Literal
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import Array
-from etendue.integration import Box
+from etendue.integration import Box, Domain
 
 from .errors import DensityError
 from .kernels import Kernel
@@ -27,7 +28,7 @@ Boundary = Literal["none", "reflect", "renormalise"]
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 
-def check_boundary(boundary: str, allowed: tuple[str, ...], domain: Any) -> None:
+def check_boundary(boundary: str, allowed: tuple[str, ...], domain: Domain | None) -> None:
     """Raise :class:`DensityError` unless an estimator has this correction, and its domain is known."""
     if boundary not in allowed:
         raise DensityError(f"boundary {boundary!r}: this estimator has {', '.join(allowed)}")
@@ -35,7 +36,7 @@ def check_boundary(boundary: str, allowed: tuple[str, ...], domain: Any) -> None
         raise DensityError(f"boundary {boundary!r} needs the domain: domain=[(lower, upper), ...]")
 
 
-def reflected(positions: Array, reach: Array, box: Box) -> tuple[Array, Array]:
+def reflected(positions: Array, reach: Array, box: Box) -> tuple[Array, NDArray[np.int64]]:
     """Positions and those of their mirror images whose kernels of this ``reach`` may overlap the box, with their
     indices.
 
@@ -58,7 +59,7 @@ def reflected(positions: Array, reach: Array, box: Box) -> tuple[Array, Array]:
     return np.concatenate(images), np.concatenate(owners)
 
 
-def share_inside(kernel: Kernel, point: Any, bandwidth: Any, box: Box) -> Any:
+def share_inside(kernel: Kernel, point: mi.Point3f, bandwidth: mi.Float, box: Box) -> mi.Float:
     """Share of the kernel around ``point``, a ``Point3f`` in the box, that lies in it. Recorded on the device.
 
     On a line by the kernel's integral. In the plane as the sum over the four sides of the wedges between the point and
@@ -68,7 +69,7 @@ def share_inside(kernel: Kernel, point: Any, bandwidth: Any, box: Box) -> Any:
     ends = [_distances(point[axis], axis, bandwidth, box) for axis in range(box.dimension)]
     if box.dimension == 1:
         return kernel.mass(ends[0][0], 1) + kernel.mass(ends[0][1], 1)
-    share: Any = mi.Float(0)
+    share: mi.Float = mi.Float(0)
     for axis in (0, 1):
         left, right = ends[1 - axis]
         for distance in ends[axis]:
@@ -76,17 +77,17 @@ def share_inside(kernel: Kernel, point: Any, bandwidth: Any, box: Box) -> Any:
     return share
 
 
-def _distances(x: Any, axis: int, bandwidth: Any, box: Box) -> tuple[Any, Any]:
+def _distances(x: mi.Float, axis: int, bandwidth: mi.Float, box: Box) -> tuple[mi.Float, mi.Float]:
     """Bandwidths to either end of the box."""
     low, high = (dr.opaque(mi.Float, end) for end in (box.lower[axis], box.upper[axis]))
     return dr.maximum(x - low, 0) / bandwidth, dr.maximum(high - x, 0) / bandwidth
 
 
-def _wedge(kernel: Kernel, distance: Any, along: Any) -> Any:
+def _wedge(kernel: Kernel, distance: mi.Float, along: mi.Float) -> mi.Float:
     """Share in the triangle from the point to its foot on a side, and ``along`` it to a corner."""
     angle = dr.atan2(along, distance)
     met = dr.minimum(angle, dr.acos(dr.minimum(distance / kernel.reach, 1.0)))
-    total: Any = angle - met
+    total: mi.Float = angle - met
     for node, weight in zip(_NODES, _WEIGHTS, strict=True):
         # For a near foot 1 / cos is steep at the end, so nodes are denser there.
         s = 0.5 * (node + 1)

@@ -14,7 +14,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import copied_to_device
 
@@ -54,13 +54,12 @@ class Cells:
 
     @property
     def count(self) -> int:
-        """Cells."""
+        """Number of cells."""
         return len(self.level)
 
     def split(self, samples: NDArray[np.integer[Any]], most: float) -> NDArray[np.int64]:
-        """Halve every cell with more than ``most`` samples, and recursively its halves, assumed to hold half of them
-        each.
-        Returns for each new cell the old cell that contains it."""
+        """Halve every cell with more than ``most`` samples, and recursively its halves, each of which is assumed to
+        hold half of the samples. Returns for each new cell the old cell that contains it."""
         origin, held = np.arange(self.count), samples.astype(np.float64)
         self.level = self.level.copy()  # arrays returned by to_arrays() must not change
         changed = np.zeros(self.count, bool)
@@ -88,7 +87,7 @@ class Cells:
             self._table[self.facing[cell], z:z1, y:y1, x:x1] = cell
         self._device = copied_to_device(mi.UInt32, self._table)
 
-    def find(self, p: Any, normal: Any, active: Any = True) -> Any:
+    def find(self, p: mi.Point3f, normal: mi.Normal3f, active: mi.Bool | bool = True) -> mi.UInt32:
         """The cell of a surface at ``p`` that faces along ``normal``: UInt32."""
         place = (p - self._origin) * self._scale
         last = mi.Vector3i(self._finest) - 1
@@ -101,11 +100,11 @@ class Cells:
         index = ((facing * self._finest.z + z) * self._finest.y + y) * self._finest.x + x
         return dr.gather(mi.UInt32, self._device, index, active)
 
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
+    def to_arrays(self) -> dict[str, NDArray[np.int64]]:
         """Arrays from which :meth:`set_arrays` restores the cells."""
         return {"facing": self.facing, "corner": self.corner, "level": self.level}
 
-    def set_arrays(self, arrays: Mapping[str, Any]) -> None:
+    def set_arrays(self, arrays: Mapping[str, ArrayLike]) -> None:
         """Inverse of :meth:`to_arrays`, for cells of the same box."""
         self.facing, self.corner, self.level = (
             np.asarray(arrays[name], np.int64) for name in ("facing", "corner", "level")

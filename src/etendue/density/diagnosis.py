@@ -6,9 +6,8 @@ sec. 3.5]. Formulas are for kernel estimators with one bandwidth; repetition wor
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,10 +17,10 @@ from etendue.core import Array, is_whole
 from .errors import DensityError
 from .estimator import Estimator, positive
 from .kernels import Kernel, kernel_of
-from .samples import Samples
+from .samples import Points, Samples
 
 #: Takes positions, (m,) or (m, 2), and returns the known density there, (m,).
-Known = Callable[[Array], Any]
+Known = Callable[[Array], ArrayLike]
 
 
 @dataclass(frozen=True)
@@ -121,8 +120,8 @@ def best_bandwidth(kernel: Kernel | str, curvature: float, count: float, dimensi
 
 
 def by_repetition(
-    make: Callable[[Any], Estimator],
-    draw: Callable[[np.random.Generator], Any],
+    make: Callable[[Samples | Points], Estimator],
+    draw: Callable[[np.random.Generator], Samples | Points],
     density: Known,
     x: Array,
     runs: int,
@@ -138,8 +137,8 @@ def by_repetition(
 
 
 def by_bootstrap(
-    make: Callable[[Any], Estimator],
-    samples: Any,
+    make: Callable[[Samples | Points], Estimator],
+    samples: Samples | Points,
     x: Array,
     runs: int,
     density: Known | None = None,
@@ -162,6 +161,6 @@ def _generators(runs: int, seed: int) -> list[np.random.Generator]:
     return [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(int(runs))]
 
 
-def _scatter(estimates: Any, truth: Array, runs: int) -> Diagnosis:
+def _scatter(estimates: Iterable[Array], truth: Array, runs: int) -> Diagnosis:
     values = np.array(list(estimates), dtype=np.float64)
     return Diagnosis(np.asarray(truth, dtype=np.float64), values.mean(axis=0), values.var(axis=0, ddof=1), runs)

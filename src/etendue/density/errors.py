@@ -7,4 +7,4 @@ from etendue.core import EtendueError
 
 class DensityError(EtendueError):
     """A density that cannot be estimated as requested: no samples, an invalid bandwidth, more neighbours than samples.
-    The message is one line that says which, and what to do."""
+    The message is one line with the reason and a remedy."""

@@ -11,10 +11,10 @@ import mitsuba as mi
 import numpy as np
 
 from etendue.core import is_whole, use_variant
-from etendue.integration import Box
+from etendue.integration import Box, Domain
 
 from .errors import DensityError
-from .samples import Frame, Samples, box_of, by_place, numbers, rows
+from .samples import Frame, Points, Samples, box_of, by_place, numbers, rows
 
 
 class Estimator(ABC):
@@ -31,7 +31,7 @@ class Estimator(ABC):
     #: Whether it searches for samples, so that sorted queries are faster.
     _searches: ClassVar[bool] = True
 
-    def __init__(self, samples: Any, domain: Any = None) -> None:
+    def __init__(self, samples: Samples | Points, domain: Domain | None = None) -> None:
         use_variant()
         self.samples = Samples.of(samples)
         self.domain: Box | None = None if domain is None else box_of(domain, self.samples)
@@ -61,10 +61,10 @@ class Estimator(ABC):
         return values[0] if single else values
 
     @abstractmethod
-    def _density(self, point: Any, active: Any) -> Any:
+    def _density(self, point: mi.Point3f, active: mi.Bool) -> mi.Float:
         """Density, of mass 1 and in local coordinates, at a local ``Point3f``."""
 
-    def _inside(self, point: Any) -> Any:
+    def _inside(self, point: mi.Point3f) -> mi.Float:
         finite = dr.all(dr.isfinite(point))
         active = mi.Bool(finite)
         if self._local_domain is not None:
@@ -77,7 +77,7 @@ class Estimator(ABC):
         return dr.select(finite, dr.select(active, self._density(point, active), 0.0), dr.nan)
 
 
-def positive(name: str, value: Any) -> float:
+def positive(name: str, value: float) -> float:
     """A bandwidth or another number that must be finite and above zero; raises :class:`DensityError`."""
     try:
         number = float(value)
@@ -88,7 +88,7 @@ def positive(name: str, value: Any) -> float:
     return number
 
 
-def neighbours(k: Any, samples: Samples, most: int) -> int:
+def neighbours(k: int, samples: Samples, most: int) -> int:
     """A number of neighbours, from 1 to ``most``; raises :class:`DensityError`."""
     if not is_whole(k) or not 1 <= k <= most:
         raise DensityError(f"k must be a whole number from 1 to {most} for {len(samples)} samples, not {k!r}")

@@ -6,20 +6,19 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from etendue.core import Array
+from etendue.integration import Domain
 
 from .boundary import Boundary, check_boundary, reflected, share_inside
 from .errors import DensityError
 from .estimator import Estimator, positive
-from .hashgrid import HashGrid
 from .kernels import Kernel, kernel_of
-from .samples import Frame, Surface, uploaded
+from .samples import Frame, Points, Samples, Surface, uploaded
+from .search.hashgrid import HashGrid
 
 #: Smallest reach of a kernel relative to the extent of the samples.
 _FINEST = 3e-6
@@ -45,10 +44,10 @@ class FixedKernel(Estimator):
 
     def __init__(
         self,
-        samples: Any,
+        samples: Samples | Points,
         bandwidth: float,
         kernel: Kernel | str = "gaussian",
-        domain: Any = None,
+        domain: Domain | None = None,
         boundary: Boundary = "none",
         surface: Surface | None = None,
     ) -> None:
@@ -75,7 +74,7 @@ class FixedKernel(Estimator):
             areas = self.surface.areas / self._frame.unit**2
             self._area = _Sum(self.surface.positions, areas, local, self.kernel, 2, self._frame)
 
-    def _density(self, point: Any, active: Any) -> Any:
+    def _density(self, point: mi.Point3f, active: mi.Bool) -> mi.Float:
         value = self._sum(point, active)
         if self._area is not None:
             return over(value, self._area(point, active))
@@ -93,9 +92,9 @@ class Naive(FixedKernel):
 
     def __init__(
         self,
-        samples: Any,
+        samples: Samples | Points,
         bandwidth: float,
-        domain: Any = None,
+        domain: Domain | None = None,
         boundary: Boundary = "none",
         surface: Surface | None = None,
     ) -> None:
@@ -121,11 +120,11 @@ class _Sum:
         self._kernel = kernel
         dr.eval(self._packed)
 
-    def __call__(self, point: Any, active: Any) -> Any:
+    def __call__(self, point: mi.Point3f, active: mi.Bool) -> mi.Float:
         query = self._grid.query(point, active)
         limit = self._kernel.reach**2
 
-        def add(i: Any, total: Any) -> tuple[Any, Any]:
+        def add(i: mi.UInt32, total: mi.Float) -> tuple[mi.UInt32, mi.Float]:
             """Evaluates every candidate: selecting those within reach first would take longer."""
             sample = dr.gather(mi.Vector4f, self._packed, self._grid.candidate(query, i))
             x, y, z = sample.x - point.x, sample.y - point.y, sample.z - point.z
@@ -136,12 +135,12 @@ class _Sum:
         return dr.while_loop(start, lambda i, _: active & (i < query.total), add, label="density: sum")[1]
 
 
-def over(value: Any, share: Any) -> Any:
+def over(value: mi.Float, share: mi.Float) -> mi.Float:
     """``value / share``, zero where no part of a kernel is inside."""
     return dr.select(share > 0, value / share, 0.0)
 
 
-def check_surface(surface: Any, coordinates: int) -> Surface | None:
+def check_surface(surface: Surface | None, coordinates: int) -> Surface | None:
     """A surface, for samples that lie on one; raises :class:`DensityError`."""
     if surface is not None and not (isinstance(surface, Surface) and coordinates == 3):
         raise DensityError("surface takes a Surface(positions, areas), and samples with three coordinates")

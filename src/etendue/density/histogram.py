@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -12,13 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from etendue.core import Array, is_whole
-from etendue.integration import Box
+from etendue.integration import Box, Domain
 
 from .boundary import Boundary, check_boundary
 from .errors import DensityError
 from .estimator import Estimator, positive
 from .kernels import Kernel, kernel_of
-from .samples import Samples, uploaded
+from .samples import Points, Samples, uploaded
 
 #: Largest number of cells of a grid (about 100 MB), and steps of a fine grid per bandwidth.
 _MAX_CELLS = 1 << 22
@@ -48,7 +47,11 @@ class Histogram(Estimator):
     _searches = False
 
     def __init__(
-        self, samples: Any, bins: int | Sequence[int], domain: Any = None, areas: ArrayLike | None = None
+        self,
+        samples: Samples | Points,
+        bins: int | Sequence[int],
+        domain: Domain | None = None,
+        areas: ArrayLike | None = None,
     ) -> None:
         checked = Samples.of(samples)
         super().__init__(checked, smallest_box(checked) if domain is None else domain)
@@ -56,7 +59,7 @@ class Histogram(Estimator):
         shape = _shape(bins, checked.dimension)
         low, high = self.domain.lower, self.domain.upper
         self.edges = [np.linspace(a, b, n + 1) for a, b, n in zip(low, high, shape, strict=True)]
-        sizes: Any = self.domain.volume / math.prod(shape)
+        sizes: float | Array = self.domain.volume / math.prod(shape)
         if areas is not None:
             sizes = np.asarray(areas, dtype=np.float64)
             if sizes.shape != shape or not (np.isfinite(sizes).all() and (sizes > 0).all()):
@@ -65,13 +68,13 @@ class Histogram(Estimator):
         place = ((checked.positions - low) / np.array(self.domain.sides) * cells).astype(np.int64)
         index = np.ravel_multi_index(tuple(np.clip(place, 0, cells - 1).T), shape)
         shares = np.bincount(index, checked.weights, math.prod(shape)).reshape(shape)
-        self.values: Array = shares * checked.mass / sizes
+        self.values: Array = np.asarray(shares * checked.mass / sizes)
         # The base class multiplies by the mass and the scale of the device, which the values already contain.
         self._table = uploaded(self.values.ravel() * (self._frame.unit**checked.dimension / checked.mass))
         self._shape = [dr.opaque(mi.Float, n) for n in shape]
         self._strides = [dr.opaque(mi.UInt32, math.prod(shape[i + 1 :])) for i in range(len(shape))]
 
-    def _density(self, point: Any, active: Any) -> Any:
+    def _density(self, point: mi.Point3f, active: mi.Bool) -> mi.Float:
         assert self._local_domain is not None
         index = mi.UInt32(0)
         for axis, (n, stride) in enumerate(zip(self._shape, self._strides, strict=True)):
@@ -98,10 +101,10 @@ class BinnedKernel(Estimator):
 
     def __init__(
         self,
-        samples: Any,
+        samples: Samples | Points,
         bandwidth: float,
         kernel: Kernel | str = "gaussian",
-        domain: Any = None,
+        domain: Domain | None = None,
         boundary: Boundary = "none",
         steps: float = _STEPS,
     ) -> None:
@@ -134,9 +137,9 @@ class BinnedKernel(Estimator):
         self._last = [dr.opaque(mi.UInt32, n - 1) for n in counts]
         self._strides = [dr.opaque(mi.UInt32, math.prod(counts[i + 1 :])) for i in range(len(counts))]
 
-    def _density(self, point: Any, active: Any) -> Any:
+    def _density(self, point: mi.Point3f, active: mi.Bool) -> mi.Float:
         assert self._local_domain is not None
-        corners: list[tuple[Any, Any]] = [(mi.UInt32(0), mi.Float(1))]
+        corners: list[tuple[mi.UInt32, mi.Float]] = [(mi.UInt32(0), mi.Float(1))]
         for axis, (last, stride) in enumerate(zip(self._last, self._strides, strict=True)):
             place = dr.clip(_steps(point[axis], axis, self._local_domain), 0, 1) * mi.Float(last)
             first = dr.minimum(mi.UInt32(place), last - 1)
@@ -177,7 +180,7 @@ def share_out(positions: Array, weights: Array, box: Box, counts: tuple[int, ...
     return np.asarray(total, dtype=np.float64).reshape(counts)
 
 
-def _shape(bins: Any, dimension: int) -> tuple[int, ...]:
+def _shape(bins: int | Sequence[int], dimension: int) -> tuple[int, ...]:
     numbers = [bins] * dimension if isinstance(bins, int | np.integer) else list(bins)
     whole = all(is_whole(n) and n > 0 for n in numbers)
     if len(numbers) != dimension or not whole or math.prod(int(n) for n in numbers) > _MAX_CELLS:
@@ -188,7 +191,7 @@ def _shape(bins: Any, dimension: int) -> tuple[int, ...]:
     return tuple(int(n) for n in numbers)
 
 
-def _steps(x: Any, axis: int, box: Box) -> Any:
+def _steps(x: mi.Float, axis: int, box: Box) -> mi.Float:
     """0 to 1 along an axis of the box."""
     return (x - dr.opaque(mi.Float, box.lower[axis])) * dr.opaque(mi.Float, 1 / box.sides[axis])
 

@@ -2,8 +2,7 @@
 
 A kernel is a function ``k(t)`` of ``t = |u|^2``, the squared distance in bandwidths, with ``k(0) = 1``; the
 normalisation depends on the dimension. All but the Gaussian are zero beyond ``|u| = 1`` [Silverman 1986, ch. 3; Leeson
-2001,
-sec. 3.5]. Arrays may be NumPy's or Dr.Jit's.
+2001, sec. 3.5]. Arrays may be NumPy's or Dr.Jit's.
 """
 
 from __future__ import annotations

@@ -6,19 +6,18 @@ estimate has kinks, and its tails fall as the inverse of the distance: it does n
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 
 from etendue.core import Array
+from etendue.integration import Domain
 
 from .boundary import Boundary, check_boundary, share_inside
 from .estimator import Estimator, neighbours
 from .fixed import check_surface, over
-from .kdtree import KdTree
 from .kernels import Kernel, kernel_of
-from .samples import Frame, Surface, uploaded
+from .samples import Frame, Points, Samples, Surface, uploaded
+from .search.kdtree import KdTree
 
 
 class NearestNeighbours(Estimator):
@@ -42,10 +41,10 @@ class NearestNeighbours(Estimator):
 
     def __init__(
         self,
-        samples: Any,
+        samples: Samples | Points,
         k: int,
         kernel: Kernel | str = "uniform",
-        domain: Any = None,
+        domain: Domain | None = None,
         boundary: Boundary = "none",
         surface: Surface | None = None,
         count_last: bool = True,
@@ -62,7 +61,7 @@ class NearestNeighbours(Estimator):
             areas = self.surface.areas / self._frame.unit**2
             self._area = _Neighbourhood(self.surface.positions, areas, self._frame)
 
-    def _density(self, point: Any, active: Any) -> Any:
+    def _density(self, point: mi.Point3f, active: mi.Bool) -> mi.Float:
         kernel, dimension = self.kernel, self.samples.dimension
         squared = self._near.tree.kth_distance_squared(point, self._k, dr.inf, active)
         active = active & (squared > 0) & dr.isfinite(squared)
@@ -88,15 +87,15 @@ class _Neighbourhood:
         self._weights = dr.gather(mi.Float, uploaded(weights), self.tree.order)
         dr.eval(self._weights)
 
-    def total(self, point: Any, squared: Any, kernel: Kernel, active: Any) -> tuple[Any, Any]:
+    def total(self, point: mi.Point3f, squared: mi.Float, kernel: Kernel, active: mi.Bool) -> tuple[mi.Float, mi.Float]:
         """``sum w k(d^2 / squared)``, not normalised, and the weight of the point at distance ``squared`` (of one)."""
         limit = kernel.reach**2
 
-        def add(place: Any, distance: Any, state: tuple[Any, Any]) -> tuple[Any, Any]:
+        def add(place: mi.UInt32, distance: mi.Float, state: tuple[mi.Float, mi.Float]) -> tuple[mi.Float, mi.Float]:
             weight = dr.gather(mi.Float, self._weights, place)
             t = dr.minimum(distance / squared, limit)
             return state[0] + weight * kernel.profile(t), dr.select(distance == squared, weight, state[1])
 
         start = (mi.Float(0), mi.Float(0))
-        total: tuple[Any, Any] = self.tree.within(point, squared * limit, start, add, active)
+        total: tuple[mi.Float, mi.Float] = self.tree.within(point, squared * limit, start, add, active)
         return total

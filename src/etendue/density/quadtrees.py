@@ -17,9 +17,9 @@ from typing import Any, Self
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import copied_to_device
+from etendue.core import Array, copied_to_device
 
 #: Largest depth: the smallest quadrant has the side 2^-12.
 DEEPEST = 12
@@ -110,12 +110,12 @@ class Quadtrees:
         total = self.mass[: self.count].sum(axis=1)[self.tree]
         return self.mass / total[:, None] * 4.0 ** (self.level + 1)[:, None]
 
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
+    def to_arrays(self) -> dict[str, NDArray[np.int64] | Array]:
         """Arrays from which :meth:`from_arrays` restores the trees."""
         return {"parent": self.parent, "mass": self.mass}
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, Any]) -> Self:
+    def from_arrays(cls, arrays: Mapping[str, ArrayLike]) -> Self:
         """Inverse of :meth:`to_arrays`."""
         parent, mass = np.asarray(arrays["parent"], np.int64), np.asarray(arrays["mass"], np.float64)
         nodes = len(parent)
@@ -153,10 +153,14 @@ class QuadtreeSampler:
         self._nodes = copied_to_device(mi.UInt32, words)
         self._density = copied_to_device(mi.Float, trees.density().astype(np.float32))
 
-    def sample(self, tree: Any, u: Any, active: Any = True) -> tuple[Any, Any, Any]:
+    def sample(
+        self, tree: mi.UInt32, u: mi.Point2f, active: mi.Bool | bool = True
+    ) -> tuple[mi.Point2f, mi.Float, mi.UInt32]:
         """A point of the square sampled with the two numbers ``u``: (point, density, place)."""
 
-        def step(going: Any, node: Any, u: Any, corner: Any, side: Any, place: Any) -> tuple[Any, ...]:
+        def step(
+            going: mi.Bool, node: mi.UInt32, u: mi.Point2f, corner: mi.Point2f, side: mi.Float, place: mi.UInt32
+        ) -> tuple[Any, ...]:
             words = dr.gather(mi.Vector4u, self._nodes, node, going)
             left, low_left, low_right = (dr.reinterpret_array(mi.Float, words[i]) for i in range(3))
             x, right = _halve(u.x, left)
@@ -177,10 +181,10 @@ class QuadtreeSampler:
         _, _, u, corner, side, place = dr.while_loop(start, lambda going, *_: going, step, label="quadtree: sample")
         return corner + side * u, dr.gather(mi.Float, self._density, place, active), place
 
-    def find(self, tree: Any, point: Any, active: Any = True) -> tuple[Any, Any]:
+    def find(self, tree: mi.UInt32, point: mi.Point2f, active: mi.Bool | bool = True) -> tuple[mi.Float, mi.UInt32]:
         """(density, place) at points of the square."""
 
-        def step(going: Any, node: Any, p: Any, place: Any) -> tuple[Any, ...]:
+        def step(going: mi.Bool, node: mi.UInt32, p: mi.Point2f, place: mi.UInt32) -> tuple[Any, ...]:
             word = dr.gather(mi.UInt32, self._nodes, 4 * node + 3, going)
             p = p + p
             right, high = p.x >= 1.0, p.y >= 1.0
@@ -193,14 +197,14 @@ class QuadtreeSampler:
         return dr.gather(mi.Float, self._density, place, active), place
 
 
-def _halve(u: Any, split: Any) -> tuple[Any, Any]:
+def _halve(u: mi.Float, split: mi.Float) -> tuple[mi.Float, mi.Bool]:
     """Select the second half with probability 1 - split: (the number rescaled to [0, 1), whether it was selected)."""
     second = u >= split
     scaled = dr.select(second, (u - split) / (1.0 - split), u / split)
     return dr.minimum(scaled, 1.0 - 2.0**-24), second
 
 
-def _descend(word: Any, node: Any, right: Any, high: Any) -> tuple[Any, Any, Any]:
+def _descend(word: mi.UInt32, node: mi.UInt32, right: mi.Bool, high: mi.Bool) -> tuple[mi.UInt32, mi.UInt32, mi.Bool]:
     """(place, the node that divides it, whether there is one)."""
     quadrant = dr.select(right, mi.UInt32(1), 0) | dr.select(high, mi.UInt32(2), 0)
     bit = mi.UInt32(1) << quadrant

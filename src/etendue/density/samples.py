@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import Array, logger, on_device
-from etendue.integration import Box
+from etendue.integration import Box, Domain
 
 from .errors import DensityError
+
+#: Positions: an array of the host, or arrays of the device.
+Points: TypeAlias = "ArrayLike | mi.Float | mi.Point2f | mi.Point3f"
 
 
 class Samples:
@@ -38,7 +41,7 @@ class Samples:
     dimension: 1 on a line, 2 in the plane and on surfaces.
     """
 
-    def __init__(self, positions: Any, weights: Any = None, mass: float = 1.0) -> None:
+    def __init__(self, positions: Points, weights: ArrayLike | None = None, mass: float = 1.0) -> None:
         x = rows(positions)
         if not np.isfinite(mass) or mass <= 0:
             raise DensityError(f"a density integrates to a positive number, not {mass!r}")
@@ -61,7 +64,7 @@ class Samples:
         self.mass = float(mass)
 
     @classmethod
-    def of(cls, samples: Any) -> Samples:
+    def of(cls, samples: Points) -> Samples:
         """Samples from samples, or from positions."""
         return samples if isinstance(samples, Samples) else cls(samples)
 
@@ -88,7 +91,7 @@ class Samples:
         """Effective number of samples: ``1 / sum w^2``."""
         return float(1 / np.sum(self.weights**2))
 
-    def chosen(self, index: Any, weights: Any = None) -> Samples:
+    def chosen(self, index: NDArray[np.integer[Any]], weights: ArrayLike | None = None) -> Samples:
         """Those of an index, repetitions included; for the bootstrap."""
         return Samples(self.positions[index], self.weights[index] if weights is None else weights, self.mass)
 
@@ -135,13 +138,13 @@ class Frame:
         """Local coordinates, (n, coordinates)."""
         return (x - self.origin) / self.unit
 
-    def device(self, x: Array) -> Any:
+    def device(self, x: Array) -> mi.Point3f:
         """Local ``Point3f`` of positions in host coordinates; missing coordinates are zero."""
         local = self.host(x)
         sides = [uploaded(local[:, i]) for i in range(local.shape[1])]
         return mi.Point3f(*sides, *[dr.zeros(mi.Float, len(x))] * (3 - len(sides)))
 
-    def recorded(self, x: Any, coordinates: int) -> Any:
+    def recorded(self, x: mi.Float | mi.Point2f | mi.Point3f, coordinates: int) -> mi.Point3f:
         """Local ``Point3f`` of positions that are on the device."""
         sides = [x] if coordinates == 1 else [x[i] for i in range(coordinates)]
         inverse = dr.opaque(mi.Float, 1 / self.unit)
@@ -154,7 +157,7 @@ class Frame:
         return Box(tuple(low[0]), tuple(high[0]))
 
 
-def uploaded(values: Array) -> Any:
+def uploaded(values: Array) -> mi.Float:
     """Host numbers as a ``Float`` with memory of its own."""
     if values.size == 1:  # from a list it would be a literal, and each value would need another kernel
         return dr.opaque(mi.Float, float(values.ravel()[0]))
@@ -163,7 +166,7 @@ def uploaded(values: Array) -> Any:
     return mi.Float(np.array(values, dtype=np.float32))
 
 
-def by_place(points: Array) -> Any:
+def by_place(points: Array) -> NDArray[np.int64]:
     """An order of points in which neighbours are near: coherent lanes are faster and use caches better.
 
     Morton order over 1024 cells per axis, three standard deviations to either side.
@@ -178,7 +181,7 @@ def by_place(points: Array) -> Any:
     return np.argsort(key)
 
 
-def rows(positions: Any) -> Array:
+def rows(positions: Points) -> Array:
     """Positions as (n, coordinates), in double precision; raises :class:`DensityError` for invalid ones."""
     if dr.is_jit_v(positions):
         x = np.array(positions, dtype=np.float64)
@@ -192,7 +195,7 @@ def rows(positions: Any) -> Array:
     return x
 
 
-def numbers(values: Any) -> Array:
+def numbers(values: Points) -> Array:
     """A new array of doubles; raises :class:`DensityError` for values that are not numbers."""
     try:
         return np.array(values, dtype=np.float64)
@@ -200,7 +203,7 @@ def numbers(values: Any) -> Array:
         raise DensityError("positions are an array of numbers: (n,), (n, 2) or (n, 3)") from None
 
 
-def box_of(domain: Any, samples: Samples) -> Box:
+def box_of(domain: Domain, samples: Samples) -> Box:
     """A domain of as many dimensions as the samples have, which lie on a line or in the plane, that holds them all."""
     if samples.coordinates == 3:
         raise DensityError("a domain is for samples on a line or in the plane: pass surface=Surface(positions, areas)")

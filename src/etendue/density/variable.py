@@ -6,23 +6,23 @@ stay sharp [Breiman 1977; Abramson 1982; Silverman 1986, ch. 5; Leeson 2001, sec
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import Array
-from etendue.integration import Box
+from etendue.integration import Box, Domain
 
 from .boundary import Boundary, check_boundary, reflected
 from .errors import DensityError
 from .estimator import Estimator, neighbours, positive
 from .fixed import FixedKernel
-from .kdtree import KdTree
 from .kernels import Kernel, kernel_of
-from .samples import Frame, Samples, box_of, by_place, uploaded
+from .samples import Frame, Points, Samples, box_of, by_place, uploaded
+from .search.kdtree import KdTree
 
 _BOUNDARIES = ("none", "reflect")
 
@@ -44,10 +44,10 @@ class SampleBandwidths(Estimator):
 
     def __init__(
         self,
-        samples: Any,
+        samples: Samples | Points,
         bandwidths: ArrayLike,
         kernel: Kernel | str = "gaussian",
-        domain: Any = None,
+        domain: Domain | None = None,
         boundary: Boundary = "none",
     ) -> None:
         super().__init__(samples, domain)
@@ -58,7 +58,7 @@ class SampleBandwidths(Estimator):
             raise DensityError(f"{len(self.samples)} samples need as many bandwidths, all above zero, not {h.shape}")
         self.bandwidths: Array = h
         positions: Array = self.samples.positions
-        owners: Any = np.arange(len(h))
+        owners: NDArray[np.int64] = np.arange(len(h))
         if boundary == "reflect":
             assert self.domain is not None
             positions, owners = reflected(positions, h * self.kernel.reach, self.domain)
@@ -72,10 +72,10 @@ class SampleBandwidths(Estimator):
         self._packed = dr.ravel(mi.Vector2f(dr.gather(mi.Float, packed.x, order), dr.gather(mi.Float, packed.y, order)))
         dr.eval(self._packed)
 
-    def _density(self, point: Any, active: Any) -> Any:
+    def _density(self, point: mi.Point3f, active: mi.Bool) -> mi.Float:
         limit = self.kernel.reach**2
 
-        def add(place: Any, distance: Any, total: Any) -> Any:
+        def add(place: mi.UInt32, distance: mi.Float, total: mi.Float) -> mi.Float:
             sample = dr.gather(mi.Vector2f, self._packed, place)
             return total + sample.x * self.kernel.profile(dr.minimum(distance * sample.y, limit))
 
@@ -93,17 +93,18 @@ class VariableKernel(SampleBandwidths):
 
     def __init__(
         self,
-        samples: Any,
+        samples: Samples | Points,
         k: int,
         h: float = 1.0,
         kernel: Kernel | str = "gaussian",
-        domain: Any = None,
+        domain: Domain | None = None,
         boundary: Boundary = "none",
     ) -> None:
         checked = Samples.of(samples)
         self.k, self.h = neighbours(k, checked, len(checked) - 1), positive("the factor h", h)
         check_boundary(boundary, _BOUNDARIES, domain)
-        distance = neighbour_distances(checked, self.k, None if boundary == "none" else box_of(domain, checked))
+        mirror = None if boundary == "none" or domain is None else box_of(domain, checked)
+        distance = neighbour_distances(checked, self.k, mirror)
         if not (distance > 0).all():
             raise DensityError(
                 f"{np.count_nonzero(distance == 0)} samples have {self.k} others at their place, so no bandwidth: "
@@ -129,12 +130,12 @@ class AdaptiveKernel(SampleBandwidths):
 
     def __init__(
         self,
-        samples: Any,
+        samples: Samples | Points,
         bandwidth: float,
         pilot: Estimator | None = None,
         alpha: float = 0.5,
         kernel: Kernel | str = "gaussian",
-        domain: Any = None,
+        domain: Domain | None = None,
         boundary: Boundary = "none",
         widest: float = 10.0,
     ) -> None:

@@ -1,10 +1,12 @@
-"""Engine: drives whatever has ``step``. Budgets, progress, checkpoints, resume, cancellation; no concrete method."""
+"""Engine: runs a method pass by pass, with budgets, progress, checkpoints, resuming and cancelling. It knows no
+concrete method."""
 
 from .budget import Budget
 from .checkpoint import Checkpoint
 from .executor import Executor, InTurn
 from .fitting import fit_samples, settle_samples
 from .job import Job, Task, remaining, versions
+from .recordfiles import check_records
 from .runner import Cancelled, RunError, Runner, RunResult
 from .saving import check_period, check_save_times
 from .session import Session
@@ -24,6 +26,7 @@ __all__ = [
     "Session",
     "Task",
     "check_period",
+    "check_records",
     "check_save_times",
     "fit_samples",
     "remaining",

@@ -1,4 +1,4 @@
-"""When a run is over: seconds, samples, passes, noise; whichever is reached first."""
+"""Limits of a run: seconds, samples, passes and noise."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from etendue.core import OptionError, is_number
 
 @dataclass(frozen=True)
 class Budget:
-    """Any combination of limits; the first one reached stops the run. ``None`` is no limit.
+    """Any combination of limits; the first one that is reached ends the run. ``None`` is no limit.
 
     ``seconds`` count from when the scene is loaded: preparation, compilation and passes, not the writing of files at
     the end. ``samples`` (camera paths per pixel), ``iterations`` (passes) and ``error``
-    (:meth:`Measurement.relative_error`: noise, not bias; looked at from ``runner.LEAST_PASSES_FOR_ERROR`` passes on)
-    speak of the picture, so the passes of an earlier run that is resumed count. Raises :class:`OptionError` on a limit
-    that is not positive.
+    (:meth:`Measurement.relative_error`: noise, not bias) are limits of the picture, including the passes of earlier
+    runs that are resumed. ``error`` is compared from ``stopping.LEAST_PASSES_FOR_ERROR`` passes on. Raises
+    :class:`OptionError` for a limit that is not positive.
     """
 
     seconds: float | None = None
@@ -25,13 +25,13 @@ class Budget:
     error: float | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "seconds", _positive("seconds (--time)", self.seconds))
-        object.__setattr__(self, "error", _positive("error (--error)", self.error))
-        object.__setattr__(self, "samples", _count("samples per pixel (--spp)", self.samples))
+        object.__setattr__(self, "seconds", _positive("seconds", self.seconds))
+        object.__setattr__(self, "error", _positive("error", self.error))
+        object.__setattr__(self, "samples", _count("samples per pixel", self.samples))
         object.__setattr__(self, "iterations", _count("passes", self.iterations))
 
     def __bool__(self) -> bool:
-        """Whether there is any limit at all."""
+        """Whether there is a limit."""
         return any(limit is not None for limit in (self.seconds, self.samples, self.iterations, self.error))
 
     def passes(self, samples_per_iteration: int) -> int | None:
@@ -44,7 +44,7 @@ class Budget:
         return min(limits, default=None)
 
     def to_dict(self) -> dict[str, Any]:
-        """The limits that are set, ready for JSON."""
+        """The limits that are set, for JSON."""
         return {name: value for name, value in vars(self).items() if value is not None}
 
 

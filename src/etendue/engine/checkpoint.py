@@ -1,8 +1,9 @@
-"""Checkpoints: all that a run needs to go on as if it had never stopped, in one file.
+"""Checkpoints: a run in one file, from which it continues as if it had not been interrupted.
 
 A checkpoint is a NumPy ``.npz`` archive without pickled objects: the sums, squares and products of the measurement as
-float64 arrays, and one JSON header with everything else. Sums stay float64, so a resumed run adds in the same order to
-the same numbers as an uninterrupted one. Records of the measurement lie in a folder beside it, see ``recordfiles``.
+float64 arrays, and a JSON header with everything else. Sums remain float64, so a resumed run adds the same numbers in
+the same order as an uninterrupted one. Records of the measurement are in a folder beside the file, see
+``recordfiles``.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import CheckpointError, Iterations, Measurement, OptionError, Settings
 from etendue.film import replacing
@@ -26,13 +28,13 @@ from .recordfiles import read_records, remove_others, write_records
 FORMAT = 3
 _MAGIC = "etendue checkpoint"
 _HEADER = "header"
-# What reading an archive raises if a byte of it is wrong, depending on which.
+# Exceptions of reading a damaged archive.
 _DAMAGE = (ValueError, EOFError, KeyError, MemoryError, NotImplementedError, zipfile.BadZipFile, zlib.error)
 
 
 @dataclass
 class Checkpoint:
-    """A measurement, and what it was measured with."""
+    """A measurement, and the method, settings and scene that it belongs to."""
 
     measurement: Measurement
     method: str
@@ -41,29 +43,28 @@ class Checkpoint:
     seed: int
     #: Digest of the scene's parameters, sensor and film size.
     fingerprint: str
-    #: Of the method, after the last pass of the measurement.
+    #: State of the method after the last pass of the measurement.
     state: dict[str, Any] = field(default_factory=dict)
     #: How to find the scene again: the arguments of ``scene.load`` that are plain values.
     scene: dict[str, Any] = field(default_factory=dict)
-    #: The budget that was running, see ``Budget.to_dict``.
+    #: The budget of the run, see ``Budget.to_dict``.
     budget: dict[str, Any] = field(default_factory=dict)
-    #: What ended the run, see ``runner.StoppedBy``.
+    #: What ended the run, see ``stopping.StoppedBy``.
     stopped_by: str = "running"
     #: Versions of étendue, Mitsuba and Dr.Jit, and the variant.
     versions: dict[str, str] = field(default_factory=dict)
-    #: Seconds of the run that ended here, as its budget counts them.
+    #: Seconds of this run, as its budget counts them.
     elapsed: float = 0.0
-    #: Seconds of the runs before, where that one was resumed.
+    #: Seconds of earlier runs, if this one was resumed.
     earlier: float = 0.0
-    #: What the caller of the run wants to find again: plain values.
+    #: Plain values of the caller.
     notes: dict[str, Any] = field(default_factory=dict)
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write the file in one step: a process that is killed leaves the old one or the new one, whole.
+        """Write the file atomically: a process that is killed leaves the complete old or new file.
 
-        Rows of records are written once, by the first save that has them, and then lie in the files for the
-        measurement, too. Raises :class:`OutputError` if something cannot be written; an existing checkpoint is then
-        untouched.
+        Rows of records are written once, by the first save that has them; after it the measurement reads them from the
+        files. Raises :class:`OutputError` if something cannot be written; an existing checkpoint then remains.
         """
         records = write_records(self.measurement.records, path)
         arrays: dict[str, Any] = {}
@@ -89,7 +90,7 @@ class Checkpoint:
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Checkpoint:
-        """Read a file. Raises :class:`CheckpointError` if it is missing, damaged, or something else."""
+        """Read a file. Raises :class:`CheckpointError` if it is missing, damaged, or not a checkpoint."""
         try:
             with open(path, "rb") as file:
                 arrays = _load(file)
@@ -109,7 +110,7 @@ class Checkpoint:
             if version != FORMAT:
                 raise CheckpointError(
                     f"checkpoint {path} has format {version}, this étendue reads format {FORMAT}; "
-                    f"resume it with étendue {header.get('versions', {}).get('etendue', 'of its time')}"
+                    f"resume it with étendue {header.get('versions', {}).get('etendue', 'of its version')}"
                 )
             measurement = Measurement(
                 sums=_select(arrays, "sum/"),
@@ -132,8 +133,8 @@ class Checkpoint:
     ) -> Settings:
         """The saved settings, of the class ``method``.
 
-        ``given`` are settings that were asked for anew, and ``seed`` the seed, if they were. Raises
-        :class:`CheckpointError` unless method, settings and seed are those of the run that was saved.
+        ``given`` are settings and ``seed`` is a seed that are requested now. Raises :class:`CheckpointError` unless
+        method, settings and seed are those of the saved run.
         """
         if method.name != self.method:
             raise CheckpointError(
@@ -157,7 +158,7 @@ class Checkpoint:
         return settings
 
     def require_scene(self, fingerprint: str) -> None:
-        """Raise :class:`CheckpointError` if the scene of that fingerprint is not the one that was rendered."""
+        """Raise :class:`CheckpointError` unless the rendered scene has this fingerprint."""
         if fingerprint != self.fingerprint:
             raise CheckpointError(
                 "the scene is not the one the checkpoint was made with: its parameters, sensor or size have changed; "
@@ -169,7 +170,7 @@ class Checkpoint:
         return f"the checkpoint was made by étendue {version}, whose '{self.method}' has other settings"
 
 
-def _load(file: Any) -> dict[str, Any]:
+def _load(file: BinaryIO) -> dict[str, NDArray[Any]]:
     if not zipfile.is_zipfile(file):
         raise ValueError("not an archive, or cut off")
     file.seek(0)
@@ -182,10 +183,10 @@ def _select(arrays: dict[str, Any], prefix: str) -> dict[str, Any]:
 
 
 def _pack(value: Any, arrays: dict[str, Any]) -> Any:
-    """``value`` as JSON; arrays in it move to ``arrays`` and leave a reference."""
+    """``value`` for JSON; arrays in it are moved to ``arrays`` and replaced by references."""
     if isinstance(value, np.generic):
         return value.item()
-    if hasattr(value, "__array__"):  # of NumPy, or of the device
+    if hasattr(value, "__array__"):  # an array of NumPy or of the device
         key = f"state/{len(arrays)}"
         arrays[key] = np.asarray(value)
         return {"__array__": key}

@@ -1,4 +1,4 @@
-"""What makes the passes of a run, in the order in which they are added."""
+"""Executors make the passes of a run."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ from etendue.core import Method, Pass, Replica, State
 class Executor(Protocol):
     """Makes passes of a prepared method, each iteration once.
 
-    One that has several passes under way, in other processes, gives them in any order if the method carries nothing on
-    from pass to pass.
+    An executor that makes several passes at a time, in other processes, may return them in any order if the method has
+    no state.
     """
 
     def next(self) -> Pass:
-        """The next pass that is done. Raises what the pass has raised."""
+        """The next finished pass. Raises the error of the pass."""
         ...
 
     def close(self) -> None:
-        """Give up what is under way."""
+        """Cancel unfinished passes."""
         ...
 
 
-#: Makes an executor for a method, a seed, the state after the passes that there are, and the first iteration.
+#: Makes an executor for a method, a seed, the state after the existing passes, and the first iteration.
 MakeExecutor = Callable[[Method, int, State, int], Executor]
 
 
 class InTurn:
-    """Passes one after the other, in the thread that asks for them."""
+    """Makes one pass after the other, in the calling thread."""
 
     def __init__(self, method: Method, seed: int, state: State, first: int) -> None:
         self._replica, self._iteration = Replica(method, seed, state), first
 
     def next(self) -> Pass:
-        """See :class:`Executor`. If the pass raises, it is made again the next time."""
+        """See :class:`Executor`. A pass that raised is repeated by the next call."""
         measurement = self._replica.step(self._iteration)
         self._iteration += 1
         return Pass(measurement, self._replica.state)
 
     def close(self) -> None:
-        """Nothing is under way."""
+        """There are no unfinished passes."""

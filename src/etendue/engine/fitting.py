@@ -1,17 +1,18 @@
-"""Samples of a pass that share a budget of samples, where the method may choose them."""
+"""Choice of the samples of a pass, so that the passes divide a budget of samples."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from etendue.core import Method, OptionError
+from etendue.scene import Problem
 
 
-def fit_samples(method: Method, samples: int, problem: Any, seed: int) -> Method:
-    """``method``, or one like it whose passes share ``samples`` (camera paths per pixel) with :func:`fitting_samples`.
+def fit_samples(method: Method, samples: int, problem: Problem, seed: int) -> Method:
+    """``method``, or a copy whose passes divide ``samples`` (camera paths per pixel) by :func:`fitting_samples`.
 
-    Both are prepared for ``problem`` with ``seed``. A method that was told ``samples_per_pass``, or has no such
-    setting, stays as it is.
+    The result is prepared for ``problem`` with ``seed``. A method with a given ``samples_per_pass``, or without this
+    setting, is returned unchanged.
     """
     most = method.samples_per_iteration
     fitting = fitting_samples(samples, most)
@@ -24,18 +25,18 @@ def fit_samples(method: Method, samples: int, problem: Any, seed: int) -> Method
 
 
 def settle_samples(method: Method) -> None:
-    """Write the samples of a pass that a prepared method has chosen into its settings: they decide the random numbers,
-    and a machine that goes on with the run may choose otherwise."""
+    """Write the samples per pass that a prepared method has chosen into its settings. They determine the random
+    numbers, and another machine that resumes the run might choose differently."""
     if getattr(method.settings, "samples_per_pass", 1) == 0:
         kept: Any = method
         kept.settings = method.settings.replace(samples_per_pass=method.samples_per_iteration)
 
 
 def fitting_samples(samples: int, most: int) -> int:
-    """Camera paths per pixel and pass, at most ``most``, that share ``samples`` without rest where that costs little.
+    """Camera paths per pixel and pass, at most ``most``, that divide ``samples`` without remainder if possible.
 
-    The largest divisor of ``samples`` if it fills at least half of a pass; otherwise passes of equal size that together
-    exceed ``samples`` by less than one path each.
+    The largest divisor of ``samples``, if it fills at least half of a pass; otherwise the size of equal passes that
+    together exceed ``samples`` by less than one path each.
     """
     if samples < 1:
         raise OptionError(f"a rendering needs at least one sample per pixel, not {samples}")

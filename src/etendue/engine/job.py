@@ -1,6 +1,7 @@
-"""From what a user asked for to a run that can be saved and resumed: the scene, the method on it, the checkpoint.
+"""Tasks and jobs: a requested rendering, and the same with a loaded scene and a prepared method, for runs that can be
+saved and resumed.
 
-The class of the method comes from outside: the engine knows no concrete one.
+The caller passes the class of the method: the engine knows no concrete one.
 """
 
 from __future__ import annotations
@@ -32,20 +33,20 @@ from .checkpoint import Checkpoint
 from .fitting import fit_samples, settle_samples
 from .runner import Runner, RunResult
 
-#: Bytes below which a memory bound would have a method do nothing but start over: 16 MB.
+#: Smallest memory bound in bytes: 16 MB.
 LEAST_MEMORY = 16 << 20
 
 
 @dataclass(frozen=True)
 class Task:
-    """What to render, as asked for. Settings are checked at once, before any scene is read.
+    """A requested rendering. Settings are checked when it is made, before the scene is read.
 
-    ``settings`` are those that were given; the others come from the scene's integrator where it speaks of them (its
-    depth), else from the method's defaults. Without a budget the scene's own sample count is used.
+    Settings that are not given are those of the scene's integrator (such as its depth), or else the defaults of the
+    method. Without a budget the scene's own sample count is used.
     """
 
     scene: Any
-    method: type[Any]  #: implements ``core.Method``, made from its settings
+    method: type[Any]  #: implements ``core.Method``; called with its settings
     settings: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
     budget: Budget = field(default_factory=Budget)
@@ -66,8 +67,8 @@ class Task:
         self.method.Settings.from_mapping(self.settings, owner=f"method '{self.method.name}'")
 
     def place(self) -> dict[str, Any]:
-        """How to find the scene again: arguments of ``scene.load`` as plain values, the scene as ``source``, a file, or
-        ``bundled``, a name; neither if it lay in memory."""
+        """Arguments of ``scene.load`` as plain values, to load the scene again. The scene is ``source``, a file, or
+        ``bundled``, a name; neither if it is in memory."""
         place: dict[str, Any] = {"sensor": self.sensor}
         scene = self.scene
         if isinstance(scene, (str, os.PathLike)):
@@ -109,11 +110,11 @@ class Job:
         self.budget = budget
         self.place = dict(place)
         self.start, self.state = start, state
-        #: Seconds of the runs that this one goes on with, as their budgets counted them; 0 if it is the first.
+        #: Seconds of the runs that this one resumes, as their budgets counted them; 0 for the first run.
         self.earlier = earlier
-        #: Seconds that preparing the method took, which are a part of the budget.
+        #: Seconds of preparing the method, which count towards the budget.
         self.preparation = preparation
-        #: What the caller wants to find in the checkpoint: plain values.
+        #: Plain values of the caller, for the checkpoint.
         self.notes: dict[str, Any] = dict(notes or {})
 
     @classmethod
@@ -148,9 +149,9 @@ class Job:
     ) -> Job:
         """Continue ``checkpoint``; ``method`` is the class of its method.
 
-        ``budget`` replaces the saved one: its seconds count from now, its samples and error speak of the whole picture.
-        Without it, the saved budget is used up. ``scene`` is where the scene is now, if not where it was. Raises
-        :class:`CheckpointError` if method or scene is another one, or the saved budget is spent.
+        ``budget`` replaces the saved one: its seconds are those of this run, its samples and error are limits of the
+        whole picture. Without it, the rest of the saved budget is used. ``scene`` is the new place of the scene, if it
+        has moved. Raises :class:`CheckpointError` if method or scene differ, or if the saved budget is used up.
         """
         settings = checkpoint.settings_of(method)
         place = checkpoint.scene
@@ -190,14 +191,14 @@ class Job:
     def runner(self, **options: Any) -> Runner:
         """A :class:`Runner` of this job; ``options`` are its callbacks, ``save_every`` and ``cancel``.
 
-        It takes over the measurement of a resumed job, so there is one runner per job.
+        It adds to the measurement of a resumed job in place, so a job has one runner.
         """
         start, self.start = self.start, None
         options |= {"start": start, "state": self.state, "spent": self.preparation}
         return Runner(self.method, seed=self.seed, budget=self.budget, **options)
 
     def checkpoint(self, run: RunResult) -> Checkpoint:
-        """All that is needed to go on with ``run`` later."""
+        """All that is needed to resume ``run`` later."""
         return Checkpoint(
             measurement=run.measurement,
             method=self.method.name,
@@ -215,7 +216,7 @@ class Job:
         )
 
     def result(self, run: RunResult) -> Result:
-        """The developed picture of ``run`` with the metadata that files carry."""
+        """The developed picture of ``run`` with the metadata of its files."""
         result = run.result
         measurement = run.measurement
         counters = {
@@ -243,7 +244,7 @@ class Job:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what made a picture, and the Mitsuba variant."""
+    """Versions of étendue, Mitsuba and Dr.Jit, and the Mitsuba variant."""
     import drjit as dr
     import mitsuba as mi
 
@@ -255,7 +256,7 @@ def versions() -> dict[str, str]:
 
 
 def _settings(task: Task, problem: Problem) -> Settings:
-    """The given settings over those that the scene's integrator names over the defaults."""
+    """The settings of a method: given ones first, then those of the scene's integrator, then the defaults."""
     known = task.method.Settings.names()
     from_scene: dict[str, Any] = {"max_depth": problem.max_depth}
     plugin: Any = getattr(task.method, "plugin_name", str)()
@@ -263,7 +264,7 @@ def _settings(task: Task, problem: Problem) -> Settings:
         unknown = sorted(problem.integrator_options.keys() - set(known))
         if unknown:
             logger.warning(
-                "option '%s' of the scene's integrator '%s' is not known here and is ignored",
+                "option '%s' of the scene's integrator '%s' is not supported and is ignored",
                 "', '".join(unknown),
                 problem.integrator,
             )
@@ -272,14 +273,14 @@ def _settings(task: Task, problem: Problem) -> Settings:
     return task.method.Settings.from_mapping(values, owner=f"method '{task.method.name}'")
 
 
-def remaining(checkpoint: Checkpoint, options: str = "--time, --spp or --error") -> Budget:
-    """What an interrupted run had left of its budget; ``options`` say more of it. Raises :class:`CheckpointError` if
-    that is nothing."""
+def remaining(checkpoint: Checkpoint, options: str = "seconds=, samples= or error=") -> Budget:
+    """The rest of the budget of an interrupted run. ``options`` names the options of a new budget, for the message.
+    Raises :class:`CheckpointError` if the budget is used up."""
     if checkpoint.stopped_by in ("seconds", "samples", "error"):
-        raise CheckpointError(f"the checkpoint's budget is used up; say how much more with {options}")
+        raise CheckpointError(f"the budget of the checkpoint is used up; give a new one with {options}")
     saved = dict(checkpoint.budget)
     if "seconds" in saved:
         saved["seconds"] -= checkpoint.elapsed
         if saved["seconds"] <= 0:
-            raise CheckpointError(f"the checkpoint's time is used up; say how much more with {options}")
+            raise CheckpointError(f"the time of the checkpoint is used up; give a new budget with {options}")
     return Budget(**saved)

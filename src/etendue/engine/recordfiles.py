@@ -1,10 +1,10 @@
-"""Records beside a checkpoint: files that are written once and count as soon as the checkpoint names them.
+"""Records of a checkpoint: files in the folder ``NAME.records`` beside the checkpoint ``NAME``.
 
-Each save writes the rows that no file has yet, and joins to them files that are not larger than what it writes: so a
-run that saves n times has log n files, as a merge sort has, and a save costs about what is new. The folder is
-``NAME.records`` beside the checkpoint ``NAME``; its files are arrays of NumPy, which map into memory: a resumed run
-reads rows where they are used. Files that the checkpoint does not name are of a save that was cut short, or of a run
-before: the next save removes them.
+A file is written once, and is valid as soon as the checkpoint names it. Each save writes the rows that are in no file
+yet, together with the rows of files that are not larger than what it writes. So n saves leave log n files, as in a
+merge sort, and the cost of a save is proportional to the new rows. The files are NumPy arrays, which a resumed run maps
+into memory. Files that the checkpoint does not name are left over from an interrupted save or an earlier run; the next
+save removes them.
 """
 
 from __future__ import annotations
@@ -24,21 +24,30 @@ from numpy.typing import NDArray
 from etendue.core import CheckpointError, OutputError, Record, RecordFile
 from etendue.film import check_writable, replacing
 
-#: Bytes that are looked at together for a checksum.
+#: Bytes per step of a checksum.
 _BLOCK = 1 << 24
-#: How names of files end, those of unfinished ones included.
+#: Suffixes of our files, including unfinished ones.
 _OURS = re.compile(r"-[0-9a-f]{12}\.npy(\.[0-9a-f]{16}\.npy)?$")
 
 
 def folder_of(checkpoint: str | os.PathLike[str]) -> Path:
-    """Where the records of a checkpoint are."""
+    """The folder of the records of a checkpoint."""
     path = Path(checkpoint)
     return path.with_name(path.name + ".records")
 
 
+def check_records(checkpoint: str | os.PathLike[str]) -> None:
+    """Raise :class:`OutputError` if the records of a checkpoint could not be written now; leaves nothing behind."""
+    folder = folder_of(checkpoint)
+    if folder.is_dir():
+        check_writable(folder / "rows.npy")
+    elif folder.exists() or folder.is_symlink():
+        raise OutputError(f"cannot write '{folder}': it is not a folder; remove it, or choose another checkpoint")
+
+
 def write_records(records: Mapping[str, Record], checkpoint: str | os.PathLike[str]) -> dict[str, Any]:
-    """Write rows that are not there yet, and let the records have them from the files; what the header of the
-    checkpoint says of them. Raises :class:`OutputError`; files that were there stay."""
+    """Write the rows that are not in files yet, and map these files into the records. Returns their description for
+    the header of the checkpoint. Raises :class:`OutputError`; existing files remain."""
     if not records:
         return {}
     check_writable(checkpoint)
@@ -84,14 +93,14 @@ def _write(name: str, record: Record, folder: Path) -> list[dict[str, Any]]:
 
 
 def _is_in(folder: Path, file: RecordFile) -> bool:
-    """Whether a file is there still: another run of the same name may have removed it."""
+    """Whether a file still exists in the folder: another run of the same name may have removed it."""
     path = Path(file.path)
     return path.parent.resolve() == folder.resolve() and path.is_file()
 
 
 def read_records(header: Mapping[str, Any], checkpoint: str | os.PathLike[str]) -> dict[str, Record]:
-    """Inverse of :func:`write_records`; rows stay in the files. Raises :class:`CheckpointError` if one is missing or is
-    not what was written."""
+    """Inverse of :func:`write_records`; the files are mapped, not read. Raises :class:`CheckpointError` if a file is
+    missing or damaged."""
     records = {}
     for name, files in header.items():
         record = records[name] = Record()
@@ -118,7 +127,7 @@ def read_records(header: Mapping[str, Any], checkpoint: str | os.PathLike[str]) 
 
 
 def remove_others(header: Mapping[str, Any], checkpoint: str | os.PathLike[str]) -> None:
-    """Remove files of records that the checkpoint does not name, and the folder if it is empty then."""
+    """Remove files of records that the checkpoint does not name, and the folder if it is then empty."""
     folder = folder_of(checkpoint)
     named = {known["file"] for files in header.values() for known in files}
     with contextlib.suppress(OSError):

@@ -1,5 +1,5 @@
-"""The loop over passes, which knows no concrete method: an executor makes them, a budget ends them, saves happen
-between them."""
+"""The loop over the passes of a method: an executor makes passes, a budget ends the run, saves happen between
+passes."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from .stopping import CancelEvent, StoppedBy, Stopping
 
 @dataclass
 class RunResult:
-    """What a run measured so far."""
+    """The measurement of a run, and how the run ended."""
 
     method: Method
     measurement: Measurement
-    #: After the last pass of the measurement.
+    #: State after the last pass of the measurement.
     state: State
-    #: Seconds of this run, preparation included; ``measurement.counters["seconds"]`` also has earlier runs, without the
-    #: time between passes.
+    #: Seconds of this run with preparation. ``measurement.counters["seconds"]`` includes earlier runs, but not the time
+    #: between passes.
     elapsed: float
     stopped_by: StoppedBy
-    #: Those of ``save_at`` that were reached since the last save; one pass may reach several.
+    #: Times of ``save_at`` that were reached since the last save; one pass may reach several.
     save_times: tuple[float, ...] = ()
 
     @property
@@ -43,12 +43,12 @@ class RunResult:
 
     @property
     def result(self) -> Result:
-        """The picture, developed anew at each call."""
+        """The picture, developed at each call."""
         return self.method.develop(self.measurement, self.state)
 
 
 class RunError(EtendueError):
-    """A pass failed after others had been done; ``run`` holds those, and the cause is chained."""
+    """A pass failed after others had succeeded. ``run`` holds these; the cause is chained."""
 
     def __init__(self, message: str, run: RunResult) -> None:
         super().__init__(message)
@@ -62,13 +62,20 @@ class Cancelled(EtendueError):
 class Runner:
     """One run of a prepared method. :meth:`run` blocks; the other members may be used from other threads meanwhile.
 
-    ``start`` and ``state`` continue an earlier run: its measurement is taken over (added to in place), the first pass
-    is the one after its last. ``on_progress`` is called after each pass, ``on_save`` with what there is so far every
-    ``save_every`` seconds and after the passes that reach the seconds of ``save_at``; an exception from it is logged
-    and the run goes on. ``cancel`` is looked at between passes. ``spent`` are the seconds that preparing the method
-    took: they count as if :meth:`run` had begun so much earlier. ``executor`` makes the passes. ``watched``: whether
-    :attr:`progress` tells the noise also where the budget has none. A pass that raises, or is interrupted, is not in
-    the measurement and leaves the state as it was before.
+    A pass that raises or is interrupted is not in the measurement, and the state remains that before the pass.
+
+    Parameters
+    ----------
+    method, seed, budget: the prepared method, its seed, and the limits of the run.
+    start, state: measurement and state of an earlier run to continue. The measurement is added to in place.
+    on_progress: called after each pass.
+    on_save: called with the current result every ``save_every`` seconds, after passes that reach a time of ``save_at``
+        (seconds), and after passes for which ``save_if`` returns ``True``. Its exceptions are logged and the run
+        continues, except after ``save_if``.
+    cancel: checked between passes.
+    spent: seconds of preparing the method, which count towards the budget.
+    executor: makes the passes.
+    watched: whether :attr:`progress` has the noise if the budget does not limit it.
     """
 
     def __init__(
@@ -83,6 +90,7 @@ class Runner:
         on_save: Callable[[RunResult], None] | None = None,
         save_every: float | None = None,
         save_at: Sequence[float] = (),
+        save_if: Callable[[Measurement], bool] | None = None,
         cancel: CancelEvent | None = None,
         spent: float = 0.0,
         executor: MakeExecutor = InTurn,
@@ -100,14 +108,14 @@ class Runner:
         self._measurement = start
         self._state = method.start() if state is None else state  # after the last pass of the measurement
         self.on_progress = on_progress
-        self._on_save = on_save
+        self._on_save, self._save_if = on_save, save_if
         self._spent = spent
         self._make_executor = executor
         self._clock = clock
         self._lock = threading.Lock()
         self._begin = 0.0
         self._adding = False  # sums and state are being changed
-        method.enter(self._state)  # its samples of a pass, and its noise, may be of the state
+        method.enter(self._state)  # the samples of a pass and the noise may depend on the state
         if start is not None:
             self._stopping.look(start)
 
@@ -119,20 +127,20 @@ class Runner:
             return self.method.develop(self._measurement, self._state) if self._measurement is not None else None
 
     def interrupted(self) -> RunResult | None:
-        """What was done before an exception that is no ``Exception`` (Ctrl-C) left :meth:`run`.
+        """The result after :meth:`run` was left by Ctrl-C.
 
-        ``None`` if that is nothing, or if a pass was just being added, so that the sums are no longer whole.
+        ``None`` if no pass was done, or if a pass was being added, so that the sums are incomplete.
         """
         return None if self._measurement is None or self._adding else self._result("cancel")
 
     # ------------------------------------------------------------------ the loop
 
     def run(self) -> RunResult:
-        """Do passes until the budget is used up, then return what was measured.
+        """Make passes until the budget is used up, then return the result.
 
-        A pass that is predicted to overrun ``budget.seconds`` is not started; the first one always is. Raises
-        :class:`RunError` if a pass fails after others were done (the failure itself if none was), and
-        :class:`Cancelled` if the run was stopped before its first pass.
+        A pass that is predicted to exceed ``budget.seconds`` is not started, except the first one. Raises
+        :class:`RunError` if a pass fails after others succeeded, the error of the first pass if it fails, and
+        :class:`Cancelled` if the run was cancelled before its first pass.
         """
         self._saving.begin()
         self._begin = self._clock() - self._spent
@@ -145,23 +153,25 @@ class Runner:
                     self._pass(executor.next)
                     if self.on_progress is not None:
                         self.on_progress(self.progress)
+                    if self._on_save is not None:
+                        assert self._measurement is not None
+                        must_save = self._save_if is not None and self._save_if(self._measurement)
+                        self._saving.after_pass(self._elapsed(), self._save, must_save)
                 except Exception as error:
                     if self._measurement is None:
                         raise
                     run = self._result("failure")
                     raise RunError(f"{describe(error)} (after {run.passes} passes, which are kept)", run) from error
-                if self._on_save is not None:
-                    self._saving.after_pass(self._elapsed(), self._save)
         finally:
             executor.close()
         if self._measurement is None:
             raise Cancelled("stopped before the first pass was done; there is no picture")
-        # The pass that would have reached the end of the time was not begun: what there is stands for that time.
+        # The pass that would have reached the end of the time was not started: the result is that of this time.
         seconds = self.budget.seconds if reason == "seconds" else None
         return self._result(reason, self._saving.passed(seconds) if seconds is not None else ())
 
     def _plan(self) -> None:
-        """Tell a method that asks for it how much is to be done."""
+        """Call ``plan`` of a method that has it with the limits of the run."""
         plan = getattr(self.method, "plan", None)
         if plan is None:
             return
@@ -188,7 +198,7 @@ class Runner:
         self.progress = self._stopping.progress(measurement, self._elapsed())
 
     def _add(self, made: Pass) -> Measurement:
-        """Add a pass, and what it has left behind, as one."""
+        """Add the measurement and the state of a pass together."""
         with self._lock:
             self._adding = True
             if self._measurement is None:

@@ -13,12 +13,12 @@ T = TypeVar("T")
 
 #: Intermediate saves may take at most this share of the time.
 SAVE_SHARE = 0.1
-#: Seconds that are nothing: what rounding makes of a time that is counted from the resumption of a run.
+#: Tolerance of times in seconds: the rounding of times that count from the resumption of a run.
 CLOCK_GRAIN = 1e-6
 
 
 def check_period(save_every: float | None) -> None:
-    """Raise :class:`OptionError` if ``save_every`` is no time between intermediate saves."""
+    """Raise :class:`OptionError` unless ``save_every`` is a time between intermediate saves, or ``None``."""
     if save_every is not None and not (is_number(save_every) and save_every > 0):
         raise OptionError(f"the time between saves must be above 0 seconds, not {save_every!r}")
 
@@ -33,8 +33,8 @@ def check_save_times(save_at: Sequence[float]) -> None:
 
 
 class Saving:
-    """Saves every ``every`` seconds, and after the passes that reach the seconds ``at``. Times are those of ``clock``,
-    but for ``at``: these count from the beginning of the run."""
+    """Saves every ``every`` seconds of ``clock``, and after the passes that reach the times ``at``, in seconds from the
+    beginning of the run."""
 
     def __init__(self, every: float | None, at: Sequence[float], clock: Callable[[], float]) -> None:
         check_period(every)
@@ -49,23 +49,27 @@ class Saving:
         self._last = self._clock()
 
     def passed(self, elapsed: float) -> tuple[float, ...]:
-        """The times ``at`` up to ``elapsed``; each is given once."""
+        """The times ``at`` up to ``elapsed``, each returned once."""
         passed = []
         while self._ahead and self._ahead[0] <= elapsed + CLOCK_GRAIN:
             passed.append(self._ahead.popleft())
         return tuple(passed)
 
-    def after_pass(self, elapsed: float, save: Callable[[tuple[float, ...]], object]) -> None:
-        """Call ``save`` with the times that were reached, if it is time. If it fails, that is reported, and the run
-        goes on."""
+    def after_pass(self, elapsed: float, save: Callable[[tuple[float, ...]], object], must_save: bool = False) -> None:
+        """Call ``save`` with the times that were reached, if a save is due or ``must_save`` is set.
+
+        A failed save is logged and the run continues; one that ``must_save`` demands raises.
+        """
         times = self.passed(elapsed)
-        if not times and self._clock() - self._last < self._every:
+        if not (times or must_save) and self._clock() - self._last < self._every:
             return
         begin = self._clock()
         try:
             save(times)
         except Exception as error:
-            logger.warning("intermediate save failed, rendering goes on: %s", describe(error))
+            if must_save:
+                raise
+            logger.warning("an intermediate save failed, the run continues: %s", describe(error))
         cost = self._clock() - begin
-        # A slow disk makes periodic saves rarer, never the rendering slow.
+        # On a slow disk periodic saves become rarer, so that they do not slow down the rendering.
         self._last = self._clock() + max(0.0, cost / SAVE_SHARE - self._every)

@@ -1,4 +1,4 @@
-"""A run in the background: the picture so far, progress, and a stop that is complete when it returns."""
+"""A run in the background, with the current picture, progress and cancelling."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from types import TracebackType
-from typing import Any, Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Generic, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,17 +16,20 @@ from etendue.core import Progress, describe, logger
 
 from .runner import Cancelled, RunError, Runner, RunResult
 
+if TYPE_CHECKING:
+    import drjit as dr
+
 T = TypeVar("T")
 
 
 class Session(Generic[T]):
-    """A run in a thread of its own. All members may be used from any thread.
+    """A run in its own thread. All members may be used from any thread.
 
-    ``build(cancel)`` is called in the new thread and returns a :class:`Runner` that looks at ``cancel``; ``finish``
-    turns what was measured into :attr:`result`. Dr.Jit's flags belong to a thread: those of the creating thread are
+    ``build(cancel)`` is called in the new thread and returns a :class:`Runner` that checks ``cancel``; ``finish``
+    computes :attr:`result` from the measurement. Dr.Jit's flags belong to a thread: those of the creating thread are
     copied. The variant of Mitsuba is global and must not be changed while a session runs.
 
-    As a context manager a session is cancelled at the end of the block, and waited for; what the run raised is raised.
+    As a context manager, a session is cancelled at the end of the block; the error of the run is raised there.
     """
 
     def __init__(self, build: Callable[[threading.Event], Runner], finish: Callable[[RunResult], T]) -> None:
@@ -49,26 +52,26 @@ class Session(Generic[T]):
         except RunError as error:
             self._error = error
             self._keep(error.run)
-        except BaseException as error:  # whatever it is, the caller of `wait` gets it
+        except BaseException as error:  # raised by `wait`
             self._error = error
         finally:
             self._done.set()
 
     def _keep(self, run: RunResult) -> None:
-        """Save the passes that were done before one failed; that failure is what the caller should hear of."""
+        """Save the passes before the failed one. The failure is raised, so an error of saving is only logged."""
         try:
             self._finish(run)
         except Exception as error:
-            logger.warning("what was rendered before the failure could not be saved: %s", describe(error))
+            logger.warning("the passes before the failure could not be saved: %s", describe(error))
 
     @property
     def running(self) -> bool:
-        """Whether the run goes on."""
+        """Whether the run has not ended."""
         return not self._done.is_set()
 
     @property
     def prepared(self) -> bool:
-        """Whether the scene is loaded and passes are being made."""
+        """Whether the scene is loaded and the method prepared."""
         return self._runner is not None
 
     @property
@@ -78,14 +81,15 @@ class Session(Generic[T]):
 
     @property
     def image(self) -> NDArray[np.float32] | None:
-        """The picture so far, (height, width, 3), linear RGB; ``None`` before the first pass is done, and of what makes
-        none. A copy."""
+        """A copy of the current picture, (height, width, 3), linear RGB; ``None`` before the first pass, and for
+        methods that make no picture."""
         snapshot = self._runner.snapshot() if self._runner is not None else None
         return snapshot.layers.get("image") if snapshot is not None else None
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until the run is over, at most ``timeout`` seconds; whether it is. Raises what the run raised."""
-        # Waiting in slices lets Ctrl-C through on systems where a lock cannot be interrupted.
+        """Wait for the end of the run, at most ``timeout`` seconds; returns whether it has ended. Raises the error of
+        the run."""
+        # Short waits, since on some systems Ctrl-C does not interrupt a lock.
         deadline = None if timeout is None else time.monotonic() + timeout
         while not self._done.is_set():
             left = 0.5 if deadline is None else min(0.5, deadline - time.monotonic())
@@ -99,16 +103,16 @@ class Session(Generic[T]):
 
     @property
     def result(self) -> T:
-        """What the run made. Waits for its end, and raises what the run raised."""
+        """The result of the run. Waits for its end, and raises its error."""
         self.wait()
         return self._result[0]
 
     def request_stop(self) -> None:
-        """Ask the run to stop after the current pass, and return at once."""
+        """Stop the run after the current pass, without waiting for it."""
         self._stop.set()
 
     def cancel(self) -> None:
-        """Stop after the current pass and wait until that has happened. :attr:`result` then has what was done."""
+        """Stop the run after the current pass and wait for it. :attr:`result` then has the passes so far."""
         self._stop.set()
         self._done.wait()
         self._thread.join()
@@ -127,17 +131,17 @@ class Session(Generic[T]):
         return f"<etendue.Session {'running' if self.running else 'done'}: {self.progress}>"
 
 
-def _jit_flags() -> dict[Any, bool]:
+def _jit_flags() -> dict[dr.JitFlag, bool]:
     if "drjit" not in sys.modules:
         return {}
     import drjit as dr
 
-    # Not those that say where in a trace a thread is.
+    # Without the flags that describe the tracing state of a thread.
     own = {"Default", "SymbolicScope", "FreezingScope", "ForbidSynchronization"}
     return {flag: dr.flag(flag) for flag in dr.JitFlag if flag.name not in own}
 
 
-def _set_jit_flags(flags: dict[Any, bool]) -> None:
+def _set_jit_flags(flags: dict[dr.JitFlag, bool]) -> None:
     if flags:
         import drjit as dr
 

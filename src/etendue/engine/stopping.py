@@ -1,4 +1,4 @@
-"""When a run is over, and how far it has come: the budget, the time that passes take, the noise of the picture."""
+"""The end of a run, and its progress: by the budget, the time of passes and the noise of the picture."""
 
 from __future__ import annotations
 
@@ -10,18 +10,19 @@ from etendue.core import Measurement, Method, OptionError, Progress
 
 from .budget import Budget
 
-#: What ended a run. ``running``: it goes on (an intermediate save); ``failure``: a pass raised.
+#: What ended a run. ``running``: it continues (an intermediate save); ``failure``: a pass raised.
 StoppedBy = Literal["seconds", "samples", "error", "cancel", "failure", "running"]
 
-#: Growth of the number of passes between two estimates of the noise: cheap, and the same in every run.
+#: Relative growth of the number of passes between two estimates of the noise; independent of time, so that runs are
+#: reproducible.
 ERROR_CADENCE = 0.05
-#: Passes before an estimate of the noise may end a run. With fewer it is itself noise, and where light is found rarely
-#: the first passes may all miss it and agree on a picture that is too dark.
+#: Smallest number of passes after which an estimate of the noise may end a run. With fewer the estimate is too noisy,
+#: and where light is found rarely all of them may miss it and agree on a picture that is too dark.
 LEAST_PASSES_FOR_ERROR = 16
 
 
 class CancelEvent(Protocol):
-    """What is asked between passes; a ``threading.Event`` is one."""
+    """A flag that is checked between passes; ``threading.Event`` implements it."""
 
     def is_set(self) -> bool:
         """Whether the run should stop."""
@@ -29,7 +30,8 @@ class CancelEvent(Protocol):
 
 
 class Stopping:
-    """Looks at a run after each pass. ``watched``: whether its noise is of interest where no budget asks for it."""
+    """Decides after each pass whether a run continues. ``watched``: whether to estimate the noise even if the budget
+    does not limit it."""
 
     def __init__(self, method: Method, budget: Budget, cancel: CancelEvent | None, watched: bool = True) -> None:
         if not budget and cancel is None:
@@ -41,6 +43,7 @@ class Stopping:
         self._done = 0  # passes of this run
         self._error: float | None = None
         self._next_error = 2
+        self._finish_seconds: float | None = None  # after the latest pass, once it is estimated
 
     @property
     def has_begun(self) -> bool:
@@ -48,12 +51,13 @@ class Stopping:
         return self._done > 0
 
     def count(self, seconds: float, rays: float) -> None:
-        """A pass was made."""
+        """Count a pass."""
         self._durations.append((seconds, rays))
         self._done += 1
+        self._finish_seconds = None
 
     def reason(self, measurement: Measurement | None, elapsed: float) -> StoppedBy | None:
-        """Why no further pass should be begun; ``None`` if one should. The first pass of a run is not predicted."""
+        """The reason to end the run; ``None`` to make another pass. The time of the first pass is not predicted."""
         if self._cancel is not None and self._cancel.is_set():
             return "cancel"
         passes = len(measurement.iterations) if measurement is not None else 0
@@ -70,9 +74,9 @@ class Stopping:
         return None
 
     def look(self, measurement: Measurement) -> None:
-        """Estimate the noise anew, if the passes have become enough more since the last time."""
+        """Estimate the noise again, if the number of passes has grown enough since the last estimate."""
         passes = len(measurement.iterations)
-        # A method whose error is not one of pixels estimates it by itself, and says how often that is worth its time.
+        # A method whose error is not that of pixels estimates it and says how often.
         estimate = getattr(self.method, "noise", None)
         is_known = estimate is not None or "image" in measurement.squares
         if passes < self._next_error or not (self._watched and is_known):
@@ -80,13 +84,13 @@ class Stopping:
         self._error = error = measurement.relative_error() if estimate is None else estimate(measurement)
         step = math.ceil(getattr(self.method, "error_cadence", ERROR_CADENCE) * passes)
         if self.budget.error is not None and error is not None and math.isfinite(error):
-            # Noise falls as 1/passes: look again no later than where the target should be reached.
+            # Noise decreases as 1 / passes: estimate again when the target should be reached at the latest.
             least = 1 if estimate is None else math.ceil(ERROR_CADENCE * passes)
             step = min(step, max(least, math.ceil(passes * (error / self.budget.error - 1.0))))
         self._next_error = passes + max(1, step)
 
     def progress(self, measurement: Measurement, elapsed: float) -> Progress:
-        """How far the run has come, after a pass."""
+        """The progress after a pass."""
         passes = len(measurement.iterations)
         timed = list(self._durations)[1:] if self._done == len(self._durations) > 1 else list(self._durations)
         seconds = sum(s for s, _ in timed)
@@ -116,13 +120,15 @@ class Stopping:
         )
 
     def _finish(self, measurement: Measurement) -> float:
-        """Seconds that the method needs after its last pass."""
-        finish = getattr(self.method, "finish_seconds", None)
-        return 0.0 if finish is None else float(finish(measurement))
+        """Seconds that the method needs after its last pass; estimated once for each pass."""
+        if self._finish_seconds is None:
+            finish = getattr(self.method, "finish_seconds", None)
+            self._finish_seconds = 0.0 if finish is None else float(finish(measurement))
+        return self._finish_seconds
 
     def _predict(self) -> float:
-        """Seconds that the next pass will take, on the safe side."""
-        if self._done == 1:  # the first pass compiles; the second tells
+        """Predicted seconds of the next pass, an upper estimate."""
+        if self._done == 1:  # the first pass includes compilation
             return 0.5 * max(0.0, self._durations[0][0] - getattr(self.method, "setup_seconds", 0.0))
         recent = [seconds for seconds, _ in self._durations][-min(len(self._durations), self._done - 1) :]
         return max(recent)

@@ -1,4 +1,4 @@
-"""File formats: arrays, meshes and matrices as other programs read them. What is in them is not known here."""
+"""File formats of other programs for arrays, meshes and matrices, independent of their meaning."""
 
 from .arrays import save_arrays
 from .errors import FormatError

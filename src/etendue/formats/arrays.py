@@ -1,4 +1,4 @@
-"""Arrays of NumPy in one file, with what JSON can say of them."""
+"""NumPy arrays in one file, with metadata."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from etendue.film import replacing
 
 
 def save_arrays(path: str | os.PathLike[str], arrays: Mapping[str, Any], metadata: Mapping[str, Any] | None) -> None:
-    """Write ``.npz``, whole or not at all, with ``metadata`` as JSON under that name."""
+    """Write ``.npz`` atomically, with ``metadata`` (values for JSON) under that name."""
     text = np.array(json.dumps(dict(metadata or {})))
     with replacing(path) as part, part.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays, metadata=text)

@@ -6,4 +6,5 @@ from etendue.core import OptionError
 
 
 class FormatError(OptionError):
-    """A file that cannot be read, or arrays that a format cannot hold. One line that says why, and what to do."""
+    """A file that cannot be read, or arrays that a format cannot hold. The message is one line with the reason and a
+    remedy."""

@@ -1,8 +1,8 @@
-"""Meshes as glTF 2.0: vertex colours in linear floats, two sets of texture coordinates, attributes of one's own.
+"""Meshes as glTF 2.0, with vertex colours in linear floats, two sets of texture coordinates and custom attributes.
 
 A file has one mesh of triangles with positions, normals of the faces and a material without shading
-(``KHR_materials_unlit``), so that a viewer shows the colours as they are. trimesh reads these files, but does not write
-them: it rounds colours to bytes, knows one set of texture coordinates, and has no extensions of materials.
+(``KHR_materials_unlit``), so that a viewer shows the colours as they are. They are read by trimesh, but not written by
+it: trimesh rounds colours to bytes, supports one set of texture coordinates, and no material extensions.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,9 @@ from etendue.core import Array, library
 from etendue.film import write_bytes
 
 from .errors import FormatError
+
+if TYPE_CHECKING:
+    import trimesh
 
 Index = NDArray[np.int64]
 
@@ -36,7 +39,7 @@ _LARGEST = (1 << 32) - 1
 
 @dataclass
 class GltfMesh:
-    """A mesh as glTF knows it.
+    """A mesh for glTF.
 
     ``vertices``, ``normals``: (v, 3). ``triangles``: (t, 3), counterclockwise seen from the front. ``attributes``: of
     vertices, (v, k) or (v,), by their names in glTF (``COLOR_0``, ``TEXCOORD_0``; of one's own with ``_`` before).
@@ -51,7 +54,7 @@ class GltfMesh:
 
 
 def write_gltf(path: str | os.PathLike[str], mesh: GltfMesh, metadata: Mapping[str, Any] | None = None) -> None:
-    """Write ``.glb``, binary, or ``.gltf``, text with the data in it. ``metadata``: what JSON can say.
+    """Write ``.glb``, binary, or ``.gltf``, text with the data in it. ``metadata``: values for JSON.
 
     Raises :class:`FormatError` for more than 4 GB, :class:`etendue.core.OutputError` if it cannot be written.
     """
@@ -67,7 +70,7 @@ def write_gltf(path: str | os.PathLike[str], mesh: GltfMesh, metadata: Mapping[s
         target = _INDICES if name == "indices" else _VERTICES
         views.append({"buffer": 0, "byteOffset": len(data), "byteLength": stored.nbytes, "target": target})
         accessors.append(_accessor(name, stored, len(views) - 1))
-        data += stored.tobytes()  # a multiple of four bytes, as it has to be
+        data += stored.tobytes()  # a multiple of four bytes, as glTF requires
     primitive = {
         "attributes": {name: k for k, name in enumerate(arrays) if name != "indices"},
         "indices": len(arrays) - 1,
@@ -104,7 +107,7 @@ def read_texture_coordinates(path: str | os.PathLike[str], number: int = 1) -> t
     try:
         content, rest = _parsed(Path(path).read_bytes())
         for primitive in (p for mesh in content.get("meshes", ()) for p in mesh["primitives"]):
-            # trimesh knows the first set only, but keeps what an application has added.
+            # trimesh reads only the first set, but keeps custom attributes.
             if name in primitive["attributes"]:
                 primitive["attributes"][kept] = primitive["attributes"].pop(name)
         text = json.dumps(content).encode()
@@ -129,7 +132,7 @@ def read_texture_coordinates(path: str | os.PathLike[str], number: int = 1) -> t
     return vertices, faces.astype(np.int64), np.column_stack([uv[:, 0], 1.0 - uv[:, 1]])
 
 
-def _placed(scene: Any) -> list[tuple[str, str]]:
+def _placed(scene: trimesh.Scene) -> list[tuple[str, str]]:
     """Nodes and the triangle meshes that they place."""
     nodes = [(node, scene.graph[node][1]) for node in scene.graph.nodes_geometry]
     return [(node, geometry) for node, geometry in nodes if hasattr(scene.geometry[geometry], "faces")]

@@ -1,4 +1,4 @@
-"""Meshes with values at vertices or of faces, by meshio."""
+"""Meshes with values at vertices or faces, written by meshio."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def write_mesh(
     at_vertices: Mapping[str, NDArray[Any]],
     of_faces: Mapping[str, NDArray[Any]],
 ) -> None:
-    """Write a file of meshio's format ``kind`` (``ply``, ``vtu``), whole or not at all.
+    """Write a file of meshio's format ``kind`` (``ply``, ``vtu``) atomically.
 
     vertices: (v, 3). faces: (f, 4), a triangle repeating its last; in the file triangles come before quadrilaterals.
     at_vertices, of_faces: arrays by name, of rows for vertices and for faces; one column becomes a list of numbers.

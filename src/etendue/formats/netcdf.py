@@ -1,4 +1,4 @@
-"""Arrays with names and units as netCDF, which climate models, MATLAB, R and xarray read.
+"""Arrays with names and units as netCDF, the format of climate models, MATLAB, R and xarray.
 
 Files are of netCDF 4, which is HDF5: variables keep their types and may have any length; long ones are compressed.
 Names, units and long names follow the CF conventions. Files of the classic format are read, too.
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import BackendError, library
 from etendue.film import replacing
@@ -28,25 +28,25 @@ _CHUNK = 1 << 20
 
 @dataclass
 class NetcdfFile:
-    """A file before it is written: lengths of dimensions, variables, and attributes of the whole."""
+    """The content of a file: lengths of dimensions, variables, and attributes of the file."""
 
     title: str
     metadata: Mapping[str, Any] | None
     lengths: dict[str, int] = field(default_factory=dict)
     variables: dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]] = field(default_factory=dict)
 
-    def add(self, name: str, dimensions: str, values: Any, long_name: str, units: str = "", **more: Any) -> None:
-        """A variable. Dimensions are names with a blank between; their lengths are those of ``values``."""
+    def add(self, name: str, dimensions: str, values: ArrayLike, long_name: str, units: str = "", **more: Any) -> None:
+        """Add a variable. ``dimensions`` are names separated by spaces; their lengths are those of ``values``."""
         names = tuple(dimensions.split())
         array = np.asarray(values)
-        if array.dtype == bool:  # netCDF has no truth values
+        if array.dtype == bool:  # netCDF has no booleans
             array = array.astype(np.int8)
         self.lengths |= dict(zip(names, array.shape, strict=True))
         attributes = {"long_name": long_name} | ({"units": units} if units else {}) | more
         self.variables[name] = (names, array, attributes)
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write it, whole or not at all.
+        """Write the file atomically.
 
         Raises :class:`etendue.core.BackendError` without h5netcdf, :class:`etendue.core.OutputError` if the file cannot
         be written.
@@ -71,9 +71,9 @@ class NetcdfFile:
 
 
 class _Target(io.FileIO):
-    """A file that keeps the first failure of writing and drops what comes after it.
+    """A file that keeps the first failure of writing and ignores later writes.
 
-    HDF5 must be able to close a file: where it cannot, the process later ends with a segmentation fault.
+    HDF5 must be able to close a file: otherwise the process later ends with a segmentation fault.
     """
 
     failure: OSError | None = None
@@ -102,7 +102,7 @@ def netcdf_library(path: str | os.PathLike[str]) -> Any:
 
 
 def read_netcdf(path: str | os.PathLike[str], what: str, needed: tuple[str, ...]) -> dict[str, NDArray[Any]]:
-    """All variables of a file; raises :class:`FormatError` if that is not one of ``what``."""
+    """All variables of a file; raises :class:`FormatError` for a file that does not contain ``what``."""
     if not Path(path).is_file():
         raise FormatError(f"there is no file of {what} '{path}'")
     try:
@@ -111,7 +111,7 @@ def read_netcdf(path: str | os.PathLike[str], what: str, needed: tuple[str, ...]
         saved = _read_classic(path) if classic else _read(path)
     except BackendError:
         raise
-    except Exception as error:  # the libraries fail on foreign bytes in many ways
+    except Exception as error:  # the libraries raise many types of errors for other files
         raise FormatError(f"'{path}' is no netCDF file of {what}") from error
     missing = [name for name in needed if name not in saved]
     if missing:
@@ -134,7 +134,7 @@ def _read(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
 
 
 def _read_classic(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
-    """The classic format: that of other programs, and of étendue before it used h5netcdf."""
+    """The classic format, of other programs and of early versions of étendue."""
     netcdf = library("scipy.io", f"the netCDF file {path}")
     with netcdf.netcdf_file(str(path), "r", mmap=False) as file:
         return {name: variable.data for name, variable in file.variables.items()}

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING
 
 from etendue.core import Array
 
+if TYPE_CHECKING:
+    import scipy.sparse
 
-def view3d_lines(matrix: Any, areas: Array, emissivity: Array, is_closed: bool) -> Iterator[str]:
+
+def view3d_lines(matrix: scipy.sparse.csr_array, areas: Array, emissivity: Array, is_closed: bool) -> Iterator[str]:
     """Lines of the text: "program version format enclosure emissivities-used patches", as View3D's reader wants it;
     areas (n,), the rows of the CSR ``matrix`` (n, n) with their zeros, and emissivities (n,)."""
     count = len(areas)

@@ -3,7 +3,6 @@
 from typing import TYPE_CHECKING
 
 from .backend import Backend, DeviceBackend, HostBackend, array_namespace
-from .binning import damp, rebin, smooth
 from .chains import ChainDiagnosis, autocorrelation, autocorrelation_time, diagnose, split_r_hat
 from .densities import (
     AxisBins,
@@ -17,6 +16,7 @@ from .densities import (
     bin_values,
     warp_rows,
 )
+from .densities.binning import damp, rebin, smooth
 from .errors import IntegrationError
 from .estimate import Estimate, Integrator, average, combine
 from .functions import Box, Domain, Integrand, constant, coordinate

@@ -8,11 +8,22 @@ On the host ``x`` is an ndarray of shape (d, n) in double precision, on the devi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import Array, IndependentSource, on_device, use_variant
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+#: Real numbers, whole numbers and masks: one for each point.
+Numbers: TypeAlias = "Array | mi.Float"
+Whole: TypeAlias = "NDArray[np.int64] | mi.UInt32"
+Mask: TypeAlias = "NDArray[np.bool_] | mi.Bool"
+#: Coordinate-major points.
+Points: TypeAlias = "Array | list[mi.Float]"
 
 #: Dimensions that fit into one vertex of a random source on the device.
 _COMPONENTS = 64
@@ -29,51 +40,51 @@ class Backend(Protocol):
     parts: int
     cells: int
 
-    def uniform(self, count: int, dimension: int) -> Any:
+    def uniform(self, count: int, dimension: int) -> Points:
         """``count`` independent points of the unit cube; new ones in each call."""
         ...
 
-    def points(self, values: Array) -> Any:
+    def points(self, values: Array) -> Points:
         """Points from an array (d, n) of the host."""
         ...
 
-    def index(self, count: int) -> Any:
+    def index(self, count: int) -> Whole:
         """0 … count-1."""
         ...
 
-    def opaque(self, number: int) -> Any:
+    def opaque(self, number: int) -> int | mi.UInt32:
         """A whole number that may change from batch to batch without compiling another kernel."""
         ...
 
-    def number(self, index: Any) -> Any:
+    def number(self, index: Whole) -> Numbers:
         """Whole numbers as real ones."""
         ...
 
-    def split(self, value: Any, limit: int) -> tuple[Any, Any]:
+    def split(self, value: Numbers, limit: int) -> tuple[Whole, Numbers]:
         """Integer part of a number in [0, limit], at most ``limit - 1``, and the rest."""
         ...
 
-    def table(self, values: Array) -> Any:
+    def table(self, values: Array) -> Numbers:
         """A table that :meth:`take` reads."""
         ...
 
-    def take(self, table: Any, index: Any) -> Any:
+    def take(self, table: Numbers, index: Whole) -> Numbers:
         """Entries of a table."""
         ...
 
-    def where(self, mask: Any, yes: Any, no: Any) -> Any:
+    def where(self, mask: Mask, yes: Any, no: Any) -> Any:
         """Choice between two arrays."""
         ...
 
-    def exp(self, value: Any) -> Any:
+    def exp(self, value: Numbers) -> Numbers:
         """Exponential function."""
         ...
 
-    def broadcast(self, value: Any, x: Any) -> Any:
+    def broadcast(self, value: Numbers | float, x: Points) -> Numbers:
         """``value`` as an array of as many numbers as there are points ``x``."""
         ...
 
-    def clean(self, values: Any) -> Any:
+    def clean(self, values: Numbers) -> Numbers:
         """``values`` with zero in place of those that are not finite, which :meth:`rejected` counts."""
         ...
 
@@ -85,19 +96,19 @@ class Backend(Protocol):
         """How many values :meth:`clean` has replaced so far."""
         ...
 
-    def histogram(self, index: Any, weights: Sequence[Any], size: int) -> list[Array]:
+    def histogram(self, index: Whole, weights: Sequence[Numbers], size: int) -> list[Array]:
         """For each of ``weights`` the sums over equal ``index``: host arrays of ``size`` numbers."""
         ...
 
-    def moments(self, values: Any) -> tuple[float, float]:
+    def moments(self, values: Numbers) -> tuple[float, float]:
         """Mean, and sum of squared deviations from it."""
         ...
 
-    def strata(self, values: Any, size: int) -> tuple[float, float]:
+    def strata(self, values: Numbers, size: int) -> tuple[float, float]:
         """Over strata of ``size`` consecutive values: sum of their means, sum of the variances of these means."""
         ...
 
-    def host(self, values: Any) -> Array:
+    def host(self, values: Numbers) -> Array:
         """As a NumPy array of doubles."""
         ...
 
@@ -113,53 +124,53 @@ class HostBackend:
         self._random = np.random.Generator(np.random.SFC64(np.random.SeedSequence(seed)))
         self._rejected = 0
 
-    def uniform(self, count: int, dimension: int) -> Any:
+    def uniform(self, count: int, dimension: int) -> Array:
         """See :class:`Backend`."""
         return self._random.random((dimension, count))
 
-    def points(self, values: Array) -> Any:
+    def points(self, values: Array) -> Array:
         """See :class:`Backend`."""
         return np.ascontiguousarray(values, dtype=np.float64)
 
-    def index(self, count: int) -> Any:
+    def index(self, count: int) -> NDArray[np.int64]:
         """See :class:`Backend`."""
         return np.arange(count)
 
-    def opaque(self, number: int) -> Any:
+    def opaque(self, number: int) -> int:
         """See :class:`Backend`."""
         return number
 
-    def number(self, index: Any) -> Any:
+    def number(self, index: NDArray[np.int64]) -> Array:
         """See :class:`Backend`."""
         return np.asarray(index, dtype=np.float64)
 
-    def split(self, value: Any, limit: int) -> tuple[Any, Any]:
+    def split(self, value: Array, limit: int) -> tuple[NDArray[np.int64], Array]:
         """See :class:`Backend`."""
         whole = value.astype(np.int64)
         np.minimum(whole, limit - 1, out=whole)
         return whole, value - whole
 
-    def table(self, values: Array) -> Any:
+    def table(self, values: Array) -> Array:
         """See :class:`Backend`."""
         return np.asarray(values, dtype=np.float64).ravel()
 
-    def take(self, table: Any, index: Any) -> Any:
+    def take(self, table: Array, index: NDArray[np.int64]) -> Array:
         """See :class:`Backend`."""
         return table[index]
 
-    def where(self, mask: Any, yes: Any, no: Any) -> Any:
+    def where(self, mask: NDArray[np.bool_], yes: Any, no: Any) -> Any:
         """See :class:`Backend`."""
         return np.where(mask, yes, no)
 
-    def exp(self, value: Any) -> Any:
+    def exp(self, value: Array) -> Array:
         """See :class:`Backend`."""
         return np.exp(value)
 
-    def broadcast(self, value: Any, x: Any) -> Any:
+    def broadcast(self, value: Array | float, x: Points) -> Array:
         """See :class:`Backend`."""
         return np.broadcast_to(np.asarray(value, dtype=np.float64), np.shape(x[0]))
 
-    def clean(self, values: Any) -> Any:
+    def clean(self, values: Array) -> Array:
         """See :class:`Backend`."""
         finite = np.isfinite(values)
         if finite.all():
@@ -174,24 +185,24 @@ class HostBackend:
         """See :class:`Backend`."""
         return self._rejected
 
-    def histogram(self, index: Any, weights: Sequence[Any], size: int) -> list[Array]:
+    def histogram(self, index: NDArray[np.int64], weights: Sequence[Array], size: int) -> list[Array]:
         """See :class:`Backend`."""
         return [np.asarray(np.bincount(index, w, size), dtype=np.float64) for w in weights]
 
-    def moments(self, values: Any) -> tuple[float, float]:
+    def moments(self, values: Array) -> tuple[float, float]:
         """See :class:`Backend`."""
         mean = float(values.mean())
         deviation = values - mean
         return mean, float(deviation @ deviation)
 
-    def strata(self, values: Any, size: int) -> tuple[float, float]:
+    def strata(self, values: Array, size: int) -> tuple[float, float]:
         """See :class:`Backend`."""
         rows = values.reshape(-1, size)
         mean = rows.mean(axis=1)
         squares = ((rows - mean[:, None]) ** 2).sum()
         return float(mean.sum()), float(squares / (size * (size - 1)))
 
-    def host(self, values: Any) -> Array:
+    def host(self, values: Array) -> Array:
         """See :class:`Backend`."""
         return np.asarray(values, dtype=np.float64)
 
@@ -212,34 +223,34 @@ class DeviceBackend:
         self._float, self._double, self._uint = mi.Float, mi.Float64, mi.UInt32
         self._counter = dr.zeros(mi.UInt32, 1)
 
-    def uniform(self, count: int, dimension: int) -> Any:
+    def uniform(self, count: int, dimension: int) -> list[mi.Float]:
         """See :class:`Backend`."""
         source = IndependentSource(self.index(count), self._seed, "integration", self._calls)
         self._calls += 1
         return [source.next_1d(a // _COMPONENTS, a % _COMPONENTS) for a in range(dimension)]
 
-    def points(self, values: Array) -> Any:
+    def points(self, values: Array) -> list[mi.Float]:
         """See :class:`Backend`."""
         return [self.table(row) for row in values]
 
-    def index(self, count: int) -> Any:
+    def index(self, count: int) -> mi.UInt32:
         """See :class:`Backend`."""
         return self._dr.arange(self._uint, count)
 
-    def opaque(self, number: int) -> Any:
+    def opaque(self, number: int) -> mi.UInt32:
         """See :class:`Backend`."""
         return self._dr.opaque(self._uint, number)
 
-    def number(self, index: Any) -> Any:
+    def number(self, index: mi.UInt32) -> mi.Float:
         """See :class:`Backend`."""
         return self._float(index)
 
-    def split(self, value: Any, limit: int) -> tuple[Any, Any]:
+    def split(self, value: mi.Float, limit: int) -> tuple[mi.UInt32, mi.Float]:
         """See :class:`Backend`."""
         whole = self._dr.minimum(self._uint(value), limit - 1)
         return whole, value - self._float(whole)
 
-    def table(self, values: Array) -> Any:
+    def table(self, values: Array) -> mi.Float:
         """See :class:`Backend`."""
         array = np.asarray(values)
         if array.dtype.kind in "iu":
@@ -248,23 +259,23 @@ class DeviceBackend:
             return on_device(self._float, array)
         return self._float(np.array(array.ravel(), dtype=np.float32))
 
-    def take(self, table: Any, index: Any) -> Any:
+    def take(self, table: mi.Float, index: mi.UInt32) -> mi.Float:
         """See :class:`Backend`."""
         return self._dr.gather(type(table), table, index)
 
-    def where(self, mask: Any, yes: Any, no: Any) -> Any:
+    def where(self, mask: mi.Bool, yes: Any, no: Any) -> Any:
         """See :class:`Backend`."""
         return self._dr.select(mask, yes, no)
 
-    def exp(self, value: Any) -> Any:
+    def exp(self, value: mi.Float) -> mi.Float:
         """See :class:`Backend`."""
         return self._dr.exp(value)
 
-    def broadcast(self, value: Any, x: Any) -> Any:
+    def broadcast(self, value: mi.Float | float, x: Points) -> mi.Float:
         """See :class:`Backend`."""
         return self._float(value) + self._dr.zeros(self._float, self._dr.width(x[0]))
 
-    def clean(self, values: Any) -> Any:
+    def clean(self, values: mi.Float) -> mi.Float:
         """See :class:`Backend`."""
         finite = self._dr.isfinite(values)
         # A masked scatter costs nothing if all values are finite, and is part of the kernel that computes them.
@@ -279,7 +290,7 @@ class DeviceBackend:
         """See :class:`Backend`."""
         return int(self._counter[0])
 
-    def histogram(self, index: Any, weights: Sequence[Any], size: int) -> list[Array]:
+    def histogram(self, index: mi.UInt32, weights: Sequence[mi.Float], size: int) -> list[Array]:
         """See :class:`Backend`."""
         dr = self._dr
         sums = [dr.zeros(self._float, size) for _ in weights]
@@ -287,7 +298,7 @@ class DeviceBackend:
             dr.scatter_reduce(dr.ReduceOp.Add, total, self._float(weight), index)
         return sums
 
-    def moments(self, values: Any) -> tuple[float, float]:
+    def moments(self, values: mi.Float) -> tuple[float, float]:
         """See :class:`Backend`."""
         dr, count = self._dr, self._dr.width(values)
         dr.eval(values)
@@ -295,7 +306,7 @@ class DeviceBackend:
         deviation = self._double(values) - dr.opaque(self._double, mean)
         return mean, float(dr.sum(deviation * deviation)[0])
 
-    def strata(self, values: Any, size: int) -> tuple[float, float]:
+    def strata(self, values: mi.Float, size: int) -> tuple[float, float]:
         """See :class:`Backend`."""
         dr = self._dr
         dr.eval(values)
@@ -316,7 +327,7 @@ class DeviceBackend:
         dr.eval(total, spread)
         return float(total[0]), float(spread[0]) / (size * (size - 1))
 
-    def host(self, values: Any) -> Array:
+    def host(self, values: mi.Float) -> Array:
         """See :class:`Backend`."""
         return np.array(values, dtype=np.float64)
 

@@ -7,4 +7,4 @@ from etendue.core import EtendueError
 
 class IntegrationError(EtendueError):
     """An integral that cannot be computed as requested: an empty domain, too few samples, an invalid density, values
-    that are not finite. The message is one line that says which, and what to do."""
+    that are not finite. The message is one line with the reason and a remedy."""

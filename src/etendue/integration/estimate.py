@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 
 from etendue.core import is_number, logger
 
-from .backend import Backend, DeviceBackend, HostBackend
+from .backend import Backend, DeviceBackend, HostBackend, Numbers, Points
 from .errors import IntegrationError
 from .functions import Domain, Integrand
 
@@ -101,12 +101,12 @@ class Work:
         """Parameters of the integrand."""
         return self.box.dimension
 
-    def values(self, u: Any, weight: Any = None) -> Any:
+    def values(self, u: Points, weight: Numbers | None = None) -> Numbers:
         """Values at points ``u`` of the unit cube, times ``weight``; those that are not finite are counted and set to
         zero."""
         return self.values_at(self.box.from_unit(u), weight)
 
-    def values_at(self, x: Any, weight: Any = None) -> Any:
+    def values_at(self, x: Points, weight: Numbers | None = None) -> Numbers:
         """As :meth:`values`, at points of the domain."""
         values = self.backend.broadcast(self.f.evaluate(x), x)
         return self.backend.clean(values if weight is None else values * weight)

@@ -7,12 +7,13 @@ From x a proposal x' is accepted with ``min(1, f(x') A(x' -> x) / (f(x) A(x -> x
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
 from etendue.core import Array, logger
 
+from .backend import Backend, Mask, Numbers, Points
 from .chains import ChainDiagnosis, burn_in, diagnose
 from .errors import IntegrationError
 from .estimate import Work
@@ -29,7 +30,7 @@ class Proposal(Protocol):
         """Random numbers that a step takes."""
         ...
 
-    def propose(self, backend: Any, x: list[Any], u: Any) -> tuple[list[Any], Any]:
+    def propose(self, backend: Backend, x: list[Numbers], u: Points) -> tuple[list[Numbers], Numbers]:
         """The point proposed from ``x`` by numbers ``u``, and ``A(x' -> x) / A(x -> x')``. The chain rejects points
         outside the cube."""
         ...
@@ -45,7 +46,7 @@ class UniformStep:
         """See :class:`Proposal`."""
         return dimension
 
-    def propose(self, backend: Any, x: list[Any], u: Any) -> tuple[list[Any], Any]:
+    def propose(self, backend: Backend, x: list[Numbers], u: Points) -> tuple[list[Numbers], Numbers]:
         """See :class:`Proposal`."""
         return [v + (2.0 * n - 1.0) * self.size for v, n in zip(x, u, strict=True)], 1.0
 
@@ -58,7 +59,7 @@ class Independent:
         """See :class:`Proposal`."""
         return dimension
 
-    def propose(self, backend: Any, x: list[Any], u: Any) -> tuple[list[Any], Any]:
+    def propose(self, backend: Backend, x: list[Numbers], u: Points) -> tuple[list[Numbers], Numbers]:
         """See :class:`Proposal`."""
         return [n + 0.0 for n in u], 1.0
 
@@ -74,9 +75,9 @@ class ScaledStep:
         """See :class:`Proposal`."""
         return dimension
 
-    def propose(self, backend: Any, x: list[Any], u: Any) -> tuple[list[Any], Any]:
+    def propose(self, backend: Backend, x: list[Numbers], u: Points) -> tuple[list[Numbers], Numbers]:
         """See :class:`Proposal`."""
-        ratio: Any = 1.0
+        ratio: Numbers | float = 1.0
         moved = []
         for v, n in zip(x, u, strict=True):
             factor = backend.exp((2.0 * n - 1.0) * self.size)
@@ -97,7 +98,7 @@ class Mixture:
         """See :class:`Proposal`."""
         return 1 + max(self.first.numbers(dimension), self.second.numbers(dimension))
 
-    def propose(self, backend: Any, x: list[Any], u: Any) -> tuple[list[Any], Any]:
+    def propose(self, backend: Backend, x: list[Numbers], u: Points) -> tuple[list[Numbers], Numbers]:
         """See :class:`Proposal`."""
         d = len(x)
         a, ratio_a = self.first.propose(backend, x, list(u[1 : 1 + self.first.numbers(d)]))
@@ -204,7 +205,7 @@ class Metropolis:
             logger.warning("chains do not agree yet (split R-hat %.2f): more steps, or larger ones", chains.r_hat)
         return chains
 
-    def _begin(self, work: Work) -> tuple[list[Any], Any]:
+    def _begin(self, work: Work) -> tuple[list[Numbers], Numbers]:
         """Initial states with a non-zero target, sampled from a few uniform points in proportion to the target."""
         backend = work.backend
         u = np.stack([backend.host(v) for v in backend.uniform(self.chains * _TRIES, work.dimension)])
@@ -227,12 +228,12 @@ class Metropolis:
         place = np.where(total > 0, place, place[found[row % len(found)]])
         return list(backend.points(u[:, place])), backend.points(values[None, place])[0]
 
-    def _step(self, work: Work, x: list[Any], f: Any) -> tuple[list[Any], Any, Any]:
+    def _step(self, work: Work, x: list[Numbers], f: Numbers) -> tuple[list[Numbers], Numbers, Numbers]:
         """One step of every chain: state, target there, and 1 where the proposal was accepted."""
         backend, need = work.backend, self.proposal.numbers(work.dimension)
         u = list(backend.uniform(self.chains, need + 1))
         moved, ratio = self.proposal.propose(backend, x, u[:need])
-        inside: Any = moved[0] >= 0.0
+        inside: Mask = moved[0] >= 0.0
         for coordinate in moved:
             inside = inside & (coordinate >= 0.0) & (coordinate <= 1.0)
         # Outside the domain the target is not evaluated; the current state is used instead.

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .backend import array_namespace
+from .backend import Numbers, array_namespace
 from .errors import IntegrationError
 from .estimate import Integrator, Work
 from .functions import Integrand
@@ -84,7 +84,7 @@ def integral(
     )
 
 
-def _mean_of_rows(values: Any, size: int) -> Any:
+def _mean_of_rows(values: Numbers, size: int) -> Any:
     """Means of ``size`` values in a row."""
     if array_namespace(values) is np:
         return values.reshape(-1, size).mean(axis=1)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
+from .backend import Numbers, Points
 from .densities import Density
 from .errors import IntegrationError
 from .estimate import Estimate, Integrator, Moments, Work
@@ -14,7 +16,7 @@ from .functions import Integrand
 _PILOT = 1 << 12
 
 
-def mean_of(work: Work, samples: int, values: Any, scale: float) -> Estimate:
+def mean_of(work: Work, samples: int, values: Callable[[int], Numbers], scale: float) -> Estimate:
     """``scale`` times the mean of ``values(count)`` over batches, which are independent."""
     moments = Moments()
     for count in work.batches(samples):
@@ -56,7 +58,7 @@ class HitOrMiss(Integrator):
         outside = Moments()
         slack = 1e-6 * scale
 
-        def hits(count: int) -> Any:
+        def hits(count: int) -> Numbers:
             u = backend.uniform(count, d + 1)
             values = work.values(u[:d])
             beyond = backend.where((values < low - slack) | (values > high + slack), 1.0, backend.broadcast(0.0, u))
@@ -102,7 +104,7 @@ class Importance(Integrator):
         backend, d, volume = work.backend, work.dimension, work.box.volume
         inverse = Moments()
 
-        def values(count: int) -> Any:
+        def values(count: int) -> Numbers:
             x, p = self.density.sample(backend, backend.uniform(count, d))
             found = work.values_at(x, backend.where(p > 0, 1.0 / backend.where(p > 0, p, 1.0), 0.0))
             inverse.add(count, *backend.moments(backend.where(p > 0, 1.0 / (p * volume), 0.0)))
@@ -153,12 +155,12 @@ class ControlVariate(Integrator):
             factor = float(deviation @ f_values) / spread if spread > 0 else 1.0
         c = factor
 
-        def values(count: int) -> Any:
+        def values(count: int) -> Numbers:
             x = box.from_unit(backend.uniform(count, d))
             return work.values_at(x) - self._known(work, x) * c
 
         rest = mean_of(work, samples - pilot, values, box.volume)
         return Estimate(c * self.integral + rest.value, rest.standard_error, samples, details={"factor": c})
 
-    def _known(self, work: Work, x: Any) -> Any:
+    def _known(self, work: Work, x: Points) -> Numbers:
         return work.backend.broadcast(self.g.evaluate(x), x)

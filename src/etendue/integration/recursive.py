@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .binning import split_equally
+from .densities.binning import split_equally
 from .errors import IntegrationError
 from .estimate import Estimate, Integrator, Work
 from .functions import Integrand

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from etendue.core import Array
 
-from .backend import Backend
+from .backend import Backend, Numbers, Whole
 from .densities import Warped, bisect
 
 
@@ -29,7 +28,7 @@ class Regions:
         self._count, self.dimension = np.shape(low)
         self.bins = 1 << max(self._count - 1, 1).bit_length()
         self.low, self.side = np.zeros((self.bins, self.dimension)), np.zeros((self.bins, self.dimension))
-        self.shares = np.zeros(self.bins)
+        self.shares: float | Array = np.zeros(self.bins)
         self.low[: self._count], self.side[: self._count] = low, side
         self.shares[: self._count] = probability / np.sum(probability)
 
@@ -48,7 +47,7 @@ class Regions:
         reached = np.where(empty, 2.0, np.cumsum(p) - p)  # empty ones are never selected
         return [p, reached, self.volume / np.where(empty, 1.0, p), *self.low.T, *self.side.T]
 
-    def look_up(self, backend: Backend, tables: Sequence[Any], u: Sequence[Any], row: Any) -> Warped:
+    def look_up(self, backend: Backend, tables: Sequence[Numbers], u: Sequence[Numbers], row: Whole | int) -> Warped:
         """(points, 1 / density, box of each). The first number selects the box, and its remainder the position in it,
         so that stratified numbers stay stratified within the boxes."""
         first = row * self.bins

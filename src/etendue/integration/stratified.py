@@ -10,6 +10,7 @@ import numpy as np
 
 from etendue.points import Sobol
 
+from .backend import Numbers, Whole
 from .errors import IntegrationError
 from .estimate import Estimate, Integrator, Moments, Work
 
@@ -62,7 +63,7 @@ class Stratified(Integrator):
         return work.box.from_unit(u), work.box.volume, size
 
 
-def stratified_points(work: Work, count: int, parts: list[int], first: int, size: int) -> list[Any]:
+def stratified_points(work: Work, count: int, parts: list[int], first: int, size: int) -> list[Numbers]:
     """``count`` points of the unit cube, ``size`` of them at random in each stratum from number ``first`` on, axis i
     divided into ``parts[i]``; the first axis changes fastest."""
     backend = work.backend
@@ -84,7 +85,7 @@ class PointSequence(Protocol):
 
     dimension: int
 
-    def coordinate(self, index: Any, dimension: int) -> Any:
+    def coordinate(self, index: Whole, dimension: int) -> Numbers:
         """Coordinate ``dimension`` of the points ``index``: whole numbers of NumPy, or ``UInt32`` of the device."""
         ...
 
@@ -161,7 +162,7 @@ class QuasiMonteCarlo(Integrator):
         return chosen
 
     @staticmethod
-    def block(work: Work, points: PointSequence, first: int, count: int) -> list[Any]:
+    def block(work: Work, points: PointSequence, first: int, count: int) -> list[Numbers]:
         """``count`` points from number ``first`` on."""
         index = work.backend.index(count) + work.backend.opaque(first)
         return [points.coordinate(index, a) for a in range(work.dimension)]

@@ -1,28 +1,31 @@
-"""Jobs: what is asked for, what runs, and what it leaves behind, for pictures and for lines through patches."""
+"""Jobs: requests, their execution and their output files, for pictures and for radiosity."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 from .files import PathLike, Writing, check_files, listed
 from .pictures import Image, Outputs, PictureWork, Rendering, Update, Writer, save_result
-from .results import DEFAULT_BUNDLES, FormFactorResult, LinesResult, RadiosityResult
+from .results import DEFAULT_BUNDLES, DEFAULT_POINTS, FormFactorResult, LinesResult, RadiosityResult
 from .running import Watch, Work, run_work, start_work
 from .wording import PYTHON, Wording
 
 if TYPE_CHECKING:
     from .gathering import PICTURE_FILES, picture
     from .lines import LinesJob, LinesTask
+    from .multipath import MultipathWork
     from .requests import FormFactorRequest, LinesRequest, RadiosityRequest, asked_before
     from .solutions import ERROR_SCALE, SolutionOutputs
-    from .solving import FormFactorWork, LinesWork, RadiosityWork, about
+    from .solving import FormFactorWork, LinesWork, PatchWork, RadiosityWork, about, radiosity_work
 else:
-    #: Modules that take radiosity, which is loaded when one of their names is asked for: renderers do without.
+    #: Modules that import radiosity. They are imported when one of their names is used, since rendering does not need
+    #: them.
     _LATER = {
         "gathering": ("PICTURE_FILES", "picture"),
         "lines": ("LinesJob", "LinesTask"),
+        "multipath": ("MultipathWork",),
         "requests": ("FormFactorRequest", "LinesRequest", "RadiosityRequest", "asked_before"),
         "solutions": ("ERROR_SCALE", "SolutionOutputs"),
-        "solving": ("FormFactorWork", "LinesWork", "RadiosityWork", "about"),
+        "solving": ("FormFactorWork", "LinesWork", "PatchWork", "RadiosityWork", "about", "radiosity_work"),
     }
 
     def __getattr__(name):
@@ -35,6 +38,7 @@ else:
 
 __all__ = [
     "DEFAULT_BUNDLES",
+    "DEFAULT_POINTS",
     "ERROR_SCALE",
     "PICTURE_FILES",
     "PYTHON",
@@ -47,7 +51,9 @@ __all__ = [
     "LinesResult",
     "LinesTask",
     "LinesWork",
+    "MultipathWork",
     "Outputs",
+    "PatchWork",
     "PathLike",
     "PictureWork",
     "RadiosityRequest",
@@ -66,6 +72,7 @@ __all__ = [
     "check_files",
     "listed",
     "picture",
+    "radiosity_work",
     "run_work",
     "save_result",
     "start_work",

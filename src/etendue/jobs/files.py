@@ -1,4 +1,4 @@
-"""Files that work leaves behind: checked before it begins, written one by one, rescued where that fails."""
+"""Output files: checked before the work begins, written independently, rescued if writing fails."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from etendue.core import EtendueError, OptionError, OutputError, describe
 from etendue.film import check_writable
 
 PathLike = str | os.PathLike[str]
-#: Writes what it is for to a path.
+#: Writes a file to a path.
 Write = Callable[[Path], object]
 
 
@@ -23,7 +23,7 @@ def listed(paths: PathLike | Sequence[PathLike]) -> tuple[Path, ...]:
 
 
 def check_files(paths: Iterable[Path]) -> None:
-    """Raise :class:`OptionError` if one of ``paths`` is named twice, :class:`OutputError` if one cannot be written."""
+    """Raise :class:`OptionError` if a path occurs twice, :class:`OutputError` if a file cannot be written."""
     seen: set[Path] = set()
     for path in paths:
         if (place := path.resolve()) in seen:
@@ -33,14 +33,14 @@ def check_files(paths: Iterable[Path]) -> None:
 
 
 def add_to_message(error: EtendueError, text: str) -> None:
-    """``error`` says more."""
+    """Append ``text`` to the message of an error."""
     error.args = (f"{error}{text}", *error.args[1:])
 
 
 def rescued(name: str, *ways: tuple[str, Write]) -> Path | None:
-    """Where something has been written in the system's folder for temporary files, ``None`` if that has failed, too.
+    """Write a file to the system's temporary folder, and return its path; ``None`` if that fails as well.
 
-    ``ways`` are tried in turn until one succeeds: a suffix to ``name``, and what writes the file.
+    ``ways`` are tried in turn until one succeeds: each is a suffix of ``name`` and a function that writes the file.
     """
     with contextlib.suppress(OSError):
         folder = Path(tempfile.mkdtemp(prefix="etendue-"))
@@ -53,15 +53,15 @@ def rescued(name: str, *ways: tuple[str, Write]) -> Path | None:
 
 
 class Writing:
-    """Files that are written one after the other: one that fails does not keep the others from being written."""
+    """Writes several files: if one fails, the others are still written."""
 
     def __init__(self) -> None:
         self._errors: list[EtendueError] = []
 
     @contextlib.contextmanager
     def attempt(self, what: str, otherwise: Callable[[], str] = str) -> Iterator[None]:
-        """Do ``what`` ("write 'a.exr'"). If it fails, whatever the reason, that is raised at the end only; before,
-        ``otherwise`` has a last try, and words for the message."""
+        """Context of an action ``what`` ("write 'a.exr'"). Its error is raised by :meth:`finish`. After an error
+        ``otherwise`` may rescue the data; it returns a text that is appended to the message."""
         try:
             yield
         except Exception as error:
@@ -73,7 +73,7 @@ class Writing:
             self._errors.append(failure)
 
     def finish(self) -> None:
-        """Raise what has failed; several failures as one :class:`OutputError`."""
+        """Raise the error of a failed action; several errors as one :class:`OutputError`."""
         if len(self._errors) == 1:
             raise self._errors[0]
         if self._errors:

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import OptionError, Progress, Result, SampleSource, is_whole
 from etendue.engine import Budget, RunError, Runner
@@ -23,7 +23,7 @@ from etendue.scene import Problem, check, load
 from etendue.surfaces import PatchSurfaces, SurfaceValues
 from etendue.transport import CameraPath, CameraSampler, DirectWeights, Walker
 
-#: Suffixes of pictures, and what they are.
+#: Suffixes of pictures and their meaning.
 PICTURE_FILES = {".exr": "picture with its layers", ".png": "picture, tone-mapped"}
 
 
@@ -41,26 +41,27 @@ def picture(
     seed: int = 0,
     on_pass: Callable[[int, int], object] | None = None,
 ) -> Result:
-    r"""What a sensor of ``scene`` sees of a solution: ``layers["image"]``, (height, width, 3), linear radiance.
+    r"""A picture of a solution from a sensor of ``scene``: ``layers["image"]``, (height, width, 3), linear radiance.
 
-    ``scene`` is whatever :func:`etendue.scene.load` takes, or what it returns; its shapes are those that the patches
-    were made of, curved ones included. All kinds of sensor serve, and pixels are filtered as in other methods.
+    ``scene`` is an argument or a result of :func:`etendue.scene.load`; its shapes are those of the patches, including
+    curved ones. All sensors are supported, and pixels are filtered as in other methods.
 
-    Without ``gather`` the picture shows the radiosity B of what is seen, as the radiance B / pi, by ``samples`` rays a
-    pixel: emission and reflectance of the patch, and the irradiance, smooth over edges of at most ``angle`` degrees;
-    with ``smooth=False`` what each patch has. Of the scene it takes nothing but the shapes.
+    Without ``gather`` the picture shows the radiosity B of the visible surfaces as the radiance B / pi, by ``samples``
+    rays per pixel. B consists of the emission and the reflectance of the patch and of the irradiance, which is
+    interpolated over edges of at most ``angle`` degrees; with ``smooth=False`` it is constant on each patch. Of the
+    scene only the shapes are used.
 
-    With ``gather`` paths a pixel [Reichert 1992], the scene's own materials and lights count where the camera looks,
-    through mirrors to the first surface that is none. Light that comes from lights directly is found there anew, by
-    light points and hits as in ``path``; what it gets from surfaces is read off the solution, one ray on:
+    With ``gather`` paths per pixel [Reichert 1992], the materials and lights of the scene are used at the first
+    surface that is not specular, which the camera may see through mirrors. Direct light is sampled there by next event
+    and BSDF as in ``path``; light reflected by other surfaces is taken from the solution at the next hit:
 
     .. math:: L = L_e + \int f (L_e' + (B' - E') / \pi) |cos| d\omega
 
-    irradiance_error: see :func:`save_solution`; gives the layer ``error``, the standard error of the radiance B / pi at
-    what is seen, as the lines leave it. on_pass: called with the number of passes that are done and of all.
+    irradiance_error: see :func:`save_solution`; adds the layer ``error``, the standard error of the radiance B / pi of
+    the visible surfaces due to the lines. on_pass: called with the number of finished passes and of all passes.
 
-    Raises :class:`RadiosityError` for other than one channel or three and errors of another shape,
-    :class:`etendue.core.OptionError` for numbers of samples below 1, and what loading raises.
+    Raises :class:`RadiosityError` unless there are one or three channels, and for errors of another shape,
+    :class:`etendue.core.OptionError` for less than one sample, and the errors of loading.
     """
     check_colours(solution)
     for name, value, least in (("samples", samples, 1), ("gather", gather, 0)):
@@ -70,7 +71,7 @@ def picture(
     if error is not None and error.shape != solution.irradiance.shape:
         raise RadiosityError(f"errors of the irradiance have its shape, {solution.irradiance.shape}: {error.shape}")
     if isinstance(scene, Problem) and (size is not None or sensor):
-        raise OptionError("what load has returned has its sensor and size: give these to load")
+        raise OptionError("a loaded scene has its sensor and size: give these to etendue.scene.load")
     problem = scene if isinstance(scene, Problem) else load(scene, size=size, sensor=sensor, check=False)
     if gather or problem.scene.emitters():
         check(problem.scene, problem.sensor)  # without gathering, a scene may do without lights
@@ -87,8 +88,8 @@ def picture(
 
 def _run(
     method: ImageMethod, problem: Problem, samples: int, seed: int, on_pass: Callable[[int, int], object] | None = None
-) -> Any:
-    """The picture by ``samples`` paths a pixel, or a few more."""
+) -> NDArray[np.float32]:
+    """The picture from ``samples`` paths per pixel, or a few more."""
     method.prepare(problem, seed)
     if method.samples_per_iteration > samples:
         method.settings = dataclasses.replace(method.settings, samples_per_pass=samples)
@@ -101,13 +102,13 @@ def _run(
     runner = Runner(method, seed=seed, budget=Budget(iterations=passes), on_progress=tell, watched=False)
     try:
         return runner.run().result.image
-    except RunError as error:  # nobody keeps the passes of a picture
+    except RunError as error:  # the passes of a picture are not kept
         failure = error.__cause__ or error
     raise failure
 
 
 class _Seen(ImageMethod):
-    """Values over pi at what the camera sees first, and of the sky beyond."""
+    """Values over pi at the first hit of camera rays, and those of the sky."""
 
     name: ClassVar[str] = "radiosity"
     Settings: ClassVar[type[ImageSettings]] = ImageSettings
@@ -118,10 +119,10 @@ class _Seen(ImageMethod):
         self._sky = [float(value) / np.pi for value in np.broadcast_to(sky, (3,))]
 
     def prepare(self, problem: Problem, seed: int) -> None:
-        """See :class:`ImageMethod`. Lights are not asked for: there may be none."""
+        """See :class:`ImageMethod`. The scene may have no lights."""
         self.problem, self.scene, self.camera = problem, problem.scene, CameraSampler(problem)
 
-    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Any], dict[str, float]]:
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, mi.TensorXf], dict[str, float]]:
         """See :class:`ImageMethod`."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         source = self.camera_numbers(lanes, samples, seed, iteration)
@@ -137,17 +138,17 @@ class _Seen(ImageMethod):
 
 @dataclass(kw_only=True)
 class _EndedPath(CameraPath):
-    """State of a camera path that ends at the second surface that is no mirror."""
+    """State of a camera path that ends at the second surface that is not specular."""
 
-    scattered: mi.Bool  #: it has scattered at the first
-    reached: mi.Bool  #: it has reached the second
-    end: mi.Point3f  #: where it has
-    normal: mi.Normal3f  #: there, on the side of the path
-    at_end: mi.Color3f  #: throughput there
+    scattered: mi.Bool  #: whether it has scattered at the first
+    reached: mi.Bool  #: whether it has reached the second
+    end: mi.Point3f  #: position on the second
+    normal: mi.Normal3f  #: normal there, on the side of the path
+    at_end: mi.Color3f  #: throughput up to there
 
 
 class _Gathered(ImageMethod):
-    """Path tracing that ends at the second surface that is no mirror, with what the solution says it reflects."""
+    """Path tracing that ends at the second surface that is not specular, with the reflected light of the solution."""
 
     name: ClassVar[str] = "radiosity-gather"
     Settings: ClassVar[type[ImageSettings]] = CameraSettings
@@ -157,9 +158,9 @@ class _Gathered(ImageMethod):
         super().__init__()
         self._surfaces, self._reflected = surfaces, reflected
 
-    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Any], dict[str, float]]:
-        """See :class:`ImageMethod`. What has been reached is read off the solution when all paths have ended, since it
-        takes rays of another scene."""
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, mi.TensorXf], dict[str, float]]:
+        """See :class:`ImageMethod`. The solution is evaluated when all paths have ended, since that traces rays in
+        another scene."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         source = self.camera_numbers(lanes, samples, seed, iteration)
         ray, importance, _ = self.camera.primary(lanes // samples, source)
@@ -207,6 +208,6 @@ class _Gathered(ImageMethod):
         return s
 
 
-def _towards(si: Any, direction: Any) -> Any:
+def _towards(si: mi.SurfaceInteraction3f, direction: mi.Vector3f) -> mi.Normal3f:
     """The geometric normal on the side that rays along ``direction`` come from."""
     return dr.select(dr.dot(si.n, direction) > 0.0, -si.n, si.n)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
+from etendue.core import free_memory
 from etendue.engine import Budget, Checkpoint, Job, Runner, RunResult
 from etendue.radiosity import (
     REPLICATES,
@@ -19,16 +21,21 @@ from etendue.radiosity import (
     RadiosityError,
 )
 
-from .files import rescued
+if TYPE_CHECKING:
+    from etendue.core import Measurement, RecordFile
 
-#: Share of the memory that is filled where no number of bundles was asked for.
-_MEMORY_SHARE = 0.6
+#: Share of the memory or of the disk that a run without a number of bundles may fill.
+_SHARE = 0.6
+#: Share of the free memory that segments may take before they are written to the records of the checkpoint.
+_UNSAVED_SHARE = 0.25
+#: Saves join small files of records, so that the disk needs room for twice the segments.
+_COPIES = 2
 
 
 @dataclass(frozen=True)
 class LinesTask:
-    """What lines are cast for. A sample of the budget is a bundle, and its error the *square* of a standard error: see
-    :class:`LineCasting`."""
+    """The input of a :class:`LinesJob`. A sample of the budget is a bundle, its error is the *square* of a standard
+    error: see :class:`LineCasting`."""
 
     patches: Patches
     goal: Literal["rows", "irradiance"]  #: errors of the rows of form factors, or of the irradiance
@@ -38,24 +45,30 @@ class LinesTask:
     lines: float = 0.0
     shot: bool = True
     local_rays: bool = True
-    #: Whether an error ends the run, now or when it was begun, so that lines are to tell it.
+    #: Whether an error ends this run, or the run that it resumes: lines are then cast as replicates.
     to_error: bool = False
-    #: Whether errors are estimated on the way where the budget does not ask for it.
+    #: Whether errors are estimated during the run even if the budget has none.
     is_watched: bool = False
-    #: Whether form factors will be made of the segments, which takes memory.
+    #: Whether form factors will be computed from the segments, which takes memory.
     needs_matrix: bool = False
-    #: What the caller wants to find in checkpoints: plain values.
+    #: The checkpoint in whose records the segments are stored; without it they stay in memory.
+    checkpoint: Path | None = None
+    #: Plain values for the checkpoint.
     notes: Mapping[str, Any] = field(default_factory=dict)
-    #: How a message calls the number of bundles.
+    #: Name of the number of bundles in messages.
     bundles_option: str = "bundles="
 
 
 class LinesJob:
-    """A task, and the casting that works on it, from where the checkpoint ``saved`` ended."""
+    """A task and its line casting, which continues the checkpoint ``saved``."""
 
     def __init__(self, task: LinesTask, saved: Checkpoint | None = None) -> None:
         self.task, self._saved = task, saved
         self._job: Job | None = None
+        self._room: float | None = None  # bytes of segments in memory before they are written
+        self._files: list[RecordFile] = []
+        self._rows_in_files = 0
+        self._is_limited_by_disk = False
         estimated = task.is_watched or task.budget.error is not None
         self.casting = LineCasting(
             CastingSettings(
@@ -68,14 +81,17 @@ class LinesJob:
         )
 
     def runner(self, **options: Any) -> Runner:
-        """Prepare the casting; ``options`` are those of :class:`Runner`. Raises :class:`RadiosityError` if memory does
-        not hold the bundles that are asked for, :class:`CheckpointError` if the checkpoint is of other patches."""
+        """Prepare the casting; ``options`` are those of :class:`Runner`.
+
+        Raises :class:`RadiosityError` if memory or disk has no room for the requested bundles, and
+        :class:`CheckpointError` for a checkpoint of other patches.
+        """
         task, saved, casting = self.task, self._saved, self.casting
         problem = PatchProblem(task.patches, task.source)
         begin = time.perf_counter()
         if saved is not None:
             asked = casting.settings.to_dict()
-            del asked["bundles_per_pass"]  # as it was, also on a machine that would choose otherwise
+            del asked["bundles_per_pass"]  # keep that of the checkpoint: another machine may choose another
             settings = saved.settings_of(LineCasting, asked, task.seed)
             saved.require_scene(problem.fingerprint)
             casting = self.casting = LineCasting(settings, goal=casting.goal)  # type: ignore[arg-type]
@@ -91,32 +107,49 @@ class LinesJob:
         return Runner(casting, seed=task.seed, budget=limited, spent=time.perf_counter() - begin, **options)
 
     def checkpoint(self, run: RunResult) -> Checkpoint:
-        """All that is needed to go on with ``run`` later."""
-        assert self._job is not None, "there is no run before there is a runner"
+        """All that is needed to resume ``run`` later."""
+        assert self._job is not None, "there is no run without a runner"
         return self._job.checkpoint(run)
 
     def cast(self, run: RunResult) -> CastLines:
-        """Cast no more: the lines of ``run``."""
+        """End the casting and return the lines of ``run``."""
         self.casting.close()
         return CastLines(self.casting, run.measurement)
 
-    def rescued(self, run: RunResult) -> Path | None:
-        """A checkpoint among the temporary files, for lines of which nothing could be made; ``None`` if not even that
-        can be written."""
-        return rescued("lines.checkpoint", ("", lambda path: self.checkpoint(run).write(path)))
+    def fills_memory(self, measurement: Measurement) -> bool:
+        """Whether the segments that are not in files yet take so much memory that they should be written."""
+        if self._room is None:
+            free = free_memory()
+            self._room = float("inf") if free is None else _UNSAVED_SHARE * free
+        (record,) = measurement.records.values()
+        if record.files is not self._files:  # a new list after each save
+            self._files, self._rows_in_files = record.files, sum(map(len, record.files))
+        rows = next(iter(record))
+        return (len(record) - self._rows_in_files) * rows.itemsize * rows.shape[1] > self._room
 
     def is_full(self, run: RunResult) -> bool:
-        """Whether memory ended the run, not the budget."""
+        """Whether memory or disk ended the run, not the budget."""
         return self.task.budget.samples is None and run.stopped_by == "samples"
 
+    def why_full(self, bundles: int) -> str:
+        """The message for a full run."""
+        if self._is_limited_by_disk:
+            return f"the disk has room for no more than these {bundles} bundles of lines: free some, or use another one"
+        return f"memory holds no more than these {bundles} bundles of lines: free some, or make patches larger"
+
     def _limited(self, before: int) -> tuple[int, Budget]:
-        """Bundles to end at, ``before`` of which there are, and a budget that says so."""
-        budget, casting = self.task.budget, self.casting
-        fits = before + casting.memory(self.task.needs_matrix)
-        most = budget.samples or before + int(_MEMORY_SHARE * casting.memory(self.task.needs_matrix))
-        if most > fits or most < 1:
+        """The largest number of bundles, of which ``before`` are in the checkpoint, and a budget with this number."""
+        budget, casting, checkpoint = self.task.budget, self.casting, self.task.checkpoint
+        room, place = casting.memory(self.task.needs_matrix, in_files=checkpoint is not None), "into memory"
+        if checkpoint is not None:
+            on_disk = int(shutil.disk_usage(checkpoint.parent).free / (_COPIES * casting.bytes_per_bundle))
+            if on_disk < room:
+                room, place = on_disk, f"on the disk of '{checkpoint}'"
+                self._is_limited_by_disk = True
+        most = budget.samples or before + int(_SHARE * room)
+        if most > before + room or most < 1:
             raise RadiosityError(
-                f"{most} bundles of lines through {len(casting.patches)} patches do not fit into memory, {fits} do: "
-                f"ask for fewer ({self.task.bundles_option}), or make patches larger"
+                f"{most} bundles of lines through {len(casting.patches)} patches do not fit {place}, {before + room} "
+                f"do: ask for fewer ({self.task.bundles_option}), or make patches larger"
             )
         return most, Budget(budget.seconds, most, None, budget.error)

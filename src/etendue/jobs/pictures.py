@@ -1,4 +1,4 @@
-"""Pictures as work: the run, the picture in memory, and the files that it writes, whatever happens."""
+"""Pictures as work: the run, the picture in memory, and its files."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ Image = NDArray[np.float32]
 
 @dataclass(repr=False)
 class Rendering:
-    """A picture, what it is made of, and how it was made.
+    """A picture with its layers and metadata.
 
     ``layers`` are float32 arrays (height, width, channels), linear RGB: ``image``; with the setting ``split_layers``
-    the technique families that it is the sum of; with ``pyramid`` the techniques (``film.Technique`` reads their
-    names); with ``aovs`` first-hit layers. ``metadata`` has method, settings,
-    seed, versions, passes, samples, seconds, rays and more.
+    the technique families whose sum it is; with ``pyramid`` the techniques (``film.Technique`` parses their names);
+    with ``aovs`` first-hit layers. ``metadata`` has method, settings, seed, versions, passes, samples, seconds, rays
+    and more.
     """
 
     layers: dict[str, Image]
@@ -40,7 +40,7 @@ class Rendering:
         return self.layers["image"]
 
     def save(self, path: PathLike) -> None:
-        """Write ``.exr`` (every layer and the metadata) or ``.png`` (tone-mapped), by the suffix.
+        """Write ``.exr`` (all layers and the metadata) or ``.png`` (tone-mapped), depending on the suffix.
 
         Raises :class:`OptionError` for another suffix, :class:`OutputError` if the file cannot be written.
         """
@@ -57,29 +57,29 @@ class Rendering:
 
 @dataclass(frozen=True)
 class Update:
-    """What a callback is given after a pass."""
+    """The argument of a callback after each pass."""
 
     progress: Progress
     _runner: Runner = field(repr=False)
 
     @property
     def image(self) -> Image:
-        """The picture so far, developed when asked for."""
+        """The current picture, developed at each access."""
         snapshot = self._runner.snapshot()
         assert snapshot is not None  # a callback follows a pass
         return snapshot.image
 
 
 class Writer(Protocol):
-    """What keeps a run: told how often and, at the end, that it is to write. :class:`Outputs` is one."""
+    """Writes the outcome of a run, at intervals and at the end; :class:`Outputs` implements it."""
 
     @property
     def files(self) -> Sequence[Path]:
-        """What is written, or has been."""
+        """Files that are or will be written."""
         ...
 
     def saving(self, job: Job) -> dict[str, Any]:
-        """Options of a :class:`Runner` of ``job`` that write from time to time."""
+        """Options of the :class:`Runner` of ``job`` for intermediate saves."""
         ...
 
     def write(self, job: Job, run: RunResult) -> Rendering:
@@ -89,7 +89,7 @@ class Writer(Protocol):
 
 @dataclass(frozen=True)
 class Outputs:
-    """Files that a run writes. Construction by :meth:`of` checks that they can be written."""
+    """Files that a run writes. :meth:`of` checks that they can be written."""
 
     pictures: tuple[Path, ...] = ()
     checkpoint: Path | None = None
@@ -104,8 +104,8 @@ class Outputs:
         save_every: float | None = None,
         separate: bool = False,
     ) -> Outputs:
-        """Raises :class:`OptionError` for an unknown suffix, a file that is named twice or a time that is not above 0,
-        :class:`OutputError` for a place that is not writable."""
+        """Check and make. Raises :class:`OptionError` for an unknown suffix, a file that is named twice or a time that
+        is not above 0, :class:`OutputError` for a file that cannot be written."""
         check_period(save_every)
         outputs = cls(listed(pictures), Path(checkpoint) if checkpoint is not None else None, save_every, separate)
         for path in outputs.pictures:
@@ -119,19 +119,18 @@ class Outputs:
         return self.pictures if self.checkpoint is None else (*self.pictures, self.checkpoint)
 
     def saving(self, job: Job) -> dict[str, Any]:
-        """Options of a :class:`Runner` of ``job`` that write the files from time to time."""
+        """Options of the :class:`Runner` of ``job`` for intermediate saves."""
         if self.save_every is None or not self.files:
             return {}
         return {"on_save": lambda run: self.write(job, run), "save_every": self.save_every}
 
     def write(self, job: Job, run: RunResult) -> Rendering:
-        """Write the checkpoint, develop ``run`` and write every picture. One that fails does not keep the others from
-        being written, whatever the reason.
+        """Write the checkpoint, develop ``run`` and write the pictures. If one file fails, the others are still
+        written.
 
-        Raises what has failed when all have been tried, several failures as one :class:`OutputError`. At the end of a
-        run what has failed is then in the system's folder for temporary files, if that takes it: a picture, as arrays
-        (``.npz``) if it is the writing that fails; the checkpoint; and a checkpoint, asked for or not, if the picture
-        cannot be developed.
+        The errors are raised at the end, several as one :class:`OutputError`. At the end of a run, what could not be
+        written is then in the system's temporary folder, if possible: a picture (as ``.npz`` arrays if its format
+        fails), the checkpoint, and a checkpoint even if none is requested if the picture cannot be developed.
         """
         writing, result = Writing(), None
 
@@ -142,7 +141,7 @@ class Outputs:
             place = None if run.stopped_by == "running" else rescued(name, *ways)
             return "" if place is None else f"; the {what} is in '{place}' instead"
 
-        if (kept := self.checkpoint) is not None:  # first, as it holds all that was measured
+        if (kept := self.checkpoint) is not None:  # first, since it contains the measurement
             with writing.attempt(f"write '{kept}'", lambda: rescue(kept.name, "checkpoint", ("", write_checkpoint))):
                 write_checkpoint(kept)
         last = partial(rescue, "render.checkpoint", "checkpoint", ("", write_checkpoint)) if kept is None else str
@@ -160,7 +159,7 @@ class Outputs:
 
 @dataclass
 class PictureWork:
-    """A job of the engine, and what keeps its run; see :class:`Work`."""
+    """A job of the engine and the writer of its files; see :class:`Work`."""
 
     job: Job
     outputs: Writer
@@ -186,7 +185,7 @@ def _write_arrays(path: Path, layers: Mapping[str, Image]) -> None:
 
 def save_result(path: PathLike, result: Result, separate: bool = False) -> None:
     """Write a result as ``.exr`` (layers and metadata; ``separate``: a file each) or ``.png`` (tone-mapped)."""
-    from etendue import display  # not before it is needed: nearly all of it is for pages and plots
+    from etendue import display  # imported late: most of it is for pages and plots
 
     path = Path(path)
     if _check_suffix(path) == ".exr" and separate:

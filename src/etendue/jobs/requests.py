@@ -1,5 +1,4 @@
-"""What is asked of lines through patches: form factors, or a solution. A request that has been made is checked, as far
-as that goes before anything is read."""
+"""Requests for form factors and solutions. Making a request checks all that can be checked before files are read."""
 
 from __future__ import annotations
 
@@ -23,7 +22,7 @@ from etendue.core import (
     logger,
     suggest,
 )
-from etendue.engine import Budget, Checkpoint, check_period, remaining
+from etendue.engine import Budget, Checkpoint, check_period, check_records, remaining
 from etendue.radiosity import (
     ESTIMATORS,
     FORM_FACTOR_FILES,
@@ -39,23 +38,26 @@ from etendue.radiosity import (
 from etendue.scene import Problem, load, locate
 
 from .files import check_files
-from .results import DEFAULT_BUNDLES
+from .results import DEFAULT_BUNDLES, DEFAULT_POINTS
 from .solutions import SolutionOutputs
 from .wording import PYTHON, Wording
 
-#: Solvers that work on segments; the others need the matrix.
+#: The solver that needs neither stored segments nor a matrix.
+MULTIPATH = "multipath"
+#: Solvers that work on segments; the others, except multipath, need the matrix.
 ON_SEGMENTS = ("jacobi", "conjugate-gradient")
-#: What the extra brings.
+#: Libraries of the extra `radiosity`.
 _LIBRARIES = ("numba", "scipy", "meshio", "trimesh")
-#: Suffixes of scenes; what else is a file is a mesh.
+#: Suffixes of scenes; all other files are meshes.
 _SCENES = (".xml", "")
-#: Of a checkpoint: the request.
+#: Key of the request in the notes of a checkpoint.
 _NOTE = "lines"
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinesRequest(ABC):
-    """What both kinds of work take. ``seconds``, ``bundles`` and ``error``: the first one reached ends the casting."""
+    """The inputs of both kinds of work. The first of the limits ``seconds``, ``bundles`` and ``error`` that is reached
+    ends the casting."""
 
     #: :class:`Patches`, the path of a mesh file, or a scene in any form that :func:`etendue.scene.load` takes.
     source: Any
@@ -63,12 +65,12 @@ class LinesRequest(ABC):
     bundles: int | None = None
     error: float | None = None  #: a standard error, see :class:`etendue.radiosity.LineCasting`
     seed: int = 0
-    lines: float = 0.0  #: of a bundle through the bounding sphere; 0 for as many as suit the patches
-    local_rays: bool = True
-    max_area: float | None = None  #: faces that are larger are cut
-    #: Of a mesh file: further arguments of :func:`etendue.radiosity.read_patches`.
+    lines: float = 0.0  #: lines of a bundle through the bounding sphere; 0 for a number that suits the patches
+    local_rays: bool = True  #: cast local rays from patches that few lines meet
+    max_area: float | None = None  #: larger faces are subdivided
+    #: For a mesh file: further arguments of :func:`etendue.radiosity.read_patches`.
     mesh: Mapping[str, Any] = field(default_factory=dict)
-    #: Of a scene in XML: values of its ``$variables``.
+    #: For a scene in XML: values of its ``$variables``.
     parameters: Mapping[str, Any] | None = None
     checkpoint: Path | None = None
     save_every: float | None = None  #: seconds between checkpoints
@@ -86,55 +88,65 @@ class LinesRequest(ABC):
         self._check_outputs()
         self._check_options()
         check_files(self.files if self.checkpoint is None else (*self.files, self.checkpoint))
+        if self.checkpoint is not None and self.stores_lines:
+            check_records(self.checkpoint)
 
     @property
     @abstractmethod
     def files(self) -> tuple[Path, ...]:
-        """All that is written, but for the checkpoint."""
+        """All output files, without the checkpoint."""
 
     @property
     @abstractmethod
     def needs_matrix(self) -> bool:
-        """Whether form factors are made of the lines, which takes memory."""
+        """Whether form factors are computed from the lines, which takes memory."""
+
+    @property
+    def stores_lines(self) -> bool:
+        """Whether lines are stored, in memory and in the records of a checkpoint."""
+        return True
 
     @abstractmethod
     def _check_outputs(self) -> None:
-        """What particular work wants to know of names and files."""
+        """Check the names and files of this kind of work."""
 
     @abstractmethod
     def check_patches(self, patches: Patches, problem: Problem | None) -> None:
-        """Raise :class:`OptionError` if what is asked for cannot be made of these patches; before lines are cast."""
+        """Raise :class:`OptionError` if the outputs cannot be made from these patches; called before lines are cast."""
 
     def _check_numbers(self) -> None:
         for name, value in (("seconds", self.seconds), ("error", self.error)):
             if value is not None and not (is_number(value) and value > 0):
                 raise OptionError(f"a budget in {self.wording.limit(name)} must be a number above 0, not {value!r}")
-        whole = is_number(self.bundles) and float(self.bundles or 0).is_integer()
-        if self.bundles is not None and not (whole and self.bundles >= 1):
-            limit = self.wording.limit("bundles")
-            raise OptionError(f"a budget in {limit} must be a whole number of at least 1, not {self.bundles!r}")
+        self._check_count("bundles", self.bundles)
         if not is_whole(self.seed):
             raise OptionError(f"a seed is a whole number, not {self.seed!r}")
         CastingSettings(lines=self.lines)
         check_period(self.save_every)
 
+    def _check_count(self, name: str, value: Any) -> None:
+        whole = is_number(value) and float(value).is_integer()
+        if value is not None and not (whole and value >= 1):
+            limit = self.wording.limit(name)
+            raise OptionError(f"a budget in {limit} must be a whole number of at least 1, not {value!r}")
+
     def _check_options(self) -> None:
-        """Options that are for another kind of source."""
+        """Refuse options of another kind of source."""
         option = self.wording.option
         if isinstance(self.source, Patches):
             for name in ("max_area", "parameters"):
                 if getattr(self, name) is not None:
-                    raise OptionError(f"patches are what they are: leave out {option(name)}, or give a scene")
+                    raise OptionError(f"{option(name)} is for scenes and mesh files, not for patches; leave it out")
         elif self.is_mesh:
             if self.parameters:
                 raise OptionError(f"{option('parameters')} is for scenes in XML; a mesh file has no parameters")
         elif not self.takes_scenes:
-            raise OptionError("form factors are those of a mesh: give its file, or patches")
+            raise OptionError("form factors need a mesh: give a mesh file, or patches")
         else:
             given = [name for name, value in self.mesh.items() if value is not None and value is not False]
             for name in given:
                 why = "in a scene, materials of type 'twosided' make sheets"
-                why = why if name == "two_sided" else "the materials and lights of a scene say it"
+                why = why if name == "two_sided" else "a scene has its own materials and lights"
                 raise OptionError(f"{option(name)} is for mesh files; {why}")
 
     @property
@@ -147,24 +159,32 @@ class LinesRequest(ABC):
 
     @property
     def name(self) -> str:
-        """The source, for people."""
+        """The source, for messages."""
         if isinstance(self.source, Patches):
             return "<patches>"
         return str(self.source) if isinstance(self.source, (str, os.PathLike)) else "<scene>"
 
     def budget(self, saved: Checkpoint | None) -> Budget:
-        """The limits as the engine takes them: a sample is a bundle, and its error the square of ``error``. Where there
-        are none, what ``saved`` has left of its own. Raises :class:`CheckpointError` if that is nothing."""
-        if (self.seconds, self.bundles, self.error) != (None, None, None):
-            return Budget(self.seconds, self.bundles, None, None if self.error is None else self.error**2)
+        """The limits in the units of the engine: a sample is a bundle, the error is the square of ``error``.
+
+        Without limits, the rest of the budget of the checkpoint ``saved``, or the default. Raises
+        :class:`CheckpointError` if the budget of the checkpoint is used up.
+        """
+        name, count, default = self._samples()
+        if (self.seconds, count, self.error) != (None, None, None):
+            return Budget(self.seconds, count, None, None if self.error is None else self.error**2)
         if saved is None:
-            return Budget(samples=DEFAULT_BUNDLES)
-        bundles, seconds, error = map(self.wording.option, ("bundles", "seconds", "error"))
-        return remaining(saved, f"{bundles}, {seconds} or {error}")
+            return Budget(samples=default)
+        samples, seconds, error = map(self.wording.option, (name, "seconds", "error"))
+        return remaining(saved, f"{samples}, {seconds} or {error}")
+
+    def _samples(self) -> tuple[str, int | None, int]:
+        """The limit in samples: its name, its value and the default."""
+        return "bundles", self.bundles, DEFAULT_BUNDLES
 
     def load(self, tell: Callable[[str], object] = logger.info) -> tuple[Problem | None, Patches]:
-        """The scene, if it is one, and the patches, which may do what is asked for. ``tell`` is given a line where a
-        name may mean two scenes."""
+        """The scene, if the source is one, and the checked patches. ``tell`` receives a line if the scene's name is
+        ambiguous."""
         problem = self.problem(tell)
         if isinstance(self.source, Patches):
             patches = self.source
@@ -177,12 +197,12 @@ class LinesRequest(ABC):
         return problem, patches
 
     def problem(self, tell: Callable[[str], object] = logger.info) -> Problem | None:
-        """The scene, ``None`` if the source is none."""
+        """The scene; ``None`` if the source is not a scene."""
         return None
 
     def notes(self) -> dict[str, Any]:
-        """The request as plain values that a checkpoint keeps, files by paths that hold in any folder; nothing if the
-        source lies in memory, so that it could not be found again."""
+        """The request as plain values for a checkpoint, with absolute paths; empty if the source is in memory, so that
+        it could not be loaded again."""
         if not isinstance(self.source, (str, os.PathLike)):
             return {}
         place: Any = Path(self.source) if self.is_mesh else locate(self.source, logger.debug)
@@ -198,7 +218,7 @@ class LinesRequest(ABC):
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    """The same without types of NumPy, which JSON does not know."""
+    """The same values with NumPy's numbers as Python's, for JSON."""
     plain: dict[str, Any] = json.loads(json.dumps(values, default=lambda value: value.item()))
     return plain
 
@@ -242,9 +262,10 @@ class FormFactorRequest(LinesRequest):
 
 @dataclass(frozen=True, kw_only=True)
 class RadiosityRequest(LinesRequest):
-    """A solution, and what is to be seen of it."""
+    """A solution, and the files made from it. ``points`` limits multipath as ``bundles`` limits other solvers."""
 
     solver: str = "conjugate-gradient"
+    points: int | None = None
     shot: bool = True  #: send the light of small emitters by local rays first
     outputs: SolutionOutputs = field(default_factory=SolutionOutputs)
 
@@ -259,13 +280,40 @@ class RadiosityRequest(LinesRequest):
     @property
     def needs_matrix(self) -> bool:
         """See :class:`LinesRequest`."""
-        return self.solver not in ON_SEGMENTS
+        return self.solver not in (*ON_SEGMENTS, MULTIPATH)
+
+    @property
+    def stores_lines(self) -> bool:
+        """See :class:`LinesRequest`."""
+        return self.solver != MULTIPATH
+
+    def _check_numbers(self) -> None:
+        super()._check_numbers()
+        self._check_count("points", self.points)
+
+    def _samples(self) -> tuple[str, int | None, int]:
+        return ("points", self.points, DEFAULT_POINTS) if self.solver == MULTIPATH else super()._samples()
 
     def _check_outputs(self) -> None:
-        _check_name("solver", self.solver, SOLVERS)
+        _check_name("solver", self.solver, (*SOLVERS, MULTIPATH))
+        self._check_limits()
         self.outputs.check(self.wording)
-        if self.bundles == 1:
+        if 1 in (self.bundles, self.points):
             self.outputs.check_errors(None, self.wording)
+
+    def _check_limits(self) -> None:
+        """Refuse options that the solver does not have."""
+        option = self.wording.option
+        if self.solver != MULTIPATH:
+            if self.points is not None:
+                raise OptionError(f"{option('points')} is for multipath; limit {self.solver} by {option('bundles')}")
+            return
+        if self.bundles is not None:
+            raise OptionError(f"multipath casts single lines, not bundles: give {option('points')}")
+        if self.lines:
+            raise OptionError(f"multipath casts single lines: leave out {option('lines')}, the lines of a bundle")
+        if not self.local_rays:
+            raise OptionError(f"multipath casts no local rays: leave out {option('local_rays')}")
 
     def check_patches(self, patches: Patches, problem: Problem | None) -> None:
         """See :class:`LinesRequest`; raises :class:`SceneError` if there is no light."""
@@ -276,7 +324,7 @@ class RadiosityRequest(LinesRequest):
         self.outputs.check_source(patches, problem, self.wording)
 
     def problem(self, tell: Callable[[str], object] = logger.info) -> Problem | None:
-        """See :class:`LinesRequest`. It is seen by the sensor that pictures are to be of."""
+        """See :class:`LinesRequest`; loaded with the sensor and the size of the pictures."""
         if isinstance(self.source, Patches) or self.is_mesh:
             return None
         found = locate(self.source, tell) if isinstance(self.source, (str, os.PathLike)) else self.source
@@ -297,9 +345,9 @@ class RadiosityRequest(LinesRequest):
 
 
 def asked_before(saved: Checkpoint, *, source: Any = None, output: Path | None = None, **changes: Any) -> LinesRequest:
-    """The request that a checkpoint of lines was made for, with another ``source`` and ``output`` where they are given.
+    """The request of a checkpoint of lines, with another ``source`` and ``output`` where they are given.
 
-    Raises :class:`CheckpointError` if it does not say, and what making a request raises.
+    Raises :class:`CheckpointError` if the checkpoint has no request, and the errors of a request.
     """
     kinds: dict[str, Any] = {kind.work: kind for kind in (FormFactorRequest, RadiosityRequest)}
     try:
@@ -315,7 +363,7 @@ def asked_before(saved: Checkpoint, *, source: Any = None, output: Path | None =
         return kind(**known, **changes)
     except (KeyError, TypeError) as error:
         raise CheckpointError(
-            f"the checkpoint does not say what was asked for ({describe(error)}); cast the lines anew"
+            f"the checkpoint does not contain its request ({describe(error)}); cast the lines again"
         ) from None
 
 

@@ -1,4 +1,4 @@
-"""What comes of lines through patches, and of how many if nobody says."""
+"""Results of work on patches, and the default budgets."""
 
 from __future__ import annotations
 
@@ -11,37 +11,44 @@ if TYPE_CHECKING:
 
 #: Bundles, if no budget is given.
 DEFAULT_BUNDLES = 1024
+#: Points of multipath, if no budget is given.
+DEFAULT_POINTS = 1 << 22
 
 
-@dataclass
+@dataclass(kw_only=True)
 class LinesResult:
-    """Lines that were cast."""
+    """What every cast of lines returns."""
 
     patches: Patches
-    segments: Segments
-    bundles: int
-    #: What ended the casting: ``seconds``, ``samples`` (bundles), ``error`` or ``cancel``.
+    #: Bundles that were cast; 0 for multipath, which casts single lines.
+    bundles: int = 0
+    #: The limit that ended the casting: ``seconds``, ``samples`` (bundles or points), ``error``; or ``cancel``.
     stopped_by: str
     #: Seconds of this run.
     elapsed: float
 
 
-@dataclass
+@dataclass(kw_only=True)
 class FormFactorResult(LinesResult):
-    """Form factors, and the lines they are counted from."""
+    """Form factors, and the lines from which they are counted."""
 
     factors: FormFactors
+    segments: Segments
 
 
-@dataclass
+@dataclass(kw_only=True)
 class RadiosityResult(LinesResult):
-    """A solution, and the lines that carried its light."""
+    """A solution, and the lines that transported its light."""
 
     solution: Solution
-    #: (n, c) standard error of the irradiance; ``None`` where lines cannot tell it.
+    #: (n, c) standard error of the irradiance; ``None`` if there are too few lines to estimate it.
     irradiance_error: Array | None
-    #: The light of small emitters, where that was sent by local rays.
+    #: The stored lines; ``None`` for multipath, which stores none.
+    segments: Segments | None = None
+    #: Points of the lines of multipath; 0 for other solvers.
+    points: int = 0
+    #: The light of small emitters, if it was sent by local rays.
     shot: FirstShot | None = None
-    #: The picture, if files of one were asked for: layers, and metadata.
+    #: The picture, if a picture file was requested: layers and metadata.
     picture: Result | None = None
     lightmap: Lightmap | None = None

@@ -1,4 +1,4 @@
-"""How work is run, in this thread or in one of its own: what was done is kept, whatever happens."""
+"""Execution of work in this thread or in a thread of its own. If it fails, the finished passes are saved."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from etendue.engine import RunError, Runner, RunResult, Session
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
-#: Called after each pass; the run ends there if it returns ``False``.
+#: Called after each pass; ``False`` ends the run.
 Watch = Callable[[Progress, Runner], object]
 
 
 class Work(Protocol[T_co]):
-    """What is run, and what it leaves behind."""
+    """Work that makes passes and a result."""
 
     def runner(self, **options: Any) -> Runner:
-        """What does the passes, and saves from time to time; ``options`` are further ones of :class:`Runner`."""
+        """The runner of the passes and of intermediate saves; ``options`` are further options of :class:`Runner`."""
         ...
 
     def keep(self, run: RunResult) -> object:
-        """Save what was done, before the error that ended it goes on."""
+        """Save the finished passes after a failure, before its error is raised."""
         ...
 
     def finish(self, run: RunResult) -> T_co:
-        """Make the result of what was done, and write its files."""
+        """Make the result and write its files."""
         ...
 
 
 def run_work(work: Work[T], watch: Watch | None = None) -> T:
-    """Run in this thread, so that ``watch`` may do what it likes (plot, raise)."""
+    """Run in this thread, so that ``watch`` may plot or raise."""
     runner = _watched(work, threading.Event(), watch)
     try:
         run = runner.run()
@@ -47,7 +47,7 @@ def run_work(work: Work[T], watch: Watch | None = None) -> T:
 
 
 def start_work(open_work: Callable[[], Work[T]], watch: Watch | None = None) -> Session[T]:
-    """A session, in whose thread the work is opened, run, watched and finished; it is kept where a pass fails."""
+    """A session that opens, runs and finishes the work in its thread, and saves it if a pass fails."""
     works: list[Work[T]] = []
 
     def build(stop: threading.Event) -> Runner:
@@ -55,7 +55,7 @@ def start_work(open_work: Callable[[], Work[T]], watch: Watch | None = None) -> 
         return _watched(works[0], stop, watch)
 
     def finish(run: RunResult) -> Any:
-        # What comes of a failed run is for nobody: the session raises the failure.
+        # The result of a failed run is not used: the session raises the failure.
         return works[0].keep(run) if run.stopped_by == "failure" else works[0].finish(run)
 
     return Session(build, finish)
@@ -76,4 +76,4 @@ def _keep(work: Work[Any], run: RunResult) -> None:
     try:
         work.keep(run)
     except Exception as error:
-        logger.warning("what was done could not be saved: %s", describe(error))
+        logger.warning("the finished passes could not be saved: %s", describe(error))

@@ -1,4 +1,4 @@
-"""What is written of a solution: files for others, pictures, lightmaps."""
+"""Files of a solution: data for other programs, pictures and lightmaps."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ from .gathering import PICTURE_FILES, picture
 from .pictures import save_result
 from .wording import Wording
 
-#: Scale of pictures of errors: relative standard errors that are black and yellow.
+#: Scale of error pictures: the relative standard errors shown as black and as yellow.
 ERROR_SCALE = (1e-3, 1.0)
-#: What stands for the scene's own texture coordinates.
+#: Value of ``uv`` for the scene's own texture coordinates.
 OWN = "scene"
-#: Files of colours at vertices.
+#: Suffixes of meshes with vertex colours.
 _COLOURS = (".ply", ".glb", ".gltf")
-#: Texels of a lightmap's side, at least.
+#: Smallest size of a lightmap in texels.
 _LEAST_TEXELS = 16
 
 
@@ -97,15 +97,15 @@ class SolutionOutputs:
 
     @property
     def written(self) -> tuple[Path, ...]:
-        """All that is written."""
+        """All output files."""
         maps = () if self.lightmap is None else (self.texture,) if self.uv is not None else (self.texture, self.mesh)
         return (*self.files, *self.error_pictures, *maps)
 
     # ------------------------------------------------------------------ checks
 
     def check(self, wording: Wording) -> None:
-        """Before anything is read: raises :class:`OptionError` for options that do not belong together and numbers out
-        of range, ``RadiosityError`` for a suffix, ``BackendError`` for a missing library."""
+        """Checks without the source. Raises :class:`OptionError` for options that exclude each other and for numbers
+        out of range, ``RadiosityError`` for an unknown suffix, ``BackendError`` for a missing library."""
         option = wording.option
         for path in self.files:
             check_file(path, SOLUTION_FILES | PICTURE_FILES)
@@ -125,16 +125,16 @@ class SolutionOutputs:
             raise OptionError(f"{option('uv')} is for lightmaps; {wording.lightmap}")
         if self.uv is None and self.lightmap is not None and find_spec("xatlas") is None:
             raise BackendError(
-                f"an atlas takes xatlas, which is not here: pip install 'etendue[lightmap]', or give {option('uv')}"
+                f"an atlas needs xatlas, not installed: pip install 'etendue[lightmap]', or give {option('uv')}"
             )
 
     def check_source(self, patches: Patches, problem: Problem | None, wording: Wording) -> None:
-        """Before lines are cast, texture coordinates are looked at. Raises :class:`OptionError` for what takes a scene
-        where there is none, and for channels that cannot be shown."""
+        """Checks of the source and of texture coordinates, before lines are cast. Raises :class:`OptionError` for
+        outputs that need a scene if there is none, ``RadiosityError`` for channels that cannot be shown."""
         option = wording.option
         if problem is None and (self.pictures or self.uv == OWN):
-            what = "a picture takes a scene, for its camera" if self.pictures else f"{option('uv')} scene takes a scene"
-            raise OptionError(f"{what}; of a mesh file write one of the other kinds of files")
+            what = "a picture needs a scene with a camera" if self.pictures else f"{option('uv')} scene needs a scene"
+            raise OptionError(f"{what}; for a mesh choose another kind of file")
         shown = [path.suffix.lower() for path in self.files if path.suffix.lower() in (*_COLOURS, *PICTURE_FILES)]
         shown += [] if self.lightmap is None else ["a lightmap"]
         if shown and patches.channels not in (1, 3):
@@ -143,10 +143,10 @@ class SolutionOutputs:
             check_coordinates(self._coordinates(problem), (self.lightmap_size, self.lightmap_size))
 
     def check_errors(self, error: Array | None, wording: Wording) -> None:
-        """Raise :class:`OptionError` if errors are to be seen and are not known."""
+        """Raise :class:`OptionError` if an error picture is requested and the errors are unknown."""
         if self.error_picture and error is None:
             name = wording.option("error_picture")
-            raise OptionError(f"{name} needs two bundles at least, whose difference tells the error")
+            raise OptionError(f"{name} needs at least two bundles to estimate the error")
 
     # ------------------------------------------------------------------ writing
 
@@ -160,7 +160,8 @@ class SolutionOutputs:
         wording: Wording,
         tell: Callable[[str], object],
     ) -> Shown:
-        """Write all files. ``error``: of the irradiance, if it is known. ``tell`` is given what is being done."""
+        """Write all files. ``error``: of the irradiance, if known. ``tell`` receives a description of the current
+        step."""
         shown = Shown()
         for path in self.files:
             if path not in self.pictures:
@@ -219,7 +220,7 @@ class SolutionOutputs:
         return made
 
     def _coordinates(self, problem: Problem | None) -> TexturedMesh:
-        """The mesh that ``uv`` names."""
+        """The mesh with the texture coordinates of ``uv``."""
         assert self.uv is not None
         if self.uv != OWN:
             return gltf_mesh(self.uv)
@@ -229,13 +230,13 @@ class SolutionOutputs:
     # ------------------------------------------------------------------ plain values
 
     def renamed(self, output: Path) -> SolutionOutputs:
-        """The same, written to one file; it is a lightmap if there was nothing else."""
+        """The same outputs with one file; a lightmap, if there were no other files."""
         if self.files or self.lightmap is None:
             return replace(self, files=(output,), lightmap=None, uv=None)
         return replace(self, lightmap=output)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, with paths that hold in any folder."""
+        """Plain values with absolute paths."""
         plain = asdict(self) | {"files": [str(path.absolute()) for path in self.files]}
         if self.lightmap is not None:
             plain["lightmap"] = str(self.lightmap.absolute())
@@ -245,7 +246,7 @@ class SolutionOutputs:
 
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> Self:
-        """Inverse of :meth:`to_dict`. Raises :class:`TypeError` for what is none."""
+        """Inverse of :meth:`to_dict`. Raises :class:`TypeError` or :class:`KeyError` for other values."""
         lightmap, size = plain.get("lightmap"), plain.get("size")
         paths = {"files": tuple(map(Path, plain["files"])), "lightmap": lightmap and Path(lightmap)}
         return cls(**{**plain, **paths, "size": size and tuple(size)})  # JSON knows no tuples

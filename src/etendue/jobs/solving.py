@@ -1,4 +1,4 @@
-"""Form factors and solutions as work: patches are read and checked, lines cast, and made what was asked for."""
+"""Form factors and solutions as work: patches are read and checked, lines are cast, results are made and written."""
 
 from __future__ import annotations
 
@@ -8,33 +8,125 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
-from typing import Any, ClassVar, Generic, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
 from etendue.core import EtendueError, OutputError, describe, logger
-from etendue.engine import Checkpoint, Runner, RunResult
-from etendue.radiosity import CastLines, Segments, form_factors, save_form_factors, solve
+from etendue.radiosity import form_factors, save_form_factors, solve
 
-from .files import Writing, add_to_message
+from .files import Writing, add_to_message, rescued
 from .lines import LinesJob, LinesTask
-from .requests import FormFactorRequest, LinesRequest, RadiosityRequest
+from .requests import MULTIPATH, FormFactorRequest, LinesRequest, RadiosityRequest
 from .results import FormFactorResult, RadiosityResult
+
+if TYPE_CHECKING:
+    from etendue.engine import Checkpoint, Runner, RunResult
+    from etendue.radiosity import CastLines, Segments
 
 Q = TypeVar("Q", bound=LinesRequest)
 R = TypeVar("R")
-#: Is given what is being done.
+#: Receives a description of the current step.
 Tell = Callable[[str], object]
-#: Is given the number of bundles that were cast, and their segments.
-Counted = Callable[[int, Segments], object]
+#: Receives the number of bundles that were cast, and their segments.
+Counted = Callable[[int, "Segments"], object]
 
 
 def _silent(*_: object) -> None: ...
 
 
-class LinesWork(ABC, Generic[Q, R]):
-    """A request whose source has been read and checked, and the lines cast for it; see :class:`Work`.
+class PatchWork(ABC, Generic[Q, R]):
+    """A request whose source has been read and checked; see :class:`Work`. ``saved`` is the checkpoint to resume."""
 
-    saved: a checkpoint to go on with, of the same patches, seed and options. is_watched: whether errors are estimated
-    on the way even if no budget asks for it.
+    def __init__(self, request: Q, saved: Checkpoint | None, tell: Tell) -> None:
+        self.request, self.saved = request, saved
+        self._kept: Path | None = None  # the checkpoint with the lines
+        self.budget = request.budget(saved)
+        self.problem, self.patches = request.load(tell)
+        self.notes = request.notes() or ({} if saved is None else dict(saved.notes))
+
+    @abstractmethod
+    def runner(self, **options: Any) -> Runner:
+        """See :class:`Work`."""
+
+    @abstractmethod
+    def checkpoint(self, run: RunResult) -> Checkpoint:
+        """All that is needed to resume ``run`` later."""
+
+    @abstractmethod
+    def progress_text(self, samples: int) -> str:
+        """A number of samples in words, as "3 bundles"."""
+
+    def keep(self, run: RunResult) -> None:
+        """Write the checkpoint, if one is requested; in the system's temporary folder if that fails. The error then
+        says where it is."""
+        if (path := self.request.checkpoint) is None:
+            return
+        try:
+            self._save(run, path)
+        except EtendueError as error:
+            if (kept := self._rescued(run)) is not None:
+                add_to_message(error, f"; the lines are kept: {self._how_to_resume(run, kept)}")
+            raise
+
+    def finish(self, run: RunResult, tell: Tell = _silent, counted: Counted = _silent) -> R:
+        """Write the checkpoint, make the result and write its files. ``counted`` receives the number of bundles and
+        their segments, if segments are stored.
+
+        If something fails, the error says where the lines are kept: in the requested checkpoint, or in one in the
+        system's temporary folder.
+        """
+        writing = Writing()
+        with self._lines_kept(run):
+            if (path := self.request.checkpoint) is not None:
+                with writing.attempt(f"write '{path}'"):
+                    self._save(run, path)
+                    self._kept = path
+            result = self._make(run, writing, tell, counted)
+            writing.finish()
+        return result
+
+    @abstractmethod
+    def _make(self, run: RunResult, writing: Writing, tell: Tell, counted: Counted) -> R:
+        """Make the result and write its files."""
+
+    @abstractmethod
+    def _how_to_resume(self, run: RunResult, checkpoint: Path) -> str:
+        """How to resume ``run`` from a checkpoint."""
+
+    def _with_saves(self, options: dict[str, Any]) -> dict[str, Any]:
+        """Options of the runner, and those of intermediate checkpoints."""
+        if (path := self.request.checkpoint) is not None and self.request.save_every is not None:
+            options |= {"on_save": lambda run: self._save(run, path), "save_every": self.request.save_every}
+        return options
+
+    def _save(self, run: RunResult, path: Path) -> None:
+        self.checkpoint(run).write(path)
+
+    def _rescued(self, run: RunResult) -> Path | None:
+        """A checkpoint in the system's temporary folder; ``None`` if it cannot be written."""
+        return rescued("lines.checkpoint", ("", lambda path: self._save(run, path)))
+
+    @contextmanager
+    def _lines_kept(self, run: RunResult) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:
+            known = error if isinstance(error, EtendueError) else None
+            failure = known or OutputError(f"the lines could not be evaluated: {describe(error)}")
+            if (path := self._kept or self._rescued(run)) is not None:
+                add_to_message(failure, f"; the lines are kept: {self._how_to_resume(run, path)}")
+            raise failure from (error.__cause__ if known else error)
+
+    def _metadata(self, **more: Any) -> dict[str, Any]:
+        """For the files."""
+        source = self.request.name if self.problem is None else self.problem.source
+        return about(source, seed=self.request.seed, **more)
+
+
+class LinesWork(PatchWork[Q, R]):
+    """Work on stored lines of bundles.
+
+    saved: a checkpoint to resume, of the same patches, seed and options. is_watched: whether errors are estimated
+    during the run even if no budget asks for them.
     """
 
     goal: ClassVar[Literal["rows", "irradiance"]]
@@ -42,17 +134,14 @@ class LinesWork(ABC, Generic[Q, R]):
     def __init__(
         self, request: Q, saved: Checkpoint | None = None, *, is_watched: bool = False, tell: Tell = logger.info
     ) -> None:
-        self.request = request
-        self._kept: Path | None = None  # where the lines are
-        budget = request.budget(saved)
-        self.problem, self.patches = request.load(tell)
-        # Lines that are to tell their error are cast in another way; those of a checkpoint as they were begun.
+        super().__init__(request, saved, tell)
+        # The lines of a run to an error are cast as replicates; a resumed run continues as it was begun.
         to_error = request.error is not None if saved is None else json.loads(saved.settings).get("replicates", 1) > 1
         self.lines = LinesJob(
             LinesTask(
                 self.patches,
                 self.goal,
-                budget,
+                self.budget,
                 request.name,
                 int(request.seed),
                 request.lines,
@@ -61,7 +150,8 @@ class LinesWork(ABC, Generic[Q, R]):
                 to_error=to_error,
                 is_watched=is_watched,
                 needs_matrix=request.needs_matrix,
-                notes=request.notes() or ({} if saved is None else saved.notes),
+                checkpoint=request.checkpoint,
+                notes=self.notes,
                 bundles_option=request.wording.option("bundles"),
             ),
             saved,
@@ -73,63 +163,48 @@ class LinesWork(ABC, Generic[Q, R]):
 
     def runner(self, **options: Any) -> Runner:
         """See :class:`Work`."""
-        if (path := self.request.checkpoint) is not None and self.request.save_every is not None:
-            options |= {"on_save": lambda run: self._save(run, path), "save_every": self.request.save_every}
-        return self.lines.runner(**options)
+        if (path := self.request.checkpoint) is not None:
+            options["on_save"] = lambda run: self._save(run, path)
+            options["save_if"] = self.lines.fills_memory
+        return self.lines.runner(**self._with_saves(options))
+
+    def checkpoint(self, run: RunResult) -> Checkpoint:
+        """See :class:`PatchWork`."""
+        return self.lines.checkpoint(run)
+
+    def progress_text(self, samples: int) -> str:
+        """See :class:`PatchWork`."""
+        count = min(samples, self.lines.casting.most or samples)
+        return f"{count} bundle{'' if count == 1 else 's'}"
 
     def keep(self, run: RunResult) -> None:
-        """Write the checkpoint, if one is asked for."""
+        """See :class:`PatchWork`."""
         self.lines.cast(run)
-        if self.request.checkpoint is not None:
-            self._save(run, self.request.checkpoint)
+        super().keep(run)
 
     def finish(self, run: RunResult, tell: Tell = _silent, counted: Counted = _silent) -> R:
-        """Write the checkpoint, make what was asked for and write its files. ``counted`` is given the number of bundles
-        and their segments.
+        """See :class:`PatchWork`."""
+        self.lines.cast(run)
+        return super().finish(run, tell, counted)
 
-        If something fails, the error says where the lines are kept: in the checkpoint, or in one among the temporary
-        files.
-        """
-        writing = Writing()
+    def _make(self, run: RunResult, writing: Writing, tell: Tell, counted: Counted) -> R:
         lines = self.lines.cast(run)
-        with self._lines_kept(run):
-            if (path := self.request.checkpoint) is not None:
-                with writing.attempt(f"write '{path}'"):
-                    self._save(run, path)
-                    self._kept = path
-            if self.lines.is_full(run):
-                logger.warning(
-                    "memory holds no more than these %d bundles of lines: free some, or make patches larger",
-                    lines.count,
-                )
-            tell("counting")
-            segments = lines.segments()
-            counted(lines.count, segments)
-            result = self._make(run, lines, segments, writing, tell)
-            writing.finish()
-        return result
+        if self.lines.is_full(run):
+            logger.warning("%s", self.lines.why_full(lines.count))
+        tell("counting")
+        segments = lines.segments()
+        counted(lines.count, segments)
+        return self._evaluate(run, lines, segments, writing, tell)
 
     @abstractmethod
-    def _make(self, run: RunResult, lines: CastLines, segments: Segments, writing: Writing, tell: Tell) -> R:
-        """Make what was asked for of the segments, and write its files."""
+    def _evaluate(self, run: RunResult, lines: CastLines, segments: Segments, writing: Writing, tell: Tell) -> R:
+        """Make the result from the segments and write its files."""
 
-    def _save(self, run: RunResult, path: Path) -> None:
-        self.lines.checkpoint(run).write(path)
-
-    @contextmanager
-    def _lines_kept(self, run: RunResult) -> Iterator[None]:
-        try:
-            yield
-        except Exception as error:
-            known = error if isinstance(error, EtendueError) else None
-            failure = known or OutputError(f"nothing could be made of the lines: {describe(error)}")
-            if (path := self._kept or self.lines.rescued(run)) is not None:
-                how = self.request.wording.resume(path, self.lines.cast(run).count)
-                add_to_message(failure, f"; the lines are kept: {how}")
-            raise failure from (error.__cause__ if known else error)
+    def _how_to_resume(self, run: RunResult, checkpoint: Path) -> str:
+        return self.request.wording.resume(checkpoint, "bundles", self.lines.cast(run).count)
 
     def _cast(self, run: RunResult, lines: CastLines, segments: Segments) -> dict[str, Any]:
-        """The fields of :class:`LinesResult`."""
+        """The fields that both results have."""
         return {
             "patches": self.patches,
             "segments": segments,
@@ -138,23 +213,18 @@ class LinesWork(ABC, Generic[Q, R]):
             "elapsed": run.elapsed,
         }
 
-    def _metadata(self, lines: CastLines, **more: Any) -> dict[str, Any]:
-        """For the files."""
-        source = self.request.name if self.problem is None else self.problem.source
-        return about(source, bundles=lines.count, seed=self.request.seed, **more)
-
 
 class FormFactorWork(LinesWork[FormFactorRequest, FormFactorResult]):
     """Form factors by lines."""
 
     goal: ClassVar[Literal["rows", "irradiance"]] = "rows"
 
-    def _make(
+    def _evaluate(
         self, run: RunResult, lines: CastLines, segments: Segments, writing: Writing, tell: Tell
     ) -> FormFactorResult:
         estimator: Any = self.request.estimator
         factors = form_factors(segments, estimator)
-        known = self._metadata(lines, estimator=estimator)
+        known = self._metadata(bundles=lines.count, estimator=estimator)
         for path in self.request.outputs:
             with writing.attempt(f"write '{path}'"):
                 save_form_factors(path, factors, emissivity=1 - self.patches.reflectance[:, 0], metadata=known)
@@ -170,16 +240,16 @@ class RadiosityWork(LinesWork[RadiosityRequest, RadiosityResult]):
     def _wants_shot(self) -> bool:
         return self.request.shot
 
-    def _make(
+    def _evaluate(
         self, run: RunResult, lines: CastLines, segments: Segments, writing: Writing, tell: Tell
     ) -> RadiosityResult:
         request, solver = self.request, self.request.solver
         tell("solving")
         shot = lines.shot()
-        transport: Any = form_factors(segments) if request.needs_matrix else segments
+        transport = form_factors(segments) if request.needs_matrix else segments
         solution = solve(self.patches, transport, solver, shot=shot)  # type: ignore[arg-type]
         error = solution.irradiance_error(segments) if segments.batch_count > 1 else None
-        known = self._metadata(lines, solver=solver, imbalance=solution.imbalance)
+        known = self._metadata(bundles=lines.count, solver=solver, imbalance=solution.imbalance)
         shown = request.outputs.write(writing, self.problem, solution, error, known, request.wording, tell)
         return RadiosityResult(
             **self._cast(run, lines, segments),
@@ -191,6 +261,17 @@ class RadiosityWork(LinesWork[RadiosityRequest, RadiosityResult]):
         )
 
 
+def radiosity_work(
+    request: RadiosityRequest, saved: Checkpoint | None = None, **options: Any
+) -> PatchWork[RadiosityRequest, RadiosityResult]:
+    """The work for the solver of a request; ``options`` are those of :class:`LinesWork`."""
+    if request.solver == MULTIPATH:
+        from .multipath import MultipathWork
+
+        return MultipathWork(request, saved, **options)
+    return RadiosityWork(request, saved, **options)
+
+
 def about(source: str, **more: Any) -> dict[str, Any]:
-    """Metadata of files: what made them, and of what."""
+    """Metadata of files: the software and the source."""
     return {"software": f"etendue {metadata.version('etendue')}", "source": source, **more}

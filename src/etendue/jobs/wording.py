@@ -1,4 +1,4 @@
-"""How messages name what users give: arguments in Python, options on the command line."""
+"""How messages name inputs: as arguments in Python, as options on the command line."""
 
 from __future__ import annotations
 
@@ -6,24 +6,28 @@ from pathlib import Path
 
 
 class Wording:
-    """The words of Python. The command line has its own."""
+    """Names of arguments in Python; the command line has a subclass.
 
-    #: How light is given to a mesh that has none.
+    Attributes
+    ----------
+    mesh_light: how to give light to a mesh.
+    lightmap: how to request a lightmap.
+    """
+
     mesh_light = "read it by etendue.radiosity.read_patches, with emission, temperature or sky"
-    #: How a lightmap is asked for.
     lightmap = "name the file of one, as lightmap='room.exr'"
 
     def option(self, name: str) -> str:
-        """The option that gives the argument ``name``."""
+        """The argument ``name``."""
         return f"{name}="
 
     def limit(self, name: str) -> str:
-        """What the limit ``name`` of a budget is in."""
+        """The limit ``name`` of a budget."""
         return name
 
-    def resume(self, checkpoint: Path, bundles: int) -> str:
-        """How to go on with a checkpoint, to as many bundles as it has."""
-        return f"resume='{checkpoint}', bundles={bundles}"
+    def resume(self, checkpoint: Path, limit: str, count: int) -> str:
+        """How to resume a checkpoint up to ``count`` of ``limit``."""
+        return f"resume='{checkpoint}', {limit}={count}"
 
 
 PYTHON = Wording()

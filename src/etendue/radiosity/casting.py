@@ -1,4 +1,4 @@
-"""Casting of lines in passes, for what drives methods: budgets, progress, checkpoints, stops."""
+"""Line casting in passes, as a method of the engine."""
 
 from __future__ import annotations
 
@@ -40,37 +40,39 @@ from .lines.spiral import SpiralPoints
 from .problem import PatchProblem
 from .solvers.shot import SEQUENCES, FirstShot, Shot, ShotSums, small_emitters
 
-#: Rays of a first shot for each segment: they take half as long as casting it, and half the error is left to the lines.
+#: Rays of a first shot per segment. They take half the time of casting, and leave half of the error to the lines.
 RAYS_PER_SEGMENT = 1 / 4
-#: Batches of segments, whose scatter tells errors.
+#: Batches of segments, whose variance gives errors.
 _BATCHES = 16
-#: Sequences of lines for runs to an error. With four, runs with few patches end at 1.2 times that error.
+#: Sequences of lines for runs to an error. With four, runs with few patches ended at 1.2 times that error.
 REPLICATES = 8
-#: Least passes before an error is estimated: two batches would do, but tell little.
+#: Smallest number of passes from which an error is estimated; two would suffice, with a large variance.
 _LEAST_PASSES = 16
-#: Sums over all segments that count them and find the error of a solution, and the residual of a solution.
+#: Number of sums over all segments for counts and for the error of a solution; the residual of a solution.
 _COUNTING, _RESIDUAL = 3, 1e-6
-#: Seconds that a local ray takes until it is counted, and that it takes to see whether a segment needs a weight for it.
+#: Seconds per local ray, and seconds per segment to find the segments that need a weight because of local rays.
 _RAY_SECONDS, _LOOK_SECONDS = 3e-7, 1e-8
-#: Passes whose segments are summed to see how long that takes.
+#: Number of passes whose segments are summed to measure the time of a sum.
 _TIMED = 64
-#: Local rays of a bundle, at least.
+#: Smallest number of local rays of a bundle.
 _FEWEST_RAYS = 8192
-#: "No end" of a stream, and the number of bundles that the size of a pass suits.
+#: Number of bundles of an unlimited stream, and the number for which the size of a pass is chosen.
 _ENDLESS, _USUAL = 1 << 31, 1024
-#: Of a measurement: the record of segments, the counter of bundles, the sums of the first shot by sequence.
+#: Size of a segment: two patch indices.
+_SEGMENT_BYTES = 8
+#: Names in a measurement: the record of segments, the counter of bundles, the sums of the first shot by sequence.
 _SEGMENTS, _BUNDLES, _SHOT = "segments", "bundles", "shot"
 
 
 @dataclass(frozen=True, kw_only=True)
 class CastingSettings(AnySettings):
-    """What of casting decides the lines."""
+    """Settings that determine the lines."""
 
     lines: float = setting(0.0, "lines of a bundle through the bounding sphere, 0 for the engine's choice", minimum=0)
     shot: bool = setting(True, "send the light of small emitters by local rays")
     local_rays: bool = setting(True, "cast local rays from patches that few lines meet")
     replicates: int = setting(
-        1, "independent sequences of lines, whose scatter tells the error; with one, it is an upper estimate", minimum=1
+        1, "independent sequences of lines, whose variance gives the error; with one, an upper estimate", minimum=1
     )
     bundles_per_pass: int = setting(0, "bundles of a pass, 0 for the engine's choice", minimum=0)
 
@@ -78,22 +80,23 @@ class CastingSettings(AnySettings):
 class LineCasting:
     """Bundles of lines through patches, some with each :meth:`step`; implements ``core.Method``.
 
-    A measurement holds the segments of its passes as a record, the number of bundles, and sums of the first shot. No
-    pass depends on others: what :meth:`segments` and :meth:`shot` make of a measurement depends on the passes in it,
-    not on when or where they were cast. A sample of a budget is a bundle, and its error the *square* of the standard
-    error that ``goal`` names, as noise of pictures is a variance:
+    A measurement holds the segments of its passes as a record, the number of bundles, and sums of the first shot.
+    Passes are independent: the results of :meth:`segments` and :meth:`shot` depend only on the passes of a
+    measurement, not on their order or machine. A sample of a budget is a bundle. Its error is the *square* of the
+    standard error of ``goal``, as the noise of pictures is a variance:
 
     ============== ===================================================================================================
-    ``irradiance`` of the irradiance that a solution on the segments has, mean over the surface in units of its mean
-    ``rows``       of the row of form factors of a patch, mean over patches
+    ``irradiance`` the irradiance of a solution on the segments, averaged over the surface, relative to its mean
+    ``rows``       a row of form factors, averaged over patches
     ============== ===================================================================================================
 
-    The lines are those of one sequence, whose 16 parts scatter two to nine times as much as their mean errs: what
-    ``noise`` and solutions say is then an upper estimate. To end at an error, take ``REPLICATES``: they scatter as
-    their mean errs, which is two to four times as much as one sequence of as many lines does.
+    By default all lines are of one sequence. The standard error from the variance of its 16 parts is then two to nine
+    times the error of their mean: ``noise`` and the errors of solutions are upper estimates. For runs to an error use
+    ``REPLICATES`` sequences. Their variance is that of their mean, but the error is two to four times that of one
+    sequence with as many lines.
 
-    settings: see :class:`CastingSettings`. most: bundles to end at, if a budget says so: the last pass may have fewer.
-    To go on with a measurement that ended so, see :meth:`go_on`.
+    settings: see :class:`CastingSettings`. most: the number of bundles at which the budget ends; the last pass may have
+    fewer than the others. :meth:`go_on` continues such a measurement.
     """
 
     name: ClassVar[str] = "global-lines"
@@ -109,21 +112,21 @@ class LineCasting:
         most: int | None = None,
     ) -> None:
         self._options = settings or CastingSettings()
-        #: With the number of bundles of a pass, once :meth:`prepare` has chosen it: it decides what passes are.
+        #: Including the number of bundles per pass once :meth:`prepare` has chosen it, since it determines the passes.
         self.settings: AnySettings = self._options
         self.goal, self.most = goal, most
         self._shot: Shot | None = None
         self._stream: _Stream | None = None
-        # Bundles, first and number, that a pass before left out: the pass after them casts these as well.
+        # First and number of the bundles that an incomplete pass has left out; the pass after it casts them.
         self._owed = 0, 0
-        # Seconds and segments of the sums that were timed, and the passes in the measurement at the last of them.
+        # Seconds and segments of the timed sums, and the number of passes at the last of them.
         self._timing, self._timed = np.zeros(2), 0
 
     # ------------------------------------------------------------------ the protocol of methods
 
     @property
     def error_cadence(self) -> float:
-        """See ``core.Method``: with replicates only the segments of new passes are looked at."""
+        """See ``core.Method``: with replicates an estimate only reads the segments of new passes."""
         return 1.0 if self._options.replicates == 1 else 0.1
 
     @property
@@ -132,8 +135,8 @@ class LineCasting:
         return self._options.bundles_per_pass
 
     def prepare(self, problem: PatchProblem, seed: int) -> None:
-        """Build the engine, and have its loops compiled. Raises :class:`RadiosityError` if not even one bundle fits
-        into memory."""
+        """Build the engine and compile its loops. Raises :class:`RadiosityError` if not even one bundle fits into
+        memory."""
         self.close()
         self._shot, self._owed = None, (0, 0)
         patches = self.patches = problem.patches
@@ -150,22 +153,21 @@ class LineCasting:
         if emitters.any():
             points = OwenSobol(4, seed=seed_key(seed, "first shot", 0)[0])
             self._shot = Shot(self._scene, points, emitters)
-            self._shot.light(0, 1)  # to have it compiled
+            self._shot.light(0, 1)  # compiles
         for chunk in self.engine.stream(1):
-            self._time_sums([chunk])  # likewise
+            self._time_sums([chunk])  # compiles
         self._timing[:], self._timed = 0, 0
 
     def start(self) -> State:
-        """See ``core.Method``: passes carry nothing on."""
+        """See ``core.Method``: there is no state."""
         return {}
 
     def enter(self, state: State) -> None:
         """See ``core.Method``."""
 
     def go_on(self, measurement: Measurement) -> None:
-        """Make ready for the passes after ``measurement``, the last of which may have fewer bundles than a pass has:
-        the next pass casts those that are missing, too. Raises :class:`CheckpointError` if it has more than ``most``.
-        """
+        """Prepare for the passes after ``measurement``. If its last pass is incomplete, the next pass also casts the
+        missing bundles. Raises :class:`CheckpointError` if it has more than ``most`` bundles."""
         self.close()
         done = self.bundles(measurement)
         if self.most is not None and done > self.most:
@@ -173,13 +175,13 @@ class LineCasting:
         self._owed = done, self.samples_per_iteration * len(measurement.iterations) - done
 
     def step(self, iteration: int, seed: int, state: State) -> Pass:
-        """Cast the bundles of a pass, and the share of the shot that comes with them."""
+        """Cast the bundles of a pass and its share of the first shot."""
         if seed != self._seed:
-            raise RadiosityError(f"lines of seed {seed} are cast by what was prepared with that seed, not {self._seed}")
+            raise RadiosityError(f"the method was prepared with seed {self._seed}, not {seed}: prepare it again")
         size = self.samples_per_iteration
         first, end = iteration * size, min((iteration + 1) * size, self.most or _ENDLESS)
         if first >= end:
-            raise RadiosityError(f"pass {iteration} has no lines: there are to be {self.most} bundles in all")
+            raise RadiosityError(f"pass {iteration} has no lines: the limit is {self.most} bundles")
         chunk = self._cast(iteration)
         owed, left_out = self._owed
         if left_out and owed + left_out == first:
@@ -202,11 +204,11 @@ class LineCasting:
         return Pass(measurement, state)
 
     def develop(self, measurement: Measurement, state: State) -> Result:
-        """No picture: only how much was cast."""
+        """No picture, only the numbers of bundles and segments."""
         return Result({}, {"bundles": self.bundles(measurement), "segments": len(measurement.records[_SEGMENTS])})
 
     def noise(self, measurement: Measurement) -> float | None:
-        """Square of the standard error, see ``goal``; ``None`` while it is not known."""
+        """Square of the standard error of ``goal``; ``None`` for fewer than 16 passes, and without a goal."""
         record = measurement.records[_SEGMENTS]
         if self.goal is None or len(record.passes) < _LEAST_PASSES:
             return None
@@ -215,7 +217,7 @@ class LineCasting:
         return self._error.square(record, lambda: self._lines(measurement), self.shot(measurement))
 
     def finish_seconds(self, measurement: Measurement) -> float:
-        """About how long it will take to make segments and a solution of ``measurement``; see ``core.Method``."""
+        """Estimated seconds to make segments and a solution from ``measurement``; see ``core.Method``."""
         record = measurement.records[_SEGMENTS]
         made, passes = len(record), record.passes
         if len(passes) >= 2 * self._timed:
@@ -225,7 +227,7 @@ class LineCasting:
         mixing = 0.0
         if self._options.local_rays and len(few):
             mixing = _RAY_SECONDS * rays * len(few) + _LOOK_SECONDS * made
-        # What conjugate gradients leave of the error with each sum, if all patches reflected the same.
+        # Convergence rate of conjugate gradients if all patches had the same reflectance.
         reflectance = np.average(self.patches.reflectance, axis=0, weights=self.patches.areas).max()
         root = np.sqrt((1 + reflectance) / (1 - reflectance))
         sums = _COUNTING + (np.log(_RESIDUAL / 2) / np.log((root - 1) / (root + 1)) if root > 1 else 1)
@@ -235,11 +237,12 @@ class LineCasting:
     # ------------------------------------------------------------------ what was cast
 
     def bundles(self, measurement: Measurement) -> int:
-        """Bundles that were cast."""
+        """Number of bundles that were cast."""
         return int(measurement.counters[_BUNDLES])
 
     def segments(self, measurement: Measurement) -> Segments:
-        """Of all bundles, with local rays from patches that few of them meet. Warns as :meth:`LineEngine.cast` does."""
+        """The segments of all bundles, with local rays from patches that few lines meet. Warns as
+        :meth:`LineEngine.cast` does."""
         segments = self._lines(measurement)
         if self._options.local_rays:
             points = OwenSobol(4, seed=seed_key(self._seed, "local rays", 0)[0])
@@ -249,8 +252,8 @@ class LineCasting:
         return segments
 
     def shot(self, measurement: Measurement) -> FirstShot | None:
-        """The light of small emitters, by a ray for every 4 segments; ``None`` if there is none that needs it. Rays
-        that would not have filled the device with one of the passes are cast now."""
+        """The light of small emitters, with a ray for every 4 segments; ``None`` if there are no small emitters. Rays
+        that were too few to fill the device in the passes are cast now."""
         if self._shot is None:
             return None
         names = [f"{_SHOT}/{k}" for k in range(SEQUENCES)]
@@ -260,19 +263,28 @@ class LineCasting:
         missing = self._shot.blocks(self._shot_rays(self.bundles(measurement))) - int(known.blocks.sum())
         return self._shot.result(known + self._shot.light(first, max(missing, 0)))
 
-    def memory(self, matrix: bool = False) -> int:
-        """Bundles whose segments fit into the memory that is free now; with ``matrix`` form factors as well."""
+    def memory(self, matrix: bool = False, in_files: bool = False) -> int:
+        """Number of bundles whose segments fit into the memory that is free now.
+
+        matrix: form factors must fit as well. in_files: segments lie in the files of a record and take no memory.
+        """
         free, each = free_memory(), float(self.engine.expected(1).sum()) / 2
-        if free is None:
+        stored = 0 if in_files else _SEGMENT_BYTES
+        if free is None or not (matrix or stored):
             return _ENDLESS
         if not matrix:
-            return int(free / (8 * each))
-        # As form_factors reckons: a matrix of as many entries as pairs, or a full one.
+            return int(free / (stored * each))
+        # The estimates of form_factors: a matrix with an entry for each pair, or a full one.
         full = 64 * len(self.patches) ** 2
-        return int(max(free / ((8 + 4 + 128) * each), (free - full) / ((8 + 4) * each)))
+        return int(max(free / ((stored + 4 + 128) * each), (free - full) / ((stored + 4) * each)))
+
+    @property
+    def bytes_per_bundle(self) -> float:
+        """Expected size of the segments of a bundle."""
+        return _SEGMENT_BYTES * float(self.engine.expected(1).sum()) / 2
 
     def close(self) -> None:
-        """Cast no more: end what is being cast ahead."""
+        """End the casting, including lines that are cast ahead."""
         if self._stream is not None:
             self._stream.close()
             self._stream = None
@@ -284,7 +296,7 @@ class LineCasting:
         return RayScene(self.patches)
 
     def _cast(self, iteration: int) -> Pairs:
-        """The segments of a pass. Engines cast ahead, so passes that follow each other share a stream."""
+        """The segments of a pass. Consecutive passes share a stream, in which engines cast ahead."""
         if self._stream is None or self._stream.next_pass != iteration:
             self.close()
             first = iteration * self.samples_per_iteration
@@ -300,7 +312,7 @@ class LineCasting:
         return RAYS_PER_SEGMENT * float(self.engine.expected(bundles).sum()) / 2
 
     def _shot_blocks(self, bundles: int) -> int:
-        """Blocks of the shot that so many bundles bring along: as far as they fill the device."""
+        """Blocks of the shot for so many bundles, as a multiple of the blocks that fill the device."""
         assert self._shot is not None
         at_once = self._shot.at_once
         return self._shot.blocks(self._shot_rays(bundles)) // at_once * at_once if bundles else 0
@@ -312,7 +324,7 @@ class LineCasting:
         self._timing += time.perf_counter() - begin, len(segments)
 
     def _engine_for(self, patches: Patches) -> LineEngine:
-        """Bundles of lines; or of local rays, where there would have to be too many lines."""
+        """An engine of bundles, or of local rays if the scene would need too many lines."""
         if self._options.lines or ABuffer.suits(patches):
             return ABuffer(patches, SpiralPoints(self._seed), self._options.lines or None)
         logger.warning(
@@ -322,7 +334,7 @@ class LineCasting:
         return LocalRays(self._scene, points, max(int(LINES_PER_PATCH / 2 * len(patches)), _FEWEST_RAYS))
 
     def _take_turns(self) -> None:
-        """Share the lines out among replicates, pass by pass."""
+        """Distribute the passes over the replicates."""
         if (number := self._options.replicates) > 1:
             sequences = [OwenSobol(4, seed=seed_key(self._seed, "lines", k)[0]) for k in range(number)]
             run = self.samples_per_iteration * getattr(self.engine, "bundle", 1)
@@ -340,7 +352,7 @@ class LineCasting:
 
 
 class _Stream:
-    """The segments of passes that follow each other."""
+    """The segments of consecutive passes."""
 
     def __init__(self, chunks: Iterator[Pairs], iteration: int) -> None:
         self._chunks, self.next_pass = chunks, iteration
@@ -352,25 +364,25 @@ class _Stream:
         return chunk
 
     def close(self) -> None:
-        """Cast no more."""
+        """End the casting."""
         self._chunks.close()  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True)
 class CastLines:
-    """Lines that were cast: a measurement of a casting, and what can be made of it."""
+    """Lines that were cast: a line casting with a measurement, and their results."""
 
     casting: LineCasting
     measurement: Measurement
 
     @property
     def patches(self) -> Patches:
-        """What they went through."""
+        """The patches that the lines went through."""
         return self.casting.patches
 
     @property
     def count(self) -> int:
-        """Bundles."""
+        """Number of bundles."""
         return self.casting.bundles(self.measurement)
 
     def segments(self) -> Segments:

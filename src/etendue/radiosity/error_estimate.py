@@ -13,21 +13,21 @@ from .lines.segments import Segments, scatter
 from .solvers.shot import FirstShot
 from .solvers.system import solve
 
-#: Segments up to which each estimate solves the system anew.
+#: Number of segments up to which each estimate solves the system again.
 _FEW_SEGMENTS = 1 << 20
 
 
 class IrradianceError:
-    """Standard error of the irradiance of a solution, mean over the surface in units of the mean irradiance.
+    """Standard error of the irradiance of a solution, averaged over the surface, relative to the mean irradiance.
 
-    Estimates of a growing number of passes share their work: a solution is good enough for the error of ten times as
-    many segments, and what the passes of each replicate sum to is kept.
+    Estimates of a growing number of passes share their work: a solution is used for up to ten times as many segments,
+    and the sums over the passes of each replicate are kept.
     """
 
     def __init__(self, patches: Patches, replicates: int) -> None:
         self.patches, self.replicates = patches, replicates
         self._solution: tuple[Array, Array] | None = None
-        # What passes add to the sums of each replicate, and which passes these are.
+        # Sums over passes of each replicate, and the passes in them.
         self._sums: list[tuple[Array, Array]] = []
         self._summed: list[PassKey] = []
 
@@ -56,7 +56,7 @@ class IrradianceError:
             self._sums, self._summed = [], []
         for k in range(self.replicates):
             chunks = [record[key] for key in passes[len(self._summed) :] if key[1] % self.replicates == k]
-            part = Segments(patches, chunks, np.zeros(len(chunks)), patches.areas)  # only counted lines are asked for
+            part = Segments(patches, chunks, np.zeros(len(chunks)), patches.areas)  # only counted lines are needed
             found = part.sums(carried, patches.sky)
             if k < len(self._sums):
                 self._sums[k] = self._sums[k][0] + found[0], self._sums[k][1] + found[1]

@@ -6,5 +6,5 @@ from etendue.core import OptionError
 
 
 class RadiosityError(OptionError):
-    """Lines, form factors or a solution that cannot be computed as requested. The message is one line that says why,
-    and what to do."""
+    """Lines, form factors or a solution that cannot be computed as requested. The message is one line with the reason
+    and a remedy."""

@@ -8,14 +8,19 @@ A *segment* is a pair of patch indices, or a patch index and ``n`` for the sky, 
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+from etendue.core import Array
+
+Pairs = NDArray[np.uint32]
+#: Indices of a sparse matrix.
+Index = NDArray[np.int32] | NDArray[np.int64]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def gather(pairs: Any, values: Any, sums: Any) -> None:
+def gather(pairs: Pairs, values: Array, sums: Array) -> None:
     """Add to ``sums`` (n + 2, c) of each end of a segment the ``values`` (n + 2, c) of the other end."""
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
@@ -25,7 +30,7 @@ def gather(pairs: Any, values: Any, sums: Any) -> None:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def gather_one(pairs: Any, values: Any, sums: Any) -> None:
+def gather_one(pairs: Pairs, values: Array, sums: Array) -> None:
     """:func:`gather` for one channel, (n + 2,)."""
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
@@ -34,8 +39,8 @@ def gather_one(pairs: Any, values: Any, sums: Any) -> None:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def count_ends(pairs: Any, counts: Any) -> None:
-    """Add to ``counts`` (n + 2, 3) of each end: segments, those whose other end is the sky, those that is dark."""
+def count_ends(pairs: Pairs, counts: NDArray[np.int64]) -> None:
+    """Add to ``counts`` (n + 2, 3) of each end: segments, those to the sky, and those to dark."""
     sky = len(counts) - 2
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
@@ -48,7 +53,7 @@ def count_ends(pairs: Any, counts: Any) -> None:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def count_rows(pairs: Any, patches: Any, rows: Any) -> None:
+def count_rows(pairs: Pairs, patches: int, rows: Index) -> None:
     """Add to ``rows`` (n,) the segments between patches whose smaller number is that row's."""
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
@@ -57,7 +62,7 @@ def count_rows(pairs: Any, patches: Any, rows: Any) -> None:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def fill_rows(pairs: Any, patches: Any, ends: Any, columns: Any) -> None:
+def fill_rows(pairs: Pairs, patches: int, ends: Index, columns: Index) -> None:
     """Write the larger patch index of each such segment to its row of ``columns``, at the positions ``ends``."""
     for k in range(len(pairs)):
         i, j = pairs[k, 0], pairs[k, 1]
@@ -68,7 +73,7 @@ def fill_rows(pairs: Any, patches: Any, ends: Any, columns: Any) -> None:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def merge_rows(starts: Any, columns: Any, patches: Any) -> Any:
+def merge_rows(starts: Index, columns: Index, patches: int) -> tuple[NDArray[np.int64], Index, Array]:
     """Row starts, unique columns of each row, and their multiplicities. Overwrites ``columns``."""
     begin = np.zeros(patches + 1, np.int64)
     counts = np.empty(len(columns), np.float64)
@@ -89,7 +94,7 @@ def merge_rows(starts: Any, columns: Any, patches: Any) -> Any:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def multipath(pairs: Any, reflectance: Any, per_line: Any, unshot: Any, received: Any) -> None:
+def multipath(pairs: Pairs, reflectance: Array, per_line: Array, unshot: Array, received: Array) -> None:
     """Exchange power along segments one after the other [Sbert 1996]; arrays (n + 2, c), the last two changed.
 
     Each end sends its unshot power and its own power per line; the part that the other end reflects replaces the unshot
@@ -107,7 +112,9 @@ def multipath(pairs: Any, reflectance: Any, per_line: Any, unshot: Any, received
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def gauss_seidel(starts: Any, columns: Any, data: Any, reflectance: Any, known: Any, radiosity: Any) -> None:
+def gauss_seidel(
+    starts: Index, columns: Index, data: Array, reflectance: Array, known: Array, radiosity: Array
+) -> None:
     """One sweep over a CSR matrix F: each row of ``radiosity`` (n, c) at once becomes ``known + reflectance F B``."""
     sums = np.empty(radiosity.shape[1])
     for i in range(len(radiosity)):
@@ -125,11 +132,17 @@ def gauss_seidel(starts: Any, columns: Any, data: Any, reflectance: Any, known: 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def shoot(
-    starts: Any, rows: Any, data: Any, areas: Any, reflectance: Any, unshot: Any, radiosity: Any, steps: Any
+    starts: Index,
+    rows: Index,
+    data: Array,
+    areas: Array,
+    reflectance: Array,
+    unshot: Array,
+    radiosity: Array,
+    steps: int,
 ) -> None:
     """Steps of progressive refinement over the columns (CSC) of F: the patch with the most unshot power distributes it
-    to all
-    [Cohen 1988]. ``unshot``, ``radiosity`` (n, c) are changed."""
+    to all others [Cohen 1988]. ``unshot``, ``radiosity`` (n, c) are changed."""
     power = np.empty(len(areas))
     for i in range(len(areas)):
         power[i] = areas[i] * unshot[i].sum()

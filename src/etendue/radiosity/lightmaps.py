@@ -22,13 +22,13 @@ def lightmap(
     smooth: bool = True,
     angle: float = 30.0,
 ) -> Lightmap:
-    """A texture of (width, height) ``size`` with the radiosity, or the irradiance, of the surfaces that the mesh has.
+    """A texture of (width, height) ``size`` with the radiosity, or the irradiance, of the surfaces of the mesh.
 
-    Texels are filled as in :func:`lightmap_of`. Irradiance is what renderers multiply by the colour of a surface, so
-    that textures stay sharp.
+    Texels are filled as in :func:`lightmap_of`. Renderers multiply irradiance by the colour of the surface, so that
+    textures stay sharp.
 
-    Raises :class:`RadiosityError` for other than one channel or three, and :class:`SurfaceError` if triangles overlap
-    in the texture or leave the unit square, or if no patch is where the mesh is.
+    Raises :class:`RadiosityError` unless there are one or three channels, and :class:`SurfaceError` if triangles
+    overlap in the texture or leave the unit square, or if there are no patches at the mesh.
     """
     check_colours(solution)
     if quantity not in ("radiosity", "irradiance"):

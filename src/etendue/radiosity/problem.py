@@ -1,4 +1,4 @@
-"""Patches as what methods work on."""
+"""Patches as the problem of a method."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from etendue.surfaces import Patches
 
 @dataclass(frozen=True)
 class PatchProblem:
-    """Patches as what a job works on. ``source`` says where they are from."""
+    """Patches as the problem of a job. ``source`` is the name of their source."""
 
     patches: Patches
     source: str = "<patches>"

@@ -1,7 +1,10 @@
-"""Surfaces: patches and faces, meshes and scenes as their sources, rays from and against them, values and maps on
-them."""
+"""Surfaces: patches and faces, read from meshes and scenes; ray casting; values and lightmaps on surfaces."""
 
-from .atlases import (
+from .diagnosis import MeshDiagnosis, diagnose
+from .errors import PatchError, SurfaceError
+from .faces import face_vectors, triangles
+from .heat import STEFAN_BOLTZMANN, band_shares, thermal
+from .lightmaps.atlases import (
     LIGHTMAP_MESHES,
     TexturedMesh,
     atlas,
@@ -10,20 +13,16 @@ from .atlases import (
     save_textured_mesh,
     scene_mesh,
 )
-from .diagnosis import MeshDiagnosis, diagnose
-from .errors import PatchError, SurfaceError
-from .faces import face_vectors, triangles
-from .heat import STEFAN_BOLTZMANN, band_shares, thermal
-from .lightmaps import Lightmap, check_coordinates, lightmap_of, save_lightmap
-from .meshfiles import read_patches
+from .lightmaps.textures import Lightmap, check_coordinates, lightmap_of, save_lightmap
 from .patches import Patches
 from .places import PatchSurfaces, Place, SurfaceValues
-from .raycasting import STEP, RayScene
-from .scenepatches import scene_patches
-from .sides import Sides, across, around, cosine_law
+from .rays.raycasting import STEP, RayScene
+from .rays.sides import Sides, across, around, cosine_law
+from .rays.sources import BATCH, RaySource, columns, cosine_lanes, even_lanes, pairs_of
+from .readers.meshfiles import read_patches
+from .readers.scenepatches import scene_patches
 from .smoothing import VertexRadiosity, face_sides, vertex_radiosity
 from .solids import box, joined
-from .sources import BATCH, RaySource, columns, cosine_lanes, even_lanes, pairs_of
 
 __all__ = [
     "BATCH",

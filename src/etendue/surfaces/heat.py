@@ -41,11 +41,11 @@ def thermal(
     """
     t = np.broadcast_to(np.asarray(temperatures, dtype=np.float64), (len(patches),))
     if not (np.isfinite(t).all() and (t >= 0).all() and surroundings >= 0):
-        raise SurfaceError("temperatures are finite and in kelvin, from 0")
+        raise SurfaceError("temperatures are finite numbers of at least 0 kelvin")
     values = np.asarray(emissivity(t) if callable(emissivity) else emissivity, dtype=np.float64)
     epsilon = values.reshape(-1, 1) if values.ndim < 2 else values
     if not ((epsilon > 0) & (epsilon <= 1)).all():
-        raise SurfaceError("emissivities are in (0, 1]: what emits nothing would never absorb either")
+        raise SurfaceError("emissivities are in (0, 1]: a surface without emission would absorb nothing")
     if len(epsilon) not in (1, len(patches)):
         raise SurfaceError(f"emissivity has {len(epsilon)} rows for {len(patches)} patches")
     share, sky = np.ones((len(t), 1)), np.ones((1, 1))
@@ -54,7 +54,7 @@ def thermal(
     if epsilon.shape[1] not in (1, share.shape[1]) and share.shape[1] != 1:
         raise SurfaceError(f"emissivity has {epsilon.shape[1]} columns for {share.shape[1]} bands")
     if epsilon.shape[1] > 1 and edges is None:
-        raise SurfaceError(f"emissivity has {epsilon.shape[1]} columns: say where the bands are, by edges")
+        raise SurfaceError(f"emissivity has {epsilon.shape[1]} columns: give the edges of the bands")
     emission = epsilon * share * STEFAN_BOLTZMANN * t[:, None] ** 4
     reflectance = np.broadcast_to(1 - epsilon, emission.shape)
     return patches.with_properties(reflectance, emission, sky[0] * STEFAN_BOLTZMANN * surroundings**4)
@@ -63,8 +63,8 @@ def thermal(
 def band_shares(temperatures: ArrayLike, edges: ArrayLike) -> Array:
     """Shares (n, b) of the emission of black bodies of temperatures (n,) between wavelengths ``edges`` (b + 1,).
 
-    By the series in exp(-x), x = c2 / (wavelength temperature), and for small x by that in powers of x [Chang 1984].
-    Raises :class:`SurfaceError` for edges that do not ascend from 0 or more.
+    Computed by the series in exp(-x), x = c2 / (wavelength temperature), and for small x by the power series [Chang
+    1984]. Raises :class:`SurfaceError` for edges that do not ascend from 0 or more.
     """
     limits = np.asarray(edges, dtype=np.float64)
     if limits.ndim != 1 or len(limits) < 2 or limits[0] < 0 or not (np.diff(limits) > 0).all():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,8 +26,7 @@ class Patches:
 
     A face has two sides. Its front, from which the corners are seen counterclockwise, belongs to a patch; its back
     belongs to another patch if it is ``two_sided``; otherwise it belongs to none and only occludes. Patches seen from
-    the front come
-    first, in order of their faces or ``ids``; the backs of sheets follow, in the same order.
+    the front come first, in order of their faces or ``ids``; the backs of sheets follow, in the same order.
 
     Parameters
     ----------
@@ -244,7 +242,7 @@ class Patches:
         return result
 
 
-def _vertices(values: Any) -> Array:
+def _vertices(values: ArrayLike) -> Array:
     try:
         vertices = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -16,6 +16,9 @@ from .faces import triangles
 from .patches import Patches
 from .smoothing import face_sides, vertex_radiosity
 
+if TYPE_CHECKING:
+    import mitsuba as mi
+
 Index = NDArray[np.int64]
 
 #: Origins of the short rays onto a point, in radii of the scene: height above it, and two offsets to the side. First at
@@ -26,7 +29,7 @@ _LOOKS = (
     *((height, 0.0, 0.0) for height in (1e-4, 1e-3, 2e-2)),
     *((1e-5, aside * x, aside * y) for aside in (6e-5, 6e-4, 6e-3) for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1))),
 )
-#: Each side of a face is this far in front of it, so that of two coincident faces the right one is hit.
+#: Each side of a face is this far in front of it, so that a ray hits the right one of two coincident faces.
 _LIFT = 2e-6
 #: Smallest cosine between the normals of a surface and of the face that represents it.
 _SAME_SIDE = 0.3
@@ -34,11 +37,11 @@ _SAME_SIDE = 0.3
 
 @dataclass
 class Place:
-    """Points on patches, one lane each."""
+    """Points on patches, a lane for each point."""
 
-    side: Any  #: the side of a face, as :func:`face_sides` numbers them
-    weights: Any  #: of its four corners
-    found: Any  #: whether there is a patch at all
+    side: mi.UInt32  #: the side of a face, as :func:`face_sides` numbers them
+    weights: mi.Vector4f  #: of its four corners
+    found: mi.Bool  #: whether there is a patch at all
 
 
 class PatchSurfaces:
@@ -67,7 +70,7 @@ class PatchSurfaces:
         self._normal = copied_to_device(mi.Float, normals.astype(np.float32))
         self._is_triangle = copied_to_device(mi.UInt32, is_triangle.astype(np.uint32))
 
-    def find(self, p: Any, n: Any, active: Any, space: RenderSpace | None = None) -> Place:
+    def find(self, p: mi.Point3f, n: mi.Normal3f, active: mi.Bool | bool, space: RenderSpace | None = None) -> Place:
         """Places of the points ``p`` of surfaces with normals ``n`` on the visible side. Both are in ``space``, by
         default that of the patches. Casts rays in separate kernels, so it must not be used in device loops.
         """
@@ -100,7 +103,7 @@ class PatchSurfaces:
             dr.eval(place.side, place.weights, place.found, looking)
         return place
 
-    def _weights(self, side: Any, met: Any, active: Any) -> Any:
+    def _weights(self, side: mi.UInt32, met: mi.PreliminaryIntersection3f, active: mi.Bool) -> mi.Vector4f:
         """Linear on triangles, bilinear on quadrilaterals, whose triangles are 0 1 2 and 0 2 3."""
         import mitsuba as mi
 
@@ -138,7 +141,7 @@ class SurfaceValues:
             self._factor, self._values = _colours(factor), _colours(smooth.values)
             self._corners = copied_to_device(mi.UInt32, smooth.faces.astype(np.uint32))
 
-    def at(self, place: Place) -> Any:
+    def at(self, place: Place) -> mi.Color3f:
         """Colours at places; black where there is no patch."""
         import mitsuba as mi
 
@@ -153,8 +156,8 @@ class SurfaceValues:
         return value & place.found
 
 
-def _colours(values: ArrayLike) -> Any:
-    """(n, c) numbers as those of colours on the device."""
+def _colours(values: ArrayLike) -> mi.Float:
+    """(n, c) numbers as colours on the device."""
     import mitsuba as mi
 
     rows: Array = np.asarray(values, dtype=np.float64)

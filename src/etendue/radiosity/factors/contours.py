@@ -16,6 +16,9 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+from etendue.core import Array
 
 #: A corner this close to a plane counts as in it: the error of single precision.
 _IN_PLANE = 1e-7
@@ -34,7 +37,9 @@ _POINTS[3] = _POINTS[3] ** 3 * (10 - 15 * _POINTS[3] + 6 * _POINTS[3] ** 2)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def exchange_rows(sides: Any, planes: Any, patch: Any, blockers: Any, first: Any, last: Any, exchange: Any) -> Any:
+def exchange_rows(
+    sides: Array, planes: Array, patch: NDArray[np.int64], blockers: Array, first: int, last: int, exchange: Array
+) -> tuple[int, int, int]:
     """Add A_i F_ij of sides ``first`` to ``last`` and all later ones to ``exchange[i, j]``.
 
     sides (s, 4, 3) in ascending order of their patch (s,), backs without a patch last; blockers (b, 4, 3): faces that
@@ -52,7 +57,7 @@ def exchange_rows(sides: Any, planes: Any, patch: Any, blockers: Any, first: Any
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def overlapping(sides: Any, planes: Any) -> Any:
+def overlapping(sides: Array, planes: Array) -> tuple[int, int]:
     """The first two coplanar faces that overlap; -1 if there are none."""
     buffers = np.empty((2, 32, 3))
     edge = np.empty(4)
@@ -76,7 +81,9 @@ def overlapping(sides: Any, planes: Any) -> Any:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _exchange(p: Any, of_p: Any, q: Any, of_q: Any, blockers: Any, polygons: Any, buffers: Any, plane: Any) -> Any:
+def _exchange(
+    p: Array, of_p: Array, q: Array, of_q: Array, blockers: Array, polygons: Array, buffers: Array, plane: Array
+) -> tuple[float, int]:
     """A F of two sides, and the face that occludes them or -1."""
     m, n = _in_front(p, of_q, polygons[0]), 0
     if m > 2:
@@ -95,7 +102,7 @@ def _exchange(p: Any, of_p: Any, q: Any, of_q: Any, blockers: Any, polygons: Any
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _edges(a: Any, a_end: Any, b: Any, b_end: Any) -> Any:
+def _edges(a: Array, a_end: Array, b: Array, b_end: Array) -> float:
     """Integral of ln r over two edges, times the cosine of the angle between them."""
     ux, uy, uz = a_end[0] - a[0], a_end[1] - a[1], a_end[2] - a[2]
     vx, vy, vz = b_end[0] - b[0], b_end[1] - b[1], b_end[2] - b[2]
@@ -135,16 +142,16 @@ def _along(
     start: Any,
     end: Any,
     rule: Any,
-    wx: Any,
-    wy: Any,
-    wz: Any,
-    ux: Any,
-    uy: Any,
-    uz: Any,
-    vx: Any,
-    vy: Any,
-    vz: Any,
-    inner: Any,
+    wx: float,
+    wy: float,
+    wz: float,
+    ux: float,
+    uy: float,
+    uz: float,
+    vx: float,
+    vy: float,
+    vz: float,
+    inner: float,
 ) -> Any:
     """Integral over ``w + s u``, s from ``start`` to ``end``, of that of ln r over ``t v``, t to ``inner``."""
     total = 0.0
@@ -170,20 +177,20 @@ def _along(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _distance(
-    wx: Any,
-    wy: Any,
-    wz: Any,
-    ux: Any,
-    uy: Any,
-    uz: Any,
-    length: Any,
-    vx: Any,
-    vy: Any,
-    vz: Any,
-    inner: Any,
-    wu: Any,
-    wv: Any,
-    cosine: Any,
+    wx: float,
+    wy: float,
+    wz: float,
+    ux: float,
+    uy: float,
+    uz: float,
+    length: float,
+    vx: float,
+    vy: float,
+    vz: float,
+    inner: float,
+    wu: float,
+    wv: float,
+    cosine: float,
 ) -> Any:
     """Between the points ``w + s u`` and ``t v``, s up to ``length`` and t up to ``inner``."""
     s, across = 0.0, 1 - cosine * cosine
@@ -198,7 +205,7 @@ def _distance(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _in_front(p: Any, plane: Any, result: Any) -> Any:
+def _in_front(p: Array, plane: Array, result: Array) -> int:
     """Write to ``result`` the part of a polygon that is in front of a plane; its number of corners."""
     if _farthest(p, plane) <= _IN_PLANE:
         return 0
@@ -209,7 +216,7 @@ def _in_front(p: Any, plane: Any, result: Any) -> Any:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _cut(p: Any, count: Any, plane: Any, result: Any) -> Any:
+def _cut(p: Array, count: int, plane: Array, result: Array) -> int:
     """Write to ``result`` the part of a convex polygon of ``count`` corners where ``n . x > c``; its number of
     corners."""
     made = 0
@@ -229,7 +236,7 @@ def _cut(p: Any, count: Any, plane: Any, result: Any) -> Any:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _nearest(p: Any, plane: Any) -> Any:
+def _nearest(p: Array, plane: Array) -> float:
     """The least ``n . x - c`` of the corners."""
     least = np.inf
     for i in range(len(p)):
@@ -238,7 +245,7 @@ def _nearest(p: Any, plane: Any) -> Any:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _farthest(p: Any, plane: Any) -> Any:
+def _farthest(p: Array, plane: Array) -> float:
     """The largest ``n . x - c`` of the corners."""
     most = -np.inf
     for i in range(len(p)):
@@ -247,7 +254,7 @@ def _farthest(p: Any, plane: Any) -> Any:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _apart(p: Any, q: Any, margin: Any) -> Any:
+def _apart(p: Array, q: Array, margin: float) -> bool:
     """Whether the bounding boxes of two polygons overlap by less than ``margin``."""
     for c in range(3):
         p_low = p_high = p[0, c]
@@ -262,7 +269,7 @@ def _apart(p: Any, q: Any, margin: Any) -> Any:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _stands_between(face: Any, p: Any, of_p: Any, q: Any, of_q: Any, buffers: Any, plane: Any) -> Any:
+def _stands_between(face: Array, p: Array, of_p: Array, q: Array, of_q: Array, buffers: Array, plane: Array) -> bool:
     """Whether a face intersects the convex hull of two polygons, each of which is in front of the other's plane.
 
     It is clipped by every plane that bounds the hull: the planes of both, and planes through an edge of one and a
@@ -308,7 +315,7 @@ def _stands_between(face: Any, p: Any, of_p: Any, q: Any, of_q: Any, buffers: An
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _through(a: Any, b: Any, c: Any, plane: Any) -> Any:
+def _through(a: Array, b: Array, c: Array, plane: Array) -> bool:
     """Write the plane through three points; false if they are collinear."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]

@@ -4,7 +4,7 @@ reciprocity."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +14,9 @@ from etendue.core import Array, free_memory, sparse
 from ..errors import RadiosityError
 from ..lines.segments import Segments
 from ..parallel import compiled
+
+if TYPE_CHECKING:
+    import scipy.sparse
 
 #: Estimators of form factors from counts, see :func:`estimate`.
 Estimator = Literal["F1", "F2", "F3", "F4", "reciprocal"]
@@ -29,11 +32,11 @@ class FormFactors:
     ``sky``: (n,) the share that leaves the scene. ``areas``: (n,). ``lines``: (n,) lines or rays behind each row.
     """
 
-    matrix: Any
-    errors: Any
+    matrix: scipy.sparse.csr_array
+    errors: scipy.sparse.csr_array
     sky: Array
     areas: Array
-    lines: NDArray[np.int64]
+    lines: NDArray[np.int64] | Array
 
     def __len__(self) -> int:
         return len(self.areas)
@@ -47,7 +50,7 @@ class FormFactors:
         return self.matrix @ x + light * np.asarray(sky)
 
     def row_sums(self) -> Array:
-        """(n,) with the sky; 1 in a closed scene, up to the error."""
+        """(n,) row sums including the sky; 1 in a closed scene, up to the error."""
         return np.asarray(self.matrix.sum(axis=1)).ravel() + self.sky
 
     def row_errors(self) -> Array:
@@ -71,9 +74,9 @@ class FormFactors:
     def repaired(self) -> FormFactors:
         """With every row sum 1 and ``A_i F_ij = A_j F_ji``, by the smallest change.
 
-        The mean of ``A_i F_ij`` and ``A_j F_ji`` is changed by the smallest relative sum of squares, so that zeros stay
-        zero. The sky is not changed. Raises :class:`RadiosityError` if a factor would become negative, which means that
-        there are too few lines.
+        The mean of ``A_i F_ij`` and ``A_j F_ji`` is changed with the smallest relative sum of squares, so that zeros
+        remain zero. The sky is not changed. Raises :class:`RadiosityError` if a factor would become negative, which
+        means that there are too few lines.
         """
         from scipy.sparse.linalg import lsmr
 
@@ -108,7 +111,7 @@ class FormFactors:
                 return weights
         return None
 
-    def _exchange(self) -> Any:
+    def _exchange(self) -> scipy.sparse.csr_array:
         return _diagonal(self.areas) @ self.matrix
 
 
@@ -151,7 +154,9 @@ def form_factors(segments: Segments, estimator: Estimator = "F1") -> FormFactors
     return FormFactors(matrix, errors, sky, segments.patches.areas, segments.counted)
 
 
-def estimate(counts: Any, lines: Array, areas: Array, estimator: Estimator) -> Any:
+def estimate(
+    counts: scipy.sparse.csr_array, lines: Array, areas: Array, estimator: Estimator
+) -> scipy.sparse.csr_array:
     """Form factors from ``counts`` r_ij of lines that lead from i to j, and ``lines`` r_i through each patch
     [Castro 2002, sec. 4.2.4].
 
@@ -187,5 +192,5 @@ def pair_errors(estimated: FormFactors, exact: FormFactors) -> float:
     return float(((estimated.matrix - exact.matrix) ** 2).sum())
 
 
-def _diagonal(values: Array) -> Any:
+def _diagonal(values: Array) -> scipy.sparse.dia_array:
     return sparse().diags_array(values).tocsr()

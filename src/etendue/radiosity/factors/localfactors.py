@@ -44,7 +44,7 @@ def local_form_factors(
     if chosen.dtype.kind not in "iu" or chosen.size == 0 or chosen.min() < 0 or chosen.max() >= n:
         raise RadiosityError(f"rows are numbers of patches from 0 to {n - 1}")
     if samples < 2:
-        raise RadiosityError(f"a form factor and its error need two rays at least, not {samples}")
+        raise RadiosityError(f"a form factor with its error needs at least two rays, not {samples}")
     points, source = points or OwenSobol(4), RaySource(scene, Sides.of(scene.patches))
     sums, squares = sparse().csr_array((n, n + 2)), sparse().csr_array((n, n + 2))
     at_once = max(BATCH // samples, 1)
@@ -81,7 +81,7 @@ def area_form_factors(
     if chosen.size == 0 or chosen.min() < 0 or chosen.max() >= n:
         raise RadiosityError(f"pairs are numbers of patches from 0 to {n - 1}")
     if samples < 2:
-        raise RadiosityError(f"a form factor and its error need two rays at least, not {samples}")
+        raise RadiosityError(f"a form factor with its error needs at least two rays, not {samples}")
     points, sides = points or OwenSobol(4), Sides.of(scene.patches)
     values, errors = np.empty(len(chosen)), np.empty(len(chosen))
     for k, (i, j) in enumerate(chosen):

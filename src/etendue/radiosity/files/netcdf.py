@@ -1,11 +1,11 @@
-"""Form factors, segments and solutions as netCDF, which climate models, MATLAB, R and xarray read."""
+"""Form factors, segments and solutions as netCDF, the format of climate models, MATLAB, R and xarray."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from ..errors import RadiosityError
 from ..factors.formfactors import FormFactors
 from ..lines.segments import Segments
 from ..solvers.system import Solution
+
+if TYPE_CHECKING:
+    import scipy.sparse
 
 _PER_AREA, _SHARE, _METRES, _AREA = "W m-2", "1", "m", "m2"
 
@@ -40,7 +43,7 @@ def write_form_factors(
 
 
 def read_netcdf_form_factors(path: str | os.PathLike[str]) -> FormFactors:
-    """What :func:`write_form_factors` wrote."""
+    """Inverse of :func:`write_form_factors`."""
     saved = read_netcdf(path, "form factors", ("row_start", "column", "form_factor", "form_factor_error", "area"))
     n, structure = len(saved["area"]), (saved["column"], saved["row_start"])
     matrix, errors = (
@@ -52,16 +55,18 @@ def read_netcdf_form_factors(path: str | os.PathLike[str]) -> FormFactors:
 def save_segments(
     path: str | os.PathLike[str], segments: Segments, *, metadata: Mapping[str, Any] | None = None
 ) -> None:
-    """Write segments as netCDF (``.nc``), 8 bytes each before compression: for scenes whose form factors would be as
-    many as they.
+    """Write segments as netCDF (``.nc``), 8 bytes each before compression: for scenes with about as many form factors
+    as segments.
 
     ``pairs_0``, ``pairs_1`` and so on, (segments, 2), are the batches of lines, in their order; a pair are two patches
-    that see each other, counted from 0, or ``sky`` or ``dark``, which its attributes say. ``area`` and ``expected``
-    belong to patches. Raises :class:`RadiosityError` for another suffix, and for segments with local rays, which
-    can be mixed in again.
+    that see each other, counted from 0, or the numbers of sky and dark, which are attributes. ``area`` and ``expected``
+    belong to patches. Raises :class:`RadiosityError` for another suffix, and for segments with local rays, which can be
+    added after reading.
     """
     if segments.correction is not None:
-        raise RadiosityError("only segments of lines are written: save them, and mix local rays in when they are read")
+        raise RadiosityError(
+            "segments with local rays cannot be saved: save the segments of lines, and call with_local_rays() after reading"
+        )
     if Path(path).suffix.lower() != ".nc":
         raise RadiosityError(f"segments are written as .nc, not as '{path}'; change the name")
     n = len(segments.patches)
@@ -77,7 +82,7 @@ def save_segments(
 
 
 def read_segments(path: str | os.PathLike[str], patches: Patches) -> Segments:
-    """What :func:`save_segments` wrote, of these patches: those that the lines were cast through.
+    """Inverse of :func:`save_segments`; ``patches`` are those that the lines were cast through.
 
     Raises :class:`FormatError` for another file, :class:`RadiosityError` for patches of other areas.
     """
@@ -121,7 +126,7 @@ def write_solution(
 
 
 def read_netcdf_solution(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
-    """What :func:`write_solution` wrote, by the names of :class:`Patches` and :class:`Solution`."""
+    """Inverse of :func:`write_solution`, by the names of :class:`Patches` and :class:`Solution`."""
     saved = read_netcdf(path, "a solution", ("radiosity", "irradiance", "face_vertices", "front_patch", "back_patch"))
     names = {"face_vertices": "faces", "front_patch": "front", "back_patch": "back", "label": "labels"}
     found = {names.get(name, name): values for name, values in saved.items()}
@@ -142,11 +147,11 @@ _MEANINGS = {
 }
 
 
-def same_structure(factors: FormFactors) -> tuple[Any, Any]:
+def same_structure(factors: FormFactors) -> tuple[scipy.sparse.csr_array, scipy.sparse.csr_array]:
     """Matrix and errors with sorted columns; raises :class:`RadiosityError` if entries and errors do not match."""
     matrix, errors = factors.matrix.tocsr(copy=True), factors.errors.tocsr(copy=True)
     matrix.sort_indices()
     errors.sort_indices()
     if not np.array_equal(matrix.indices, errors.indices) or not np.array_equal(matrix.indptr, errors.indptr):
-        raise RadiosityError("form factors and their errors are not of equal structure; give every entry an error")
+        raise RadiosityError("form factors and their errors have different structures; give every entry an error")
     return matrix, errors

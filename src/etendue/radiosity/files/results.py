@@ -1,5 +1,5 @@
-"""Form factors and solutions in files, for SciPy, View3D's readers, ParaView and renderers. Files appear whole or not
-at all."""
+"""Form factors and solutions in files for SciPy, readers of View3D's text, ParaView and renderers. Files are written
+atomically."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ..solvers.system import Solution
 from .colours import coloured_mesh
 from .netcdf import read_netcdf_form_factors, same_structure, write_form_factors, write_solution
 
-#: Suffixes of files of form factors and of solutions, and what these are.
+#: Suffixes of files of form factors and of solutions, and their meaning.
 FORM_FACTOR_FILES = {".npz": "arrays of NumPy", ".vf": "text of View3D", ".nc": "netCDF"}
 SOLUTION_FILES = {
     ".npz": "arrays of NumPy",
@@ -39,12 +39,12 @@ _ENTRY, _MOST_TEXT = 10.0, 4e9
 
 
 def check_file(path: str | os.PathLike[str], known: Collection[str]) -> str:
-    """The suffix of ``path`` in small letters; raises :class:`RadiosityError` if it is not among ``known``,
+    """The suffix of ``path`` in lower case; raises :class:`RadiosityError` if it is not among ``known``,
     :class:`etendue.core.BackendError` for netCDF without its library."""
     suffix = Path(path).suffix.lower()
     if suffix not in known:
         what = f"'{suffix}' is not known" if suffix else "it has no suffix"
-        raise RadiosityError(f"what to write to '{path}' follows from its suffix: {what}; take {', '.join(known)}")
+        raise RadiosityError(f"the suffix of '{path}' decides its format: {what}; take {', '.join(known)}")
     if suffix == ".nc":
         netcdf_library(path)
     return suffix
@@ -52,7 +52,7 @@ def check_file(path: str | os.PathLike[str], known: Collection[str]) -> str:
 
 def check_text_size(path: str | os.PathLike[str], patches: int, entries: int) -> None:
     """Raise :class:`RadiosityError` if View3D's text of so many patches, with so many entries that are not zero, would
-    take more than 4 GB, or than there is on the disk."""
+    take more than 4 GB, or more than the free space of the disk."""
     size = 2.0 * patches**2 + _ENTRY * min(entries, patches**2)
     folder = Path(path).absolute().parent
     free = shutil.disk_usage(folder).free if folder.is_dir() else np.inf
@@ -75,12 +75,12 @@ def save_form_factors(
 
     ``.npz``: the matrix, for :func:`scipy.sparse.load_npz` and :func:`read_form_factors`, with ``errors`` (the standard
         error of each of its ``data``), ``areas``, ``sky``, ``lines``, ``emissivity`` and ``metadata`` (JSON).
-    ``.vf``: the text that View3D 3.2 writes: a heading, areas, the full matrix row by row, emissivities. It has no
-        place for the sky; rows of an open scene sum to less than 1.
-    ``.nc``: netCDF with the same as ``.npz``: ``row_start``, ``column``, ``form_factor``, ``form_factor_error``,
+    ``.vf``: the text format of View3D 3.2: a heading, areas, the full matrix row by row, emissivities. It does not
+        contain the sky; rows of an open scene sum to less than 1.
+    ``.nc``: netCDF with the content of ``.npz``: ``row_start``, ``column``, ``form_factor``, ``form_factor_error``,
         ``area``, ``sky_share``, ``lines``, ``emissivity``.
 
-    emissivity: a number or (n,), only passed on. metadata: what JSON can say. Raises :class:`RadiosityError` for
+    emissivity: a number or (n,), written unchanged. metadata: values for JSON. Raises :class:`RadiosityError` for
     another suffix, :class:`etendue.core.OutputError` if the file cannot be written.
     """
     suffix = check_file(path, FORM_FACTOR_FILES)
@@ -118,8 +118,8 @@ def save_form_factors(
 
 
 def read_form_factors(path: str | os.PathLike[str]) -> FormFactors:
-    """What :func:`save_form_factors` wrote as ``.npz`` or ``.nc``. Raises :class:`RadiosityError` for
-    anything else, :class:`FormatError` for what is no netCDF."""
+    """Read a file that :func:`save_form_factors` wrote as ``.npz`` or ``.nc``. Raises :class:`RadiosityError` for
+    another file, :class:`FormatError` for a damaged netCDF file."""
     if Path(path).suffix.lower() == ".nc":
         return read_netcdf_form_factors(path)
     try:
@@ -130,7 +130,7 @@ def read_form_factors(path: str | os.PathLike[str]) -> FormFactors:
     except FileNotFoundError:
         raise RadiosityError(f"there is no file of form factors '{path}'") from None
     except (OSError, KeyError, ValueError, EOFError, AttributeError, TypeError, BadZipFile) as error:
-        raise RadiosityError(f"'{path}' is no file of form factors that save_form_factors wrote as .npz") from error
+        raise RadiosityError(f"'{path}' is not a file of form factors that save_form_factors wrote as .npz") from error
 
 
 def save_solution(
@@ -144,7 +144,7 @@ def save_solution(
     """Write a solution by the suffix of ``path``.
 
     ``.npz``: arrays by patch, named like those of :class:`Solution` and :class:`Patches`, the mesh, and ``metadata``.
-    ``.vtu``: for ParaView: every face with ``radiosity``, ``irradiance``, ``net_flux`` (what leaves less what arrives),
+    ``.vtu``: for ParaView: every face with ``radiosity``, ``irradiance``, ``net_flux`` (radiosity minus irradiance),
         ``emission``, ``reflectance``, ``sky_share`` and ``patch``. A back that belongs to a patch is a face of its own.
     ``.ply``: vertices with ``red``, ``green``, ``blue``: radiosity, linear floats, smoothed over edges of at most
         ``angle`` degrees (:func:`vertex_radiosity`); for one or three channels.
@@ -153,7 +153,7 @@ def save_solution(
 
     irradiance_error: (n, c) standard error of the irradiance, such as ``solution.irradiance_error(segments)``; it is
     written to ``.npz``, ``.nc`` and ``.vtu``, and reflected as ``radiosity_error``: the error of the last bounce, which
-    is nearly all of it. metadata: what JSON can say, for ``.npz``, ``.nc`` and glTF.
+    is nearly all of it. metadata: values for JSON, for ``.npz``, ``.nc`` and glTF.
 
     Raises :class:`RadiosityError` for another suffix, errors of another shape, and channels that ``.ply`` cannot show,
     :class:`etendue.core.BackendError` without meshio, :class:`etendue.core.OutputError` if the file cannot be written.

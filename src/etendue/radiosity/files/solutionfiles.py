@@ -25,9 +25,9 @@ _NEEDED = (
 
 
 def read_solution(path: str | os.PathLike[str]) -> tuple[Solution, Array | None]:
-    """The solution that :func:`save_solution` wrote as ``.npz`` or ``.nc``, with its patches; and the standard error of
-    the irradiance, if it was saved, else ``None``. Raises :class:`RadiosityError` for anything else,
-    :class:`FormatError` for what is no netCDF."""
+    """Read a solution with its patches that :func:`save_solution` wrote as ``.npz`` or ``.nc``, and the standard error
+    of the irradiance (``None`` if it was not saved). Raises :class:`RadiosityError` for another file,
+    :class:`FormatError` for a damaged netCDF file."""
     try:
         saved = read_netcdf_solution(path) if Path(path).suffix.lower() == ".nc" else _read_arrays(path)
         front, back = saved["front"].astype(np.int64), saved["back"]
@@ -45,7 +45,7 @@ def read_solution(path: str | os.PathLike[str]) -> tuple[Solution, Array | None]
         patches.labels = saved["labels"].astype(np.int64)
         numbers = (saved["radiosity"], saved["irradiance"], saved["sky_share"])
         if any(len(values) != len(patches) for values in numbers):
-            raise RadiosityError(f"'{path}' has other numbers of patches in its arrays; it is damaged")
+            raise RadiosityError(f"'{path}' is damaged: its arrays have different numbers of patches")
         solution = Solution(patches, *numbers, tuple(saved["residuals"].tolist()))
     except (KeyError, ValueError, IndexError) as error:
         raise _foreign(path) from error

@@ -1,4 +1,4 @@
-"""All hits of arbitrary lines, ray by ray."""
+"""All hits of arbitrary lines, by successive rays."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from .segments import Pairs
 
 Index = NDArray[np.int64]
 
-#: Lines at once, and largest number of hits of a line.
+#: Number of lines that are cast together, and largest number of hits of a line.
 _BATCH, _MOST_HITS = 1 << 18, 10_000
 
 
 class ChainedRays(LineEngine):
-    """Lines of any generator: where a ray hits, the next one starts, until it hits nothing.
+    """Lines of any generator: each ray starts at the hit of the previous one, until a ray hits nothing.
 
-    The reference for :class:`ABuffer`, which is ten times as fast. A line of k hits costs k + 1 rays in single
-    precision; faces nearer to each other than 1e-6 of the scene are missed.
+    The reference for :class:`ABuffer`, which is ten times as fast. A line with k hits costs k + 1 rays in single
+    precision. Of two faces closer to each other than 1e-6 of the scene, only one is found.
     """
 
     def __init__(self, generator: LineGenerator, scene: RayScene, points: PointSet | None = None) -> None:
@@ -53,7 +53,7 @@ class ChainedRays(LineEngine):
             yield self.segments(self.generator.lines(self.points.block(number, start)))
 
     def segments(self, lines: Lines) -> Pairs:
-        """Those of given lines, line by line, each from its origin on."""
+        """The segments of given lines, line by line, each from its origin on."""
         sky = len(self.patches)
         origins, directions = self.scene.local(lines.origins), lines.directions
         line, travelled = np.arange(len(lines)), np.zeros(len(lines))
@@ -74,7 +74,7 @@ class ChainedRays(LineEngine):
             found.append((line[~again], before[~again], near[~again]))
             before, last_face = np.where(again, before, far), hits.face
         else:
-            raise RadiosityError(f"a line meets more than {_MOST_HITS} faces; are they in each other's place?")
+            raise RadiosityError(f"a line meets more than {_MOST_HITS} faces; check the mesh for coincident faces")
         of, one, other = (np.concatenate([part[i] for part in found]) for i in range(3))
         real = (one < sky) | (other < sky)
         order = np.argsort(of[real], kind="stable")

@@ -1,4 +1,4 @@
-"""Line engines: they turn points of a point set into segments."""
+"""Line engines cast lines for the points of a point set, and return segments."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .generators import Bundles
 from .segments import Pairs, Segments
 from .spiral import ShuffledPoints
 
-#: Accepted share of segments that lead to backs of faces, without a warning.
+#: Share of segments to backs of faces above which a warning is given.
 _DARK = 0.01
 
 
@@ -47,7 +47,7 @@ class LineEngine(ABC):
         return self.bundles is not None and self.bundles.lines_per_point > 1 + 1e-9
 
     def shuffled(self, count: int, first: int = 0) -> Self:
-        """An engine whose ``count`` points from ``first`` on are those of this one in a random order."""
+        """An engine with the same ``count`` points from ``first`` on, in a random order."""
         engine = copy(self)
         engine.points = ShuffledPoints(self.points, count, first)
         return engine
@@ -73,7 +73,7 @@ class LineEngine(ABC):
         Raises :class:`RadiosityError` for less than one point, and if the segments do not fit into memory.
         """
         if count < 1:
-            raise RadiosityError(f"there is nothing to cast: {count} points")
+            raise RadiosityError(f"line casting needs at least one point, not {count}")
         need, free = 4 * float(self.expected(count).sum()), free_memory()
         if free is not None and need > free:
             raise RadiosityError(

@@ -29,7 +29,7 @@ from etendue.surfaces import Patches, across
 
 from ..errors import RadiosityError
 
-#: Lines begin this far outside the body, in radii: a face on its surface is met.
+#: Distance from the body at which lines begin, in radii, so that they meet faces on its surface.
 _MARGIN = 0.05
 #: Rotation of grids (radians), so that walls along the axes are not aligned with the rows of a grid.
 _TURN = 0.4
@@ -84,7 +84,7 @@ class SpherePairs(LineGenerator):
         first, second = _on_sphere(u[:, 0], u[:, 1]), _on_sphere(u[:, 2], u[:, 3])
         way = second - first
         length = np.linalg.norm(way, axis=1, keepdims=True)
-        same = length[:, 0] < 1e-9  # no line through a point and itself: take a tangent, which meets nothing
+        same = length[:, 0] < 1e-9  # two equal points: a tangent, which meets nothing
         way[same], length[same] = across(first[same])[0], 1.0
         return self._outside(self.centre + self.radius * first, way / length)
 

@@ -7,7 +7,6 @@ back.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -23,24 +22,24 @@ class LineHits:
     """Hits in the order of their discovery, and the half line of each, ``2 line + (key & 1)``: hits of fronts and of
     backs are separate."""
 
-    key: Any  #: UInt64
-    half: Any  #: UInt32
+    key: mi.UInt64
+    half: mi.UInt32
 
 
 @dataclass
 class Lists:
     """Hits line by line: ``count`` hits of a line from ``first`` on, and space for one more."""
 
-    key: Any  #: UInt64
-    first: Any  #: UInt32, a lane for each line that has hits
-    count: Any
+    key: mi.UInt64
+    first: mi.UInt32  #: a lane for each line that has hits
+    count: mi.UInt32
 
 
 def by_depth(hits: LineHits, lines: int) -> Lists:
     """The sorted hits of each line."""
     # Plane k has the k-th hit of each half line. All hits write to a plane at once; those that were overwritten try the
     # next plane. Atomic operations would take ten times as long on a CPU.
-    planes: list[Any] = []
+    planes: list[mi.UInt64] = []
     halves, others = dr.zeros(mi.UInt32, 2 * lines), LineHits(hits.key, hits.half)
     while len(planes) < _FEW and len(others.key):
         planes.append(dr.empty(mi.UInt64, 2 * lines))
@@ -68,7 +67,7 @@ def by_depth(hits: LineHits, lines: int) -> Lists:
     return lists
 
 
-def _sort_few(planes: list[Any], counts: Any, line: Any, lists: Lists) -> None:
+def _sort_few(planes: list[mi.UInt64], counts: mi.Vector2u, line: mi.UInt32, lists: Lists) -> None:
     """The hits in planes, in registers, by a network of comparisons [Batcher 1968]."""
     size = 1 << (2 * len(planes) - 1).bit_length()
     keys = [mi.UInt64(_NOTHING)] * size
@@ -83,7 +82,7 @@ def _sort_few(planes: list[Any], counts: Any, line: Any, lists: Lists) -> None:
 
 
 def _network(size: int) -> list[tuple[int, int]]:
-    """Pairs to compare, by odd-even merging; ``size`` a power of two."""
+    """Comparisons of a sorting network by odd-even merging; ``size`` a power of two."""
     pairs = []
     p = 1
     while p < size:
@@ -98,19 +97,18 @@ def _network(size: int) -> list[tuple[int, int]]:
     return pairs
 
 
-def _sort_many(lists: Lists, chosen: Any) -> None:
-    """All hits of the chosen lines, by counting for each hit those before it: works for any number, without memory for
-    them."""
+def _sort_many(lists: Lists, chosen: mi.Bool) -> None:
+    """Sort the hits of the chosen lines by counting for each hit those before it, which needs no memory per line."""
     dr.eval(lists, chosen)
     chosen = dr.compress(chosen)
     first, count = dr.gather(mi.UInt32, lists.first, chosen), dr.gather(mi.UInt32, lists.count, chosen)
     keys = dr.gather(mi.UInt64, lists.key, dr.arange(mi.UInt32, len(lists.key)))
     dr.eval(first, count, keys)
 
-    def place(i: Any) -> tuple[Any]:
+    def place(i: mi.UInt32) -> tuple[mi.UInt32]:
         key = dr.gather(mi.UInt64, keys, first + i)
 
-        def compare(j: Any, rank: Any) -> tuple[Any, Any]:
+        def compare(j: mi.UInt32, rank: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
             return j + 1, rank + dr.select(dr.gather(mi.UInt64, keys, first + j) < key, mi.UInt32(1), 0)
 
         _, rank = dr.while_loop((zero, zero), lambda j, _: j < count, compare, label="line lists: rank")
@@ -121,7 +119,7 @@ def _sort_many(lists: Lists, chosen: Any) -> None:
     dr.while_loop((zero,), lambda i: i < count, place, label="line lists: many hits")
 
 
-def exchanges(lists: Lists, sides: Any, sky: Any, gap: Any, solid: Any) -> Any:
+def exchanges(lists: Lists, sides: mi.UInt32, sky: mi.UInt32, gap: mi.UInt32, solid: mi.Bool) -> mi.UInt64:
     """Segments of all lines as numbers of 64 bits, the near patch in the lower half.
 
     ``sides``: two patches for each face, of front and back; ``sky`` and ``sky + 1`` stand for the sky and for the back
@@ -133,12 +131,14 @@ def exchanges(lists: Lists, sides: Any, sky: Any, gap: Any, solid: Any) -> Any:
     lines, first, count = _Lines(lists, sides, dark, gap, solid), lists.first, lists.count
     found = dr.empty(mi.UInt64, len(lists.key))
 
-    def write(i: Any, before: Any, after: Any) -> None:
+    def write(i: mi.UInt32, before: mi.UInt32, after: mi.UInt32) -> None:
         segment = mi.UInt64(before) | (mi.UInt64(after) << 32)
         segment = dr.select((before < sky) | (after < sky), segment, _NOTHING)
         dr.scatter(found, segment, first + i, mode=dr.ReduceMode.Permute)
 
-    def hit(i: Any, at: Any, near: Any, far: Any, before: Any, free: Any) -> tuple[Any, ...]:
+    def hit(
+        i: mi.UInt32, at: mi.UInt32, near: mi.UInt32, far: mi.UInt32, before: mi.UInt32, free: mi.UInt32
+    ) -> tuple[mi.UInt32, mi.UInt32, mi.UInt32, mi.UInt32, mi.UInt32, mi.Bool]:
         following, near_2, far_2 = lines.hit(i + 1)
         close = free & lines.touch(i, at, near, far, following, near_2, far_2)
         inside = lines.inside(i, at, near, following, before, close)
@@ -165,11 +165,11 @@ def exchanges(lists: Lists, sides: Any, sky: Any, gap: Any, solid: Any) -> Any:
 class _Lines:
     """Sorted hits of lines, a lane each."""
 
-    def __init__(self, lists: Lists, sides: Any, dark: Any, gap: Any, solid: Any) -> None:
+    def __init__(self, lists: Lists, sides: mi.UInt32, dark: mi.UInt32, gap: mi.UInt32, solid: mi.Bool) -> None:
         self._key, self._first, self._count = lists.key, lists.first, lists.count
         self._sides, self._dark, self._gap, self._solid = sides, dark, gap, solid
 
-    def hit(self, i: Any) -> tuple[Any, Any, Any]:
+    def hit(self, i: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.UInt32]:
         """Depth of a hit, patch of the near side and of the far side; arbitrary values after the last hit."""
         there = i < self._count
         key = dr.gather(mi.UInt64, self._key, self._first + i, there)
@@ -178,18 +178,29 @@ class _Lines:
         is_back = (identity & 1) != 0
         return mi.UInt32(key >> 32), dr.select(is_back, back, front), dr.select(is_back, front, back)
 
-    def touch(self, i: Any, at: Any, near: Any, far: Any, following: Any, near_2: Any, far_2: Any) -> Any:
+    def touch(
+        self,
+        i: mi.UInt32,
+        at: mi.UInt32,
+        near: mi.UInt32,
+        far: mi.UInt32,
+        following: mi.UInt32,
+        near_2: mi.UInt32,
+        far_2: mi.UInt32,
+    ) -> mi.Bool:
         """Whether a hit and the next have opposite orientation and are closer than the gap."""
         enters, leaves = far == self._dark, near == self._dark
         opposite = (enters != leaves) & (enters == (near_2 == self._dark)) & (leaves == (far_2 == self._dark))
         return (i + 1 < self._count) & (following - at < self._gap) & opposite
 
-    def inside(self, i: Any, at: Any, near: Any, following: Any, before: Any, close: Any) -> Any:
+    def inside(
+        self, i: mi.UInt32, at: mi.UInt32, near: mi.UInt32, following: mi.UInt32, before: mi.UInt32, close: mi.Bool
+    ) -> mi.Bool:
         """Whether the line is inside a solid before hit ``i``, which is ``close`` to the next."""
         # The outside may be solid or open: the first face that is not part of a pair decides.
         begins = close & (i == 0)
 
-        def pair_after(k: Any, _near: Any, _again: Any) -> tuple[Any, Any, Any]:
+        def pair_after(k: mi.UInt32, _near: mi.UInt32, _again: mi.Bool) -> tuple[mi.UInt32, mi.UInt32, mi.Bool]:
             hit, following = self.hit(k), self.hit(k + 1)
             again = self.touch(k, *hit, *following)
             return k + dr.select(again, mi.UInt32(2), 0), hit[1], again

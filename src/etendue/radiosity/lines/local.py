@@ -32,7 +32,7 @@ class LocalRays(LineEngine):
         self._source = RaySource(scene, Sides.of(scene.patches))
 
     def expected(self, count: int) -> Array:
-        """See :class:`LineEngine`: equal numbers from a patch and to it."""
+        """See :class:`LineEngine`: as many lines from a patch as to it."""
         return 2 * count * self.bundle * self.patches.areas / self.patches.areas.sum()
 
     def piece(self, count: int) -> int:
@@ -71,7 +71,7 @@ class Emission:
         self._source = RaySource(scene, Sides.of(scene.patches).emitting(power.sum(axis=1)))
 
     def rays(self, u: Array) -> Rays:
-        """One for each point ``u`` (k, 4)."""
+        """A ray for each point ``u`` (k, 4)."""
         lanes = columns(u)
         places = self._source.any(lanes[0], lanes[1])
         directions = np.array(places.directions(cosine_lanes(lanes[2], lanes[3])), dtype=np.float64).T

@@ -34,8 +34,8 @@ class MixedSegments(Segments):
     extra: (n,) local rays per expected line, zero for most patches.
     rays: number of local rays.
     counted, to_sky, to_dark: (n,) weighted, so not whole numbers.
-    corrections: for each batch, what rays add to the counts of pairs and the weights subtract from those of lines: an
-        (n + 2, n + 2) CSR array.
+    corrections: for each batch, the change of the counts of pairs by rays and by the weights of lines: an (n + 2, n +
+        2) CSR array.
     """
 
     extra: Array
@@ -50,8 +50,11 @@ class MixedSegments(Segments):
         self.to_dark = lines.to_dark + self._column(n + 1)
 
     def __add__(self, other: Segments) -> Segments:
-        """Raises :class:`RadiosityError`: add the segments of lines first, then mix rays in."""
-        raise RadiosityError("segments with local rays cannot be added: add those of lines, then mix rays in")
+        """Not supported, raises :class:`RadiosityError`: add the segments of lines first, then call
+        :func:`with_local_rays`."""
+        raise RadiosityError(
+            "segments with local rays cannot be added: add segments of lines, then call with_local_rays()"
+        )
 
     def batch(self, number: int) -> Segments:
         """One batch."""
@@ -76,10 +79,10 @@ def with_local_rays(
     precision: they cannot resolve patches below 1e-5 of the scene's size.
 
     scene: made from the patches if not given. points: four-dimensional points for the rays, by default a scrambled
-    Sobol' sequence; not those of the lines. Raises :class:`RadiosityError` if rays were mixed in before.
+    Sobol' sequence; not those of the lines. Raises :class:`RadiosityError` if the segments have local rays already.
     """
     if isinstance(segments, MixedSegments):
-        raise RadiosityError("local rays have been mixed into these segments")
+        raise RadiosityError("these segments have local rays already")
     rays, few = local_rays(segments.expected, len(segments), least)
     if len(few) == 0:
         return segments

@@ -13,8 +13,7 @@ number: its depth in fixed point, then its face, so that the order does not depe
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import drjit as dr
 import mitsuba as mi
@@ -26,7 +25,7 @@ from etendue.core import Array, copied_to_device, use_variant
 from .linelists import LineHits, by_depth, exchanges
 from .segments import Pairs
 
-#: Rows of a face that one lane rasterises. Larger faces are split, or all lanes would wait for one.
+#: Rows of a face that one lane rasterises. Larger faces are split, so that no lane takes much longer than the others.
 _ROWS = 8
 #: Depths span the bounding sphere and a little more.
 _DEPTHS, _MARGIN = 2.0**32, 1.01
@@ -106,17 +105,19 @@ class _Grid:
         self._axes = copied_to_device(mi.Float64, np.concatenate([axes, moved[:, :, None]], axis=2))
         self._rows = copied_to_device(mi.UInt32, np.column_stack([columns, origin & 0xFFFFFFFF]).astype(np.uint32))
 
-    def count(self) -> Any:
-        """Hits of each lane."""
+    def count(self) -> mi.UInt32:
+        """Number of hits of each lane."""
         _, counts = self._rows_of(lambda count, stop, column, *_: count + mi.UInt32(stop - column))
         return counts
 
-    def fill(self, places: Any, number: int) -> LineHits:
-        """All hits, those of each lane from its position on."""
+    def fill(self, places: mi.UInt32, number: int) -> LineHits:
+        """All hits, those of each lane from its place on."""
         keys, halves = dr.empty(mi.UInt64, number), dr.empty(mi.UInt32, number)
 
-        def row(place: Any, stop: Any, column: Any, half: Any, key: Any) -> Any:
-            def column_of(column: Any, place: Any) -> tuple[Any, Any]:
+        def row(
+            place: mi.UInt32, stop: mi.Int32, column: mi.Int32, half: mi.UInt32, key: Callable[[mi.Int32], mi.UInt64]
+        ) -> mi.UInt32:
+            def column_of(column: mi.Int32, place: mi.UInt32) -> tuple[mi.Int32, mi.UInt32]:
                 dr.scatter(keys, key(column), place, mode=dr.ReduceMode.Permute)
                 dr.scatter(halves, half + 2 * mi.UInt32(column), place, mode=dr.ReduceMode.Permute)
                 return column + 1, place + 1
@@ -130,7 +131,7 @@ class _Grid:
         dr.eval(keys, halves)
         return LineHits(keys, halves)
 
-    def _rows_of(self, visit: Callable[..., Any], state: Any = None) -> Any:
+    def _rows_of(self, visit: Callable[..., mi.UInt32], state: mi.UInt32 | None = None) -> tuple[mi.Int32, mi.UInt32]:
         faces, lanes = self._faces, self._faces.lanes
         lane = dr.arange(mi.UInt32, self._bundles * lanes)
         bundle = mi.UInt32((mi.Float64(lane) + 0.5) * dr.opaque(mi.Float64, 1 / lanes))
@@ -153,7 +154,7 @@ class _Grid:
         top, end = _up(_least(y)), _up(_greatest(y))
         end = dr.select((normal.z != 0) & (_up(_least(x)) < _up(_greatest(x))), end, top)
 
-        def row_of(row: Any, state: Any) -> tuple[Any, Any]:
+        def row_of(row: mi.Int32, state: mi.UInt32) -> tuple[mi.Int32, mi.UInt32]:
             at = mi.Float64(row)
             left, right = mi.Float64(dr.inf), mi.Float64(-dr.inf)
             for edge_x, low_y, high_y, slope in edges:
@@ -166,7 +167,7 @@ class _Grid:
             half = 2 * (line[1] + mi.UInt32(row) * line[0]) + is_back
             depth = dr.fma(slope_y, at - y[0], z[0])
 
-            def key(column: Any) -> Any:
+            def key(column: mi.Int32) -> mi.UInt64:
                 exact = dr.fma(slope_x, mi.Float64(column) - x[0], depth)
                 return (mi.UInt64(dr.clip(exact, low_z, high_z)) << 32) | identity
 
@@ -186,13 +187,15 @@ def _items(vertices: Array, faces: NDArray[np.uint32], spacing: float) -> NDArra
     return np.column_stack([faces[face], face, share, shares[face], np.zeros_like(face)]).astype(np.uint32)
 
 
-def _projected(axes: list[Any], vertex: Any) -> tuple[Any, Any, Any]:
+def _projected(axes: list[mi.Vector4d], vertex: mi.Vector4d) -> tuple[mi.Float64, mi.Float64, mi.Float64]:
     """Column, row and depth of a vertex. Written out, so that all faces with this vertex get the same numbers."""
     x, y, z = (dr.fma(a.x, vertex.x, dr.fma(a.y, vertex.y, dr.fma(a.z, vertex.z, a.w))) for a in axes)
     return x, y, z
 
 
-def _edge(x: Any, y: Any, to_x: Any, to_y: Any) -> tuple[Any, Any, Any, Any]:
+def _edge(
+    x: mi.Float64, y: mi.Float64, to_x: mi.Float64, to_y: mi.Float64
+) -> tuple[mi.Float64, mi.Float64, mi.Float64, mi.Float64]:
     """Lower end of an edge, upper row, and its slope, the same for both faces that share it."""
     turned = y > to_y
     low_x, high_x = dr.select(turned, to_x, x), dr.select(turned, x, to_x)
@@ -200,13 +203,13 @@ def _edge(x: Any, y: Any, to_x: Any, to_y: Any) -> tuple[Any, Any, Any, Any]:
     return low_x, low_y, high_y, (high_x - low_x) / (high_y - low_y)
 
 
-def _up(x: Any) -> Any:
+def _up(x: mi.Float64) -> mi.Int32:
     return mi.Int32(dr.ceil(x))
 
 
-def _least(values: Any) -> Any:
+def _least(values: Sequence[mi.Float64]) -> mi.Float64:
     return dr.minimum(dr.minimum(values[0], values[1]), dr.minimum(values[2], values[3]))
 
 
-def _greatest(values: Any) -> Any:
+def _greatest(values: Sequence[mi.Float64]) -> mi.Float64:
     return dr.maximum(dr.maximum(values[0], values[1]), dr.maximum(values[2], values[3]))

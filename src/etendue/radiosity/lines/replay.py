@@ -39,7 +39,7 @@ class DeviceSegments:
         return np.stack([np.array(total) for total in sums], axis=1)
 
     def ends(self, patches: int) -> NDArray[np.int64]:
-        """Of each end (n + 2, 3): segments, those whose other end is the sky, those that is dark."""
+        """Counts for each end (n + 2, 3): segments, those to the sky, and those to dark."""
         what = np.zeros((patches + 2, 3))
         what[:, 0] = what[patches, 1] = what[patches + 1, 2] = 1
         return np.rint(self.gather(what)).astype(np.int64)

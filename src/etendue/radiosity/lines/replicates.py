@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import on_device
 from etendue.points import PointSet
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 
 class Replicates(PointSet):
@@ -28,7 +32,7 @@ class Replicates(PointSet):
         super().__init__(sequences[0].dimension)
         self.sequences, self.run = list(sequences), run
 
-    def _coordinate(self, index: Any, dimension: int) -> Any:
+    def _coordinate(self, index: mi.UInt32 | NDArray[np.integer[Any]], dimension: int) -> Any:
         if dr.is_jit_v(index):
             kind = dr.float32_array_t(type(index))
             return on_device(kind, self._coordinate(np.array(index), dimension).astype(np.float32))

@@ -9,10 +9,16 @@ integers over the extent of the scene, so that hits can be sorted as integers.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+
+from etendue.core import Array
+
+Pairs = NDArray[np.uint32]
+G = TypeVar("G", bound=np.generic)
 
 #: Depths of the scene, which has the radius 1, are from -_REACH to _REACH.
 _REACH = 1.001
@@ -29,8 +35,16 @@ _FEW = 8
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def rasterise(
-    vertices: Any, faces: Any, ends: Any, frames: Any, shifts: Any, spacing: Any, patches: Any, room: Any, solid: Any
-) -> Any:
+    vertices: Array,
+    faces: NDArray[np.uint32],
+    ends: NDArray[np.uint32],
+    frames: Array,
+    shifts: Array,
+    spacing: float,
+    patches: int,
+    room: int,
+    solid: bool,
+) -> Pairs:
     """Segments (k, 2) of the lines of some bundles, line by line, each from its near end on.
 
     vertices (v, 3) in the unit sphere; faces (f, 4), flat and convex; ends (2 f, 2): near and far patch of a face, and
@@ -76,7 +90,9 @@ def rasterise(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _project(vertices: Any, frame: Any, shift: Any, spacing: Any, place: Any) -> Any:
+def _project(
+    vertices: Array, frame: Array, shift: Array, spacing: float, place: Array
+) -> tuple[float, float, float, float]:
     """Write column, row and depth of the vertices to ``place`` (v, 3), and return the bounds of the first two."""
     xx, xy, xz = frame[0, 0] / spacing, frame[0, 1] / spacing, frame[0, 2] / spacing
     yx, yy, yz = frame[1, 0] / spacing, frame[1, 1] / spacing, frame[1, 2] / spacing
@@ -96,17 +112,17 @@ def _project(vertices: Any, frame: Any, shift: Any, spacing: Any, place: Any) ->
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _fill(
-    place: Any,
-    faces: Any,
-    first_column: Any,
-    first_row: Any,
-    columns: Any,
-    heads: Any,
-    hits: Any,
-    nexts: Any,
-    start: Any,
-    count: Any,
-) -> Any:
+    place: Array,
+    faces: NDArray[np.uint32],
+    first_column: int,
+    first_row: int,
+    columns: int,
+    heads: NDArray[np.int32],
+    hits: NDArray[np.uint64],
+    nexts: NDArray[np.int32],
+    start: int,
+    count: int,
+) -> tuple[int, int, int]:
     """Put the hits of the faces from ``start`` on into the lists.
 
     Returns the face at which the capacity was exceeded (``len(faces)`` if it was not), the number of hits, and the
@@ -177,18 +193,18 @@ def _fill(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def _walk(
-    heads: Any,
-    lines: Any,
-    hits: Any,
-    nexts: Any,
-    ends: Any,
-    order: Any,
-    pairs: Any,
-    start: Any,
-    made: Any,
-    patches: Any,
-    solid: Any,
-) -> Any:
+    heads: NDArray[np.int32],
+    lines: int,
+    hits: NDArray[np.uint64],
+    nexts: NDArray[np.int32],
+    ends: NDArray[np.uint32],
+    order: NDArray[np.uint64],
+    pairs: Pairs,
+    start: int,
+    made: int,
+    patches: int,
+    solid: bool,
+) -> tuple[int, int]:
     """Sort the hits of the lines from ``start`` on, and write the segments between them from ``pairs[made]`` on.
 
     Returns the line whose hits ``order`` cannot hold (``lines`` if there is none) and the number of segments.
@@ -225,18 +241,20 @@ def _walk(
             made += (before < sky) | (after < sky)
             before = ends[side, 1]
         pairs[made, 0], pairs[made, 1] = before, sky
-        made += before < sky
+        made += int(before < sky)
     return lines, made
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _apart(order: Any, k: Any) -> Any:
+def _apart(order: NDArray[np.uint64], k: int) -> np.int64:
     """Depth difference of hit ``k`` of a line and the next."""
     return np.int64(order[k + 1] >> _HALF) - np.int64(order[k] >> _HALF)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _settle(k: Any, inside: Any, count: Any, order: Any, ends: Any, dark: Any, solid: Any) -> Any:
+def _settle(
+    k: int, inside: bool, count: int, order: NDArray[np.uint64], ends: NDArray[np.uint32], dark: np.uint32, solid: bool
+) -> int:
     """Order hit ``k`` of a line and the next one, which are close to each other. Returns the next hit to be examined.
 
     Two such faces of opposite orientation may be a sheet, or solids that touch (a box on the floor). Their order is not
@@ -264,7 +282,7 @@ def _settle(k: Any, inside: Any, count: Any, order: Any, ends: Any, dark: Any, s
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _touch(k: Any, count: Any, order: Any, ends: Any, dark: Any) -> Any:
+def _touch(k: int, count: int, order: NDArray[np.uint64], ends: NDArray[np.uint32], dark: np.uint32) -> bool:
     """Whether hit ``k`` of a line and the next have opposite orientation and nearly the same position."""
     if k + 1 >= count or _apart(order, k) >= _GAP:
         return False
@@ -274,14 +292,14 @@ def _touch(k: Any, count: Any, order: Any, ends: Any, dark: Any) -> Any:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _grown(array: Any, size: Any, used: Any) -> Any:
+def _grown(array: NDArray[G], size: int, used: int) -> NDArray[G]:
     larger = np.empty(size, array.dtype)
     larger[:used] = array[:used]
     return larger
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def _grown_pairs(array: Any, size: Any, used: Any) -> Any:
+def _grown_pairs(array: NDArray[G], size: int, used: int) -> NDArray[G]:
     larger = np.empty((size, 2), array.dtype)
     larger[:used] = array[:used]
     return larger

@@ -45,17 +45,17 @@ class Segments:
 
     def __init__(self, patches: Patches, chunks: Sequence[Pairs], batches: ArrayLike, expected: Array) -> None:
         self.patches = patches
-        # All read-only, as those in files are: compiled loops are made anew for arrays that are not.
+        # All read-only, as those in files are, since loops are compiled separately for writable arrays.
         self.chunks = [_read_only(chunk) for chunk in chunks]
         self.batches = np.asarray(batches, dtype=np.int64)
         self.expected = expected
         ends = self._ends()[: len(patches)]
         #: (n,) segments of each patch: the lines through it.
-        self.counted: NDArray[Any] = ends[:, 0].copy()
-        #: (n,) those that lead to the sky.
-        self.to_sky: NDArray[Any] = ends[:, 1].copy()
-        #: (n,) those that lead to the back of a face.
-        self.to_dark: NDArray[Any] = ends[:, 2].copy()
+        self.counted: NDArray[np.int64] | Array = ends[:, 0].copy()
+        #: (n,) segments to the sky.
+        self.to_sky: NDArray[np.int64] | Array = ends[:, 1].copy()
+        #: (n,) segments to the back of a face.
+        self.to_dark: NDArray[np.int64] | Array = ends[:, 2].copy()
 
     def __len__(self) -> int:
         return sum(len(chunk) for chunk in self.chunks)
@@ -66,7 +66,7 @@ class Segments:
     def __add__(self, other: Segments) -> Segments:
         """The segments of both, with separate batches. Raises :class:`RadiosityError` if the patches differ."""
         if len(self.patches) != len(other.patches) or not np.array_equal(self.patches.areas, other.patches.areas):
-            raise RadiosityError("segments of different patches cannot be put together")
+            raise RadiosityError("segments of different patches cannot be added")
         batches = np.concatenate([self.batches, other.batches + self.batch_count])
         return Segments(self.patches, self.chunks + other.chunks, batches, self.expected + other.expected)
 
@@ -82,7 +82,7 @@ class Segments:
 
     @property
     def unseen(self) -> NDArray[np.int64]:
-        """Patches without any line: nothing is known about them."""
+        """Patches without any line, whose values are unknown."""
         return np.flatnonzero(self.counted == 0)
 
     @property
@@ -115,7 +115,7 @@ class Segments:
         their error is unknown. Raises :class:`RadiosityError` for less than two batches.
         """
         if self.batch_count < 2:
-            raise RadiosityError("a standard error needs two batches of lines at least")
+            raise RadiosityError("a standard error needs at least two batches of lines")
         full, shape = self._with_sky(values, sky)
         mean = _divide(self._gather(full), self.exchange_weights)
         parts = (self.batch(batch) for batch in range(self.batch_count))
@@ -185,7 +185,7 @@ def _read_only(chunk: Pairs) -> Pairs:
     return view
 
 
-def scatter(parts: Iterable[tuple[Array, Array]], mean: Array) -> Array:
+def scatter(parts: Iterable[tuple[Array, NDArray[np.int64] | Array]], mean: Array) -> Array:
     """Standard error (n, c) of a ``mean`` that is a quotient of sums, from the sums (n, c) and the weights (n,) of its
     independent parts; zero where only one part has a weight."""
     squares, weight, alike = np.zeros_like(mean), np.zeros(len(mean)), np.zeros(len(mean))

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import Array, on_device, seed_key
 from etendue.points import Halton, OwenSobol, PointSet
 
 from .generators import direction
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 #: The golden ratio minus one: the part of a turn between consecutive directions.
 _TURN = (np.sqrt(5.0) - 1) / 2
@@ -28,7 +32,8 @@ class SpiralPoints(PointSet):
     Sobol' points. They are in the order of the radical inverse, so that each part of them is distributed evenly, too,
     but less well. The other dimensions are those of a scrambled Sobol' sequence.
 
-    directions: n, after which the next spiral begins with another rotation. Best is the number of bundles, if known.
+    directions: n, after which the next spiral begins with another rotation. The best value is the number of bundles, if
+    known.
     """
 
     name = "spiral"
@@ -44,7 +49,7 @@ class SpiralPoints(PointSet):
         """Spirals with another rotation."""
         return SpiralPoints(seed, self.directions)
 
-    def _coordinate(self, index: Any, dimension: int) -> Any:
+    def _coordinate(self, index: mi.UInt32 | NDArray[np.integer[Any]], dimension: int) -> Any:
         if dimension > 1:
             return self._sobol._coordinate(index, dimension)
         if dr.is_jit_v(index):
@@ -75,7 +80,7 @@ class ShuffledPoints(PointSet):
         start = np.floor(points[:_SEEDING] * 2.0**20).astype(np.uint32)
         self._points = points[np.random.default_rng(start.ravel()).permutation(count)]
 
-    def _coordinate(self, index: Any, dimension: int) -> Any:
+    def _coordinate(self, index: mi.UInt32 | NDArray[np.integer[Any]], dimension: int) -> Any:
         if dr.is_jit_v(index):
             kind = dr.float32_array_t(type(index))
             return on_device(kind, self._coordinate(np.array(index), dimension).astype(np.float32))

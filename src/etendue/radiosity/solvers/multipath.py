@@ -61,18 +61,18 @@ def multipath(engine: LineEngine, count: int, first: int = 0, shot: FirstShot | 
 
 
 class LineExchange:
-    """What :func:`multipath` does along segments, for lines of ``count`` points that send all power once. Raises as
-    it does."""
+    """The exchange of :func:`multipath` along segments; the lines of ``count`` points send the own power once. Raises
+    the errors of :func:`multipath`."""
 
     def __init__(self, engine: LineEngine, count: int, shot: FirstShot | None = None) -> None:
         patches, own = engine.patches, _own(engine.patches, shot, count)
         if engine.shares_directions:
             raise RadiosityError(
-                f"multipath line by line needs a direction for each line, those of {type(engine).__name__} come in "
-                "parallel bundles: take multipath_bundles(), or one line a bundle"
+                f"multipath needs lines of different directions, but {type(engine).__name__} casts parallel bundles: "
+                "take multipath_bundles(), or one line per bundle"
             )
         self.patches, self.shot = patches, shot
-        #: Of power by patch, the sky, darkness and channel.
+        #: Shape of arrays of power: patches, sky and dark; channels.
         self.shape = len(patches) + 2, patches.channels
         self._reflectance, self._per_line = np.zeros((2, *self.shape))
         expected = engine.expected(count)
@@ -89,7 +89,7 @@ class LineExchange:
         return sent
 
     def result(self, sent: Array, unshot: Array, received: Array) -> Multipath:
-        """Of power that was sent and received, and of what is left."""
+        """The result, from sent, unshot and received power."""
         return _result(self.patches, self.shot, sent, unshot[:-2], received)
 
 
@@ -176,9 +176,9 @@ def _received(pairs: Pairs, values: Array) -> Array:
 def _own(patches: Patches, shot: FirstShot | None, count: int) -> Array:
     """Power (n, c) that patches send along the lines of ``count`` points."""
     if count < 1:
-        raise RadiosityError(f"there is nothing to cast: {count} points")
+        raise RadiosityError(f"multipath needs at least one point, not {count}")
     if not (patches.emission.any() or patches.sky.any()):
-        raise RadiosityError("no patch emits light, nor does the sky: give one an emission above zero")
+        raise RadiosityError("no patch emits light, nor does the sky: give one of them an emission above zero")
     if shot is None:
         return patches.areas[:, None] * patches.emission
     return patches.areas[:, None] * (patches.emission - shot.emission) + shot.reflected

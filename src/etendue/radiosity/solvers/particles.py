@@ -1,4 +1,4 @@
-"""Particles: light sent by local lines, path by path or bounce by bounce, the classical alternative to global lines."""
+"""Particle tracing by local lines, path by path or bounce by bounce: the classical alternative to global lines."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def breadth_first(
     [Castro 2002, sec. 2.3.3].
 
     The emission is sent by ``rays`` rays; the number for a bounce is proportional to its power. ``points`` as in
-    :func:`depth_first`; each bounce takes the next of them. Raises :class:`RadiosityError` if no patch emits.
+    :func:`depth_first`; each bounce uses the next points. Raises :class:`RadiosityError` if no patch emits.
     """
     patches, unshot = scene.patches, _power(scene)
     sequence = OwenSobol(4, seed) if points is None else points
@@ -109,7 +109,7 @@ def breadth_first(
 def _power(scene: RayScene) -> Array:
     patches = scene.patches
     if not patches.emission.any():
-        raise RadiosityError("no patch emits light: particles have nowhere to start from (the sky sends none)")
+        raise RadiosityError("no patch emits light: particles start from emitting patches (the sky sends none)")
     return patches.areas[:, None] * patches.emission
 
 

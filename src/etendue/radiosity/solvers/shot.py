@@ -1,17 +1,15 @@
-"""First shot: the light of emitters sent once by local rays, so that lines need not find a lamp that few of them
-meet.
+"""First shot: the direct light of small emitters, sent by local rays, since few global lines meet a small lamp.
 
-:func:`first_shot` is the classical one, rays that leave emitters by the cosine law. :func:`shot_at_patches` aims most
-of them: from even points of the emitters (by power) to even points of each patch, as many for each. Such a ray brings
-Phi A K / m, if m are aimed at a patch of area A, with K = cos cos' / (pi r^2): where A K is small, that is all but the
-same for all. Near a lamp K has no bound. What has A K above a limit is therefore left to rays by the cosine law, each
-of which brings Phi / N. Each pair of points has one way, so that nothing counts twice.
+:func:`first_shot` sends rays from the emitters by the cosine law. :func:`shot_at_patches` aims most rays: from points
+on the emitters, sampled by power, to uniform points on each patch, the same number for each patch. Such a ray carries
+Phi A K / m, if m are aimed at a patch of area A, with K = cos cos' / (pi r^2): where A K is small, nearly the same for
+all rays. Near a lamp K is unbounded. Pairs of points with A K above a limit are therefore sampled by cosine-distributed
+rays, each of which carries Phi / N. Each pair is sampled in one of the two ways, so no light counts twice.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -26,16 +24,16 @@ from ..errors import RadiosityError
 from ..lines.local import Emission
 from ..lines.segments import scatter
 
-#: Parts of the points of a shot that are given, whose scatter tells its error.
+#: Number of parts of given points, whose variance gives the error.
 _PARTS = 16
-#: Sequences of points of :class:`Shot`, independent of each other, whose scatter tells its error.
+#: Number of independent point sequences of :class:`Shot`, whose variance gives the error.
 SEQUENCES = 4
-#: Least rays of a block of :class:`Shot`, and how many of them are aimed for one by the cosine law.
+#: Smallest number of rays of a block of :class:`Shot`, and number of aimed rays per cosine-distributed ray.
 _BLOCK, _AIMED = 1 << 14, 8
-#: Share A K of the light that a patch would take at most, if all of it were as near to a lamp as the point is: above
-#: that, rays by the cosine law are better.
+#: Limit of A K, the share of the light that a patch would receive if all of it were as close to the lamp as the point.
+#: Above it cosine-distributed rays are better.
 _NEAR = 0.3
-#: Emitters are shot if that takes most of the variance of direct light away.
+#: Emitters are shot if this removes at least this share of the variance of direct light.
 _MOST = 0.5
 
 
@@ -43,9 +41,10 @@ _MOST = 0.5
 class FirstShot:
     """Light of emitters, sent once by local lines.
 
-    ``emission``: (n, c) that was sent, zero for patches whose light was not. ``irradiance``, ``error``: (n, c) what
-    comes of it to each patch, and its standard error (infinite for a single ray). Power (c,): what went ``to_sky`` and
-    to backs of faces, which is ``lost``; with what patches receive, it is what was sent. ``rays``: how many.
+    ``emission``: (n, c) that was sent, zero for patches whose emission was not sent. ``irradiance``, ``error``: (n, c)
+    irradiance of each patch by this light, and its standard error (infinite for a single ray). Power (c,): ``to_sky``,
+    and ``lost`` to backs of faces; together with the power that patches receive it is the power that was sent.
+    ``rays``: number of rays.
     """
 
     patches: Patches
@@ -58,12 +57,12 @@ class FirstShot:
 
     @property
     def reflected(self) -> Array:
-        """(n, c) power that each patch reflects of it."""
+        """(n, c) reflected power of this light."""
         return self.patches.areas[:, None] * self.patches.reflectance * self.irradiance
 
     @property
     def absorbed(self) -> Array:
-        """(c,) power that patches and backs of faces absorb of it."""
+        """(c,) power of this light that patches and backs of faces absorb."""
         areas = self.patches.areas[:, None]
         return (areas * (1 - self.patches.reflectance) * self.irradiance).sum(axis=0) + self.lost
 
@@ -72,8 +71,8 @@ def first_shot(scene: RayScene, u: Array, emitters: NDArray[np.bool_] | None = N
     """Send the emission of all patches, or of the ``emitters`` (n,), by rays of cosine density, one for each point
     ``u`` (N, 4), equal in power.
 
-    The error is from the scatter of 16 parts of the points. Parts of one sequence scatter more than independent ones
-    would: the error is then an upper estimate. Raises :class:`RadiosityError` if no patch emits.
+    The error is estimated from the variance of 16 parts of the points. For parts of one sequence it is an upper
+    estimate. Raises :class:`RadiosityError` if no patch emits.
     """
     emission = _emission(scene.patches, emitters)
     source = Emission(scene, scene.patches.areas[:, None] * emission)
@@ -92,33 +91,33 @@ def first_shot(scene: RayScene, u: Array, emitters: NDArray[np.bool_] | None = N
 def shot_at_patches(
     scene: RayScene, rays: float, points: PointSet | None = None, emitters: NDArray[np.bool_] | None = None
 ) -> FirstShot:
-    """Send the emission of all patches, or of the ``emitters`` (n,), by so many rays or some more, most of them aimed:
-    as many at each patch. The error of what a patch receives is a small part of that of :func:`first_shot`.
+    """Send the emission of all patches, or of the ``emitters`` (n,), by ``rays`` rays or a few more, most of them
+    aimed, the same number at each patch. The error of the irradiance is a small part of that of :func:`first_shot`.
 
-    What all patches receive is made what was sent, less what leaves the scene. points: of four dimensions, by default a
-    scrambled Sobol' sequence; they are randomised four times, and the error is from the scatter of the four shots that
-    make up this one. Raises :class:`RadiosityError` if no patch emits.
+    The received power is scaled to the sent power minus the power that leaves the scene. points: of four dimensions, by
+    default a scrambled Sobol' sequence. The shot is the mean of four shots with independently randomised points, whose
+    variance gives the error. Raises :class:`RadiosityError` if no patch emits.
     """
     return Shot(scene, points or OwenSobol(4), emitters).cast(rays)
 
 
 class Shot:
-    """:func:`shot_at_patches`, block by block. Blocks are numbered; those of one number always bring the same."""
+    """:func:`shot_at_patches`, block by block. The light of a block is determined by its number."""
 
     def __init__(self, scene: RayScene, points: PointSet, emitters: NDArray[np.bool_] | None) -> None:
         self._lamps = _Lamps(scene, _emission(scene.patches, emitters), _replicates(points))
 
     @property
     def at_once(self) -> int:
-        """Blocks to ask for together, so that they fill the device."""
+        """Number of blocks that fill the device."""
         return self._lamps.at_once
 
     def blocks(self, rays: float) -> int:
-        """Blocks of at least so many rays; one of each sequence at least."""
+        """Number of blocks with at least ``rays`` rays, at least one of each sequence."""
         return max(SEQUENCES, int(np.ceil(rays / self._lamps.rays)))
 
     def light(self, first: int, count: int) -> ShotSums:
-        """What ``count`` blocks from ``first`` on bring; those of several calls add up."""
+        """The light of ``count`` blocks from ``first`` on; results can be added."""
         patches = self._lamps.scene.patches
         received = np.zeros((SEQUENCES, len(patches) + 2, patches.channels))
         blocks = np.zeros(SEQUENCES)
@@ -129,7 +128,7 @@ class Shot:
         return ShotSums(received, blocks)
 
     def result(self, sums: ShotSums) -> FirstShot:
-        """The shot of such blocks, of each sequence one at least."""
+        """The shot from blocks, at least one of each sequence."""
         blocks = sums.blocks.sum()
         mean = sums.received.sum(axis=0) / blocks
         parts = ((found, np.full(len(mean), n)) for found, n in zip(sums.received, sums.blocks, strict=True))
@@ -137,14 +136,14 @@ class Shot:
         return _shot(self._lamps.scene.patches, emission, mean, scatter(parts, mean), int(blocks) * self._lamps.rays)
 
     def cast(self, rays: float) -> FirstShot:
-        """A shot of at least so many rays."""
+        """A shot with at least ``rays`` rays."""
         return self.result(self.light(0, self.blocks(rays)))
 
 
 @dataclass(frozen=True)
 class ShotSums:
-    """What blocks of rays bring, by their sequence: power ``received`` (sequences, n + 2, c) by patches, the sky and
-    backs of faces, added up over ``blocks`` (sequences,)."""
+    """The light of blocks of rays, by sequence: power ``received`` (sequences, n + 2, c) by patches, the sky and backs
+    of faces, added up over ``blocks`` (sequences,)."""
 
     received: Array
     blocks: Array
@@ -154,7 +153,7 @@ class ShotSums:
 
 
 class _Lamps:
-    """Emitters of a scene, ready to send blocks of rays, for each of which the next of some sequences has its turn."""
+    """Emitters of a scene that send blocks of rays; consecutive blocks use the sequences in turn."""
 
     def __init__(self, scene: RayScene, emission: Array, sequences: list[PointSet]) -> None:
         self.scene, self.emission, self.sequences = scene, emission, sequences
@@ -164,28 +163,28 @@ class _Lamps:
         lit = sides.emitting(strength)
         self._lamps, self._targets = RaySource(scene, lit), RaySource(scene, sides)
         self._whole, self._colour = lit.edges[-1], power / np.where(strength > 0, strength, 1)[:, None]
-        #: Rays of a block, at each patch and by the cosine law.
+        #: Rays of a block: at each patch, and cosine-distributed.
         self.each = 1 << int(np.ceil(np.log2(max(_BLOCK / n, 1))))
         self.shot = -(-n * self.each // _AIMED)
         self._areas = copied_to_device(mi.Float, np.bincount(sides.patch, sides.areas, n))
         self._colours = [copied_to_device(mi.Float64, column) for column in self._colour.T]
-        # Each patch takes the same points, shifted by numbers of its own.
+        # All patches use the same points, each with its own shift.
         self._shifts = Independent(4, seed=1).lanes(mi.UInt32, n)
         dr.eval(self._shifts)
         self._patches, self._bits = dr.opaque(mi.UInt32, n), dr.opaque(mi.UInt32, self.each.bit_length() - 1)
 
     @property
     def rays(self) -> int:
-        """Of a block."""
+        """Number of rays of a block."""
         return self.each * len(self.emission) + self.shot
 
     @property
     def at_once(self) -> int:
-        """Blocks to ask for together, so that the device is filled."""
+        """Number of blocks that fill the device."""
         return max(BATCH // self.rays, 1)
 
     def light(self, first: int, count: int) -> list[tuple[int, Array]]:
-        """Numbers of so many blocks, ascending in each sequence, and the power (n + 2, c) that patches, the sky and
+        """Numbers of ``count`` blocks, ascending in each sequence, and the power (n + 2, c) that patches, the sky and
         backs of faces receive by each."""
         turns = [
             range(first + (k - first) % len(self.sequences), first + count, len(self.sequences))
@@ -195,7 +194,7 @@ class _Lamps:
         received[:, :-2] += self._whole / self.each * self._aimed(turns, count)
         return list(zip((block for turn in turns for block in turn), received, strict=True))
 
-    def _points(self, turns: list[range], size: int) -> list[Any]:
+    def _points(self, turns: list[range], size: int) -> list[mi.Float64]:
         """Points of blocks of this size, sequence by sequence."""
         parts = [
             points.lanes(mi.UInt32, len(turn) * size, turn.start // len(turns) * size)
@@ -205,7 +204,7 @@ class _Lamps:
         return [dr.concat(list(lanes)) for lanes in zip(*parts, strict=True)]
 
     def _shot(self, turns: list[range], count: int) -> Array:
-        """What rays by the cosine law bring, (count, n + 2, c), that of one ray being 1 in all."""
+        """Light of cosine-distributed rays, (count, n + 2, c), in units of the power of a ray."""
         scene, n = self.scene, len(self.emission)
         u = self._points(turns, self.shot)
         places, ways = self._lamps.any(u[0], u[1]), cosine_lanes(u[2], u[3])
@@ -216,14 +215,14 @@ class _Lamps:
         kernel = ways.z * dr.abs(dr.dot(scene.normal_of(hit), directions)) / (dr.pi * hit.t**2)
         aimed_at = on_patch & (dr.gather(mi.Float, self._areas, found, on_patch) * kernel <= _NEAR)
         pairs = pairs_of(self._lamps.patch_of(places.side), dr.select(aimed_at, self._patches + 2, found))
-        # A row of n + 3 for each block, the last of them for what does not count.
+        # A row of n + 3 numbers for each block, the last one for rays that do not count.
         row = pairs[:, 1] + np.repeat(np.arange(count) * (n + 3), self.shot)
         colour = self._colour[pairs[:, 0]]
         sums = [np.bincount(row, column, count * (n + 3)).reshape(count, n + 3)[:, :-1] for column in colour.T]
         return np.stack(sums, axis=2)
 
     def _aimed(self, turns: list[range], count: int) -> Array:
-        """What rays to points of patches bring, (count, n, c), that of one ray being its share A K."""
+        """Light of aimed rays, (count, n, c); each ray adds its share A K."""
         scene, n = self.scene, len(self.emission)
         table = self._points(turns, self.each)
         dr.eval(table)
@@ -255,11 +254,13 @@ class _Lamps:
 
 
 def small_emitters(patches: Patches, rays_per_segment: float) -> NDArray[np.bool_]:
-    """(n,) the emitters whose light is better shot, if there are so many rays for each segment of global lines.
+    """(n,) the emitters whose light is better sent by a shot with ``rays_per_segment`` rays for each segment of global
+    lines.
 
-    A ray from an emitter tells as much of its light as a line that meets it, and more if it is aimed. Rays are shared
-    out by power, lines by area: the brightest emitters are taken, as long as each gets more rays than lines; but none,
-    if others keep half of the variance, in the mean over equal patches the sum of ``E^2 A``.
+    A ray from an emitter reduces the variance of its light as much as a line that meets it, an aimed ray reduces it
+    more. Rays are distributed by power, lines by area. So the brightest emitters are taken, as long as each gets more
+    rays than lines; but none, if the others have half of the variance, which for equal patches is proportional to the
+    sum of ``E^2 A``.
     """
     strength, areas = patches.emission.sum(axis=1), patches.areas
     order = np.argsort(-strength, kind="stable")
@@ -282,16 +283,17 @@ def _emission(patches: Patches, emitters: NDArray[np.bool_] | None) -> Array:
 
 
 def _replicates(points: PointSet) -> list[PointSet]:
-    """The points randomised so many times; those of another seed give others."""
+    """Independently randomised copies of the points, determined by their seed."""
     seed = int(np.bitwise_xor.reduce(points.block(1).ravel().view(np.uint64)))
     return [points.randomised(seed_key(seed, "replicate", k)[0]) for k in range(SEQUENCES)]
 
 
 def _shot(patches: Patches, emission: Array, mean: Array, error: Array, rays: int) -> FirstShot:
-    """From what the rays bring, (n + 2, c), and its standard error."""
+    """The shot from received power (n + 2, c) and its standard error."""
     areas = patches.areas[:, None]
     sent, received, leaving = (areas * emission).sum(axis=0), mean[:-2].sum(axis=0), mean[-2:].sum(axis=0)
-    # Only rays by the cosine law leave the scene: they say less than those that arrive, and give way to them.
+    # Only cosine-distributed rays leave the scene. Their estimate has the larger variance, so it is the one that is
+    # scaled.
     leaves = (leaving > 0) & (received < sent)
     outside = np.divide(sent - received, leaving, out=np.ones_like(sent), where=leaves)
     inside = np.divide(sent - outside * leaving, received, out=np.zeros_like(sent), where=received > 0)

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from ..factors.formfactors import FormFactors
 from ..lines.segments import Segments
 from ..parallel import compiled
 from .shot import FirstShot
+
+if TYPE_CHECKING:
+    import scipy.sparse
 
 Solver = Literal["jacobi", "gauss-seidel", "southwell", "conjugate-gradient", "direct"]
 SOLVERS: tuple[Solver, ...] = ("jacobi", "gauss-seidel", "southwell", "conjugate-gradient", "direct")
@@ -92,8 +95,8 @@ class Solution:
 
     @property
     def imbalance(self) -> float:
-        """Input power minus output power, relative to the input: zero if form factors are reciprocal and their rows sum
-        to 1, else about as large as their errors."""
+        """Difference of input and output power, relative to the input: zero if form factors are reciprocal and their
+        rows sum to 1, else about as large as their errors."""
         come = self.power["emitted"] + self.power["from_sky"]
         gone = self.power["absorbed"] + self.power["to_sky"]
         return float(np.abs(come - gone).sum() / come.sum())
@@ -127,9 +130,9 @@ def solve(
     other patches, or if the solver has not converged after ``max_iterations``.
     """
     if len(transport.sky) != len(patches):
-        raise RadiosityError(f"there are {len(patches)} patches, but light is carried between {len(transport.sky)}")
+        raise RadiosityError(f"there are {len(patches)} patches, but the transport is that of {len(transport.sky)}")
     if not (patches.emission.any() or patches.sky.any()):
-        raise RadiosityError("no patch emits light, nor does the sky: give one an emission above zero")
+        raise RadiosityError("no patch emits light, nor does the sky: give one of them an emission above zero")
     if solver not in SOLVERS:
         raise RadiosityError(f"there is no solver {solver!r}; there are: {', '.join(SOLVERS)}")
     if solver in ("gauss-seidel", "southwell", "direct") and not isinstance(transport, FormFactors):
@@ -163,12 +166,12 @@ def check_direct(patches: int) -> None:
 
 
 def _after(shot: FirstShot, patches: Patches) -> Patches:
-    """Patches that emit what was not shot, and what they reflect of the shot."""
+    """Patches that emit their remaining light and the reflected light of the shot."""
     if shot.emission.shape != patches.emission.shape or not np.array_equal(shot.patches.areas, patches.areas):
-        raise RadiosityError("the first shot is one of other patches: shoot from those that are solved for")
+        raise RadiosityError("the first shot is that of other patches: shoot from the patches of the solution")
     left = patches.emission - shot.emission
     if (left < 0).any():
-        raise RadiosityError("the first shot has sent more light than patches emit: shoot again for this emission")
+        raise RadiosityError("the first shot sent more light than the patches emit: repeat it for this emission")
     return patches.with_properties(emission=left + patches.reflectance * shot.irradiance)
 
 
@@ -186,19 +189,19 @@ class _Steps(ABC):
         """Radiosity and irradiance after another iteration."""
 
     @property
-    def matrix(self) -> Any:
-        """F as CSR; :func:`solve` has seen to it that there is one."""
+    def matrix(self) -> scipy.sparse.csr_array:
+        """F as CSR; :func:`solve` has checked that there is one."""
         assert isinstance(self.transport, FormFactors)
         return self.transport.matrix
 
     @property
     def known(self) -> Array:
-        """What is emitted, and reflected of the sky."""
+        """Emission, and reflected light of the sky."""
         return self.emission + self.reflectance * self.transport.sky[:, None] * self.patches.sky
 
 
 class _Gathering(_Steps):
-    """A solver that changes the radiosity; the irradiance is gathered anew."""
+    """A solver that changes the radiosity; the irradiance is gathered afterwards."""
 
     def step(self) -> tuple[Array, Array]:
         self.improve()
@@ -237,7 +240,7 @@ class _Southwell(_Gathering):
 
 class _ConjugateGradient(_Steps):
     """With B = E + sqrt(rho) y and symmetric W F: (W - sqrt(rho) W F sqrt(rho)) y = sqrt(rho) W H(E), preconditioned by
-    W. All channels go side by side."""
+    W. All channels are solved together."""
 
     def __init__(self, patches: Patches, transport: Transport) -> None:
         super().__init__(patches, transport)

@@ -13,10 +13,11 @@ from .system import Solution
 def radiosity_on(
     surfaces: PatchSurfaces, solution: Solution, *, smooth: bool = True, angle: float = 30.0, emission: bool = True
 ) -> SurfaceValues:
-    """The radiosity of a solution as a function on its surfaces: emission and reflectance of the patch, and the smooth
-    irradiance; or that of the patch as it is. Without ``emission`` what is reflected only.
+    """The radiosity of a solution as a function on its surfaces: emission and reflectance of the patch with an
+    interpolated irradiance, or (``smooth=False``) the radiosity of the patch. Without ``emission`` only reflected
+    light.
 
-    Raises :class:`RadiosityError` for other than one channel or three.
+    Raises :class:`RadiosityError` unless there are one or three channels.
     """
     check_colours(solution)
     patches = solution.patches

@@ -26,7 +26,7 @@ from etendue.points import (
     star_discrepancy_bounds,
 )
 
-from .console import say
+from ..console import say
 
 #: Default numbers of points of a plot or a measure, and of a list.
 _PLOTTED, _LISTED = 1024, 16

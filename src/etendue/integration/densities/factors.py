@@ -1,4 +1,4 @@
-"""Densities that can be sampled, evaluated and learned: products of factors over groups of parameters.
+"""Factors of densities over groups of parameters, which can be sampled, evaluated and learned.
 
 A factor over one or two parameters is piecewise constant over bins with movable borders, each with the same
 probability; over three or more it is a fixed grid of cells, each with its own probability [Leeson 2001, sec. 5.5].
@@ -8,37 +8,20 @@ numbers.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
 from etendue.core import Array
 
-from .backend import Backend, HostBackend
+from ..backend import Backend, Numbers, Whole
 from .binning import damp, rebin, smooth
-from .errors import IntegrationError
-from .functions import Box, Domain, Integrand
 
 #: Points (a list of coordinates), 1 / density there, and the bin of each.
-Warped = tuple[list[Any], Any, Any]
+Warped: TypeAlias = "tuple[list[Numbers], Numbers, Whole]"
 #: Smallest probability of a cell of a grid, relative to a uniform one, so that a missed cell is sampled again.
 _FLOOR = 0.05
-
-
-class Density(Protocol):
-    """A probability density on a box from which an integrator can sample."""
-
-    domain: Box
-
-    def sample(self, backend: Backend, u: Any) -> tuple[Any, Any]:
-        """Points of the domain from points ``u`` of the unit cube, coordinate-major, and the density at each."""
-        ...
-
-    def pdf(self, backend: Backend, x: Any) -> Any:
-        """The density at points of the domain."""
-        ...
 
 
 class Tabulated(Protocol):
@@ -47,7 +30,7 @@ class Tabulated(Protocol):
     dimension: int
     bins: int
     #: Probability of each bin.
-    shares: Any
+    shares: float | Array
 
     @property
     def volume(self) -> Array:
@@ -59,7 +42,7 @@ class Tabulated(Protocol):
         each."""
         ...
 
-    def look_up(self, backend: Backend, tables: Sequence[Any], u: Sequence[Any], row: Any) -> Warped:
+    def look_up(self, backend: Backend, tables: Sequence[Numbers], u: Sequence[Numbers], row: Whole | int) -> Warped:
         """(points, 1 / density, bin of each) from the tables, by the density with index ``row``."""
         ...
 
@@ -70,11 +53,11 @@ class Factor(Tabulated, Protocol):
     #: Power of the contribution by which its bins adapt; bins with movable borders equalise its square.
     order: int
 
-    def warp(self, backend: Backend, u: Sequence[Any]) -> Warped:
+    def warp(self, backend: Backend, u: Sequence[Numbers]) -> Warped:
         """(points, 1 / density, bin of each)."""
         ...
 
-    def pdf(self, backend: Backend, x: Sequence[Any]) -> Any:
+    def pdf(self, backend: Backend, x: Sequence[Numbers]) -> Numbers:
         """Density at points."""
         ...
 
@@ -86,7 +69,7 @@ class Factor(Tabulated, Protocol):
 class _ByTables:
     """Shared by all factors."""
 
-    def warp(self: Any, backend: Backend, u: Sequence[Any]) -> Warped:
+    def warp(self: Any, backend: Backend, u: Sequence[Numbers]) -> Warped:
         """See :class:`Factor`."""
         return warp_rows(backend, [self], u, 0)
 
@@ -100,7 +83,7 @@ class AxisBins(_ByTables):
     def __init__(self, edges: Array) -> None:
         self.edges = np.asarray(edges, dtype=np.float64)
         self.bins = len(self.edges) - 1
-        self.shares = 1.0 / self.bins
+        self.shares: float | Array = 1.0 / self.bins
 
     @classmethod
     def even(cls, bins: int) -> AxisBins:
@@ -116,14 +99,14 @@ class AxisBins(_ByTables):
         """See :class:`Factor`: widths and lower borders of the bins."""
         return [np.diff(self.edges), self.edges[:-1]]
 
-    def look_up(self, backend: Backend, tables: Sequence[Any], u: Sequence[Any], row: Any) -> Warped:
+    def look_up(self, backend: Backend, tables: Sequence[Numbers], u: Sequence[Numbers], row: Whole | int) -> Warped:
         """See :class:`Factor`."""
         place, rest = backend.split(u[0] * self.bins, self.bins)
         index = row * self.bins + place
         width = backend.take(tables[0], index)
         return [backend.take(tables[1], index) + rest * width], width * self.bins, place
 
-    def pdf(self, backend: Backend, x: Sequence[Any]) -> Any:
+    def pdf(self, backend: Backend, x: Sequence[Numbers]) -> Numbers:
         """See :class:`Factor`."""
         density = 1.0 / (self.bins * np.maximum(np.diff(self.edges), np.finfo(float).tiny))
         place = bisect(backend, backend.table(self.edges), x[0], self.bins)
@@ -148,7 +131,7 @@ class PlaneBins(_ByTables):
         self.inner = np.asarray(inner, dtype=np.float64)
         self._outer_bins, self._inner_bins = len(self.edges) - 1, self.inner.shape[1] - 1
         self.bins = self._outer_bins * self._inner_bins
-        self.shares = 1.0 / self.bins
+        self.shares: float | Array = 1.0 / self.bins
 
     @classmethod
     def even(cls, bins: int) -> PlaneBins:
@@ -166,7 +149,7 @@ class PlaneBins(_ByTables):
         outer, inner = self.edges, self.inner
         return [np.diff(outer), outer[:-1], np.diff(inner).ravel(), inner[:, :-1].ravel()]
 
-    def look_up(self, backend: Backend, tables: Sequence[Any], u: Sequence[Any], row: Any) -> Warped:
+    def look_up(self, backend: Backend, tables: Sequence[Numbers], u: Sequence[Numbers], row: Whole | int) -> Warped:
         """See :class:`Factor`."""
         outer, outer_rest = backend.split(u[0] * self._outer_bins, self._outer_bins)
         inner, inner_rest = backend.split(u[1] * self._inner_bins, self._inner_bins)
@@ -177,7 +160,7 @@ class PlaneBins(_ByTables):
         y = backend.take(tables[3], second) + inner_rest * inner_width
         return [x, y], width * inner_width * self.bins, place
 
-    def pdf(self, backend: Backend, x: Sequence[Any]) -> Any:
+    def pdf(self, backend: Backend, x: Sequence[Numbers]) -> Numbers:
         """See :class:`Factor`."""
         tiny = np.finfo(float).tiny
         density = 1.0 / (self.bins * np.maximum(np.diff(self.inner) * np.diff(self.edges)[:, None], tiny))
@@ -208,7 +191,7 @@ class CellGrid(_ByTables):
         p = np.asarray(probability, dtype=np.float64)
         self.probability = p / p.sum()
         self.dimension, self.cells, self.bins = p.ndim, p.shape[0], p.size
-        self.shares = self.probability.ravel()
+        self.shares: float | Array = self.probability.ravel()
 
     @classmethod
     def even(cls, bins: int, dimension: int) -> CellGrid:
@@ -225,7 +208,7 @@ class CellGrid(_ByTables):
         p = self.probability.ravel()
         return [p, np.cumsum(p) - p]
 
-    def look_up(self, backend: Backend, tables: Sequence[Any], u: Sequence[Any], row: Any) -> Warped:
+    def look_up(self, backend: Backend, tables: Sequence[Numbers], u: Sequence[Numbers], row: Whole | int) -> Warped:
         """See :class:`Factor`. The first number selects the cell, and its remainder the position in it."""
         first = row * self.bins
         place = bisect(backend, tables[1], u[0], self.bins, first)
@@ -240,7 +223,7 @@ class CellGrid(_ByTables):
             x.append((backend.number(along) + (rest if axis == 0 else u[axis])) * (1.0 / self.cells))
         return x, 1.0 / (chosen * self.bins), place
 
-    def pdf(self, backend: Backend, x: Sequence[Any]) -> Any:
+    def pdf(self, backend: Backend, x: Sequence[Numbers]) -> Numbers:
         """See :class:`Factor`."""
         place: Any = 0
         for value in x:
@@ -262,7 +245,7 @@ class CellGrid(_ByTables):
         return CellGrid(np.maximum(mixed, _FLOOR / self.bins))
 
 
-def warp_rows(backend: Backend, factors: Sequence[Tabulated], u: Sequence[Any], row: Any) -> Warped:
+def warp_rows(backend: Backend, factors: Sequence[Tabulated], u: Sequence[Numbers], row: Whole | int) -> Warped:
     """(points, 1 / density, bin of each) by the factor of number ``row`` of ``factors``, which are of one shape."""
     tables = [backend.table(np.concatenate(parts)) for parts in zip(*(f.tables() for f in factors), strict=True)]
     return factors[0].look_up(backend, tables, u, row)
@@ -275,8 +258,8 @@ def stabilised(values: Array, smoothing: bool, damping: float | None) -> Array:
 
 
 def bin_values(factor: Factor, sums: Array, samples: int, mode: str, steady: bool = False) -> Array:
-    """The values of a factor's bins, from sums over the ``samples`` in each: (1, bins)
-    of (f / p)^2 in mode ``"importance"``, (3, bins) of (f / p)^2, f / p and 1 in mode ``"stratified"``.
+    """The values of a factor's bins, from sums over the ``samples`` in each: (1, bins) of (f / p)^2 in mode
+    ``"importance"``, (3, bins) of (f / p)^2, f / p and 1 in mode ``"stratified"``.
 
     In importance mode the mean of (f / p)^2, for cells of a grid its root; else the deviation of f / p, with the sign
     of [Leeson 2001, eq. 5.8] corrected. Adapting to squares, borders overshoot, which damping compensates; without
@@ -290,7 +273,7 @@ def bin_values(factor: Factor, sums: Array, samples: int, mode: str, steady: boo
     return np.sqrt(np.maximum(squares / counts - (values / counts) ** 2, 0.0))
 
 
-def bisect(backend: Backend, table: Any, value: Any, bins: int, start: Any = 0) -> Any:
+def bisect(backend: Backend, table: Numbers, value: Numbers, bins: int, start: Whole | int = 0) -> Whole:
     """The bin of ``value`` between ascending borders ``table[start … start + bins]``."""
     low: Any = value * 0.0
     low = backend.split(low, 1)[0]
@@ -301,104 +284,3 @@ def bisect(backend: Backend, table: Any, value: Any, bins: int, start: Any = 0) 
         low = backend.where(backend.take(table, tried + start) <= value, tried, low)
         step >>= 1
     return low
-
-
-class ProductDensity:
-    """``p(x) = prod_g p_g(x_g)`` over groups of parameters of a box; those in no group are uniform.
-
-    Parameters
-    ----------
-    domain: the box.
-    groups: the parameters of each factor.
-    factors: one for each group.
-    """
-
-    def __init__(self, domain: Domain, groups: Sequence[Sequence[int]], factors: Sequence[Factor]) -> None:
-        self.domain = Box.of(domain)
-        self.groups = [tuple(group) for group in groups]
-        self.factors = list(factors)
-        used = list(itertools.chain.from_iterable(self.groups))
-        if len(set(used)) != len(used) or any(not 0 <= a < self.domain.dimension for a in used):
-            raise IntegrationError(
-                f"groups {self.groups} of parameters: each may occur once, from 0 to {self.domain.dimension - 1}"
-            )
-        if [f.dimension for f in self.factors] != [len(g) for g in self.groups]:
-            raise IntegrationError("each group of parameters needs a factor of as many dimensions")
-
-    @classmethod
-    def tabulated(cls, f: Integrand, bins: int = 64) -> ProductDensity:
-        """The piecewise constant density of one or two parameters proportional to ``|f|`` at the centres of ``bins``
-        bins per axis.
-
-        Raises :class:`IntegrationError` if ``f`` cannot be normalised: not finite somewhere, or zero everywhere.
-        """
-        if f.dimension > 2 or f.on == "device":
-            raise IntegrationError("a density is tabulated from a function of one or two parameters on the host")
-        grid = (np.arange(bins) + 0.5) / bins
-        points = np.stack([axis.ravel() for axis in np.meshgrid(*[grid] * f.dimension, indexing="ij")])
-        values = np.abs(np.broadcast_to(f.evaluate(f.domain.from_unit(points)), points.shape[1:])).astype(float)
-        if not np.isfinite(values).all() or not values.sum() > 0:
-            raise IntegrationError(
-                "a density cannot be made of a function that is not finite, or zero everywhere: not normalisable"
-            )
-        # A bin with f = 0 at its centre may have other values elsewhere, so it must be sampled, too.
-        values = np.maximum(values, 1e-3 * values.mean())
-        even = np.linspace(0.0, 1.0, bins + 1)
-        if f.dimension == 1:
-            factor: Factor = AxisBins(rebin(even, values))
-        else:
-            rows = values.reshape(bins, bins)
-            start = PlaneBins.even(bins)
-            factor = start.adapted(rows.ravel(), False, None, 1.0)
-        return cls(f.domain, [tuple(range(f.dimension))], [factor])
-
-    def warp(self, backend: Backend, u: Any) -> tuple[Any, Any, list[Any]]:
-        """Points of the unit cube, 1 / density there, and the bin in each factor."""
-        x = list(u)
-        weight: Any = 1.0
-        places = []
-        for group, factor in zip(self.groups, self.factors, strict=True):
-            warped, inverse, place = factor.warp(backend, [u[a] for a in group])
-            for axis, value in zip(group, warped, strict=True):
-                x[axis] = value
-            weight = weight * inverse
-            places.append(place)
-        return x, weight, places
-
-    def sample(self, backend: Backend, u: Any) -> tuple[Any, Any]:
-        """See :class:`Density`."""
-        x, weight, _ = self.warp(backend, u)
-        return self.domain.from_unit(x), 1.0 / (weight * self.domain.volume)
-
-    def pdf(self, backend: Backend, x: Any) -> Any:
-        """See :class:`Density`."""
-        unit = self.domain.to_unit(x)
-        p: Any = 1.0 / self.domain.volume
-        for group, factor in zip(self.groups, self.factors, strict=True):
-            p = p * factor.pdf(backend, [unit[a] for a in group])
-        return backend.broadcast(p, x)
-
-    def draw(self, count: int, seed: int = 0) -> tuple[Array, Array]:
-        """``count`` points (d, count) on the host and the density at each."""
-        backend = HostBackend(seed)
-        x, p = self.sample(backend, backend.uniform(count, self.domain.dimension))
-        return np.stack(list(x)), backend.broadcast(p, x)
-
-
-class Warp:
-    """A density given by two functions: ``sample``, from points of the unit cube to points of the domain, and ``pdf``.
-
-    Both take and return coordinate-major arrays, as functions of an :class:`Integrand` do.
-    """
-
-    def __init__(self, domain: Domain, sample: Any, pdf: Any) -> None:
-        self.domain, self._sample, self._pdf = Box.of(domain), sample, pdf
-
-    def sample(self, backend: Backend, u: Any) -> tuple[Any, Any]:
-        """See :class:`Density`."""
-        x = self._sample(u)
-        return x, backend.broadcast(self._pdf(x), x)
-
-    def pdf(self, backend: Backend, x: Any) -> Any:
-        """See :class:`Density`."""
-        return backend.broadcast(self._pdf(x), x)

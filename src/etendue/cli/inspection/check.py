@@ -15,7 +15,7 @@ from rich.table import Table
 from etendue.conformance import Finding, Report, check
 from etendue.core import format_seconds
 
-from .console import say
+from ..console import say
 
 #: Further variants for the test of ray casting, if the scene has triangles.
 _VARIANTS = ("scalar_rgb",)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 
 from etendue.core import Array, copied_to_device, use_variant
 
-from .faces import triangles
-from .patches import Patches
+from ..faces import triangles
+from ..patches import Patches
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 Index = NDArray[np.int64]
 
@@ -46,7 +49,7 @@ class RayScene:
         parameters["faces"] = np.ascontiguousarray(corners, np.uint32).ravel()
         parameters.update()
         self._scene = mi.load_dict({"type": "scene", "patches": mesh})
-        # Of triangles on the device: the face, its normal, and the patches of its front and its back.
+        # For each triangle, on the device: the face, its normal, and the patches of its front and its back.
         n, front, back = len(patches), patches.front[self._face], patches.back[self._face]
         self._faces = copied_to_device(mi.UInt32, self._face)
         self._normals = copied_to_device(mi.Float, patches.face_normals[self._face])
@@ -68,25 +71,27 @@ class RayScene:
         return Hits(hit, distance[hit], self._face[triangle[hit]])
 
     def first_patches(self, origins: Array, directions: Array) -> Index:
-        """What rays (n, 3) hit first: a patch, ``n`` for the sky, ``n + 1`` for the back of a face."""
+        """The patch that each ray (n, 3) hits first; ``n`` for the sky, ``n + 1`` for the back of a face."""
         import mitsuba as mi
 
         if len(origins) == 0:  # Dr.Jit cannot trace empty arrays
             return np.zeros(0, np.int64)
         return np.array(self.meets(mi.Point3f(_columns(origins)), mi.Vector3f(_columns(directions)))).astype(np.int64)
 
-    def hit(self, origins: Any, directions: Any, active: Any = True) -> Any:
+    def hit(
+        self, origins: mi.Point3f, directions: mi.Vector3f, active: mi.Bool | bool = True
+    ) -> mi.PreliminaryIntersection3f:
         """The same on the device, of lanes of points and directions: a ``PreliminaryIntersection3f``."""
         import mitsuba as mi
 
         ray = mi.Ray3f(mi.Point3f(origins), mi.Vector3f(directions))
         return self._scene.ray_intersect_preliminary(ray, coherent=False, active=active)
 
-    def meets(self, origins: Any, directions: Any) -> Any:
+    def meets(self, origins: mi.Point3f, directions: mi.Vector3f) -> mi.UInt32:
         """:meth:`first_patches` on the device."""
         return self.patch_of(self.hit(origins, directions), directions)
 
-    def patch_of(self, hit: Any, directions: Any) -> Any:
+    def patch_of(self, hit: mi.PreliminaryIntersection3f, directions: mi.Vector3f) -> mi.UInt32:
         """The patch of a :meth:`hit` on the device; see :meth:`first_patches`."""
         import mitsuba as mi
 
@@ -95,13 +100,13 @@ class RayScene:
         patch = dr.gather(mi.UInt32, self._sides, 2 * hit.prim_index + dr.select(is_back, mi.UInt32(1), 0), is_hit)
         return dr.select(is_hit, patch, self._sky)
 
-    def normal_of(self, hit: Any) -> Any:
+    def normal_of(self, hit: mi.PreliminaryIntersection3f) -> mi.Vector3f:
         """Normals of front sides, zero without a hit."""
         import mitsuba as mi
 
         return dr.gather(mi.Vector3f, self._normals, hit.prim_index, hit.is_valid())
 
-    def face_of(self, hit: Any) -> Any:
+    def face_of(self, hit: mi.PreliminaryIntersection3f) -> mi.UInt32:
         """Faces, 0 without a hit."""
         import mitsuba as mi
 
@@ -115,5 +120,5 @@ class RayScene:
         return np.where(is_back, back, front), np.where(is_back, front, back)
 
 
-def _columns(rows: Array) -> Any:
+def _columns(rows: Array) -> NDArray[np.float32]:
     return np.ascontiguousarray(rows.T, dtype=np.float32)

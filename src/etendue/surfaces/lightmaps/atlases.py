@@ -16,12 +16,12 @@ from etendue.film import replacing
 from etendue.formats import GltfMesh, read_texture_coordinates, write_gltf
 from etendue.scene import graph
 
-from .errors import SurfaceError
-from .faces import triangles
-from .patches import Patches
-from .scenepatches import loaded_scene
-from .smoothing import face_sides
-from .tessellation import tessellate
+from ..errors import SurfaceError
+from ..faces import triangles
+from ..patches import Patches
+from ..readers.scenepatches import loaded_scene
+from ..readers.tessellation import tessellate
+from ..smoothing import face_sides
 
 Index = NDArray[np.int64]
 
@@ -97,8 +97,8 @@ def gltf_mesh(path: str | os.PathLike[str]) -> TexturedMesh:
 
 
 def scene_mesh(scene: Any) -> TexturedMesh:
-    """The meshes of a Mitsuba scene with their texture coordinates, taken as one atlas; ``scene`` is whatever
-    :func:`etendue.scene.load` takes, or what it returns. Raises :class:`SceneError` for shapes that have none."""
+    """The meshes of a Mitsuba scene with their texture coordinates, as one atlas; ``scene`` is an argument or a result
+    of :func:`etendue.scene.load`. Raises :class:`SceneError` for shapes that have none."""
     use_variant()
     loaded, space = loaded_scene(scene)
     parts, offset = [], 0

@@ -15,9 +15,9 @@ from etendue.core import Array, Result
 from etendue.film import write_exr
 from etendue.scene import RenderSpace
 
+from ..errors import SurfaceError
+from ..places import PatchSurfaces, SurfaceValues
 from .atlases import TexturedMesh, mesh_normals
-from .errors import SurfaceError
-from .places import PatchSurfaces, SurfaceValues
 
 Index = NDArray[np.int64]
 
@@ -38,7 +38,7 @@ class Lightmap:
 
 
 def lightmap_of(surfaces: PatchSurfaces, values: SurfaceValues, mesh: TexturedMesh, size: tuple[int, int]) -> Lightmap:
-    """A texture of (width, height) ``size`` with ``values`` on the surfaces that the mesh has.
+    """A texture of (width, height) ``size`` with ``values`` on the surfaces of the mesh.
 
     Every texel whose centre lies in a triangle gets the value at that point of the patches; a triangle without such
     texels uses its centre. All other texels get the value of the nearest of these.
@@ -52,7 +52,7 @@ def lightmap_of(surfaces: PatchSurfaces, values: SurfaceValues, mesh: TexturedMe
     texel, points, normals = _texels(mesh, width, height)
     colours, found = _evaluate(surfaces, values, points, normals)
     if not found.any():
-        raise SurfaceError("no patch is where the mesh with the texture coordinates is; give the mesh of the patches")
+        raise SurfaceError("the mesh with the texture coordinates is not on the patches; give the mesh of the patches")
     row, column = np.divmod(texel[found], width)
     image = np.zeros((height, width, 3), np.float32)
     covered = np.zeros((height, width), dtype=bool)
@@ -62,8 +62,7 @@ def lightmap_of(surfaces: PatchSurfaces, values: SurfaceValues, mesh: TexturedMe
 
 def check_coordinates(mesh: TexturedMesh, size: tuple[int, int]) -> None:
     """Raises :class:`SurfaceError` if a mesh is not suitable for a lightmap of this (width, height): if triangles
-    overlap in
-    the texture or leave the unit square."""
+    overlap in the texture or leave the unit square."""
     _texels(mesh, *size)
 
 
@@ -160,8 +159,10 @@ def _refuse_overlap(owner: Index, texel: Index, triangle: Index, width: int) -> 
     )
 
 
-def _evaluate(surfaces: PatchSurfaces, values: SurfaceValues, points: Array, normals: Array) -> tuple[Any, Any]:
-    """Colours (k, 3) at points, and where there are any."""
+def _evaluate(
+    surfaces: PatchSurfaces, values: SurfaceValues, points: Array, normals: Array
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Colours (k, 3) at points, and whether there is a patch."""
     import mitsuba as mi
 
     x, y, z = surfaces.patches.sphere[0]
@@ -172,7 +173,7 @@ def _evaluate(surfaces: PatchSurfaces, values: SurfaceValues, points: Array, nor
 
 
 def _filled(image: NDArray[np.float32], covered: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """With every other texel as the nearest one that is covered."""
+    """The image with every uncovered texel replaced by the nearest covered one."""
     from scipy.ndimage import distance_transform_edt
 
     rows, columns = distance_transform_edt(~covered, return_distances=False, return_indices=True)

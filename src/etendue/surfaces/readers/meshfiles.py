@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import Array, library, logger, suggest
 
-from .errors import PatchError
-from .faces import face_vectors, flat_faces, repeated
-from .heat import thermal
-from .patches import Patches
+from ..errors import PatchError
+from ..faces import face_vectors, flat_faces, repeated
+from ..heat import thermal
+from ..patches import Patches
 
 Index = NDArray[np.int64]
 
@@ -45,8 +45,7 @@ def read_patches(
 
     Reads triangles and quadrilaterals and ignores lines and solids. Faces without area and duplicates are left out with
     a warning. Raises :class:`PatchError` for a file that cannot be read, without faces, with other types of faces, or
-    without the named array, and :class:`etendue.core.BackendError` if the library that reads it is not
-    installed.
+    without the named array, and :class:`etendue.core.BackendError` if the library that reads it is not installed.
     """
     path = Path(path)
     if not path.is_file():
@@ -139,7 +138,7 @@ def _cell_array(path: Path, cells: dict[str, Array], value: Any, whole: bool = F
     return labels.astype(np.int64)
 
 
-def _means(values: Any, group: Index, areas: Array, count: int) -> Array:
+def _means(values: ArrayLike, group: Index, areas: Array, count: int) -> Array:
     columns = np.asarray(values, dtype=np.float64).reshape(len(group), -1).T
     weight = np.bincount(group, areas, count)
     return np.stack([np.bincount(group, column * areas, count) / weight for column in columns], axis=1)

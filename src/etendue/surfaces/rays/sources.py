@@ -4,11 +4,11 @@ Lanes are arrays of the current variant."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import Array, copied_to_device
 
@@ -25,17 +25,17 @@ _BELOW_ONE = float(np.nextafter(1, 0))
 class Places:
     """Points of sides: ``side`` (UInt32), ``point`` and ``normal`` (Point3d, Vector3d), in unit coordinates."""
 
-    side: Any
-    point: Any
-    normal: Any
+    side: mi.UInt32
+    point: mi.Point3d
+    normal: mi.Vector3d
 
     @property
-    def origin(self) -> Any:
+    def origin(self) -> mi.Point3d:
         """Ray origins: slightly above the side."""
         return self.point + STEP * self.normal
 
-    def directions(self, ways: Any) -> Any:
-        """Directions of a frame whose third axis is the normal, as of the scene."""
+    def directions(self, ways: mi.Vector3f) -> mi.Vector3f:
+        """Directions in scene coordinates from ``ways`` in frames whose third axis is the normal."""
         return mi.Frame3f(mi.Normal3f(self.normal)).to_world(ways)
 
 
@@ -54,25 +54,25 @@ class RaySource:
         self._most = int(np.diff(starts).max())
         self._count, self._whole = dr.opaque(mi.UInt32, len(sides.patch)), dr.opaque(mi.Float64, sides.edges[-1])
 
-    def patch_of(self, side: Any) -> Any:
+    def patch_of(self, side: mi.UInt32) -> mi.UInt32:
         """Numbers of patches."""
         return dr.gather(mi.UInt32, self._patch, side)
 
-    def face_of(self, side: Any) -> Any:
+    def face_of(self, side: mi.UInt32) -> mi.UInt32:
         """Numbers of faces."""
         return dr.gather(mi.UInt32, self._face, side)
 
-    def any(self, u: Any, v: Any) -> Places:
+    def any(self, u: mi.Float64, v: mi.Float64) -> Places:
         """Places on all sides, sampled by ``edges``, from lanes of numbers in [0, 1)."""
         return self._places(u * self._whole, v, mi.UInt32(0), self._count, len(self.sides.patch))
 
-    def of(self, patch: Any, u: Any, v: Any) -> Places:
+    def of(self, patch: mi.UInt32, u: mi.Float64, v: mi.Float64) -> Places:
         """Places on given patches, which must have sides."""
         first, end = dr.gather(mi.UInt32, self._starts, patch), dr.gather(mi.UInt32, self._starts, patch + 1)
         low, high = dr.gather(mi.Float64, self._edges, first), dr.gather(mi.Float64, self._edges, end)
         return self._places(low + u * (high - low), v, first, end, self._most)
 
-    def _places(self, place: Any, v: Any, first: Any, end: Any, most: int) -> Places:
+    def _places(self, place: mi.Float64, v: mi.Float64, first: mi.UInt32, end: mi.UInt32, most: int) -> Places:
         side = first
         for bit in reversed(range((most - 1).bit_length())):
             further = side + (1 << bit)
@@ -86,26 +86,26 @@ class RaySource:
         return Places(side, (1 - root) * a + root * (1 - v) * b + root * v * c, normal)
 
 
-def cosine_lanes(u: Any, v: Any) -> Any:
+def cosine_lanes(u: mi.Float64, v: mi.Float64) -> mi.Vector3f:
     """Directions of cosine density around the third axis, from lanes of numbers in [0, 1)."""
     sine, cosine = dr.sincos(dr.two_pi * mi.Float(v))
     r = mi.Float(dr.sqrt(u))
     return mi.Vector3f(r * cosine, r * sine, mi.Float(dr.sqrt(1 - u)))
 
 
-def even_lanes(u: Any, v: Any) -> Any:
+def even_lanes(u: mi.Float64, v: mi.Float64) -> mi.Vector3f:
     """The same, evenly spread over both angles: theta = pi/2 u, phi = 2 pi v."""
     sine, cosine = dr.sincos(dr.two_pi * mi.Float(v))
     r, z = dr.sincos(dr.pi / 2 * mi.Float(u))
     return mi.Vector3f(r * cosine, r * sine, z)
 
 
-def columns(u: Array) -> list[Any]:
+def columns(u: Array) -> list[mi.Float64]:
     """Numbers (k, d) as lanes."""
     return [mi.Float64(np.ascontiguousarray(column)) for column in u.T]
 
 
-def pairs_of(one: Any, other: Any) -> Any:
+def pairs_of(one: mi.UInt32, other: mi.UInt32) -> NDArray[np.uint32]:
     """Lanes of numbers as a NumPy array (k, 2), evaluated in one kernel."""
     both = mi.UInt64(one) | (mi.UInt64(other) << 32)
     return np.array(both).view(np.uint32).reshape(-1, 2)

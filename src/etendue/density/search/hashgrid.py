@@ -7,13 +7,17 @@ sorted points. Rows whose hashes collide share buckets; each bucket is read once
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import drjit as dr
 import mitsuba as mi
 
+from etendue.core import Array
+
+#: State of a search: what a Dr.Jit loop takes.
+S = TypeVar("S")
 #: Largest number of cells along x; with more, cells are made wider, which only costs time.
 _MAX_CELLS_X = 1 << 22
 #: Number of candidates that are tested, a bit each, before the neighbours among them are visited. Alternating between
@@ -26,9 +30,9 @@ _BATCH = 32
 class Query:
     """Candidates of one query point per lane: ``total`` of them in up to four ranges."""
 
-    total: Any
-    _first: list[Any]  #: sorted index of candidate 0 as seen from range k
-    _end: list[Any]  #: number of candidates in ranges 0..k
+    total: mi.UInt32
+    _first: list[mi.UInt32]  #: sorted index of candidate 0 as seen from range k
+    _end: list[mi.UInt32]  #: number of candidates in ranges 0..k
 
 
 class HashGrid:
@@ -46,7 +50,14 @@ class HashGrid:
     destination: UInt32, index of point i in sorted order. The caller scatters the payload that queries read.
     """
 
-    def __init__(self, points: Any, radius: float, lower: Any, upper: Any, active: Any = True) -> None:
+    def __init__(
+        self,
+        points: mi.Point3f,
+        radius: float,
+        lower: Sequence[float] | Array,
+        upper: Sequence[float] | Array,
+        active: mi.Bool | bool = True,
+    ) -> None:
         extent_x = max(float(upper[0]) - float(lower[0]), 0.0)
         cell = max(2.0 * radius, extent_x / _MAX_CELLS_X)
         count = dr.width(points)
@@ -66,15 +77,15 @@ class HashGrid:
         self._start = dr.prefix_reduce(dr.ReduceOp.Add, population, exclusive=True)
         self.destination = dr.gather(mi.UInt32, self._start, bucket, active) + rank
 
-    def _cell(self, p: Any, offset: float = 0.0) -> tuple[Any, Any, Any]:
+    def _cell(self, p: mi.Point3f, offset: float = 0.0) -> tuple[mi.Int32, mi.Int32, mi.Int32]:
         q = (p - self._origin) * self._inverse_cell - offset
         x = dr.clip(mi.Int32(dr.floor(q.x)), 0, self._last_x)
         return x, mi.Int32(dr.floor(q.y)), mi.Int32(dr.floor(q.z))
 
-    def _row(self, y: Any, z: Any) -> Any:
+    def _row(self, y: mi.Int32, z: mi.Int32) -> mi.UInt32:
         return ((mi.UInt32(y) * 73856093) ^ (mi.UInt32(z) * 19349663)) & self._mask
 
-    def query(self, point: Any, active: Any) -> Query:
+    def query(self, point: mi.Point3f, active: mi.Bool | bool) -> Query:
         """Prepare the search around ``point``: lanes that are not active find nothing."""
         x, y, z = self._cell(point, 0.5)
         rows = [self._row(v, w) + mi.UInt32(x) for v, w in ((y, z), (y + 1, z), (y, z + 1), (y + 1, z + 1))]
@@ -93,7 +104,7 @@ class HashGrid:
             q._end.append(q.total)
         return q
 
-    def candidate(self, query: Query, i: Any) -> Any:
+    def candidate(self, query: Query, i: mi.UInt32) -> mi.UInt32:
         """Sorted index of the query's ``i``-th candidate."""
         low = dr.select(i < query._end[0], query._first[0], query._first[1])
         high = dr.select(i < query._end[2], query._first[2], query._first[3])
@@ -101,13 +112,13 @@ class HashGrid:
 
     def within(
         self,
-        point: Any,
-        read: Callable[[Any], tuple[Any, Any]],
-        visit: Callable[[Any, Any], Any],
-        state: Any,
-        active: Any,
-        radius_squared: Any = None,
-    ) -> Any:
+        point: mi.Point3f,
+        read: Callable[[mi.UInt32], tuple[mi.Point3f, mi.Bool]],
+        visit: Callable[[mi.UInt32, S], S],
+        state: S,
+        active: mi.Bool | bool,
+        radius_squared: mi.Float | None = None,
+    ) -> S:
         """Visit every point within the radius around ``point``, inside a kernel; returns the last state.
 
         Parameters
@@ -121,16 +132,16 @@ class HashGrid:
         query = self.query(point, active)
         limit = self._radius_squared if radius_squared is None else radius_squared
 
-        def batch(first: Any, state: Any) -> tuple[Any, Any]:
+        def batch(first: mi.UInt32, state: S) -> tuple[mi.UInt32, S]:
             end = dr.minimum(first + _BATCH, query.total)
 
-            def test(i: Any, near: Any) -> tuple[Any, Any]:
+            def test(i: mi.UInt32, near: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
                 """Test one candidate; a neighbour sets its bit."""
                 position, wanted = read(self.candidate(query, i))
                 hit = wanted & (dr.squared_norm(position - point) <= limit)
                 return i + 1, near | dr.select(hit, mi.UInt32(1) << (i - first), 0)
 
-            def take(near: Any, state: Any) -> tuple[Any, Any]:
+            def take(near: mi.UInt32, state: S) -> tuple[mi.UInt32, S]:
                 """Visit the neighbour of the lowest bit."""
                 return near & (near - 1), visit(self.candidate(query, first + dr.tzcnt(near)), state)
 

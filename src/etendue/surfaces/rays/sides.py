@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from etendue.core import Array
 
-from .faces import triangles
-from .patches import Patches
+from ..faces import triangles
+from ..patches import Patches
 
 Index = NDArray[np.int64]
 
@@ -27,7 +27,7 @@ class Sides:
 
     @classmethod
     def of(cls, patches: Patches) -> Sides:
-        """All that belong to a patch."""
+        """All sides that belong to a patch."""
         corner, face = triangles(patches.faces)
         patch = np.concatenate([patches.front[face], patches.back[face]])
         kept = np.flatnonzero(patch >= 0)
@@ -45,7 +45,7 @@ class Sides:
         return np.diff(self.edges)
 
     def emitting(self, power: Array) -> Sides:
-        """Those of patches with a ``power`` (n,), whose cumulated powers are then the ``edges``."""
+        """The sides of patches with ``power`` (n,) above 0; their ``edges`` are cumulated powers."""
         whole = np.bincount(self.patch, self.areas, len(power))
         by_side = (power / whole)[self.patch] * self.areas
         lit = np.flatnonzero(by_side)

@@ -13,7 +13,7 @@ from rich.table import Table
 from etendue import methods
 from etendue.core import bibtex
 
-from .console import say
+from ..console import say
 
 #: Software to cite with every picture.
 _ALWAYS_CITED = ("Mitsuba3", "Jakob2022")

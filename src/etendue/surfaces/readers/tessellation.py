@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 from etendue.core import Array, UnsupportedError
 from etendue.scene import graph
 
+if TYPE_CHECKING:
+    import mitsuba as mi
+
 Index = NDArray[np.int64]
 
 #: Points of a face at which textures are read.
 POINTS = 16
 
 
-def tessellate(shape: Any, segments: int) -> tuple[Array, Index, Any]:
+def tessellate(shape: mi.Shape, segments: int) -> tuple[Array, Index, mi.SurfaceInteraction3f]:
     """Vertices (v, 3), faces (m, 4), oriented as the shape, and interactions at ``POINTS`` points of each face, grouped
     by face, with a direction along the normal.
 
@@ -58,13 +61,13 @@ def tessellate(shape: Any, segments: int) -> tuple[Array, Index, Any]:
     return points, faces, at
 
 
-def face_means(values: Any, faces: int) -> Array:
+def face_means(values: mi.Color3f, faces: int) -> Array:
     """Means (m, 3) over the points of each face of three numbers per point, or of constants."""
     x = np.array(values, dtype=np.float64).reshape(3, -1)
     return np.broadcast_to(x, (3, faces * POINTS)).reshape(3, faces, POINTS).mean(axis=2).T
 
 
-def _local(kind: Any, uv: Array) -> Array:
+def _local(kind: mi.ShapeType, uv: Array) -> Array:
     """Points of the unit shape from its parameters."""
     import mitsuba as mi
 
@@ -124,7 +127,7 @@ def _in_cells(cells: Array, is_disk: bool) -> Array:
     return uv.reshape(-1, 2).T
 
 
-def _of_mesh(shape: Any, count: int) -> Any:
+def _of_mesh(shape: mi.Shape, count: int) -> mi.SurfaceInteraction3f:
     import mitsuba as mi
 
     s, t = _pattern()

@@ -18,9 +18,9 @@ from etendue.engine import Budget, Job, Task
 from etendue.jobs import Outputs, Update
 from etendue.scene import bundled
 
-from .console import note, say
-from .options import settings_by_method
-from .rendering import check_reference, follow, make_folder, summary
+from ..console import note, say
+from ..options import settings_by_method
+from ..rendering import check_reference, follow, make_folder, summary
 
 Image = NDArray[np.float32]
 
@@ -123,11 +123,11 @@ class _History:
         return [(elapsed, film.relative_mse(picture, reference)) for elapsed, picture in self._pictures]
 
 
-def demonstration(output: Path, seconds: float | None, size: tuple[int, int] | None) -> Comparison:
+def demonstration(output: Path, budget: Budget, size: tuple[int, int] | None) -> Comparison:
     """The bundled demonstration scene by ``path`` and ``vcm``. Its reference has the scene's default size."""
     scene = next(iter(bundled().values()))
     return Comparison(
-        tasks(scene, ["path", "vcm"], {}, budget=Budget(seconds=seconds), size=size),
+        tasks(scene, ["path", "vcm"], {}, budget=budget, size=size),
         output,
         reference=scene.reference if size is None else None,
         reference_note=scene.reference_note,

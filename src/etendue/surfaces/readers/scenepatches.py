@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import drjit as dr
 import numpy as np
@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 from etendue.core import Array, SceneError, UnsupportedError, logger, seed_key, use_variant
 from etendue.scene import Problem, RenderSpace, graph, load, warn_of_steps
 
-from .errors import PatchError, SurfaceError
+from ..errors import PatchError, SurfaceError
+from ..patches import Patches
 from .meshfiles import sound_faces
-from .patches import Patches
 from .tessellation import face_means, tessellate
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 Index = NDArray[np.int64]
 
@@ -23,15 +26,14 @@ Index = NDArray[np.int64]
 def scene_patches(
     scene: Any, *, max_area: float | None = None, per: Literal["face", "shape"] = "face", segments: int = 32
 ) -> Patches:
-    """Patches of a scene: an ``mi.Scene``, whatever else :func:`etendue.scene.load` takes, or what it returns. Channels
-    are red, green, blue.
+    """Patches of a scene: an ``mi.Scene``, or another argument or a result of :func:`etendue.scene.load`. Channels are
+    red, green, blue.
 
     Each face of a shape is a patch, with the mean of its textures, or each shape is one (``per="shape"``). Rectangles
     become quadrilaterals, spheres, cylinders and disks polygons of ``segments`` sides inside them. Reflectance is that
     of a diffuse material; other reflecting materials are replaced by diffuse ones with the same hemispherical albedo,
     with a warning. A ``twosided`` material makes sheets. Area lights emit from their fronts; a ``constant`` light is
-    the
-    sky.
+    the sky.
 
     max_area: larger faces are subdivided after textures are read, see :meth:`Patches.subdivided`.
 
@@ -70,7 +72,7 @@ def scene_patches(
     return patches if max_area is None else patches.subdivided(max_area)
 
 
-def loaded_scene(scene: Any) -> tuple[Any, RenderSpace]:
+def loaded_scene(scene: Any) -> tuple[mi.Scene, RenderSpace]:
     """The ``mi.Scene`` for an argument of :func:`scene_patches`, and its space, which differs from that of the rays of
     patches."""
     import mitsuba as mi
@@ -93,7 +95,7 @@ class _Part:
     is_sheet: bool
 
 
-def _part(shape: Any, segments: int) -> _Part:
+def _part(shape: mi.Shape, segments: int) -> _Part:
     import mitsuba as mi
 
     points, faces, at = tessellate(shape, segments)
@@ -123,7 +125,7 @@ def _part(shape: Any, segments: int) -> _Part:
     return _Part(vertices, faces, front[kept], back[kept], emission[kept], is_sheet)
 
 
-def _albedo(bsdf: Any, at: Any) -> Any:
+def _albedo(bsdf: mi.BSDF, at: mi.SurfaceInteraction3f) -> mi.Color3f:
     """Share of the light that is reflected on the side of ``at.wi``."""
     import mitsuba as mi
 
@@ -139,7 +141,7 @@ def _albedo(bsdf: Any, at: Any) -> Any:
     return _hemispherical_albedo(bsdf, at)
 
 
-def _hemispherical_albedo(bsdf: Any, at: Any, directions: int = 16) -> Any:
+def _hemispherical_albedo(bsdf: mi.BSDF, at: mi.SurfaceInteraction3f, directions: int = 16) -> mi.Color3f:
     """Mean over uniform incident light, with the same random numbers for every face."""
     import mitsuba as mi
 
@@ -156,7 +158,7 @@ def _hemispherical_albedo(bsdf: Any, at: Any, directions: int = 16) -> Any:
     return total / directions
 
 
-def _sky(scene: Any) -> Array:
+def _sky(scene: mi.Scene) -> Array:
     light = np.zeros(3)
     for emitter in scene.emitters():
         kind = graph.plugin_name(emitter)

@@ -17,7 +17,7 @@ from etendue.core import CheckpointError, OutputError, describe, logger
 from etendue.engine import Checkpoint, Job, RunResult, versions
 from etendue.jobs import Outputs, Rendering
 
-from .rendering import check_reference, make_folder
+from ..rendering import check_reference, make_folder
 from .run_file import RunFile
 
 #: Checkpoint key for the path of the run file.

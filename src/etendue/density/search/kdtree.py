@@ -15,21 +15,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import drjit as dr
 import mitsuba as mi
 
-_LEAF = 16
+from .halving import LEAF, highest, lowest, sorted_into_halves
+
+#: State of a search: what a Dr.Jit loop takes.
+S = TypeVar("S")
 #: Thresholds at which one search counts.
 _THRESHOLDS = 8
 #: Number of sorted distances that the last search keeps.
 _KEPT = 8
 #: A first threshold below the k-th distance costs a search, one far above it makes the first search slower.
 _MARGIN = 1.1
-#: A sort key has the number of a node in its upper bits and a position along an axis below, at most single precision.
-_KEY_BITS = 32
-_AXIS_BITS = 24
 #: Below the squared distance of an empty place, which is infinite.
 _LARGEST = 3.4e38
 _UNKNOWN = 0xFFFFFFFF
@@ -39,12 +39,12 @@ _UNKNOWN = 0xFFFFFFFF
 class _Interval:
     """Squared distances that may be that of the k-th neighbour: above ``lower``, at most ``upper``."""
 
-    lower: Any
-    below: Any  #: number of points up to ``lower``
-    upper: Any
-    total: Any  #: number of points up to ``upper``, or ``_UNKNOWN``
-    turn: Any
-    wide: Any  #: whether another division is needed
+    lower: mi.Float
+    below: mi.UInt32  #: number of points up to ``lower``
+    upper: mi.Float
+    total: mi.UInt32  #: number of points up to ``upper``, or ``_UNKNOWN``
+    turn: mi.UInt32
+    wide: mi.Bool  #: whether another division is needed
 
 
 class KdTree:
@@ -75,37 +75,37 @@ class KdTree:
     sphere).
     """
 
-    def __init__(self, points: Any, active: Any = True, reach: Any = None) -> None:
+    def __init__(self, points: mi.Point3f, active: mi.Bool | bool = True, reach: mi.Float | None = None) -> None:
         width = dr.width(points)
         chosen = dr.compress(dr.full(mi.Bool, True, width) & active & dr.all(dr.isfinite(points))) if width else []
         self.count = len(chosen)
         self._count = dr.opaque(mi.UInt32, self.count)
-        leaves = 1 << max(-(-self.count // _LEAF) - 1, 0).bit_length()
+        leaves = 1 << max(-(-self.count // LEAF) - 1, 0).bit_length()
         self._first_leaf = dr.opaque(mi.UInt32, leaves)
-        place = dr.arange(mi.UInt32, leaves * _LEAF)
+        place = dr.arange(mi.UInt32, leaves * LEAF)
         # Empty places are at infinity, so they come last here and in every sort.
         filled = place < self._count
         index = dr.gather(mi.UInt32, chosen, place, filled) if self.count else place
-        sides = [dr.full(mi.Float, dr.inf, leaves * _LEAF) for _ in range(3)]
+        sides = [dr.full(mi.Float, dr.inf, leaves * LEAF) for _ in range(3)]
         if self.count:
             sides = [dr.select(filled, dr.gather(mi.Float, side, index, filled), dr.inf) for side in points]
-        index, sides = _sorted_into_halves(index, sides)
+        index, sides = sorted_into_halves(index, sides)
         self.order = dr.gather(mi.UInt32, index, dr.arange(mi.UInt32, self.count))
-        self._points = dr.zeros(mi.Float, 4 * leaves * _LEAF)
+        self._points = dr.zeros(mi.Float, 4 * leaves * LEAF)
         self._boxes = dr.zeros(mi.Float, 16 * leaves)
         felt = dr.gather(mi.Float, reach, index, filled) if reach is not None and self.count else mi.Float(0)
         dr.scatter(self._points, mi.Vector4f(*sides, felt), place)
         dr.eval(self.order, self._points, self._boxes)
-        self._build_boxes(sides, None if reach is None else felt + dr.zeros(mi.Float, leaves * _LEAF), leaves)
+        self._build_boxes(sides, None if reach is None else felt + dr.zeros(mi.Float, leaves * LEAF), leaves)
 
     def within(
         self,
-        point: Any,
-        radius_squared: Any,
-        state: Any,
-        visit: Callable[[Any, Any, Any], Any],
-        active: Any = True,
-    ) -> Any:
+        point: mi.Point3f,
+        radius_squared: mi.Float | None,
+        state: S,
+        visit: Callable[[mi.UInt32, mi.Float, S], S],
+        active: mi.Bool | bool = True,
+    ) -> S:
         """Visit every point whose squared distance from ``point`` is at most ``radius_squared``.
 
         Parameters
@@ -119,21 +119,23 @@ class KdTree:
         """
         radius_squared = dr.minimum(radius_squared, _LARGEST)
 
-        def leaf(first: Any, found: Any, state: Any) -> Any:
+        def leaf(first: mi.UInt32, found: mi.Bool, state: S) -> S:
             near = mi.UInt32(0)
-            for i in range(_LEAF):
+            for i in range(LEAF):
                 inside = found & (self.distance_squared(first + i, point, found) <= radius_squared)
                 near |= dr.select(inside, mi.UInt32(1 << i), 0)
             return self._visited(first, near, point, state, visit)
 
         return self._search(point, radius_squared, active, state, leaf)
 
-    def covering(self, point: Any, state: Any, visit: Callable[[Any, Any, Any], Any], active: Any = True) -> Any:
+    def covering(
+        self, point: mi.Point3f, state: S, visit: Callable[[mi.UInt32, mi.Float, S], S], active: mi.Bool | bool = True
+    ) -> S:
         """Visit every point whose ``reach`` is at least its distance from ``point``; otherwise as :meth:`within`."""
 
-        def leaf(first: Any, found: Any, state: Any) -> Any:
+        def leaf(first: mi.UInt32, found: mi.Bool, state: S) -> S:
             near = mi.UInt32(0)
-            for i in range(_LEAF):
+            for i in range(LEAF):
                 position = dr.gather(mi.Vector4f, self._points, first + i, found)
                 distance = _squared_norm(position.x - point.x, position.y - point.y, position.z - point.z)
                 near |= dr.select(found & (distance <= dr.square(position.w)), mi.UInt32(1 << i), 0)
@@ -141,7 +143,9 @@ class KdTree:
 
         return self._search(point, None, active, state, leaf)
 
-    def kth_distance_squared(self, point: Any, k: Any, limit: Any, active: Any = True) -> Any:
+    def kth_distance_squared(
+        self, point: mi.Point3f, k: mi.UInt32 | int, limit: mi.Float | float, active: mi.Bool | bool = True
+    ) -> mi.Float:
         """Squared distance from ``point`` to its ``k``-th nearest point, exact, or ``limit`` if there are fewer below.
 
         Points at equal distances count each, so a range search with the result visits at least ``k`` points, more if
@@ -178,47 +182,61 @@ class KdTree:
             result = dr.select(few & (k - last.below == number), value, result)
         return result
 
-    def distance_squared(self, place: Any, point: Any, active: Any = True) -> Any:
+    def distance_squared(self, place: mi.UInt32, point: mi.Point3f, active: mi.Bool | bool = True) -> mi.Float:
         """Squared distance of ``point`` from the point at ``place``; all searches compare exactly this value."""
         position = dr.gather(mi.Vector4f, self._points, place, active)
         return _squared_norm(position.x - point.x, position.y - point.y, position.z - point.z)
 
     # Traversal
 
-    def _visited(self, first: Any, near: Any, point: Any, state: Any, visit: Callable[[Any, Any, Any], Any]) -> Any:
+    def _visited(
+        self,
+        first: mi.UInt32,
+        near: mi.UInt32,
+        point: mi.Point3f,
+        state: S,
+        visit: Callable[[mi.UInt32, mi.Float, S], S],
+    ) -> S:
         """The state after a visit to each point of a leaf whose bit is set."""
 
-        def one(near: Any, state: Any) -> tuple[Any, Any]:
+        def one(near: mi.UInt32, state: S) -> tuple[mi.UInt32, S]:
             """Take the neighbour of the lowest bit."""
             place = first + dr.tzcnt(near)
             return near & (near - 1), visit(place, self.distance_squared(place, point), state)
 
         return dr.while_loop((near, state), lambda near, _: near != 0, one, label="kd-tree: neighbours")[1]
 
-    def _search(self, point: Any, radius_squared: Any, active: Any, state: Any, leaf: Callable[..., Any]) -> Any:
+    def _search(
+        self,
+        point: mi.Point3f,
+        radius_squared: mi.Float | None,
+        active: mi.Bool | bool,
+        state: S,
+        leaf: Callable[[mi.UInt32, mi.Bool, S], S],
+    ) -> S:
         """``state = leaf(first place, found, state)`` for every leaf whose box the ball touches.
 
         Without a radius: for every leaf whose box, widened by the largest reach of its points, holds the point.
         """
 
-        def descend(node: Any, _: Any) -> tuple[Any, Any]:
+        def descend(node: mi.UInt32, _: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
             limit = dr.square(self._reach(node)) if radius_squared is None else radius_squared
             touched = self._box_distance_squared(node, point) <= limit
             found = touched & (node >= self._first_leaf)
             node = dr.select(found, node, dr.select(touched, 2 * node, _behind(node)))
             return node, ~found & (node != 0)
 
-        def advance(node: Any, state: Any) -> tuple[Any, Any]:
+        def advance(node: mi.UInt32, state: S) -> tuple[mi.UInt32, S]:
             """Go to the next leaf, so that all lanes are at a leaf when points are compared."""
             node, _ = dr.while_loop((mi.UInt32(node), node != 0), lambda _, go: go, descend, label="kd-tree: descend")
             found = node != 0
-            state = leaf((node - self._first_leaf) * _LEAF, found, state)
+            state = leaf((node - self._first_leaf) * LEAF, found, state)
             return dr.select(found, _behind(node), 0), state
 
         root = dr.select(mi.Bool(active) & (self._count > 0), mi.UInt32(1), 0)
         return dr.while_loop((root, state), lambda node, _: node != 0, advance, label="kd-tree: search")[1]
 
-    def _box_distance_squared(self, node: Any, point: Any) -> Any:
+    def _box_distance_squared(self, node: mi.UInt32, point: mi.Point3f) -> mi.Float:
         """Rounding is monotonic, so this is never above the ``distance_squared`` of a point in the box."""
         lower, upper = self._box(node)
         outside = dr.maximum(dr.maximum(lower - point, point - upper), 0.0)
@@ -226,17 +244,19 @@ class KdTree:
 
     # The k-th distance
 
-    def _divided(self, interval: _Interval, point: Any, k: Any, limit: Any) -> _Interval:
+    def _divided(
+        self, interval: _Interval, point: mi.Point3f, k: mi.UInt32 | int, limit: mi.Float | float
+    ) -> _Interval:
         """The part of ``interval`` that holds the k-th distance, or the interval behind it."""
         thresholds = _thresholds(interval)
 
-        def count(first: Any, found: Any, counts: Any) -> Any:
-            counts = list(counts)
-            for i in range(_LEAF):
+        def count(first: mi.UInt32, found: mi.Bool, counts: tuple[mi.UInt32, ...]) -> tuple[mi.UInt32, ...]:
+            added = list(counts)
+            for i in range(LEAF):
                 distance = dr.select(found, self.distance_squared(first + i, point, found), dr.inf)
                 for j, threshold in enumerate(thresholds):
-                    counts[j] = counts[j] + dr.select(distance <= threshold, mi.UInt32(1), 0)
-            return tuple(counts)
+                    added[j] = added[j] + dr.select(distance <= threshold, mi.UInt32(1), 0)
+            return tuple(added)
 
         reach = dr.minimum(interval.upper, _LARGEST)
         counts = self._search(point, reach, interval.wide, tuple(mi.UInt32(0) for _ in thresholds), count)
@@ -258,26 +278,28 @@ class KdTree:
         wide = dr.select(unknown, interval.upper < limit, (total - below > _KEPT) & ~adjacent)
         return _Interval(lower, below, upper, total, interval.turn + 1, interval.wide & wide)
 
-    def _smallest_above(self, lower: Any, point: Any, upper: Any, active: Any) -> tuple[Any, ...]:
+    def _smallest_above(
+        self, lower: mi.Float, point: mi.Point3f, upper: mi.Float, active: mi.Bool | bool
+    ) -> tuple[mi.Float, ...]:
         """The ``_KEPT`` smallest squared distances above ``lower``, ascending, if no more are up to ``upper``."""
 
-        def keep(first: Any, found: Any, kept: Any) -> Any:
-            kept = list(kept)
-            for i in range(_LEAF):
+        def keep(first: mi.UInt32, found: mi.Bool, kept: tuple[mi.Float, ...]) -> tuple[mi.Float, ...]:
+            smallest = list(kept)
+            for i in range(LEAF):
                 value = self.distance_squared(first + i, point, found)
                 value = dr.select(found & (value > lower), value, dr.inf)
                 for j in range(_KEPT):
-                    kept[j], value = dr.minimum(kept[j], value), dr.maximum(kept[j], value)
-            return tuple(kept)
+                    smallest[j], value = dr.minimum(smallest[j], value), dr.maximum(smallest[j], value)
+            return tuple(smallest)
 
         nothing = tuple(mi.Float(dr.inf) for _ in range(_KEPT))
-        kept: tuple[Any, ...] = self._search(point, dr.minimum(upper, _LARGEST), active, nothing, keep)
+        kept: tuple[mi.Float, ...] = self._search(point, dr.minimum(upper, _LARGEST), active, nothing, keep)
         return kept
 
-    def _first_guess(self, point: Any, k: Any, active: Any) -> Any:
+    def _first_guess(self, point: mi.Point3f, k: mi.UInt32 | int, active: mi.Bool | bool) -> mi.Float:
         """A squared distance near that of the k-th neighbour, from the smallest node here with ``k`` points or more."""
 
-        def descend(node: Any, places: Any) -> tuple[Any, Any]:
+        def descend(node: mi.UInt32, places: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
             near = [self._box_distance_squared(child, point) for child in (2 * node, 2 * node + 1)]
             far = [self._farthest_squared(child, point) for child in (2 * node, 2 * node + 1)]
             # The smaller of two boxes around the point: the other may extend from one surface to another.
@@ -285,7 +307,7 @@ class KdTree:
             return 2 * node + dr.select(second, mi.UInt32(1), 0), places >> 1
 
         node, places = dr.while_loop(
-            (dr.select(active, mi.UInt32(1), 0), self._first_leaf * _LEAF),
+            (dr.select(active, mi.UInt32(1), 0), self._first_leaf * LEAF),
             lambda node, places: (node != 0) & (node < self._first_leaf) & (places >= 2 * k),
             descend,
             label="kd-tree: guess",
@@ -298,17 +320,17 @@ class KdTree:
         guess = self._box_distance_squared(node, point) + _MARGIN * dr.maximum(disc, segment)
         return dr.maximum(guess, dr.maximum(1e-12 * dr.squared_norm(self._extent(mi.UInt32(1))), 1e-36))
 
-    def _farthest_squared(self, node: Any, point: Any) -> Any:
+    def _farthest_squared(self, node: mi.UInt32, point: mi.Point3f) -> mi.Float:
         lower, upper = self._box(node)
         return dr.squared_norm(dr.maximum(point - lower, upper - point))
 
     # Boxes
 
-    def _build_boxes(self, sides: Sequence[Any], reach: Any, leaves: int) -> None:
+    def _build_boxes(self, sides: Sequence[mi.Float], reach: mi.Float | None, leaves: int) -> None:
         """From the leaves to the root; an empty node has its corners reversed, at infinity."""
-        felt = 0.0 if reach is None else dr.block_reduce(dr.ReduceOp.Max, reach, _LEAF)
-        lower = mi.Point3f(*(_lowest(side, _LEAF) for side in sides))
-        upper = mi.Point3f(*(_highest(side, _LEAF) for side in sides))
+        felt = 0.0 if reach is None else dr.block_reduce(dr.ReduceOp.Max, reach, LEAF)
+        lower = mi.Point3f(*(lowest(side, LEAF) for side in sides))
+        upper = mi.Point3f(*(highest(side, LEAF) for side in sides))
         self._put_box(dr.arange(mi.UInt32, leaves) + self._first_leaf, lower, upper, felt)
         while leaves > 1:
             leaves //= 2
@@ -320,24 +342,24 @@ class KdTree:
             self._put_box(node, dr.minimum(left[0], right[0]), dr.maximum(left[1], right[1]), felt)
         dr.eval(self._boxes)
 
-    def _put_box(self, node: Any, lower: Any, upper: Any, reach: Any) -> None:
+    def _put_box(self, node: mi.UInt32, lower: mi.Float, upper: mi.Float, reach: mi.Float | None) -> None:
         dr.scatter(self._boxes, mi.Vector4f(*lower, reach), 2 * node)
         dr.scatter(self._boxes, mi.Vector4f(*upper, 0.0), 2 * node + 1)
 
-    def _box(self, node: Any) -> tuple[Any, Any]:
+    def _box(self, node: mi.UInt32) -> tuple[mi.Point3f, mi.Point3f]:
         lower = dr.gather(mi.Vector4f, self._boxes, 2 * node)
         upper = dr.gather(mi.Vector4f, self._boxes, 2 * node + 1)
         return mi.Point3f(lower.x, lower.y, lower.z), mi.Point3f(upper.x, upper.y, upper.z)
 
-    def _reach(self, node: Any) -> Any:
+    def _reach(self, node: mi.UInt32) -> mi.Float:
         return dr.gather(mi.Float, self._boxes, 8 * node + 3)
 
-    def _extent(self, node: Any) -> Any:
+    def _extent(self, node: mi.UInt32) -> mi.Vector3f:
         lower, upper = self._box(node)
         return upper - lower
 
 
-def _thresholds(interval: _Interval) -> list[Any]:
+def _thresholds(interval: _Interval) -> list[mi.Float]:
     """Ascending, the last one the upper end: evenly spaced, alternately in value and in bit pattern.
 
     The first converges quickly for evenly spread points, the second ends within eleven turns in any case.
@@ -353,62 +375,18 @@ def _thresholds(interval: _Interval) -> list[Any]:
     return [*thresholds, interval.upper]
 
 
-def _bits(value: Any) -> Any:
+def _bits(value: mi.Float) -> mi.UInt32:
     """The bit pattern of a non-negative number, a monotonic function of it."""
     return dr.reinterpret_array(mi.UInt32, value)
 
 
-def _squared_norm(x: Any, y: Any, z: Any) -> Any:
+def _squared_norm(x: mi.Float, y: mi.Float, z: mi.Float) -> mi.Float:
     """Always with the same three roundings, also if a compiler would fuse operations."""
     return dr.fma(x, x, dr.fma(y, y, z * z))
 
 
-def _behind(node: Any) -> Any:
+def _behind(node: mi.UInt32) -> mi.UInt32:
     """The node after ``node`` and all below it, in depth-first order; 0 after the last."""
     node = node + 1
     node = node >> dr.tzcnt(node)
     return dr.select(node == 1, 0, node)
-
-
-def _lowest(side: Any, block: int) -> Any:
-    return dr.block_reduce(dr.ReduceOp.Min, side, block)
-
-
-def _highest(side: Any, block: int) -> Any:
-    """Without empty places."""
-    return dr.block_reduce(dr.ReduceOp.Max, dr.select(side == dr.inf, -dr.inf, side), block)
-
-
-def _sorted_into_halves(index: Any, sides: list[Any]) -> tuple[Any, list[Any]]:
-    """Reorder, so that every aligned block of a leaf's size times a power of two is a node of the kd-tree.
-
-    A level is one sort by the number of the node and the position along the axis that this node is cut at. The position
-    is rounded to the bits that are left: a cut need not be exact, since the boxes are taken from the points afterwards.
-    """
-    places = dr.width(index)
-    block, depth = places, 0
-    while block > _LEAF:
-        lower = [_lowest(side, block) for side in sides]
-        extent = [_highest(side, block) - a for side, a in zip(sides, lower, strict=True)]
-        axis = dr.select(extent[1] > extent[0], mi.UInt32(1), 0)
-        axis = dr.select(extent[2] > dr.maximum(extent[0], extent[1]), 2, axis)
-        bits = min(_AXIS_BITS, _KEY_BITS - depth)
-        steps, shift = dr.opaque(mi.Float, float(1 << bits)), dr.opaque(mi.UInt32, bits)
-        origin, scale = _along(axis, lower), steps / _along(axis, extent)
-        dr.eval(axis, origin, scale)
-
-        node = dr.arange(mi.UInt32, places) // dr.opaque(mi.UInt32, block)
-        position = _along(dr.gather(mi.UInt32, axis, node), sides) - dr.gather(mi.Float, origin, node)
-        position = position * dr.gather(mi.Float, scale, node)
-        # NaN if a box has no extent, or between two empty places.
-        position = dr.select(position < steps - 1.0, mi.UInt32(position), mi.UInt32(steps - 1.0))
-        permutation = dr.argsort((node << shift) | position)
-        index = dr.gather(mi.UInt32, index, permutation)
-        sides = [dr.gather(mi.Float, side, permutation) for side in sides]
-        dr.eval(index, sides)
-        block, depth = block // 2, depth + 1
-    return index, sides
-
-
-def _along(axis: Any, values: Sequence[Any]) -> Any:
-    return dr.select(axis == 0, values[0], dr.select(axis == 1, values[1], values[2]))

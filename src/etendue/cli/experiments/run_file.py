@@ -18,7 +18,7 @@ from etendue.engine import Budget, Job, Task, check_period, check_save_times
 from etendue.film import check_writable
 from etendue.scene import BundledScene, Camera, bundled_scene
 
-from .options import parse_memory
+from ..options import parse_memory
 
 
 @dataclass(frozen=True)

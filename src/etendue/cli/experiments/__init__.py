@@ -1,0 +1,1 @@
+"""Run files with their records, and comparisons of methods."""

@@ -1,0 +1,1 @@
+"""Search for neighbours on device arrays: hash grid and kd-tree."""

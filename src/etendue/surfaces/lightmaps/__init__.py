@@ -1,0 +1,1 @@
+"""Lightmaps and meshes with their texture coordinates."""

@@ -1,0 +1,1 @@
+"""Rays from the sides of patches and against them."""

@@ -1,0 +1,1 @@
+"""Patches read from mesh files and from Mitsuba scenes."""
