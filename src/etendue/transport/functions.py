@@ -55,7 +55,9 @@ class TransportFunctions:
     def __init__(self, scene: mi.Scene, sensor: int = 0) -> None:
         sensors = scene.sensors()
         if not 0 <= sensor < len(sensors):
-            raise OptionError(f"the scene has no sensor {sensor}; its {len(sensors)} sensors are numbered from 0")
+            raise OptionError(
+                f"the scene has {len(sensors)} sensors, number {sensor} is not one of them (they count from 0)"
+            )
         self.scene, self._sensor = scene, sensors[sensor]
         warn_of_offsets(scene, self._sensor, "the scene")
         lower, upper = np.array(scene.bbox().min).ravel(), np.array(scene.bbox().max).ravel()
