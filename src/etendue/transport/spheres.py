@@ -33,9 +33,15 @@ class Cone:
         return dr.rcp(dr.two_pi * dr.select(self.applies, self.extent, 1.0))
 
 
+def _sphere(light: Light) -> mi.Vector4f:
+    assert light.sphere is not None, "the scene has no spherical light"
+    return light.sphere
+
+
 def cone_of(light: Light, origin: mi.Point3f) -> Cone:
     """The cone that a light subtends at ``origin``."""
-    centre, radius = light.sphere.xyz, light.sphere.w
+    sphere = _sphere(light)
+    centre, radius = sphere.xyz, sphere.w
     offset = mi.Vector3f(centre) - mi.Vector3f(origin)
     distance_squared = dr.squared_norm(offset)
     sin2 = dr.square(radius) / distance_squared
@@ -59,7 +65,8 @@ def point_in(cone: Cone, light: Light, u: mi.Point2f) -> tuple[mi.Point3f, mi.Ve
     across = sin_centre * dr.rsqrt(dr.maximum(dr.squared_norm(disc), 1e-20))
     frame = mi.Frame3f(cone.axis)
     normal = frame.to_world(mi.Vector3f(disc.x * across, disc.y * across, -cos_centre))
-    return mi.Point3f(light.sphere.xyz) + normal * light.sphere.w, normal
+    sphere = _sphere(light)
+    return mi.Point3f(sphere.xyz) + normal * sphere.w, normal
 
 
 def seen_density(
@@ -68,6 +75,6 @@ def seen_density(
     """Area density, light selection included, with which next event at the point ``lit`` samples the point of a light
     at ``distance`` along ``direction``; ``otherwise`` where the light is not sampled by solid angle."""
     cone = cone_of(light, lit)
-    outward = dr.normalize(mi.Vector3f(lit) + direction * distance - mi.Vector3f(light.sphere.xyz))
+    outward = dr.normalize(mi.Vector3f(lit) + direction * distance - mi.Vector3f(_sphere(light).xyz))
     cos = dr.maximum(dr.abs(dr.dot(outward, direction)), 1e-8)
     return dr.select(cone.applies, light.pick * cone.density * cos / dr.square(distance), otherwise)
