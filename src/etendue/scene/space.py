@@ -97,8 +97,8 @@ def warn_of_offsets(scene: mi.Scene, sensor: mi.Sensor, name: str, why: str = "a
     if _share(scene, sensor)[0] > _LARGEST_OFFSET:
         _warn_once(
             f"{name}: rays start up to {largest_offset(scene):.2g} off surfaces, which changes the light of a scene of "
-            f"this size and position, and {why}; move it near the origin and scale it to a size of 1 to 100, or load it "
-            "from a file or a dictionary of plugins"
+            f"this size and position, and {why}; move it near the origin and scale it to a size of 1 to 100, or load "
+            "it from a file or a dictionary of plugins"
         )
 
 
