@@ -141,7 +141,7 @@ def test_guiding_is_compared_seed_by_seed():
         ("vmc", "did you mean 'vcm'"),
         ("vcm:split_layer=1", "method 'vcm' has no option 'split_layer'; did you mean 'split_layers'"),
         ("vcm:split_layers", "vcm wants name=value"),
-        ("vcm:split_layers=maybe", "'split_layers' wants true or false"),
+        ("vcm:split_layers=maybe", "'split_layers' must be true or false"),
     ],
 )
 def test_a_variant_that_does_not_exist(text, message):

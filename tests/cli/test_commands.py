@@ -88,15 +88,13 @@ def test_a_bundled_scene_stays_what_it_is_where_a_file_has_its_name(folder, caps
     """In the checkpoint, in a run file, and by a line where it is a question."""
     os.mkdir("stage")
     assert run("render stage -m path --size 8x8 --spp 1 -D samples_per_pass=1 -o a.exr") == 0
-    assert (
-        "'stage' is taken as the bundled scene; the folder of that name holds no scene.xml\n" in capsys.readouterr().err
-    )
+    assert "'stage' is read as the bundled scene; the folder of that name has no scene.xml\n" in capsys.readouterr().err
     Path("stage/scene.xml").write_text("no scene")
     Path("a.toml").write_text(
         '[scene]\nbundled = "stage"\nsize = [8, 8]\n[method]\nname = "path"\n[budget]\nsamples = 1\n'
     )
     assert run("resume a.checkpoint --spp 2") == run("run a.toml") == 0
-    assert "is taken as" not in capsys.readouterr().err
+    assert "is read as" not in capsys.readouterr().err
     assert run("render stage -m path --size 8x8 --spp 1") == 3
     assert run("compare stage -m path --size 8x8 --spp 1") == 3
 

@@ -39,7 +39,7 @@ def test_a_pass_is_in_a_record_once():
 
 def test_rows_of_another_kind_are_refused_before_anything_is_added():
     total = one(1)
-    with pytest.raises(EtendueError, match="different rows"):
+    with pytest.raises(EtendueError, match="different types of rows"):
         total += one(2, kind=np.float32)
     with pytest.raises(EtendueError, match="different layers"):
         total += Measurement({}, {}, Iterations.single(3))

@@ -50,12 +50,12 @@ def test_what_decides_nothing_is_left_out():
     ("text", "complaint"),
     [
         ("lights", "there is no 'lights'.*light"),
-        ("bounce1.w", "bounce is u v"),
+        ("bounce1.w", "bounce has the components u v"),
         ("lobe.u", "lobe is one number"),
         ("film1", "film, lens have no number"),
-        ("light0", "count from 1"),
-        ("bounce3", "only 2 adapt"),
-        ("light; light1.u", "in a group already"),
+        ("light0", "numbered from 1"),
+        ("bounce3", "only the first 2 adapt"),
+        ("light; light1.u", "in another group"),
         ("bounce1 bounce1.v", "a number twice"),
         ("light bounce1", "with and without the number"),
         ("film light", "with and without the number"),
@@ -68,11 +68,11 @@ def test_words_that_are_no_names(text, complaint):
 
 def test_settings_that_do_not_fit():
     cls = methods.get("vegas")
-    with pytest.raises(OptionError, match="set merge to false"):
+    with pytest.raises(OptionError, match="set merge=false"):
         cls(cls.Settings(groups="light.pick"))
-    with pytest.raises(OptionError, match="set maps to 0"):
+    with pytest.raises(OptionError, match="set maps=0"):
         cls(cls.Settings(maps=1, one_path=True))
-    with pytest.raises(OptionError, match="at most 8 for 'light bounce', 4 dimensions"):
+    with pytest.raises(OptionError, match="at most 8 for the group 'light bounce' of 4 dimensions"):
         prepared(scenes.room("rectangle", ("diffuse",)), "vegas", groups="light bounce", bins=20)
 
 
@@ -226,8 +226,8 @@ def test_plans_do_not_change_the_mean(name):
     [
         ({"parameters": "light1; bounce1"}, "one group"),
         ({"parameters": "light"}, "one group"),
-        ({"parameters": "light1.pick"}, "set merge to false"),
-        ({"weights": "a"}, "weights are numbers"),
+        ({"parameters": "light1.pick"}, "set merge=false"),
+        ({"weights": "a"}, "must be numbers"),
         ({"borders": "vegas", "dither": 0.5}, "dither moves"),
     ],
 )
@@ -319,5 +319,5 @@ def test_a_run_goes_on_where_it_stopped(method, settings):
 @pytest.mark.parametrize("other", [{"bins": 5}, {"groups": "light"}, {"tile": 8}, {"learning": "stratified"}], ids=str)
 def test_densities_of_another_size(other):
     state = prepared(lit_room(), "vegas", samples_per_pass=16).state()
-    with pytest.raises(CheckpointError, match="of another size"):
+    with pytest.raises(CheckpointError, match="do not fit"):
         prepared(lit_room(), "vegas", samples_per_pass=16, **other).restore(state)

@@ -199,7 +199,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(method, per_pass, tmp_path):
 
 def test_statistics_of_another_size_are_refused():
     runner = prepared(scenes.field(0.5, 1.0), "sppm", samples_per_pass=2)
-    with pytest.raises(CheckpointError, match="another size"):
+    with pytest.raises(CheckpointError, match="photon statistics"):
         runner.restore({"radius_squared": np.ones(5), "count": np.ones(5)})
 
 
@@ -330,7 +330,9 @@ def test_the_caustic_of_a_point_light_in_a_mirror(method):
 
 def test_photons_beyond_memory_are_refused_or_fewer():
     problem = scenes.room("sphere", scenes.FEW)
-    with pytest.raises(OptionError, match=r"photons=100000000 need a memory limit of \d+ MB; \d+ fit"):
+    with pytest.raises(
+        OptionError, match=r"photons=100000000 needs a memory limit of \d+ MB; raise the limit, or lower photons to \d+"
+    ):
         prepared(problem, "pm", photons=100_000_000)
     problem.memory = 1_300_000
     with pytest.raises(OptionError, match="memory limit"):

@@ -167,10 +167,10 @@ def test_a_sensor_without_splats_has_no_layers_of_them():
 def test_memory_is_checked_first(monkeypatch):
     problem = still()
     problem.memory = 1_500_000
-    with pytest.raises(OptionError, match=r"depth 5 at 16x12 takes 1 MB, too much for a limit of 2 MB.*or give 2 MB"):
+    with pytest.raises(OptionError, match=r"depth 5 at 16x12 needs 1 MB, too much for a memory limit of 2 MB.*to 2 MB"):
         prepared(problem, "vcm", pyramid=True)
     problem.memory = None
     monkeypatch.setattr(bidirectional, "free_memory", lambda: 500_000)
-    with pytest.raises(OptionError, match="takes 1 MB, and 0 MB are free; lower pyramid_depth or the size"):
+    with pytest.raises(OptionError, match="needs 1 MB, but only 0 MB are free; lower pyramid_depth"):
         prepared(problem, "vcm", pyramid=True)
     prepared(problem, "vcm", pyramid=True, pyramid_depth=1)

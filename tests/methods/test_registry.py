@@ -67,8 +67,8 @@ def test_derived_methods_have_integrators_of_their_own():
 @pytest.mark.parametrize(
     ("attributes", "text"),
     [
-        ({"name": "path"}, "the name 'path' is taken by etendue.methods.path.Path"),
-        ({"plugin": "vcm"}, "is taken by etendue.methods.bidirectional.Vcm"),
+        ({"name": "path"}, "the name 'path' is used by etendue.methods.path.Path"),
+        ({"plugin": "vcm"}, "is used by etendue.methods.bidirectional.Vcm"),
         ({"Settings": None}, "needs Settings"),
         ({"name": "My method"}, "small letters"),
         ({"citations": ("Nobody2020",)}, "cites Nobody2020"),

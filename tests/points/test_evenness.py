@@ -213,13 +213,13 @@ def test_overlapping_windows():
 BAD = [
     (lambda: star_discrepancy(np.zeros((1000, 4))), "star_discrepancy_bounds"),
     (lambda: star_discrepancy(np.zeros((0, 2))), "at least one"),
-    (lambda: star_discrepancy([[0.5, 1.5]]), "some lie outside"),
+    (lambda: star_discrepancy([[0.5, 1.5]]), "some are outside"),
     (lambda: l2_discrepancy([[0.5, np.nan]]), "not finite"),
     (lambda: l2_discrepancy([[0.5]], "centred"), "did you mean 'centered'"),
-    (lambda: star_discrepancy_bounds(np.zeros((5, 30))), "take an L2 discrepancy"),
+    (lambda: star_discrepancy_bounds(np.zeros((5, 30))), "use an L2 discrepancy"),
     (lambda: net_parameter(np.zeros((10, 2))), "a power of 2 points, not 10"),
-    (lambda: net_parameter(np.zeros(8)), "not of the shape"),
-    (lambda: consecutive([0.5], 2), "1 numbers have no 2 consecutive ones"),
+    (lambda: net_parameter(np.zeros(8)), "not one of shape"),
+    (lambda: consecutive([0.5], 2), "from 1 to the 1 numbers of the stream, not 2"),
     (lambda: uniformity_score(np.zeros((9, 30)), 2), "2^30 cubes"),
 ]
 

@@ -173,7 +173,7 @@ def test_errors_fall_as_theory_has_it(name, low, high):
 
 BAD = [
     (lambda: point_set("hallton", 2), "did you mean 'halton'"),
-    (lambda: point_set("hammersley", 2), "made for a number of points: give it one"),
+    (lambda: point_set("hammersley", 2), "needs a number of points; give a size"),
     (lambda: Halton(0), "dimension must be a whole number from 1, not 0"),
     (lambda: Halton(2.5), "not 2.5"),
     (lambda: Halton(6543), "at most 6542 dimensions, not 6543"),
@@ -190,7 +190,7 @@ BAD = [
     (lambda: Halton(2).block(1, 0.5), "an index is a whole number"),
     (lambda: Hammersley(2, 0), "number of points must be from 1 to 2^32, not 0"),
     (lambda: Hammersley(2, 8).block(9), "made for 8 points and has no point 8"),
-    (lambda: Hammersley(2, 8).value(8), "take a sequence"),
+    (lambda: Hammersley(2, 8).value(8), "use a larger size, or a sequence"),
     (lambda: LatinHypercube(2, 8).randomised(1).block(9), "made for 8 points"),
     (lambda: RandomShift(Hammersley(2, 8)).block(9), "hammersley+shift was made for 8 points"),
     (lambda: ExactPiPowers(2, 9000), "the limit is 8192"),

@@ -101,7 +101,7 @@ def test_the_printed_example_of_the_other_reading():
 @pytest.mark.parametrize("base", [0, 1, 65536])
 def test_a_base_that_is_none(base):
     for call in (lambda: faure_permutation(base), lambda: radical_inverse(np.arange(3), base)):
-        with pytest.raises(PointSetError, match=f"a base is from 2 to 65535, not {base}"):
+        with pytest.raises(PointSetError, match=f"a base must be from 2 to 65535, not {base}"):
             call()
 
 

@@ -111,7 +111,7 @@ def test_meshes_far_from_the_origin(caplog):
     Patches(vertices, faces)
     assert not caplog.text
     Patches(vertices.astype(np.float32), faces)
-    assert "single precision holds coordinates of 5e+05 to 0.06 only" in caplog.text
+    assert "single precision rounds coordinates of 5e+05 to multiples of 0.06" in caplog.text
     caplog.clear()
     scene_patches(mi.load_dict({"type": "scene", "wall": corner(FAR)["box"] | {"bsdf": diffuse(0.1, 0.2, 0.3)}}))
-    assert "single precision holds coordinates of 4e+06" in caplog.text
+    assert "single precision rounds coordinates of 4e+06" in caplog.text

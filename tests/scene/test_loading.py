@@ -243,7 +243,7 @@ BROKEN = {
         '<shape type="ply" id="leaf"><string name="filename" value="index.ply"/></shape>'
         '<shape type="ply"><string name="filename" value="fine.ply"/></shape>' + LIGHT + SENSOR,
         SceneError,
-        r"'leaf' of type 'ply' has a face \(0\) that names vertex 7 of 3",
+        r"'leaf' of type 'ply' has a face \(0\) with vertex 7, but only 3 vertices",
     ),
 }
 
@@ -280,9 +280,9 @@ def test_nan_in_a_mesh_is_named():
     ("beside", "taken", "said"),
     [
         ([], "bundled", None),
-        (["stage/"], "bundled", "taken as the bundled scene; the folder of that name holds no scene.xml"),
-        (["stage/", "stage/scene.xml"], "stage/scene.xml", "taken as the file stage/scene.xml, not as the bundled"),
-        (["stage"], "stage", "taken as the file stage, not as the bundled scene"),
+        (["stage/"], "bundled", "read as the bundled scene; the folder of that name has no scene.xml"),
+        (["stage/", "stage/scene.xml"], "stage/scene.xml", "read as the file stage/scene.xml, not as the bundled"),
+        (["stage"], "stage", "read as the file stage, not as the bundled scene"),
         (["stage.xml"], "bundled", None),
     ],
 )
@@ -297,11 +297,11 @@ def test_a_file_goes_before_a_bundled_scene_and_a_bare_folder_after(beside, take
             xml(tmp_path, LIGHT + small, name=name)
     found = locate("stage")
     assert found == (bundled_scene("stage") if taken == "bundled" else Path(taken))
-    messages = [m for m in caplog.messages if "is taken as" in m]
+    messages = [m for m in caplog.messages if "is read as" in m]
     assert [said in m for m in messages] == ([] if said is None else [True])
     caplog.clear()
     assert (integrator_of("stage"), load("stage").size[0]) == (("vcm", 512) if taken == "bundled" else ("", 7))
-    assert len([m for m in caplog.messages if "is taken as" in m]) == (said is not None)
+    assert len([m for m in caplog.messages if "is read as" in m]) == (said is not None)
     # What is named without ambiguity is what is meant.
     assert load(bundled_scene("stage")).source == "stage"
     if "stage/" in beside and taken != "bundled":

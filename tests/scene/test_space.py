@@ -283,7 +283,10 @@ def test_what_cannot_be_moved_is_said(caplog):
     loaded = mi.load_dict(far)
     built = far | {"ball": mi.load_dict(far["ball"])}
     text = "rays start up to 0.18 off surfaces, which changes the light"
-    for source, why in ((loaded, "a loaded scene is not moved"), (built, "type 'sphere' is not moved, as it is built")):
+    for source, why in (
+        (loaded, "a loaded scene is not moved"),
+        (built, "type 'sphere' is not moved, because it is built"),
+    ):
         caplog.clear()
         assert load(source).space.is_own
         assert text in caplog.text and why in caplog.text and "near the origin" in caplog.text
@@ -305,7 +308,7 @@ def test_what_single_precision_does_not_hold_is_said(tmp_path, caplog):
     path = written(tmp_path, body.format(500000))
     (tmp_path / "mesh.ply").write_text(mesh)
     load(path)
-    assert "single precision holds coordinates of 5e+05 to 0.06 only" in caplog.text
+    assert "single precision rounds coordinates of 5e+05 to multiples of 0.06" in caplog.text
     caplog.clear()
     load(written(tmp_path, body.format(500000)))
     assert not caplog.text

@@ -1,4 +1,4 @@
-"""Conformance tests: whether the components of a scene have the properties that every method relies on."""
+"""Conformance tests: whether the components of a scene have the properties that all methods require."""
 
 from .bsdfs import check_bsdf
 from .emitters import check_emitter

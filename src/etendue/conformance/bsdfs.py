@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -19,33 +18,27 @@ from .surfaces import Array, host, points_on, uniform, uniform_sphere, vectors
 
 Mask = NDArray[np.bool_]
 
-#: Cosines of the directions of incidence, on both sides; the sampler is tested at those of the second row.
+#: Cosines of the directions of incidence, on both sides: for all tests but that of the sampler, and for that.
 _COSINES, _SAMPLED_COSINES = (1.0, 0.9, 0.6, 0.3, 0.1, 0.01), (0.95, 0.6, 0.2)
-#: Deviation in standard errors from which a mean is a fault.
+#: Deviation of a mean that is a fault, in standard errors.
 _SIGMAS = 5.0
-#: Accepted relative difference of two ways to compute the light, and accepted excess of an albedo, for rounding.
+#: Accepted relative difference of two values of the same quantity, and accepted excess of an albedo, for rounding.
 _SHARE, _ALBEDO_SLACK = 0.01, 0.01
-#: Fewer samples are not tested.
+#: Least number of samples for a test.
 _FEW = 64
-#: RMS relative error of a density that is accepted even if it is significant: rounding, edges of cells.
+#: RMS relative error of a density that is accepted even if it is significant, for rounding and edges of cells.
 _DEVIATION = 0.05
 
-#: Materials without absorption unless they have a colour, and the share of the light that they may lose.
+#: Materials without absorption unless they have a colour, and the accepted loss of energy.
 _CLEAR, _LOSS = ("roughdielectric",), 0.1
 
 #: Known faults of Mitsuba's materials: (plugin, test) and the reason.
 _KNOWN = {
-    ("blendbsdf", "range behind"): "Mitsuba 3.9 blends samples that a one-sided material did not make; use 'twosided'",
-    (
-        "principled",
-        "energy",
-    ): "its lobes, clearcoat and sheen among them, are added, and more than 1 near grazing angles",
-    (
-        "hair",
-        "reciprocity",
-    ): "where a ray enters the fibre decides how it scatters, and only one end of the path is that ray",
-    ("bumpmap", "reciprocity"): "a bent normal makes a surface look different from the two sides of a path",
-    ("normalmap", "reciprocity"): "a bent normal makes a surface look different from the two sides of a path",
+    ("blendbsdf", "range behind"): "Mitsuba 3.9 blends invalid samples of one-sided materials; use 'twosided'",
+    ("principled", "energy"): "the sum of its lobes, such as clearcoat and sheen, exceeds 1 near grazing angles",
+    ("hair", "reciprocity"): "scattering depends on the point where the ray enters the fibre, at one end of the path",
+    ("bumpmap", "reciprocity"): "a shading normal makes f depend on which end of the path is the light",
+    ("normalmap", "reciprocity"): "a shading normal makes f depend on which end of the path is the light",
 }
 
 
@@ -53,20 +46,20 @@ _KNOWN = {
 class Effort:
     """Numbers of samples."""
 
-    points: int = 6  #: of the surface, for each direction of incidence
-    samples: int = 512  #: of each direction and point
-    draws: int = 32768  #: of each direction for the test of the sampler
+    points: int = 6  #: points of the surface for each direction of incidence
+    samples: int = 512  #: samples for each direction and point
+    draws: int = 32768  #: samples for each direction in the test of the sampler
 
 
 QUICK = Effort(points=2, samples=256, draws=8192)
 
 
 def check_bsdf(
-    bsdf: Any,
+    bsdf: mi.BSDF,
     component: str | None = None,
     *,
-    scene: Any = None,
-    shape: Any = None,
+    scene: mi.Scene | None = None,
+    shape: mi.Shape | None = None,
     quick: bool = False,
     seed: int = 0,
     level: float = 1e-5,
@@ -75,9 +68,9 @@ def check_bsdf(
 
     The tests are ``range`` (finite, not negative), ``energy`` (albedo at most 1 for a grid of directions on both sides
     and points all over the surface), ``reciprocity`` (f(a, b) = f(b, a); refracted light scaled by eta squared),
-    ``weight`` (of a sample: value over density), ``density`` (a sample's is that of ``pdf``, which integrates to at
-    most 1), ``sampler`` (directions drawn have that density; ``level`` is the probability to fail one that is right)
-    and ``coverage`` (the density is not zero where the material reflects).
+    ``weight`` (the weight of a sample is value over density), ``density`` (the density of a sample is that of ``pdf``,
+    which integrates to at most 1), ``sampler`` (sampled directions have that density; ``level`` is the probability that
+    a correct sampler fails) and ``coverage`` (the density is not zero where the material reflects).
     """
     effort = QUICK if quick else Effort()
     rng = np.random.default_rng([seed, 0xB5DF])
@@ -112,9 +105,9 @@ class _Values:
 
     wi: Array
     wo: Array
-    value: Array  #: of ``eval``, the cosine at ``wo`` included
-    back: Array  #: the same with the directions exchanged
-    pdf: Array  #: of ``pdf``
+    value: Array  #: ``eval``, including the cosine at ``wo``
+    back: Array  #: ``eval`` with the directions exchanged
+    pdf: Array  #: ``pdf``
 
 
 @dataclass
@@ -125,8 +118,8 @@ class _Draws(_Values):
     sample_pdf: Array
     eta: Array
     kept: Mask  #: lanes whose weight is not zero
-    drawn: Mask  #: those of them with a density
-    smooth: Mask  #: those of them that are not from a mirror or null component
+    drawn: Mask  #: lanes of ``kept`` with a density above zero
+    smooth: Mask  #: lanes of ``drawn`` that are not of a delta component
 
 
 def _directions(cosines: tuple[float, ...], points: int, rng: np.random.Generator) -> Array:
@@ -136,12 +129,12 @@ def _directions(cosines: tuple[float, ...], points: int, rng: np.random.Generato
     return np.stack([sin * np.cos(phi), sin * np.sin(phi), cos], -1)
 
 
-def _spread(si: Any, samples: int) -> Any:
-    """``samples`` lanes of each interaction."""
+def _spread(si: mi.SurfaceInteraction3f, samples: int) -> mi.SurfaceInteraction3f:
+    """Each interaction ``samples`` times."""
     return dr.gather(mi.SurfaceInteraction3f, si, dr.arange(mi.UInt32, dr.width(si.wi) * samples) // samples)
 
 
-def _draw(bsdf: Any, si: Any, samples: int, rng: np.random.Generator) -> _Draws:
+def _draw(bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, samples: int, rng: np.random.Generator) -> _Draws:
     context, lanes = mi.BSDFContext(), dr.width(si.wi) * samples
     si = _spread(si, samples)
     drawn, weight = bsdf.sample(context, si, uniform(rng, lanes, 1), uniform(rng, lanes, 2))
@@ -151,14 +144,14 @@ def _draw(bsdf: Any, si: Any, samples: int, rng: np.random.Generator) -> _Draws:
     results = (si.wi, wo, *values, weight, drawn.pdf, drawn.eta, delta)
     dr.eval(*results)
     wi, out, value, back, pdf, weight, sample_pdf, eta, is_delta = (host(v, lanes) for v in results)
-    # A sample of weight zero is discarded, whatever its density; below also directions without reflection.
+    # A sample of weight zero is discarded, whatever its density.
     kept = (weight != 0.0).any(1)
-    gave = kept & (sample_pdf > 0.0)
-    smooth = gave & (is_delta == 0.0) & np.isfinite(out).all(1)
-    return _Draws(wi, out, value, back, pdf, weight, sample_pdf, eta, kept, gave, smooth)
+    valid = kept & (sample_pdf > 0.0)
+    smooth = valid & (is_delta == 0.0) & np.isfinite(out).all(1)
+    return _Draws(wi, out, value, back, pdf, weight, sample_pdf, eta, kept, valid, smooth)
 
 
-def _evaluate(bsdf: Any, si: Any, wo: Array, samples: int) -> _Values:
+def _evaluate(bsdf: mi.BSDF, si: mi.SurfaceInteraction3f, wo: Array, samples: int) -> _Values:
     context, lanes = mi.BSDFContext(), len(wo)
     si, out = _spread(si, samples), vectors(wo)
     results = (si.wi, out, *_answers(bsdf, context, si, out))
@@ -166,14 +159,16 @@ def _evaluate(bsdf: Any, si: Any, wo: Array, samples: int) -> _Values:
     return _Values(*(host(v, lanes) for v in results))
 
 
-def _answers(bsdf: Any, context: Any, si: Any, wo: Any) -> tuple[Any, Any, Any]:
+def _answers(
+    bsdf: mi.BSDF, context: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f
+) -> tuple[mi.Color3f, mi.Color3f, mi.Float]:
     exchanged = mi.SurfaceInteraction3f(si)
     exchanged.wi = wo
     return bsdf.eval(context, si, wo), bsdf.eval(context, exchanged, si.wi), bsdf.pdf(context, si, wo)
 
 
 def _check_range(findings: Findings, drawn: _Draws, anywhere: _Values) -> bool:
-    """Whether the values are valid, so that the other tests make sense."""
+    """Whether the values are valid, as the other tests require."""
     wrong, behind, total = 0, 0, 0
     for values, lanes, arrays in (
         (drawn, drawn.drawn, (drawn.value, drawn.back, drawn.pdf)),
@@ -186,24 +181,24 @@ def _check_range(findings: Findings, drawn: _Draws, anywhere: _Values) -> bool:
             behind += int((bad & (values.wi[:, 2] < 0.0)).sum())
             total += int(lanes.sum())
     meaning = (
-        f"{wrong} of {total} values, densities and weights are NaN, infinite or negative, and would spoil whole pixels"
+        f"{wrong} of {total} values, densities and weights are NaN, infinite or negative, which makes pixels invalid"
     )
     if wrong and wrong == behind and (reason := findings.known("range behind")):
-        findings.warn("range", wrong / total, 0.0, f"{meaning}, all seen from behind; known: {reason}")
+        findings.warn("range", wrong / total, 0.0, f"{meaning}, all for the back side; known: {reason}")
         return True
     verdict = findings.judge(
         "range",
         wrong / total,
         0.0,
-        "every value, density and weight is finite and none is negative",
+        "all values, densities and weights are finite and not negative",
         f"{meaning}; correct the parameters or the plugin",
     )
     return verdict == "pass" or wrong < 1e-3 * total
 
 
 def _check_energy(findings: Findings, drawn: _Draws, groups: int) -> Array:
-    """Returns the albedo of each direction and point."""
-    # Refracted radiance is compressed by eta squared; energy is not [Veach 1997, sec. 5.2].
+    """Test the albedo; returns it for each direction and point."""
+    # Refraction scales radiance by eta squared, but not energy [Veach 1997, sec. 5.2].
     scale = np.where(drawn.drawn & (drawn.wo[:, 2] * drawn.wi[:, 2] < 0.0) & (drawn.eta > 0.0), drawn.eta**2, 1.0)
     reflected = np.nan_to_num(np.where(drawn.drawn[:, None], drawn.weight * scale[:, None], 0.0))
     reflected = reflected.reshape(groups, -1, reflected.shape[1])
@@ -216,9 +211,9 @@ def _check_energy(findings: Findings, drawn: _Draws, groups: int) -> Array:
         "energy",
         largest,
         1.0,
-        "largest albedo over directions of incidence and points: no light is created",
-        f"it reflects up to {albedo[worst].max():.2f} of the light that arrives (at cosine {cos:.2f} to the normal): "
-        "pictures become too bright, long paths may never end; lower its reflectances or repair the plugin",
+        "largest albedo over directions of incidence and points",
+        f"it reflects up to {albedo[worst].max():.2f} times the incident light (at cosine {cos:.2f} to the normal), so "
+        "pictures become too bright and paths may not end; lower its reflectances or repair the plugin",
         failed=least > 1.0 + _ALBEDO_SLACK,
     )
     return albedo
@@ -231,8 +226,8 @@ def _check_loss(findings: Findings, albedo: Array, directions: Array) -> None:
         findings.judge("loss", lost, _LOSS, good, good)
         return
     meaning = (
-        f"it absorbs {lost:.0%} of the light though it is clear; known: the model leaves out light that meets its "
-        "facets more than once, so rough glass looks too dark; a smaller alpha loses less"
+        f"it absorbs {lost:.0%} of the light although it is clear; known: the model has no multiple scattering between "
+        "microfacets, so rough glass is too dark; a smaller alpha loses less"
     )
     findings.warn("loss", lost, _LOSS, meaning)
 
@@ -257,14 +252,14 @@ def _check_reciprocity(findings: Findings, drawn: _Draws, anywhere: _Values) -> 
         "reciprocity",
         asymmetry,
         _SHARE,
-        "share of the light by which f(a, b) and f(b, a) differ",
-        f"f(a, b) and f(b, a) differ by {asymmetry:.1%} of the light: light and camera paths see different materials, "
-        "so methods that join them disagree with path tracing; make eval symmetric (except for its cosine)",
+        "difference of f(a, b) and f(b, a), as a share of the light",
+        f"f(a, b) and f(b, a) differ by {asymmetry:.1%} of the light, so light paths and camera paths give different "
+        "results, and methods that connect them disagree with path tracing; make eval symmetric, except for its cosine",
     )
 
 
 def _eta(drawn: _Draws, side: float) -> float:
-    """Relative index of refraction for light paths that cross from that side, by the samples that do."""
+    """Relative index of refraction for light paths that cross the surface from a side, from samples that do."""
     crossing = drawn.smooth & (drawn.wi[:, 2] * side > 0.0) & (drawn.wo[:, 2] * side < 0.0)
     return float(np.median(drawn.eta[crossing])) if crossing.any() else 1.0
 
@@ -282,8 +277,8 @@ def _check_weight(findings: Findings, drawn: _Draws) -> None:
         difference,
         _SHARE,
         "mean relative difference of a sample's weight and value over density",
-        f"the weight of a sample differs by {difference:.1%} from eval / pdf, so a path tracer that samples sees "
-        "another material than one that connects; make sample return eval / pdf",
+        f"the weight of a sample differs by {difference:.1%} from eval / pdf, so sampled directions and next event "
+        "estimation give different results; make sample return eval / pdf",
     )
 
 
@@ -296,17 +291,23 @@ def _check_coverage(findings: Findings, anywhere: _Values) -> None:
         missed,
         0.001,
         "share of the reflected light in directions of density zero",
-        f"{missed:.1%} of the light goes into directions that sampling never draws, so it is lost where paths only "
-        "sample; make pdf and sample cover what eval does",
+        f"{missed:.1%} of the light is reflected to directions that are never sampled, so it is lost if directions are "
+        "sampled only; make pdf and sample cover all directions in which eval is not zero",
     )
 
 
 def _check_density(
-    findings: Findings, bsdf: Any, si: Any, drawn: _Draws, effort: Effort, rng: np.random.Generator, level: float
+    findings: Findings,
+    bsdf: mi.BSDF,
+    si: mi.SurfaceInteraction3f,
+    drawn: _Draws,
+    effort: Effort,
+    rng: np.random.Generator,
+    level: float,
 ) -> None:
-    claimed, asked = drawn.sample_pdf[drawn.smooth], drawn.pdf[drawn.smooth]
-    apart = np.abs(claimed - asked) / np.maximum(np.maximum(claimed, asked), 1e-12)
-    difference = float(apart.mean()) if len(apart) else 0.0
+    sampled, evaluated = drawn.sample_pdf[drawn.smooth], drawn.pdf[drawn.smooth]
+    differences = np.abs(sampled - evaluated) / np.maximum(np.maximum(sampled, evaluated), 1e-12)
+    difference = float(differences.mean()) if len(differences) else 0.0
 
     grid = _directions(_SAMPLED_COSINES, 1, rng)
     places = dr.gather(mi.SurfaceInteraction3f, si, mi.UInt32(rng.integers(0, dr.width(si.wi), len(grid)).astype("u4")))
@@ -321,8 +322,8 @@ def _check_density(
     judge_density(findings, fits, difference, level)
 
 
-def _density(bsdf: Any, place: Any) -> Callable[[Array], Array]:
-    """The reported density of directions with a value; 0 for others, whose samples have no weight."""
+def _density(bsdf: mi.BSDF, place: mi.SurfaceInteraction3f) -> Callable[[Array], Array]:
+    """The density ``pdf`` of directions in which ``eval`` is not zero; 0 for others, whose samples have no weight."""
 
     def density(directions: Array) -> Array:
         lanes, context, wo = len(directions), mi.BSDFContext(), vectors(directions)
@@ -335,14 +336,14 @@ def _density(bsdf: Any, place: Any) -> Callable[[Array], Array]:
 
 
 def judge_density(findings: Findings, fits: list[DensityFit], difference: float, level: float) -> None:
-    """The tests ``density`` and ``sampler`` from fits in several situations: Bonferroni's bound over them."""
+    """The tests ``density``, ``integral`` and ``sampler`` from several fits, with Bonferroni's bound over them."""
     findings.judge(
         "density",
         difference,
         _SHARE,
-        "mean relative difference of a sample's density and what the plugin's pdf function says",
-        f"a sample's density differs by {difference:.1%} from what the pdf function says, so weights of multiple "
-        "importance sampling do not add up to one; make them the same",
+        "mean relative difference of a sample's density and that of the plugin's pdf function",
+        f"a sample's density differs by {difference:.1%} from that of the pdf function, so weights of multiple "
+        "importance sampling do not sum to one; make both equal",
     )
     if not fits:
         return
@@ -351,9 +352,8 @@ def judge_density(findings: Findings, fits: list[DensityFit], difference: float,
         "integral",
         integral.integral,
         1.0 + _SHARE,
-        "largest integral of the density over all directions; less than 1 where a sampler gives up or mirrors",
-        f"the density integrates to {integral.integral:.2f}: it is no density, and pictures become too dark or too "
-        "bright; normalise it",
+        "largest integral of the density over all directions; below 1 if some samples are rejected or of mirrors",
+        f"the density integrates to {integral.integral:.2f}, so pictures become too dark or too bright; normalise it",
         failed=integral.integral - _SIGMAS * integral.integral_error > 1.0 + _SHARE,
     )
     p_value = min(1.0, len(fits) * min(f.p_value for f in fits))
@@ -363,7 +363,7 @@ def judge_density(findings: Findings, fits: list[DensityFit], difference: float,
         deviation,
         _DEVIATION,
         f"relative deviation of sampled directions from the density (chi-square, p = {p_value:.2g})",
-        f"sampled directions do not have the density that is claimed (chi-square, p = {p_value:.1g}; it is off by "
-        f"{deviation:.0%}): pictures are biased; make pdf the density of sample",
+        f"sampled directions do not have the density of pdf (chi-square, p = {p_value:.1g}; deviation "
+        f"{deviation:.0%}), so pictures are biased; make pdf the density of sample",
         failed=p_value < level and deviation > _DEVIATION,
     )

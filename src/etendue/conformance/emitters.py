@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -25,33 +24,39 @@ _SIGMAS, _SHARE = 5.0, 0.01
 
 
 def check_emitter(
-    emitter: Any, scene: Any, component: str | None = None, *, quick: bool = False, seed: int = 0, level: float = 1e-5
+    emitter: mi.Emitter,
+    scene: mi.Scene,
+    component: str | None = None,
+    *,
+    quick: bool = False,
+    seed: int = 0,
+    level: float = 1e-5,
 ) -> list[Finding]:
     """Test a ``mi.Emitter`` of a loaded scene.
 
-    The tests are ``range``, ``radiance`` (what ``sample_direction`` weighs is ``eval_direction`` over density),
+    The tests are ``range``, ``radiance`` (the weight of ``sample_direction`` is ``eval_direction`` over density),
     ``density``, ``integral`` and ``sampler`` (of ``sample_direction`` against ``pdf_direction``, as for materials) and
-    ``power`` (the mean weight of ``sample_ray`` is the emitted power, integrated from the radiance).
+    ``power`` (the mean weight of ``sample_ray`` is the emitted power, the integral of the radiance).
     """
     rng = np.random.default_rng([seed, 0xE317])
     findings = Findings(component or graph.describe(emitter, "emitter"))
     with findings.trying("interface"):
         _check_next_event(findings, emitter, scene, _DRAWS // (_QUICK if quick else 1), rng, level)
-    with findings.trying("power", required=False):  # lamps of a procedural texture need not emit rays
+    with findings.trying("power", required=False):  # lights with procedural textures do not implement sample_ray
         _check_power(findings, emitter, scene, _RAYS // (_QUICK if quick else 1), rng)
     return findings.rows
 
 
-def is_surface(emitter: Any) -> bool:
-    """Whether it is on a shape that rays can hit."""
+def is_surface(emitter: mi.Emitter) -> bool:
+    """Whether an emitter is on a shape that rays can hit."""
     return mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface) and emitter.get_shape() is not None
 
 
-def _is_delta(emitter: Any) -> bool:
+def _is_delta(emitter: mi.Emitter) -> bool:
     return mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta)
 
 
-def _places(emitter: Any, scene: Any, rng: np.random.Generator) -> Array:
+def _places(emitter: mi.Emitter, scene: mi.Scene, rng: np.random.Generator) -> Array:
     """Points that the emitter lights: in front of its surface, or anywhere within the scene."""
     box = scene.bbox()
     low, high = (np.asarray(v, np.float64).ravel() for v in (box.min, box.max))
@@ -59,22 +64,22 @@ def _places(emitter: Any, scene: Any, rng: np.random.Generator) -> Array:
         return low + (high - low) * (0.1 + 0.8 * rng.random((_PLACES, 3)))
     place = emitter.get_shape().sample_position(0.0, uniform(rng, _PLACES, 2))
     p, n = host(place.p, _PLACES), host(place.n, _PLACES)
-    away = n + 0.7 * rng.random() * uniform_sphere(rng, _PLACES)
-    return p + away * np.linalg.norm(high - low) * rng.uniform(0.1, 0.4, (_PLACES, 1))
+    direction = n + 0.7 * rng.random() * uniform_sphere(rng, _PLACES)
+    return p + direction * np.linalg.norm(high - low) * rng.uniform(0.1, 0.4, (_PLACES, 1))
 
 
-def _at(point: Array, lanes: int) -> Any:
+def _at(point: Array, lanes: int) -> mi.Interaction3f:
     it = dr.zeros(mi.Interaction3f, lanes)
     it.p = mi.Point3f(*(float(v) for v in point))
     return it
 
 
 def _check_next_event(
-    findings: Findings, emitter: Any, scene: Any, draws: int, rng: np.random.Generator, level: float
+    findings: Findings, emitter: mi.Emitter, scene: mi.Scene, draws: int, rng: np.random.Generator, level: float
 ) -> None:
     alone = mi.load_dict({"type": "scene", "shape": emitter.get_shape()}) if is_surface(emitter) else None
     wrong, differences, fits = 0, [], list[DensityFit]()
-    asked, weighed = 0.0, 0.0
+    deviation, total = 0.0, 0.0
     delta = _is_delta(emitter)
     for point in _places(emitter, scene, rng):
         it = _at(point, draws)
@@ -88,38 +93,38 @@ def _check_next_event(
         wrong += int(bad.sum())
         if delta or bad.any():
             continue
-        claimed, radiance = rest
-        lit = claimed > 0.0
+        evaluated, radiance = rest
+        lit = evaluated > 0.0
         both = lit & (weight_of > 0.0).any(1)
-        differences.append(np.abs(pdf - claimed)[both] / np.maximum(pdf, claimed)[both])
-        asked += float(np.abs(weight_of * pdf[:, None] - radiance)[both].sum())
-        weighed += float(radiance[both].sum())
+        differences.append(np.abs(pdf - evaluated)[both] / np.maximum(pdf, evaluated)[both])
+        deviation += float(np.abs(weight_of * pdf[:, None] - radiance)[both].sum())
+        total += float(radiance[both].sum())
         if fit := fit_density(direction[lit], draws, _density(emitter, alone, point), rng):
             fits.append(fit)
     findings.judge(
         "range",
         float(wrong),
         0.0,
-        "next event: every weight and density is finite and none is negative",
+        "next event: all weights and densities are finite and not negative",
         f"{wrong} weights or densities of next event are NaN, infinite or negative; correct the radiance or the plugin",
     )
     if delta or wrong:
         return
-    share = asked / weighed if weighed > 0.0 else 0.0
+    share = deviation / total if total > 0.0 else 0.0
     findings.judge(
         "radiance",
         share,
         _SHARE,
         "relative difference of next event's weight and radiance over density",
-        f"next event carries a radiance that differs by {share:.1%} from what eval_direction says; make the weight "
-        "radiance over density",
+        f"the radiance of next event differs by {share:.1%} from that of eval_direction; make the weight radiance over "
+        "density",
     )
-    apart = np.concatenate(differences) if differences else np.zeros(0)
-    judge_density(findings, fits, float(apart.mean()) if len(apart) else 0.0, level)
+    relative = np.concatenate(differences) if differences else np.zeros(0)
+    judge_density(findings, fits, float(relative.mean()) if len(relative) else 0.0, level)
 
 
-def _density(emitter: Any, alone: Any, point: Array) -> Callable[[Array], Array]:
-    """Density of next event's direction: of an emitter on a shape, the sum over all points of it along the ray."""
+def _density(emitter: mi.Emitter, alone: mi.Scene | None, point: Array) -> Callable[[Array], Array]:
+    """Density of the direction of next event; for an emitter on a shape, the sum over its points along the ray."""
 
     def density(directions: Array) -> Array:
         lanes = len(directions)
@@ -145,30 +150,30 @@ def _density(emitter: Any, alone: Any, point: Array) -> Callable[[Array], Array]
     return density
 
 
-def _check_power(findings: Findings, emitter: Any, scene: Any, rays: int, rng: np.random.Generator) -> None:
-    known = _power(emitter, scene, rays, rng)
-    if known is None:
+def _check_power(findings: Findings, emitter: mi.Emitter, scene: mi.Scene, rays: int, rng: np.random.Generator) -> None:
+    reference = _power(emitter, scene, rays, rng)
+    if reference is None:
         return
     _, weight = emitter.sample_ray(0.0, uniform(rng, rays, 1), uniform(rng, rays, 2), uniform(rng, rays, 2))
     carried = host(weight, rays)
     mean, error = carried.mean(0), carried.std(0) / np.sqrt(rays)
-    expected, uncertain = known
-    off = np.abs(mean - expected)
-    tolerance = _SIGMAS * np.hypot(error, uncertain) + 2e-3 * expected
-    channel = int(np.argmax(off - tolerance))
-    figure = float(off[channel] / expected[channel]) if expected[channel] > 0.0 else float(off[channel])
+    expected, expected_error = reference
+    difference = np.abs(mean - expected)
+    tolerance = _SIGMAS * np.hypot(error, expected_error) + 2e-3 * expected
+    channel = int(np.argmax(difference - tolerance))
+    figure = float(difference[channel] / expected[channel]) if expected[channel] > 0.0 else float(difference[channel])
     findings.judge(
         "power",
         figure,
         float(max(tolerance[channel] / max(expected[channel], 1e-30), 0.0)),
         "relative difference of the power that its rays carry and the integral of its radiance",
-        f"its rays carry {mean[channel]:.4g} W and its radiance integrates to {expected[channel]:.4g} W: light paths "
-        "and camera paths see different lamps; make sample_ray return radiance over density",
-        failed=bool((off > tolerance).any()),
+        f"its rays carry {mean[channel]:.4g} W but its radiance integrates to {expected[channel]:.4g} W, so light "
+        "paths and camera paths give different results; make sample_ray return radiance over density",
+        failed=bool((difference > tolerance).any()),
     )
 
 
-def _power(emitter: Any, scene: Any, rays: int, rng: np.random.Generator) -> tuple[Array, Array] | None:
+def _power(emitter: mi.Emitter, scene: mi.Scene, rays: int, rng: np.random.Generator) -> tuple[Array, Array] | None:
     """Emitted power for each channel and its standard error, from the radiance alone."""
     flags = emitter.flags()
     sphere = scene.bbox().bounding_sphere()

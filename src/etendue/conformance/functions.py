@@ -12,8 +12,8 @@ from .report import Finding, Findings
 def check_function(
     function: Integrand, component: str = "function", *, points: int = 65536, seed: int = 0
 ) -> list[Finding]:
-    """Test an :class:`etendue.integration.Integrand` at random points of its domain and at all of its corners (of the
-    first twelve dimensions): ``range``, values are finite and within the declared range, to a rounding of 1e-5."""
+    """Test an :class:`etendue.integration.Integrand` at random points of its domain and at the corners of its first
+    twelve dimensions. The test ``range``: values are finite and within the declared range, up to rounding of 1e-5."""
     rng = np.random.default_rng([seed, 0xF0C7])
     findings = Findings(component)
     with findings.trying("interface"):
@@ -34,8 +34,9 @@ def check_function(
             "range",
             float(outside.mean()),
             0.0,
-            f"share of points outside the range [{low:g}, {high:g}]; values run from {least:.4g} to {most:.4g}",
+            f"share of points outside the range [{low:g}, {high:g}]; values are from {least:.4g} to {most:.4g}",
             f"{outside.sum()} of {len(values)} values are outside the declared range [{low:g}, {high:g}] or not finite "
-            f"(they run from {least:.4g} to {most:.4g}), so what is composed of it is wrong; correct one of them",
+            f"(from {least:.4g} to {most:.4g}), so functions composed of it are wrong; correct the function or "
+            "the range",
         )
     return findings.rows

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -18,9 +17,10 @@ from .surfaces import Array, host, uniform_sphere, vectors
 
 _RAYS, _TRIANGLES = 2048, 512
 _QUICK = 4
-#: Relative to the scene's extent: accepted error of a hit, and distance inside its triangle for a certain miss.
+#: Accepted error of a hit, and least distance to the edges of a triangle that a ray must hit, relative to the scene's
+#: extent.
 _TOLERANCE = 1e-4
-#: Smallest cosine of a ray that must hit.
+#: Least cosine of a ray that must hit.
 _LEAST_COSINE = 1e-2
 
 
@@ -29,18 +29,18 @@ class _Triangles:
     """Every triangle of a scene's meshes, and a random selection of them."""
 
     corners: Array  #: (n, 3, 3)
-    first: dict[int, int]  #: of the meshes' triangles, by registry number
-    chosen: NDArray[np.int64]
+    first: dict[int, int]  #: number of the first triangle of each mesh, by the mesh's registry number
+    chosen: NDArray[np.int64]  #: numbers of the selected triangles
 
 
 def check_ray_casting(
-    scene: Any, component: str = "ray casting", *, variants: Sequence[str] = (), quick: bool = False, seed: int = 0
+    scene: mi.Scene, component: str = "ray casting", *, variants: Sequence[str] = (), quick: bool = False, seed: int = 0
 ) -> list[Finding]:
     """Test a loaded scene's ray casting on its meshes, with random rays, half of them aimed at triangles.
 
-    ``hits``: each hit lies on the triangle that it names. ``misses``: no triangle of a random selection is hit before
-    it. ``variant NAME``, for other Mitsuba variants: rays find the selection as the test in double precision does; the
-    variant is set during the test and restored afterwards, so nothing else may use Mitsuba in this process meanwhile.
+    ``hits``: each hit is on the triangle that it reports. ``misses``: no triangle of a random selection is hit before
+    it. ``variant NAME``, for other Mitsuba variants: rays hit the selection as the test in double precision does. The
+    variant is set during the test and restored afterwards; other threads must not use Mitsuba meanwhile.
     """
     rng = np.random.default_rng([seed, 0x4A75])
     rays = _RAYS // (_QUICK if quick else 1)
@@ -67,14 +67,14 @@ def check_ray_casting(
     return findings.rows
 
 
-def _collect(scene: Any, count: int, rng: np.random.Generator) -> _Triangles | None:
+def _collect(scene: mi.Scene, count: int, rng: np.random.Generator) -> _Triangles | None:
     corners, first, total = [], {}, 0
     for mesh in scene.shapes():
         if not mesh.is_mesh():
             continue
         points = np.asarray(mesh.vertex_positions_buffer(), np.float64).reshape(-1, 3)
         faces = np.asarray(mesh.faces_buffer()).reshape(-1, 3)
-        # A 'rectangle' is a mesh that rays hit as a whole: its hits name no triangle.
+        # A 'rectangle' is a mesh, but its hits report no triangle.
         if "vertex_positions" in dict(graph.contents(mesh).values):
             number = dr.reinterpret_array(mi.UInt32, mi.ShapePtr(mesh))
             first[int(np.asarray(number).ravel()[0])] = total
@@ -87,7 +87,7 @@ def _collect(scene: Any, count: int, rng: np.random.Generator) -> _Triangles | N
 
 
 def _nearest(o: Array, d: Array, triangles: Array, extent: float) -> tuple[Array, Array]:
-    """Distance along each ray to the nearest triangle that it certainly hits, and to one that it may hit (edges,
+    """Distance along each ray to the nearest triangle that it must hit, and to the nearest one that it may hit (edges,
     grazing rays)."""
     surely, perhaps = np.full(len(o), np.inf), np.full(len(o), np.inf)
     for start in range(0, len(o), 256):
@@ -103,7 +103,8 @@ def _nearest(o: Array, d: Array, triangles: Array, extent: float) -> tuple[Array
 
 
 def _cross(o: Array, d: Array, corners: Array) -> tuple[Array, Array, Array]:
-    """Distance to a triangle's plane, depth inside the triangle (in scene units), and the cosine to its normal."""
+    """Distance to a triangle's plane, distance to its edges (in scene units, negative outside), and cosine to its
+    normal."""
     a, b, c = corners[..., 0, :], corners[..., 1, :], corners[..., 2, :]
     n = np.cross(b - a, c - a)
     twice = np.linalg.norm(n, axis=-1)
@@ -114,7 +115,7 @@ def _cross(o: Array, d: Array, corners: Array) -> tuple[Array, Array, Array]:
     flat = np.abs(along) < 1e-12
     t = np.where(flat, np.inf, ((a - o) * n).sum(-1) / np.where(flat, 1.0, along))
     p = o + np.where(np.isfinite(t), t, 0.0)[..., None] * d
-    # Distances to the three edges are barycentric coordinates times heights, each at least this share of the longest.
+    # Distances to the edges are barycentric coordinates times heights; a lower bound with the least height.
     weights = [(np.cross(v - u, p - u) * n).sum(-1) / safe for u, v in ((a, b), (b, c), (c, a))]
     inside = np.minimum(np.minimum(*weights[:2]), weights[2]) * (safe / np.maximum(longest, 1e-30))
     return t, np.where(twice > 0.0, inside, -np.inf), np.abs(along)
@@ -125,7 +126,7 @@ def _length(v: Array) -> Array:
 
 
 def _check_scene(
-    findings: Findings, scene: Any, triangles: _Triangles, o: Array, d: Array, surely: Array, extent: float
+    findings: Findings, scene: mi.Scene, triangles: _Triangles, o: Array, d: Array, surely: Array, extent: float
 ) -> None:
     rays = len(o)
     si = scene.ray_intersect(mi.Ray3f(mi.Point3f(np.ascontiguousarray(o.T, np.float32)), vectors(d)))
@@ -146,9 +147,9 @@ def _check_scene(
         "hits",
         float(wrong),
         0.0,
-        f"of {int(known.sum())} hits of triangles, those that do not lie on the triangle that they name",
-        f"{wrong} of {int(known.sum())} hits do not lie on the triangle that they name; check the mesh for huge or "
-        "tiny coordinates, and move it to the origin",
+        f"number of {int(known.sum())} hits that are not on the triangle that they report",
+        f"{wrong} of {int(known.sum())} hits are not on the triangle that they report; check the mesh for very large "
+        "or small coordinates, and move it to the origin",
     )
     missed = int((t > surely + slack).sum())
     aimed = int(np.isfinite(surely).sum())
@@ -156,8 +157,9 @@ def _check_scene(
         "misses",
         float(missed),
         0.0,
-        f"of {aimed} rays that hit one of {len(triangles.chosen)} triangles, those that went through it",
-        f"{missed} of {aimed} rays go through a triangle, so light leaks; check the mesh for huge or tiny coordinates",
+        f"number of {aimed} rays at {len(triangles.chosen)} triangles that pass through a triangle",
+        f"{missed} of {aimed} rays pass through a triangle, so light leaks; check the mesh for very large or small "
+        "coordinates",
     )
 
 
@@ -192,6 +194,6 @@ def _check_variant(
         f"variant {variant}",
         float(wrong),
         0.0,
-        f"of {int(clear.sum())} rays at {len(every)} triangles, those for which this variant finds another one",
-        f"{wrong} of {int(clear.sum())} rays find another triangle under {variant}; report this with the scene",
+        f"number of {int(clear.sum())} rays at {len(every)} triangles that hit another one under this variant",
+        f"{wrong} of {int(clear.sum())} rays hit another triangle under {variant}; report this with the scene",
     )

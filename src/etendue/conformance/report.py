@@ -17,12 +17,12 @@ Verdict = Literal["pass", "warn", "fail"]
 class Finding:
     """The outcome of one test of one component."""
 
-    component: str  #: as the scene names it: ``material 'Glass' of type 'dielectric'``
+    component: str  #: name in the scene, such as ``material 'Glass' of type 'dielectric'``
     test: str  #: ``range``, ``energy``, ``reciprocity``, ``sampler`` and so on
     verdict: Verdict
     figure: float  #: the measured value; NaN if there is none
     limit: float  #: the largest value that passes
-    meaning: str  #: what the value is; for a warning or failure its consequence and a remedy
+    meaning: str  #: description of the value; for a warning or failure its consequence and a remedy
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON, which has no NaN and no infinity."""
@@ -70,7 +70,7 @@ class Findings:
     def judge(
         self, test: str, figure: float, limit: float, good: str, bad: str, *, failed: bool | None = None
     ) -> Verdict:
-        """Add a row: it fails if the value is above the limit, or by ``failed``; a known failure is a warning."""
+        """Add a row. The test fails if the value is above the limit, or if ``failed``; a known failure is a warning."""
         wrong = not figure <= limit if failed is None else failed
         verdict: Verdict = "fail" if wrong else "pass"
         meaning = bad if wrong else good
@@ -85,12 +85,11 @@ class Findings:
 
     @contextmanager
     def trying(self, test: str, *, required: bool = True) -> Iterator[None]:
-        """An exception inside is a failure, or is ignored if the component does not need the function
-        (``required``)."""
+        """Convert an exception in the block to a failure, or ignore it if the function is not ``required``."""
         try:
             yield
         except Exception as error:
             if required:
                 text = describe(error)[:200]
-                meaning = f"it raises an error where every method calls it ({text}); repair the plugin"
+                meaning = f"it raises an error in a function that all methods call ({text}); repair the plugin"
                 self.rows.append(Finding(self.component, test, "fail", math.nan, 0.0, meaning))

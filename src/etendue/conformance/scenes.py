@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from etendue.core import SceneError, UnsupportedError, use_variant
-from etendue.scene import Problem, graph, load
+from etendue.scene import Problem, Source, graph, load
 
 from .bsdfs import check_bsdf
 from .emitters import check_emitter, is_surface
@@ -16,14 +16,17 @@ from .report import Finding, Report
 from .sensors import check_sensor
 from .textures import check_textures
 
-#: Uninformative names of a material: keys of a shape's dictionary, the default of Mitsuba.
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+#: Generic names of a material: keys of a shape's dictionary, and Mitsuba's default.
 _GENERIC = ("bsdf", "material", "mesh_bsdf", "default")
 #: Probability that a scene with correct samplers fails by chance.
 _LEVEL = 1e-3
 
 
 def check(
-    scene: Any,
+    scene: Source,
     *,
     quick: bool = False,
     sensor: int = 0,
@@ -31,10 +34,10 @@ def check(
     variants: Sequence[str] = (),
     seed: int = 0,
 ) -> Report:
-    """Test materials, textures, emitters, sensors and ray casting of a scene, and report what is implausible.
+    """Test materials, textures, emitters, sensors and ray casting of a scene.
 
     ``scene`` and ``parameters`` are those of :func:`etendue.render`. ``quick`` uses fewer samples and may miss small
-    faults. ``variants`` names further Mitsuba variants for the test of ray casting, such as ``scalar_rgb``. The same
+    faults. ``variants``: other Mitsuba variants for the test of ray casting, such as ``scalar_rgb``. The same
     ``seed`` gives the same report. Unsupported scenes fail the test ``supported``.
 
     Raises :class:`SceneError` for a scene that cannot be loaded, :class:`OptionError` for an invalid sensor.
@@ -43,7 +46,7 @@ def check(
     began = time.perf_counter()
     problem, rows = _load(scene, sensor, parameters)
     loaded = problem.scene
-    broken = any(row.test == "broken" for row in rows)  # its geometry is not reliable
+    broken = any(row.test == "broken" for row in rows)  # its geometry may be invalid
     place = None if broken else loaded
     materials = list(_materials(loaded))
     emitters, sensors = loaded.emitters(), loaded.sensors()
@@ -65,8 +68,8 @@ def check(
     return Report(problem.source, tuple(rows), time.perf_counter() - began)
 
 
-def _load(scene: Any, sensor: int, parameters: Mapping[str, Any] | None) -> tuple[Problem, list[Finding]]:
-    """The scene, and whether it is supported. Raises where it cannot be loaded at all."""
+def _load(scene: Source, sensor: int, parameters: Mapping[str, Any] | None) -> tuple[Problem, list[Finding]]:
+    """The scene, and the finding whether it is supported. Raises :class:`SceneError` if it cannot be loaded."""
     try:
         problem = load(scene, sensor=sensor, parameters=parameters)
     except SceneError as error:
@@ -76,9 +79,9 @@ def _load(scene: Any, sensor: int, parameters: Mapping[str, Any] | None) -> tupl
     return problem, [Finding("scene", "supported", "pass", 0.0, 0.0, "every method can render it")]
 
 
-def _materials(scene: Any) -> Iterator[tuple[str, Any, Any]]:
-    """Every material of the shapes once, with its name and a shape that has it."""
-    seen: list[Any] = []
+def _materials(scene: mi.Scene) -> Iterator[tuple[str, mi.BSDF, mi.Shape]]:
+    """(name, material, a shape with it) for each material of the shapes."""
+    seen: list[mi.BSDF] = []
     for shape in graph.shapes(scene):
         bsdf = shape.bsdf()
         if bsdf is None or any(bsdf is other for other in seen):
@@ -90,7 +93,7 @@ def _materials(scene: Any) -> Iterator[tuple[str, Any, Any]]:
         yield name, bsdf, shape
 
 
-def _short(shape: Any) -> str:
+def _short(shape: mi.Shape) -> str:
     """A shape's name, or its type if it has none."""
     name = graph.describe(shape, "shape")
     return name.partition(" of type")[0] if name.startswith("shape '") else name

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -18,9 +16,10 @@ _RAYS = 4096
 _PIXELS = 0.05
 
 
-def check_sensor(sensor: Any, scene: Any, component: str | None = None, *, seed: int = 0) -> list[Finding]:
-    """Test a ``mi.Sensor`` of a loaded scene: ``range`` (rays are finite, directions of length 1) and ``projection``
-    (a point on a ray projects to the ray's film position; skipped for sensors without ``sample_direction``)."""
+def check_sensor(sensor: mi.Sensor, scene: mi.Scene, component: str | None = None, *, seed: int = 0) -> list[Finding]:
+    """Test a ``mi.Sensor`` of a loaded scene: ``range`` (rays are finite, with directions of length 1) and
+    ``projection`` (points on a ray project to the ray's film position; skipped for sensors without
+    ``sample_direction``)."""
     rng = np.random.default_rng([seed, 0x5E45])
     findings = Findings(component or graph.describe(sensor, "sensor"))
     with findings.trying("interface"):
@@ -33,9 +32,9 @@ def check_sensor(sensor: Any, scene: Any, component: str | None = None, *, seed:
             "range",
             float((~fine).sum()),
             0.0,
-            "every ray has a finite origin, a direction of length 1 and a weight that is not negative",
-            f"{(~fine).sum()} of {_RAYS} rays are not finite or have no direction of length 1; "
-            "correct the sensor's transform",
+            "all rays have a finite origin, a direction of length 1 and a weight that is not negative",
+            f"{(~fine).sum()} of {_RAYS} rays are not finite, have a negative weight or a direction whose length is "
+            "not 1; correct the sensor's transform",
         )
         with findings.trying("projection", required=False):
             _check_projection(findings, sensor, scene, ray, film, aperture, rng)
@@ -43,25 +42,30 @@ def check_sensor(sensor: Any, scene: Any, component: str | None = None, *, seed:
 
 
 def _check_projection(
-    findings: Findings, sensor: Any, scene: Any, ray: Any, film: Any, aperture: Any, rng: np.random.Generator
+    findings: Findings,
+    sensor: mi.Sensor,
+    scene: mi.Scene,
+    ray: mi.Ray3f,
+    film: mi.Point2f,
+    aperture: mi.Point2f,
+    rng: np.random.Generator,
 ) -> None:
     extent = float(np.linalg.norm(np.asarray(scene.bbox().extents()).ravel()))
     it = dr.zeros(mi.Interaction3f, _RAYS)
     it.p = ray(mi.Float(rng.uniform(0.05, 1.0, _RAYS).astype(np.float32)) * extent)
     ds, _ = sensor.sample_direction(it, aperture)
     size = np.asarray(sensor.film().crop_size(), np.float64).ravel()
-    seen = host(ds.pdf, _RAYS) > 0.0
-    wanted = host(film, _RAYS) * size
-    apart = np.abs(host(ds.uv, _RAYS) - wanted)[seen]
-    inside = (np.minimum(wanted, size - wanted) > _PIXELS).all(1)
-    lost = int((inside & ~seen).sum())
-    # Points beyond the far plane are not visible.
-    figure = float(np.quantile(apart.max(1), 0.999)) if len(apart) else np.inf
+    visible = host(ds.pdf, _RAYS) > 0.0
+    expected = host(film, _RAYS) * size
+    distance = np.abs(host(ds.uv, _RAYS) - expected)[visible]
+    inside = (np.minimum(expected, size - expected) > _PIXELS).all(1)
+    lost = int((inside & ~visible).sum())  # points beyond the far plane are not visible
+    figure = float(np.quantile(distance.max(1), 0.999)) if len(distance) else np.inf
     findings.judge(
         "projection",
         figure,
         _PIXELS,
-        f"pixels between a ray's film position and where its points are seen ({lost} of {_RAYS} out of range)",
-        f"points on a ray are seen {figure:.2f} pixels from its film position, so splats of light paths are displaced; "
-        "make sample_direction the inverse of sample_ray",
+        f"pixels between a ray's film position and the projection of its points ({lost} of {_RAYS} out of range)",
+        f"points on a ray project to {figure:.2f} pixels from its film position, so splats of light paths are "
+        "displaced; make sample_direction the inverse of sample_ray",
     )

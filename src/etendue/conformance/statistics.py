@@ -1,10 +1,9 @@
 """Chi-square test of sampled directions against a reported density, over cells adapted to the samples.
 
-Mitsuba's ``mi.chi2.ChiSquareTest`` integrates the density over a fixed grid, on which the lobe of a polished metal or a
-small lamp is lost, and writes to the terminal and to files. Here the first samples build a balanced k-d tree over the
-sphere, so that the density changes little within a leaf, however narrow it is; it is integrated over each leaf by
-stratified points, whose error enters the statistic; the other samples are counted. Cells with fewer than five expected
-samples are pooled.
+Mitsuba's ``mi.chi2.ChiSquareTest`` integrates the density over a fixed grid, which is too coarse for narrow lobes and
+small lights, and it writes to the terminal and to files. Here, the first samples determine a balanced k-d tree over the
+sphere, so that the density changes little within a leaf. It is integrated over each leaf by stratified points, whose
+error enters the statistic. The other samples are counted. Cells with fewer than five expected samples are pooled.
 """
 
 from __future__ import annotations
@@ -29,11 +28,11 @@ _LEAST_EXPECTED = 5.0
 class DensityFit:
     """Agreement of samples with their reported density."""
 
-    p_value: float  #: of the chi-square statistic: small if they disagree
-    deviation: float  #: RMS over the samples of the relative difference of density, noise subtracted
+    p_value: float  #: of the chi-square statistic; small if samples and density disagree
+    deviation: float  #: RMS over the samples of the relative difference of the densities, without noise
     integral: float  #: of the density over the sphere
     integral_error: float  #: its standard error
-    share: float  #: of all draws that gave a direction
+    share: float  #: share of the calls of the sampler that returned a direction
 
 
 def fit_density(
@@ -55,7 +54,7 @@ def fit_density(
     cells = max(leaves // _LEAVES_PER_CELL, 1)
     counted = directions[built:]
     observed = np.bincount(tree.leaf(_to_plane(counted @ frame.T)) * cells // leaves, minlength=cells)
-    # The share of the draws that belongs to the counted samples, which exclude those of the tree.
+    # The number of calls for the counted samples, which do not include those of the tree.
     rest = draws * len(counted) / len(directions)
 
     integral, variance = _integrate(tree, lambda points: density(_to_sphere(points) @ frame), rng)
@@ -86,7 +85,7 @@ def chi_square_tail(statistic: float, freedom: int) -> float:
 
 
 def _frame(towards: Array) -> Array:
-    """Rows of an orthonormal frame whose first axis is ``towards``: there the plane of :func:`_to_plane` is finest."""
+    """Rows of an orthonormal frame whose first axis is ``towards``, where :func:`_to_plane` is least distorted."""
     length = np.linalg.norm(towards)
     x = towards / length if length > 1e-3 else np.array([1.0, 0.0, 0.0])
     z = np.cross(x, np.eye(3)[np.argmin(np.abs(x))])
@@ -123,7 +122,7 @@ class _Tree:
             self.lower, self.upper = lower, upper
             self._levels.append((axis, cut))
             groups = groups.reshape(2 * len(groups), half, 2)
-        #: Centre and half extent of the samples of each leaf: the outer leaves are much larger.
+        #: Centre and half extent of the samples of each leaf, which may be much smaller than the leaf.
         low, high = groups.min(1), groups.max(1)
         self.middle, self.scale = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-7)
 
@@ -139,7 +138,8 @@ class _Tree:
 def _integrate(tree: _Tree, density: Callable[[Array], Array], rng: np.random.Generator) -> tuple[Array, Array]:
     """Integral of the density over each leaf, and the variance of that estimate from pairs of neighbouring strata.
 
-    Points are drawn around the leaf's samples with a Cauchy density in each coordinate, cut off at the leaf's sides.
+    Points are sampled around the leaf's samples with a Cauchy density in each coordinate, truncated at the leaf's
+    sides.
     """
     leaves = len(tree.lower)
     grid = np.stack(np.meshgrid(np.arange(_STRATA), np.arange(_STRATA), indexing="ij"), -1).reshape(1, -1, 2)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -12,39 +10,41 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def host(value: Any, lanes: int) -> Array:
-    """A Dr.Jit array on the host in doubles: (lanes,), or (lanes, channels) for colours and vectors."""
+def host(value: mi.Float | mi.Color3f | mi.Vector3f, lanes: int) -> Array:
+    """A Dr.Jit array as doubles on the host: (lanes,), or (lanes, channels) for colours and vectors."""
     array = np.asarray(value, np.float64)
     if array.ndim > 1:
         return np.broadcast_to(array, (array.shape[0], lanes)).T
     return np.broadcast_to(array, (lanes,))
 
 
-def vectors(values: Array) -> Any:
-    """A ``Vector3f`` of the device from (n, 3)."""
+def vectors(values: Array) -> mi.Vector3f:
+    """Vectors on the device from an array (n, 3)."""
     return mi.Vector3f(np.ascontiguousarray(values.T, np.float32))
 
 
-def uniform(rng: np.random.Generator, lanes: int, width: int) -> Any:
-    """Uniform numbers of the device: a ``Float``, or a ``Point2f``."""
+def uniform(rng: np.random.Generator, lanes: int, width: int) -> mi.Float | mi.Point2f:
+    """Uniform random numbers on the device: ``Float`` for width 1, ``Point2f`` for width 2."""
     numbers = rng.random((width, lanes), np.float32)
     return mi.Float(numbers[0]) if width == 1 else mi.Point2f(numbers)
 
 
 def uniform_sphere(rng: np.random.Generator, count: int) -> Array:
-    """(count, 3) directions."""
+    """Directions uniform over the sphere, (count, 3)."""
     d = rng.normal(size=(count, 3))
     return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
-def points_on(scene: Any, shape: Any, count: int, rng: np.random.Generator) -> Any:
-    """``count`` interactions on a shape, from rays that start nearby, with all that textures need.
+def points_on(
+    scene: mi.Scene | None, shape: mi.Shape | None, count: int, rng: np.random.Generator
+) -> mi.SurfaceInteraction3f:
+    """``count`` interactions on a shape, from rays that start close to it, with all fields that textures need.
 
-    Without a scene and a shape, or if rays cannot hit the shape (inside a shape group), those of the unit square.
+    Without scene and shape, or if rays cannot hit the shape (inside a shape group), interactions on the unit square.
     """
     if shape is not None:
         try:
-            found = _met(scene, shape, 4 * count, rng)
+            found = _hits(scene, shape, 4 * count, rng)
         except (RuntimeError, NotImplementedError):  # shapes that cannot be sampled, such as an 'sdfgrid'
             found = None
         if found is not None:
@@ -62,13 +62,13 @@ def points_on(scene: Any, shape: Any, count: int, rng: np.random.Generator) -> A
     return si
 
 
-def _met(scene: Any, shape: Any, count: int, rng: np.random.Generator) -> Any:
+def _hits(scene: mi.Scene, shape: mi.Shape, count: int, rng: np.random.Generator) -> mi.SurfaceInteraction3f | None:
     place = shape.sample_position(0.0, uniform(rng, count, 2))
     extent = float(np.max(np.asarray(scene.bbox().extents()).ravel()))
     near = 1e-4 * extent
     ray = mi.Ray3f(place.p + near * place.n, -mi.Vector3f(place.n))
     si = scene.ray_intersect(ray)
-    dr.eval(si)  # else every kernel that uses these points would cast the rays again
+    dr.eval(si)  # so that kernels that use these points do not cast the rays again
     seen = np.broadcast_to(np.asarray(si.is_valid() & (si.shape == mi.ShapePtr(shape)) & (si.t < 2 * near)), count)
     if not seen.any():
         return None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -14,7 +12,7 @@ from .report import Finding, Findings
 from .surfaces import Array, host, points_on
 
 _POINTS = 4096
-#: Parameters of Mitsuba's and étendue's materials that are shares of light.
+#: Parameters of Mitsuba's and étendue's materials that must be in [0, 1].
 _SHARES = frozenset(
     (
         "reflectance",
@@ -33,9 +31,14 @@ _SHARES = frozenset(
 
 
 def check_textures(
-    bsdf: Any, component: str | None = None, *, scene: Any = None, shape: Any = None, seed: int = 0
+    bsdf: mi.BSDF,
+    component: str | None = None,
+    *,
+    scene: mi.Scene | None = None,
+    shape: mi.Shape | None = None,
+    seed: int = 0,
 ) -> list[Finding]:
-    """Test every texture below a ``mi.BSDF`` that is a share of light (reflectances, opacity, weights): all texels of a
+    """Test each texture of a ``mi.BSDF`` that must be in [0, 1] (reflectances, opacity, weights): all texels of a
     bitmap, other textures at points of ``shape``. One finding, ``texture NAME``, for each."""
     rng = np.random.default_rng([seed, 0x7E87])
     name = component or graph.describe(bsdf, "material")
@@ -69,7 +72,7 @@ def _judge(findings: Findings, key: str, values: Array) -> None:
         worst,
         1.0,
         f"largest value; the least is {low:.3g}",
-        f"it is a share of light and has values from {low:.3g} to {high:.3g}: the material creates light or takes "
-        "more than there is; scale the texture into [0, 1]",
+        f"it must be in [0, 1] but has values from {low:.3g} to {high:.3g}, so the material creates light or absorbs "
+        "more than arrives; scale the texture to [0, 1]",
         failed=outside,
     )

@@ -1,4 +1,4 @@
-"""What kernels are compiled with: LLVM for the CPU, CUDA and OptiX for the GPU; choice of the Mitsuba variant.
+"""Compilers of kernels (LLVM for the CPU, CUDA and OptiX for the GPU), and the choice of the Mitsuba variant.
 
 Dr.Jit resolves its LLVM library while it is being imported, and an LLVM below 17 aborts the whole process inside the
 first kernel. Hence two steps: :func:`ensure_llvm` runs before anything here imports ``drjit`` and points it to a usable
@@ -11,14 +11,18 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from . import llvm
 from .checks import is_whole
 from .errors import BackendError, OptionError
 from .log import logger
+
+if TYPE_CHECKING:
+    import drjit as dr
 
 #: The Mitsuba variants that étendue runs under.
 VARIANTS = ("llvm_ad_rgb", "cuda_ad_rgb")
@@ -41,8 +45,8 @@ def install_hint() -> str:
 def ensure_llvm() -> None:
     """Point Dr.Jit to a usable LLVM through ``DRJIT_LIBLLVM_PATH``, unless the user has set that variable.
 
-    Does nothing if ``drjit`` is imported already (too late) or no usable LLVM is found: a machine with a GPU may need
-    none, and :func:`check_variant` reports it where it matters. Never raises.
+    Does nothing if ``drjit`` is imported already (too late) or if no usable LLVM is found: a machine with a GPU may not
+    need one, and :func:`check_variant` reports that it is missing. Never raises.
     """
     if "drjit" in sys.modules:
         return
@@ -63,7 +67,7 @@ def check_imports() -> None:
         cause: BaseException = error
         while cause.__context__ is not None:
             cause = cause.__context__
-        remedy = "etendue doctor and docs/install.md say what they need"
+        remedy = "see docs/install.md, or run 'etendue doctor'"
         if "libatomic" in str(cause):
             remedy = "sudo apt-get install -y libatomic1"
         raise BackendError(f"Dr.Jit or Mitsuba cannot be loaded ({cause}): {remedy}") from error
@@ -165,9 +169,9 @@ def use_variant(requested: str | None = None) -> str:
     return chosen
 
 
-def set_threads(count: Any) -> None:
-    """Number of CPU threads that Dr.Jit uses; ``None`` leaves it alone. Raises :class:`OptionError` if it is not 1 to
-    1024."""
+def set_threads(count: int | None) -> None:
+    """Set the number of CPU threads of Dr.Jit; ``None`` does not change it. Raises :class:`OptionError` if it is not 1
+    to 1024."""
     import drjit as dr
 
     if count is None:
@@ -177,28 +181,28 @@ def set_threads(count: Any) -> None:
     dr.set_thread_count(int(count))
 
 
-def on_device(array_type: Any, values: Any) -> Any:
-    """Host numbers as a device array with memory of its own.
+def on_device(array_type: type[dr.ArrayBase], values: ArrayLike) -> dr.ArrayBase:
+    """Host numbers as a device array in memory of Dr.Jit, for few numbers.
 
-    Dr.Jit would use the memory of a NumPy array, and its alignment, which varies, is compiled into every kernel that
-    reads it: another process would not find the kernel in the cache.
+    An array made from a NumPy array directly would share its memory, whose alignment varies and is compiled into all
+    kernels that read the array, so that another process would not find these kernels in the cache.
     """
     return array_type(np.asarray(values).ravel().tolist())
 
 
-def copied_to_device(array_type: Any, values: Any) -> Any:
-    """The same for many numbers: a small separate kernel copies them."""
+def copied_to_device(array_type: type[dr.ArrayBase], values: ArrayLike) -> dr.ArrayBase:
+    """As :func:`on_device`, for many numbers: a kernel copies them."""
     import drjit as dr
 
     borrowed = array_type(np.ascontiguousarray(values).ravel())
     index = dr.uint32_array_t(array_type)
-    # The offset is unknown to the compiler: a plain gather of everything in order would not copy.
+    # The opaque offset forces a copy: Dr.Jit would replace a gather of all entries in order by the array itself.
     own = dr.gather(array_type, borrowed, dr.arange(index, len(borrowed)) + dr.opaque(index, 0))
     dr.eval(own)
     return own
 
 
-# Dr.Jit takes its LLVM the moment it is imported, and this is the first module of étendue that Python runs
-# (`etendue/__init__.py` imports `core` before all else, `core` this module).
+# Dr.Jit loads LLVM when it is imported, and this is the first module of étendue that Python executes
+# (`etendue/__init__.py` imports `core` first, and `core` this module).
 ensure_llvm()
 check_imports()

@@ -1,7 +1,7 @@
-"""Errors for people: one line that says what is wrong, where, and what to do about it.
+"""Errors: one line each, with the cause, the place and the remedy.
 
-Every error the library raises on purpose derives from :class:`EtendueError`. The command line prints its text as one
-line and exits with :attr:`EtendueError.exit_code`; anything else is a bug and keeps its traceback.
+All errors that the library raises on purpose are subclasses of :class:`EtendueError`. The command line prints the line
+and exits with :attr:`EtendueError.exit_code`. Any other exception is a bug and is shown with its traceback.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Iterable
 
 
 class EtendueError(Exception):
-    """Base of every error raised on purpose. ``str(error)`` is one line fit for a user."""
+    """Base of all errors raised on purpose. ``str(error)`` is one line for the user."""
 
     exit_code = 1
 
@@ -29,7 +29,7 @@ class SceneError(EtendueError):
 
 
 class UnsupportedError(SceneError):
-    """A scene element that no method here can render correctly. Names the element and the alternative."""
+    """A scene element that no method can render correctly. The message names the element and an alternative."""
 
 
 class CheckpointError(EtendueError):
@@ -45,13 +45,13 @@ class OutputError(EtendueError):
 
 
 class BackendError(EtendueError):
-    """Mitsuba, Dr.Jit, LLVM or CUDA is missing or unusable; says what to install."""
+    """Mitsuba, Dr.Jit, LLVM or CUDA is missing or unusable; the message says what to install."""
 
     exit_code = 6
 
 
 def describe(error: BaseException) -> str:
-    """Any exception as one line: the text of our own errors, which is fit for a user; type and text of others."""
+    """An exception as one line: the text of an :class:`EtendueError`; type and text of others."""
     text = " ".join(str(error).split())
     if isinstance(error, EtendueError):
         return text
@@ -62,6 +62,6 @@ def describe(error: BaseException) -> str:
 def suggest(name: object, known: Iterable[str], otherwise: str = "there are") -> str:
     """A hint for a name that is not ``known``: ``did you mean '...'?``, or ``otherwise`` and all known names."""
     names = list(known)
-    # Two swapped letters of three give a similarity of 0.67; less similar names are seldom meant.
+    # Two swapped letters of three have a similarity of 0.67; less similar names are rarely meant.
     close = difflib.get_close_matches(str(name), names, n=1, cutoff=0.65)
     return f"did you mean '{close[0]}'?" if close else f"{otherwise}: {', '.join(names)}"

@@ -1,4 +1,4 @@
-"""Optional libraries: imported at first use; if one is missing, the error names the extra that installs it."""
+"""Optional libraries, imported at first use; if one is missing, the error names the extra that installs it."""
 
 from __future__ import annotations
 

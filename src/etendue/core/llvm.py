@@ -1,9 +1,9 @@
 """Finds the LLVM library with which Dr.Jit compiles CPU kernels. Uses the standard library only.
 
-Dr.Jit 1.5 loads LLVM while ``drjit`` is being imported: the library that ``DRJIT_LIBLLVM_PATH`` names, else
-``libLLVM.so``, else the newest in a few directories. A version below 17 kills the process inside the first
-kernel. So this module searches earlier and in more places; ``tools/setup_native.py`` runs the same search
-before anything is installed.
+Dr.Jit 1.5 loads LLVM while ``drjit`` is being imported: the library in ``DRJIT_LIBLLVM_PATH``, else ``libLLVM.so``,
+else the newest in a few directories. A version below 17 aborts the process in the first kernel. This module therefore
+searches before Dr.Jit does, and in more directories; ``tools/setup_native.py`` runs the same search before the
+installation.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from pathlib import Path
 
 #: Oldest major version whose kernels work.
 OLDEST = 17
-#: The version étendue is tested with; taken first where several are installed.
+#: The version with which étendue is tested; preferred if several are installed.
 PREFERRED = 19
-#: Environment variable by which a user names a library to Dr.Jit.
+#: Environment variable with the path of the library for Dr.Jit.
 VARIABLE = "DRJIT_LIBLLVM_PATH"
 
 # libLLVM.so.19.1, libLLVM-17.so.1, libLLVM-14.0.6.so.1; not libLLVMCore.so.19 and not libLLVMSPIRVLib.so.15.
@@ -45,12 +45,12 @@ class Library:
 
 
 def private_directory(prefix: str = sys.prefix) -> Path:
-    """Where ``tools/setup_native.py`` puts libraries that could not be installed system-wide."""
+    """Directory of the libraries that ``tools/setup_native.py`` could not install system-wide."""
     return Path(prefix) / "native" / "lib"
 
 
 def find() -> list[Library]:
-    """All libLLVM found, best first: that of the environment, then version 19, then the newest; unusable ones last."""
+    """All LLVM libraries found, best first: that of the environment, version 19, the newest; unusable ones last."""
     own = private_directory()
     seen: dict[Path, Library] = {}
     for path in _candidates():
@@ -64,7 +64,7 @@ def find() -> list[Library]:
 
 
 def load_usable() -> Library | None:
-    """The best usable library that the dynamic linker accepts, or ``None``. Loads it, as Dr.Jit is about to."""
+    """Load the best usable library that the dynamic linker accepts, and return it; ``None`` if there is none."""
     load_private()
     for library in find():
         if not library.usable:
@@ -72,7 +72,7 @@ def load_usable() -> Library | None:
         try:
             ctypes.CDLL(str(library.path))
         except OSError:
-            continue  # another processor's, or a library it needs is missing
+            continue  # for another processor, or a dependency is missing
         return library
     return None
 
@@ -86,11 +86,11 @@ def version_of(path: Path) -> int:
         if match and (match["a"] or int(match["b"] or 0) > 1):
             return int(match["a"] or match["b"])
     match = _DIRECTORY.search(path.resolve().as_posix())
-    return int(match[1]) if match else _ask(path)
+    return int(match[1]) if match else _reported_version(path)
 
 
-def _ask(path: Path) -> int:
-    # In a separate process: two LLVMs in one process are a risk, and a broken one must not crash this process.
+def _reported_version(path: Path) -> int:
+    # In a separate process: two LLVMs in one process may conflict, and a broken one must not crash this process.
     code = (
         "import ctypes,sys;l=ctypes.CDLL(sys.argv[1]);v=[ctypes.c_uint() for _ in range(3)];"
         "l.LLVMGetVersion(*map(ctypes.byref,v));print(v[0].value)"
@@ -99,7 +99,7 @@ def _ask(path: Path) -> int:
         run = subprocess.run([sys.executable, "-I", "-c", code, str(path)], capture_output=True, timeout=20, check=True)
         return int(run.stdout)
     except (OSError, subprocess.SubprocessError, ValueError):
-        return 0  # LLVMGetVersion came with 16: a library without it is too old
+        return 0  # LLVMGetVersion exists since LLVM 16: a library without it is too old
 
 
 def load_private() -> None:

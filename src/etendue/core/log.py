@@ -1,4 +1,4 @@
-"""The one logger of the library."""
+"""The logger of the library."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""What a pass measured, in a form that adds: the currency between methods, engine, checkpoints and machines.
+"""Measurements of passes, which can be added; used by methods, engine and checkpoints.
 
-A :class:`Measurement` holds named sums, each with its own weight. Nothing in it is a mean: division happens once, in
-``Method.develop``. Hence ``a + b`` is exact bookkeeping, whoever computed ``a`` and ``b`` and in whatever order, and
-adding the same iteration twice is an error rather than a silently wrong picture.
+A :class:`Measurement` has named sums, each with its own weight. It contains no means: only ``Method.develop`` divides.
+``a + b`` is therefore the measurement of all passes of both, in any order. Adding an iteration twice is an error.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ RELATIVE_EPSILON = 0.01
 
 
 class Iterations:
-    """A set of (replica, iteration) pairs, kept as sorted half-open intervals so that a million passes stay small."""
+    """A set of (replica, iteration) pairs, stored as sorted half-open intervals."""
 
     def __init__(self, intervals: dict[int, list[tuple[int, int]]] | None = None) -> None:
         self._intervals = {r: list(v) for r, v in (intervals or {}).items() if v}
@@ -52,7 +51,7 @@ class Iterations:
         return isinstance(other, Iterations) and self._intervals == other._intervals
 
     def next_iteration(self, replica: int = 0) -> int:
-        """The smallest iteration number above every one contained: where an interrupted run goes on."""
+        """The largest iteration of a replica plus 1, with which an interrupted run continues; 0 if there is none."""
         spans = self._intervals.get(replica)
         return spans[-1][1] if spans else 0
 
@@ -90,15 +89,15 @@ class Iterations:
 class Measurement:
     """Named sums of one or more passes.
 
-    ``sums[name]`` is a host float64 array of any shape (an image layer: height, width, channels); ``weights[name]`` is
-    what ``develop`` divides it by. ``squares[name]`` adds up the squared sum of each pass, in the same shape; it is
-    kept for the quantities whose error is wanted. ``counters`` are plain totals (rays, paths, non-finite contributions,
+    ``sums[name]`` is a host float64 array of any shape (an image layer: height, width, channels), and ``develop``
+    divides it by ``weights[name]``. ``squares[name]``, of the same shape, is the sum over passes of the squared sum of
+    a pass, for quantities whose error is estimated. ``counters`` are totals (rays, paths, non-finite contributions,
     seconds).
 
-    What else an error needs comes by itself: ``squared_weights[name]``, the squared weight of each pass added up, and,
-    once passes have different weights, ``products[name]``, weight times sum of each pass added up.
+    The other terms of the error are computed here: ``squared_weights[name]``, the sum over passes of the squared
+    weight, and, if passes have different weights, ``products[name]``, the sum over passes of weight times sum.
 
-    ``records[name]`` are rows that passes append, kept by pass and never summed: see :class:`Record`.
+    ``records[name]`` are rows that passes append, stored by pass and never summed: see :class:`Record`.
     """
 
     sums: dict[str, Array]
@@ -111,11 +110,11 @@ class Measurement:
     records: dict[str, Record] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in self.squares:  # of one pass
+        for name in self.squares:  # the measurement of one pass
             self.squared_weights.setdefault(name, self.weights[name] ** 2)
 
     def scale(self, factor: float) -> None:
-        """Let these passes count ``factor`` times as much; their mean, and its error, stay the same."""
+        """Multiply the weight of the passes by ``factor``; their mean and its error do not change."""
         for name, values in self.sums.items():
             values *= factor
             self.weights[name] *= factor
@@ -130,9 +129,9 @@ class Measurement:
         return self.sums[name] / self.weights[name]
 
     def __iadd__(self, other: Measurement) -> Measurement:
-        iterations = self.iterations.union(other.iterations)  # refuses overlap before anything changes
+        iterations = self.iterations.union(other.iterations)  # raises before anything changes
         if self._shapes() != other._shapes():
-            raise EtendueError("measurements of different layers cannot be added; were the settings the same?")
+            raise EtendueError("measurements with different layers cannot be added; use the same settings for both")
         for name, record in other.records.items():
             self.records[name].check(record)
         for name in other.squares:
@@ -152,12 +151,12 @@ class Measurement:
         return self
 
     def _weighs_like(self, other: Measurement, name: str) -> bool:
-        """Whether all passes of both have one weight, those of each being alike."""
+        """Whether the passes of both have the same weight, if the passes of each have."""
         mine, theirs = (m.squared_weights[name] / m.weights[name] for m in (self, other))
         return math.isclose(mine, theirs, rel_tol=1e-12)
 
     def _product(self, name: str) -> Array:
-        """Weight times sum of each pass, added up."""
+        """Sum over passes of weight times sum."""
         if name in self.products:
             return self.products[name]
         return self.squared_weights[name] / self.weights[name] * self.sums[name]
@@ -172,7 +171,7 @@ class Measurement:
         return result
 
     def copy(self) -> Measurement:
-        """A deep copy, but for the rows of records, which nobody changes."""
+        """A copy of everything but the rows of records, which are never modified."""
         return Measurement(
             sums={k: v.copy() for k, v in self.sums.items()},
             weights=dict(self.weights),
@@ -185,15 +184,15 @@ class Measurement:
         )
 
     def variance_of_mean(self, name: str = "image") -> Array:
-        r"""Estimated variance of ``mean(name)`` from the scatter of the passes; needs two passes (NaN with one).
+        r"""Estimated variance of ``mean(name)`` from the variance between passes; NaN with fewer than two passes.
 
-        Passes i of weight :math:`w_i` and value :math:`x_i`, which are independent and each scatter in their own way,
-        have the weighted mean m, whose variance is
+        Let passes i have weights :math:`w_i` and independent values :math:`x_i`, whose variances may differ. The
+        variance of their weighted mean m is
 
         .. math:: \mathrm{Var}\, m = \frac{\sum w_i^2\, \mathrm{Var}\, x_i}{(\sum w_i)^2}
            \approx \frac{\sum w_i^2 (x_i - m)^2}{(\sum w_i)^2 - \sum w_i^2}
 
-        The estimate has no bias where the weights are equal, or the inverse of the variances.
+        The estimate is unbiased if the weights are equal, or the inverse of the variances.
         """
         mean, weight, squared_weight = self.mean(name), self.weights[name], self.squared_weights.get(name, np.nan)
         if len(self.iterations) < 2:
@@ -203,18 +202,17 @@ class Measurement:
         return np.maximum(scatter, 0.0) / (weight * weight - squared_weight)
 
     def relative_error(self, name: str = "image") -> float:
-        """Noise of ``mean(name)``: mean of ``variance / (mean^2 + 0.01)`` over every entry. Noise only, not bias.
+        """Noise of ``mean(name)``: mean of ``variance / (mean^2 + 0.01)`` over all entries. Does not include bias.
 
-        The same mean as relMSE (``film.relative_mse``) with the estimated variance in place of the squared difference,
-        and the picture in place of the reference: too low where single bright paths make pixels. NaN with fewer than
-        two passes.
+        This is relMSE (``film.relative_mse``) with the estimated variance as the squared difference and the picture as
+        the reference; it is too low if few bright paths determine pixels. NaN with fewer than two passes.
         """
         mean = self.mean(name)
         return float(np.mean(self.variance_of_mean(name) / (mean * mean + RELATIVE_EPSILON)))
 
 
 def warn_of_nonfinite(measurement: Measurement) -> None:
-    """Log how many contributions were left out of the picture because they were NaN or infinite."""
+    """Log the number of contributions that were left out of the picture because they were NaN or infinite."""
     count = measurement.counters.get("nonfinite", 0.0)
     if count > 0:
         logger.warning(

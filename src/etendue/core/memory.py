@@ -7,10 +7,8 @@ from pathlib import Path
 
 
 def free_memory() -> int | None:
-    """Bytes that this process may still allocate without swapping, limited by the machine or its control group.
-
-    ``None`` if unknown.
-    """
+    """Bytes that this process can allocate without swapping, limited by the machine or its control group; ``None`` if
+    unknown."""
     found = [size for size in (_machine(), _control_group()) if size is not None]
     return min(found) if found else None
 

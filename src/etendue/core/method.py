@@ -1,4 +1,4 @@
-"""The one protocol that joins methods to everything that loops, saves, resumes, distributes or displays them."""
+"""The protocol of methods, which the engine runs, saves and resumes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .settings import Settings as AnySettings
 @dataclass
 class Result:
     """A developed measurement: layers of shape (height, width, channels), float32. ``layers["image"]`` is the picture;
-    the other layers, if they were asked for, are the technique families it is the sum of and first-hit layers."""
+    other layers, if requested, are technique families, whose sum is the picture, and first-hit layers."""
 
     layers: dict[str, NDArray[np.float32]]
     metadata: dict[str, Any] = field(default_factory=dict)
@@ -28,15 +28,15 @@ class Result:
         return self.layers["image"]
 
 
-#: What passes carry on, by name: plain JSON values, and arrays of the host or of the device. A value: nobody changes
-#: what is in it, arrays included. Of a method whose passes carry nothing on it is empty.
+#: State of a method between passes, by name: JSON values, and arrays on the host or the device, which are never
+#: modified. Empty for methods without state.
 State = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
 class Pass:
-    """What one ``step`` made: a measurement, and the state for the next pass. They belong together: a measurement is
-    added, saved or dropped with its state."""
+    """The result of one ``step``: a measurement, and the state for the next pass. Both are added, saved or dropped
+    together."""
 
     measurement: Measurement
     state: State
@@ -44,46 +44,46 @@ class Pass:
 
 @runtime_checkable
 class Method(Protocol):
-    """An estimator that is run pass by pass.
+    """An estimator that runs in passes.
 
-    ``prepare`` builds tables and may run pilot passes under a seed role of its own. ``step`` is one pass, a function of
-    its arguments alone: it takes the state that the pass before has left, at first that of ``start``, and returns its
-    own. A pass that raises leaves the state of before. Where passes carry nothing on (``carries_on`` is false),
-    iterations run in any order, anywhere, once each; else a replica's run one after the other, and replicas, which have
-    a seed and a state each, may share one method. ``develop`` is the only place that divides, normalises or combines.
+    ``prepare`` builds tables and may run pilot passes with a seed role of their own. ``step`` is one pass, a function
+    of its arguments only: it gets the state after the previous pass, or that of ``start``, and returns a new state. If
+    it raises, the previous state stays valid. If ``carries_on`` is false, iterations may run in any order on any
+    machine, once each. Otherwise the iterations of a replica run one after the other; replicas, with a seed and a state
+    each, may share a method object. Only ``develop`` divides, normalises or combines.
 
-    A method may have these members as well:
+    A method may also have these members:
 
-    - ``noise(measurement) -> float | None``: its error, a variance, where that is not one of pixels; budgets and
-      progress then take it in place of the scatter of ``image``. It is asked for again when the number of passes has
-      grown by the share ``error_cadence``.
-    - ``setup_seconds``: what its first ``step`` took for work that no later one does (a probe), so that the next pass
-      is not expected to take as long.
-    - ``finish_seconds(measurement) -> float``: time for the work that follows the last ``step``; a run with a budget
-      in seconds ends so much earlier.
-    - ``plan(seconds, passes, error)``: called before the first ``step`` with what is left of the budget, each ``None``
-      where that is not limited, for a method that divides its work by what is ahead.
+    - ``noise(measurement) -> float | None``: the variance of its result, for methods whose error is not that of pixels;
+      budgets and progress use it instead of the variance of ``image``. It is evaluated again after the number of passes
+      has grown by the factor ``1 + error_cadence``.
+    - ``setup_seconds``: time of the first ``step`` for work that later steps do not repeat (a probe); it is subtracted
+      in the prediction of the next pass.
+    - ``finish_seconds(measurement) -> float``: time of the work after the last ``step``; a run with a budget in seconds
+      ends earlier by this time.
+    - ``plan(seconds, passes, error)``: called before the first ``step`` with the remaining budget, ``None`` for each
+      quantity without a limit.
     """
 
     name: ClassVar[str]
     Settings: ClassVar[Any]  #: the class of ``settings``
-    #: Keys into ``core/bibliography.bib`` of the papers the method implements.
+    #: Keys in ``core/bibliography.bib`` of the papers that the method implements.
     citations: ClassVar[tuple[str, ...]]
-    #: Whether passes depend on what those before them left in the state.
+    #: Whether a pass depends on the state after the previous one.
     carries_on: ClassVar[bool]
     settings: AnySettings
 
     @property
     def samples_per_iteration(self) -> int:
-        """Camera paths per pixel that one ``step`` traces (what a budget in samples is counted in)."""
+        """Camera paths per pixel of one ``step``, the unit of a budget in samples."""
         ...
 
     def prepare(self, problem: Any, seed: int) -> None:
-        """Build what every pass shares. ``problem`` is a ``scene.Problem`` for image methods."""
+        """Build the tables that all passes share. ``problem`` is a ``scene.Problem`` for image methods."""
         ...
 
     def start(self) -> State:
-        """The state before the first pass of a replica, with what ``prepare`` measured (pilot constants)."""
+        """The state before the first pass of a replica, including constants measured by ``prepare``."""
         ...
 
     def step(self, iteration: int, seed: int, state: State) -> Pass:
@@ -91,45 +91,45 @@ class Method(Protocol):
         ...
 
     def enter(self, state: State) -> None:
-        """Make ready for passes from ``state`` on, as ``step`` does by itself. Raises :class:`CheckpointError` for one
-        that is not of this method and problem."""
+        """Load ``state``, as ``step`` does, too. Raises :class:`CheckpointError` for a state that does not fit this
+        method and problem."""
         ...
 
     def develop(self, measurement: Measurement, state: State) -> Result:
-        """The picture that the passes in ``measurement`` make; ``state`` is that after the last of them."""
+        """The picture of the passes in ``measurement``; ``state``: after the last of them."""
         ...
 
 
 class Replica:
-    """Passes of a prepared method one after the other, each from the state that the one before has left."""
+    """Runs passes of a prepared method one after the other, and keeps the state."""
 
     def __init__(self, method: Method, seed: int, state: State | None = None) -> None:
         self.method, self.seed = method, seed
-        #: After the last pass.
+        #: State after the last pass.
         self.state: State = method.start() if state is None else state
 
     def step(self, iteration: int) -> Measurement:
-        """The next pass. If it raises, the state is that of before."""
+        """Run a pass. If it raises, the state does not change."""
         made = self.method.step(iteration, self.seed, self.state)
         self.state = made.state
         return made.measurement
 
     def develop(self, measurement: Measurement) -> Result:
-        """The picture of passes of this replica."""
+        """The picture of passes of this replica, see :meth:`Method.develop`."""
         return self.method.develop(measurement, self.state)
 
 
 class Carrying(ABC):
-    """For methods whose arrays of the device are their state: kernels read them from the object, which each ``step``
-    brings into the state that it is given, unless that is the one that it has returned last.
+    """Base of methods that keep the state in device arrays of the object. ``step`` loads the given state, unless it is
+    the one that the last ``step`` has returned.
 
-    A subclass has ``_take(state)``, which copies a state into the object and raises :class:`CheckpointError` if it
-    does not fit, ``_left()``, its inverse, and ``_step(iteration, seed)``. It replaces its arrays where it would change
-    them, so that those of earlier states stay what they were. ``prepare`` begins with :meth:`_forget_states`.
+    A subclass has ``_take(state)``, which copies a state to the object and raises :class:`CheckpointError` if it does
+    not fit, ``_left()``, its inverse, and ``_step(iteration, seed)``. It replaces arrays instead of modifying them, so
+    that earlier states stay valid. ``prepare`` begins with :meth:`_forget_states`.
     """
 
-    _held: State | None = None  #: the state that the object is in
-    _first: State | None = None  #: that in which ``prepare`` left it
+    _held: State | None = None  #: the current state of the object
+    _first: State | None = None  #: the state after ``prepare``
 
     def start(self) -> State:
         """See :class:`Method`."""
@@ -141,7 +141,7 @@ class Carrying(ABC):
         """See :class:`Method`."""
         self.start()
         if state is not self._held:
-            self._held = None  # a state that does not fit may leave the object anywhere
+            self._held = None  # if _take raises, the state of the object is undefined
             self._take(state)
             self._held = state
 
@@ -152,7 +152,7 @@ class Carrying(ABC):
             measurement = self._step(iteration, seed)
             left = self._left()
         except BaseException:
-            self._held = None  # a pass that raises may, too
+            self._held = None  # the state of the object is undefined
             self.enter(state)
             raise
         self._held = left
@@ -167,6 +167,6 @@ class Carrying(ABC):
     @abstractmethod
     def _left(self) -> State: ...
 
-    if TYPE_CHECKING:  # that of the other base class is found behind this one
+    if TYPE_CHECKING:  # implemented by another base class
 
         def _step(self, iteration: int, seed: int) -> Measurement: ...

@@ -1,4 +1,4 @@
-"""How far a run has come: what the engine reports and the command line, a notebook or a viewer shows."""
+"""Progress of a run, as the engine reports it."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Progress:
-    """State of a run after its latest pass. A quantity that is not known (yet) is ``None``."""
+    """State of a run after its latest pass. Unknown quantities are ``None``."""
 
-    #: Passes in the picture, those of an earlier run that was resumed included.
+    #: Passes in the picture, including those of an earlier run that was resumed.
     passes: int = 0
     #: Camera paths per pixel in the picture.
     samples: int = 0
-    #: Seconds of this run, from when the scene was loaded.
+    #: Seconds of this run since the scene was loaded.
     elapsed: float = 0.0
-    #: Predicted seconds until the budget is used up.
+    #: Predicted seconds until the budget is spent.
     eta: float | None = None
-    #: Rays traced for the picture; of radiosity, segments of lines.
+    #: Rays traced for the picture; for radiosity, segments of lines.
     rays: float = 0.0
     #: Rays traced per second in the latest passes.
     rays_per_second: float | None = None
     #: Estimated noise, see :meth:`Measurement.relative_error`; needs two passes.
     relative_error: float | None = None
-    #: Share of the budget that is used, 0 to 1.
+    #: Share of the budget that is spent, 0 to 1.
     fraction: float | None = None
 
     def __str__(self) -> str:
@@ -31,7 +31,7 @@ class Progress:
 
     @property
     def pace(self) -> list[str]:
-        """What is known of time, speed and noise, in words."""
+        """Time, speed and noise as texts, as far as they are known."""
         parts = [format_seconds(self.elapsed)]
         if self.eta is not None:
             parts.append(f"ETA {format_seconds(self.eta)}")

@@ -1,4 +1,4 @@
-"""Records: rows that passes append and nobody adds up, such as segments of lines, particles or samples of the film."""
+"""Records: rows that passes append and that are not summed, such as segments of lines."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Rows = NDArray[Any]
 
 @dataclass(frozen=True)
 class RecordFile:
-    """A file, never changed once it is written, that holds the rows of some passes one after the other."""
+    """A file with the rows of some passes, one after the other; never modified after it is written."""
 
     path: str  #: absolute
     #: CRC-32 of the rows.
@@ -34,15 +34,15 @@ class RecordFile:
 class Record:
     """Arrays of rows, one for each pass, ordered by replica and iteration.
 
-    All arrays have one type and one shape of a row, (k, ...), and are not changed. They may lie in memory or in
-    :attr:`files`, mapped into it: a record may be larger than the memory.
+    All arrays have the same type and the same shape of a row, (k, ...), and are not modified. They are in memory, or in
+    :attr:`files` that are mapped into memory, so that a record may be larger than the memory.
     """
 
     def __init__(self, parts: Mapping[PassKey, Rows] | None = None) -> None:
         self._parts: dict[PassKey, Rows] = dict(parts or {})
         self._order = sorted(self._parts)
         self._rows = sum(map(len, self._parts.values()))
-        #: Those that hold a part of the rows; the others are in memory alone.
+        #: Files that contain some of the rows; other rows are in memory only.
         self.files: list[RecordFile] = []
 
     @classmethod
@@ -82,7 +82,7 @@ class Record:
             raise EtendueError(f"rows of iteration {iteration} of replica {replica} are in both records")
         kinds = {(rows.dtype, rows.shape[1:]) for record in (self, other) for rows in record._first()}
         if len(kinds) > 1:
-            raise EtendueError(f"records of different rows cannot be put together: {sorted(map(str, kinds))}")
+            raise EtendueError(f"records with different types of rows cannot be added: {sorted(map(str, kinds))}")
 
     def __iadd__(self, other: Record) -> Record:
         self.check(other)
@@ -94,8 +94,8 @@ class Record:
         return self
 
     def keep(self, files: Iterable[RecordFile], file: RecordFile, rows: Rows) -> None:
-        """Take the ``rows`` of a new ``file`` in place of those that were there, which they equal. The record then lies
-        in ``files`` and in the new one."""
+        """Replace rows by the equal ``rows`` of a new ``file``, mapped into memory. The record's files then are
+        ``files`` and the new one."""
         ends = np.cumsum([0, *(count for _, count in file.passes)])
         parts = {key: rows[a:b] for (key, _), a, b in zip(file.passes, ends[:-1], ends[1:], strict=True)}
         self._rows += sum(count for key, count in file.passes if key not in self._parts)

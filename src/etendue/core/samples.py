@@ -1,13 +1,19 @@
-"""Random numbers as a function of (seed, role, iteration, lane, dimension): transport never calls a generator. Every
-request names its dimension, a vertex and a component of it, so a structured sampler (a point sequence, a primary-sample
-chain) can replace independent numbers without changes to the transport code.
+"""Random numbers as a function of (seed, role, iteration, lane, dimension).
+
+Transport code requests each number by its dimension, a vertex and a component of it, so that other samplers (point
+sequences, Markov chains) can replace independent numbers.
 """
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import drjit as dr
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+    import numpy as np
+    from numpy.typing import NDArray
 
 _MASK = 0xFFFFFFFF
 #: Dimensions reserved for one vertex; a component is an index below this.
@@ -17,16 +23,16 @@ COMPONENTS_PER_VERTEX = 64
 class SampleSource(Protocol):
     """Numbers in [0, 1) for the lanes of one kernel."""
 
-    def next_1d(self, vertex: Any, component: int) -> Any:
+    def next_1d(self, vertex: mi.UInt32 | int, component: int) -> mi.Float:
         """One number for ``component`` of ``vertex``; the same arguments give the same number."""
         ...
 
-    def next_2d(self, vertex: Any, component: int) -> tuple[Any, Any]:
+    def next_2d(self, vertex: mi.UInt32 | int, component: int) -> tuple[mi.Float, mi.Float]:
         """Two numbers, for components ``component`` and ``component + 1``."""
         ...
 
-    def decide(self, vertex: Any, component: int) -> Any:
-        """One number for a binary decision such as roulette, which would not gain from stratification."""
+    def decide(self, vertex: mi.UInt32 | int, component: int) -> mi.Float:
+        """One number for a binary decision such as roulette, which does not need stratification."""
         ...
 
 
@@ -49,7 +55,7 @@ def _tea(v0: int, v1: int, rounds: int = 8) -> tuple[int, int]:
     return v0, v1
 
 
-def hash_mix(x: Any) -> Any:
+def hash_mix(x: mi.UInt32 | NDArray[np.uint32]) -> mi.UInt32 | NDArray[np.uint32]:
     """Bijective 32-bit integer mixer with low bias (two multiplications)."""
     x = x ^ (x >> 16)
     x = x * 0x21F0AAAD
@@ -58,13 +64,13 @@ def hash_mix(x: Any) -> Any:
     return x ^ (x >> 15)
 
 
-def to_unit_float(bits: Any) -> Any:
+def to_unit_float(bits: mi.UInt32) -> mi.Float:
     """The upper 23 bits of a 32-bit word as a float in [0, 1)."""
     float_type = dr.float32_array_t(type(bits))
     return dr.reinterpret_array(float_type, (bits >> 9) | 0x3F800000) - 1.0
 
 
-def keyed_bits(key0: Any, key1: Any, word: Any) -> Any:
+def keyed_bits(key0: mi.UInt32, key1: mi.UInt32, word: mi.UInt32) -> mi.UInt32:
     """32 random bits for ``word`` under a key of 64 bits, whose two words are already mixed."""
     x = key0 + word * 0x9E3779B9
     x = x ^ (x >> 16)
@@ -77,34 +83,34 @@ def keyed_bits(key0: Any, key1: Any, word: Any) -> Any:
 
 
 class IndependentSource:
-    """Independent numbers by hashing. A 64-bit lane key is mixed with the dimension, so draws need no loop state.
+    """Independent numbers by hashing a 64-bit key of the lane and the dimension; without loop state.
 
-    ``lane`` is a UInt32 array, one entry per path, and ``high`` the upper words where lanes are numbered beyond 2^32;
-    ``seed``, ``role`` and ``iteration`` enter as opaque scalars, so that another pass does not compile another kernel.
+    ``lane``: one entry a path; ``high``: upper words of lane numbers beyond 2^32. ``seed``, ``role`` and ``iteration``
+    are opaque scalars in kernels, so that all passes share them.
     """
 
-    def __init__(self, lane: Any, seed: int, role: str, iteration: int, high: Any = None) -> None:
+    def __init__(self, lane: mi.UInt32, seed: int, role: str, iteration: int, high: mi.UInt32 | None = None) -> None:
         uint32 = type(lane)
         key0, key1 = seed_key(seed, role, iteration)
         k0, k1 = dr.opaque(uint32, key0), dr.opaque(uint32, key1)
-        # The pair identifies (high, lane): given the first word, the second can be mapped back to the lane.
+        # The pair of keys is unique for (high, lane): the second word is a bijection of the lane, given the first.
         self._key0 = hash_mix(lane + k0 if high is None else lane + k0 + hash_mix(high))
         self._key1 = hash_mix((lane ^ self._key0) + k1)
 
-    def _bits(self, vertex: Any, component: int) -> Any:
+    def _bits(self, vertex: mi.UInt32 | int, component: int) -> mi.UInt32:
         if not 0 <= component < COMPONENTS_PER_VERTEX:
-            raise ValueError(f"component {component} of a vertex: there are {COMPONENTS_PER_VERTEX}")
+            raise ValueError(f"component {component} of a vertex must be in 0 to {COMPONENTS_PER_VERTEX - 1}")
         dimension = type(self._key0)(vertex) * COMPONENTS_PER_VERTEX + component  # wraps, also for a Python int
         return keyed_bits(self._key0, self._key1, dimension)
 
-    def next_1d(self, vertex: Any, component: int) -> Any:
+    def next_1d(self, vertex: mi.UInt32 | int, component: int) -> mi.Float:
         """See :class:`SampleSource`."""
         return to_unit_float(self._bits(vertex, component))
 
-    def next_2d(self, vertex: Any, component: int) -> tuple[Any, Any]:
+    def next_2d(self, vertex: mi.UInt32 | int, component: int) -> tuple[mi.Float, mi.Float]:
         """See :class:`SampleSource`."""
         return self.next_1d(vertex, component), self.next_1d(vertex, component + 1)
 
-    def decide(self, vertex: Any, component: int) -> Any:
+    def decide(self, vertex: mi.UInt32 | int, component: int) -> mi.Float:
         """See :class:`SampleSource`."""
         return self.next_1d(vertex, component)

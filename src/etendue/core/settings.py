@@ -1,4 +1,4 @@
-"""Settings of methods: frozen dataclasses that validate themselves, round-trip to JSON and read ``-D name=value``.
+"""Settings of methods: frozen dataclasses with checks, conversion to JSON and back, and parsing of ``-D name=value``.
 
 A method declares its parameters once::
 
@@ -6,7 +6,7 @@ A method declares its parameters once::
     class PathSettings(Settings):
         max_depth: int = setting(-1, "longest path in edges, -1 for unlimited", minimum=-1)
 
-and the command line, the Mitsuba plugin, the checkpoint and the manual page use this declaration.
+The command line, the Mitsuba plugin, the checkpoint and the manual page use this declaration.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class Settings:
         except json.JSONDecodeError as error:
             raise OptionError(f"settings of {cls.__name__} are not JSON: {error}") from None
         if not isinstance(values, dict):
-            raise OptionError(f"settings of {cls.__name__} are a JSON object, not '{text}'")
+            raise OptionError(f"settings of {cls.__name__} must be a JSON object, not '{text}'")
         return cls.from_mapping(values)
 
     @classmethod
@@ -105,7 +105,7 @@ class Settings:
 
 
 def _coerce(field: dataclasses.Field[Any], kind: type, value: Any) -> Any:
-    """``value`` as ``kind``; strings are read as a user types them."""
+    """``value`` as ``kind``; strings are parsed as on the command line."""
     try:
         if kind is bool:
             return _truth(value)
@@ -117,7 +117,7 @@ def _coerce(field: dataclasses.Field[Any], kind: type, value: Any) -> Any:
             return int(value)
         return kind(value)
     except (ValueError, TypeError):
-        raise OptionError(f"option '{field.name}' wants {_article(kind)}, not '{value}'") from None
+        raise OptionError(f"option '{field.name}' must be {_article(kind)}, not '{value}'") from None
 
 
 def _truth(value: Any) -> bool:
@@ -136,7 +136,7 @@ def _check_range(field: dataclasses.Field[Any], value: Any) -> None:
     limits = field.metadata
     choices = limits.get("choices")
     if choices and value not in choices:
-        raise OptionError(f"option '{field.name}' is one of {', '.join(choices)}, not '{value}'")
+        raise OptionError(f"option '{field.name}' must be one of {', '.join(choices)}, not '{value}'")
     if type(value) in (int, float):
         if not math.isfinite(value):
             raise OptionError(f"option '{field.name}' must be finite, not {value}")

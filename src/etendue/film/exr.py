@@ -95,7 +95,7 @@ def read_exr(path: str | os.PathLike[str]) -> Result:
         stored = {name: np.asarray(channel.pixels) for name, channel in file.channels().items()}
         header = file.header()
     except (RuntimeError, ValueError) as error:
-        # A damaged file is reported as one without parts.
+        # OpenEXR reports a damaged file as one without parts.
         raise SceneError(f"'{path}' is a damaged OpenEXR file: {' '.join(str(error).split())}") from None
     grouped: dict[str, dict[str, NDArray[Any]]] = {}
     for name, pixels in stored.items():

@@ -7,26 +7,27 @@ Pixel ``c`` of a film is
 which is what Mitsuba's film converges to: it divides by the filter weights of its samples, and has no samples outside
 the film (``sample_border`` off). There are three estimators of this integral:
 
-- Camera paths with the same offsets in all pixels: every path contributes to all pixels in reach, and the sum is a
-  convolution with weights that depend only on the offsets (:meth:`PixelFilter.spread`). Near the border it divides by
-  the weights of the samples of the pass.
-- A path at an arbitrary film position contributes to all pixels in reach (:meth:`PixelFilter.taps`).
-- Independent pixels, as denoisers need them: a camera path samples its film position from ``|f|`` around its pixel
-  [Ernst 2006] (:meth:`PixelFilter.camera`), a splat samples one of the pixels in reach (:meth:`PixelFilter.splat`).
+- Camera paths with the same offsets in all pixels: every path contributes to all pixels within the filter's radius, and
+  the sum is a convolution with weights that depend only on the offsets (:meth:`PixelFilter.spread`). Near the border it
+  is divided by the weights of the samples of the pass.
+- A path at an arbitrary film position contributes to all pixels within the radius (:meth:`PixelFilter.taps`).
+- Independent pixels, as denoisers need: a camera path samples its film position from ``|f|`` around its pixel
+  [Ernst 2006] (:meth:`PixelFilter.camera`), a splat samples one of the pixels within the radius
+  (:meth:`PixelFilter.splat`).
 
-All read one table of ``f``, constant on bins that have the film's border among their edges, so that their expectations
-are equal, not merely close, save for the first one near the border. In the table ``f`` is divided by its own sum over
-all pixels, so that a sample's weights add up to 1 and a constant picture stays one; for tents, cubic splines and boxes
-that sum is 1 anyway, for Mitsuba's Gaussian within 1.5 %.
+All three read the same table of ``f``. It is constant on bins, and the film's border is an edge of bins, so that the
+expectations are equal, except for the first estimator near the border. In the table ``f`` is divided by its sum over
+all pixels, so that the weights of a sample sum to 1 and a constant picture stays constant; for tents, cubic splines and
+boxes this sum is 1, for Mitsuba's Gaussian it is 1 within 1.5 %.
 
-Filters are separable, so everything below is done per axis. Negative lobes carry their sign in the weight.
+Filters are separable, so everything is computed per axis. The weight has the sign of negative lobes.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeVar
 
 import drjit as dr
 import mitsuba as mi
@@ -35,11 +36,13 @@ from numpy.typing import NDArray
 
 from etendue.core import OptionError, on_device
 
+V = TypeVar("V")
+
 #: Bins of the table per pixel: a filter of radius 1 has this many on either side.
 BINS_PER_PIXEL = 1024
-#: A filter is divided by its sum over pixels if that is this close to 1; narrower ones do not reach every position.
+#: A filter is divided by its sum over pixels if this is within 0.5 of 1; narrower filters leave gaps between pixels.
 _NEAR_ONE = 0.5
-#: Midpoint rule inside a bin, so that a bin holds the mean of the filter rather than one value of it.
+#: Points of the midpoint rule in a bin, whose value is the mean of the filter.
 _POINTS_PER_BIN = 4
 
 
@@ -49,31 +52,31 @@ class FilterTable:
     ``reach`` is the radius rounded up to half pixels, so that pixel edges are bin edges.
     """
 
-    def __init__(self, rfilter: Any) -> None:
+    def __init__(self, rfilter: mi.ReconstructionFilter) -> None:
         radius = float(rfilter.radius())
         self.reach = max(math.ceil(2.0 * radius - 1e-6), 1) / 2.0
         count = round(2.0 * self.reach * BINS_PER_PIXEL)
         points = (np.arange(count * _POINTS_PER_BIN) + 0.5) / (_POINTS_PER_BIN * BINS_PER_PIXEL) - self.reach
         sampled = np.array(rfilter.eval(on_device(mi.Float, points)), dtype=np.float64)
-        # A filter given by a fitted polynomial may be anything beyond its radius.
+        # Filters that are fitted polynomials have arbitrary values outside their radius.
         sampled[np.abs(points) > radius] = 0.0
         self.values: NDArray[np.float64] = sampled.reshape(count, _POINTS_PER_BIN).mean(axis=1)
         if not np.isfinite(self.values).all() or not np.abs(self.values).sum() > 0.0:
             raise OptionError("the film's reconstruction filter has no finite, non-zero values; use another rfilter")
-        self.values /= self.values.sum() / BINS_PER_PIXEL  # unit integral: only ratios matter, and float32 likes 1
+        self.values /= self.values.sum() / BINS_PER_PIXEL  # unit integral, against overflow in single precision
         over_pixels = self.values.reshape(-1, BINS_PER_PIXEL).sum(axis=0)
-        #: Whether some positions are out of reach of all pixels.
+        #: Whether some film positions are outside the radius of all pixels.
         self.has_gaps = bool(np.abs(over_pixels - 1.0).max() >= _NEAR_ONE)
         if not self.has_gaps:
             self.values /= np.tile(over_pixels, self.candidates)
 
     @property
     def candidates(self) -> int:
-        """Pixels in reach of one film position, along one axis."""
+        """Pixels within the radius of one film position, along one axis."""
         return round(2.0 * self.reach)
 
     def truncation(self, size: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """First bin and end bin (excluded) that lie on the film, for each of ``size`` pixels of an axis."""
+        """First bin and end bin (excluded) on the film, for each of ``size`` pixels of an axis."""
         pixel = np.arange(size)
         half = BINS_PER_PIXEL // 2
         to_left, to_right = pixel * BINS_PER_PIXEL + half, (size - pixel) * BINS_PER_PIXEL - half
@@ -103,8 +106,8 @@ class _Axis:
         self.inverse_integral = on_device(mi.Float, 1.0 / integral)
         self.camera_weight = on_device(mi.Float, magnitude / integral)
 
-    def camera(self, pixel: Any, u: Any) -> tuple[Any, Any]:
-        """Position drawn from ``|f|`` around ``pixel`` on the film, and its signed weight."""
+    def camera(self, pixel: mi.UInt32, u: mi.Float) -> tuple[mi.Float, mi.Float]:
+        """Film position sampled from ``|f|`` around ``pixel``, and its signed weight."""
         per_pixel, zero = BINS_PER_PIXEL, self.bins // 2
         to_left = mi.Int32(pixel) * per_pixel + per_pixel // 2
         first = mi.UInt32(dr.maximum(zero - to_left, 0))
@@ -112,7 +115,7 @@ class _Axis:
         below = dr.gather(mi.Float, self.cumulative, first)
         above = dr.gather(mi.Float, self.cumulative, end)
         target = dr.fma(u, above - below, below)
-        # By inversion, so that nearby numbers give nearby positions (point sequences, Markov chains).
+        # Inversion, which preserves the stratification of the numbers.
         found = dr.binary_search(
             0, self.bins - 1, lambda index: dr.gather(mi.Float, self.cumulative, index + 1) <= target
         )
@@ -125,8 +128,9 @@ class _Axis:
         weight = dr.gather(mi.Float, self.camera_weight, pixel)
         return position, dr.mulsign(weight, value)
 
-    def taps(self, position: Any) -> list[tuple[Any, Any, Any]]:
-        """(pixel, value of the filter, whether it is on the film) of every pixel in reach of ``position``."""
+    def taps(self, position: mi.Float) -> list[tuple[mi.Int32, mi.Float, mi.Bool]]:
+        """(pixel, value of the filter, whether the pixel is on the film) of every pixel within the radius of
+        ``position``."""
         last = mi.Int32(dr.floor(position + (self.reach - 0.5)))
         found = []
         for index in range(self.candidates):
@@ -135,39 +139,40 @@ class _Axis:
             found.append((pixel, self._value(position - (mi.Float(pixel) + 0.5), on_film), on_film))
         return found
 
-    def _value(self, offset: Any, active: Any = True) -> Any:
+    def _value(self, offset: mi.Float, active: mi.Bool | bool = True) -> mi.Float:
         """The filter at a distance from a pixel's centre."""
         place = dr.clip(mi.Int32(dr.floor((offset + self.reach) * BINS_PER_PIXEL)), 0, self.bins - 1)
         return dr.gather(mi.Float, self.values, mi.UInt32(place), active)
 
-    def splat(self, position: Any, u: Any) -> tuple[Any, Any, Any]:
-        """A pixel drawn from ``|f|`` among those in reach of ``position``, its signed weight, and validity."""
+    def splat(self, position: mi.Float, u: mi.Float) -> tuple[mi.UInt32, mi.Float, mi.Bool]:
+        """A pixel sampled from ``|f|`` among those within the radius of ``position``, its signed weight, and a mask of
+        the valid lanes."""
         taps = self.taps(position)
         total = mi.Float(0.0)
         for _, value, _ in taps:
             total = total + dr.abs(value)
         target = u * total
-        # Downwards, so that the last one taken is the lowest whose cumulative sum passes the target.
+        # Downwards: the pixel taken last is the lowest one whose cumulative sum exceeds the target.
         running = mi.Float(total)
         pixel, value = mi.Int32(0), mi.Float(0.0)
-        for candidate, here, _ in reversed(taps):
-            take = (running > target) & (here != 0.0)
+        for candidate, f, _ in reversed(taps):
+            take = (running > target) & (f != 0.0)
             pixel = dr.select(take, candidate, pixel)
-            value = dr.select(take, here, value)
-            running = running - dr.abs(here)
+            value = dr.select(take, f, value)
+            running = running - dr.abs(f)
         valid = self.holds(position) & (value != 0.0)
         chosen = mi.UInt32(pixel)
         return chosen, dr.mulsign(self.normalised(total, chosen, valid), value), valid
 
-    def normalised(self, value: Any, pixel: Any, active: Any) -> Any:
+    def normalised(self, value: mi.Float, pixel: mi.Int32 | mi.UInt32, active: mi.Bool) -> mi.Float:
         """A value of the filter over its integral for ``pixel``."""
         return value * dr.gather(mi.Float, self.inverse_integral, mi.UInt32(pixel), active)
 
-    def holds(self, position: Any) -> Any:
+    def holds(self, position: mi.Float) -> mi.Bool:
         """Whether a position is on the film."""
         return (position >= 0.0) & (position <= float(self.size))
 
-    def offsets(self, u: Any) -> Spread:
+    def offsets(self, u: mi.Float) -> Spread:
         """Weights of samples at the offsets ``u`` in [0, 1) of their pixels for the surrounding pixels."""
         last = mi.Int32(dr.floor(u + (self.reach - 0.5)))
         values = []
@@ -177,10 +182,10 @@ class _Axis:
         dr.eval(last, values)
         return Spread(last, values)
 
-    def convolve(self, values: Any, spread: Spread, sample: Any, place: Any, stride: Any) -> Any:
-        """Sum over the samples in reach along this axis: ``values`` has a lane each, of which ``sample`` is the number
-        in its pixel, ``place`` the pixel's coordinate, and ``stride`` the distance in lanes between pixels."""
-        kind = type(values)
+    def convolve(self, values: V, spread: Spread, sample: mi.UInt32, place: mi.UInt32, stride: mi.UInt32 | int) -> V:
+        """Sums of the weighted samples within the radius along this axis. ``values``: one lane a sample; ``sample``:
+        its number in its pixel; ``place``: the pixel's coordinate; ``stride``: lanes from one pixel to the next."""
+        kind: type[mi.Color3f] = type(values)
         lane = mi.Int32(dr.arange(mi.UInt32, dr.width(values)))
         last = dr.gather(mi.Int32, spread.last, sample)
         size, count = dr.opaque(mi.Int32, self.size), self.candidates
@@ -194,8 +199,8 @@ class _Axis:
         return result
 
     def reached(self, spread: Spread) -> NDArray[np.float32]:
-        """Sum of the filter, for each place of samples and pixel of the axis, over the samples in reach, (samples,
-        pixels); 1 away from the border."""
+        """Sum of the filter over the samples within the radius that are on the film, for each number of a sample and
+        each pixel of the axis, (samples, pixels); 1 away from the border."""
         last, pixel = np.array(spread.last), np.arange(self.size)
         sums = np.zeros((len(last), self.size), np.float32)
         for index, values in enumerate(spread.values):
@@ -208,8 +213,8 @@ class _Axis:
 class Spread:
     """Weights of the samples of a pixel for its neighbours along one axis, an entry per sample."""
 
-    last: Any  #: the farthest pixel in reach of a sample, relative to its own
-    values: list[Any]  #: of the filter at the pixels before it, and there
+    last: mi.Int32  #: offset of the last pixel within the radius of a sample from the sample's own pixel
+    values: list[mi.Float]  #: filter values of the pixels up to the last one
 
 
 class PixelFilter:
@@ -220,11 +225,11 @@ class PixelFilter:
     all but :meth:`spread` use gathers only and may be called inside symbolic loops.
     """
 
-    def __init__(self, rfilter: Any, width: int, height: int) -> None:
+    def __init__(self, rfilter: mi.ReconstructionFilter, width: int, height: int) -> None:
         self.width, self.height = int(width), int(height)
         #: The box filter needs neither a table nor random numbers for a splat.
         self.is_box = bool(rfilter.is_box_filter())
-        #: Whether a sample may be out of reach of all pixels: :meth:`spread` replaces such a filter by a box.
+        #: Whether a sample may be outside the radius of all pixels: :meth:`spread` replaces such a filter by a box.
         self.has_gaps = False
         if not self.is_box:
             table = FilterTable(rfilter)
@@ -232,11 +237,11 @@ class PixelFilter:
             self._x = _Axis(table, self.width)
             self._y = self._x if self.width == self.height else _Axis(table, self.height)
 
-    def camera(self, px: Any, py: Any, u1: Any, u2: Any) -> tuple[Any, Any, Any]:
+    def camera(self, px: mi.UInt32, py: mi.UInt32, u1: mi.Float, u2: mi.Float) -> tuple[mi.Float, mi.Float, mi.Float]:
         """Film position for a camera path of pixel (``px``, ``py``), UInt32, from two numbers in [0, 1).
 
-        Returns ``x``, ``y`` and the signed weight that the path's radiance is multiplied with; its mean over the
-        pixel's samples is the pixel. The weight is 1 for filters without negative lobes.
+        Returns ``x``, ``y`` and the signed weight, a factor on the path's radiance. The pixel is the mean over its
+        samples. The weight is 1 for filters without negative lobes.
         """
         if self.is_box:
             return mi.Float(px) + u1, mi.Float(py) + u2, mi.Float(1.0)
@@ -244,9 +249,9 @@ class PixelFilter:
         y, weight_y = self._y.camera(py, u2)
         return x, y, weight_x * weight_y
 
-    def spread(self, values: Any, u1: Any, u2: Any) -> Any:
-        """Pixels from samples: a lane per sample, the samples of a pixel consecutive, sample j of each pixel at the
-        offset (``u1[j]``, ``u2[j]``). Returns a lane per pixel, sums over the samples. Evaluates ``values``.
+    def spread(self, values: V, u1: mi.Float, u2: mi.Float) -> V:
+        """Filtered sums over the samples, one lane a pixel. ``values``: one lane a sample, the samples of a pixel
+        consecutive; sample j of each pixel has the offset (``u1[j]``, ``u2[j]``). Evaluates ``values``.
 
         As in Mitsuba, pixels near the border are divided by the filter weights of their samples, so that a constant
         picture stays constant; the expectation there depends on the number of samples."""
@@ -259,15 +264,15 @@ class PixelFilter:
             across, down = self._x.offsets(u1), self._y.offsets(u2)
             rows = self._x.convolve(values, across, sample, pixel - y * width, count)
             dr.eval(rows)
-            shares = self._y.reached(down).T @ self._x.reached(across) / np.float32(samples)
-            share = dr.gather(mi.Float, mi.Float(shares.ravel()), pixel)
-            values = self._y.convolve(rows, down, sample, y, count * width) / share
+            weights = self._y.reached(down).T @ self._x.reached(across) / np.float32(samples)
+            weight = dr.gather(mi.Float, mi.Float(weights.ravel()), pixel)
+            values = self._y.convolve(rows, down, sample, y, count * width) / weight
         return dr.block_sum(values, samples) if samples > 1 else values
 
-    def taps(self, x: Any, y: Any) -> list[tuple[Any, Any, Any]]:
+    def taps(self, x: mi.Float, y: mi.Float) -> list[tuple[mi.UInt32, mi.Float, mi.Bool]]:
         """The pixels of a contribution at film position (``x``, ``y``): a list of (pixel index ``y * width + x``,
-        signed weight, mask). The contribution is measured per unit of film area in pixels, and pixel ``c`` gets it
-        times ``f(x - c - 1/2) / Z_c``. All masks are false off the film."""
+        signed weight, mask). The contribution is per unit of film area in pixels; the weight of pixel ``c`` is
+        ``f(x - c - 1/2) / Z_c``. All masks are false off the film."""
         if self.is_box:
             return [self.splat(x, y, 0.5, 0.5)]
         on_film = self._x.holds(x) & self._y.holds(y)
@@ -279,12 +284,14 @@ class PixelFilter:
             for column, weight, valid in columns
         ]
 
-    def splat(self, x: Any, y: Any, u1: Any, u2: Any) -> tuple[Any, Any, Any]:
-        """Pixel that a contribution at film position (``x``, ``y``) goes to, from two numbers in [0, 1).
+    def splat(
+        self, x: mi.Float, y: mi.Float, u1: mi.Float | float, u2: mi.Float | float
+    ) -> tuple[mi.UInt32, mi.Float, mi.Bool]:
+        """One pixel for a contribution at film position (``x``, ``y``), sampled by two numbers in [0, 1).
 
-        The contribution is measured per unit of film area in pixels. Returns the pixel index ``y * width + x``
-        (UInt32), the signed weight to multiply with and a mask, false off the film: the expected value added to pixel
-        ``c`` is the contribution times ``f(x - c - 1/2) / Z_c``. Where the mask is false the index is 0.
+        The contribution is per unit of film area in pixels. Returns the pixel index ``y * width + x``, the signed
+        weight and a mask, false off the film, where the index is 0. The expected value added to pixel ``c`` is the
+        contribution times ``f(x - c - 1/2) / Z_c``.
         """
         if self.is_box:
             valid = (x >= 0.0) & (x < float(self.width)) & (y >= 0.0) & (y < float(self.height))

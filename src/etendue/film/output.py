@@ -24,11 +24,11 @@ def check_writable(path: str | os.PathLike[str]) -> None:
 
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path beside ``path`` that takes its place when the block ends without an error.
+    """A temporary path beside ``path``, which replaces ``path`` when the block ends without an error.
 
     A reader sees the old file or the new one, never a part of it, even if the process is killed or power is lost. The
-    file has the permissions of any other new file. Raises :class:`OutputError` if the folder does not
-    exist or cannot be written, or if writing fails.
+    file has the permissions of any other new file. Raises :class:`OutputError` if the folder does not exist or cannot
+    be written, or if writing fails.
     """
     target = Path(path)
     part = _new_part(target)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-#: The layer of all paths that are longer than the pyramid is deep, weighted.
+#: The layer of all paths that are longer than the depth of the pyramid, weighted.
 LONGER = "longer"
 _ALONE = "_unweighted"
 _NAME = re.compile(rf"([sm])(\d+)_t(\d+)({_ALONE})?")
@@ -26,7 +26,7 @@ class Technique:
 
     @property
     def edges(self) -> int:
-        """Length of its paths."""
+        """Number of edges of its paths."""
         return self.s + self.t - (2 if self.merged else 1)
 
     def layer(self, weighted: bool = True) -> str:

@@ -1,23 +1,24 @@
-"""Choose among the methods by a probe, then render by the one that needs the least time for a given error.
+"""Choose a method by a probe: the candidate that needs the least time for a given error renders the picture.
 
-The candidates make the first passes of the picture in turn: ``path``, then ``vcm``, which finds what nothing else does,
-then what lies between them; each if what it is predicted to take, compilation included, fits into :data:`_SHARE` of the
-work ahead. The passes of the one that is chosen are kept.
-A candidate's cost is the time of its passes times the error of a picture of :data:`_PASSES` of them, which is the sum
-of two:
+The candidates render the first passes of the picture in turn: ``path``, then ``vcm``, which finds more light than the
+others, then ``bpt``. A candidate is tried only if its predicted time, including compilation, fits into :data:`_SHARE`
+of the work ahead. The passes of the chosen candidate are used in the picture.
 
-- the scatter of its passes, and
-- the light that it has missed: what another candidate shows in blocks of pixels and it does not. A method that cannot
-  find a caustic looks noiseless; its scatter alone would recommend it. More passes make the scatter less, but what was
-  never found in the probe will be missed, or a firefly, in the picture, too.
+The cost of a candidate is the time of a pass times the error of a picture of :data:`_PASSES` passes. This error is the
+sum of two parts:
 
-Where ``vcm`` would not fit, mostly since kernels have to be compiled, it is taken without a comparison if there are
-mirrors or glass and lamps other than a sky: it is seldom twice as bad as the best, ``path`` may be a thousand times.
-Work of less than :data:`_LEAST` seconds is not worth a probe. It is done by ``bpt`` where light goes by mirrors or
-glass from a lamp that no ray can hit, which ``path`` never finds, else by ``path``.
+- the variance between its passes, and
+- the light that it has missed: the excess of another candidate's picture over its own, in blocks of pixels. A method
+  that cannot find a caustic has no noise from it, so the variance alone would favour it. More passes reduce the
+  variance, but light that was not found in the probe will be missing, or a firefly, in the picture.
 
-What the error of a path costs depends on the scene: connections on or off, how many, merging on or off are most of what
-a user could set by hand. The choice is written into the picture's metadata, and kept when a run is resumed.
+If ``vcm`` does not fit, mostly because kernels have to be compiled, there is no comparison: ``vcm`` is chosen if the
+scene has mirrors or glass and lights other than an environment. Its error is rarely twice that of the best candidate,
+whereas that of ``path`` may be a thousand times as large. There is no probe for work of less than :data:`_LEAST`
+seconds: ``bpt`` is chosen if the scene has mirrors or glass and lights that no ray can hit, whose caustics ``path``
+never finds, else ``path``.
+
+The choice is in the picture's metadata, and a resumed run keeps it.
 """
 
 from __future__ import annotations
@@ -38,44 +39,44 @@ from .base import STEP_LANES, ImageMethod, ImageSettings, Layer
 from .bidirectional import Bpt, Vcm
 from .path import Path
 
-#: Side of the blocks of pixels in which missing light is looked for.
+#: Side of the blocks in which pictures are compared for missing light, in pixels.
 _BLOCK = 4
-#: Share of the work ahead that the probe may take as predicted. It must not take more than a fifth; the rest is for
-#: predictions that were too low.
+#: Share of the work ahead that the predicted time of the probe may have. The real time must not exceed a fifth; the
+#: difference is for predictions that are too low.
 _SHARE = 0.17
-#: Seconds of work below which nothing is probed.
+#: Seconds of work below which there is no probe.
 _LEAST = 6.0
-#: Without a comparison, share of the work beside its preparation that ``path`` may have taken before ``vcm`` begins.
+#: Without a comparison, ``vcm`` is chosen only if ``path`` has taken less than this share of the work without the
+#: preparation of ``vcm``.
 _LOST = 0.2
-#: Bytes a pixel that the passes of the probe take before one is chosen, and what they may take without a memory limit.
+#: Memory of the passes of the probe, in bytes per pixel; and its limit in bytes if the run has none.
 _BYTES = 600
 _ROOM = 1.2e9
-#: What is chosen from, simplest first: name, method, settings.
+#: The candidates, the simplest first: name, method, settings.
 CANDIDATES: dict[str, tuple[type[ImageMethod], dict[str, Any]]] = {
     "path": (Path, {}),
     "bpt": (Bpt, {}),
     "bpt with 6 connections": (Bpt, {"connections": 6, "shadow_roulette": 0.05}),
     "vcm": (Vcm, {}),
 }
-#: What a candidate is predicted to take: which one it is compared with, and how many times the seconds of that one's
-#: preparation and compilation, and of its pass, it takes. It is tried only where that one was.
+#: Predicted times of a candidate: another candidate, and factors on the time of its preparation with compilation and on
+#: that of its pass. A candidate is tried only after this other one.
 _PREDICTED = {
     "vcm": ("path", 4.0, 2.5),
     "bpt": ("vcm", 1.0, 0.9),
     "bpt with 6 connections": ("bpt", 1.7, 1.9),
 }
-#: Passes that a picture is taken to have, where nobody says.
+#: Passes of a picture, if no budget is given.
 _PASSES = 64
-#: A candidate must promise this much less than a simpler one.
+#: Least ratio of costs at which the simpler of two candidates is chosen.
 _WORTH_IT = 0.9
-#: Factor on the cost where there are mirrors or glass, for caustics that a candidate finds so seldom that the probe is
-#: too short to meet them.
+#: Factors on the costs if caustics are expected: a candidate may find them too rarely to appear in the probe.
 _DOUBT = {"path": 2.0, "bpt": 1.5, "bpt with 6 connections": 1.5, "vcm": 0.9}
-#: Variants of a candidate with so many times the cost of the best are not tried.
+#: Variants of a candidate whose cost exceeds that of the best by more than this factor are not tried.
 _HOPELESS = 3.0
-#: Candidates are compared by further passes if their costs are within this ratio after two.
+#: Candidates render further passes if their costs are within this factor of the least.
 _CLOSE = 1.5
-#: A variant of a candidate, which is tried only where that one is still in the race after its first passes.
+#: Variants, and the candidates of which they are variants.
 _VARIANTS = {"bpt with 6 connections": "bpt"}
 
 
@@ -83,9 +84,13 @@ _VARIANTS = {"bpt with 6 connections": "bpt"}
 class AutoSettings(ImageSettings):
     """Settings of ``auto``."""
 
-    choice: str = setting("probe", "what renders: found by a probe, or given", choices=("probe", *CANDIDATES))
+    choice: str = setting(
+        "probe",
+        "candidate that renders the picture; probe: the one that a probe finds best",
+        choices=("probe", *CANDIDATES),
+    )
     probe_passes: int = setting(
-        6, "passes that a candidate is probed with at most, the first ones of the picture", minimum=2, maximum=1000
+        6, "most passes that a candidate renders in the probe; more: a better comparison", minimum=2, maximum=1000
     )
 
 
@@ -95,29 +100,30 @@ class _Tried:
 
     method: ImageMethod
     passes: list[Pass]
-    total: Measurement  #: of the passes
+    total: Measurement  #: sum of the passes
     start: float  #: seconds of preparation and compilation
-    seconds: float  #: of a pass
+    seconds: float  #: seconds of a pass
 
 
 class Auto(Carrying, ImageMethod):
-    """The method and the switches that a probe recommends."""
+    """The candidate that a probe finds best."""
 
     name: ClassVar[str] = "auto"
     Settings: ClassVar[type[ImageSettings]] = AutoSettings
+    settings: AutoSettings
     citations: ClassVar[tuple[str, ...]] = (*Path.citations, *Vcm.citations)
     carries_on: ClassVar[bool] = True
 
     def prepare(self, problem: Problem, seed: int) -> None:
-        """The probe itself belongs to the first pass, so that a budget in seconds pays for it."""
+        """See :class:`ImageMethod`. The probe is part of the first pass, so that it counts against a budget."""
         self._forget_states()
         super().prepare(problem, seed)
         self._choice = self.settings.choice
         self._costs: dict[str, float] = {}
         self._chosen: ImageMethod | None = None
-        self._carried: State = {}  #: of what was chosen
+        self._carried: State = {}  #: state of the chosen candidate
         self._made: dict[tuple[int, int], Pass] = {}  #: passes of the probe, by iteration and seed
-        self.setup_seconds = 0.0  #: of the probe, which is a part of the first pass
+        self.setup_seconds = 0.0  #: seconds of the probe, which is part of the first pass
         self.plan(None, None, None)
 
     def plan(self, seconds: float | None, passes: int | None, error: float | None) -> None:
@@ -125,7 +131,7 @@ class Auto(Carrying, ImageMethod):
         self._seconds, self._passes, self._error = seconds, passes, error
 
     def _step(self, iteration: int, seed: int) -> Measurement:
-        """One pass of what was chosen."""
+        """One pass of the chosen candidate."""
         renderer = self._renderer(seed)
         made = self._made.pop((iteration, seed), None)
         if made is None:
@@ -138,13 +144,13 @@ class Auto(Carrying, ImageMethod):
         return self._renderer(seed).render_pass(iteration, seed, samples)
 
     def develop(self, measurement: Measurement, state: State) -> Result:
-        """Mean over the passes; the metadata say what was chosen and what the candidates' costs were."""
+        """Mean over the passes; the metadata contain the choice and the costs of the candidates."""
         result = super().develop(measurement, state)
         result.metadata |= {"chosen": state["choice"], "probe": state["costs"]}
         return result
 
     def _left(self) -> State:
-        """The choice, what it was made by, and the state of what was chosen."""
+        """The choice, the costs of the candidates, and the state of the chosen one."""
         return {"choice": self._choice, "costs": self._costs, "chosen": self._carried}
 
     def _take(self, state: State) -> None:
@@ -156,8 +162,8 @@ class Auto(Carrying, ImageMethod):
             begin = time.perf_counter()
             if self._choice == "probe":
                 self._choice = self._probe(seed)
-                told = ", ".join(f"{name} {cost:.3g}" for name, cost in self._costs.items()) or "not probed"
-                logger.info("auto: %s (cost: %s)", self._choice, told)
+                listed = ", ".join(f"{name} {cost:.3g}" for name, cost in self._costs.items()) or "not probed"
+                logger.info("auto: %s (cost: %s)", self._choice, listed)
             if self._chosen is None:
                 self._chosen = self._method(self._choice)
                 self._chosen.prepare(self.problem, seed)
@@ -172,29 +178,29 @@ class Auto(Carrying, ImageMethod):
         return cls(cls.Settings(samples_per_pass=self.samples_per_iteration, **common, **settings))
 
     def full_lanes(self) -> int:
-        """Of all candidates, so that their passes can be held against each other."""
+        """The same for all candidates, so that their passes can be compared."""
         return STEP_LANES
 
     # ------------------------------------------------------------------ the probe
 
     def _simple(self) -> str:
-        """What renders in little time."""
-        hidden = mi.EmitterFlags.DeltaPosition, mi.EmitterFlags.DeltaDirection
-        lost = self._has_specular() and any(mi.has_flag(e.flags(), f) for e in self.scene.emitters() for f in hidden)
-        return "bpt" if lost and self.camera.can_splat else "path"
+        """The candidate for work that is too short for a probe."""
+        delta = mi.EmitterFlags.DeltaPosition, mi.EmitterFlags.DeltaDirection
+        missed = self._has_specular() and any(mi.has_flag(e.flags(), f) for e in self.scene.emitters() for f in delta)
+        return "bpt" if missed and self.camera.can_splat else "path"
 
     def _expects_caustics(self) -> bool:
-        """Whether there are mirrors or glass, and lamps within the scene."""
-        sky = mi.EmitterFlags.Infinite
-        return self._has_specular() and any(not mi.has_flag(e.flags(), sky) for e in self.scene.emitters())
+        """Whether the scene has mirrors or glass, and lights other than an environment."""
+        infinite = mi.EmitterFlags.Infinite
+        return self._has_specular() and any(not mi.has_flag(e.flags(), infinite) for e in self.scene.emitters())
 
     def _has_specular(self) -> bool:
-        parts = [m for m in materials(self.scene) if isinstance(m, mi.BSDF)]
-        bent = mi.BSDFFlags.DeltaReflection, mi.BSDFFlags.DeltaTransmission
-        return any(mi.has_flag(m.flags(), f) for m in parts for f in bent)
+        bsdfs = [m for m in materials(self.scene) if isinstance(m, mi.BSDF)]
+        specular = mi.BSDFFlags.DeltaReflection, mi.BSDFFlags.DeltaTransmission
+        return any(mi.has_flag(m.flags(), f) for m in bsdfs for f in specular)
 
     def _probe(self, seed: int) -> str:
-        """Name of the candidate with the least time times error; its passes are kept."""
+        """Name of the candidate with the least cost; its passes are kept."""
         simple = self._simple()
         room = min(_ROOM, self.problem.memory or _ROOM)
         if (self._seconds is not None and self._seconds < _LEAST) or _BYTES * self.camera.pixels > room:
@@ -203,11 +209,11 @@ class Auto(Carrying, ImageMethod):
         tried = {"path": self._try("path", seed)}
         work = self._work(tried["path"])
         end = begin + _SHARE * work if work >= _LEAST else begin
-        for name, (known, start, pace) in _PREDICTED.items():
-            base = tried.get(known)
+        for name, (reference, start, pace) in _PREDICTED.items():
+            base = tried.get(reference)
             if base is None or time.perf_counter() + start * base.start + 2.0 * pace * base.seconds > end:
                 continue
-            if name not in _VARIANTS or known in _within(_HOPELESS, self._costs):
+            if name not in _VARIANTS or reference in _within(_HOPELESS, self._costs):
                 tried[name] = self._try(name, seed)
                 self._costs = _costs(tried)
         for _ in range(2, self.settings.probe_passes):
@@ -227,17 +233,18 @@ class Auto(Carrying, ImageMethod):
         return chosen
 
     def _weighed(self) -> dict[str, float]:
-        """Costs with their doubts, the simplest candidate first."""
-        doubt = _DOUBT if self._expects_caustics() else dict.fromkeys(CANDIDATES, 1.0)
-        return {name: doubt[name] * self._costs[name] for name in CANDIDATES if name in self._costs}
+        """Costs with the factors for caustics, the simplest candidate first."""
+        factors = _DOUBT if self._expects_caustics() else dict.fromkeys(CANDIDATES, 1.0)
+        return {name: factors[name] * self._costs[name] for name in CANDIDATES if name in self._costs}
 
     def _is_worth_vcm(self, work: float, spent: float, path: _Tried) -> bool:
-        """Whether ``vcm`` is the better guess for ``work`` seconds, after ``spent`` of them on ``path``."""
+        """Whether to choose ``vcm`` without a comparison for ``work`` seconds, of which ``path`` has taken
+        ``spent``."""
         _, start, _ = _PREDICTED["vcm"]
         return work >= _LEAST and self._expects_caustics() and spent < _LOST * (work - start * path.start)
 
     def _try(self, name: str, seed: int) -> _Tried:
-        """The first two passes of a candidate, of which the first compiles."""
+        """Render the first two passes of a candidate; the first includes compilation."""
         begin = time.perf_counter()
         method = self._method(name)
         method.prepare(self.problem, seed)
@@ -257,7 +264,7 @@ class Auto(Carrying, ImageMethod):
         tried.seconds = (tried.seconds * (done - 1) + time.perf_counter() - begin) / done
 
     def _work(self, tried: _Tried) -> float:
-        """Seconds that the picture will take if it is made by a candidate."""
+        """Predicted seconds of the picture with a candidate."""
         limits = []
         if self._seconds is not None:
             limits.append(self._seconds)
@@ -277,28 +284,28 @@ def _costs(tried: Mapping[str, _Tried]) -> dict[str, float]:
 
 
 def _within(ratio: float, cost: Mapping[str, float]) -> list[str]:
-    """Those whose cost is at most so many times the least."""
+    """Names of the candidates whose cost is at most ``ratio`` times the least."""
     return [name for name, value in cost.items() if value <= ratio * min(cost.values())]
 
 
 def costs(seconds: Mapping[str, float], passes: Mapping[str, Sequence[Measurement]]) -> dict[str, float]:
-    """Seconds of a pass times the error of a picture of :data:`_PASSES` passes, by candidate. A pass is as long as the
-    others of its candidate."""
+    """Seconds of a picture of :data:`_PASSES` passes times its error, by candidate. ``seconds``: of a pass;
+    ``passes``: measurements of single passes with equal weights."""
     blocks = {name: np.stack([_blocks(m.mean()) for m in each]) for name, each in passes.items()}
     pictures = {name: each.mean(axis=0) for name, each in blocks.items()}
-    #: Of the mean of a block, whose pixels may share samples.
-    uncertain = {name: each.var(axis=0, ddof=1) / len(each) for name, each in blocks.items()}
-    # Relative to what most candidates see: a bright speck must not excuse itself by its own brightness.
+    #: Variance of the mean of a block, estimated from passes, because its pixels may be correlated.
+    variance = {name: each.var(axis=0, ddof=1) / len(each) for name, each in blocks.items()}
+    # The error is relative to the median picture: a firefly would increase its own denominator.
     level = np.median(list(pictures.values()), axis=0)
     result = {}
     for name, each in passes.items():
         missed = np.zeros_like(level)
         for other in passes:
-            # Beyond three standard errors: a lone bright sample of the other's is as uncertain as it is bright.
-            doubt = 9.0 * (uncertain[name] + uncertain[other])
-            gap = np.square(np.maximum(pictures[other] - pictures[name], 0.0)) - doubt
+            # Only what exceeds three standard errors, so that fireflies of the other picture do not count.
+            threshold = 9.0 * (variance[name] + variance[other])
+            gap = np.square(np.maximum(pictures[other] - pictures[name], 0.0)) - threshold
             missed = np.maximum(missed, gap / (np.square(pictures[other]) + RELATIVE_EPSILON))
-        noise = _blocks(np.stack([m.mean() for m in each]).var(axis=0, ddof=1))  # of a pixel in one pass
+        noise = _blocks(np.stack([m.mean() for m in each]).var(axis=0, ddof=1))  # variance of a pixel in one pass
         scatter = noise / (np.square(level) + RELATIVE_EPSILON)
         error = scatter.mean() / _PASSES + missed.mean()
         result[name] = seconds[name] * _PASSES * float(error)
@@ -306,7 +313,8 @@ def costs(seconds: Mapping[str, float], passes: Mapping[str, Sequence[Measuremen
 
 
 def choose(cost: Mapping[str, float]) -> str:
-    """The first candidate that no later one is well below."""
+    """The candidate of least cost; a later one must cost less than :data:`_WORTH_IT` times as much as an earlier
+    one."""
     best = ""
     for name, value in cost.items():
         if not best or value < _WORTH_IT * cost[best]:
@@ -315,7 +323,7 @@ def choose(cost: Mapping[str, float]) -> str:
 
 
 def _blocks(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Means over blocks of pixels; a rim that fills no block is left out."""
+    """Means over blocks of pixels, without the pixels at the border that do not fill a block."""
     height, width, channels = image.shape
     rows, columns = max(1, height // _BLOCK), max(1, width // _BLOCK)
     side_y, side_x = min(_BLOCK, height), min(_BLOCK, width)

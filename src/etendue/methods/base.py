@@ -1,4 +1,4 @@
-"""What every image method shares: settings, lanes, and the way from device arrays to a Measurement and a Result."""
+"""Base of the image methods: common settings, random numbers, filtering of a pass, measurement and result."""
 
 from __future__ import annotations
 
@@ -29,44 +29,44 @@ from etendue.scene import LightTable, Problem
 from etendue.transport import CameraSampler, Visibility, Walker
 from etendue.transport import dimensions as dim
 
+V = TypeVar("V")
 W = TypeVar("W", bound=Walker)
 
 #: One pass's sums of a layer, (height, width, channels).
 Layer = NDArray[np.float32]
 
-#: Camera paths of a pass that fill two cores: fewer waste time, more make a viewer wait. Other machines have as many
-#: times more, up to the last figure, which a GPU has.
+#: Camera paths of a pass for two cores: fewer use the cores badly, more delay the first picture. The number grows with
+#: the cores, up to a factor of ``_MOST_FULL``, which is also that of a GPU.
 FULL_LANES = 1 << 19
 _MOST_FULL = 8
-#: The same where passes are steps: where something is learned after each, or all camera paths of a pass look at all of
-#: its photons.
+#: Camera paths of a pass for methods that need many passes: they learn after each, or shrink the radius of photons.
 STEP_LANES = 1 << 17
-#: Memory that a camera path takes until its pass is a picture.
+#: Memory of a camera path during its pass, in bytes.
 _LANE_BYTES = 64
-#: Camera paths of a pixel and pass at most, if nobody asks for more.
+#: Most camera paths per pixel and pass, unless ``samples_per_pass`` is set.
 _MOST_SAMPLES = 32
 #: Light and camera paths of a pilot pass.
 PILOT_PATHS = 1 << 13
-#: An array of the device holds fewer than 2^32 numbers, and a lane has a colour.
+#: Most camera paths of a pass: a device array has fewer than 2^32 numbers, and a path has a colour.
 _MAX_LANES = 1 << 30
 _WORD = 0xFFFFFFFF
-#: Light paths of one kernel at most; a pass that has more traces them in groups.
+#: Most light paths of one kernel; a pass with more traces them in groups.
 MOST_LIGHT_LANES = 1 << 26
 
 
 @dataclass(frozen=True)
 class Lanes:
-    """Consecutive lanes of a pass, which may have more than 2^32 of them."""
+    """A range of the lanes of a pass, whose numbers may exceed 2^32."""
 
     first: int
     count: int
 
     def part(self, index: int, parts: int) -> Lanes:
-        """One of ``parts`` nearly equal parts."""
+        """Part ``index`` of ``parts`` nearly equal ones."""
         first, end = self.count * index // parts, self.count * (index + 1) // parts
         return Lanes(self.first + first, end - first)
 
-    def numbers(self, offset: int = 0) -> tuple[Any, Any]:
+    def numbers(self, offset: int = 0) -> tuple[mi.UInt32, mi.UInt32]:
         """(lower words, upper words) of ``offset`` plus the number of each lane."""
         return _places(dr.arange(mi.UInt32, self.count), offset + self.first)
 
@@ -75,24 +75,33 @@ class Lanes:
 class ImageSettings(Settings):
     """Settings of every image method."""
 
-    max_depth: int = setting(-1, "longest path in edges, 1 shows lights only; -1 is unlimited", minimum=-1)
-    rr_depth: int = setting(5, "path edges after which Russian roulette by throughput begins", minimum=1)
+    max_depth: int = setting(
+        -1, "longest path, in edges; 1: only lights seen directly, 2: direct light, -1: no limit", minimum=-1
+    )
+    rr_depth: int = setting(5, "path length, in edges, from which on Russian roulette may end a path", minimum=1)
     samples_per_pass: int = setting(
-        0, "camera paths per pixel that one pass traces; 0 chooses enough to fill the machine", minimum=0, maximum=4096
+        0,
+        "camera paths per pixel and pass; 0: chosen by image size, number of cores and memory",
+        minimum=0,
+        maximum=4096,
     )
     sampler: str = setting(
         "owen",
-        "random numbers: Owen-scrambled Sobol' points, even over the samples of a pixel and over the light paths of a "
-        "pass (owen), or independent ones",
+        "random numbers of the paths: Owen-scrambled Sobol' points, stratified over the samples of a pixel and over "
+        "the light paths of a pass (owen), or independent numbers (independent)",
         choices=("owen", "independent"),
     )
     reconstruction: str = setting(
         "neighbours",
-        "the film's filter: a sample counts for all pixels in reach, as in Mitsuba (neighbours), or for one that the "
-        "filter draws: then pixels share no noise, as denoisers ask, but have more of it (independent)",
+        "use of the film's reconstruction filter: a sample contributes to all pixels within its radius, as in Mitsuba "
+        "(neighbours), or the filter is importance sampled and a sample contributes to one pixel (independent): more "
+        "noise, but independent between pixels, as denoisers need",
         choices=("neighbours", "independent"),
     )
-    aovs: bool = setting(False, "add first-hit layers: albedo, normal, depth")
+    aovs: bool = setting(
+        False,
+        "add layers of the first surfaces hit by camera rays: albedo, shading normal, depth (distance in scene units)",
+    )
 
 
 @dataclass(frozen=True)
@@ -101,39 +110,44 @@ class CameraSettings(ImageSettings):
 
     clamp: float = setting(
         0.0,
-        "most that a camera path may bring to a channel, colours kept; 0: no limit. Removes fireflies and their light",
+        "upper limit of the radiance of a camera path: brighter ones are scaled down, which removes fireflies, but "
+        "makes the picture darker; 0: no limit",
         minimum=0.0,
     )
 
 
 class ImageMethod(ABC):
-    """Base of the methods that render an image pass by pass. A subclass implements ``render_pass``."""
+    """Base of the methods that render an image pass by pass. A subclass implements ``render_pass``, sets ``Settings``
+    and declares its class as the type of ``settings``."""
 
     name: ClassVar[str]
     Settings: ClassVar[type[ImageSettings]]
     citations: ClassVar[tuple[str, ...]] = ()
-    #: Name of the Mitsuba integrator where that is not ``name``; "" where Mitsuba has an own one that does the same. Of
-    #: the class itself: those derived from it have their own names.
+    #: Name of the Mitsuba integrator, if it is not ``name``; "" if there is none. Not inherited.
     plugin: ClassVar[str | None] = None
-    #: Whether passes leave something behind for those after them, or begin from what the seed found in ``prepare``:
-    #: each run then wants a method that was prepared for it. Others need the seed for pilots alone.
+    #: Whether a pass depends on the state of the pass before. Each run then needs a method that was prepared with its
+    #: own seed; for other methods the seed of ``prepare`` matters for pilot passes only.
     carries_on: ClassVar[bool] = False
-    #: Whether all camera paths of a pass lie at one place of their pixels, unless pixels are independent.
+    #: Whether all camera paths of a pass have the same offset in their pixel (unless ``reconstruction=independent``).
     one_place = False
+    #: An instance of ``Settings``.
+    settings: Any
 
     def __init__(self, settings: ImageSettings | None = None) -> None:
-        self.settings: Any = settings if settings is not None else self.Settings()
+        self.settings = settings if settings is not None else self.Settings()
 
     @classmethod
     def plugin_name(cls) -> str:
-        """Name of the Mitsuba integrator, "" for none."""
+        """Name of the Mitsuba integrator, "" if there is none."""
         own = vars(cls).get("plugin")
         return cls.name if own is None else str(own)
 
     def prepare(self, problem: Problem, seed: int) -> None:
-        """Build the tables that every pass shares."""
+        """Build the tables that all passes share."""
         if problem.size[0] * problem.size[1] * self._samples(problem) >= _MAX_LANES:
-            raise OptionError("a pass has more camera paths than fit; lower samples_per_pass or the size")
+            raise OptionError(
+                f"a pass would have {_MAX_LANES} camera paths or more; lower samples_per_pass or the picture's size"
+            )
         self.problem = problem
         self.scene = problem.scene
         self.camera = CameraSampler(problem, self.settings.reconstruction == "independent")
@@ -142,8 +156,8 @@ class ImageMethod(ABC):
         #: :meth:`max_edges` on the device, opaque.
         self.edges = dr.opaque(mi.UInt32, self.max_edges())
 
-    def bind(self, scene: Any) -> None:
-        """Take the scene that this was prepared for back, or let it go (``None``) until the next run."""
+    def bind(self, scene: mi.Scene | None) -> None:
+        """Set the scene for which the method was prepared, or release it (``None``) until the next run."""
         self.problem.scene = self.scene = self.visibility.scene = scene
 
     @property
@@ -161,12 +175,12 @@ class ImageMethod(ABC):
         return min(_MOST_SAMPLES, max(1, lanes // (width * height)))
 
     def full_lanes(self) -> int:
-        """Camera paths of a pass where settings leave it open."""
+        """Camera paths of a pass if ``samples_per_pass`` is 0."""
         is_cpu = dr.backend_v(mi.Float) == dr.JitBackend.LLVM
         return FULL_LANES * (min(max(1, dr.thread_count() // 2), _MOST_FULL) if is_cpu else _MOST_FULL)
 
     def start(self) -> State:
-        """Nothing is carried from pass to pass."""
+        """The empty state: passes do not depend on each other."""
         return {}
 
     def enter(self, state: State) -> None:  # noqa: B027 (a method without state need not override it)
@@ -196,7 +210,7 @@ class ImageMethod(ABC):
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """Sums over the pass's ``samples`` camera paths per pixel: layers (height, width, channels), and counters.
 
-        The layers are the technique families that the image is the sum of; or the image, and any others."""
+        The layers either include ``image``, or the image is their sum."""
 
     def develop(self, measurement: Measurement, state: State) -> Result:
         """Mean over the passes, layer by layer."""
@@ -206,17 +220,19 @@ class ImageMethod(ABC):
     # ------------------------------------------------------------------ helpers of the subclasses
 
     def max_edges(self) -> int:
-        """``max_depth`` as a number a kernel can compare with."""
+        """``max_depth`` as an upper limit: 2^30 for -1."""
         return self.settings.max_depth if self.settings.max_depth >= 0 else 1 << 30
 
     def walker(self, kind: type[W], **own: Any) -> W:
-        """A walker of this ``kind`` for the prepared scene; ``own``: the fields that the kind adds."""
+        """A walker of class ``kind`` for the prepared scene; ``own``: the fields that the class adds."""
         common = {"visibility": self.visibility, "lights": self.lights, "max_edges": self.edges}
         return kind(**common, rr_depth=self.settings.rr_depth, **own)
 
-    def camera_numbers(self, lanes: Any, samples: int, seed: int, iteration: int, role: str = "camera") -> SampleSource:
-        """Random numbers of the camera paths ``lanes``, ``samples`` consecutive ones a pixel."""
-        count = dr.opaque(mi.UInt32, samples)  # a pilot has another one, and shall have the same kernel
+    def camera_numbers(
+        self, lanes: mi.UInt32, samples: int, seed: int, iteration: int, role: str = "camera"
+    ) -> SampleSource:
+        """Random numbers of the camera paths ``lanes``, of which ``samples`` consecutive ones belong to a pixel."""
+        count = dr.opaque(mi.UInt32, samples)  # opaque, so that pilot and passes share a kernel
         pixel = lanes // count
         number = lanes - pixel * count
         if self.settings.sampler == "independent":
@@ -228,9 +244,10 @@ class ImageMethod(ABC):
             return source
         return SharedFilm(source, self._film_numbers(number, samples, seed, iteration, role))
 
-    def _film_numbers(self, number: Any, samples: int, seed: int, iteration: int, role: str) -> SampleSource:
-        """Numbers of the film's end of the camera paths ``number`` of a pixel: the same in all pixels, and even at
-        least within a pass, since what they lack all pixels lack."""
+    def _film_numbers(self, number: mi.UInt32, samples: int, seed: int, iteration: int, role: str) -> SampleSource:
+        """Numbers for the offset in the pixel of the camera paths ``number`` of a pixel. They are the same in all
+        pixels, and stratified within a pass for any ``sampler``, because their error would be the same in all
+        pixels."""
         if self.one_place:
             number, samples = mi.UInt32(0), 1
         if self.settings.sampler == "independent":
@@ -239,24 +256,25 @@ class ImageMethod(ABC):
         return OwenSobolSource(mi.UInt32(0), index, seed, role + " film", high)
 
     def light_numbers(self, lanes: Lanes, paths: int, seed: int, iteration: int, role: str = "light") -> SampleSource:
-        """Random numbers of the light paths ``lanes`` of the ``paths`` that a pass traces."""
+        """Random numbers of the light paths ``lanes``; ``paths``: all light paths of a pass."""
         if self.settings.sampler == "independent":
             lane, high = lanes.numbers()
             return IndependentSource(lane, seed, role, iteration, high)
         index, high = lanes.numbers(iteration * paths)
         return OwenSobolSource(dr.zeros(mi.UInt32), index, seed, role, high)
 
-    def kept(self, radiance: Any) -> tuple[Any, Any]:
-        """(radiance of camera paths that counts, mask of those that were not finite); for :class:`CameraSettings`."""
+    def kept(self, radiance: mi.Color3f) -> tuple[mi.Color3f, mi.Bool]:
+        """(radiance of camera paths, clamped, 0 where it is not finite; mask of lanes where it is not finite). For
+        methods with :class:`CameraSettings`."""
         radiance, bad = keep_finite(radiance)
         if self.settings.clamp > 0.0:
             most = dr.opaque(mi.Float, self.settings.clamp)
             radiance *= most / dr.maximum(dr.max(radiance), most)
         return radiance, bad
 
-    def image(self, values: Any, seed: int, iteration: int) -> Layer:
-        """Colours or scalars of a pass's camera paths, consecutive lanes a pixel, summed into a (height, width,
-        channels) image by the film's filter."""
+    def image(self, values: mi.Color3f | mi.Normal3f | mi.Float, seed: int, iteration: int) -> Layer:
+        """Image (height, width, channels) of the filtered sums over a pass's camera paths. ``values``: colours or
+        scalars, one lane a path, the paths of a pixel consecutive."""
         width, height = self.problem.size
         samples = max(1, dr.width(values) // (height * width))
         if self.camera.independent:
@@ -268,12 +286,12 @@ class ImageMethod(ABC):
             places = self._film_numbers(number, samples, seed, iteration, "camera").next_2d(0, dim.FILM)
             dr.eval(values, places)
             pixels = self.camera.filter.spread(values, *places)
-        # A copy: the device reuses the memory of the raveled array at once.
+        # A copy, because the device reuses the memory of the raveled array.
         return np.array(dr.ravel(pixels), np.float32).reshape(height, width, -1)
 
     def _first_hits(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], float]:
-        """Albedo, shading normal and distance of what the camera sees first, zeros where it sees nothing; and how many
-        values were not finite."""
+        """(albedo, shading normal and distance of the first surfaces, 0 where a ray hits none; number of values that
+        were not finite)."""
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         source = self.camera_numbers(lanes, samples, seed, iteration)
         ray, _, _ = self.camera.primary(lanes // samples, source)
@@ -289,26 +307,26 @@ class ImageMethod(ABC):
 
 
 class SharedFilm:
-    """Numbers of camera paths, those of the place in the pixel from a source of their own."""
+    """Random numbers of camera paths, with a source of its own for the offset in the pixel."""
 
     def __init__(self, base: SampleSource, film: SampleSource) -> None:
         self._base, self._film = base, film
 
-    def next_1d(self, vertex: Any, component: int) -> Any:
+    def next_1d(self, vertex: mi.UInt32 | int, component: int) -> mi.Float:
         """See :class:`SampleSource`."""
         return self._base.next_1d(vertex, component)
 
-    def next_2d(self, vertex: Any, component: int) -> tuple[Any, Any]:
+    def next_2d(self, vertex: mi.UInt32 | int, component: int) -> tuple[mi.Float, mi.Float]:
         """See :class:`SampleSource`."""
         on_film = isinstance(vertex, int) and vertex == 0 and component == dim.FILM
         return (self._film if on_film else self._base).next_2d(vertex, component)
 
-    def decide(self, vertex: Any, component: int) -> Any:
+    def decide(self, vertex: mi.UInt32 | int, component: int) -> mi.Float:
         """See :class:`SampleSource`."""
         return self._base.decide(vertex, component)
 
 
-def _places(number: Any, first: int) -> tuple[Any, Any]:
+def _places(number: mi.UInt32, first: int) -> tuple[mi.UInt32, mi.UInt32]:
     """(lower word, upper word) of ``first`` plus a number."""
     start = dr.opaque(mi.UInt32, first & _WORD)
     lower = start + number
@@ -316,26 +334,26 @@ def _places(number: Any, first: int) -> tuple[Any, Any]:
     return lower, dr.opaque(mi.UInt32, (first >> 32) & _WORD) + carry
 
 
-def keep_finite(value: Any) -> tuple[Any, Any]:
-    """``value`` with non-finite lanes set to zero, and their mask: they are counted, never written to a picture."""
+def keep_finite(value: V) -> tuple[V, mi.Bool]:
+    """(``value`` with non-finite lanes set to 0, mask of these lanes)."""
     good = dr.all(dr.isfinite(value))
     return dr.select(good, value, 0.0), ~good
 
 
 def with_image(layers: dict[str, Layer]) -> dict[str, Layer]:
-    """``layers`` with the image, their sum, where it is not among them."""
+    """``layers`` with ``image`` added, as their sum, if it is missing."""
     if "image" in layers:
         return layers
-    # In single precision as long as only one pass is in it: memory traffic counts here.
+    # In single precision, which is enough for one pass and needs less memory traffic.
     return {"image": functools.reduce(np.add, layers.values())} | layers
 
 
-def total(values: Any) -> float:
+def total(values: mi.UInt32 | mi.Bool) -> float:
     """Sum over all lanes of an evaluated array of counts or flags."""
     return float(np.asarray(values).sum(dtype=np.float64))
 
 
 def corners(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """Two corners of the box around a scene."""
+    """Lower and upper corner of a scene's bounding box."""
     box = problem.scene.bbox()
     return np.asarray(box.min, float).ravel(), np.asarray(box.max, float).ravel()

@@ -1,17 +1,18 @@
-r"""Bidirectional path tracing, bidirectional photon mapping, and their union, vertex connection and merging.
+r"""Bidirectional path tracing, bidirectional photon mapping, and their combination, vertex connection and merging.
 
-One estimator with switches. A pass traces N light sub-paths, stores their vertices, then one camera sub-path per
-sample; at each camera vertex it takes what every technique offers, weighted against all others [Georgiev 2012, eq. 9]:
+One estimator whose techniques can be switched on and off. A pass traces N light sub-paths and stores their vertices,
+then traces one camera sub-path per sample; at each camera vertex it adds the contributions of all techniques, with
+their MIS weights [Georgiev 2012, eq. 9]:
 
 .. math::
     I = \sum_{s,t} \frac{1}{n_{VC}} w^{VC}_{s,t} \frac{f}{p^{VC}_{s,t}}
       + \sum_{s \ge 2, t \ge 2} \frac{1}{n_{VM}} w^{VM}_{s,t} \frac{f^{VM}}{p^{VM}_{s,t}}
 
 - ``bpt``: emission hits, next event, connections, camera splats. Unbiased.
-- ``bpm``: merging only, and lights seen directly or through mirrors and glass. Consistent.
+- ``bpm``: merging, and hits on lights seen directly or through mirrors and glass. Consistent.
 - ``vcm``: all of them. Consistent: the merge radius shrinks as :math:`r_i = r_1 i^{(\alpha - 1)/2}`.
 
-Limits: a caustic of a point light seen in a mirror is made by merging alone, blurred by the radius.
+Limit: a caustic of a point light that is seen in a mirror is found by merging only, blurred by the radius.
 """
 
 from __future__ import annotations
@@ -24,12 +25,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import Carrying, IndependentSource, OptionError, State, free_memory, logger, setting
+from etendue.core import Carrying, IndependentSource, OptionError, State, free_memory, logger
 from etendue.density import HashGrid
 from etendue.scene import Problem
 from etendue.transport import (
     PICK_BLOCK,
-    PYRAMID_MAX,
     CameraSink,
     CameraWalk,
     Gather,
@@ -41,7 +41,6 @@ from etendue.transport import (
     Splats,
     SplatSink,
     Techniques,
-    dimensions,
     needs_interaction,
 )
 
@@ -50,7 +49,6 @@ from . import radius as radii
 from .base import (
     PILOT_PATHS,
     STEP_LANES,
-    CameraSettings,
     ImageMethod,
     ImageSettings,
     Lanes,
@@ -59,68 +57,13 @@ from .base import (
     total,
     with_image,
 )
+from .bidirectional_settings import BidirectionalSettings, BpmSettings, BptSettings
 from .store import STORE_SHARE, VertexRoom
-
-
-@dataclass(frozen=True)
-class BidirectionalSettings(CameraSettings):
-    """Settings of ``bpt``, ``bpm`` and ``vcm``."""
-
-    rr_depth: int = setting(2, "path edges after which Russian roulette by throughput begins", minimum=1)
-    connecting: bool = setting(True, "connect vertices: emission hits, next event, connections, camera splats")
-    merging: bool = setting(True, "merge camera vertices with light vertices around them")
-    connections: int = setting(
-        1,
-        "light vertices that each camera vertex is connected to (light_source=cache)",
-        minimum=0,
-        maximum=dimensions.CONNECT_MAX,
-    )
-    next_events: int = setting(
-        1, "light points drawn at each camera vertex", minimum=0, maximum=dimensions.NEXT_EVENT_MAX
-    )
-    light_source: str = setting(
-        "cache",
-        "connect to vertices drawn from all light paths (cache), or to all of the path of the same number (path)",
-        choices=("cache", "path"),
-    )
-    heuristic: str = setting("balance", "weights of the techniques", choices=("balance", "power"))
-    merge_first: bool = setting(True, "merge at the first camera vertex too")
-    light_paths: float = setting(0.5, "light paths traced per camera path", above=0.0, maximum=64.0)
-    radius: float = setting(0.006, "first merge radius, in the unit of radius_unit", above=0.0)
-    radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
-    radii: str = setting(
-        "",
-        "further merge radii in the same run, as factors of radius such as 0.5,2: each gives a layer, radius_0.5",
-    )
-    alpha: float = setting(0.75, "radius reduction: r_i = radius i^((alpha - 1) / 2)", above=0.0, maximum=1.0)
-    eta_discount: float = setting(
-        0.25,
-        "factor on merging's sample count in the weights; below 1 trusts correlated merges less",
-        above=0.0,
-        maximum=1.0,
-    )
-    shadow_roulette: float = setting(
-        0.1,
-        "contributions below this share of the picture's mean play roulette before their shadow ray; 0: none do",
-        minimum=0.0,
-    )
-    split_layers: bool = setting(
-        False, "keep a layer for each technique family, beside their sum; costs 5 to 10 % of the time"
-    )
-    pyramid: bool = setting(False, "keep a layer for each technique, (s, t), weighted and unweighted")
-    pyramid_depth: int = setting(
-        5, "edges of the longest paths that the pyramid shows by technique", minimum=1, maximum=PYRAMID_MAX
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if radii.factors(self.radii) and not self.merging:
-            raise OptionError(f"option 'radii' is about merging, which is off; leave it out, not '{self.radii}'")
 
 
 @dataclass
 class _Run:
-    """What one round of light paths and camera paths is made of."""
+    """Parameters of one group of light paths and camera paths."""
 
     role: str  #: prefix of the seed roles
     iteration: int
@@ -129,25 +72,26 @@ class _Run:
     light: Lanes  #: the light paths
     camera: mi.UInt32  #: numbers of the camera paths
     pixel: mi.UInt32  #: their pixels
-    samples: int  #: of a pixel
+    samples: int  #: camera paths of a pixel
     splats: Splats | None
     pyramid: Pyramid | None
     capacity: int  #: of the vertex store
 
 
-def _joined(colours: list[mi.Color3f]) -> mi.Color3f:
-    """Colours of several groups of lanes as one."""
+def _concatenated(colours: list[mi.Color3f]) -> mi.Color3f:
+    """Colours of several groups of lanes as one array."""
     return colours[0] if len(colours) == 1 else mi.Color3f(*(dr.concat([c[i] for c in colours]) for i in range(3)))
 
 
 class Bidirectional(Carrying, ImageMethod):
-    """The estimator; ``bpt``, ``bpm`` and ``vcm`` are this with other defaults."""
+    """The estimator, of which ``bpt``, ``bpm`` and ``vcm`` have different default settings."""
 
     Settings: ClassVar[type[ImageSettings]] = BidirectionalSettings
+    settings: BidirectionalSettings
     citations: ClassVar[tuple[str, ...]] = ("Georgiev2012", "Georgiev2012b", "Hachisuka2012", "Davidovic2014")
 
     def prepare(self, problem: Problem, seed: int) -> None:
-        """Tables, merge radius, and a pilot light pass that measures how much room the vertices of a pass take."""
+        """See :class:`ImageMethod`. A pilot pass measures the number of light vertices and the mean radiance."""
         self._forget_states()
         super().prepare(problem, seed)
         s = self.settings
@@ -162,10 +106,11 @@ class Bidirectional(Carrying, ImageMethod):
         )
         if s.connecting and not self.camera.can_splat:
             logger.info(
-                "light paths cannot be joined to this sensor: what only they find is made by merging, or not at all"
+                "light paths cannot be connected to this sensor: caustics that only splats find are missing, or found "
+                "by merging"
             )
         self._factors = (1.0, *radii.factors(s.radii))
-        self.one_place = s.pyramid  # its pictures are filtered once, at the end of a pass
+        self.one_place = s.pyramid  # the pictures of a pyramid are filtered once, at the end of a pass
         self._check_pyramid(problem.memory)
         self._indexed = needs_interaction(problem.scene)
         self._box = corners(problem)
@@ -184,25 +129,28 @@ class Bidirectional(Carrying, ImageMethod):
         return STEP_LANES if self.settings.merging or self.settings.pyramid else super().full_lanes()
 
     def _check_pyramid(self, memory: int | None) -> None:
-        """Raises :class:`OptionError` if the layers of a pyramid do not fit into memory beside the light vertices."""
+        """Raise :class:`OptionError` if the layers of the pyramid and the light vertices do not fit into memory."""
         if not self.settings.pyramid:
             return
         depth, camera = self.settings.pyramid_depth, self.camera
         needed = Pyramid.bytes(self.techniques, depth, camera.pixels)
-        what = f"a technique pyramid of depth {depth} at {camera.width}x{camera.height} takes {needed / 1e6:.0f} MB"
-        how = "lower pyramid_depth or the size"
+        what = f"a technique pyramid of depth {depth} at {camera.width}x{camera.height} needs {needed / 1e6:.0f} MB"
+        how = "lower pyramid_depth or the picture's size"
         if memory is not None and needed > (1.0 - STORE_SHARE) * memory:
             least = needed / (1.0 - STORE_SHARE) / 1e6
-            raise OptionError(f"{what}, too much for a limit of {memory / 1e6:.0f} MB; {how}, or give {least:.0f} MB")
+            raise OptionError(
+                f"{what}, too much for a memory limit of {memory / 1e6:.0f} MB; {how}, or raise the limit to "
+                f"{least:.0f} MB"
+            )
         free = free_memory()
         if free is not None and needed > free:
-            raise OptionError(f"{what}, and {free / 1e6:.0f} MB are free; {how}")
+            raise OptionError(f"{what}, but only {free / 1e6:.0f} MB are free; {how}")
 
     # ------------------------------------------------------------------ pilots
 
     def _pilot(self, seed: int) -> None:
-        """Measure how many vertices a light path stores and how bright the picture is, by a small pass under seed roles
-        of its own."""
+        """Measure the vertices of a light path and the mean radiance of the picture, by a small pass with its own seed
+        roles."""
         self._dark = 0.0
         paths = min(PILOT_PATHS, self._paths)
         samples = min(PILOT_PATHS, self.camera.pixels)
@@ -217,29 +165,29 @@ class Bidirectional(Carrying, ImageMethod):
         if splats:
             splatted = splats.sums(self.camera.height, self.camera.width)[0]
             mean += float(splatted.mean(dtype=np.float64)) / paths
-        # In coarse steps: the order of atomic additions must not move what random numbers are compared with.
+        # Rounded to steps, so that the order of atomic additions in the pilot does not change the picture.
         brightness = 2.0 ** (round(4.0 * math.log2(mean)) / 4.0) if mean > 0.0 else 0.0
         self._dark = self.settings.shadow_roulette * brightness
 
     @property
     def _more_radii(self) -> tuple[str, ...]:
-        """Layers of the radii after the first."""
+        """Layers of the additional radii."""
         return tuple(radii.layer(factor) for factor in self._factors[1:])
 
     def _splats(self) -> Splats | None:
         return Splats(self.camera.pixels, len(self._factors)) if self.techniques.splat else None
 
     def _count_groups(self) -> int:
-        """Into how many groups the light paths of a pass are split, so that their vertices fit into memory, and they
-        into a kernel."""
+        """Number of groups into which the light paths of a pass are divided, so that the vertices of a group fit into
+        memory and its paths into a kernel."""
         groups = self._room.groups(self._paths)
         if groups > 1:
             needed = self._room.bytes(self._paths) / 1e6
-            logger.info("light vertices of a pass take %.0f MB: traced in %d groups", needed, groups)
+            logger.info("light vertices of a pass need %.0f MB; light paths are traced in %d groups", needed, groups)
         return max(groups, -(-self._paths // base.MOST_LIGHT_LANES))
 
     def _left(self) -> State:
-        """Groups of light paths, and vertices of a path, which a pass that found too little room has changed."""
+        """Number of groups and vertices of a light path, which change if the capacity was too small for a pass."""
         return {"groups": self._groups, "vertices_per_path": self._room.per_path}
 
     def _take(self, state: State) -> None:
@@ -248,7 +196,7 @@ class Bidirectional(Carrying, ImageMethod):
     # ------------------------------------------------------------------ a pass
 
     def radius(self, iteration: int) -> float:
-        """Merge radius of a pass, scene units [Georgiev 2012, eq. 10]; ``iteration`` counts from 0."""
+        """Merge radius of a pass, in units of the render space [Georgiev 2012, eq. 10]; ``iteration`` counts from 0."""
         return radii.reduced(self._first_radius, iteration, self.settings.alpha)
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
@@ -266,15 +214,16 @@ class Bidirectional(Carrying, ImageMethod):
             run = _Run("", iteration, seed, radius, light, camera, pixel, samples, splats, pyramid, capacity)
             radiance, counts = self._trace(run)
             if not self._room.held(counts["light_vertices"], light.count):
-                self._groups = self._count_groups()  # the pilot guessed too low: the whole pass again, with more room
+                self._groups = self._count_groups()  # the capacity was too small: repeat the whole pass
                 return self.render_pass(iteration, seed, samples)
             parts.append(radiance)
             counters = {name: value + counts[name] for name, value in counters.items()}
 
-        layers = {name: self.image(_joined([part[name] for part in parts]), seed, iteration) for name in parts[0]}
+        radiance = {name: _concatenated([part[name] for part in parts]) for name in parts[0]}
+        layers = {name: self.image(values, seed, iteration) for name, values in radiance.items()}
         counters["paths"] = float(self.camera.pixels * samples + self._paths)
         if splats:
-            # A splat is one of N / samples chances per camera path, and the layers' weight is the pass's samples.
+            # Splats are sums over N light paths; the weight of the layers is the number of samples.
             splatted = splats.sums(self.camera.height, self.camera.width) * (samples / self._paths)
             names = ("splat" if s.split_layers else "image", *self._more_radii)
             for name, image in zip(names, splatted, strict=True):
@@ -285,16 +234,16 @@ class Bidirectional(Carrying, ImageMethod):
         return with_image(layers) | more, counters
 
     def _mis(self, radius: float, paths: int) -> Mis:
-        """Weights of a pass that merges with ``paths`` light paths."""
+        """MIS weights of a pass that merges with ``paths`` light paths."""
         area = np.pi * radius * radius * paths * self.settings.eta_discount
         etas = [dr.opaque(mi.Float, area * factor**2) for factor in self._factors]
         return Mis(self.techniques, etas, dr.opaque(mi.Float, self._paths / self.samples_per_iteration))
 
     def _trace(self, run: _Run) -> tuple[dict[str, mi.Color3f], dict[str, float]]:
-        """Light paths, then camera paths. Kernels are queued without waiting for one another, so that Python traces the
-        next while one runs. Returns radiance by technique family, a lane a camera path, and counters."""
+        """Trace light paths, then camera paths. Kernels are queued without waiting, so that one runs while Python
+        traces the next. Returns (radiance by technique family, one lane a camera path; counters)."""
         paths = run.light.count
-        dr.make_opaque(run.camera, run.pixel)  # however they were made, pilot and passes share their kernels
+        dr.make_opaque(run.camera, run.pixel)  # so that pilot and passes share kernels
         mis = self._mis(run.radius, paths)
         common = {"camera": self.camera, "mis": mis, "dark": dr.opaque(mi.Float, self._dark)}
         connecting = self.techniques.connection > 0
@@ -316,8 +265,8 @@ class Bidirectional(Carrying, ImageMethod):
 
         picks = IndependentSource(run.camera // PICK_BLOCK, run.seed, run.role + "connect", run.iteration)
         cache, gather = self._cache(vertices, paths, picks), self._gather(vertices, paths, run.radius)
-        seen = CameraSink(pyramid=run.pyramid, split_layers=self.settings.split_layers, more_radii=self._more_radii)
-        walk = self.walker(CameraWalk, **common, sink=seen, cache=cache, gather=gather)
+        layers = CameraSink(pyramid=run.pyramid, split_layers=self.settings.split_layers, more_radii=self._more_radii)
+        walk = self.walker(CameraWalk, **common, sink=layers, cache=cache, gather=gather)
         source = self.camera_numbers(run.camera, run.samples, run.seed, run.iteration, run.role + "camera")
         radiance, rays = walk.trace(run.pixel, source)
         bad = {}
@@ -325,7 +274,7 @@ class Bidirectional(Carrying, ImageMethod):
             radiance[name], bad[name] = self.kept(value)
         if run.pyramid:
             dr.schedule(run.pyramid.array)
-        dr.eval(radiance, rays, bad)  # the one launch of the camera pass
+        dr.eval(radiance, rays, bad)  # one kernel
         return radiance, {
             "rays": total(rays) + total(light_rays),
             "light_vertices": float(vertices.wanted[0]) if vertices else 0.0,
@@ -333,7 +282,7 @@ class Bidirectional(Carrying, ImageMethod):
         }
 
     def _cache(self, vertices: LightVertices | None, paths: int, picks: IndependentSource) -> LightCache | None:
-        """The stored vertices made ready for connecting."""
+        """The stored vertices, numbered for connections."""
         if not vertices or not self.techniques.connection:
             return None
         pairs = self.settings.light_source == "path"
@@ -344,7 +293,7 @@ class Bidirectional(Carrying, ImageMethod):
         return LightCache(vertices, count, factor, dr.opaque(mi.UInt32, paths), None if pairs else picks)
 
     def _gather(self, vertices: LightVertices | None, paths: int, radius: float) -> Gather | None:
-        """The stored vertices made ready for merging."""
+        """The stored vertices, sorted for merging."""
         if not vertices or not self.techniques.merge:
             return None
         positions, _, held = vertices.positions()
@@ -355,37 +304,16 @@ class Bidirectional(Carrying, ImageMethod):
         return Gather(grid, vertices.sorted_by(grid.destination), factors, limits)
 
 
-@dataclass(frozen=True)
-class BptSettings(BidirectionalSettings):
-    """Settings of ``bpt``."""
-
-    merging: bool = setting(False, "merge camera vertices with light vertices around them")
-    connections: int = setting(
-        2,
-        "light vertices that each camera vertex is connected to (light_source=cache)",
-        minimum=0,
-        maximum=dimensions.CONNECT_MAX,
-    )
-
-
 class Bpt(Bidirectional):
-    """Bidirectional path tracing: every connection, no merging."""
+    """Bidirectional path tracing: all techniques that connect vertices, no merging."""
 
     name: ClassVar[str] = "bpt"
     Settings: ClassVar[type[ImageSettings]] = BptSettings
     citations: ClassVar[tuple[str, ...]] = ("LafortuneWillems1993", "VeachGuibas1995", "Davidovic2014", "Georgiev2012b")
 
 
-@dataclass(frozen=True)
-class BpmSettings(BidirectionalSettings):
-    """Settings of ``bpm``."""
-
-    connecting: bool = setting(False, "connect vertices: emission hits, next event, connections, camera splats")
-    light_paths: float = setting(1.0, "light paths traced per camera path", above=0.0, maximum=64.0)
-
-
 class Bpm(Bidirectional):
-    """Bidirectional photon mapping: merging alone, at every camera vertex."""
+    """Bidirectional photon mapping: merging at every camera vertex, no connections."""
 
     name: ClassVar[str] = "bpm"
     Settings: ClassVar[type[ImageSettings]] = BpmSettings
@@ -393,6 +321,6 @@ class Bpm(Bidirectional):
 
 
 class Vcm(Bidirectional):
-    """Vertex connection and merging: every technique, weighted against every other."""
+    """Vertex connection and merging: all techniques, combined by multiple importance sampling."""
 
     name: ClassVar[str] = "vcm"

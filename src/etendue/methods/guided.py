@@ -1,16 +1,16 @@
-r"""Path tracing that learns where light comes from.
+r"""Path guiding: path tracing that learns the incident light while it renders.
 
-The estimator is that of ``path``. Directions are drawn from the BSDF and a :class:`~etendue.transport.Guide` in turn,
-and weighted against light points by the density of both together. The guide holds, for each cell of the scene and each
-leaf of a quadtree over its directions, the mean of what paths found there [Muller 2017]:
+The estimator is that of ``path``. Directions are sampled from a mixture of the BSDF and a
+:class:`~etendue.transport.Guide`; the density of the mixture enters the MIS weights of light points. The guide has, for
+each cell of the scene and each leaf of a quadtree over the directions, the mean contribution of paths [Muller 2017]:
 
 .. math:: \int_{leaf} f_s(x, \omega) |cos| L(x, \omega) d\omega
 
-with L as it counts in the picture, so what light points already see is not learned again. Training goes in generations,
-each of twice as many passes as the one before; a generation begins with the trees refined by the last one and sums of
-zero. Every pass counts in the picture with a weight that its generation alone decides, so the mean is unbiased
-[Muller 2019 weights by measured variances instead, which is not]. What the cells found also decides which light points
-are drawn on, and roulette [Vorba 2016].
+where L has the MIS weights of the picture, so that light found by light points at x counts little. Training has
+generations; each has twice as many passes as the one before, and starts with refined trees and empty sums. The weight
+of a pass in the picture depends only on its generation, so the mean is unbiased; weights by measured variances
+[Muller 2019] would be biased. The guide also learns the selection of lights, and Russian roulette uses its estimates
+[Vorba 2016].
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from .base import STEP_LANES, ImageMethod, ImageSettings, Layer, total
 from .path import Path, PathSettings
 from .store import STORE_SHARE
 
-#: Camera paths of a pass that are learned from at most.
+#: Most camera paths of a pass that give training samples.
 _PATHS = 1 << 18
 
 
@@ -40,36 +40,48 @@ class GuidedSettings(PathSettings):
     """Settings of ``guided``."""
 
     generations: int = setting(
-        7, "generations of training, of 1, 2, 4, ... passes; then the guide stays; 0 is path", minimum=0, maximum=24
+        7,
+        "generations of training, of 1, 2, 4, ... passes; the guide is fixed after the last one; 0: no guide",
+        minimum=0,
+        maximum=24,
     )
-    share: float = setting(0.6, "probability with which a direction is drawn from the guide", above=0.0, maximum=0.99)
-    learn_lights: bool = setting(True, "learn for each cell which light to draw points on; with up to 16 lights")
+    share: float = setting(
+        0.6, "probability of sampling a direction from the guide, else from the material", above=0.0, maximum=0.99
+    )
+    learn_lights: bool = setting(
+        True, "learn for each cell the probabilities of the lights in next event estimation, with up to 16 lights"
+    )
     cell_samples: int = setting(
         4000,
-        "vertices in a cell above which it is divided, after the first generation; grows with the root of the passes",
+        "number of training samples above which a cell is divided, after a generation of one pass; times the root "
+        "of the number of passes in later generations",
         minimum=100,
     )
     leaf_share: float = setting(
-        0.02, "share of a cell's light above which a leaf of its directions is divided", minimum=0.001, maximum=1.0
+        0.02,
+        "share of the light of a cell above which a leaf of its quadtree of directions is divided",
+        minimum=0.001,
+        maximum=1.0,
     )
     first_weight: float = setting(
         0.125,
-        "weight in the picture of the pass before anything is learned; doubles with each generation, to 1",
+        "weight of the first pass, which is not guided, in the picture; doubles with each generation, up to 1",
         above=0.0,
         maximum=1.0,
     )
 
 
 class Guided(Carrying, ImageMethod):
-    """Path tracing guided by a density over directions that it learns, cell by cell of the scene."""
+    """Path tracing with directions sampled from a learned density for each cell of the scene."""
 
     name: ClassVar[str] = "guided"
     Settings: ClassVar[type[ImageSettings]] = GuidedSettings
+    settings: GuidedSettings
     citations: ClassVar[tuple[str, ...]] = ("Muller2017", "Muller2019", "Vorba2016", "Shirley1997", *Path.citations)
     carries_on: ClassVar[bool] = True
 
     def prepare(self, problem: Problem, seed: int) -> None:
-        """A guide that knows nothing."""
+        """See :class:`ImageMethod`; the guide is untrained."""
         self._forget_states()
         super().prepare(problem, seed)
         box = problem.scene.bbox()
@@ -78,14 +90,14 @@ class Guided(Carrying, ImageMethod):
         self._guide = Guide(lower, upper, self.lights if learned else None)
         self._generation = 0
         self._passes = 0  # of this generation
-        self._unit = 0.0  # mean light of a path, once it is known
-        self._forget()
+        self._unit = 0.0  # mean luminance of a path; 0 before the first pass with light
+        self._clear_sums()
 
     def full_lanes(self) -> int:
         """See :class:`ImageMethod`."""
         return STEP_LANES
 
-    def _forget(self) -> None:
+    def _clear_sums(self) -> None:
         self._found = dr.zeros(mi.UInt64, self._guide.places)
         self._seen = dr.zeros(mi.UInt32, self._guide.places)
         self._brought = dr.zeros(mi.UInt64, self._guide.cells * max(1, self._guide.light_count))
@@ -93,7 +105,7 @@ class Guided(Carrying, ImageMethod):
     # ------------------------------------------------------------------ a pass
 
     def _step(self, iteration: int, seed: int) -> Measurement:
-        """One pass, in the weight of its generation."""
+        """One pass, with the weight of its generation."""
         weight = min(1.0, self.settings.first_weight * 2.0**self._generation)
         measurement = super()._step(iteration, seed)
         measurement.scale(weight)
@@ -120,7 +132,7 @@ class Guided(Carrying, ImageMethod):
         return {"image": self.image(radiance, seed, iteration)}, counters
 
     def _stride(self, lanes: int) -> int:
-        """One in so many paths is learned from."""
+        """One path in so many gives training samples."""
         most = _PATHS
         if self.problem.memory:
             most = max(1, min(most, int(STORE_SHARE * self.problem.memory / TrainingSamples.path_bytes)))
@@ -129,7 +141,7 @@ class Guided(Carrying, ImageMethod):
     # ------------------------------------------------------------------ learning
 
     def _learn(self, collected: TrainingSamples, found: mi.Float) -> None:
-        """Count what the paths of a pass found, and take it over at the end of a generation."""
+        """Add the training samples of a pass to the sums, and update the guide at the end of a generation."""
         if self._unit <= 0.0:
             self._unit = float(np.asarray(found).mean(dtype=np.float64))
         if self._unit > 0.0:
@@ -151,17 +163,17 @@ class Guided(Carrying, ImageMethod):
         )
         self._generation += 1
         self._passes = 0
-        self._forget()
+        self._clear_sums()
 
     def develop(self, measurement: Measurement, state: State) -> Result:
-        """Weighted mean over the passes; the metadata say how large the guide is."""
+        """Weighted mean over the passes; the metadata contain the size of the guide."""
         result = super().develop(measurement, state)
         size = {"cells": self._guide.cells, "places": len(state["found"])}
         result.metadata["guide"] = {"generation": state["generation"]} | size
         return result
 
     def _left(self) -> State:
-        """The guide, and what was found since it was changed last."""
+        """The guide, and the sums of the current generation."""
         return {
             "generation": self._generation,
             "passes": self._passes,
@@ -176,7 +188,7 @@ class Guided(Carrying, ImageMethod):
         found, seen = np.asarray(state["found"], np.uint64), np.asarray(state["seen"], np.uint32)
         self._guide.restore(state["guide"])
         if (len(found), len(seen)) != (self._guide.places, self._guide.places):
-            raise CheckpointError("the checkpoint's guide is damaged; start anew")
+            raise CheckpointError("the guide in the checkpoint is damaged; start a new run")
         self._generation, self._passes, self._unit = (
             int(state["generation"]),
             int(state["passes"]),

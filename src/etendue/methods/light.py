@@ -1,11 +1,12 @@
-r"""Light tracing: paths from the lights, every vertex joined to the camera.
+r"""Light tracing: paths from the lights, every vertex of which is connected to the camera.
 
 Estimator [Arvo 1986; Veach 1997, ch. 10], N light sub-paths of vertices y_0 (light), y_1, ...:
 
 .. math:: I = \frac{1}{N} \sum_{i=1}^{N} \sum_j \alpha_j f_s^*(y_j) \, G(y_j, z_0) \, W_e
 
-Emitters seen directly are made by points on their surface, joined to the camera as well. Good at caustics of small
-lights. Limits: what the camera sees through a mirror or smooth glass stays black: no edge can be drawn to it.
+Emitters seen directly are rendered by points sampled on them, which are connected to the camera, too. Suited to
+caustics of small lights. Limit: surfaces seen through mirrors or smooth glass are black, because their vertices cannot
+be connected to the camera.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from etendue.transport import dimensions as dim
 from . import base
 from .base import ImageMethod, ImageSettings, Lanes, Layer, total
 
-#: Share of its length by which a shadow ray stops short of a light.
+#: Part of its length by which a shadow ray ends before a light.
 _SHADOW_EPSILON = 1e-3
 
 
@@ -32,7 +33,7 @@ _SHADOW_EPSILON = 1e-3
 class LightSettings(ImageSettings):
     """Settings of ``light``."""
 
-    light_paths: float = setting(1.0, "light paths traced per sample of a pixel", above=0.0, maximum=64.0)
+    light_paths: float = setting(1.0, "light paths per pixel and sample; more: less noise", above=0.0, maximum=64.0)
 
 
 class LightTracing(ImageMethod):
@@ -40,14 +41,17 @@ class LightTracing(ImageMethod):
 
     name: ClassVar[str] = "light"
     Settings: ClassVar[type[ImageSettings]] = LightSettings
+    settings: LightSettings
     citations: ClassVar[tuple[str, ...]] = ("Arvo1986", "Veach1997")
 
     def prepare(self, problem: Problem, seed: int) -> None:
-        """See :class:`ImageMethod`; raises :class:`UnsupportedError` for a sensor that nothing can be joined to."""
+        """See :class:`ImageMethod`. Raises :class:`UnsupportedError` for a sensor that points cannot be connected
+        to."""
         super().prepare(problem, seed)
         if not self.camera.can_splat:
             raise UnsupportedError(
-                "light paths cannot be joined to this sensor, so 'light' would render nothing; use another method"
+                "light paths cannot be connected to this sensor, so 'light' would render a black picture; use another "
+                "method"
             )
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
@@ -78,7 +82,7 @@ class LightTracing(ImageMethod):
         return layers, counters
 
     def _seen_directly(self, source: SampleSource, paths: int, sink: SplatSink) -> tuple[mi.UInt32, mi.Bool]:
-        """Join points of the lights themselves to the camera (s = 1, t = 1); (rays, non-finite values)."""
+        """Connect points on the lights to the camera (s = 1, t = 1). Returns (rays, non-finite values)."""
         active = dr.full(mi.Bool, True, paths)
         light = self.lights.pick(source.next_1d(0, dim.LIGHT_PICK), active)
         u = mi.Point2f(*source.next_2d(0, dim.LIGHT_POINT))
@@ -105,8 +109,8 @@ class LightTracing(ImageMethod):
         distance = dr.norm(si.p - joined.target)
         reach = distance * (1.0 - _SHADOW_EPSILON)
         if self.lights.has_infinite:
-            # Its density is that of a direction: no cosine, the squared distance cancels, nothing lies behind it, and
-            # its radiance is looked up by the world direction.
+            # The density is that of a direction: no cosine, and the squared distance cancels. The shadow ray is
+            # infinite, and emitters of this kind read ``wi`` as a world direction.
             cos = dr.select(light.is_infinite, dr.square(joined.distance), cos)
             reach = dr.select(light.is_infinite, dr.inf, reach)
             si.wi = dr.select(light.is_infinite, joined.direction, si.wi)
@@ -117,6 +121,7 @@ class LightTracing(ImageMethod):
         active &= place.on_film & ~dr.all(contribution == 0.0)
         rays = ones(active)
         ray = mi.Ray3f(joined.target, -joined.direction, reach, 0.0, mi.Color0f())
-        active, share = self.visibility.along(ray, dr.opaque(mi.UInt32, max(self.max_edges() - 1, 0)), active)
-        contribution *= share
+        crossings = dr.opaque(mi.UInt32, max(self.max_edges() - 1, 0))
+        active, transmittance = self.visibility.along(ray, crossings, active)
+        contribution *= transmittance
         return rays, sink.add(mi.UInt32(1), place, Contribution([contribution], contribution, active, active))

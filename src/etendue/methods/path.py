@@ -1,14 +1,14 @@
-r"""Path tracing from the camera: the reference that every other method is tested against.
+r"""Path tracing from the camera: the reference against which all other methods are tested.
 
 Estimator [Kajiya 1986; Veach 1997, ch. 9 and 10], one camera path of vertices z_0 (sensor), z_1, z_2, ...:
 
 .. math:: L = \sum_j \alpha_j \left( w^e_j L_e(z_j) + w^d_j f_s(z_j) |cos| L_e(y) / p(y) \right)
 
-with the throughput alpha_j, emission where the path hits a light, and one light point y drawn at each vertex. Three
-modes: ``naive`` counts hits only, ``next_event`` counts light points wherever one can be drawn and hits elsewhere,
-``mis`` weighs both by the balance or power heuristic.
+with the throughput alpha_j, emission L_e(z_j) where the path hits a light, and one light point y sampled at each
+vertex. Three modes: ``naive`` uses hits only, ``next_event`` uses light points wherever one can be sampled and hits
+elsewhere, ``mis`` weights both by the balance or power heuristic.
 
-Limits: a point or spot light seen through glass or in a mirror cannot be found at all, a small one only by chance.
+Limits: light of a point or spot light through glass or mirrors is not found; that of a small light is found rarely.
 """
 
 from __future__ import annotations
@@ -30,19 +30,28 @@ class PathSettings(CameraSettings):
     """Settings of ``path``."""
 
     mode: str = setting(
-        "mis", "how lights are found: by hits, by next event, or by both", choices=("naive", "next_event", "mis")
+        "mis",
+        "techniques for light: paths that hit a light (naive), points sampled on lights (next_event), or both, "
+        "combined by multiple importance sampling (mis)",
+        choices=("naive", "next_event", "mis"),
     )
-    heuristic: str = setting("balance", "weights of mode mis", choices=("balance", "power"))
-    bsdf_sampling: bool = setting(True, "draw directions by the materials; else uniformly, as a study may want")
+    heuristic: str = setting(
+        "balance",
+        "heuristic of the weights of mode=mis: balance, or power with exponent 2",
+        choices=("balance", "power"),
+    )
+    bsdf_sampling: bool = setting(
+        True, "sample directions from the material; false: uniformly over sphere or hemisphere, with more noise"
+    )
 
     @property
     def direct_weights(self) -> DirectWeights:
-        """w^e and w^d."""
+        """The weights w^e and w^d."""
         return DirectWeights(self.mode, self.heuristic)
 
     @property
     def proposal(self) -> Proposal:
-        """Samples directions."""
+        """The function that samples directions."""
         return scatter_camera if self.bsdf_sampling else scatter_uniform
 
 
@@ -52,6 +61,7 @@ class Path(ImageMethod):
     name: ClassVar[str] = "path"
     plugin: ClassVar[str | None] = ""
     Settings: ClassVar[type[ImageSettings]] = PathSettings
+    settings: PathSettings
     citations: ClassVar[tuple[str, ...]] = ("Kajiya1986", "Veach1997")
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
@@ -63,13 +73,13 @@ class Path(ImageMethod):
         path = CameraPath.start(ray, walker.max_edges)
         path = walker.walk(path, lambda s: _edge(s, walker, weights, source), "path")
         radiance, bad = self.kept(path.radiance * importance)
-        dr.eval(radiance, path.rays, bad)  # one kernel; the sums below would launch it once each
+        dr.eval(radiance, path.rays, bad)  # in one kernel; the sums below would launch it several times
         counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
         return {"image": self.image(radiance, seed, iteration)}, counters
 
 
 def _edge(s: CameraPath, walker: Walker, weights: DirectWeights, source: SampleSource) -> CameraPath:
-    """The j-th term of the sum: trace the edge to z_j, and scatter there."""
+    """The j-th term of the sum: trace the edge to z_j, and scatter."""
     vertex = walker.arrive(s)
 
     # ---- Emission: alpha_j w^e_j L_e(z_j)
@@ -77,12 +87,12 @@ def _edge(s: CameraPath, walker: Walker, weights: DirectWeights, source: SampleS
     s.radiance[hit.active] += s.throughput * hit.radiance * weights.hit(s.pdf, hit.direct_pdf)
     s.active &= vertex.valid & (s.depth < walker.max_edges)
 
-    # ---- Sample a light point y and a direction; one call of the BSDF evaluates both
+    # ---- Sample a light point y and a direction; one call of the BSDF for both
     lights = [walker.light_point(vertex, source, s.active & vertex.smooth)] if weights.next_event else []
-    scattered, towards = vertex.sample(source, s.active, lights)
+    scattered, evaluated = vertex.sample(source, s.active, lights)
 
     # ---- Next event: alpha_j w^d_j f_s(z_j) |cos| L_e(y) / p(y), if y is visible
-    for light, f in zip(lights, towards, strict=True):
+    for light, f in zip(lights, evaluated, strict=True):
         contribution, visible = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
         s.radiance[visible] += contribution
 

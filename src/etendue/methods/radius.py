@@ -1,4 +1,4 @@
-"""Radii of merging and gathering, in units that a user can think in."""
+"""Radii of merging and gathering, and their units."""
 
 from __future__ import annotations
 
@@ -10,39 +10,40 @@ from etendue.core import IndependentSource, OptionError
 
 from .base import ImageMethod, corners
 
-#: Names of the units; ``absolute_radius`` knows what they are.
+#: Names of the units; see :func:`absolute_radius`.
 UNITS = ("scene", "pixel", "absolute")
 UNIT_DOC = (
-    "unit of radius: half the diagonal of the scene's bounding box (scene), the median size of a pixel on what the "
-    "camera sees first (pixel), or scene units (absolute)"
+    "unit of radius: half the diagonal of the scene's bounding box (scene), the median width of a pixel on the first "
+    "surfaces that camera rays hit (pixel), or scene units (absolute)"
 )
-#: Further radii of one run at most: each takes registers, and four bytes a vertex and pixel more.
+#: Most additional radii of a run; each needs registers and memory.
 MORE_RADII = 4
 
 
 def factors(text: str) -> tuple[float, ...]:
-    """Further radii of a run as factors of its own, from a text such as ``0.5,2``. Raises :class:`OptionError`."""
+    """Additional radii of a run, as factors on its radius, from a text such as ``0.5,2``. Raises :class:`OptionError`
+    for anything else."""
     words = [word.strip() for word in text.split(",")] if text.strip() else []
     try:
         values = tuple(float(word) for word in words)
     except ValueError:
-        raise OptionError(f"option 'radii' wants factors of the radius such as 0.5,2, not '{text}'") from None
+        raise OptionError(f"option 'radii' must be factors on the radius such as 0.5,2, not '{text}'") from None
     if not all(0.0 < value < float("inf") and value != 1.0 for value in values):
-        raise OptionError(f"option 'radii' wants factors of the radius above 0 and other than 1, not '{text}'")
+        raise OptionError(f"option 'radii' must be factors on the radius above 0 and other than 1, not '{text}'")
     if len({layer(value) for value in values}) < len(values):
-        raise OptionError(f"option 'radii' names a factor twice: '{text}'")
+        raise OptionError(f"option 'radii' has a factor twice: '{text}'; remove one")
     if len(values) > MORE_RADII:
-        raise OptionError(f"option 'radii' takes at most {MORE_RADII} factors, not {len(values)}")
+        raise OptionError(f"option 'radii' can have at most {MORE_RADII} factors, not {len(values)}")
     return values
 
 
 def layer(factor: float) -> str:
-    """Name of the picture of a further radius."""
+    """Name of the layer of an additional radius."""
     return f"radius_{factor:g}"
 
 
 def reduced(first: float, iteration: int, alpha: float) -> float:
-    """Radius of a pass, of which ``iteration`` were before it [Georgiev 2012, eq. 10]."""
+    """Radius of the pass with number ``iteration``, from 0 [Georgiev 2012, eq. 10]; ``first``: that of pass 0."""
     return float(first * (iteration + 1) ** ((alpha - 1.0) / 2.0))
 
 
@@ -53,7 +54,7 @@ def half_diagonal(method: ImageMethod) -> float:
 
 
 def absolute_radius(method: ImageMethod, radius: float, unit: str, seed: int) -> float:
-    """``radius`` of a prepared method in units of its render space (``Problem.space``)."""
+    """``radius`` in units of a prepared method's render space (``Problem.space``)."""
     match unit:
         case "absolute":
             return float(radius * method.problem.space.scale)
@@ -63,7 +64,7 @@ def absolute_radius(method: ImageMethod, radius: float, unit: str, seed: int) ->
 
 
 def _pixel_footprint(method: ImageMethod, seed: int) -> float:
-    """Median, over what the camera sees first, of the side of a pixel there."""
+    """Median width of a pixel on the first surfaces that camera rays hit."""
     camera = method.camera
     lanes = dr.arange(mi.UInt32, min(camera.pixels, 1 << 14))
     source = IndependentSource(lanes, seed, "pilot camera", 0)

@@ -1,12 +1,12 @@
-"""The image methods by name: étendue's own, and those of other packages.
+"""The image methods by name: those of étendue and those of other packages.
 
-A package adds a method by an entry point of the group ``etendue.methods``, whose name is the method's::
+A package adds a method by an entry point of the group ``etendue.methods``, named like the method::
 
     [project.entry-points."etendue.methods"]
     occlusion = "my_package:Occlusion"
 
-or a program calls :func:`register`. From then on the method is in the command line, ``compare``, run files, checkpoints
-and Mitsuba's plugins like any other.
+A program can add one by :func:`register`. The method can then be used in the command line, ``compare``, run files,
+checkpoints and as a Mitsuba plugin like any other.
 """
 
 from __future__ import annotations
@@ -47,16 +47,16 @@ _OWN: tuple[type[ImageMethod], ...] = (
     Vcm,
 )
 _methods: dict[str, type[ImageMethod]] = {cls.name: cls for cls in _OWN}
-#: Methods of other packages that could not be loaded, and why.
+#: Methods of other packages that could not be loaded, with the cause.
 _broken: dict[str, str] = {}
 
 
 def register(method: type[ImageMethod]) -> type[ImageMethod]:
-    """Add a method under its ``name``, and return it, so that it serves as a decorator.
+    """Add a method under its ``name``, and return it; can be used as a decorator.
 
-    The same class, or a later version of its source, takes the place of an earlier one. Raises :class:`OptionError` for
-    what is no subclass of :class:`ImageMethod` with ``render_pass`` and ``Settings``, a name that is taken or none, and
-    citations that are not in étendue's bibliography.
+    A class of the same module and name replaces an earlier one. Raises :class:`OptionError` if the argument is not a
+    subclass of :class:`ImageMethod` with ``render_pass`` and ``Settings``, if its name is not valid or already used, or
+    if it cites a paper that is not in étendue's bibliography.
     """
     if not (isinstance(method, type) and issubclass(method, ImageMethod)):
         raise OptionError(f"a method is a subclass of etendue.methods.ImageMethod, not {method!r}")
@@ -70,28 +70,30 @@ def register(method: type[ImageMethod]) -> type[ImageMethod]:
         raise OptionError(f"method {where} needs a name of small letters, digits and underscores, not {name!r}")
     for other in _methods.values():
         if ({name, method.plugin_name()} - {""}) & {other.name, other.plugin_name()} and _place(other) != where:
-            raise OptionError(f"method {where}: the name '{name}' is taken by {_place(other)}; choose another")
+            raise OptionError(f"method {where}: the name '{name}' is used by {_place(other)}; choose another name")
     unknown = sorted(set(method.citations) - bibliography().keys())
     if unknown:
-        raise OptionError(f"method {where} cites {unknown[0]}, which is not in étendue's bibliography; leave it out")
+        raise OptionError(
+            f"method {where} cites {unknown[0]}, which is not in étendue's bibliography; remove the citation"
+        )
     _methods[name] = method
     return method
 
 
 def _place(method: type[ImageMethod]) -> str:
-    """Where a class is from."""
+    """Module and name of a class."""
     return f"{method.__module__}.{method.__qualname__}"
 
 
 def table() -> dict[str, type[ImageMethod]]:
-    """Name to class: étendue's own in the order of the manual, then those of other packages."""
+    """Names and classes: étendue's own in the order of the manual, then those of other packages."""
     _load_entry_points()
     return dict(_methods)
 
 
 def get(name: str) -> type[ImageMethod]:
-    """The class of a method. Raises :class:`OptionError`, with the nearest name, if there is none, or with the cause if
-    its package cannot be loaded."""
+    """The class of a method. Raises :class:`OptionError` if there is none, with the nearest name, or if its package
+    cannot be loaded, with the cause."""
     methods = table()
     if name in methods:
         return methods[name]
@@ -101,17 +103,18 @@ def get(name: str) -> type[ImageMethod]:
 
 
 def by_plugin(name: str) -> type[ImageMethod] | None:
-    """The class of the method that Mitsuba knows as the integrator ``name``, if there is one."""
+    """The class of the method whose Mitsuba integrator has the name ``name``; None if there is none."""
     return next((method for method in table().values() if name and method.plugin_name() == name), None)
 
 
 @functools.cache
 def _load_entry_points() -> None:
-    """Once a process. A package that cannot be loaded costs a warning, and an error where its method is asked for."""
+    """Register the methods of other packages, once a process. One that cannot be loaded causes a warning, and an error
+    when it is used."""
     for point in entry_points(group=GROUP):
         try:
             _register_entry_point(point)
-        except Exception as error:  # a package of others may fail in any way
+        except Exception as error:  # the code of another package can raise anything
             _broken[point.name] = f"{point.value}: {describe(error)}"
             logger.warning("method '%s' of another package cannot be loaded: %s", point.name, _broken[point.name])
 
@@ -120,5 +123,5 @@ def _register_entry_point(point: EntryPoint) -> None:
     method = point.load()
     name = getattr(method, "name", None)
     if name != point.name:
-        raise OptionError(f"the entry point '{point.name}' names a method that calls itself {name!r}")
+        raise OptionError(f"the entry point '{point.name}' refers to a method with the name {name!r}; both must agree")
     register(method)

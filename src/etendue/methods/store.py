@@ -1,4 +1,4 @@
-"""How many light vertices a pass stores, and into what memory they must fit."""
+"""Capacity of the store of light vertices: vertices per light path, and limits by memory."""
 
 from __future__ import annotations
 
@@ -6,38 +6,39 @@ import math
 
 from etendue.core import OptionError
 
-#: Room for light vertices without a memory limit, in bytes, and the share of a limit that they may take.
+#: Memory for light vertices in bytes, if the run has no memory limit; and their share of a limit.
 _BYTES = 600e6
 STORE_SHARE = 0.4
-#: Room beyond what was measured: a factor, and vertices.
+#: Capacity beyond the measured number of vertices: a factor, and vertices.
 _MARGIN = 1.05
 _PAD = 1024
 
 
 class VertexRoom:
-    """Room for the light vertices of a pass.
+    """Capacity of the store of light vertices of a pass.
 
     Parameters
     ----------
-    bytes_per_vertex: device memory that a vertex takes, search structures included.
-    floats_per_vertex: numbers of a vertex in the one array that holds all of them.
-    memory: limit of the whole run in bytes, or None.
+    bytes_per_vertex: device memory of a vertex, including search structures.
+    floats_per_vertex: numbers of a vertex in the array of records.
+    memory: memory limit of the run in bytes, or None.
     """
 
     def __init__(self, bytes_per_vertex: int, floats_per_vertex: int, memory: int | None) -> None:
-        #: Vertices that a light path stores, as a pilot measured it, or a pass that it had guessed too low for.
+        #: Mean number of vertices of a light path, measured by a pilot, or by a pass that had too little capacity.
         self.per_path = 0.0
         self._bytes_per_vertex = bytes_per_vertex
-        # What the device's arrays can number is the limit where memory is not.
+        # A device array has fewer than 2^32 numbers.
         most = ((1 << 32) // floats_per_vertex - 2 * _PAD) * bytes_per_vertex
         self._bytes = min(STORE_SHARE * memory if memory else _BYTES, most)
 
     def capacity(self, paths: int) -> int:
-        """Vertices to make room for when so many light paths are traced."""
+        """Capacity, in vertices, for a number of light paths."""
         return math.ceil(self.per_path * paths * _MARGIN) + _PAD
 
     def held(self, wanted: float, paths: int) -> bool:
-        """Whether the ``wanted`` vertices of so many paths had room; if not, :attr:`per_path` is now what they need."""
+        """Whether the capacity was enough for the ``wanted`` vertices of a number of paths. If not, :attr:`per_path` is
+        updated."""
         if wanted <= self.capacity(paths):
             return True
         self.per_path = wanted / paths
@@ -45,21 +46,21 @@ class VertexRoom:
 
     @property
     def most(self) -> int:
-        """Vertices that fit into memory."""
+        """Most vertices that fit into memory."""
         return max(1, int(self._bytes / (_MARGIN * self._bytes_per_vertex)))
 
     def bytes(self, paths: int) -> float:
-        """Memory that the vertices of so many paths take."""
+        """Memory of the vertices of a number of paths, in bytes."""
         return self.per_path * paths * _MARGIN * self._bytes_per_vertex
 
     def limit_for(self, vertices: int) -> float:
-        """The limit of a run, in bytes, under which :attr:`most` is so many vertices."""
+        """Memory limit of a run, in bytes, for which :attr:`most` is a number of vertices."""
         return vertices * _MARGIN * self._bytes_per_vertex / STORE_SHARE
 
     def groups(self, paths: int) -> int:
-        """Groups to split so many light paths into, so that the vertices of each fit.
+        """Number of groups into which light paths are divided, so that the vertices of a group fit into memory.
 
-        Raises :class:`OptionError` if little more than the padding would."""
+        Raises :class:`OptionError` if the memory limit is too small for any."""
         pad = _PAD * self._bytes_per_vertex
         if self._bytes < 4 * pad:
             given, least = (share / STORE_SHARE / 1e6 for share in (self._bytes, 4 * pad))

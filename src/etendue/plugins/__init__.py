@@ -1,4 +1,4 @@
-"""Registration of étendue's methods and plugins with Mitsuba, under every variant that is set, now or later."""
+"""Registration of étendue's methods and plugins with Mitsuba, under the current and all later variants."""
 
 from .registration import register, register_method
 

@@ -5,19 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import EtendueError, UnsupportedError, check_variant, warn_of_nonfinite
+from etendue.core import EtendueError, Method, UnsupportedError, check_variant, warn_of_nonfinite
 from etendue.engine import Budget, RunError, Runner, RunResult
 from etendue.film import LONGER, PixelFilter, Technique
+from etendue.methods import ImageMethod
 from etendue.scene import Problem
 
 from .prepared import Prepared
 
-#: First-hit layers, and the names of their channels in a film, as Mitsuba's 'aov' integrator calls them.
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+#: First-hit layers, and the names of their channels in a film, which are those of Mitsuba's 'aov' integrator.
 _AOV_CHANNELS = {
     "albedo": ("albedo.R", "albedo.G", "albedo.B"),
     "normal": ("sh_normal.X", "sh_normal.Y", "sh_normal.Z"),
@@ -28,7 +32,7 @@ _ALPHA_RAYS = 8
 _ALPHA_PARTS = 4
 
 
-def integrator_class(method: Any) -> type:
+def integrator_class(method: type[ImageMethod]) -> type:
     """The integrator class of a method for the current variant. Raises :class:`BackendError` if that is unsupported."""
     import mitsuba as mi
 
@@ -37,14 +41,14 @@ def integrator_class(method: Any) -> type:
 
 
 @lru_cache(maxsize=64)
-def _integrator_class(method: Any, variant: str) -> type:
-    # One class per variant, since its base class is Mitsuba's of that variant.
+def _integrator_class(method: type[ImageMethod], variant: str) -> type:
+    # One class per variant, because the base class depends on the variant.
     import mitsuba as mi
 
     class EtendueIntegrator(mi.SamplingIntegrator):
         """Runs the method's passes until ``spp`` camera paths per pixel are traced."""
 
-        def __init__(self, props: Any) -> None:
+        def __init__(self, props: mi.Properties) -> None:
             given = {name: props[name] for name in method.Settings.names() if name in props}
             if props.get("hide_emitters", False):
                 raise UnsupportedError(f"{method.name} has no 'hide_emitters'; remove it, or hide the emitter's shape")
@@ -55,19 +59,19 @@ def _integrator_class(method: Any, variant: str) -> type:
             self.timeout = float(props.get("timeout", -1.0))
             self._cancelled = False
             self._runner: Runner | None = None
-            self._layers = list(_AOV_CHANNELS) if self.options["aovs"] else []  # beside the picture, in the film
+            self._layers = list(_AOV_CHANNELS) if self.options["aovs"] else []  # of the film, without the picture
             super().__init__(props)
 
         def render(
             self,
-            scene: Any,
-            sensor: Any = 0,
-            seed: Any = 0,
+            scene: mi.Scene,
+            sensor: mi.Sensor | int = 0,
+            seed: mi.UInt32 | int = 0,
             spp: int = 0,
             develop: bool = True,
             evaluate: bool = True,
-        ) -> Any:
-            """The picture as a tensor (height, width, channels); it stays in the sensor's film, too."""
+        ) -> mi.TensorXf:
+            """The picture as a tensor (height, width, channels); the sensor's film contains it, too."""
             import drjit as dr
 
             self._cancelled = False
@@ -90,7 +94,7 @@ def _integrator_class(method: Any, variant: str) -> type:
                     run = self._run(ready, number, problem.spp)
                     layers = run.result.layers
                 warn_of_nonfinite(run.measurement)
-                self._layers = _asked_for(self.options, layers)
+                self._layers = _requested(self.options, layers)
                 _fill(film, problem, layers, self._layers)
                 if not develop:
                     return mi.TensorXf()
@@ -100,8 +104,8 @@ def _integrator_class(method: Any, variant: str) -> type:
                     dr.sync_thread()
                 return image
 
-        def _run(self, ready: Any, seed: int, spp: int) -> RunResult:
-            """The passes of a picture; the first one is made also if it is cancelled before."""
+        def _run(self, ready: Method, seed: int, spp: int) -> RunResult:
+            """Run the passes of a picture; at least the first one, even if the rendering is cancelled before."""
             passes = -(-spp // ready.samples_per_iteration)
             seconds = self.timeout if 0 < self.timeout < math.inf else None
             budget = Budget(seconds=seconds, iterations=passes)
@@ -111,20 +115,28 @@ def _integrator_class(method: Any, variant: str) -> type:
             except RunError as error:
                 failure = error.__cause__ or error
             finally:
-                self._runner = None  # it knows the scene, which knows this integrator
+                self._runner = None  # it references the scene, which references this integrator
             raise failure
 
         def is_set(self) -> bool:
-            """Whether the passes under way should end: see ``engine.CancelEvent``."""
+            """Whether the running passes should end: see ``engine.CancelEvent``."""
             runner = self._runner
             return self._cancelled and runner is not None and runner.progress.passes > 0
 
-        def render_forward(self, scene: Any, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> Any:
+        def render_forward(
+            self, scene: mi.Scene, params: Any, sensor: mi.Sensor | int = 0, seed: mi.UInt32 | int = 0, spp: int = 0
+        ) -> mi.TensorXf:
             """Raises: derivatives are not computed."""
             raise _no_gradients(method.name)
 
         def render_backward(
-            self, scene: Any, params: Any, grad_in: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0
+            self,
+            scene: mi.Scene,
+            params: Any,
+            grad_in: mi.TensorXf,
+            sensor: mi.Sensor | int = 0,
+            seed: mi.UInt32 | int = 0,
+            spp: int = 0,
         ) -> None:
             """Raises: derivatives are not computed."""
             raise _no_gradients(method.name)
@@ -137,16 +149,16 @@ def _integrator_class(method: Any, variant: str) -> type:
             )
 
         def cancel(self) -> None:
-            """Stop the rendering under way, in another thread, after its present pass."""
+            """Stop a rendering in another thread after its current pass."""
             self._cancelled = True
 
         def should_stop(self) -> bool:
-            """Whether :meth:`cancel` was called since the rendering began."""
+            """Whether :meth:`cancel` was called since the start of the rendering."""
             return self._cancelled
 
         def aov_names(self) -> list[str]:
-            """Names of the channels after the picture's own. The layers of techniques depend on the scene: their names
-            are added, after those of first hits, once it has been rendered."""
+            """Names of the channels after those of the picture: first-hit layers, and after a rendering also the layers
+            of techniques, which depend on the scene."""
             return _channels(self._layers)
 
         def to_string(self) -> str:
@@ -165,9 +177,9 @@ def _no_gradients(name: str) -> EtendueError:
     )
 
 
-def _asked_for(options: dict[str, Any], layers: Iterable[str]) -> list[str]:
-    """Those of ``layers`` that settings request: first hits, families of techniques, the technique pyramid, further
-    merge radii."""
+def _requested(options: dict[str, Any], layers: Iterable[str]) -> list[str]:
+    """Those of ``layers`` that the settings request: first hits, families of techniques, the technique pyramid,
+    additional merge radii."""
     names = list(_AOV_CHANNELS) if options["aovs"] else []
     for name in layers:
         in_pyramid = name == LONGER or Technique.of_layer(name) is not None
@@ -182,9 +194,9 @@ def _channels(layers: Iterable[str]) -> list[str]:
     return [channel for name in layers for channel in _AOV_CHANNELS.get(name, [f"{name}.{c}" for c in "RGB"])]
 
 
-def _fill(film: Any, problem: Problem, layers: dict[str, NDArray[np.float32]], extra: list[str]) -> None:
-    """Put the picture and the ``extra`` layers into the film, so that ``film.develop()``, ``film.bitmap()`` and
-    ``film.write()`` show them."""
+def _fill(film: mi.Film, problem: Problem, layers: dict[str, NDArray[np.float32]], extra: list[str]) -> None:
+    """Copy the picture and the ``extra`` layers to the film, for ``film.develop()``, ``film.bitmap()`` and
+    ``film.write()``."""
     import mitsuba as mi
 
     image = layers["image"]
@@ -199,7 +211,7 @@ def _fill(film: Any, problem: Problem, layers: dict[str, NDArray[np.float32]], e
 
 
 def _coverage(problem: Problem) -> NDArray[np.float32]:
-    """Coverage of each pixel, for alpha: 1 wherever there is an environment, as in Mitsuba's 'path'."""
+    """Coverage of each pixel, for alpha: 1 everywhere if the scene has an environment, as in Mitsuba's 'path'."""
     import drjit as dr
     import mitsuba as mi
 
@@ -208,7 +220,7 @@ def _coverage(problem: Problem) -> NDArray[np.float32]:
         return np.ones((height, width, 1), np.float32)
     reconstruction = PixelFilter(problem.sensor.film().rfilter(), width, height)
     covered = mi.Float(0.0)
-    for part in range(_ALPHA_PARTS):  # of the rays, for memory
+    for part in range(_ALPHA_PARTS):  # in parts, to limit memory
         first, count = dr.opaque(mi.UInt32, part * _ALPHA_RAYS), _ALPHA_RAYS
         lanes = dr.arange(mi.UInt32, width * height * count)
         pixel = lanes // count
@@ -222,9 +234,9 @@ def _coverage(problem: Problem) -> NDArray[np.float32]:
     return np.array(covered / (_ALPHA_PARTS * _ALPHA_RAYS), np.float32).reshape(height, width, 1)
 
 
-def _alpha_places(number: Any) -> Any:
-    """Offsets of rays in their pixels: the Kronecker sequence of the plastic number, which unlike a grid is even along
-    edges of any direction."""
+def _alpha_places(number: mi.UInt32) -> mi.Point2f:
+    """Offsets of rays in their pixels: the Kronecker sequence of the plastic number, which is uniform along edges of
+    any direction, unlike a grid."""
     import drjit as dr
     import mitsuba as mi
 

@@ -5,23 +5,27 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from etendue.core import Method
 from etendue.engine import fit_samples, settle_samples
+from etendue.methods import ImageMethod, ImageSettings
 from etendue.scene import Parameters, Problem, check, parameters, view, warn_of_offsets
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 #: Largest number of cached sensors and sample counts.
 _MOST = 16
-#: Fixed seed of pilots: with the picture's seed, a picture would depend on the seed of the previous one.
+#: Seed of pilots. With the seed of the picture, cached methods would depend on the seed of the first picture.
 _PILOT_SEED = 0
 
 
 @dataclass
 class _Kept:
-    sensor: Any  #: held, so that no other has its id()
-    seen: Parameters  #: its parameters, as they were
-    method: Any  #: prepared for passes; or not prepared, if each run needs a new one
+    sensor: mi.Sensor  #: referenced, so that its id() is not used again
+    seen: Parameters  #: parameters of the sensor at the time of the preparation
+    method: ImageMethod  #: prepared, unless each run needs a new preparation
 
 
 class Prepared:
@@ -30,21 +34,20 @@ class Prepared:
     None of them references the scene between pictures: the scene references its integrator and would never be freed.
     """
 
-    def __init__(self, kind: Any, settings: Any) -> None:
+    def __init__(self, kind: type[ImageMethod], settings: ImageSettings) -> None:
         self._kind, self._settings = kind, settings
         self._scene: Parameters | None = None
         self._kept: dict[tuple[int, int], _Kept] = {}
 
     @contextmanager
     def ready(self, problem: Problem, seed: int) -> Iterator[Method]:
-        """A method whose passes divide the samples of ``problem``. Errors as ``scene.check``.
-
-        Passes of one seed are the same whatever was rendered before."""
+        """A prepared method; its ``samples_per_iteration`` divides the samples of ``problem``. Errors as
+        ``scene.check``. Passes depend on the seed, but not on earlier pictures."""
         scene = parameters(problem.scene)
         if scene != self._scene:
             self._scene, self._kept = scene, {}
         key = id(problem.sensor), problem.spp
-        kept = self._kept.pop(key, None)  # removed in case the passes fail or another thread asks meanwhile
+        kept = self._kept.pop(key, None)  # removed, in case the passes fail or another thread uses the cache
         seen = view(problem.sensor)
         if kept is None or kept.seen != seen:
             check(problem.scene, problem.sensor)
@@ -57,7 +60,7 @@ class Prepared:
             kept.method.bind(problem.scene)
         yield kept.method
         if self._kind.carries_on:
-            kept.method = self._kind(kept.method.settings)  # they determine the samples of a pass
+            kept.method = self._kind(kept.method.settings)  # the settings contain the samples of a pass
         else:
             kept.method.bind(None)
         while len(self._kept) >= _MOST:
@@ -65,7 +68,7 @@ class Prepared:
         self._kept[key] = kept
 
     def _prepare(self, problem: Problem, seed: int, seen: Parameters) -> _Kept:
-        method, problem = self._kind(self._settings), replace(problem)  # the caller's object keeps its scene
+        method, problem = self._kind(self._settings), replace(problem)  # a copy, because bind() changes its scene
         if not self._kind.carries_on:
             seed = _PILOT_SEED
         method.prepare(problem, seed)

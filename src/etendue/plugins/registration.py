@@ -2,35 +2,40 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from etendue import methods, scene
 from etendue.core import logger
+from etendue.methods import ImageMethod
 
 from .integrator import integrator_class
 
+if TYPE_CHECKING:
+    import mitsuba as mi
+
 
 def register() -> None:
-    """Make all methods but ``path``, which Mitsuba has itself, known to ``mi.load_dict``, ``mi.load_file`` and
-    ``mi.render``, ``stratified`` as ``stratified_path``; and the materials, emitters and sensors of
-    :func:`etendue.scene.register`.
+    """Register the methods as Mitsuba integrators, and the materials, emitters and sensors of
+    :func:`etendue.scene.register`, for ``mi.load_dict``, ``mi.load_file`` and ``mi.render``. ``path`` is left out,
+    because Mitsuba has a plugin of this name; ``stratified`` is ``stratified_path``.
 
-    May be called before or after ``mi.set_variant`` and any number of times. Under unsupported variants the plugins are
-    registered, too, and raise a clear error when one is instantiated.
+    Can be called before or after ``mi.set_variant`` and repeatedly. Under unsupported variants the plugins are
+    registered, too, and raise :class:`BackendError` when they are instantiated.
     """
     import mitsuba as mi
 
-    mi.detail.add_variant_callback(_register)  # a set: the same callback is kept once
+    mi.detail.add_variant_callback(_register)  # the callbacks are a set: repeated calls have no effect
     if mi.variant() is not None:
         _register("", mi.variant())
 
 
-def register_method(method: Any) -> Any:
-    """Register a method, a subclass of ``etendue.methods.ImageMethod``, under its ``name``; usable as a decorator. It
-    is then available in :func:`etendue.render` and the other functions, and as a Mitsuba integrator.
+def register_method(method: type[ImageMethod]) -> type[ImageMethod]:
+    """Register a method, a subclass of ``etendue.methods.ImageMethod``, under its ``name``; can be used as a decorator.
+    The method is then available in :func:`etendue.render` and other functions, and as a Mitsuba integrator.
 
     For the command line and other processes, a package declares it as an entry point of the group ``etendue.methods``.
-    Raises :class:`OptionError` for a name that is taken, and for a class that is no method.
+    Raises :class:`OptionError` if the name is already used or the class is not a method.
     """
     import mitsuba as mi
 
@@ -41,7 +46,7 @@ def register_method(method: Any) -> Any:
 
 
 def _register(old: str | None, new: str | None) -> None:
-    """Mitsuba's variant callback: register with the variant that is current."""
+    """Mitsuba's callback for a change of the variant: register under the new one."""
     import mitsuba as mi
 
     for method in methods.table().values():
@@ -51,8 +56,8 @@ def _register(old: str | None, new: str | None) -> None:
     logger.debug("registered with Mitsuba under %s", new)
 
 
-def _constructor(method: Any) -> Any:
-    def construct(props: Any) -> Any:
+def _constructor(method: type[ImageMethod]) -> Callable[[mi.Properties], mi.Integrator]:
+    def construct(props: mi.Properties) -> mi.Integrator:
         return integrator_class(method)(props)
 
     return construct

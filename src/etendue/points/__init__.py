@@ -1,4 +1,4 @@
-"""Point sets and sequences that fill the hypercube more evenly than independent numbers, independent of rendering."""
+"""Low-discrepancy point sets and sequences, and measures of them, independent of rendering."""
 
 from .discrepancy import l2_discrepancy, star_discrepancy, star_discrepancy_bounds
 from .independent import Independent, LatinHypercube

@@ -1,8 +1,6 @@
-"""Random points: independent ones, and latin hypercubes."""
+"""Independent random points, and latin hypercubes."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -10,7 +8,7 @@ import numpy as np
 from etendue.core import hash_mix, seed_key
 
 from .pointset import BinaryPointSet, PointSet
-from .words import Keys, below_one, is_host, unit
+from .words import Keys, Numbers, Words, below_one, is_host, unit
 
 
 class Independent(BinaryPointSet):
@@ -31,16 +29,16 @@ class Independent(BinaryPointSet):
         """Other independent numbers."""
         return Independent(self.dimension, seed)
 
-    def _word(self, index: Any, dimension: int) -> Any:
+    def _word(self, index: Words, dimension: int) -> Words:
         return _hash(index, self._keys, seed_key(self.seed, "independent", 0), dimension)
 
 
 class LatinHypercube(PointSet):
-    """A latin hypercube: in each dimension, each of ``size`` equal intervals holds one point [McKay 1979].
+    """A latin hypercube: in each dimension, each of ``size`` equal intervals has one point [McKay 1979].
 
-    The order in each dimension is an independent pseudo-random permutation, made by hashing [Kensler 2013], and a point
-    is uniform in its interval. The variance is that of independent points without the additive part of the integrand,
-    the sum of functions of one coordinate.
+    The order in each dimension is an independent pseudo-random permutation, computed by hashing [Kensler 2013]; a point
+    is uniform in its interval. The variance of a mean is that of independent points for the integrand without its
+    additive part, the sum of functions of one coordinate.
     """
 
     name = "latin-hypercube"
@@ -53,11 +51,11 @@ class LatinHypercube(PointSet):
         self._keys = Keys()
 
     def randomised(self, seed: int) -> PointSet:
-        """Another latin hypercube of as many points."""
+        """Another latin hypercube with the same number of points."""
         assert self.size is not None
         return LatinHypercube(self.dimension, self.size, seed)
 
-    def _coordinate(self, index: Any, dimension: int) -> Any:
+    def _coordinate(self, index: Words, dimension: int) -> Numbers:
         assert self.size is not None
         within = unit(_hash(index, self._keys, seed_key(self.seed, "latin jitter", 0), dimension))
         keys = [self._keys.like(index, word) for word in self._permutation_keys(dimension)]
@@ -71,10 +69,9 @@ class LatinHypercube(PointSet):
         return keys[0] + keys[1]
 
 
-def _hash(index: Any, keys: Keys, words: tuple[int, int], dimension: int) -> Any:
-    """Pseudo-random words from the index, two words of a seed and the dimension. The part that does not depend on the
-    dimension is computed once in a kernel.
-    """
+def _hash(index: Words, keys: Keys, words: tuple[int, int], dimension: int) -> Words:
+    """Pseudo-random words from the index, two words of a seed and the dimension. A kernel computes the part that does
+    not depend on the dimension once."""
     a = hash_mix(index + keys.like(index, words[0]))
     b = hash_mix((index ^ a) + keys.like(index, words[1]))
     x = a + (dimension * 0x9E3779B9 & 0xFFFFFFFF)
@@ -84,7 +81,7 @@ def _hash(index: Any, keys: Keys, words: tuple[int, int], dimension: int) -> Any
     return x ^ (x >> 16)
 
 
-def _permuted(index: Any, size: int, words: list[Any], keys: Keys) -> Any:
+def _permuted(index: Words, size: int, words: list[Words], keys: Keys) -> Words:
     """The image of ``index`` under a permutation of 0 to ``size`` - 1.
 
     A permutation of the next power of two is applied until the result is in range [Kensler 2013].
@@ -92,8 +89,8 @@ def _permuted(index: Any, size: int, words: list[Any], keys: Keys) -> Any:
     bits = max((size - 1).bit_length(), 1)
     mask, half = (1 << bits) - 1, (bits + 1) // 2
 
-    def once(x: Any) -> Any:
-        # Adding, multiplying by an odd number and folding down are bijections of the words of so many bits.
+    def once(x: Words) -> Words:
+        # Addition, multiplication by an odd number and xor with upper bits are bijections of words of so many bits.
         for word in words:
             x = (x + word) & mask
             x = ((x ^ (x >> half)) * 0x21F0AAAD) & mask

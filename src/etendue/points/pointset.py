@@ -1,9 +1,9 @@
-"""The protocol of point sets and sequences: a dimension, perhaps a size, and coordinate ``d`` of point ``i``."""
+"""The base of point sets and sequences, which compute coordinate ``d`` of point ``i``."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import OptionError, is_whole, seed_key
 
-from .words import Keys, below_one, doubles, is_host, unit
+from .words import Keys, Numbers, Words, below_one, doubles, is_host, unit
 
 #: An index is a word of 32 bits.
 MAX_POINTS = 1 << 32
@@ -22,16 +22,16 @@ class PointSetError(OptionError):
 
 
 class PointSet(ABC):
-    """Points in the unit cube, each a function of its index: without state, in any order, on any number of workers.
+    """Points in the unit cube, each a function of its index, without state.
 
-    A *sequence* has no ``size``: its first n points are a point set for every n, and more points extend it. A point set
-    with a ``size`` is made for that number of points.
+    A *sequence* has no ``size``: its first n points are a point set for every n. A point set with a ``size`` is made
+    for that number of points and cannot be extended.
 
-    Coordinates can be computed on the device and in NumPy. They are the same numbers, as doubles in NumPy and as
-    ``Float`` on the device; the two differ by less than 2^-23, and neither is ever 1.
+    Coordinates can be computed on the device, as ``Float``, and in NumPy, as doubles; the two differ by less than
+    2^-23, and neither is ever 1.
     """
 
-    #: Its name for :func:`etendue.points.point_set`.
+    #: Name for :func:`etendue.points.point_set`.
     name: ClassVar[str]
     #: The largest dimension, ``None`` for any.
     max_dimension: ClassVar[int | None] = None
@@ -52,11 +52,11 @@ class PointSet(ABC):
         self.dimension = int(dimension)
         self.size = None if size is None else int(size)
 
-    def coordinate(self, index: Any, dimension: int) -> Any:
+    def coordinate(self, index: dr.ArrayBase | ArrayLike, dimension: int) -> Numbers:
         """Coordinate ``dimension`` of the points ``index``, in [0, 1).
 
-        index: ``UInt32`` lanes, for which the result is a ``Float`` (an index beyond the ``size`` is not detected and
-        gives some number in [0, 1)); or whole numbers for NumPy, which give doubles of the same shape.
+        index: a ``UInt32`` of the device, for which the result is a ``Float`` (an index beyond the ``size`` is not
+        detected and gives a number in [0, 1)); or integers for NumPy, which give doubles of the same shape.
 
         Raises :class:`PointSetError` for a dimension or an index that the set does not have.
         """
@@ -81,21 +81,19 @@ class PointSet(ABC):
         lanes = np.arange(first, first + n, dtype=np.uint32 if first + n < MAX_POINTS else np.uint64).astype(np.uint32)
         return np.stack([self._coordinate(lanes, d) for d in range(self.dimension)], axis=-1)
 
-    def lanes(self, index_type: Any, n: int, first: int = 0) -> list[Any]:
-        """The same on the device, in double precision: ``Float64`` for each dimension. ``index_type`` is the
-        ``UInt32`` of a device. Raises as :meth:`coordinate`."""
+    def lanes(self, index_type: type[dr.ArrayBase], n: int, first: int = 0) -> list[dr.ArrayBase]:
+        """``n`` points from ``first`` on, on the device in double precision: a ``Float64`` for each dimension.
+        ``index_type``: the ``UInt32`` of the device. Raises as :meth:`coordinate`."""
         double = dr.float64_array_t(index_type)
         return [double(np.ascontiguousarray(column)) for column in self.block(n, first).T]
 
     def randomised(self, seed: int) -> PointSet:
-        """The set randomised so that each point is uniform; another ``seed`` gives independent points.
-
-        By a random shift, or by the better randomisation that the set has.
-        """
+        """A randomisation of the set in which each point is uniform; different seeds are independent. By a random shift
+        unless the set has a better randomisation."""
         return RandomShift(self, seed)
 
     @abstractmethod
-    def _coordinate(self, index: Any, dimension: int) -> Any:
+    def _coordinate(self, index: Words, dimension: int) -> Numbers:
         """:meth:`coordinate` for ``UInt32`` lanes, or for a ``uint32`` array of NumPy with one axis."""
 
     def _check_block(self, n: int, first: int) -> None:
@@ -104,7 +102,7 @@ class PointSet(ABC):
         if not is_whole(first):
             raise PointSetError(f"{self.name}: an index is a whole number, not {first!r}")
         if n:
-            self._checked([first, first + n - 1])  # before so many are made
+            self._checked([first, first + n - 1])  # before memory is allocated
 
     def _checked(self, index: ArrayLike) -> NDArray[np.uint32]:
         lanes = np.asarray(index)
@@ -115,8 +113,8 @@ class PointSet(ABC):
             raise PointSetError(f"{self.name}: an index is at least 0, not {low}")
         if self.size is not None and high >= self.size:
             raise PointSetError(
-                f"{self.name} was made for {self.size} points and has no point {high}; make it for more, or take a "
-                "sequence, which can be extended"
+                f"{self.name} was made for {self.size} points and has no point {high}; use a larger size, or a "
+                "sequence, which has no size"
             )
         if high >= MAX_POINTS:
             raise PointSetError(f"{self.name}: an index is below 2^32, not {high}")
@@ -130,30 +128,30 @@ class PointSet(ABC):
 class BinaryPointSet(PointSet):
     """A point set whose coordinates are 32-bit fractions, so that the device can represent all bits."""
 
-    def lanes(self, index_type: Any, n: int, first: int = 0) -> list[Any]:
-        """See :class:`PointSet`; nothing is copied."""
+    def lanes(self, index_type: type[dr.ArrayBase], n: int, first: int = 0) -> list[dr.ArrayBase]:
+        """See :class:`PointSet`; computed on the device."""
         self._check_block(n, first)
-        # Opaque values do not cause another kernel.
+        # Opaque, so that all blocks share a kernel.
         index = dr.arange(index_type, n) + dr.opaque(index_type, first)
         return [doubles(self._word(index, d)) for d in range(self.dimension)]
 
-    def _coordinate(self, index: Any, dimension: int) -> Any:
+    def _coordinate(self, index: Words, dimension: int) -> Numbers:
         return unit(self._word(index, dimension))
 
     @abstractmethod
-    def _word(self, index: Any, dimension: int) -> Any:
+    def _word(self, index: Words, dimension: int) -> Words:
         """The word of :meth:`_coordinate`."""
 
 
 class RandomShift(PointSet):
-    """Any point set, shifted by one random vector modulo 1 [Cranley 1976]."""
+    """A point set, shifted by a random vector modulo 1 [Cranley 1976]."""
 
     name = "shift"
     is_random = True
     citations = ("Cranley1976",)
 
     def __init__(self, base: PointSet, seed: int = 0) -> None:
-        # Before the checks, whose messages name the set.
+        # Before the checks, whose messages contain the name.
         self.name = f"{base.name}+shift"  # type: ignore[misc]
         super().__init__(base.dimension, base.size)
         self.base = base
@@ -164,10 +162,10 @@ class RandomShift(PointSet):
         """The same set with another shift."""
         return RandomShift(self.base, seed)
 
-    def _coordinate(self, index: Any, dimension: int) -> Any:
+    def _coordinate(self, index: Words, dimension: int) -> Numbers:
         x, shift = self.base._coordinate(index, dimension), self._shifts[dimension]
         if is_host(x):
-            gap = 1.0 - shift * 2.0**-24
-            return below_one(np.where(x < gap, x + (1.0 - gap), x - gap))
+            rest = 1.0 - shift * 2.0**-24
+            return below_one(np.where(x < rest, x + (1.0 - rest), x - rest))
         gap = 1.0 - type(x)(self._keys.like(index, shift)) * 2.0**-24
         return below_one(dr.select(x < gap, x + (1.0 - gap), x - gap))

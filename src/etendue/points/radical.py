@@ -2,11 +2,10 @@
 
 ``radical inverse: i = sum_j a_j b^j  ->  phi_b(i) = sum_j a_j b^(-j-1)``
 
-On the device digits are extracted and assembled by multiplications only. The index is cut into chunks of ``K`` digits.
-A
-chunk less half its range, ``y``, has the balanced digits ``a_j - (b - 1)/2``, so that ``q_k = round(y / b^k)`` is exact
-in a ``Float``; and as ``a_k = q_k - b q_(k+1)``, it is ``b^(K-1) y - (b^2 - 1) sum_k q_k b^(K-1-k)`` when mirrored.
-There are as many chunks as a ``Float`` can represent: digits that contribute less than 2^-25 together are left out.
+On the device, digits are extracted and assembled by multiplications only. The index is divided into chunks of ``K``
+digits. A chunk minus half its range, ``y``, has the balanced digits ``a_j - (b - 1)/2``, so that
+``q_k = round(y / b^k)`` is exact in a ``Float``. Since ``a_k = q_k - b q_(k+1)``, the mirrored chunk is
+``b^(K-1) y - (b^2 - 1) sum_k q_k b^(K-1-k)``. Digits that contribute less than 2^-25 together are left out.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from numpy.typing import NDArray
 from etendue.core import on_device
 
 from .pointset import PointSet, PointSetError
-from .words import below_one, is_host, unit
+from .words import Numbers, Words, below_one, is_host, unit
 
 #: Bases are below this.
 _BASES_BELOW = 1 << 16
@@ -56,7 +55,7 @@ MAX_BASES = 6542
 def faure_permutation(base: int) -> NDArray[np.int64]:
     """Faure's permutation of the digits 0 to ``base`` - 1 [Faure 1992]: ``base`` 5 gives (0, 3, 2, 1, 4).
 
-    The array is shared and cannot be written to. Raises :class:`PointSetError` for a base that is not from 2 to 65535.
+    The array is shared and read-only. Raises :class:`PointSetError` for a base that is not from 2 to 65535.
     """
     _check_base(base)
     return _faure_permutation(base)
@@ -80,13 +79,13 @@ def _faure_permutation(base: int) -> NDArray[np.int64]:
 
 def _check_base(base: int) -> None:
     if not 2 <= base < _BASES_BELOW:
-        raise PointSetError(f"a base is from 2 to {_BASES_BELOW - 1}, not {base}")
+        raise PointSetError(f"a base must be from 2 to {_BASES_BELOW - 1}, not {base}")
 
 
-def radical_inverse(index: Any, base: int) -> Any:
-    """``index`` mirrored at the point in ``base``, which is below 2^16; on the device it is 2 or odd.
+def radical_inverse(index: Words, base: int) -> Numbers:
+    """``index`` mirrored at the radix point in ``base``, which is below 2^16; on the device it must be 2 or odd.
 
-    index: ``UInt32`` lanes, or an array of NumPy. Raises :class:`PointSetError` for another base.
+    index: a ``UInt32`` of the device, or an array of NumPy. Raises :class:`PointSetError` for another base.
     """
     _check_base(base)
     if is_host(index):
@@ -94,7 +93,7 @@ def radical_inverse(index: Any, base: int) -> Any:
     if base == 2:
         return unit(dr.brev(index))
     if base % 2 == 0:
-        raise PointSetError(f"a radical inverse on the device has the base 2 or an odd one, not {base}")
+        raise PointSetError(f"the base of a radical inverse on the device must be 2 or odd, not {base}")
     most = 1
     while base ** (2 * most + 1) < _EXACT:
         most += 1
@@ -104,7 +103,7 @@ def radical_inverse(index: Any, base: int) -> Any:
 def _on_host(index: NDArray[Any], base: int, permutation: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
     rest = index.astype(np.uint64)
     divisor = np.uint64(base)
-    # All digits as one whole number, below 2^53, so that only the last step rounds.
+    # All digits as one integer below 2^53, so that only the last step rounds.
     mirrored, scale = np.zeros_like(rest), 1
     last = int(rest.max()) if rest.size else 0
     while last:
@@ -126,7 +125,7 @@ def _chunks(base: int, most: int) -> list[int]:
     return [digits // count + (n < digits % count) for n in range(count)]
 
 
-def _mirrored(chunk: Any, base: int, digits: int) -> Any:
+def _mirrored(chunk: dr.ArrayBase, base: int, digits: int) -> dr.ArrayBase:
     """The ``digits`` digits of ``chunk`` in reverse order, as a ``Float``."""
     float_type = dr.float32_array_t(type(chunk))
     if digits == 1:
@@ -136,12 +135,14 @@ def _mirrored(chunk: Any, base: int, digits: int) -> Any:
     total = float_type(0.0)
     for k in range(1, digits):
         total = dr.fma(total, float(base), dr.fma(y, 1.0 / base**k, _ROUND) - _ROUND)
-    # The product that is rounded separately is a multiple of 8, and therefore exact.
+    # The product that is rounded separately is a multiple of 8 and therefore exact.
     return dr.fma(y, float(base ** (digits - 1)), total * -float(base * base - 1)) + float(half)
 
 
-def _assemble(index: Any, base: int, chunks: list[int], mirror: Callable[[Any, int], Any]) -> Any:
-    """The mirrored chunks as a fraction, the chunk of the first digits in front."""
+def _assemble(
+    index: dr.ArrayBase, base: int, chunks: list[int], mirror: Callable[[dr.ArrayBase, int], dr.ArrayBase]
+) -> dr.ArrayBase:
+    """The mirrored chunks as a fraction; the chunk of the lowest digits of the index is the most significant."""
     parts = []
     for digits in chunks:
         rest = index // base**digits
@@ -167,7 +168,7 @@ class Halton(PointSet):
         super().__init__(dimension)
         self._bases = primes(dimension)
 
-    def _coordinate(self, index: Any, dimension: int) -> Any:
+    def _coordinate(self, index: Words, dimension: int) -> Numbers:
         return radical_inverse(index, self._bases[dimension])
 
 
@@ -179,9 +180,9 @@ class FaureHalton(Halton):
 
     def __init__(self, dimension: int) -> None:
         super().__init__(dimension)
-        self._tables: dict[tuple[type, int, int], Any] = {}
+        self._tables: dict[tuple[type, int, int], dr.ArrayBase] = {}
 
-    def _coordinate(self, index: Any, dimension: int) -> Any:
+    def _coordinate(self, index: Words, dimension: int) -> Numbers:
         base = self._bases[dimension]
         if base <= 3:
             return radical_inverse(index, base)  # the permutation is the identity
@@ -193,7 +194,7 @@ class FaureHalton(Halton):
             most += 1
         return _assemble(index, base, _chunks(base, most), lambda chunk, digits: self._look_up(chunk, base, digits))
 
-    def _look_up(self, chunk: Any, base: int, digits: int) -> Any:
+    def _look_up(self, chunk: dr.ArrayBase, base: int, digits: int) -> dr.ArrayBase:
         float_type = dr.float32_array_t(type(chunk))
         name = float_type, base, digits
         if name not in self._tables:
@@ -203,10 +204,10 @@ class FaureHalton(Halton):
 
 
 class FaureBlockHalton(Halton):
-    """Halton's sequence, the points permuted inside each block of ``b``: Faure's permutation of the last digit only.
+    """Halton's sequence with Faure's permutation of the last digit only, which permutes the points in blocks of ``b``.
 
-    The other interpretation of the scrambling in [Castro 2002, section 2.2.13]; it reproduces the example printed
-    there. It agrees with :class:`FaureHalton` for the first ``b`` points only.
+    Another interpretation of the scrambling in [Castro 2002, sec. 2.2.13], which reproduces the example there. It
+    agrees with :class:`FaureHalton` for the first ``b`` points only.
     """
 
     name = "faure-block-halton"
@@ -214,9 +215,9 @@ class FaureBlockHalton(Halton):
 
     def __init__(self, dimension: int) -> None:
         super().__init__(dimension)
-        self._tables: dict[tuple[type, int], Any] = {}
+        self._tables: dict[tuple[type, int], dr.ArrayBase] = {}
 
-    def _coordinate(self, index: Any, dimension: int) -> Any:
+    def _coordinate(self, index: Words, dimension: int) -> Numbers:
         base = self._bases[dimension]
         if base <= 3:
             return radical_inverse(index, base)
@@ -224,7 +225,7 @@ class FaureBlockHalton(Halton):
         digit = self._permuted(index - block * base, base)
         return below_one((digit + radical_inverse(block, base)) * (1.0 / base))
 
-    def _permuted(self, digit: Any, base: int) -> Any:
+    def _permuted(self, digit: Words, base: int) -> Numbers:
         if is_host(digit):
             return faure_permutation(base)[digit].astype(np.float64)
         float_type = dr.float32_array_t(type(digit))
@@ -235,9 +236,9 @@ class FaureBlockHalton(Halton):
 
 
 class Hammersley(PointSet):
-    """Hammersley's points: ``i / n`` before radical inverses in the first primes [Hammersley 1960].
+    """Hammersley's points: ``i / n``, and radical inverses in the first primes [Hammersley 1960].
 
-    Discrepancy ``O((log n)^(d-1) / n)``, for the ``size`` points together; they cannot be extended.
+    Discrepancy ``O((log n)^(d-1) / n)`` for all ``size`` points, which cannot be extended.
     """
 
     name = "hammersley"
@@ -248,7 +249,7 @@ class Hammersley(PointSet):
         super().__init__(dimension, size)
         self._bases = primes(dimension - 1)
 
-    def _coordinate(self, index: Any, dimension: int) -> Any:
+    def _coordinate(self, index: Words, dimension: int) -> Numbers:
         if dimension:
             return radical_inverse(index, self._bases[dimension - 1])
         assert self.size is not None

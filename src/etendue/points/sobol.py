@@ -1,15 +1,14 @@
-"""Sobol's sequence in up to 2048 dimensions, and the same scrambled.
+"""Sobol's sequence in up to 2048 dimensions, with and without Owen's scrambling.
 
 Coordinate ``d`` of point ``i`` is the exclusive or of the direction numbers of ``d`` at the set bits of ``i``, in the
-original order of points, not that of Gray's code [Sobol 1967]. The direction numbers are those of [Joe 2008]; they ship
-with étendue together with their licence.
+original order of points, not that of Gray's code [Sobol 1967]. The direction numbers are those of [Joe 2008]; étendue
+contains them with their licence.
 """
 
 from __future__ import annotations
 
 import functools
 from importlib import resources
-from typing import Any
 
 import drjit as dr
 import numpy as np
@@ -19,7 +18,7 @@ from etendue.core import seed_key
 
 from .owen import scramble, sobol_2d
 from .pointset import BinaryPointSet, PointSet
-from .words import Keys, is_host, reverse_bits
+from .words import Keys, Words, is_host, reverse_bits
 
 _BITS = 32
 
@@ -50,7 +49,7 @@ def direction_numbers(dimension: int) -> tuple[int, ...]:
     return tuple(number << (_BITS - 1 - k) for k, number in enumerate(m))
 
 
-def _xor(index: Any, numbers: tuple[int, ...]) -> Any:
+def _xor(index: Words, numbers: tuple[int, ...]) -> Words:
     """The exclusive or of ``numbers`` at the bits of ``index``."""
     if is_host(index):
         x = np.zeros_like(index)
@@ -78,7 +77,7 @@ class Sobol(BinaryPointSet):
         """The sequence with Owen's scrambling."""
         return OwenSobol(self.dimension, seed)
 
-    def _word(self, index: Any, dimension: int) -> Any:
+    def _word(self, index: Words, dimension: int) -> Words:
         if dimension == 0:
             return reverse_bits(index)
         if dimension == 1:
@@ -89,9 +88,9 @@ class Sobol(BinaryPointSet):
 class OwenSobol(BinaryPointSet):
     """Sobol's sequence with Owen's nested scrambling, by hashing [Owen 1995; Burley 2020].
 
-    The points are nets as those of :class:`Sobol` are, each point is uniform, and for a smooth integrand the error
-    falls as ``n^(-3/2)`` at powers of two. The scrambling is a hash in which a bit depends on the bits before it; it
-    does not cover all nested scramblings.
+    The points are nets as those of :class:`Sobol`, each point is uniform, and the error for smooth integrands falls as
+    ``n^(-3/2)`` at powers of two. The scrambling is a hash in which each bit depends on more significant ones; it does
+    not reach all nested scramblings.
     """
 
     name = "owen-sobol"
@@ -108,7 +107,7 @@ class OwenSobol(BinaryPointSet):
         """The sequence with another scrambling."""
         return OwenSobol(self.dimension, seed)
 
-    def _word(self, index: Any, dimension: int) -> Any:
+    def _word(self, index: Words, dimension: int) -> Words:
         if dimension == 0:
             reversed_bits = index
         elif dimension == 1:

@@ -18,26 +18,26 @@ _SEQUENCES: tuple[type[PointSet], ...] = (
     *(Independent, Halton, FaureHalton, FaureBlockHalton, Sobol, OwenSobol, Weyl, Hammersley, LatinHypercube),
     *(PiPowers, ExactPiPowers),
 )
-#: Those that are made for a number of points.
+#: Point sets that need a number of points.
 _FIXED = (Hammersley, LatinHypercube, ExactPiPowers)
 _SHIFT = "+shift"
 
 
 def point_sets() -> Mapping[str, type[PointSet]]:
-    """Name to class."""
+    """Names and classes of the point sets."""
     return MappingProxyType({kind.name: kind for kind in _SEQUENCES})
 
 
 def has_size(kind: type[PointSet]) -> bool:
-    """Whether a point set of this kind is made for a number of points."""
+    """Whether a point set of this class needs a number of points."""
     return kind in _FIXED
 
 
 def point_set(name: str, dimension: int, size: int | None = None, seed: int = 0) -> PointSet:
-    """The point set ``name`` (see :func:`point_sets`) in ``dimension`` dimensions; ``NAME+shift`` shifts it at random.
+    """The point set ``name`` (see :func:`point_sets`) in ``dimension`` dimensions; ``NAME+shift`` adds a random shift.
 
-    ``size`` is for sets that are made for a number of points, ``seed`` for those that are random; others ignore them.
-    Raises :class:`PointSetError`.
+    ``size``: for sets that need a number of points; ``seed``: for random ones; others ignore them. Raises
+    :class:`PointSetError` for an unknown name or invalid arguments.
     """
     bare = name.removesuffix(_SHIFT)
     kinds = point_sets()
@@ -47,7 +47,7 @@ def point_set(name: str, dimension: int, size: int | None = None, seed: int = 0)
     arguments: list[int] = [dimension]
     if has_size(kind):
         if size is None:
-            raise PointSetError(f"{bare} is made for a number of points: give it one")
+            raise PointSetError(f"{bare} needs a number of points; give a size")
         arguments.append(size)
     points: PointSet = kind(*arguments, seed) if kind.is_random else kind(*arguments)
     return RandomShift(points, seed) if name.endswith(_SHIFT) else points

@@ -1,4 +1,4 @@
-"""Tests of properties of point sets: nets, and the uniformity of consecutive numbers of a stream."""
+"""Tests of point sets: whether they are nets, and the uniformity of consecutive numbers of a stream."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def net_parameter(points: ArrayLike, base: int = 2) -> int:
     """
     x = np.asarray(points, np.float64)
     if x.ndim != 2:
-        raise PointSetError(f"points are an array (n, s), not of the shape {x.shape}")
+        raise PointSetError(f"points must be an array (n, s), not one of shape {x.shape}")
     n, s = x.shape
     m = round(np.log(max(n, 1)) / np.log(base))
     if base**m != n:
         raise PointSetError(f"a net in base {base} has a power of {base} points, not {n}")
-    # Numbers such as 1/3 are not exact: a small value is added before truncation.
+    # Numbers such as 1/3 are not exact; therefore a small value is added before truncation.
     cells = np.floor(x * n + 1e-9 * n).astype(np.int64)
     for t in range(m):
         if all(_is_even(cells, splits, base, m, t) for splits in _compositions(m - t, s)):
@@ -55,7 +55,7 @@ def consecutive(values: ArrayLike, k: int, *, overlapping: bool = False) -> NDAr
     """
     stream = np.asarray(values, np.float64).ravel()
     if k < 1 or len(stream) < k:
-        raise PointSetError(f"{len(stream)} numbers have no {k} consecutive ones")
+        raise PointSetError(f"k must be from 1 to the {len(stream)} numbers of the stream, not {k}")
     if overlapping:
         return np.lib.stride_tricks.sliding_window_view(stream, k).copy()
     return stream[: len(stream) // k * k].reshape(-1, k)
@@ -65,10 +65,10 @@ def uniformity_score(points: ArrayLike, cells: int | None = None) -> float:
     """Deviation of the counts of ``points``, (n, k), in ``cells^k`` equal cubes from those of independent uniform
     points.
 
-    The chi-square statistic as a number of standard deviations [Wilson 1931]: within about 4 of 0 for independent
-    uniform points, far above for points that are not uniform in ``k`` dimensions, far below for points that are more
-    even. By default a cube holds at least 10 points. Applied to :func:`consecutive` numbers it tests whether a stream
-    is k-uniform.
+    The chi-square statistic in standard deviations [Wilson 1931]: between about -4 and 4 for independent uniform
+    points, far above for points that are not uniform in ``k`` dimensions, far below for low-discrepancy points. By
+    default a cube has at least 10 points on average. For :func:`consecutive` numbers it tests whether a stream is
+    k-uniform.
     """
     x = np.asarray(points, np.float64)
     if x.ndim == 1:
@@ -76,7 +76,7 @@ def uniformity_score(points: ArrayLike, cells: int | None = None) -> float:
     n, k = x.shape
     cells = max(2, int((n / 10) ** (1 / k) + 1e-9)) if cells is None else cells
     if cells < 2 or cells**k > 1 << 24:
-        raise PointSetError(f"{cells}^{k} cubes: at least 2 in a dimension, and at most 2^24 together")
+        raise PointSetError(f"{cells}^{k} cubes: a dimension needs at least 2, and all together are at most 2^24")
     place = np.zeros(n, np.int64)
     for j in range(k):
         place = place * cells + np.minimum((x[:, j] * cells).astype(np.int64), cells - 1)

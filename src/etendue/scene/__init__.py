@@ -8,7 +8,7 @@ from .fingerprint import fingerprint
 from .graph import materials
 from .lamps.radiance import sphere_point, surface_point, uniform_point, varies
 from .lamps.table import Light, LightTable
-from .loading import integrator_of, load, locate, resized
+from .loading import Source, integrator_of, load, locate, resized
 from .plugins import composed_bsdf, register
 from .problem import Problem
 from .space import RenderSpace, warn_of_offsets, warn_of_steps
@@ -22,6 +22,7 @@ __all__ = [
     "Parameters",
     "Problem",
     "RenderSpace",
+    "Source",
     "bundled",
     "bundled_scene",
     "check",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from etendue.core import OptionError, is_number
 
 from .graph import plugin_name
 from .parsing import read_properties
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 #: Sensors with a position, a direction and a field of view.
 MOVABLE = ("perspective", "thinlens")
@@ -38,7 +41,7 @@ class Camera:
             if (value := getattr(self, name)) is not None:
                 object.__setattr__(self, name, _point(name, value))
         if (self.origin is None) != (self.target is None):
-            raise OptionError("a camera's origin and target belong together; give both, or none to keep the scene's")
+            raise OptionError("a camera needs both origin and target; give both, or none to keep the scene's")
         if self.origin is not None and self.target is not None:
             view = np.subtract(self.target, self.origin)
             if not view.any():
@@ -54,7 +57,7 @@ class Camera:
         """The arguments of an equal camera, ready for JSON."""
         return {k: v for k, v in dataclasses.asdict(self).items() if v is not None}
 
-    def move_sensors(self, state: Any) -> None:
+    def move_sensors(self, state: mi.parser.ParserState) -> None:
         """Change every movable sensor of a parsed scene; only the one that is rendered matters."""
         import mitsuba as mi
 
@@ -72,18 +75,18 @@ class Camera:
                 props["fov_axis"] = "y"
 
 
-def check_movable(sensor: Any, name: str) -> None:
+def check_movable(sensor: mi.Sensor, name: str) -> None:
     """Raise :class:`OptionError` if a camera cannot replace the position of ``sensor`` of the scene ``name``."""
     kind = plugin_name(sensor)
     if kind not in MOVABLE:
         raise OptionError(
-            f"the sensor of {name} is '{kind}'; a camera is for {' and '.join(MOVABLE)} ones: leave it out"
+            f"the sensor of {name} is '{kind}', but a camera can replace {' and '.join(MOVABLE)} only; leave it out"
         )
 
 
 def _point(name: str, value: Any) -> Point:
     numbers = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else []
     if len(numbers) != 3 or not all(map(is_number, numbers)):
-        raise OptionError(f"a camera's {name} is three numbers, as [0, 1, 4], not {value!r}")
+        raise OptionError(f"a camera's {name} is three numbers such as [0, 1, 4], not {value!r}")
     x, y, z = map(float, numbers)
     return x, y, z

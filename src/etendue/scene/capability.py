@@ -5,7 +5,7 @@ Anything else raises one error that names the element and says what to use inste
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from etendue.core import SceneError, UnsupportedError, check_variant
 
 from .graph import as_array, below, contents, describe, plugin_name, shapes
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 _SENSORS = ("perspective", "thinlens", "orthographic", "spherical")
 _EMITTERS = (
@@ -36,7 +39,7 @@ _LAMPS = ("rectangle", "disk", "sphere", "cylinder")
 _SENSOR_REMEDY = "use a 'perspective', 'thinlens', 'orthographic' or 'spherical' sensor"
 
 
-def check(scene: Any, sensor: Any) -> None:
+def check(scene: mi.Scene, sensor: mi.Sensor) -> None:
     """Raise :class:`UnsupportedError` or :class:`SceneError` if ``scene`` cannot be rendered through ``sensor``.
 
     Supported are perspective, thin-lens, orthographic and spherical sensors; every shape but curves and ellipsoids,
@@ -48,7 +51,7 @@ def check(scene: Any, sensor: Any) -> None:
     _check_sensor(sensor)
     every_shape = shapes(scene)
     if not every_shape:
-        raise SceneError("the scene has no shape, so there is nothing that light could meet; add geometry")
+        raise SceneError("the scene has no shape, so there is nothing to render; add geometry")
     for shape in every_shape:
         _check_shape(shape)
     if not scene.emitters():
@@ -57,12 +60,12 @@ def check(scene: Any, sensor: Any) -> None:
         _check_emitter(emitter)
 
 
-def _check_sensor(sensor: Any) -> None:
+def _check_sensor(sensor: mi.Sensor) -> None:
     name = describe(sensor, "sensor")
     if plugin_name(sensor) not in _SENSORS:
         raise UnsupportedError(f"{name} is not supported; {_SENSOR_REMEDY}")
     if sensor.get_medium() is not None:
-        raise UnsupportedError(f"{name} sits in a participating medium, which is not supported; remove the medium")
+        raise UnsupportedError(f"{name} is in a participating medium, which is not supported; remove the medium")
     film = sensor.film()
     if plugin_name(film) != "hdrfilm":
         raise UnsupportedError(f"{describe(film, 'film')} is not supported; use 'hdrfilm'")
@@ -73,7 +76,7 @@ def _check_sensor(sensor: Any) -> None:
     _check_values(sensor, name)
 
 
-def _check_shape(shape: Any) -> None:
+def _check_shape(shape: mi.Shape) -> None:
     import mitsuba as mi
 
     name = describe(shape, "shape")
@@ -101,12 +104,12 @@ def _check_shape(shape: Any) -> None:
             raise SceneError(f"{name} emits light but has no area; remove it or repair its geometry")
         if "vertex_normals" in values and not _is_faceted(values):
             raise UnsupportedError(
-                f"{name} emits light and has normals that bend across its faces, which is not supported; set "
-                "face_normals to true on it"
+                f"{name} emits light and has vertex normals that differ from its face normals, which is not supported; "
+                "set its face_normals to true"
             )
 
 
-def _check_emitter(emitter: Any) -> None:
+def _check_emitter(emitter: mi.Emitter) -> None:
     import mitsuba as mi
 
     kind, name = plugin_name(emitter), describe(emitter, "emitter")
@@ -116,20 +119,20 @@ def _check_emitter(emitter: Any) -> None:
     if kind not in _EMITTERS:
         raise UnsupportedError(f"{name} is not supported; use one of: {', '.join(_EMITTERS)}")
     if emitter.get_medium() is not None:
-        raise UnsupportedError(f"{name} sits in a participating medium, which is not supported; remove the medium")
+        raise UnsupportedError(f"{name} is in a participating medium, which is not supported; remove the medium")
     for node in below(emitter):
         _check_values(node, name)
 
 
-def _check_values(item: Any, name: str) -> None:
-    """All numbers of the object must be finite."""
+def _check_values(item: mi.Object, name: str) -> None:
+    """Raise :class:`SceneError` if a number of the object is not finite."""
     for key, value in contents(item).values:
         array = _floats(value)
         if array is not None and not np.isfinite(array).all():
             raise SceneError(f"{name} has a NaN or infinite value in '{key}'; correct it in the scene")
 
 
-def _check_mesh(mesh: Any, values: dict[str, Any], name: str) -> None:
+def _check_mesh(mesh: mi.Mesh, values: dict[str, Any], name: str) -> None:
     for key in ("vertex_positions", "vertex_normals", "vertex_texcoords"):
         array = _floats(values.get(key))
         if array is not None and not np.isfinite(array).all():
@@ -142,12 +145,13 @@ def _check_mesh(mesh: Any, values: dict[str, Any], name: str) -> None:
     if int(faces.max()) >= mesh.vertex_count():
         face = int(np.argmax(faces >= mesh.vertex_count())) // 3
         raise SceneError(
-            f"{name} has a face ({face}) that names vertex {int(faces.max())} of {mesh.vertex_count()}; repair the mesh"
+            f"{name} has a face ({face}) with vertex {int(faces.max())}, but only {mesh.vertex_count()} vertices; "
+            "repair the mesh"
         )
 
 
 def _is_faceted(mesh: dict[str, Any]) -> bool:
-    """Whether a mesh's vertex normals are those of its faces, or opposite, to half a degree."""
+    """Whether a mesh's vertex normals are those of its faces, or opposite to them, within half a degree."""
     normals = as_array(mesh["vertex_normals"]).reshape(-1, 3)
     if not len(normals):
         return True
@@ -155,12 +159,12 @@ def _is_faceted(mesh: dict[str, Any]) -> bool:
     flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(flat, axis=1, keepdims=True)
     flat = (flat / np.where(length > 0, length, 1.0))[:, None, :]
-    bent = np.einsum("fci,fki->fc", normals[as_array(mesh["faces"]).reshape(-1, 3)], flat)
-    return bool((np.abs(bent)[length[:, 0] > 0] > 0.99996).all())
+    cosine = np.einsum("fci,fki->fc", normals[as_array(mesh["faces"]).reshape(-1, 3)], flat)
+    return bool((np.abs(cosine)[length[:, 0] > 0] > 0.99996).all())
 
 
 def _floats(value: Any) -> NDArray[np.floating[Any]] | None:
-    """``value`` as a float array, ``None`` if it is of another kind."""
+    """``value`` as a float array, ``None`` if it has another type."""
     if value is None or isinstance(value, (str, bool)):
         return None
     array = as_array(value)

@@ -9,23 +9,26 @@ from __future__ import annotations
 
 import hashlib
 import re
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .graph import as_array, contents, shapes
 
+if TYPE_CHECKING:
+    import mitsuba as mi
+
 #: Lines of an object's description without influence on its appearance: file names, and a mean summed on the device.
 _VOLATILE = re.compile(r"^\s*(name|filename|mean) = .*$", re.MULTILINE)
-#: Values that only steer other integrators.
+#: Values that only other integrators use.
 _IGNORED = {"silhouette_sampling_weight", "allow_thread_reordering"}
 
 
-def fingerprint(scene: Any, sensor: Any, extra: str = "") -> str:
+def fingerprint(scene: mi.Scene, sensor: mi.Sensor, extra: str = "") -> str:
     """Hex digest (32 characters) of every shape, material, texture and emitter of ``scene`` and of ``sensor``.
 
-    ``extra`` is hashed as well: what the loader knows and the loaded scene does not contain. Sampler and sample count
-    are excluded.
+    ``extra`` is hashed as well: properties that the loader has read and the loaded scene does not report. Sampler and
+    sample count are excluded.
     """
-    digests: dict[Any, bytes] = {}
+    digests: dict[mi.Object, bytes] = {}
     every_shape = shapes(scene)
     parts = sorted(_digest(s, digests) for s in every_shape)
     parts += sorted(_digest(e, digests) for e in scene.emitters())
@@ -37,12 +40,12 @@ def fingerprint(scene: Any, sensor: Any, extra: str = "") -> str:
 def _hash(parts: list[bytes]) -> bytes:
     h = hashlib.blake2b(digest_size=16)
     for part in parts:
-        h.update(len(part).to_bytes(8, "little"))  # lengths keep neighbouring parts apart
+        h.update(len(part).to_bytes(8, "little"))  # so that the borders between parts enter the digest
         h.update(part)
     return h.digest()
 
 
-def _digest(item: Any, digests: dict[Any, bytes]) -> bytes:
+def _digest(item: mi.Object, digests: dict[mi.Object, bytes]) -> bytes:
     import mitsuba as mi
 
     known = digests.get(item)
@@ -66,7 +69,7 @@ def _digest(item: Any, digests: dict[Any, bytes]) -> bytes:
     return result
 
 
-def _sensor_digest(sensor: Any) -> bytes:
+def _sensor_digest(sensor: mi.Sensor) -> bytes:
     film = sensor.film()
     parts = [str(sensor.class_name()).encode(), _description(film.rfilter()), bytes([film.sample_border()])]
     for item in (sensor, film):
@@ -75,7 +78,7 @@ def _sensor_digest(sensor: Any) -> bytes:
     return _hash(parts)
 
 
-def _description(item: Any) -> bytes:
+def _description(item: mi.Object) -> bytes:
     """An object's description: it contains settings that ``traverse`` does not report, such as a microfacet
     distribution."""
     try:

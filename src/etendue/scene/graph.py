@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 #: C++ class names whose plugin name is not the lower-case name.
 _PLUGIN_NAMES = {
@@ -57,7 +60,7 @@ class Contents:
     """What ``mi.traverse`` reports for one object: plain values, and child objects, in the object's order."""
 
     values: list[tuple[str, Any]] = field(default_factory=list)
-    objects: list[tuple[str, Any]] = field(default_factory=list)
+    objects: list[tuple[str, mi.Object]] = field(default_factory=list)
 
 
 @lru_cache(maxsize=8)
@@ -66,12 +69,12 @@ def _collector(variant: str) -> type:
     import mitsuba as mi
 
     class Collector(mi.TraversalCallback):
-        def __init__(self, owner: Any) -> None:
+        def __init__(self, owner: mi.Object) -> None:
             super().__init__()
             self.owner = owner
             self.contents = Contents()
 
-        def put(self, name: str, value: Any, flags: Any, cpptype: Any = None) -> None:
+        def put(self, name: str, value: Any, flags: mi.ParamFlags, cpptype: Any = None) -> None:
             if isinstance(value, mi.Object):
                 self.contents.objects.append((name, value))
             elif value is not None:
@@ -82,7 +85,7 @@ def _collector(variant: str) -> type:
     return Collector
 
 
-def contents(item: Any) -> Contents:
+def contents(item: mi.Object) -> Contents:
     """The direct contents of a Mitsuba object."""
     import mitsuba as mi
 
@@ -98,7 +101,7 @@ def as_array(value: Any) -> NDArray[Any]:
     return np.ascontiguousarray(np.asarray(value))
 
 
-def below(item: Any) -> Iterator[Any]:
+def below(item: mi.Object) -> Iterator[mi.Object]:
     """Every object under ``item``, each once, parents before children; ``item`` itself first."""
     seen: set[int] = set()
     keep = []  # wrappers must outlive the walk, or another object could reuse an id()
@@ -113,7 +116,7 @@ def below(item: Any) -> Iterator[Any]:
         stack.extend(child for _, child in reversed(contents(node).objects))
 
 
-def shapes(scene: Any) -> list[Any]:
+def shapes(scene: mi.Scene) -> list[mi.Shape]:
     """Every shape of a scene, those inside shape groups included."""
     import mitsuba as mi
 
@@ -124,7 +127,7 @@ def shapes(scene: Any) -> list[Any]:
     return found
 
 
-def materials(scene: Any) -> Iterator[Any]:
+def materials(scene: mi.Scene) -> Iterator[mi.Object]:
     """Every material of a scene with its nested materials and textures."""
     for shape in shapes(scene):
         bsdf = shape.bsdf()
@@ -132,8 +135,8 @@ def materials(scene: Any) -> Iterator[Any]:
             yield from below(bsdf)
 
 
-def plugin_name(item: Any) -> str:
-    """The name by which a scene file asks for this object, such as ``roughconductor``."""
+def plugin_name(item: mi.Object) -> str:
+    """The plugin name of an object in a scene file, such as ``roughconductor``."""
     own = getattr(item, "plugin_name", None)  # Python plugins may define it
     if isinstance(own, str):
         return own
@@ -143,8 +146,8 @@ def plugin_name(item: Any) -> str:
     return _PLUGIN_NAMES.get(name, name.removesuffix("Integrator").lower())
 
 
-def describe(item: Any, role: str) -> str:
-    """``role 'id' (type plugin)``, without the id where the scene gave none."""
+def describe(item: mi.Object, role: str) -> str:
+    """``ROLE 'ID' of type 'PLUGIN'``, without the id if the scene gave none."""
     own = str(item.id())
     unnamed = not own or own.startswith(("_unnamed", "_arg_", "__root__"))
     kind = plugin_name(item)

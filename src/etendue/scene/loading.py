@@ -1,18 +1,18 @@
-"""Loading scenes: Mitsuba XML of any version, dictionaries, loaded scenes and the bundled ones become a Problem.
+"""Loading scenes: from Mitsuba XML of any version, dictionaries, loaded scenes and bundled scenes to a Problem.
 
-XML and dictionaries pass through Mitsuba's parser in steps, so that the film can be resized before objects are built,
-and unknown integrators can be left out: the caller chooses the method.
+XML and dictionaries pass through Mitsuba's parser in steps, so that the film can be resized before objects are built
+and unknown integrators can be left out.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from .builtin.table import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene
 from .graph import contents, plugin_name
-from .moving import moved
+from .moving import Described, moved
 from .parsing import (
     Size,
     built_integrator,
@@ -36,14 +36,20 @@ from .parsing import (
 from .problem import Problem
 from .space import RenderSpace, warn_of_offsets
 
-#: An array of the device has fewer than 2^32 entries, and a film four channels to a pixel.
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+#: A device array has fewer than 2^32 entries, and a film has four channels.
 MOST_PIXELS = 1 << 30
 #: File name of the scene in a folder.
 _SCENE_FILE = "scene.xml"
 
+#: What :func:`load` accepts as a scene.
+Source: TypeAlias = "str | os.PathLike[str] | BundledScene | Mapping[str, Any] | mi.Scene"
+
 
 def load(
-    source: Any,
+    source: Source,
     *,
     size: Size | None = None,
     sensor: int = 0,
@@ -52,7 +58,7 @@ def load(
     camera: Camera | None = None,
     check: bool = True,
 ) -> Problem:
-    """Load a scene and return the problem of seeing it through one of its sensors.
+    """Load a scene; returns the :class:`Problem` of rendering it through one of its sensors.
 
     ``source`` is the path of a Mitsuba XML file or the name of a bundled scene (see :func:`locate`), a
     :class:`BundledScene`, a scene dictionary or a loaded ``mi.Scene``. ``size`` (width, height) replaces the film's
@@ -62,8 +68,8 @@ def load(
     ``parameters`` gives values to ``$variables`` of an XML file. The scene's integrator is reported, not built. Without
     ``check`` unsupported elements raise no error.
 
-    Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for what cannot be read or is broken,
-    :class:`UnsupportedError` for what cannot be rendered, :class:`OptionError` for arguments out of range.
+    Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for a scene that cannot be read or is broken,
+    :class:`UnsupportedError` for elements that cannot be rendered, :class:`OptionError` for arguments out of range.
     """
 
     use_variant()
@@ -81,8 +87,8 @@ def load(
     return _from_scene(source, size, sensor, memory, check)
 
 
-def integrator_of(source: Any, parameters: Mapping[str, Any] | None = None) -> str:
-    """Plugin name of the integrator that a scene names, "" if it names none. ``source`` is parsed, but not built.
+def integrator_of(source: Source, parameters: Mapping[str, Any] | None = None) -> str:
+    """Plugin name of a scene's integrator, "" if it has none. ``source`` is parsed, but not built.
 
     Sets a Mitsuba variant if none is set. Errors as :func:`load`, as far as parsing finds them.
     """
@@ -93,12 +99,12 @@ def integrator_of(source: Any, parameters: Mapping[str, Any] | None = None) -> s
     return "" if source.integrator() is None else built_integrator(source.integrator())[0]
 
 
-def _is_loaded(source: Any) -> bool:
+def _is_loaded(source: Source) -> TypeGuard[mi.Scene]:
     return type(source).__name__ == "Scene" and hasattr(source, "sensors")
 
 
 def locate(name: str | os.PathLike[str], tell: Callable[[str], object] = logger.info) -> Path | BundledScene:
-    """The scene file or the bundled scene that a name stands for.
+    """The scene file or the bundled scene of a name.
 
     A file takes precedence over a bundled scene of the same name, and so does a folder with a ``scene.xml``; any other
     folder does not. If both exist, ``tell`` receives a line that says which one is used. Raises :class:`SceneError` if
@@ -111,11 +117,11 @@ def locate(name: str | os.PathLike[str], tell: Callable[[str], object] = logger.
         if file.suffix.lower() not in (".xml", ""):
             raise SceneError(f"'{name}' is not a Mitsuba scene file; give an .xml file or a bundled scene")
         if name in scenes:
-            tell(f"'{name}' is taken as the file {file}, not as the bundled scene")
+            tell(f"'{name}' is read as the file {file}, not as the bundled scene")
         return file
     if name in scenes:
         if path.is_dir():
-            tell(f"'{name}' is taken as the bundled scene; the folder of that name holds no {_SCENE_FILE}")
+            tell(f"'{name}' is read as the bundled scene; the folder of that name has no {_SCENE_FILE}")
         return scenes[name]
     if path.is_dir():
         raise SceneError(f"'{name}' is a folder without a {_SCENE_FILE}; name the scene file in it")
@@ -123,7 +129,7 @@ def locate(name: str | os.PathLike[str], tell: Callable[[str], object] = logger.
     raise SceneError(f"there is no scene file '{name}', and no bundled scene of that name; {hint}")
 
 
-def _checked_size(size: Any) -> Size:
+def _checked_size(size: Sequence[int]) -> Size:
     try:
         width, height = (int(v) for v in size)
     except (TypeError, ValueError):
@@ -142,8 +148,8 @@ _NO_VARIABLES = "parameters replace $variables of an XML file; this scene is not
 
 
 def _parse(
-    source: Path | BundledScene | Mapping[str, Any], parameters: Mapping[str, Any] | None
-) -> tuple[str, Path | None, Any, Any]:
+    source: Described, parameters: Mapping[str, Any] | None
+) -> tuple[str, Path | None, mi.parser.ParserConfig, mi.parser.ParserState]:
     """Name of a scene, its file, and Mitsuba's configuration and state once it is parsed."""
     import mitsuba as mi
 
@@ -167,11 +173,11 @@ def _parse(
 
 
 def _from_parser(
-    source: Any,
+    source: Described,
     name: str,
     path: Path | None,
-    config: Any,
-    state: Any,
+    config: mi.parser.ParserConfig,
+    state: mi.parser.ParserState,
     size: Size | None,
     sensor: int,
     memory: int | None,
@@ -217,8 +223,8 @@ def _from_parser(
 
 
 @contextmanager
-def _resolving(path: Path | None) -> Any:
-    """Mitsuba searches textures and meshes beside the scene file, but only while loading it."""
+def _resolving(path: Path | None) -> Iterator[None]:
+    """Let Mitsuba search textures and meshes beside the scene file, inside the block."""
     import mitsuba as mi
 
     before = mi.file_resolver()
@@ -233,8 +239,8 @@ def _resolving(path: Path | None) -> Any:
 
 
 @contextmanager
-def _mitsuba_errors(name: str) -> Any:
-    """Turn Mitsuba's exceptions into one line that says what to do."""
+def _mitsuba_errors(name: str) -> Iterator[None]:
+    """Convert Mitsuba's exceptions to errors of étendue, with a remedy."""
     try:
         yield
     except SceneError:
@@ -266,7 +272,7 @@ def _remedy(text: str) -> str:
 # -- loaded scenes ---------------------------------------------------------------------------------------------------
 
 
-def _from_scene(scene: Any, size: Size | None, sensor: int, memory: int | None, check: bool) -> Problem:
+def _from_scene(scene: mi.Scene, size: Size | None, sensor: int, memory: int | None, check: bool) -> Problem:
     import mitsuba as mi
 
     if scene.variant_name() != mi.variant():
@@ -284,7 +290,7 @@ def _from_scene(scene: Any, size: Size | None, sensor: int, memory: int | None, 
     return _problem(scene, chosen, name, depth, options, "<scene>", memory, "", check)
 
 
-def _sensor(scene: Any, index: int, name: str) -> Any:
+def _sensor(scene: mi.Scene, index: int, name: str) -> mi.Sensor:
     sensors = scene.sensors()
     if not sensors:
         raise SceneError(f"{name} has no sensor, so there is nothing to render; add a 'perspective' sensor")
@@ -294,7 +300,7 @@ def _sensor(scene: Any, index: int, name: str) -> Any:
 
 
 def resized(problem: Problem, size: Size) -> Problem:
-    """The same view of the same scene on a film whose window has (width, height) ``size``; nothing is loaded again."""
+    """The same view of the same scene on a film whose window has (width, height) ``size``, without loading again."""
     film = [int(v) for v in problem.sensor.film().size()]
     whole = tuple(max(1, round(f * s / w)) for f, s, w in zip(film, size, problem.size, strict=True))
     sensor = _resized_sensor(problem.sensor, (whole[0], whole[1]))
@@ -302,7 +308,7 @@ def resized(problem: Problem, size: Size) -> Problem:
     return replace(problem, sensor=sensor, size=(width, height))
 
 
-def _resized_sensor(sensor: Any, size: Size) -> Any:
+def _resized_sensor(sensor: mi.Sensor, size: Size) -> mi.Sensor:
     """A copy of a sensor with a film of another size.
 
     Changing the film through ``mi.traverse`` would alter the user's scene and leave the sensor with its old resolution.
@@ -351,8 +357,8 @@ def _resized_sensor(sensor: Any, size: Size) -> Any:
 
 
 def _problem(
-    scene: Any,
-    sensor: Any,
+    scene: mi.Scene,
+    sensor: mi.Sensor,
     integrator: str,
     depth: int,
     options: dict[str, Any],

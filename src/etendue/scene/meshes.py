@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 Points = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 
-def mesh(name: str, points: Points, faces: Faces, bsdf: dict[str, Any], normals: Points | None = None) -> Any:
-    """A ``mi.Mesh`` from (n, 3) points, (m, 3) faces and, for a smooth look, (n, 3) normals."""
+def mesh(name: str, points: Points, faces: Faces, bsdf: dict[str, Any], normals: Points | None = None) -> mi.Mesh:
+    """A mesh from (n, 3) points, (m, 3) faces and, for smooth shading, (n, 3) normals."""
     import mitsuba as mi
 
     properties = mi.Properties()
@@ -29,10 +32,11 @@ def mesh(name: str, points: Points, faces: Faces, bsdf: dict[str, Any], normals:
 
 
 def lathe(profile: Points, segments: int, closed: bool) -> tuple[Points, Faces, Points]:
-    """Turn a profile of (radius, height) points about the y axis; returns points, faces and smooth normals.
+    """Surface of revolution of a profile of (radius, height) points about the y axis; returns points, faces and smooth
+    normals.
 
-    The solid lies to the left of the profile as it is followed in the (radius, height) plane, so that faces and
-    normals look out. A profile that is not ``closed`` begins and ends on the axis (radius 0).
+    The solid is to the left of the profile's direction in the (radius, height) plane, so that faces and normals point
+    outwards. A profile that is not ``closed`` begins and ends on the axis (radius 0).
     """
     n = len(profile)
     angle = 2.0 * np.pi * np.arange(segments) / segments
@@ -90,9 +94,9 @@ def height_field(
 
 
 def brilliant(radius: float, crown: float, pavilion: float, sides: int) -> tuple[Points, Faces]:
-    """A cut stone standing on its table: flat table and girdle polygons joined by facets, coming to a point above.
+    """A cut gemstone that stands on its table: polygons of table and girdle, connected by facets, and a tip.
 
-    Every facet has its own vertices, so it stays flat.
+    Every facet has its own vertices, so that it is shaded flat.
     """
     angle = 2 * np.pi * np.arange(sides) / sides
     half = angle + np.pi / sides

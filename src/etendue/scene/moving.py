@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import drjit as dr
 import numpy as np
@@ -11,9 +12,16 @@ from numpy.typing import ArrayLike
 
 from etendue.core import Array, logger
 
+from .builtin.table import BundledScene
 from .graph import below, contents, describe, plugin_name
 from .parsing import merge_meshes, read_properties
 from .space import SENSORS, RenderSpace, half_diagonal, largest_offset, warn_of_offsets, warn_of_steps
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+#: What Mitsuba's parser reads: a file, a bundled scene, or a dictionary.
+Described: TypeAlias = Path | BundledScene | Mapping[str, Any]
 
 #: Shapes with a ``to_world``; ``shapegroup`` is placed by its instances, ``merge`` has shapes below it.
 _MESH_FILES = ("ply", "obj", "serialized")
@@ -26,8 +34,14 @@ _DEFAULTS = {"near_clip": 1e-2, "far_clip": 1e4}
 
 
 def moved(
-    scene: Any, sensor: Any, space: RenderSpace, source: Any, name: str, config: Any, state: Any
-) -> tuple[Any, RenderSpace]:
+    scene: mi.Scene,
+    sensor: mi.Sensor,
+    space: RenderSpace,
+    source: Described,
+    name: str,
+    config: mi.parser.ParserConfig,
+    state: mi.parser.ParserState,
+) -> tuple[mi.Scene, RenderSpace]:
     """The scene of the parsed ``state`` in ``space``. ``scene`` is the same scene without transformation; it is
     returned, with a warning, if something in it cannot be moved."""
     import mitsuba as mi
@@ -39,8 +53,8 @@ def moved(
     size = half_diagonal(scene)
     x, y, z = space.centre
     logger.info(
-        f"{name} is rendered around ({x:g}, {y:g}, {z:g}) and scaled by {space.scale:g}: where it was given, "
-        f"rays would start up to {largest_offset(scene):.2g} off its surfaces. Lengths stay in its own units"
+        f"{name} is rendered around ({x:g}, {y:g}, {z:g}) and scaled by {space.scale:g}: in its own coordinates, "
+        f"rays would start up to {largest_offset(scene):.2g} off surfaces. Lengths stay in the scene's units"
     )
     if isinstance(source, Mapping):
         warn_of_steps(
@@ -52,7 +66,7 @@ def moved(
     return mi.parser.instantiate(config, state), space
 
 
-def _obstacle(state: Any, scene: Any) -> str | None:
+def _obstacle(state: mi.parser.ParserState, scene: mi.Scene) -> str | None:
     """Why a parsed scene cannot be moved, ``None`` if it can; ``scene`` is the scene built from it."""
     import mitsuba as mi
 
@@ -62,17 +76,17 @@ def _obstacle(state: Any, scene: Any) -> str | None:
         if node.type == mi.ObjectType.Shape and index not in inside and kind not in (*_SHAPES, *_GROUPS):
             return f"a shape of type '{kind}' is not moved"
         if node.type == mi.ObjectType.Unknown and kind not in SENSORS and "to_world" in read_properties(node.props):
-            return f"'{kind}' is not moved, as it is not known what it is"
+            return f"'{kind}' is not moved, because its type is not known"
         for value in read_properties(node.props).values():
             if isinstance(value, mi.Object) and (fixed := _fixed(value)):
-                return f"{fixed} is not moved, as it is built already"
+                return f"{fixed} is not moved, because it is built already"
     lamps = [plugin_name(e) for e in _lamps(scene)]
     if lamps != [node.props.plugin_name() for node in _lamp_nodes(state)]:
-        return "its point and spot lights cannot be told apart"
+        return "its point and spot lights cannot be matched with those of the file"
     return None
 
 
-def _move(state: Any, space: RenderSpace, scene: Any) -> None:
+def _move(state: mi.parser.ParserState, space: RenderSpace, scene: mi.Scene) -> None:
     """Transform a parsed scene into ``space``; radiances and irradiances do not change. ``scene`` is the scene built
     without the transformation, from which intensities are read."""
     import mitsuba as mi
@@ -98,7 +112,7 @@ def _move(state: Any, space: RenderSpace, scene: Any) -> None:
                 _scale(props, ["scale"], space.scale, {"scale": 1.0})
 
 
-def _largest_coordinate(state: Any, space: RenderSpace) -> float:
+def _largest_coordinate(state: mi.parser.ParserState, space: RenderSpace) -> float:
     """Approximately the largest vertex coordinate in the mesh files of a scene that was moved into ``space``, in the
     scene's original units: these files have single precision."""
     import mitsuba as mi
@@ -118,7 +132,7 @@ def _largest_single(described: Mapping[str, Any]) -> float:
     return largest
 
 
-def _move_shape(props: Any, space: RenderSpace) -> None:
+def _move_shape(props: mi.Properties, space: RenderSpace) -> None:
     import mitsuba as mi
 
     matrix = _matrix(props)
@@ -137,18 +151,18 @@ def _move_shape(props: Any, space: RenderSpace) -> None:
     props["to_world"] = mi.ScalarTransform4d(matrix)
 
 
-def _move_sensor(props: Any, space: RenderSpace) -> None:
+def _move_sensor(props: mi.Properties, space: RenderSpace) -> None:
     import mitsuba as mi
 
     _move_frame(props, space)
     _scale(props, _LENGTHS, space.scale, _DEFAULTS)
-    if props.plugin_name() == "orthographic":  # its transform says how much it sees
+    if props.plugin_name() == "orthographic":  # the transform contains the size of the view
         matrix = _matrix(props)
         matrix[:3, :2] *= space.scale
         props["to_world"] = mi.ScalarTransform4d(matrix)
 
 
-def _move_frame(props: Any, space: RenderSpace) -> None:
+def _move_frame(props: mi.Properties, space: RenderSpace) -> None:
     """Move a sensor or a light, keeping its size and direction."""
     import mitsuba as mi
 
@@ -161,14 +175,14 @@ def _move_frame(props: Any, space: RenderSpace) -> None:
     props["to_world"] = mi.ScalarTransform4d(matrix)
 
 
-def _scale(props: Any, keys: Any, factor: float, defaults: dict[str, float]) -> None:
+def _scale(props: mi.Properties, keys: Iterable[str], factor: float, defaults: dict[str, float]) -> None:
     values = defaults | read_properties(props)
     for key in keys:
         if key in values:
             props[key] = factor * float(values[key])
 
 
-def _matrix(props: Any) -> Array:
+def _matrix(props: mi.Properties) -> Array:
     transform = read_properties(props).get("to_world")
     return np.eye(4) if transform is None else np.array(transform.matrix, dtype=np.float64).reshape(4, 4)
 
@@ -179,8 +193,8 @@ def _translation(offset: ArrayLike) -> Array:
     return matrix
 
 
-def _shapes_of_groups(state: Any) -> set[int]:
-    """Indices of what lies below shape groups."""
+def _shapes_of_groups(state: mi.parser.ParserState) -> set[int]:
+    """Indices of the nodes below shape groups."""
     import mitsuba as mi
 
     found: set[int] = set()
@@ -193,7 +207,7 @@ def _shapes_of_groups(state: Any) -> set[int]:
     return found
 
 
-def _lamp_nodes(state: Any) -> Iterator[Any]:
+def _lamp_nodes(state: mi.parser.ParserState) -> Iterator[mi.parser.SceneNode]:
     """Nodes of point and spot lights, in the scene's order."""
     import mitsuba as mi
 
@@ -204,11 +218,11 @@ def _lamp_nodes(state: Any) -> Iterator[Any]:
                 yield node
 
 
-def _lamps(scene: Any) -> list[Any]:
+def _lamps(scene: mi.Scene) -> list[mi.Emitter]:
     return [e for e in scene.emitters() if plugin_name(e) in _LAMPS]
 
 
-def _fixed(built: Any) -> str | None:
+def _fixed(built: mi.Object) -> str | None:
     """The part of an object from a dictionary that has a position or a length."""
     import mitsuba as mi
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from etendue.core import SceneError
 
 from .graph import plugin_name
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 Size = tuple[int, int]
 
@@ -15,7 +18,7 @@ _MESH_PLUGINS = ("ply", "obj", "serialized")
 _CROP = ("crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
 
 
-def take_integrator(state: Any) -> tuple[str, int, dict[str, Any]]:
+def take_integrator(state: mi.parser.ParserState) -> tuple[str, int, dict[str, Any]]:
     """Remove the integrator from the scene; return its name, maximum depth and other plain parameters."""
     import mitsuba as mi
 
@@ -32,16 +35,16 @@ def take_integrator(state: Any) -> tuple[str, int, dict[str, Any]]:
             continue
         del root.props[key]
         while inner := _children(node, mi.ObjectType.Integrator, state):
-            node = inner[0][1]  # 'aov' and 'moment' wrap the integrator that counts
+            node = inner[0][1]  # 'aov' and 'moment' contain the integrator
         plain = {k: v for k, v in read_properties(node.props).items() if isinstance(v, (bool, int, float, str))}
         return node.props.plugin_name(), int(plain.pop("max_depth", -1)), plain
     return "", -1, {}
 
 
-def built_integrator(integrator: Any) -> tuple[str, int, dict[str, Any]]:
+def built_integrator(integrator: mi.Integrator) -> tuple[str, int, dict[str, Any]]:
     """Parameters of an integrator that is built already, from its description."""
     name = plugin_name(integrator)
-    own = getattr(integrator, "options", None)  # étendue's own integrators have all of them
+    own = getattr(integrator, "options", None)  # étendue's own integrators
     if isinstance(own, dict):
         plain = dict(own)
         return name, int(plain.pop("max_depth", -1)), plain
@@ -51,7 +54,7 @@ def built_integrator(integrator: Any) -> tuple[str, int, dict[str, Any]]:
     return name, depth if depth < 2**31 else -1, options
 
 
-def resize(state: Any, size: Size) -> None:
+def resize(state: mi.parser.ParserState, size: Size) -> None:
     """Give every film of the scene another size; a crop window keeps its proportions."""
     import mitsuba as mi
 
@@ -80,7 +83,7 @@ def scaled_window(window: list[int], old: Size, new: Size) -> tuple[int, int, in
     return x, y, width, height
 
 
-def check_films(state: Any, name: str) -> None:
+def check_films(state: mi.parser.ParserState, name: str) -> None:
     """Raise :class:`SceneError` for a film without pixels, which Mitsuba reports as a wrong field of view."""
     import mitsuba as mi
 
@@ -92,8 +95,8 @@ def check_films(state: Any, name: str) -> None:
                     raise SceneError(f"{name}: the film's {key} is {values[key]}; it must be at least 1")
 
 
-def texture_details(state: Any) -> str:
-    """Text parameters of textures (interpolation, wrapping), which a loaded texture does not show."""
+def texture_details(state: mi.parser.ParserState) -> str:
+    """Text parameters of textures (interpolation, wrapping), which a loaded texture does not report."""
     import mitsuba as mi
 
     rows = []
@@ -105,8 +108,8 @@ def texture_details(state: Any) -> str:
     return "\n".join(sorted(rows))
 
 
-def merge_meshes(state: Any) -> None:
-    """Let Mitsuba join meshes of one material, which makes rays a little cheaper.
+def merge_meshes(state: mi.parser.ParserState) -> None:
+    """Let Mitsuba merge meshes of the same material, which makes rays slightly faster.
 
     Emitting meshes are not merged: Mitsuba orders merged meshes by address, and the order of emitters determines which
     one a random number picks, so the same seed would give another picture in another process.
@@ -133,8 +136,8 @@ def merge_meshes(state: Any) -> None:
     state.root.props["_etendue_merged"] = mi.Properties.ResolvedReference(index)
 
 
-def read_properties(props: Any) -> dict[str, Any]:
-    """The properties of a node. Reading marks them as used, and Mitsuba reports misspelt ones as unused: unmark."""
+def read_properties(props: mi.Properties) -> dict[str, Any]:
+    """The properties of a node, read without marking them as used, because Mitsuba reports unused ones as misspelt."""
     values = {}
     for key in props.keys():  # noqa: SIM118
         used = props.was_queried(key)
@@ -143,8 +146,10 @@ def read_properties(props: Any) -> dict[str, Any]:
     return values
 
 
-def _children(node: Any, wanted: Any, state: Any) -> list[tuple[str, Any]]:
-    """(property name, node) of the children of type ``wanted`` that the parser still keeps as nodes."""
+def _children(
+    node: mi.parser.SceneNode, wanted: mi.ObjectType, state: mi.parser.ParserState
+) -> list[tuple[str, mi.parser.SceneNode]]:
+    """(property name, node) of the children of type ``wanted`` that are nodes of the parser."""
     import mitsuba as mi
 
     found = []
@@ -156,7 +161,7 @@ def _children(node: Any, wanted: Any, state: Any) -> list[tuple[str, Any]]:
     return found
 
 
-def _is_sensor(node: Any) -> bool:
+def _is_sensor(node: mi.parser.SceneNode) -> bool:
     import mitsuba as mi
 
     # A Python plugin in a dictionary has no type before it is built.
@@ -164,7 +169,7 @@ def _is_sensor(node: Any) -> bool:
     return unknown or node.type == mi.ObjectType.Sensor
 
 
-def _has_film(sensor: Any, state: Any) -> bool:
+def _has_film(sensor: mi.parser.SceneNode, state: mi.parser.ParserState) -> bool:
     import mitsuba as mi
 
     built = any(isinstance(v, mi.Film) for v in read_properties(sensor.props).values())

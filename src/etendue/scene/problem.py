@@ -4,26 +4,29 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .fingerprint import fingerprint
 from .space import RenderSpace
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 
 @dataclass(eq=False)
 class Problem:
     """A Mitsuba scene, one of its sensors, and the settings of the scene file. Made by :func:`etendue.scene.load`."""
 
-    scene: Any  #: ``mi.Scene``
-    sensor: Any  #: ``mi.Sensor``; not one of ``scene.sensors()`` if a loaded scene was given another size
+    scene: mi.Scene
+    sensor: mi.Sensor  #: not one of ``scene.sensors()`` if a loaded scene was given another size
     size: tuple[int, int]  #: (width, height) of the picture in pixels: the film's crop window
     spp: int  #: the scene's own sample count per pixel
-    max_depth: int = -1  #: longest path in edges that the scene's integrator names, -1 for unlimited
-    integrator: str = ""  #: plugin name of the scene's integrator, "" if it names none
+    max_depth: int = -1  #: longest path of the scene's integrator in edges, -1: unlimited
+    integrator: str = ""  #: plugin name of the scene's integrator, "" if it has none
     integrator_options: dict[str, Any] = field(default_factory=dict)  #: its other plain parameters
-    source: str = "<scene>"  #: path or name it was loaded from, for people
-    memory: int | None = None  #: bytes that a method may use for what it stores, ``None`` for no bound
-    details: str = ""  #: parameters that only the loader sees; part of the fingerprint
+    source: str = "<scene>"  #: path or name of the scene, for messages
+    memory: int | None = None  #: memory limit for what a method stores, in bytes; None: no limit
+    details: str = ""  #: parameters that only the loader can read; part of the fingerprint
     space: RenderSpace = field(default_factory=RenderSpace)  #: coordinates of ``scene`` and ``sensor``
 
     @cached_property

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +18,9 @@ from numpy.typing import ArrayLike
 from etendue.core import Array, logger
 
 from .graph import plugin_name
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 #: The largest accepted offset, relative to half the scene's diagonal or to the distance of visible surfaces; and the
 #: smallest half diagonal after scaling, the smallest distance, and the largest size of the scene after that scaling.
@@ -37,15 +40,15 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class RenderSpace:
-    """Coordinates ``scale (x - centre)`` of points x of the scene as it was given."""
+    """Coordinates ``scale (x - centre)`` of points x in the scene's own coordinates."""
 
     centre: Point = (0.0, 0.0, 0.0)
     scale: float = 1.0
 
     @classmethod
-    def of(cls, scene: Any, sensor: Any) -> RenderSpace:
+    def of(cls, scene: mi.Scene, sensor: mi.Sensor) -> RenderSpace:
         """The space for a loaded scene: its own, unless the ray offset exceeds 0.2 % of half its diagonal, or of the
-        median distance of what ``sensor`` sees, as for a room in one wing of a large building.
+        median distance of the surfaces that ``sensor`` sees (a room in a large building, for example).
 
         Then the centre is the position of ``sensor``, or the point of the bounding box nearest to it: offsets grow with
         the distance from the centre, as the size of a pixel does. The scale is a power of two, and 1 except for small
@@ -63,48 +66,48 @@ class RenderSpace:
 
     @property
     def is_own(self) -> bool:
-        """Whether the coordinates are those of the scene as it was given."""
+        """Whether the coordinates are the scene's own."""
         return self == RenderSpace()
 
     def from_scene(self, points: ArrayLike) -> Array:
-        """Points (..., 3) of the scene as it was given, in render space."""
+        """Points (..., 3) in the scene's own coordinates, converted to render space."""
         return self.scale * (np.asarray(points, dtype=np.float64) - self.centre)
 
     def to_scene(self, points: ArrayLike) -> Array:
-        """Points (..., 3) of render space, in the scene as it was given."""
+        """Points (..., 3) in render space, converted to the scene's own coordinates."""
         result: Array = np.asarray(points, dtype=np.float64) / self.scale + self.centre
         return result
 
 
-def largest_offset(scene: Any) -> float:
+def largest_offset(scene: mi.Scene) -> float:
     """The largest ray offset in a loaded scene."""
     import mitsuba as mi
 
     return float(mi.math.RayEpsilon * (1 + np.abs(_corners(scene)).max()))
 
 
-def half_diagonal(scene: Any) -> float:
+def half_diagonal(scene: mi.Scene) -> float:
     """Half the diagonal of the bounding box of a loaded scene; 0 if that is empty."""
     lower, upper = _corners(scene)
     return float(np.linalg.norm(upper - lower)) / 2 if (upper >= lower).all() else 0.0
 
 
-def warn_of_offsets(scene: Any, sensor: Any, name: str, why: str = "a loaded scene is not moved") -> None:
+def warn_of_offsets(scene: mi.Scene, sensor: mi.Sensor, name: str, why: str = "a loaded scene is not moved") -> None:
     """Warn, once for each text, if the ray offset in ``scene`` is large enough to change its light."""
     if _share(scene, sensor)[0] > _LARGEST_OFFSET:
         _warn_once(
             f"{name}: rays start up to {largest_offset(scene):.2g} off surfaces, which changes the light of a scene of "
-            f"this size and place, and {why}; put it near the origin at a size of 1 to 100, or give it as a file or as "
-            "a dictionary of plugins"
+            f"this size and position, and {why}; move it near the origin and scale it to a size of 1 to 100, or load "
+            "it from a file or a dictionary of plugins"
         )
 
 
 def warn_of_steps(name: str, largest: float, size: float, remedy: str) -> None:
-    """Warn if the single-precision step at coordinates as large as ``largest`` matters in a scene of half the diagonal
-    ``size``."""
+    """Warn if the single-precision step at coordinates up to ``largest`` is too large for a scene with half the
+    diagonal ``size``."""
     if _STEP * largest > _LARGEST_STEP * size:
         _warn_once(
-            f"{name}: single precision holds coordinates of {largest:.2g} to {2 * _STEP * largest:.2g} only, "
+            f"{name}: single precision rounds coordinates of {largest:.2g} to multiples of {2 * _STEP * largest:.2g}, "
             f"{2 * _STEP * largest / size:.2g} of the scene's size; {remedy}"
         )
 
@@ -114,9 +117,9 @@ def _warn_once(text: str) -> None:
     logger.warning(text)
 
 
-def _share(scene: Any, sensor: Any) -> tuple[float, float]:
-    """The ray offset over half the diagonal, or over the distance of what ``sensor`` sees, whichever is larger; and
-    that distance if it was measured. An offset of 0 if the bounding box is empty or not finite."""
+def _share(scene: mi.Scene, sensor: mi.Sensor) -> tuple[float, float]:
+    """(ray offset relative to half the diagonal or to the distance of the surfaces that ``sensor`` sees, whichever is
+    larger; this distance, if it was measured). The former is 0 if the bounding box is empty or not finite."""
     (lower, upper), size = _corners(scene), half_diagonal(scene)
     if not 0 < size < math.inf:
         return 0.0, _LEAST_DISTANCE
@@ -126,9 +129,9 @@ def _share(scene: Any, sensor: Any) -> tuple[float, float]:
     return max(share, seen), distance
 
 
-def _seen(scene: Any, sensor: Any) -> tuple[float, float]:
-    """Medians, over what a sensor sees, of ray offset over distance, and of the distance; 0 and the smallest distance
-    if it sees nothing."""
+def _seen(scene: mi.Scene, sensor: mi.Sensor) -> tuple[float, float]:
+    """Medians of ray offset over distance and of the distance, over the surfaces that a sensor sees; 0 and the smallest
+    distance if it sees none."""
     import mitsuba as mi
 
     if plugin_name(sensor) not in SENSORS:
@@ -137,15 +140,15 @@ def _seen(scene: Any, sensor: Any) -> tuple[float, float]:
     u, v = (a.ravel() for a in np.meshgrid(place, place))
     ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(u, v), mi.Point2f(0.5))
     distance = np.array(scene.ray_intersect_preliminary(ray).t, dtype=float)
-    met = np.isfinite(distance) & (distance > 0)
-    if not met.any():
+    hit = np.isfinite(distance) & (distance > 0)
+    if not hit.any():
         return 0.0, _LEAST_DISTANCE
-    distance = distance[met]
-    point = np.broadcast_to(ray.o, (3, len(u)))[:, met] + distance * np.broadcast_to(ray.d, (3, len(u)))[:, met]
+    distance = distance[hit]
+    point = np.broadcast_to(ray.o, (3, len(u)))[:, hit] + distance * np.broadcast_to(ray.d, (3, len(u)))[:, hit]
     offset = float(mi.math.RayEpsilon) * (1 + np.abs(point).max(axis=0))
     return float(np.median(offset / distance)), float(np.median(distance))
 
 
-def _corners(scene: Any) -> tuple[Array, Array]:
+def _corners(scene: mi.Scene) -> tuple[Array, Array]:
     box = scene.bbox()
     return np.asarray(box.min, dtype=float).ravel(), np.asarray(box.max, dtype=float).ravel()

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .graph import contents
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 
 class Parameters:
@@ -16,10 +19,10 @@ class Parameters:
     not reused, and so that a write into one (``dr.scatter``, ``params[key][i] = x``) goes to a copy with another index.
     Writes through a NumPy view of an array are not detected.
 
-    ``apart``: types of objects that are left out with everything below them. Objects themselves are not referenced.
+    ``apart``: types of objects that are left out, with everything below them. No references to objects are kept.
     """
 
-    def __init__(self, root: Any, apart: tuple[type, ...] = ()) -> None:
+    def __init__(self, root: mi.Object, apart: tuple[type, ...] = ()) -> None:
         self._held: list[Any] = []
         found: list[Hashable] = []
         seen: set[int] = set()
@@ -35,14 +38,14 @@ class Parameters:
                     stack.append(child)
         self._found = tuple(found)
 
-    def hold(self, variable: Any) -> None:
+    def hold(self, variable: mi.EmitterPtr) -> None:
         """Include an array that is not a parameter in the comparison."""
         self._found += (self._identity(variable),)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Parameters) and self._found == other._found
 
-    __hash__ = None  # type: ignore[assignment]  # what is compared is held, not frozen
+    __hash__ = None  # type: ignore[assignment]  # mutable by hold()
 
     def _identity(self, value: Any) -> Hashable:
         import drjit as dr
@@ -60,7 +63,7 @@ class Parameters:
         return int(held.index)
 
 
-def parameters(scene: Any) -> Parameters:
+def parameters(scene: mi.Scene) -> Parameters:
     """The parameters of a scene on which pictures through any sensor depend."""
     import mitsuba as mi
 
@@ -69,7 +72,7 @@ def parameters(scene: Any) -> Parameters:
     return found
 
 
-def view(sensor: Any) -> Parameters:
+def view(sensor: mi.Sensor) -> Parameters:
     """The parameters of a sensor and its film."""
     import mitsuba as mi
 

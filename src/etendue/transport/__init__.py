@@ -1,4 +1,4 @@
-"""What path methods share: vertices and walks, emission, camera, scattering with both densities, weights, stores."""
+"""Light transport for all methods: vertices, walks, emission, camera, scattering, MIS weights, vertex stores."""
 
 from . import dimensions
 from .bidirectional.camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache

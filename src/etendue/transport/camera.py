@@ -1,14 +1,14 @@
-"""The camera end of a path: primary rays, and joining a surface point to the sensor (the splat)."""
+"""The camera end of a path: primary rays, and connections of surface points to the sensor (splats)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import SampleSource
 from etendue.film import PixelFilter
@@ -16,46 +16,46 @@ from etendue.scene import Problem
 
 from . import dimensions as dim
 
-#: Most memory for a copy of the splatted image a thread.
+#: Most memory for the copies of the splatted images, one a thread, in bytes.
 _EXPAND_BYTES = 64e6
 
 
 @dataclass
 class CameraConnection:
-    """A surface point joined to the sensor, one lane each."""
+    """A surface point connected to the sensor, one lane each."""
 
-    position: Any  #: film point in pixels
-    direction: Any  #: world, from the surface to the sensor
-    target: Any  #: end of the shadow ray: the near plane on the way to the aperture point
-    distance: Any  #: to the aperture point
-    importance: Any  #: measurement contribution of one pixel per unit radiance, over squared distance
-    active: Any
+    position: mi.Point2f  #: film point in pixels
+    direction: mi.Vector3f  #: world, from the surface to the sensor
+    target: mi.Point3f  #: end of the shadow ray, on the near plane
+    distance: mi.Float  #: to the aperture point
+    importance: mi.Float  #: importance of one pixel, over squared distance
+    active: mi.Bool
 
-    def area_pdf(self, cos: Any) -> Any:
-        """Area density, at the surface, of a camera ray uniform in its pixel; ``cos``: the absolute cosine there."""
+    def area_pdf(self, cos: mi.Float) -> mi.Float:
+        """Area density at the surface of a camera ray uniform in its pixel; ``cos``: absolute cosine at the surface."""
         return self.importance * cos
 
 
 @dataclass
 class SplatPlace:
-    """Where a splat goes, one lane each."""
+    """Pixels that a splat is added to, one lane each."""
 
-    taps: list[tuple[Any, Any, Any]]  #: (pixel, its share, whether it is on the film)
-    weight: Any  #: factor beside the shares
-    on_film: Any
+    taps: list[tuple[mi.UInt32, mi.Float, mi.Bool]]  #: (pixel, filter weight, whether the pixel is on the film)
+    weight: mi.Float  #: factor on the contribution, beside the filter weights
+    on_film: mi.Bool  #: whether the splat's position is on the film
 
 
 class Splats:
-    """Images that light paths add to, on the device: sums over paths, a packet of four floats a pixel."""
+    """Images of splats on the device: sums over light paths, four floats a pixel."""
 
     def __init__(self, pixels: int, images: int = 1) -> None:
         self._pixels = pixels
         self.array = dr.zeros(mi.Float, 4 * pixels * images)
-        # On a CPU a copy a thread is faster than atomic additions, as long as there are few threads (ignored on a GPU).
+        # On a CPU, one copy of the images a thread is faster than atomic additions (a GPU ignores the mode).
         small = 16 * pixels * images * dr.thread_count() <= _EXPAND_BYTES
         self._mode = dr.ReduceMode.Expand if small else dr.ReduceMode.Auto
 
-    def add(self, place: SplatPlace, values: Sequence[Any], active: Any) -> None:
+    def add(self, place: SplatPlace, values: Sequence[mi.Color3f], active: mi.Bool) -> None:
         """Add a colour to each image, in each active lane."""
         for image, value in enumerate(values):
             packet = mi.Vector4f(value.x, value.y, value.z, 0.0)
@@ -63,7 +63,7 @@ class Splats:
                 index = pixel + image * self._pixels
                 dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet * share, index, active & on_film, mode=self._mode)
 
-    def sums(self, height: int, width: int) -> Any:
+    def sums(self, height: int, width: int) -> NDArray[np.float32]:
         """The images on the host, (images, height, width, 3) float32."""
         return np.asarray(self.array).reshape(-1, height, width, 4)[..., :3]
 
@@ -71,9 +71,9 @@ class Splats:
 class CameraSampler:
     """Primary rays and splats of one sensor, with its film's reconstruction filter.
 
-    ``independent``: a camera path counts for its own pixel, a splat for one of the pixels in reach, so that pixels
-    share no noise. Otherwise both count for all pixels in reach; camera rays are uniform in their pixels then, and
-    ``filter.spread`` makes pixels of what they bring.
+    ``independent``: the filter is importance sampled. A camera path then contributes to its own pixel and a splat to
+    one pixel within the filter's radius, so that the noise of pixels is independent. Otherwise both contribute to all
+    pixels within the radius: camera rays are uniform in their pixel, and ``filter.spread`` convolves their values.
     """
 
     def __init__(self, problem: Problem, independent: bool = False) -> None:
@@ -85,15 +85,15 @@ class CameraSampler:
         parameters = mi.traverse(self.sensor)
         self.near_clip = _scalar(parameters, "near_clip", 0.0)
         far_clip = _scalar(parameters, "far_clip", 1e4)
-        #: A distance within the sensor's range, where the environment is joined to it.
+        #: A distance between the near and the far plane, at which the environment is connected to the sensor.
         self.far = 0.5 * (self.near_clip + far_clip)
-        # From the near plane along any ray of the film, to a point before the far plane.
+        # Distance from the near plane to a point before the far plane, along any camera ray.
         self._reach = 0.5 * (far_clip - self.near_clip)
         self.origin = mi.Point3f(self.sensor.world_transform().translation())
-        #: Whether surface points can be joined to the sensor; not to an orthographic one, whose rays are parallel.
-        self.can_splat = _joins(self.sensor)
+        #: Whether surface points can be connected to the sensor; False for an orthographic one, with parallel rays.
+        self.can_splat = _can_connect(self.sensor)
 
-    def primary(self, pixel: Any, source: SampleSource) -> tuple[Any, Any, Any]:
+    def primary(self, pixel: mi.UInt32, source: SampleSource) -> tuple[mi.Ray3f, mi.Color3f, mi.Point2f]:
         """A camera ray through ``pixel`` (index y * width + x): (ray, weight, aperture sample)."""
         y = pixel // self.width
         x = pixel - y * self.width
@@ -109,8 +109,9 @@ class CameraSampler:
         ray, sensor_weight = self.sensor.sample_ray(0.0, 0.5, position, aperture)
         return ray, mi.Color3f(sensor_weight) * weight, aperture
 
-    def connect(self, si: Any, aperture: Any, active: Any) -> CameraConnection:
-        """Join ``si`` to the aperture point ``aperture``. Inactive where the point is off the film or out of range."""
+    def connect(self, si: mi.SurfaceInteraction3f, aperture: mi.Point2f, active: mi.Bool) -> CameraConnection:
+        """Connect ``si`` to the point of the aperture sample ``aperture``. Inactive where the projection is off the
+        film or the point outside the clipping planes."""
         ds, weight = self.sensor.sample_direction(si, aperture, active)
         importance = weight[0] * self.pixels
         # Camera rays start at the near plane, so a splat's shadow ray must end there.
@@ -119,9 +120,9 @@ class CameraSampler:
         usable = active & (ds.pdf > 0.0) & (importance > 0.0)
         return CameraConnection(ds.uv, ds.d, target, ds.dist, importance, usable)
 
-    def density(self, ray: Any, aperture: Any) -> tuple[Any, Any]:
-        """Solid-angle density of a camera ray uniform in its pixel, 0 where the sensor cannot be joined; and how far
-        from the aperture point the ray starts. [Georgiev 2012b, eq. 31]"""
+    def density(self, ray: mi.Ray3f, aperture: mi.Point2f) -> tuple[mi.Float, mi.Float]:
+        """(solid-angle density of a camera ray uniform in its pixel, distance from the aperture point to the ray's
+        origin) [Georgiev 2012b, eq. 31]; both 0 for a sensor that surface points cannot be connected to."""
         if not self.can_splat:
             return mi.Float(0.0), mi.Float(0.0)
         probe = dr.zeros(mi.Interaction3f)
@@ -130,8 +131,9 @@ class CameraSampler:
         lead = dr.norm(ray.o - ds.p)
         return weight[0] * (self.pixels * dr.square(ds.dist)), lead
 
-    def footprint(self, p: Any, aperture: Any) -> Any:
-        """Side of a pixel, facing the sensor, at the points ``p`` that camera rays have reached; scene units."""
+    def footprint(self, p: mi.Point3f, aperture: mi.Point2f) -> mi.Float:
+        """Side of a pixel's footprint at points ``p`` that camera rays have hit, on a plane that faces the sensor, in
+        scene units."""
         if not self.can_splat:
             corner, x, y = (
                 self.sensor.sample_ray(0.0, 0.5, mi.Point2f(u, v), mi.Point2f(0.5))[0].o
@@ -142,14 +144,14 @@ class CameraSampler:
         point.p = p
         return dr.rsqrt(self.sensor.sample_direction(point, aperture)[1][0] * self.pixels)
 
-    def splat_aperture(self, source: SampleSource, vertex: Any) -> Any:
+    def splat_aperture(self, source: SampleSource, vertex: mi.UInt32) -> mi.Point2f:
         """Aperture sample of a splat."""
         if self.sensor.needs_aperture_sample():
             return mi.Point2f(*source.next_2d(vertex, dim.SPLAT_APERTURE))
         return mi.Point2f(0.5)
 
-    def splat_place(self, connection: CameraConnection, source: SampleSource, vertex: Any) -> SplatPlace:
-        """Where a splat goes."""
+    def splat_place(self, connection: CameraConnection, source: SampleSource, vertex: mi.UInt32) -> SplatPlace:
+        """The pixels that a splat is added to."""
         x, y = connection.position.x, connection.position.y
         if self.independent:
             u = (0.5, 0.5) if self.filter.is_box else source.next_2d(vertex, dim.SPLAT_FILTER)
@@ -159,7 +161,8 @@ class CameraSampler:
         return SplatPlace(self.filter.taps(x, y), mi.Float(1.0), on_film)
 
 
-def _joins(sensor: Any) -> bool:
+def _can_connect(sensor: mi.Sensor) -> bool:
+    """Whether a sensor implements ``sample_direction``."""
     try:
         sensor.sample_direction(dr.zeros(mi.Interaction3f), mi.Point2f(0.5))
     except (RuntimeError, NotImplementedError):
@@ -167,5 +170,5 @@ def _joins(sensor: Any) -> bool:
     return True
 
 
-def _scalar(parameters: Any, name: str, default: float) -> float:
+def _scalar(parameters: mi.SceneParameters, name: str, default: float) -> float:
     return float(np.asarray(parameters[name]).ravel()[0]) if name in parameters else default

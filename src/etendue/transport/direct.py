@@ -1,6 +1,6 @@
-"""Weights of the two techniques of path tracing: a ray that hits a light, and a point sampled on a light.
+r"""Weights of the two techniques of path tracing: a ray that hits a light, and a point sampled on a light.
 
-.. math:: w^e = \\frac{p_s^\\beta}{p_s^\\beta + p_d^\\beta}, \\qquad w^d = \\frac{p_d^\\beta}{p_s^\\beta + p_d^\\beta}
+.. math:: w^e = \frac{p_s^\beta}{p_s^\beta + p_d^\beta}, \qquad w^d = \frac{p_d^\beta}{p_s^\beta + p_d^\beta}
 
 with the solid-angle densities p_s of the scattered direction and p_d of the light point [Veach 1997, sec. 9.2].
 """

@@ -1,4 +1,4 @@
-"""The light end of a path: rays that leave lights, light points for next event, and the densities of both."""
+"""Emission: rays sampled from lights, light points for next event, and the densities of both."""
 
 from __future__ import annotations
 
@@ -20,35 +20,36 @@ from .spheres import cone_of, point_in, seen_density
 class EmittedRay:
     """A ray sampled from the lights, one lane each."""
 
-    ray: Any
-    light: Any  #: its number
-    throughput: Any  #: emitted radiance times cos over the density: the flux the path carries
-    #: Of the light point under next event, picking included (infinite: of the direction). Of a spherical light it is
-    #: that of emission: next event's depends on the point that is lit (see :mod:`.spheres`).
-    area_density: Any
-    emission_density: Any  #: of point and direction together, picking included
-    cos_light: Any  #: 1 where the light has no surface
-    is_delta: Any
-    is_infinite: Any
-    active: Any
+    ray: mi.Ray3f
+    light: mi.UInt32  #: number of the light
+    throughput: mi.Color3f  #: emitted radiance times cosine over the density, a flux
+    #: Density of the light point under next event, light selection included (infinite lights: of the direction). For a
+    #: spherical light this is the density under emission, because that of next event depends on the lit point (see
+    #: :mod:`.spheres`).
+    area_density: mi.Float
+    emission_density: mi.Float  #: density of point and direction, light selection included
+    cos_light: mi.Float  #: cosine at the light; 1 where the light has no surface
+    is_delta: mi.Bool
+    is_infinite: mi.Bool
+    active: mi.Bool
 
 
 @dataclass
 class DirectSample:
-    """A light point joined to a surface point, one lane each."""
+    """A light point sampled by next event at a surface point, one lane each."""
 
-    direction: Any  #: world, towards the light
-    target: Any  #: end point of the shadow ray
-    light: Any  #: its number
-    radiance: Any  #: what arrives, over ``pdf``
-    pdf: Any  #: solid-angle density of the direction, picking included
-    light_ratio: Any  #: emission density over (pdf times cos at the light); times cos at the surface for the weight
-    is_delta: Any
-    active: Any
+    direction: mi.Vector3f  #: world, towards the light
+    target: mi.Point3f  #: end point of the shadow ray
+    light: mi.UInt32  #: number of the light
+    radiance: mi.Color3f  #: incident radiance without occlusion, over ``pdf``
+    pdf: mi.Float  #: solid-angle density of the direction, light selection included
+    light_ratio: mi.Float  #: emission density over (``pdf`` times cosine at the light)
+    is_delta: mi.Bool
+    active: mi.Bool
 
 
-def emit(lights: LightTable, source: SampleSource, active: Any) -> EmittedRay:
-    """Sample a ray that leaves a light: emitter by power, then point and direction by its kind."""
+def emit(lights: LightTable, source: SampleSource, active: mi.Bool) -> EmittedRay:
+    """Sample a ray from the lights: the emitter by power, then point and direction by the emitter's kind."""
     light = lights.pick(source.next_1d(0, dim.LIGHT_PICK), active)
     u_point = mi.Point2f(*source.next_2d(0, dim.LIGHT_POINT))
     u_direction = mi.Point2f(*source.next_2d(0, dim.LIGHT_DIRECTION))
@@ -76,13 +77,17 @@ def emit(lights: LightTable, source: SampleSource, active: Any) -> EmittedRay:
     return result
 
 
-def _emit_area(out: EmittedRay, lights: LightTable, light: Light, u_point: Any, u_direction: Any, mask: Any) -> None:
+def _emit_area(
+    out: EmittedRay, lights: LightTable, light: Light, u_point: mi.Point2f, u_direction: mi.Point2f, mask: mi.Bool
+) -> None:
     place, triangle, area_density = _place(lights, light, u_point, mask)
     local = light.direction(u_direction)
     cos = mi.Frame3f.cos_theta(local)
     direction_pdf = light.direction_pdf(cos)
 
-    def emitted(emitter: Any, triangle: Any, place: Any, wi: Any, mask: Any) -> tuple[Any, ...]:
+    def emitted(
+        emitter: mi.Emitter, triangle: mi.UInt32, place: mi.Point2f, wi: mi.Vector3f, mask: mi.Bool
+    ) -> tuple[mi.Point3f, mi.Normal3f, mi.Color3f]:
         si = _light_point(emitter, triangle, place, mask)
         si.wi = wi
         return si.p, si.n, emitter.eval(si, mask)
@@ -98,23 +103,29 @@ def _emit_area(out: EmittedRay, lights: LightTable, light: Light, u_point: Any, 
     out.active &= ~mask | (cos > 0.0)
 
 
-def point_on(lights: LightTable, light: Light, u: Any, mask: Any) -> tuple[Any, Any]:
-    """A point drawn on an area light as emission draws it: (interaction, area density, picking included)."""
+def point_on(
+    lights: LightTable, light: Light, u: mi.Point2f, mask: mi.Bool
+) -> tuple[mi.SurfaceInteraction3f, mi.Float]:
+    """A point on an area light, sampled as for emission: (interaction, area density with light selection)."""
     place, triangle, density = _place(lights, light, u, mask)
 
-    def point(emitter: Any, triangle: Any, place: Any, mask: Any) -> tuple[Any, ...]:
+    def point(
+        emitter: mi.Emitter, triangle: mi.UInt32, place: mi.Point2f, mask: mi.Bool
+    ) -> tuple[mi.Point3f, mi.Normal3f, mi.Point2f, mi.UInt32]:
         si = _light_point(emitter, triangle, place, mask)
         return si.p, si.n, si.uv, si.prim_index
 
     si = dr.zeros(mi.SurfaceInteraction3f, dr.width(u))
     si.p, si.n, si.uv, si.prim_index = dr.dispatch(light.emitter, point, triangle, place, mask)
-    if lights.points is not None:  # radiance may be an attribute of the mesh
+    if lights.points is not None:  # the radiance may be an attribute of the mesh
         si.shape = light.emitter.get_shape()
     return si, density
 
 
-def _place(lights: LightTable | LocalLights, light: Light, u: Any, mask: Any) -> tuple[Any, Any, Any]:
-    """Where on an area light ``u`` falls: (place, triangle, area density, picking included)."""
+def _place(
+    lights: LightTable | LocalLights, light: Light, u: mi.Point2f, mask: mi.Bool
+) -> tuple[mi.Point2f, mi.UInt32, mi.Float]:
+    """The point of an area light that ``u`` selects: (place, triangle, area density with light selection)."""
     density = light.pick * light.area_density
     if lights.points is None:
         return u, mi.UInt32(0), density
@@ -122,9 +133,9 @@ def _place(lights: LightTable | LocalLights, light: Light, u: Any, mask: Any) ->
     return place, triangle, density * factor
 
 
-def _light_point(emitter: Any, triangle: Any, place: Any, mask: Any) -> Any:
-    """A point of an emitter's shape; a call is traced for every emitter there is, those without shape too."""
-    shape = emitter.get_shape()
+def _light_point(emitter: mi.Emitter, triangle: mi.UInt32, place: mi.Point2f, mask: mi.Bool) -> mi.SurfaceInteraction3f:
+    """A point of an emitter's shape."""
+    shape = emitter.get_shape()  # None for some emitters: Dr.Jit traces the call for each emitter of the scene
     if shape is None:
         return dr.zeros(mi.SurfaceInteraction3f)
     if varies(emitter):
@@ -132,8 +143,8 @@ def _light_point(emitter: Any, triangle: Any, place: Any, mask: Any) -> Any:
     return uniform_point(shape, place, mask)
 
 
-def _emit_point(out: EmittedRay, light: Light, u_direction: Any, mask: Any) -> None:
-    # The spot takes its direction from the first pair of numbers, the others from the second.
+def _emit_point(out: EmittedRay, light: Light, u_direction: mi.Point2f, mask: mi.Bool) -> None:
+
     ray, weight = _own_ray(light, mi.EmitterFlags.DeltaPosition, u_direction, mask)
     out.ray[mask] = ray
     out.throughput[mask] = weight / light.pick
@@ -141,32 +152,33 @@ def _emit_point(out: EmittedRay, light: Light, u_direction: Any, mask: Any) -> N
     out.emission_density[mask] = light.pick * light.direction_density
 
 
-def _emit_beam(out: EmittedRay, light: Light, u_point: Any, mask: Any) -> None:
+def _emit_beam(out: EmittedRay, light: Light, u_point: mi.Point2f, mask: mi.Bool) -> None:
     ray, weight = _own_ray(light, mi.EmitterFlags.DeltaDirection, u_point, mask)
     out.ray[mask] = ray
     out.throughput[mask] = weight / light.pick
-    out.area_density[mask] = 0.0  # next event cannot choose the point that shines on another
+    out.area_density[mask] = 0.0  # next event cannot sample a beam
     out.emission_density[mask] = light.pick * light.area_density
 
 
-def _own_ray(light: Light, kind: Any, u: Any, mask: Any) -> tuple[Any, Any]:
-    """A ray as an emitter of a kind samples it: (ray, weight)."""
+def _own_ray(light: Light, kind: mi.EmitterFlags, u: mi.Point2f, mask: mi.Bool) -> tuple[mi.Ray3f, mi.Color3f]:
+    """A ray sampled by the emitter itself, for emitters with a flag: (ray, weight)."""
 
-    def sample(emitter: Any, u: Any, mask: Any) -> tuple[Any, Any]:
-        if not mi.has_flag(emitter.flags(), kind):  # the texture of an area light may be unable to
+    def sample(emitter: mi.Emitter, u: mi.Point2f, mask: mi.Bool) -> tuple[mi.Ray3f, mi.Color3f]:
+        if not mi.has_flag(emitter.flags(), kind):  # area lights with some textures do not implement sample_ray
             return dr.zeros(mi.Ray3f), mi.Color3f(0.0)
+        # Twice the same pair: spot reads its direction from the first one, others from the second.
         return emitter.sample_ray(0.0, 0.5, u, u, mask)
 
     return dr.dispatch(light.emitter, sample, u, mask)
 
 
 def _emit_infinite(
-    out: EmittedRay, lights: LightTable, light: Light, u_point: Any, u_direction: Any, mask: Any
+    out: EmittedRay, lights: LightTable, light: Light, u_point: mi.Point2f, u_direction: mi.Point2f, mask: mi.Bool
 ) -> None:
     centre = dr.zeros(mi.Interaction3f)
     centre.p = mi.Point3f(lights.centre)
     ds, weight = light.emitter.sample_direction(centre, u_direction, mask)
-    # A disc of the scene's radius, perpendicular to the direction, just outside the scene.
+    # A disc of the scene's radius, perpendicular to the direction, that touches the bounding sphere.
     disc = mi.warp.square_to_uniform_disk_concentric(u_point) * lights.radius
     frame = mi.Frame3f(ds.d)
     origin = centre.p + frame.to_world(mi.Vector3f(disc.x, disc.y, lights.radius))
@@ -179,9 +191,14 @@ def _emit_infinite(
 
 
 def sample_direct(
-    lights: LightTable | LocalLights, si: Any, source: SampleSource, vertex: Any, index: int, active: Any
+    lights: LightTable | LocalLights,
+    si: mi.SurfaceInteraction3f,
+    source: SampleSource,
+    vertex: mi.UInt32,
+    index: int,
+    active: mi.Bool,
 ) -> DirectSample:
-    """Sample a light point for the surface point ``si``: the ``index``-th next-event sample of ``vertex``."""
+    """Sample a light point at the surface point ``si``: the ``index``-th next-event sample of ``vertex``."""
     component = dim.NEXT_EVENT + 4 * index
     u_point = mi.Point2f(*source.next_2d(vertex, component + 1))
     light = lights.pick(source.next_1d(vertex, component), active)
@@ -207,13 +224,20 @@ def sample_direct(
 
 
 def _direct_area(
-    out: DirectSample, lights: LightTable | LocalLights, light: Light, si: Any, u_point: Any, mask: Any
+    out: DirectSample,
+    lights: LightTable | LocalLights,
+    light: Light,
+    si: mi.SurfaceInteraction3f,
+    u_point: mi.Point2f,
+    mask: mi.Bool,
 ) -> None:
     place, triangle, area_density = _place(lights, light, u_point, mask)
     cone = cone_of(light, si.p) if lights.has_sphere else None
     seen = [*point_in(cone, light, u_point), cone.applies] if cone else []
 
-    def lit(emitter: Any, p: Any, triangle: Any, place: Any, seen: list[Any], mask: Any) -> tuple[Any, ...]:
+    def lit(
+        emitter: mi.Emitter, p: mi.Point3f, triangle: mi.UInt32, place: mi.Point2f, seen: list[Any], mask: mi.Bool
+    ) -> tuple[mi.Point3f, mi.Point2f, mi.Vector3f, mi.Float, mi.Float, mi.Color3f]:
         at_light = _light_point(emitter, triangle, place, mask)
         if seen and _is_sphere(emitter):
             at_light = dr.select(seen[2], sphere_point(emitter.get_shape(), seen[0], seen[1], at_light), at_light)
@@ -221,7 +245,7 @@ def _direct_area(
         distance_squared = dr.squared_norm(offset)
         direction = offset * dr.rsqrt(distance_squared)
         cos = -dr.dot(direction, at_light.n)
-        at_light.wi = mi.Vector3f(0.0, 0.0, cos)  # no emitter asks for more than the cosine
+        at_light.wi = mi.Vector3f(0.0, 0.0, cos)  # emitters use the cosine only
         radiance = emitter.eval(at_light, mask & (cos > 0.0))
         return at_light.p, at_light.uv, direction, distance_squared, cos, radiance
 
@@ -241,18 +265,22 @@ def _direct_area(
     out.light_ratio[mask] = ratio
 
 
-def _is_sphere(emitter: Any) -> bool:
+def _is_sphere(emitter: mi.Emitter) -> bool:
     shape = emitter.get_shape()
     return shape is not None and graph.plugin_name(shape) == "sphere"
 
 
-def _area_density(lights: LightTable | LocalLights, light: Light, uv: Any, triangle: Any, mask: Any) -> Any:
-    """Density by area, picking included, with which emission draws a point of an area light."""
+def _area_density(
+    lights: LightTable | LocalLights, light: Light, uv: mi.Point2f, triangle: mi.UInt32, mask: mi.Bool
+) -> mi.Float:
+    """Area density, light selection included, with which emission samples a point of an area light."""
     density = light.pick * light.area_density
     return density if lights.points is None else density * lights.points.factor(light.row, uv, triangle, mask)
 
 
-def _direct_point(out: DirectSample, light: Light, si: Any, u_point: Any, mask: Any) -> None:
+def _direct_point(
+    out: DirectSample, light: Light, si: mi.SurfaceInteraction3f, u_point: mi.Point2f, mask: mi.Bool
+) -> None:
     ds, weight = light.emitter.sample_direction(si, u_point, mask)
     distance_squared = dr.square(ds.dist)
     out.direction[mask] = ds.d
@@ -262,7 +290,9 @@ def _direct_point(out: DirectSample, light: Light, si: Any, u_point: Any, mask: 
     out.light_ratio[mask] = light.direction_density / distance_squared
 
 
-def _direct_infinite(out: DirectSample, light: Light, si: Any, u_point: Any, mask: Any) -> None:
+def _direct_infinite(
+    out: DirectSample, light: Light, si: mi.SurfaceInteraction3f, u_point: mi.Point2f, mask: mi.Bool
+) -> None:
     ds, weight = light.emitter.sample_direction(si, u_point, mask)
     usable = mask & (ds.pdf > 0.0)
     out.direction[usable] = ds.d
@@ -272,19 +302,23 @@ def _direct_infinite(out: DirectSample, light: Light, si: Any, u_point: Any, mas
     out.light_ratio[usable] = light.area_density
 
 
-def is_emissive(scene: Any, si: Any) -> Any:
-    """Lanes whose ray reached an emitter, the environment of a miss included."""
+def is_emissive(scene: mi.Scene, si: mi.SurfaceInteraction3f) -> mi.Bool:
+    """Lanes whose ray has hit an emitter, or has missed the scene and sees the environment."""
     return dr.reinterpret_array(mi.UInt32, si.emitter(scene)) != 0
 
 
 def emission_of_hit(
-    lights: LightTable | LocalLights, scene: Any, si: Any, active: Any, distance: Any = None
-) -> tuple[Any, Any, Any]:
-    """What a ray that reached ``si`` sees of a light: (radiance, area density, emission density).
+    lights: LightTable | LocalLights,
+    scene: mi.Scene,
+    si: mi.SurfaceInteraction3f,
+    active: mi.Bool,
+    distance: mi.Float | None = None,
+) -> tuple[mi.Color3f, mi.Float, mi.Float]:
+    """Emission towards the origin of a ray that hit ``si``: (radiance, area density, emission density).
 
-    ``si`` may be a miss, where the environment is seen; its densities are those of the direction [Georgiev 2012b, 43].
-    ``active`` marks the lanes whose ``si.emitter(scene)`` is not null. ``distance`` is the length of the edge, that of
-    the ray if it is not given; the area density is that of next event from where the edge begins.
+    ``si`` may be a miss, where the environment is seen; its densities are those of the direction [Georgiev 2012b,
+    eq. 43]. ``active``: lanes whose ``si.emitter(scene)`` is not null. ``distance``: length of the edge, by default
+    that of the ray. The area density is that of next event at the start of the edge.
     """
     emitter = si.emitter(scene)
     light = lights.of(emitter, active)

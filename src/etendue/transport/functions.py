@@ -1,4 +1,4 @@
-"""A scene as functions of rays, from which the rendering equation is composed as it stands.
+"""A scene as functions of rays, from which the rendering equation is composed.
 
     L(r) = L_e(r) + int w(r, u) L(s(r, u)) du
 
@@ -6,13 +6,14 @@ is, over rays r and the unit cube of u [Kajiya 1986; Leeson 2001, sec. 5.2]:
 
     radiance = f.emitted + integral(f.weight * radiance.compose(f.scatter), over=[6, 7, 8])
 
-put into itself as many times as light shall be followed.
+applied once for each scattering that is to be computed.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar, cast
 
 import drjit as dr
 import mitsuba as mi
@@ -24,35 +25,39 @@ from etendue.scene import warn_of_offsets
 
 from .scattering import is_smooth
 
+T = TypeVar("T")
+
 
 class TransportFunctions:
-    """The functions that light transport in a Mitsuba scene is put together from, on the device.
+    """Functions on the device that describe light transport in a Mitsuba scene, along camera paths.
 
     A *ray* is six parameters, the coordinates of its origin and of its direction (a unit vector). Colours have three
-    values. What a ray meets is computed once for functions that are asked at the same rays.
+    values. An intersection is computed once for functions that are evaluated at the same rays.
 
     Attributes
     ----------
-    camera: film position (u, v) in the unit square -> the ray through it, from the middle of the lens.
-    emitted: ray -> radiance that comes against it from the emitter it meets.
-    scatter: ray, and three numbers for lobe and direction -> the ray that goes on where the first one ends, drawn by
-        the material.
-    weight: the same parameters -> BSDF times cosine over the density of ``scatter``. Zero where nothing is met; the
-        next ray then leads out of the scene.
-    direct: ray, and two numbers for a point on the emitters -> radiance from there that is reflected against the ray,
-        over the density of the point. Materials without a smooth part reflect none of it.
-    hit: ray -> coordinates of the point where it ends and of the normal there, on the ray's side. Origin and zero
-        where nothing is met.
-    distance: ray -> its length; infinite where nothing is met.
-    albedo: ray -> diffuse reflectance of the material that it meets.
+    camera: film position (u, v) in the unit square -> the ray through it, from the centre of the lens.
+    emitted: ray -> radiance emitted by the surface that it hits, or by the environment, towards its origin.
+    scatter: ray, and three random numbers for component and direction -> the next ray, from the point that the first
+        one hits, sampled from the BSDF.
+    weight: the same parameters -> BSDF times cosine over the density of ``scatter``. Zero where the ray hits nothing;
+        the next ray then is one that hits nothing, too.
+    direct: ray, and two random numbers for a point on the emitters -> radiance from that point reflected towards the
+        ray's origin, over the density of the point. Zero for materials without a smooth component.
+    hit: ray -> coordinates of the point that it hits and of the normal there, on the ray's side. The ray's origin and
+        zeros where it hits nothing.
+    distance: ray -> distance to the point that it hits; infinite where it hits nothing.
+    albedo: ray -> diffuse reflectance of the material that it hits.
 
-    Light is followed from the eye. Raises :class:`OptionError` for a sensor that the scene does not have.
+    Raises :class:`OptionError` if the scene has no sensor of that number.
     """
 
-    def __init__(self, scene: Any, sensor: int = 0) -> None:
+    def __init__(self, scene: mi.Scene, sensor: int = 0) -> None:
         sensors = scene.sensors()
         if not 0 <= sensor < len(sensors):
-            raise OptionError(f"the scene has {len(sensors)} sensors, number {sensor} is not among them")
+            raise OptionError(
+                f"the scene has {len(sensors)} sensors, number {sensor} is not one of them (they count from 0)"
+            )
         self.scene, self._sensor = scene, sensors[sensor]
         warn_of_offsets(scene, self._sensor, "the scene")
         lower, upper = np.array(scene.bbox().min).ravel(), np.array(scene.bbox().max).ravel()
@@ -61,7 +66,7 @@ class TransportFunctions:
         eye = np.array(self._sensor.world_transform().translation(), dtype=float).ravel()[:3]
         lower, upper = np.minimum(lower, eye), np.maximum(upper, eye)
         margin = max(float((upper - lower).max()), 1.0)
-        #: Where a ray that is to meet nothing begins, on its way out.
+        #: Origin of rays that hit nothing.
         self._outside = [float(v) for v in upper + margin]
         ends = [(float(a) - 2 * margin, float(b) + 2 * margin) for a, b in zip(lower, upper, strict=True)]
         unit = (0.0, 1.0)
@@ -77,7 +82,7 @@ class TransportFunctions:
         self.hit = Integrand(self._hit, ray, on="device", values=6)
         self.distance = Integrand(lambda x: self._interaction(x).t, ray, bounded, "device")
         self.albedo = Integrand(self._albedo, ray, (0.0, 1.0), "device", values=3)
-        self._last: dict[str, tuple[list[Any], Any]] = {}
+        self._last: dict[str, tuple[list[mi.Float], Any]] = {}
 
     def picture(
         self,
@@ -87,74 +92,75 @@ class TransportFunctions:
         integrator: Integrator | None = None,
         seed: int = 0,
     ) -> Array:
-        """What the camera sees of ``radiance``, a function of rays: (height, width, 3), or 1 if that is real.
+        """Picture of ``radiance``, a function of rays: (height, width, 3), or (height, width, 1) if it is scalar.
 
         ``size``: (width, height). Each pixel is the mean over its square, an integral by ``integrator`` (see
-        :func:`etendue.integration.integral`) with ``samples`` rays; all pixels are computed at once.
+        :func:`etendue.integration.integral`) with ``samples`` rays; all pixels are computed in one launch.
         """
         return film_picture(radiance.compose(self.camera), size, samples, integrator, seed)
 
-    # Each function takes coordinates, x[0..5] being the ray ---------------------------------------------------------
+    # In each function, x[0..5] are the coordinates of the ray ---------------------------------------------------------
 
-    def _camera(self, x: Any) -> list[Any]:
+    def _camera(self, x: Sequence[mi.Float]) -> list[mi.Float]:
         film = mi.Point2f(x[0], x[1])
         ray, _ = self._sensor.sample_ray(0.0, 0.5, film, mi.Point2f(0.5))
         return [*ray.o, *ray.d]
 
-    def _interaction(self, x: Any) -> Any:
+    def _interaction(self, x: Sequence[mi.Float]) -> mi.SurfaceInteraction3f:
         ray = mi.Ray3f(mi.Point3f(*x[:3]), mi.Vector3f(*x[3:6]))
 
-        def intersect() -> Any:
-            met = self.scene.ray_intersect_preliminary(ray)
-            dr.eval(met)  # a ray is cast once, whatever kernels ask for what it met
-            return met
+        def intersect() -> mi.PreliminaryIntersection3f:
+            hit = self.scene.ray_intersect_preliminary(ray)
+            dr.eval(hit)  # so that the kernels that use it do not cast the ray again
+            return hit
 
-        return self._remembered("hit", list(x[:6]), intersect).compute_surface_interaction(ray)
+        return self._cached("hit", list(x[:6]), intersect).compute_surface_interaction(ray)
 
-    def _emitted(self, x: Any) -> Any:
+    def _emitted(self, x: Sequence[mi.Float]) -> mi.Color3f:
         si = self._interaction(x)
         return si.emitter(self.scene).eval(si)
 
-    def _bounce(self, x: Any) -> tuple[list[Any], Any]:
-        """The ray that goes on, and the weight."""
+    def _bounce(self, x: Sequence[mi.Float]) -> tuple[list[mi.Float], mi.Color3f]:
+        """(next ray, weight)."""
 
-        def sample() -> tuple[list[Any], Any]:
+        def sample() -> tuple[list[mi.Float], mi.Color3f]:
             si = self._interaction(x)
-            met = si.is_valid()
-            bs, weight = si.bsdf().sample(mi.BSDFContext(), si, x[6], mi.Point2f(x[7], x[8]), met)
-            goes_on = met & (bs.pdf > 0.0) & dr.any(weight != 0.0)
+            valid = si.is_valid()
+            bs, weight = si.bsdf().sample(mi.BSDFContext(), si, x[6], mi.Point2f(x[7], x[8]), valid)
+            scattered = valid & (bs.pdf > 0.0) & dr.any(weight != 0.0)
             ray = si.spawn_ray(si.to_world(bs.wo))
-            origin = dr.select(goes_on, ray.o, mi.Point3f(*self._outside))
-            direction = dr.select(goes_on, ray.d, mi.Vector3f(0.0, 0.0, 1.0))
-            weight = dr.select(goes_on, weight, 0.0)
-            dr.eval(origin, direction, weight)  # by one kernel, not by one for each number that is read
+            origin = dr.select(scattered, ray.o, mi.Point3f(*self._outside))
+            direction = dr.select(scattered, ray.d, mi.Vector3f(0.0, 0.0, 1.0))
+            weight = dr.select(scattered, weight, 0.0)
+            dr.eval(origin, direction, weight)  # in one kernel, not in one for each number that is read
             return [*origin, *direction], weight
 
-        return self._remembered("bounce", list(x[:9]), sample)
+        return self._cached("bounce", list(x[:9]), sample)
 
-    def _direct(self, x: Any) -> Any:
+    def _direct(self, x: Sequence[mi.Float]) -> mi.Color3f:
         si = self._interaction(x)
-        met = si.is_valid() & is_smooth(si.bsdf())
-        towards, radiance = self.scene.sample_emitter_direction(si, mi.Point2f(x[6], x[7]), True, met)
-        met &= towards.pdf != 0.0
-        value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(towards.d), met)
-        return dr.select(met, value * radiance, 0.0)
+        active = si.is_valid() & is_smooth(si.bsdf())
+        ds, radiance = self.scene.sample_emitter_direction(si, mi.Point2f(x[6], x[7]), True, active)
+        active &= ds.pdf != 0.0
+        value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(ds.d), active)
+        return dr.select(active, value * radiance, 0.0)
 
-    def _hit(self, x: Any) -> list[Any]:
+    def _hit(self, x: Sequence[mi.Float]) -> list[mi.Float]:
         si = self._interaction(x)
         normal = dr.select(dr.dot(si.n, mi.Vector3f(*x[3:6])) > 0.0, -si.n, si.n)
-        met = si.is_valid()
-        return [*dr.select(met, si.p, mi.Point3f(*x[:3])), *dr.select(met, normal, 0.0)]
+        valid = si.is_valid()
+        return [*dr.select(valid, si.p, mi.Point3f(*x[:3])), *dr.select(valid, normal, 0.0)]
 
-    def _albedo(self, x: Any) -> Any:
+    def _albedo(self, x: Sequence[mi.Float]) -> mi.Color3f:
         si = self._interaction(x)
         return si.bsdf().eval_diffuse_reflectance(si, si.is_valid())
 
-    def _remembered(self, name: str, x: list[Any], compute: Any) -> Any:
-        """``compute()``, or what it gave last time if that was for the very same arrays, which are kept until then."""
-        known = self._last.get(name)
-        if known is not None and [v.index for v in known[0]] == [v.index for v in x]:
-            return known[1]
+    def _cached(self, name: str, x: list[mi.Float], compute: Callable[[], T]) -> T:
+        """``compute()``, or its last result if that was computed for the same arrays (those of the last call are kept,
+        so that their indices are not used again)."""
+        last = self._last.get(name)
+        if last is not None and [v.index for v in last[0]] == [v.index for v in x]:
+            return cast(T, last[1])
         result = compute()
         self._last[name] = (x, result)
         return result
@@ -163,14 +169,15 @@ class TransportFunctions:
 def film_picture(
     seen: Integrand, size: tuple[int, int], samples: int = 16, integrator: Integrator | None = None, seed: int = 0
 ) -> Array:
-    """Means of ``seen``, a function of the film (u, v) in the unit square, over pixels: (height, width, values).
+    """Means over pixels of ``seen``, a function of the film position (u, v) in the unit square: (height, width,
+    values).
 
-    As :meth:`TransportFunctions.picture`; pixels are squares (a box filter), the first is that at (0, 0).
+    Arguments as of :meth:`TransportFunctions.picture`. Pixels are squares (box filter); the first one is at (0, 0).
     """
     width, height = size
     if width < 1 or height < 1:
-        raise OptionError(f"a picture has at least one pixel, not {width}x{height}")
-    # Corner of a pixel, and place in it: the mean over the latter is a function of the former.
+        raise OptionError(f"a picture needs at least one pixel a side, not {width}x{height}")
+    # Parameters: corner of a pixel and offset in the pixel, over which the mean is taken.
     domain = [(0.0, 1.0), (0.0, 1.0), (0.0, 1.0 / width), (0.0, 1.0 / height)]
     in_pixel = Integrand(lambda x: [x[0] + x[2], x[1] + x[3]], domain, on="either", values=2)
     pixel = integral(seen.compose(in_pixel), [2, 3], integrator, samples, seed) * float(width * height)

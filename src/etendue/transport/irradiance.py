@@ -1,14 +1,14 @@
-"""Irradiance caching with gradients: computed at few points, carried to those around them.
+"""Irradiance caching with gradients: irradiance is computed at few points and extrapolated from them.
 
-A record at x_i with normal n_i says ``E(x, n) = E_i + (n_i cross n) . rotation_i + (x - x_i) . translation_i`` nearby.
-It counts with weight ``1 / (|x - x_i| / R_i + sqrt(1 - n . n_i))`` where that is above ``1 / accuracy``, R_i being the
-harmonic mean of the distances that light came from [Ward 1988; WardHeckbert 1992].
+A record at x_i with normal n_i estimates ``E(x, n) = E_i + (n_i cross n) . rotation_i + (x - x_i) . translation_i``
+near x_i. Its weight is ``1 / (|x - x_i| / R_i + sqrt(1 - n . n_i))``; it is used where the weight is above
+``1 / accuracy``. R_i is the harmonic mean distance to the surfaces that the rays of the record hit
+[Ward 1988; WardHeckbert 1992].
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -17,26 +17,26 @@ import numpy as np
 from etendue.core import Array, OptionError
 from etendue.integration import Integrand
 
-#: Numbers of a record: position, normal, irradiance, two gradients of three channels, reach.
+#: Numbers of a record: position, normal, irradiance, two gradients of three channels, radius.
 _WIDTH = 28
-#: How far a record may lie in front of a point, in units of its reach.
+#: Largest distance of a record in front of a point, relative to the record's radius.
 _IN_FRONT = 0.05
-#: How far above a surface rays start: in units of the least reach, and at least so much of the largest coordinate, as
-#: single precision holds neither the point nor what it lies on to less than a few 2^-24 of it.
+#: Offset of ray origins from the surface, relative to the least radius; and its least value relative to the largest
+#: coordinate, because single precision rounds coordinates by a few 2^-24.
 _LIFT, _STEPS = 1e-3, 2.0**-20
-#: How far what is not there is, in units of the greatest reach.
+#: Distance that counts for rays that hit nothing, relative to the greatest radius.
 _FAR = 1e12
 
 
 class IrradianceCache:
-    """Records of irradiance, interpolated.
+    """Interpolation of irradiance between records.
 
     Parameters
     ----------
-    accuracy: a; a smaller one is better, and takes more records. A record reaches a R_i.
-    reach: least and greatest distance that a record may reach, in units of the scene.
-    strata: rings and sectors of the hemisphere; a record takes a ray for each.
-    gradients: whether they are used. Without them a record is carried as it is.
+    accuracy: a, the error that is allowed; a smaller one needs more records. A record is used up to the distance a R_i.
+    reach: least and greatest of these distances, in units of the scene.
+    strata: rings and sectors of the hemisphere; a record casts one ray a stratum.
+    gradients: extrapolate by the gradients; without, a record's irradiance is constant.
     """
 
     def __init__(
@@ -58,14 +58,14 @@ class IrradianceCache:
 
     @property
     def rays(self) -> int:
-        """Rays that the records have taken."""
+        """Rays that were cast for the records."""
         return len(self) * self.strata[0] * self.strata[1]
 
     def compute(self, incident: Integrand, distance: Integrand, position: Array, normal: Array, seed: int) -> None:
-        """Add records at points, all of their hemispheres at once.
+        """Compute and add records at points, all in one launch.
 
-        incident, distance: functions of rays (see :class:`TransportFunctions`), radiance that comes against a ray and
-        the way it came. position, normal: (n, 3).
+        incident, distance: functions of rays (see :class:`TransportFunctions`): radiance along the ray towards its
+        origin, and length of the ray. position, normal: (n, 3).
         """
         directions = stratified_hemispheres(normal, self.strata, seed)
         shape = directions.shape[:3]
@@ -78,36 +78,36 @@ class IrradianceCache:
         self.add(position, normal, np.broadcast_to(radiance, (len(radiance), 3)).reshape(*shape, 3), way)
 
     def add(self, position: Array, normal: Array, radiance: Array, distance: Array) -> None:
-        """Add records: what hemispheres have found, radiance (n, rings, sectors, 3), distance (n, rings, sectors)."""
+        """Add records at points (n, 3), from incident radiance (n, rings, sectors, 3) and distances (n, rings,
+        sectors)."""
         irradiance, rotation, translation = irradiance_gradients(radiance, distance, normal)
         harmonic = 1 / (1 / distance).mean(axis=(1, 2))
-        # Where it changes so fast that it would reach zero within the mean distance, a record reaches less far.
+        # The radius is smaller where the extrapolated irradiance would become zero within the mean distance.
         slope = np.linalg.norm(translation.mean(axis=1), axis=1) / np.maximum(irradiance.mean(axis=1), 1e-30)
         wanted = np.minimum(harmonic, 1 / np.maximum(slope, 1e-30)) * self.accuracy
         reach = np.clip(wanted, *self.reach)
-        # One that has to reach further than it should must not change faster than it can bear.
+        # A gradient is reduced where the least radius is larger than the wanted one.
         translation *= np.minimum(wanted / reach, 1.0)[:, None, None]
         columns = (position, normal, irradiance, rotation, translation, reach)
         self.records = np.concatenate([self.records, np.concatenate([c.reshape(len(reach), -1) for c in columns], 1)])
 
     def __call__(self, position: Array, normal: Array) -> tuple[Array, Array]:
-        """Irradiance (m, 3) at points (m, 3), and the weight (m,) of what it comes from: zero where no record reaches.
-
-        On the device; each point goes through all records.
+        """(irradiance (m, 3) at points (m, 3), sum of the weights of the records (m,)); the sum is 0 where no record is
+        used. Each point visits all records.
         """
         if not len(self):
             return np.zeros((len(position), 3)), np.zeros(len(position))
         table = _column(self.records)
         p, n = (mi.Vector3f(*(_column(values[:, axis]) for axis in range(3))) for values in (position, normal))
 
-        def visit(i: Any, total: Any, weight: Any) -> tuple[Any, Any, Any]:
-            def vector(k: int, active: Any = True) -> Any:
+        def visit(i: mi.UInt32, total: mi.Vector3f, weight: mi.Float) -> tuple[mi.UInt32, mi.Vector3f, mi.Float]:
+            def vector(k: int, active: mi.Bool | bool = True) -> mi.Vector3f:
                 return mi.Vector3f(*(dr.gather(mi.Float, table, i * _WIDTH + k + axis, active) for axis in range(3)))
 
             offset, other, reach = p - vector(0), vector(3), dr.gather(mi.Float, table, i * _WIDTH + 27)
-            # In units of the accuracy: 1 where a record ends.
+            # Inverse weight, relative to the accuracy: a record is used below 1.
             far = dr.norm(offset) / reach + dr.sqrt(dr.maximum(1 - dr.dot(n, other), 0)) * (1 / self.accuracy)
-            # A record that lies in front of a point does not see what comes from between.
+            # A record in front of a point does not contain the light from surfaces between the two.
             used = (far < 1) & (dr.dot(offset, n + other) > -2 * _IN_FRONT * reach)
             value = vector(6, used)
             if self.gradients:
@@ -127,7 +127,8 @@ class IrradianceCache:
 
 
 def stratified_hemispheres(normal: Array, strata: tuple[int, int], seed: int) -> Array:
-    """A direction, by the cosine, in each of (rings, sectors) strata around normals (n, 3): (n, rings, sectors, 3)."""
+    """A cosine-distributed direction in each of (rings, sectors) strata around normals (n, 3): (n, rings, sectors,
+    3)."""
     rings, sectors = strata
     u = np.random.default_rng(seed).random((2, len(normal), rings, sectors))
     sine = np.sqrt((np.arange(rings)[:, None] + u[0]) / rings)
@@ -139,9 +140,9 @@ def stratified_hemispheres(normal: Array, strata: tuple[int, int], seed: int) ->
 
 
 def irradiance_gradients(radiance: Array, distance: Array, normal: Array) -> tuple[Array, Array, Array]:
-    """Irradiance (n, 3) and its gradients by rotation and by translation, (n, 3 channels, 3 axes) [WardHeckbert 1992].
+    """Irradiance (n, 3) and its rotation and translation gradients, (n, 3 channels, 3 axes) [WardHeckbert 1992].
 
-    radiance: (n, rings, sectors, 3), of the directions of :func:`stratified_hemispheres`; distance: without channels.
+    radiance: (n, rings, sectors, 3), along directions of :func:`stratified_hemispheres`; distance: (n, rings, sectors).
     """
     rings, sectors = distance.shape[1:]
     tangent, bitangent = _tangents(normal)
@@ -154,11 +155,11 @@ def irradiance_gradients(radiance: Array, distance: Array, normal: Array) -> tup
     edge = 2 * math.pi * np.arange(sectors) / sectors
     centre = edge + math.pi / sectors
     irradiance = radiance.mean(axis=(1, 2)) * math.pi
-    # A normal that turns towards light of polar angle t gains sin t where it has cos t.
+    # Derivative of cos t by the rotation of the normal, over cos t, is tan t.
     tilt = np.tan(np.arcsin(np.sqrt((np.arange(rings) + 0.5) / rings)))
     leaning = np.einsum("j,njkc->nkc", tilt, radiance) * (math.pi / (rings * sectors))
     rotation = np.einsum("nkc,nka->nca", leaning, along(centre + math.pi / 2))
-    # A point that moves sees the borders between strata move; the nearer side of a border decides how fast.
+    # A translation moves the borders between strata, at a rate given by the nearer of the two surfaces.
     sine = np.sqrt(np.arange(rings + 1) / rings)
     between_rings = (radiance[:, 1:] - radiance[:, :-1]) / np.minimum(distance[:, 1:], distance[:, :-1])[..., None]
     shifted = sine[1:-1] * (1 - sine[1:-1] ** 2) * (2 * math.pi / sectors)
@@ -178,5 +179,5 @@ def _tangents(normal: Array) -> tuple[Array, Array]:
     return tangent, np.cross(normal, tangent)
 
 
-def _column(values: Array) -> Any:
+def _column(values: Array) -> mi.Float:
     return mi.Float(np.array(values, dtype=np.float32).ravel())

@@ -147,9 +147,9 @@ class Walker:
         """(throughput times BSDF times radiance over density, times ``weight``; whether the light point is visible).
         No shadow ray is cast where the contribution is zero or not ``wanted``."""
         contribution = s.throughput * f.value * light.radiance * weight
-        asked = light.active & ~dr.all(contribution == 0.0) & wanted
-        s.rays += ones(asked)
-        visible, transmittance = self.visible(vertex, light.target, vertex.number + 1, asked)
+        tested = light.active & ~dr.all(contribution == 0.0) & wanted
+        s.rays += ones(tested)
+        visible, transmittance = self.visible(vertex, light.target, vertex.number + 1, tested)
         return contribution * transmittance, visible
 
     def visible(
@@ -160,8 +160,8 @@ class Walker:
         return self.visibility.along(vertex.ray_to(target), self.max_edges - edges, active)
 
     def keep_if_null(self, scattered: Scattered, before: V, after: V) -> V:
-        """``after`` where the vertex has scattered; ``before`` where the path went straight on through a null surface,
-        which is no vertex of the path."""
+        """``after`` where the path has scattered at the vertex; ``before`` where it has crossed a null surface, where
+        a path has no vertex."""
         return dr.select(scattered.is_null, before, after) if self.visibility.transparent else after
 
     def advance(

@@ -1,1 +1,1 @@
-"""Path tracing whose random numbers adapt: densities after VEGAS, and recursive stratification."""
+"""Path tracing with adaptive random numbers: learned densities (VEGAS), and recursive stratification."""

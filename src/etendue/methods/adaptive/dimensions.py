@@ -1,14 +1,13 @@
-"""A path as a point of a hypercube whose dimensions have names, and numbers that a learned density warps.
+"""Named random numbers of a path, and sources that warp groups of them by learned densities.
 
-Every number of a path is a dimension of the hypercube [Leeson 2001, sec. 5.4.1]. The user says which of them adapt, and
-which adapt together, by groups in words::
+The random numbers of a path are the dimensions of a hypercube [Leeson 2001, sec. 5.4.1]. The user lists groups of
+numbers that share a density::
 
     film; light; bounce1; bounce2          a density each for the point on the film, light points, two directions
-    light.pick; light1.u light1.v; lobe    components of them; all vertices alike, or one of them
+    light.pick; light1.u light1.v; lobe    single numbers, of one vertex or of all vertices
 
-A name without a number is of every vertex that adapts, which draw independently from one density. What is in no group
-keeps the numbers of the sampler it came from. The warped numbers reach the path's integrand through the protocol of
-``SampleSource``, so the integrand does not know of any of this.
+A name without an index means all vertices that adapt; they sample independently from one density. Numbers in no group
+are those of the sampler. Warped numbers are passed to the path tracer as a ``SampleSource``, so it needs no change.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -25,15 +23,15 @@ from etendue.core import OptionError, SampleSource, suggest
 from etendue.integration import AxisBins, CellGrid, DeviceBackend, Factor, PlaneBins, Tabulated, warp_rows
 from etendue.transport import dimensions as dim
 
-#: A number of a path: (vertex, component).
+#: A random number of a path: (vertex, component).
 Draw = tuple[int, int]
 
-#: Numbers of the film's end of a path.
+#: Numbers of vertex 0, the sensor, by name and component.
 _ENDS = {
     "film": {"u": dim.FILM, "v": dim.FILM + 1},
     "lens": {"u": dim.APERTURE, "v": dim.APERTURE + 1},
 }
-#: Numbers of each vertex.
+#: Numbers of each surface vertex, by name and component.
 _VERTICES = {
     "light": {"pick": dim.NEXT_EVENT, "u": dim.NEXT_EVENT + 1, "v": dim.NEXT_EVENT + 2},
     "lobe": {"": dim.LOBE},
@@ -42,43 +40,43 @@ _VERTICES = {
 }
 _LIGHT = tuple(_VERTICES["light"].values())
 _WORD = re.compile(r"([a-z]+)(\d*)(?:\.([a-z]+))?")
-#: Samples that should fall into each bin of a pass, and most bins on an axis of a group of one and two dimensions.
+#: Samples of a pass for each bin, and most bins on an axis of a group of one and two dimensions.
 _PER_BIN = 64
 _MOST = (256, 48)
 
 
 @dataclass(frozen=True)
 class Group:
-    """Dimensions that share a density. ``draws``: once for each vertex that draws from it, what it draws."""
+    """Random numbers that share a density. ``draws``: for each vertex that samples the density, its numbers."""
 
     name: str
     draws: tuple[tuple[Draw, ...], ...]
 
     @property
     def dimension(self) -> int:
-        """Of the density."""
+        """Dimension of the density."""
         return len(self.draws[0])
 
     def even(self, bins: int, samples: int) -> Factor:
-        """The uniform density, with ``bins`` to an axis, or for 0 as many as ``samples`` can fill."""
+        """The uniform density with ``bins`` on an axis; 0: a number that suits ``samples``."""
         n = self.dimension
         most = int((DeviceBackend.cells + 0.5) ** (1 / n)) if n > 2 else 4096 if n == 1 else 256
         if bins > most:
-            raise OptionError(f"bins of an axis are at most {most} for '{self.name}', {n} dimensions, not {bins}")
+            raise OptionError(f"bins must be at most {most} for the group '{self.name}' of {n} dimensions, not {bins}")
         if not bins:
             bins = max(2, min(int((samples / _PER_BIN) ** (1 / n)), _MOST[n - 1] if n < 3 else most))
         return AxisBins.even(bins) if n == 1 else PlaneBins.even(bins) if n == 2 else CellGrid.even(bins, n)
 
 
-#: How many edges a path has, where one length is drawn.
+#: The number that samples the number of edges of a path, with ``one_path``.
 LENGTH = Group("length", (((0, dim.LENGTH),),))
 
 
 def groups(text: str, vertices: int, constant: Collection[Draw] = ()) -> list[Group]:
-    """The groups that a user's words stand for; of ``vertices`` surface points, numbered from 1, the numbers may adapt.
+    """The groups in a text. ``vertices``: number of surface points, numbered from 1, whose numbers may be in a group.
 
-    ``constant``: numbers that decide nothing and are left out; those of vertex 1 stand for all surface points.
-    Raises :class:`OptionError` for words that are no names, or occur twice.
+    ``constant``: numbers without effect, which are left out; those of vertex 1 stand for all surface points. Raises
+    :class:`OptionError` for an unknown name or a number that occurs twice.
     """
     result: list[Group] = []
     seen: set[Draw] = set()
@@ -90,7 +88,7 @@ def groups(text: str, vertices: int, constant: Collection[Draw] = ()) -> list[Gr
         draws = _group(words, name, vertices, constant)
         for draw in (d for each in draws for d in each):
             if draw in seen:
-                raise OptionError(f"groups: '{name}' has a number that is in a group already; each may be in one")
+                raise OptionError(f"groups: '{name}' has a number that is in another group, too; remove one of them")
             seen.add(draw)
         if draws and draws[0]:
             result.append(Group(name, draws))
@@ -101,23 +99,25 @@ def _group(words: list[str], name: str, vertices: int, constant: Collection[Draw
     read = [_read(word) for word in words]
     shared = {vertex is None for vertex, _ in read}
     if len(shared) > 1:
-        raise OptionError(f"groups: '{name}' joins names with and without the number of a vertex; number all of them")
+        raise OptionError(f"groups: '{name}' mixes names with and without the number of a vertex; number all or none")
     rows: list[tuple[Draw, ...]] = []
     for number in range(1, vertices + 1) if shared == {True} else (0,):
         row = []
         for vertex, components in read:
             at = number if vertex is None else vertex
             if at > vertices:
-                raise OptionError(f"groups: '{name}' is of vertex {at}, but only {vertices} adapt; raise bounces")
+                raise OptionError(
+                    f"groups: '{name}' is of vertex {at}, but only the first {vertices} adapt (see bounces of vegas)"
+                )
             row += [(at, c) for c in components if (min(at, 1), c) not in constant]
         if len(set(row)) < len(row):
-            raise OptionError(f"groups: '{name}' has a number twice; each may be in one group, once")
+            raise OptionError(f"groups: '{name}' has a number twice; remove one of them")
         rows.append(tuple(row))
     return tuple(rows)
 
 
 def _read(word: str) -> tuple[int | None, list[int]]:
-    """The vertex, None for all of them, and the components that a word names."""
+    """(vertex, None for all of them; components) of a name."""
     match = _WORD.fullmatch(word)
     known = _ENDS | _VERTICES
     if match is None or match[1] not in known:
@@ -125,11 +125,12 @@ def _read(word: str) -> tuple[int | None, list[int]]:
     base, number, component = match.groups()
     if (base in _ENDS and number) or number == "0":
         raise OptionError(
-            f"groups: there is no '{word}'; surface points count from 1, and {', '.join(_ENDS)} have no number"
+            f"groups: there is no '{word}'; surface points are numbered from 1, and {', '.join(_ENDS)} have no number"
         )
     parts = known[base]
     if component is not None and component not in parts:
-        raise OptionError(f"groups: there is no '{word}'; {base} is {' '.join(parts) or 'one number'}")
+        has = f"has the components {' '.join(parts)}" if "" not in parts else "is one number without components"
+        raise OptionError(f"groups: there is no '{word}'; {base} {has}")
     vertex = 0 if base in _ENDS else int(number) if number else None
     return vertex, [parts[component]] if component is not None else list(parts.values())
 
@@ -139,15 +140,15 @@ class Drawn:
     """A group's numbers of one vertex, one lane each."""
 
     group: int  #: number of the group
-    weight: Any  #: 1 / density
-    bin: Any  #: where they lie: bin of the density, those of all rows counted
-    walk: int | None  #: first vertex that the walk leaves by them; None if they are of light points only
-    lights: tuple[int, ...]  #: vertices whose light points they are of
+    weight: mi.Float  #: 1 / density
+    bin: mi.UInt32  #: bin of the density, counted over all rows
+    walk: int | None  #: first vertex whose scattering uses them; None if only light points do
+    lights: tuple[int, ...]  #: vertices whose light points use them
 
-    def used(self, depth: Any, by_light_point: bool) -> Any:
-        """Whether a contribution depends on them: a hit at the end of edge ``depth``, or a light point joined to vertex
-        ``depth``."""
-        used: Any = False if self.walk is None else True if self.walk == 0 else depth > self.walk
+    def used(self, depth: mi.UInt32, by_light_point: bool) -> mi.Bool | bool:
+        """Whether a contribution depends on the numbers: that of a hit at the end of edge ``depth``, or that of a light
+        point at vertex ``depth``."""
+        used: mi.Bool | bool = False if self.walk is None else True if self.walk == 0 else depth > self.walk
         if by_light_point:
             for vertex in self.lights:
                 used |= depth == vertex
@@ -155,67 +156,69 @@ class Drawn:
 
 
 class NumberedSource:
-    """A :class:`SampleSource` some of whose numbers are given: ``numbers`` has vertices and values by component."""
+    """A :class:`SampleSource` that replaces some numbers by given ones. ``numbers``: (vertex, value) by component."""
 
-    def __init__(self, base: SampleSource, numbers: dict[int, list[tuple[int, Any]]]) -> None:
+    def __init__(self, base: SampleSource, numbers: dict[int, list[tuple[int, mi.Float]]]) -> None:
         self._base, self._numbers = base, numbers
         self.drawn: list[Drawn] = []
 
-    def give(self, draws: Sequence[Draw], values: Sequence[Any], left_by_pick: Callable[[Any], Any] | None) -> None:
-        """Give the numbers ``draws``. With ``left_by_pick``, what a number that picks a light has left, the first
-        coordinate of a light point stands for the pick too."""
+    def give(
+        self, draws: Sequence[Draw], values: Sequence[mi.Float], left_by_pick: Callable[[mi.Float], mi.Float] | None
+    ) -> None:
+        """Set the numbers ``draws`` to ``values``. With ``left_by_pick``, the remainder of a number that selects a
+        light, the first coordinate of a light point also selects the light."""
         for (vertex, component), value in zip(draws, values, strict=True):
             if left_by_pick is not None and component == dim.NEXT_EVENT + 1:
                 self._numbers.setdefault(dim.NEXT_EVENT, []).append((vertex, value))
                 value = left_by_pick(value)
             self._numbers.setdefault(component, []).append((vertex, value))
 
-    def next_1d(self, vertex: Any, component: int) -> Any:
+    def next_1d(self, vertex: mi.UInt32 | int, component: int) -> mi.Float:
         """See :class:`SampleSource`."""
         return self._warped(vertex, component, self._base.next_1d(vertex, component))
 
-    def next_2d(self, vertex: Any, component: int) -> tuple[Any, Any]:
+    def next_2d(self, vertex: mi.UInt32 | int, component: int) -> tuple[mi.Float, mi.Float]:
         """See :class:`SampleSource`."""
         first, second = self._base.next_2d(vertex, component)
         return self._warped(vertex, component, first), self._warped(vertex, component + 1, second)
 
-    def decide(self, vertex: Any, component: int) -> Any:
+    def decide(self, vertex: mi.UInt32 | int, component: int) -> mi.Float:
         """See :class:`SampleSource`."""
         return self._warped(vertex, component, self._base.decide(vertex, component))
 
-    def _warped(self, vertex: Any, component: int, value: Any) -> Any:
-        """A number of the base, or the one given in its place. ``vertex`` is 0, or the numbers of vertices from 1."""
+    def _warped(self, vertex: mi.UInt32 | int, component: int, value: mi.Float) -> mi.Float:
+        """A number of the base, or the given one. ``vertex``: 0, or an array of numbers from 1."""
         end = isinstance(vertex, int) and vertex == 0
         for at, warped in self._numbers.get(component, ()):
             if (at == 0) == end:
                 value = warped if end else dr.select(vertex == at, warped, value)
         return value
 
-    def weight(self, depth: Any, by_light_point: bool) -> Any:
-        """1 / density of all numbers that a contribution depends on; the arguments are those of :meth:`Drawn.used`."""
-        result: Any = mi.Float(1.0)
+    def weight(self, depth: mi.UInt32, by_light_point: bool) -> mi.Float:
+        """1 / density of all numbers that a contribution depends on; arguments as of :meth:`Drawn.used`."""
+        result: mi.Float = mi.Float(1.0)
         for drawn in self.drawn:
             result = result * dr.select(drawn.used(depth, by_light_point), drawn.weight, 1.0)
         return result
 
-    def counts(self, edges: Any) -> Any:
-        """Whether a path of so many edges is one that is looked for."""
+    def counts(self, edges: mi.UInt32) -> mi.Bool | bool:
+        """Whether paths of so many edges contribute."""
         return True
 
-    def goes_on(self, edges: Any) -> Any:
-        """Whether one of more edges is."""
+    def goes_on(self, edges: mi.UInt32) -> mi.Bool | bool:
+        """Whether paths of more edges contribute."""
         return True
 
 
 class AdaptiveSource(NumberedSource):
-    """Numbers of paths, those of some groups warped by densities.
+    """Random numbers of paths, of which those of some groups are warped by densities.
 
     Parameters
     ----------
-    base: numbers of the hypercube before they are warped.
-    groups, factors: the groups, and for each its densities by row.
-    row: UInt32 per lane, the row of densities that a lane's numbers are warped by.
-    left_by_pick: what a number that picks a light has left, where the first coordinate of the light point is that.
+    base: the numbers before they are warped.
+    groups, factors: the groups, and for each group its densities by row.
+    row: the row of densities, one lane a path.
+    left_by_pick: see :meth:`NumberedSource.give`.
     """
 
     def __init__(
@@ -223,12 +226,12 @@ class AdaptiveSource(NumberedSource):
         base: SampleSource,
         groups: Sequence[Group],
         factors: Sequence[Sequence[Tabulated]],
-        row: Any,
-        left_by_pick: Callable[[Any], Any] | None = None,
+        row: mi.UInt32,
+        left_by_pick: Callable[[mi.Float], mi.Float] | None = None,
     ) -> None:
         super().__init__(base, {})
-        self.length: Any = None  #: edges of the path that counts, where one length is drawn
-        self.lengths = 0  #: how many lengths there are; the last one stands for all that are longer
+        self.length: mi.UInt32 | None = None  #: edges of the paths that contribute, if this number is sampled
+        self.lengths = 0  #: number of lengths; the last one stands for all longer paths
         backend = DeviceBackend(0)
         for number, (group, rows) in enumerate(zip(groups, factors, strict=True)):
             for draws in group.draws:
@@ -243,18 +246,18 @@ class AdaptiveSource(NumberedSource):
                 place = row * rows[0].bins + place
                 self.drawn.append(Drawn(number, weight, place, min(walk, default=None), tuple(lights)))
 
-    def counts(self, edges: Any) -> Any:
-        """Whether a path of so many edges is the one that is looked for."""
+    def counts(self, edges: mi.UInt32) -> mi.Bool | bool:
+        """Whether paths of so many edges contribute."""
         if self.length is None:
             return True
         return (edges == self.length) | ((self.length == self.lengths) & (edges > self.length))
 
-    def goes_on(self, edges: Any) -> Any:
-        """Whether one of more edges is."""
+    def goes_on(self, edges: mi.UInt32) -> mi.Bool | bool:
+        """Whether paths of more edges contribute."""
         return True if self.length is None else (edges < self.length) | (self.length == self.lengths)
 
-    def _unwarped(self, vertex: int, component: int) -> Any:
-        """A number of the base, drawn as the integrand draws it."""
+    def _unwarped(self, vertex: int, component: int) -> mi.Float:
+        """A number of the base, requested as the path tracer requests it."""
         if vertex and component in (dim.LOBE, dim.ROULETTE):
             return self._base.decide(vertex, component)
         if component in ((dim.LENGTH,) if vertex == 0 else (dim.NEXT_EVENT,)):
@@ -265,6 +268,6 @@ class AdaptiveSource(NumberedSource):
 
 
 def check_merge(names: str, merge: bool) -> None:
-    """Raise :class:`OptionError` if ``names`` has the number that picks a light though it is merged with another."""
+    """Raise :class:`OptionError` if ``names`` has the number that selects a light although ``merge`` is on."""
     if merge and ".pick" in names:
-        raise OptionError(f"'{names}': light.pick is a part of light.u while merge is on; set merge to false")
+        raise OptionError(f"'{names}': light.pick is part of light.u while merge is on; set merge=false")

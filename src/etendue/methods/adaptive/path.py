@@ -1,10 +1,10 @@
-r"""Path tracing with some of its random numbers drawn from given densities; paths may end in a photon map.
+r"""Path tracing with some of its random numbers sampled from given densities; paths may end in a photon map.
 
 .. math::
     L = \sum_j \alpha_j \left( \frac{w^e_j L_e(z_j)}{p_j(u)} + \frac{w^d_j f_s(z_j) |cos| L_e(y)}{p(y) q_j(u)} \right)
 
-as in ``path``, where p_j and q_j are the densities of those numbers u that the contribution depends on
-[Leeson 2001, sec. 5.4.1, 5.7.4].
+as in ``path``; p_j and q_j are the densities of the numbers u on which the contribution depends [Leeson 2001,
+sec. 5.4.1, 5.7.4].
 """
 
 from __future__ import annotations
@@ -32,30 +32,43 @@ from .dimensions import Draw, Group, NumberedSource
 class AdaptiveSettings(PathSettings):
     """Settings of ``vegas`` and ``stratified``."""
 
-    merge: bool = setting(True, "let one number pick a light and the first coordinate of the point on it")
-    maps: int = setting(
-        0, "surface points after which a path ends in a map of photons, at the next smooth material; 0: none", minimum=0
+    merge: bool = setting(
+        True, "use one random number to select a light and as the first coordinate of the point on it; false: two"
     )
-    light_paths: float = setting(1.0, "light paths traced for the maps, per camera path", above=0.0, maximum=64.0)
-    radius: float = setting(0.006, "first radius of the maps, in the unit of radius_unit", above=0.0)
+    maps: int = setting(
+        0,
+        "surface points of a path before it ends with a photon density estimate at the next smooth surface; 0: no "
+        "photons",
+        minimum=0,
+    )
+    light_paths: float = setting(1.0, "with maps: light paths per camera path", above=0.0, maximum=64.0)
+    radius: float = setting(
+        0.006, "with maps: radius of density estimation in the first pass, in the unit of radius_unit", above=0.0
+    )
     radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
-    alpha: float = setting(0.75, "radius reduction: r_i = radius i^((alpha - 1) / 2)", above=0.0, maximum=1.0)
+    alpha: float = setting(
+        0.75,
+        "with maps: reduction of the radius: that of pass i = 1, 2, ... is radius * i^((alpha - 1) / 2); 1: constant",
+        above=0.0,
+        maximum=1.0,
+    )
 
 
 @dataclass(kw_only=True)
 class NumberedPath(CameraPath):
-    """State of a camera path by a :class:`NumberedSource`."""
+    """State of a camera path with the random numbers of a :class:`NumberedSource`."""
 
-    parts: list[mi.Float]  #: luminance that depends on each draw of a group; empty where nothing is learned
+    parts: list[mi.Float]  #: luminance of the contributions that depend on each ``Drawn``; empty without learning
 
 
 class AdaptivePath(ImageMethod):
-    """Path tracing by the numbers of a :class:`NumberedSource`."""
+    """Path tracing with the random numbers of a :class:`NumberedSource`."""
 
     Settings: ClassVar[type[ImageSettings]] = AdaptiveSettings
+    settings: AdaptiveSettings
 
     def prepare(self, problem: Problem, seed: int) -> None:
-        """See :class:`ImageMethod`; the pilot of the maps."""
+        """See :class:`ImageMethod`. With ``maps``, a pilot measures the number of photons of a light path."""
         super().prepare(problem, seed)
         o = self.settings
         self._maps: PhotonGrid | None = None
@@ -72,13 +85,13 @@ class AdaptivePath(ImageMethod):
         return STEP_LANES if self.settings.maps else super().full_lanes()
 
     def draw_film(self, named: Sequence[Group]) -> None:
-        """Give up the places that all pixels share if groups draw places on the film."""
+        """Use independent offsets in the pixels if a group has numbers of ``film``."""
         film = {(0, dim.FILM), (0, dim.FILM + 1)}
         if any(film & set(draws) for group in named for draws in group.draws):
             self.camera = CameraSampler(self.problem, independent=True)
 
     def map_light(self, iteration: int, seed: int) -> float:
-        """Trace the photons of a pass, if paths end in maps; returns the rays that it took."""
+        """Trace the photons of a pass, if paths end in maps. Returns the number of rays."""
         if not self.settings.maps:
             return 0.0
         shot = self._tracer.shoot(iteration, seed, self._light_paths)
@@ -89,7 +102,7 @@ class AdaptivePath(ImageMethod):
         return shot.rays
 
     def constant_numbers(self) -> set[Draw]:
-        """Numbers that decide nothing; those of vertex 1 stand for all surface points."""
+        """Random numbers without effect in this scene; those of vertex 1 stand for all surface points."""
         constant: set[Draw] = set()
         if self.settings.merge or self.lights.count == 1:
             constant.add((1, dim.NEXT_EVENT))
@@ -98,13 +111,14 @@ class AdaptivePath(ImageMethod):
         return constant
 
     def left_by_pick(self) -> Callable[[mi.Float], mi.Float] | None:
-        """What a number that picks a light has left, if it is to be used."""
+        """The function for the remainder of a number that selects a light, with ``merge``."""
         return self.lights.left_by_pick if self.settings.merge else None
 
     # ------------------------------------------------------------------ camera paths
 
     def trace(self, pixel: mi.UInt32, source: NumberedSource, learning: bool = False) -> NumberedPath:
-        """A path through each pixel (indices y * width + x), not yet evaluated. ``learning``: fill ``parts``."""
+        """Trace a path through each pixel (indices y * width + x), not yet evaluated. ``learning``: compute
+        ``parts``."""
         ray, importance, _ = self.camera.primary(pixel, source)
         walker = self.walker(Walker, proposal=self.settings.proposal)
         parts = [mi.Float(0.0) for _ in source.drawn] if learning else []
@@ -123,7 +137,7 @@ class AdaptivePath(ImageMethod):
         _count(s, source, s.throughput * hit.radiance * weight, hit.active, by_light_point=False)
         s.active &= vertex.valid & (s.depth < walker.max_edges) & source.goes_on(s.depth)
 
-        # ---- After ``maps`` vertices the photon map replaces the rest of the path at the first smooth material
+        # ---- After ``maps`` vertices, photon density estimation replaces the rest of the path at a smooth surface
         done = mi.Bool(False)
         if self._maps is not None:
             done = s.active & vertex.smooth & (s.depth > self.settings.maps)
@@ -131,13 +145,13 @@ class AdaptivePath(ImageMethod):
             _count(s, source, s.throughput * reflected, done, by_light_point=False)
 
         # ---- Next event
-        looking = s.active & ~done & vertex.smooth
-        lights = [walker.light_point(vertex, source, looking)] if weights.next_event else []
-        scattered, towards = vertex.sample(source, s.active, lights)
-        for light, f in zip(lights, towards, strict=True):
+        smooth = s.active & ~done & vertex.smooth
+        lights = [walker.light_point(vertex, source, smooth)] if weights.next_event else []
+        scattered, evaluated = vertex.sample(source, s.active, lights)
+        for light, f in zip(lights, evaluated, strict=True):
             weight, wanted = weights.light_point(light, f.pdf), source.counts(s.depth + 1)
-            contribution, seen = walker.next_event(s, vertex, light, f, weight, wanted)
-            _count(s, source, contribution, seen, by_light_point=True)
+            contribution, visible = walker.next_event(s, vertex, light, f, weight, wanted)
+            _count(s, source, contribution, visible, by_light_point=True)
 
         s.pdf = walker.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
         walker.advance(s, vertex, scattered, source)
@@ -145,7 +159,7 @@ class AdaptivePath(ImageMethod):
         return s
 
     def _mapped(self, s: NumberedPath, walker: Walker, vertex: WalkVertex, active: mi.Bool) -> mi.Color3f:
-        """Radiance that a vertex reflects, by density estimation."""
+        """Reflected radiance at a vertex by density estimation."""
         assert self._maps is not None
         reflected, _ = self._maps.reflected(vertex, walker.max_edges - s.depth, self._limit, active)
         return reflected
@@ -154,7 +168,7 @@ class AdaptivePath(ImageMethod):
 def _count(
     s: NumberedPath, source: NumberedSource, contribution: mi.Color3f, active: mi.Bool, by_light_point: bool
 ) -> None:
-    """Add a contribution at the end of edge ``s.depth``, divided by the density of the numbers that it depends on."""
+    """Add a contribution at the end of edge ``s.depth``, divided by the density of the numbers on which it depends."""
     active = active & source.counts(s.depth + 1 if by_light_point else s.depth)
     contribution = contribution * source.weight(s.depth, by_light_point)
     s.radiance[active] += contribution

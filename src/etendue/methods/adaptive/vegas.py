@@ -1,24 +1,24 @@
 r"""Path tracing with learned densities of its random numbers, after VEGAS.
 
-A path is a point u of a hypercube, and its contribution a function f(u). The numbers of some groups of dimensions are
-drawn from a density :math:`p(u) = \prod_g p_g(u_g)` that is the product of one density for each group,
+The random numbers of a path are a point u of a hypercube, and its contribution is a function f(u). Groups of numbers
+are sampled from the density :math:`p(u) = \prod_g p_g(u_g)`, a product of one density for each group:
 
 .. math:: L = \frac 1 N \sum_i \frac{f(u_i)}{p(u_i)}
 
-and after 1, 2, 4, … passes every :math:`p_g` is moved towards equal shares of what its bins were found to hold of
-:math:`(f / p)^2`, f being luminance here. A contribution is divided by the densities of those numbers only that it
-depends on: light that reaches the first vertex directly has nothing to do with the second direction. Groups of one and
-two dimensions have movable bins, larger ones a grid of cells. All pixels of the image, or of a tile, share the
-densities [Lepage 1978; Leeson 2001, sec. 5.5].
+After 1, 2, 4, … passes the bins of every :math:`p_g` are adapted towards equal sums of :math:`(f / p)^2`, where f is
+the luminance. A contribution is divided only by the densities of the numbers on which it depends; direct light at the
+first vertex, for example, does not depend on the second direction. Groups of one and two numbers have bins with movable
+edges, larger groups a grid of cells. All pixels of the image, or of a tile, share the densities [Lepage 1978;
+Leeson 2001, sec. 5.5].
 
-A pass is an unbiased estimate whatever the passes before it have taught, and all passes count alike: weighting them by
-their inverse variances would make bright pixels of lucky passes count less.
+A pass is unbiased for any densities, and all passes have the same weight: weights by inverse variance would be
+correlated with the pictures, which would become too dark.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -33,11 +33,11 @@ from ..path import Path
 from .dimensions import LENGTH, AdaptiveSource, check_merge, groups
 from .path import AdaptivePath, AdaptiveSettings
 
-#: What each bin gets beside what it was found to hold: this share of the mean, spread evenly over the group's
-#: dimensions. What was missed so far is found again, and no weight is much above its inverse.
+#: Uniform part of a density, relative to the learned one: light that was missed so far can be found, and weights are at
+#: most about the inverse.
 _EVEN = 0.1
-#: What makes a density again, by its kind.
-_FIELDS: dict[type[Any], tuple[str, ...]] = {
+#: The arrays that define a density, by its class.
+_FIELDS: dict[type[Factor], tuple[str, ...]] = {
     AxisBins: ("edges",),
     PlaneBins: ("edges", "inner"),
     CellGrid: ("probability",),
@@ -50,47 +50,66 @@ class VegasSettings(AdaptiveSettings):
 
     groups: str = setting(
         "light; bounce1; bounce2",
-        "which numbers adapt, groups between semicolons: film, lens, and of each vertex light, lobe, bounce, roulette",
+        "random numbers with a learned density, in groups separated by semicolons: film, lens, and, with or without "
+        "the number of a vertex, light, lobe, bounce, roulette",
     )
-    bounces: int = setting(2, "vertices of a path whose numbers may adapt; later ones stay independent", minimum=1)
+    bounces: int = setting(
+        2,
+        "number of surface points of a path whose random numbers may be in a group; later ones do not adapt",
+        minimum=1,
+    )
     learning: str = setting(
         "importance",
-        "what bins shall have in common: their contributions, or their deviations",
+        "quantity that the bins are adapted to share equally: sum of squared contributions (importance), or standard "
+        "deviation (stratified)",
         choices=("importance", "stratified"),
     )
-    bins: int = setting(0, "bins on each axis of a group; 0 takes what the samples of a pass can fill", minimum=0)
-    tile: int = setting(0, "side in pixels of the tiles that learn densities of their own; 0: the image", minimum=0)
+    bins: int = setting(
+        0, "number of bins on each axis of a group; 0: chosen by the number of samples of a pass", minimum=0
+    )
+    tile: int = setting(
+        0, "width in pixels of square tiles with densities of their own; 0: one density for the image", minimum=0
+    )
     update: int = setting(
         0, "passes between two changes of the densities; 0: they change after 1, 2, 4, 8, … passes", minimum=0
     )
-    smoothing: bool = setting(True, "mix neighbouring bins")
-    damping: float = setting(0.75, "exponent that draws shares of bins together; 0: as found", minimum=0.0)
-    inertia: float = setting(0.5, "share of the new in a grid of cells", above=0.0, maximum=1.0)
+    smoothing: bool = setting(True, "average the sums of neighbouring bins before the densities change")
+    damping: float = setting(
+        0.75, "exponent of the damping of changes, as in VEGAS; larger: faster changes; 0: no damping", minimum=0.0
+    )
+    inertia: float = setting(
+        0.5, "share of the new density in a grid of cells, mixed with the old one", above=0.0, maximum=1.0
+    )
     stabilise: int = setting(
         0, "passes after which smoothing, damping and inertia are switched off; 0: never", minimum=0
     )
-    one_path: bool = setting(False, "count one path of a drawn length only, rather than one of each length")
-    lengths: int = setting(6, "lengths that one_path draws from; the last stands for all longer ones", minimum=1)
+    one_path: bool = setting(
+        False, "use one path of a sampled number of edges, instead of paths of all lengths; more noise"
+    )
+    lengths: int = setting(
+        6, "with one_path: largest number of edges that is sampled; it stands for all longer paths, too", minimum=1
+    )
 
 
 class VegasPath(Carrying, AdaptivePath):
-    """Path tracing whose random numbers are drawn from densities that it learns, after VEGAS."""
+    """Path tracing with random numbers sampled from learned densities, after VEGAS."""
 
     name: ClassVar[str] = "vegas"
     Settings: ClassVar[type[ImageSettings]] = VegasSettings
+    settings: VegasSettings
     citations: ClassVar[tuple[str, ...]] = ("Leeson2001", "Lepage1978", *Path.citations)
     carries_on: ClassVar[bool] = True
 
     def __init__(self, settings: ImageSettings | None = None) -> None:
         super().__init__(settings)
-        o = self.settings  # complaints come before the scene is loaded
+        o = self.settings  # checked here, so that errors are raised before the scene is loaded
         groups(o.groups, o.bounces)
         check_merge(o.groups, o.merge)
         if o.maps and o.one_path:
-            raise OptionError("one_path counts one length of a path, and photons have any; set maps to 0")
+            raise OptionError("one_path=true cannot be combined with maps, because photons have any length; set maps=0")
 
     def prepare(self, problem: Problem, seed: int) -> None:
-        """Uniform densities."""
+        """See :class:`AdaptivePath`; the densities are uniform."""
         self._forget_states()
         super().prepare(problem, seed)
         o = self.settings
@@ -106,16 +125,15 @@ class VegasPath(Carrying, AdaptivePath):
             longest = o.lengths if o.max_depth < 0 else max(1, min(o.lengths, o.max_depth))
             self._groups, even = [*self._groups, LENGTH], [*even, CellGrid.even(longest, 1)]
         self._densities: list[list[Factor]] = [[factor] * rows for factor in even]
-        self._saved: list[dict[str, Array]] | None = None  # the densities as arrays, until they are moved
+        self._saved: list[dict[str, Array]] | None = None  # the densities as arrays, until they change
         self._passes = 0
-        self._forget()
+        self._clear_sums()
 
     def full_lanes(self) -> int:
         """See :class:`ImageMethod`."""
         return STEP_LANES
 
-    def _forget(self) -> None:
-        """Begin to learn anew."""
+    def _clear_sums(self) -> None:
         kinds = 3 if self.settings.learning == "stratified" else 1
         self._sums: list[Array] = [np.zeros((kinds, len(d) * d[0].bins)) for d in self._densities]
 
@@ -137,8 +155,8 @@ class VegasPath(Carrying, AdaptivePath):
         counters = {"rays": total(state.rays) + mapping_rays, "paths": float(len(lanes)), "nonfinite": total(bad)}
         return {"image": self.image(radiance, seed, iteration)}, counters
 
-    def _row(self, pixel: Any) -> Any:
-        """Number of the tile that a pixel is in."""
+    def _row(self, pixel: mi.UInt32) -> mi.UInt32:
+        """Number of a pixel's tile."""
         if self._tiles == (1, 1):
             return mi.UInt32(0)
         y = pixel // self.camera.width
@@ -147,11 +165,12 @@ class VegasPath(Carrying, AdaptivePath):
 
     # ------------------------------------------------------------------ learning
 
-    def _learn(self, found: list[tuple[int, Any, Any]]) -> None:
-        """Deposit what a pass found, and move the densities if it is time to.
+    def _learn(self, found: list[tuple[int, mi.UInt32, mi.Float]]) -> None:
+        """Add the contributions of a pass to the sums of the bins, and adapt the densities after the last pass of an
+        update. ``found``: for each ``Drawn`` (group, bins, luminance of the contributions).
 
-        The sums are made on the host: additions on the device come in another order in each run, and a bin that differs
-        in the last place sends a path elsewhere.
+        The sums are computed on the host, because the order of atomic additions on the device differs between runs, and
+        rounding errors of the bins would change the paths.
         """
         for group, bins, values in found:
             place, value = np.asarray(bins), np.asarray(values, np.float64)
@@ -173,10 +192,10 @@ class VegasPath(Carrying, AdaptivePath):
                     even = _EVEN * mean * factor.volume * factor.bins
                     densities[row] = factor.adapted(values + even, *how)
         self._saved = None
-        self._forget()
+        self._clear_sums()
 
     def _left(self) -> State:
-        """The densities, and what was found since they were moved last."""
+        """The densities, and the sums since their last change."""
         if self._saved is None:
             self._saved = [
                 {name: np.stack([getattr(factor, name) for factor in rows]) for name in _FIELDS[type(rows[0])]}
@@ -197,7 +216,9 @@ class VegasPath(Carrying, AdaptivePath):
         ]
         same = [[a.shape for a in arrays] for arrays in saved] == here
         if not same or [sums.shape for sums in found] != [sums.shape for sums in self._sums]:
-            raise CheckpointError("the checkpoint's densities are of another size; start anew")
+            raise CheckpointError(
+                "the densities in the checkpoint do not fit this picture and these settings; start a new run"
+            )
         for rows, arrays in zip(self._densities, saved, strict=True):
             rows[:] = [type(rows[0])(*parts) for parts in zip(*arrays, strict=True)]
         self._passes, self._sums, self._saved = int(state["passes"]), found, None

@@ -1,1 +1,1 @@
-"""Photon mapping: by a map of the nearest, progressive, and stochastic progressive."""
+"""Photon mapping: with the nearest photons of two maps, progressive, and stochastic progressive."""

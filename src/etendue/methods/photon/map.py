@@ -1,11 +1,11 @@
-r"""Photon mapping: the nearest photons around what the camera sees.
+r"""Photon mapping: density estimation from the nearest photons.
 
-Radiance is estimated from the k nearest photons [Jensen 1996], r being the distance of the farthest, from two maps:
-light that came through mirrors or glass alone (caustics), and the rest. With ``final_gather`` the rest is not looked up
-where the camera sees it but one bounce later, in a map of all photons, which hides the blotches of the estimate.
+Radiance is estimated from the k nearest photons [Jensen 1996], within the distance r of the farthest, in two maps:
+photons that came through mirrors or glass only (caustics), and the others. With ``final_gather`` the second map is
+evaluated one bounce later, in a map of all photons, which hides the low-frequency noise of the estimate.
 
-Every pass traces its own photons, and the picture is the mean over passes: noise vanishes with time, the blur of the
-k nearest does not. Where that matters, use ``sppm`` or ``vcm``.
+Every pass traces its own photons, and the picture is the mean over passes: noise vanishes with more passes, the blur by
+the radius does not. ``sppm`` and ``vcm`` are without this limit.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from ..base import ImageSettings
 from .mapping import GatherPath, PhotonMapping, PhotonSettings
 from .photons import PhotonShot, photon_room, reflected_by
 
-#: Light paths for each photon asked for, at most: where next to nothing is stored, more paths do not help.
+#: Most light paths per photon of the setting ``photons``, for scenes in which light paths store few photons.
 _MOST_PATHS_PER_PHOTON = 20
-#: Share of the squared distance of the last photon within which the others lie.
+#: Factor on the squared distance of the farthest photon, so that it is not inside.
 _INSIDE = 1.0 - 1e-6
 
 
@@ -36,11 +36,15 @@ _INSIDE = 1.0 - 1e-6
 class PmSettings(PhotonSettings):
     """Settings of ``pm``."""
 
-    photons: int = setting(200_000, "photons that a pass stores, about", minimum=1)
-    neighbours: int = setting(50, "nearest photons that an estimate is made from", minimum=2, maximum=1000)
-    radius: float = setting(0.1, "largest radius to look for them in, in the unit of radius_unit", above=0.0)
+    photons: int = setting(200_000, "approximate number of photons stored in a pass; more: less blur", minimum=1)
+    neighbours: int = setting(
+        50, "number of nearest photons in an estimate; more: less noise, more blur", minimum=2, maximum=1000
+    )
+    radius: float = setting(0.1, "largest distance of these photons, in the unit of radius_unit", above=0.0)
     radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
-    final_gather: bool = setting(False, "look up indirect light one bounce after what the camera sees")
+    final_gather: bool = setting(
+        False, "estimate indirect light from photons one bounce after the first smooth surface, which hides blotches"
+    )
 
 
 @dataclass
@@ -56,18 +60,20 @@ class Pm(PhotonMapping):
 
     name: ClassVar[str] = "pm"
     Settings: ClassVar[type[ImageSettings]] = PmSettings
+    settings: PmSettings
     citations: ClassVar[tuple[str, ...]] = ("Jensen1996",)
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`PhotonMapping`."""
         self.final_gather = self.settings.final_gather
         if self.final_gather and self.settings.direct != "next_event":
-            raise OptionError("final_gather=true finds direct light by next event; leave out direct=photons")
+            raise OptionError("final_gather=true needs direct=next_event; leave out direct=photons")
         room = photon_room(problem)
         if self.settings.photons > room.most:
             needed = room.limit_for(self.settings.photons) / 1e6
             raise OptionError(
-                f"photons={self.settings.photons} need a memory limit of {needed:.0f} MB; {room.most} fit now"
+                f"photons={self.settings.photons} needs a memory limit of {needed:.0f} MB; raise the limit, or lower "
+                f"photons to {room.most}"
             )
         super().prepare(problem, seed)
         largest = radii.absolute_radius(self, self.settings.radius, self.settings.radius_unit, seed)
@@ -75,21 +81,21 @@ class Pm(PhotonMapping):
         self._neighbours = dr.opaque(mi.UInt32, self.settings.neighbours)
 
     def light_paths(self) -> int:
-        """As many as store the photons that were asked for."""
+        """As many as store ``photons`` photons."""
         return max(1, round(self.settings.photons / max(self.tracer.photons_per_path, 1.0 / _MOST_PATHS_PER_PHOTON)))
 
     def build(self, shot: PhotonShot, iteration: int, seed: int) -> None:
-        """The two maps."""
+        """Build the two maps."""
         positions, kind, held = shot.vertices.positions()
         caustic = held & (kind == mi.UInt32(Kind.CAUSTIC))
         if self.final_gather:
-            rest = held  # a photon of any kind sends light on to where the camera looks
+            rest = held  # at the second surface, photons of all kinds are indirect light of the first
         elif self.settings.direct == "next_event":
             rest = held & (kind == mi.UInt32(Kind.INDIRECT))
         else:
             rest = held & (kind != mi.UInt32(Kind.CAUSTIC))
         self._caustic, self._global = (self._map(shot, positions, mask) for mask in (caustic, rest))
-        # Without next event, what the camera sees directly lit is seen in the photons.
+
         self._paths = dr.opaque(mi.Float, shot.paths)
 
     def _map(self, shot: PhotonShot, positions: mi.Point3f, mask: mi.Bool) -> _Map:
@@ -116,7 +122,7 @@ class Pm(PhotonMapping):
         """(radiance, photons) from the nearest photons of one map."""
         tree, photons, si = photon_map.tree, photon_map.photons, vertex.si
         limit = tree.kth_distance_squared(si.p, self._neighbours, self._limit, active)
-        # The disc ends at the last photon: counted too, it would make the estimate k / (k - 1) too bright.
+        # The farthest photon defines the disc; counting it would make the estimate too bright by k / (k - 1).
         rim = dr.select(limit < self._limit, limit * _INSIDE, dr.inf)
 
         def visit(photon: mi.UInt32, _: mi.Float, state: tuple[mi.Color3f, mi.UInt32]) -> tuple[mi.Color3f, mi.UInt32]:

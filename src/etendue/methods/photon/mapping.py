@@ -1,14 +1,14 @@
-r"""What photon mapping, progressive and stochastic progressive photon mapping share.
+r"""Base of photon mapping, progressive and stochastic progressive photon mapping.
 
-A pass traces photons from the lights, stores them at every vertex that is not specular, and follows each camera path
-through mirrors and glass to the first surfaces with a smooth material. There the light that arrives directly is found
-by next event, weighted against one more edge in the BSDF's direction, and the rest by density estimation
+A pass traces photons from the lights, stores them at every vertex that is not specular, and traces each camera path
+through mirrors and glass to the first surface with a smooth component. There direct light is found by next event, and
+by one more edge in a direction sampled from the BSDF, combined by MIS. Other light is found by density estimation
 [Jensen 1996; Hachisuka 2008]:
 
 .. math:: L(x, \omega) = \frac{1}{N} \sum_j \frac{K(d_j^2 / r^2)}{\pi r^2} f_s(x, \omega_j, \omega) \, \Phi_j
 
-over the photons j within the distance r, N light paths traced. A material with a smooth and a specular component is
-gathered at, and the path goes on where the specular one is sampled.
+over the photons j within the distance r, of N light paths. At a material with a smooth and a specular component,
+photons are gathered, and the path continues if the specular component is sampled.
 """
 
 from __future__ import annotations
@@ -34,24 +34,28 @@ class PhotonSettings(CameraSettings):
 
     direct: str = setting(
         "next_event",
-        "light that reaches what the camera sees without a bounce: by next event and hits, or from photons too",
+        "estimator of direct light: next event and hits (next_event), or density of photons, with more blur (photons)",
         choices=("next_event", "photons"),
     )
-    kernel: str = setting("uniform", "weight of a photon over the disc it is gathered from", choices=tuple(KERNELS))
+    kernel: str = setting(
+        "uniform",
+        "kernel of the density estimation: weight of a photon by its distance; all but uniform decrease outwards",
+        choices=tuple(KERNELS),
+    )
 
 
 @dataclass(kw_only=True)
 class GatherPath(CameraPath):
     """State of a camera path that gathers photons."""
 
-    beyond: mi.Bool  #: it has scattered at a smooth material
-    found: mi.UInt32  #: photons found at its first gather point; see ``first``
-    first: mi.Bool  #: it has not gathered yet
+    beyond: mi.Bool  #: whether it has scattered at a smooth component
+    found: mi.UInt32  #: photons found at its first gather point
+    first: mi.Bool  #: whether it has no gather point yet
     lane: mi.UInt32  #: number of the path; does not change
 
 
-class _Chosen:
-    """One source of numbers or another, lane by lane."""
+class _SelectedSource:
+    """Random numbers of one of two sources, selected by a mask."""
 
     def __init__(self, condition: mi.Bool, where: SampleSource, elsewhere: SampleSource) -> None:
         self._condition, self._where, self._elsewhere = condition, where, elsewhere
@@ -75,15 +79,16 @@ class _Chosen:
 
 
 class PhotonMapping(ImageMethod):
-    """Base of the photon mapping methods. A subclass says how photons are gathered."""
+    """Base of the photon mapping methods. A subclass implements the gathering of photons."""
 
-    #: Whether every pass looks at the same points of the same surfaces.
+    settings: PhotonSettings
+    #: Whether all passes have the same gather points.
     fixed_points = False
-    #: Whether a path is followed for one more bounce, to gather there.
+    #: Whether photons are gathered one bounce later.
     final_gather = False
 
     def prepare(self, problem: Problem, seed: int) -> None:
-        """Tables, and a pilot that measures how many photons a light path stores."""
+        """See :class:`ImageMethod`. A pilot measures the number of photons of a light path."""
         super().prepare(problem, seed)
         self.tracer = PhotonTracer(self, seed)
         self._light_paths = self.tracer.fitting(self.light_paths())
@@ -94,18 +99,18 @@ class PhotonMapping(ImageMethod):
 
     @abstractmethod
     def light_paths(self) -> int:
-        """Light paths that a pass shall trace."""
+        """Light paths of a pass, before memory limits it."""
 
     @abstractmethod
     def build(self, shot: PhotonShot, iteration: int, seed: int) -> None:
-        """Make the photons ready for :meth:`gather`."""
+        """Prepare the photons of a pass for :meth:`gather`."""
 
     @abstractmethod
     def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[mi.Color3f, mi.UInt32]:
-        """(radiance that a vertex reflects, photons found there)."""
+        """(reflected radiance at a vertex by density estimation, number of photons found)."""
 
     def finish(self, found: mi.UInt32) -> None:
-        """Called after a pass with the number of photons that each path found where it first gathered."""
+        """Called after a pass with the number of photons that each path found at its first gather point."""
 
     def shoot(self, iteration: int, seed: int) -> PhotonShot:
         """The photons of a pass."""
@@ -139,7 +144,7 @@ class PhotonMapping(ImageMethod):
         path = GatherPath.start(
             ray,
             walker.max_edges,
-            radiance=mi.Color3f(dr.opaque(mi.Float, 0.0)),  # not literal: a scene may have nothing to gather at
+            radiance=mi.Color3f(dr.opaque(mi.Float, 0.0)),  # not literal, for scenes without smooth surfaces
             beyond=mi.Bool(False),
             found=mi.UInt32(0),
             first=mi.Bool(True),
@@ -154,13 +159,13 @@ class PhotonMapping(ImageMethod):
         vertex, weights = walker.arrive(s), DirectWeights()
         next_event = self.settings.direct == "next_event"
 
-        # ---- Emission: unweighted through specular surfaces, weighted against next event one edge after a smooth
-        # one; light through further surfaces is in the photons
+        # ---- Emission: weight 1 after specular surfaces only, MIS weight one edge after a smooth surface, 0 later,
+        # because that light is in the photons
         hit = walker.emission(s, vertex)
         shared = weights.hit(s.pdf, hit.direct_pdf) if next_event else mi.Float(0.0)
         weight = dr.select(s.beyond, dr.select(s.pdf > 0.0, shared, 0.0), 1.0)
         s.radiance[hit.active & (weight > 0.0)] += s.throughput * hit.radiance * weight
-        # The edge after a smooth material is for emission; the path goes on behind it only to gather.
+        # The edge after a smooth surface is for emission only, unless photons are gathered at its end.
         s.active &= vertex.valid & (s.depth < walker.max_edges)
         if not self.final_gather and not self.visibility.transparent:
             s.active &= ~s.beyond
@@ -174,19 +179,19 @@ class PhotonMapping(ImageMethod):
         s.first &= ~here
 
         # ---- Next event
-        source: SampleSource = _Chosen(smooth, fresh, fixed) if self.fixed_points else fresh
+        source: SampleSource = _SelectedSource(smooth, fresh, fixed) if self.fixed_points else fresh
         lights = [walker.light_point(vertex, source, smooth & ~s.beyond)] if next_event else []
-        scattered, towards = vertex.sample(source, s.active, lights)
-        for light, f in zip(lights, towards, strict=True):
-            contribution, seen = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
-            s.radiance[seen] += contribution
+        scattered, evaluated = vertex.sample(source, s.active, lights)
+        for light, f in zip(lights, evaluated, strict=True):
+            contribution, visible = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
+            s.radiance[visible] += contribution
 
         # ---- Advance: through specular components, and for one edge after a smooth one
         rough = ~scattered.is_delta
-        specular_on = scattered.is_delta if self.final_gather else scattered.is_null | (scattered.is_delta & ~s.beyond)
-        goes_on = specular_on | (rough & ~s.beyond & next_event)
+        specular = scattered.is_delta if self.final_gather else scattered.is_null | (scattered.is_delta & ~s.beyond)
+        continues = specular | (rough & ~s.beyond & next_event)
         s.beyond |= rough
         s.pdf = walker.keep_if_null(scattered, s.pdf, dr.select(rough, scattered.pdf, 0.0))
         walker.advance(s, vertex, scattered, source)
-        s.active &= goes_on
+        s.active &= continues
         return s

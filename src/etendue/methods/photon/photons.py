@@ -1,8 +1,8 @@
-r"""Photons: traced from the lights pass by pass, and gathered around a point.
+r"""Photons: tracing in passes, and density estimation around a point.
 
 .. math:: L(x, \omega) = \frac{1}{N} \sum_j \frac{K(d_j^2 / r^2)}{\pi r^2} f_s(x, \omega_j, \omega) \, \Phi_j
 
-over the photons j within the distance r, N light paths traced [Jensen 1996].
+over the photons j within the distance r, of N light paths [Jensen 1996].
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from .. import base
 from ..base import PILOT_PATHS, ImageMethod, Lanes, total
 from ..store import VertexRoom
 
-#: Device memory of a photon: its record, the sorted copy, and the search structure.
+#: Device memory of a photon in bytes: its record, the sorted copy, and the search structure.
 _BYTES_PER_PHOTON = 48 + 48 + 32
 
 
 def photon_room(problem: Problem) -> VertexRoom:
-    """Room for the photons of a pass."""
+    """Capacity of the photon store of a pass."""
     return VertexRoom(_BYTES_PER_PHOTON, LightVertices.floats_per_vertex(False), problem.memory)
 
 
@@ -41,33 +41,33 @@ class PhotonShot:
 
 
 class PhotonTracer:
-    """Traces the light paths of a prepared method's passes. A pilot measures how many photons a light path stores."""
+    """Traces the light paths of a prepared method. A pilot measures the number of photons of a light path."""
 
     def __init__(self, method: ImageMethod, seed: int) -> None:
         self._method = method
         pilot = self._trace("pilot ", 0, seed, PILOT_PATHS, 64 * PILOT_PATHS)
-        #: What a number of light paths may follow: the same in every pass, and in a run that is resumed.
+        #: Photons of a light path in the pilot; does not change, also not in a resumed run.
         self.photons_per_path = float(pilot.vertices.wanted[0]) / PILOT_PATHS
         self.room = photon_room(method.problem)
         self.room.per_path = self.photons_per_path
 
     def fitting(self, wanted: int) -> int:
-        """As many light paths, or fewer if their photons would not fit into memory, or they into one kernel."""
+        """``wanted`` light paths, or fewer if their photons do not fit into memory or the paths into one kernel."""
         paths = min(wanted, max(1, int(self.room.most / max(self.photons_per_path, 1e-6))), base.MOST_LIGHT_LANES)
         if paths < wanted:
-            why = "one pass has no more" if paths == base.MOST_LIGHT_LANES else "their photons fill the memory"
+            why = "the most of a pass" if paths == base.MOST_LIGHT_LANES else "limited by the memory for photons"
             logger.info("%d instead of %d light paths a pass: %s", paths, wanted, why)
         return paths
 
     def shoot(self, iteration: int, seed: int, paths: int) -> PhotonShot:
-        """The photons of a pass, all of them."""
+        """Trace the photons of a pass; repeated with a larger store if the capacity was too small."""
         while True:
             shot = self._trace("", iteration, seed, paths, self.room.capacity(paths))
             if self.room.held(float(shot.vertices.wanted[0]), paths):
                 return shot
 
     def _trace(self, role: str, iteration: int, seed: int, paths: int, capacity: int) -> PhotonShot:
-        """Trace light paths and store their vertices; not yet looked at, so that nothing waits."""
+        """Trace light paths and store their vertices."""
         method = self._method
         mis = Mis(Techniques(emission=0, next_event=0, connection=0, splat=False), [0.0], mi.Float(1.0))
         walk = method.walker(LightWalk, camera=method.camera, mis=mis, dark=mi.Float(0.0))
@@ -82,7 +82,7 @@ class PhotonTracer:
 def reflected_by(
     photons: Photons, photon: mi.UInt32, vertex: Vertex, limit: mi.Float, kernel: str, active: mi.Bool
 ) -> mi.Color3f:
-    """Reflected radiance that one photon stands for, times ``N pi r^2``; ``limit``: r^2."""
+    """Contribution of one photon to the reflected radiance, times ``N pi r^2``; ``limit``: r^2."""
     p = photons.read(photon, active)
     distance_squared, weight = unfolded(vertex.si, photons.position(photon, active)[0], p)
     if kernel != "uniform":
@@ -93,13 +93,15 @@ def reflected_by(
 
 
 class PhotonGrid:
-    """Photons of a pass in a grid of cells as wide as the largest radius that will be gathered in.
+    """Photons of a pass in a grid, for density estimation with radii up to ``radius``.
 
     Parameters
     ----------
-    shot: the photons, of which ``held`` ones are gathered, at ``positions``, one lane a slot.
-    radius: the largest, in scene units.
-    box: corners of the scene.
+    shot: the photons.
+    positions, held: position of each slot, and mask of the slots in the grid.
+    radius: largest radius, in units of the render space.
+    box: lower and upper corner of the scene.
+    kernel: name of the kernel.
     """
 
     def __init__(
@@ -119,8 +121,8 @@ class PhotonGrid:
     def reflected(
         self, vertex: Vertex, edges: mi.UInt32, limit: mi.Float, active: mi.Bool
     ) -> tuple[mi.Color3f, mi.UInt32]:
-        """(radiance that a vertex reflects, photons found that it reflects) by the photons with at most ``edges``
-        edges behind them within the root of ``limit``."""
+        """(reflected radiance at a vertex, number of photons that contribute to it), from the photons with a depth of
+        at most ``edges`` within a squared radius ``limit``."""
 
         def visit(photon: mi.UInt32, state: tuple[mi.Color3f, mi.UInt32]) -> tuple[mi.Color3f, mi.UInt32]:
             flux, found = state

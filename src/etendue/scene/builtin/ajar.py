@@ -1,17 +1,20 @@
-"""A room whose light comes through a door left ajar, from a lamp in the next room that faces the wall.
+"""A room lit through a half-open door, from a lamp in the next room that faces a wall.
 
-Nothing that the camera sees is lit directly, and almost nothing in this room by fewer than two bounces: a path must
-find the gap of the door before next event estimation finds the lamp.
+No surface that the camera sees is lit directly, and almost none by fewer than two bounces: a camera path must pass the
+gap of the door before next event estimation can find the lamp.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 #: Inner sizes: half the width, the height, and the depths of the room and of the one behind it.
 _HALF, _HEIGHT, _ROOM, _BEHIND = 2.8, 2.6, 5.6, 2.4
 _WALL = 0.1
-#: The doorway in the wall at z = 0: x from and to, height; how far the door stands open, degrees.
+#: The doorway in the wall at z = 0: range of x, height; opening angle of the door in degrees.
 _DOOR_X, _DOOR_HEIGHT, _OPEN = (0.3, 1.3), 2.1, 35.0
 
 
@@ -91,7 +94,7 @@ def _sensor() -> dict[str, Any]:
     }
 
 
-def _placed(centre: tuple[float, ...], size: tuple[float, ...]) -> Any:
+def _placed(centre: tuple[float, ...], size: tuple[float, ...]) -> mi.ScalarTransform4f:
     import mitsuba as mi
 
     return mi.ScalarTransform4f().translate(list(centre)).scale([side / 2 for side in size])

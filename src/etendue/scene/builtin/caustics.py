@@ -8,17 +8,20 @@ the ring on the floor, and of the ripples on the bottom of the pool, which the c
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..meshes import Points, brilliant, height_field, lathe, mesh, smooth
 
+if TYPE_CHECKING:
+    import mitsuba as mi
+
 Vector = tuple[float, float, float]
 
-#: Inside of the room: x, y, z from and to.
+#: Inside of the room: ranges of x, y and z.
 _ROOM = ((-4.2, 4.2), (0.0, 4.4), (-3.0, 7.6))
-#: The pool in the floor: x and z from and to; its depth; the water's level.
+#: The pool in the floor: ranges of x and z; depth; water level.
 _POOL_X, _POOL_Z, _POOL_DEPTH, _WATER = (-2.2, -0.45), (0.75, 2.55), 0.4, -0.06
 _LAMP: Vector = (0.85, 1.95, -1.35)
 _LAMP_RADIUS, _BULB_RADIUS, _BULB_WALL = 0.045, 0.3, 0.02
@@ -191,8 +194,8 @@ def _still_life() -> dict[str, Any]:
     }
 
 
-def _ring() -> Any:
-    """A gold band lying on the floor: the inside throws a cardioid."""
+def _ring() -> mi.Mesh:
+    """A gold band on the floor, whose inside reflects a cardioid caustic."""
     band = np.array([[0.74, 0.0], [0.82, 0.0], [0.82, 0.26], [0.74, 0.26]])
     band = np.concatenate(
         [np.linspace(a, b, 4, endpoint=False) for a, b in zip(band, np.roll(band, -1, 0), strict=True)]
@@ -202,7 +205,7 @@ def _ring() -> Any:
     return mesh("ring", points, faces, {"type": "conductor", "material": "Au"}, normals)
 
 
-def _vase() -> Any:
+def _vase() -> mi.Mesh:
     """A thick-walled vase of amber glass: one closed surface, outside up and inside down."""
     outside = [(0, 0), (0.34, 0), (0.36, 0.08), (0.2, 0.3), (0.46, 0.8), (0.42, 1.2), (0.2, 1.5), (0.34, 1.78)]
     inside = [(0.28, 1.78), (0.13, 1.5), (0.34, 1.2), (0.38, 0.8), (0.16, 0.4), (0, 0.36)]
@@ -218,7 +221,7 @@ def _vase() -> Any:
     return mesh("vase", points, faces, amber, normals)
 
 
-def _stone() -> Any:
+def _stone() -> mi.Mesh:
     points, faces = brilliant(0.42, 0.3, 0.36, 9)
     points = points + np.array([0.6, _GAP, 2.45])
     sapphire = {

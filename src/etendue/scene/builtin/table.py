@@ -5,21 +5,26 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import SceneError, suggest
 
 from .ajar import ajar
 from .caustics import caustics
 
+if TYPE_CHECKING:
+    import mitsuba as mi
+
 
 @dataclass(frozen=True)
 class BundledScene:
-    """A scene that ships with the library. ``build()`` returns a fresh Mitsuba dictionary; a variant must be set.
+    """A scene of the library. ``build()`` returns a new Mitsuba dictionary; a variant must be set.
 
-    ``reference`` is a converged picture at the scene's size, if one ships, ``reference_note`` says how it was made.
+    ``reference`` is a converged picture at the scene's size, if the library has one; ``reference_note`` describes how
+    it was rendered.
     """
 
     name: str
@@ -49,7 +54,7 @@ def bundled() -> dict[str, BundledScene]:
         ),
         ("cornell-box", "the Cornell box: diffuse walls, two boxes, an area light", cornell_box),
         ("cornell-glass", "the Cornell box with a glass ball and a box of rough gold", cornell_glass),
-        ("ajar", "a room lit through a door left ajar, by a lamp that is turned to the wall of the next room", ajar),
+        ("ajar", "a room lit through a half-open door, by a lamp in the next room that faces a wall", ajar),
         ("skylight", "frosted glass and lacquer under a sky with a low sun, through a thin lens", skylight),
         ("stage", "glass, plastic and steel under two spot lights and a point light", stage),
     )
@@ -75,7 +80,7 @@ def cornell_box() -> dict[str, Any]:
 
 
 def cornell_glass() -> dict[str, Any]:
-    """The scene for measurements of cost: glass and rough metal under a small light, 512x512, depth 10."""
+    """The scene of the benchmarks of time: glass and rough metal under a small light, 512x512, depth 10."""
     scene = cornell_box()
     scene["integrator"]["max_depth"] = 10
     scene["sensor"]["film"] |= {"width": 512, "height": 512, "rfilter": {"type": "box"}}
@@ -122,7 +127,7 @@ def skylight() -> dict[str, Any]:
     }
 
 
-def _sky_pixels() -> Any:
+def _sky_pixels() -> NDArray[np.float32]:
     """Radiance of the sky, 64x128: blue that brightens to the horizon, dark ground, and a soft sun low on one side."""
     theta = (np.arange(64) + 0.5) / 64 * np.pi
     phi = (np.arange(128) + 0.5) / 128 * 2 * np.pi
@@ -148,7 +153,7 @@ def stage() -> dict[str, Any]:
         look = mi.ScalarTransform4f().look_at(origin, target, [0, 1, 0])
         return {"type": "spot", "to_world": look, "intensity": colour, "cutoff_angle": 20.0, "beam_width": 14.0}
 
-    def wall(transform: Any, *value: float) -> dict[str, Any]:
+    def wall(transform: mi.ScalarTransform4f, *value: float) -> dict[str, Any]:
         return {"type": "rectangle", "to_world": transform, "bsdf": {"type": "diffuse", "reflectance": _rgb(*value)}}
 
     floor = mi.ScalarTransform4f().rotate([1, 0, 0], -90).scale(6.0)

@@ -8,7 +8,6 @@ The share f that is sampled by area finds light that the measurement of a cell h
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -58,7 +57,7 @@ class LightPoints:
             on_device(mi.Float, np.concatenate(parts).astype(np.float32)) for parts in (rows, cells, factors)
         )
 
-    def draw(self, light: Any, u: Any, active: Any) -> tuple[Any, Any, Any]:
+    def draw(self, light: mi.UInt32, u: mi.Point2f, active: mi.Bool | bool) -> tuple[mi.Point2f, mi.UInt32, mi.Float]:
         """A point of light number ``light`` by ``u``: (place, triangle, factor). Place and triangle are for
         :func:`~etendue.scene.surface_point`, the factor is the density by area times the light's area."""
         width, height, first_row, first_cell = dr.gather(mi.Vector4u, self._heads, light, active)
@@ -72,7 +71,9 @@ class LightPoints:
             place = dr.select(of_mesh, mi.warp.square_to_uniform_triangle(mi.Point2f(u_left, v)), place)
         return place, triangle, dr.gather(mi.Float, self._factors, first + column, active)
 
-    def _pick(self, sums: Any, first: Any, count: Any, steps: int, u: Any, active: Any) -> tuple[Any, Any]:
+    def _pick(
+        self, sums: mi.Float, first: mi.UInt32, count: mi.UInt32, steps: int, u: mi.Float, active: mi.Bool | bool
+    ) -> tuple[mi.UInt32, mi.Float]:
         """The index among ``count`` cumulative sums from ``first`` on that ``u`` selects, and the remainder of
         ``u``."""
         low, high = mi.UInt32(0), count - 1
@@ -84,7 +85,7 @@ class LightPoints:
         start = dr.select(low > 0, dr.gather(mi.Float, sums, first + dr.maximum(low, 1) - 1, active), 0.0)
         return low, dr.clip((u - start) / dr.maximum(end - start, 1e-30), 0.0, _BELOW_ONE)
 
-    def factor(self, light: Any, uv: Any, triangle: Any, active: Any) -> Any:
+    def factor(self, light: mi.UInt32, uv: mi.Point2f, triangle: mi.UInt32, active: mi.Bool | bool) -> mi.Float:
         """The density by area of a point, known by its texture coordinates or triangle, times the light's area."""
         width, height, _, first_cell = dr.gather(mi.Vector4u, self._heads, light, active)
         kind = dr.gather(mi.UInt32, self._kinds, light, active)

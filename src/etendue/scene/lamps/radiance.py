@@ -7,7 +7,6 @@ its points. Its mean radiance is measured at evenly distributed points, at least
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -42,20 +41,20 @@ class RadianceCells:
         return float((self.share * self.radiance).sum())
 
 
-def varies(emitter: Any) -> bool:
+def varies(emitter: mi.Emitter) -> bool:
     """Whether an area light's radiance depends on the point."""
     texture = _texture(emitter)
     return texture is not None and (texture.is_spatially_varying() or plugin_name(texture) == "meshattribute")
 
 
-def measure(emitter: Any) -> RadianceCells:
+def measure(emitter: mi.Emitter) -> RadianceCells:
     """The cells of an area light that :func:`varies`."""
     shape, texture = emitter.get_shape(), _texture(emitter)
     measured = _of_texture if plugin_name(shape) in SURFACES else _of_mesh
     return measured(emitter, shape, texture)
 
 
-def is_black(emitter: Any) -> bool:
+def is_black(emitter: mi.Emitter) -> bool:
     """Whether an emitter is known to be black: a factor of its radiance is zero everywhere."""
     found = contents(emitter)
     numbers = [as_array(value) for name, value in found.values if name in ("data", "scale")]  # of an environment map
@@ -63,7 +62,7 @@ def is_black(emitter: Any) -> bool:
     return any((array <= 0).all() for array in numbers) or any(_is_black_texture(texture) for texture in textures)
 
 
-def _is_black_texture(texture: Any) -> bool:
+def _is_black_texture(texture: mi.Texture) -> bool:
     if plugin_name(texture) == "bitmap":
         return bool((as_array(dict(contents(texture).values)["data"]) <= 0).all())
     try:
@@ -72,14 +71,16 @@ def _is_black_texture(texture: Any) -> bool:
         return False
 
 
-def _texture(emitter: Any) -> Any:
+def _texture(emitter: mi.Emitter) -> mi.Texture | None:
     return dict(contents(emitter).objects).get("radiance")
 
 
 # ---------------------------------------------------------------------------------------------------- points
 
 
-def surface_point(shape: Any, triangle: Any, place: Any, active: Any = True) -> Any:
+def surface_point(
+    shape: mi.Shape, triangle: mi.UInt32, place: mi.Point2f, active: mi.Bool | bool = True
+) -> mi.SurfaceInteraction3f:
     """The point of an area light's shape for ``place`` in the unit square; barycentric coordinates in
     ``triangle`` of a mesh."""
     kind = plugin_name(shape)
@@ -92,7 +93,7 @@ def surface_point(shape: Any, triangle: Any, place: Any, active: Any = True) -> 
     return uniform_point(shape, place, active)
 
 
-def uniform_point(shape: Any, u: Any, active: Any = True) -> Any:
+def uniform_point(shape: mi.Shape, u: mi.Point2f, active: mi.Bool | bool = True) -> mi.SurfaceInteraction3f:
     """The point of a shape that ``u`` samples uniformly by area."""
     si = mi.SurfaceInteraction3f(shape.sample_position(0.0, u, active), dr.zeros(mi.Color0f))
     if plugin_name(shape) == "sphere":  # Mitsuba 3.9 does not rotate the normal with the sphere
@@ -100,7 +101,9 @@ def uniform_point(shape: Any, u: Any, active: Any = True) -> Any:
     return si
 
 
-def sphere_point(shape: Any, p: Any, outward: Any, like: Any) -> Any:
+def sphere_point(
+    shape: mi.Shape, p: mi.Point3f, outward: mi.Vector3f, like: mi.SurfaceInteraction3f
+) -> mi.SurfaceInteraction3f:
     """The point ``p`` of a spherical light; ``like``: another point of it."""
     to_world = dict(contents(shape).values)["to_world"]
     inwards = dr.dot(like.n, like.p - to_world @ mi.Point3f(0.0)) < 0.0
@@ -112,7 +115,7 @@ def sphere_point(shape: Any, p: Any, outward: Any, like: Any) -> Any:
     return si
 
 
-def place_of(surface: str, uv: Any) -> Any:
+def place_of(surface: str, uv: mi.Point2f) -> mi.Point2f:
     """Where in the unit square a hit of texture coordinates ``uv`` on one of ``SURFACES`` lies."""
     match surface:
         case "rectangle":
@@ -128,7 +131,7 @@ def place_of(surface: str, uv: Any) -> Any:
 # ---------------------------------------------------------------------------------------------------- measuring
 
 
-def _of_texture(emitter: Any, shape: Any, texture: Any) -> RadianceCells:
+def _of_texture(emitter: mi.Emitter, shape: mi.Shape, texture: mi.Texture) -> RadianceCells:
     surface, texels = plugin_name(shape), _texels(texture)
     if texels and surface == "cylinder":
         texels = texels[1], texels[0]
@@ -153,7 +156,7 @@ def _of_texture(emitter: Any, shape: Any, texture: Any) -> RadianceCells:
     return RadianceCells(surface, share, radiance.reshape(rows, columns))
 
 
-def _of_mesh(emitter: Any, shape: Any, texture: Any) -> RadianceCells:
+def _of_mesh(emitter: mi.Emitter, shape: mi.Shape, texture: mi.Texture) -> RadianceCells:
     values = dict(contents(shape).values)
     faces = as_array(values["faces"]).reshape(-1, 3)
     corners = as_array(values["vertex_positions"]).astype(np.float64).reshape(-1, 3)[faces]
@@ -186,13 +189,13 @@ def _of_mesh(emitter: Any, shape: Any, texture: Any) -> RadianceCells:
     return RadianceCells("mesh", share.reshape(rows, columns), mean.reshape(rows, columns))
 
 
-def _along_normal(emitter: Any, si: Any) -> Any:
+def _along_normal(emitter: mi.Emitter, si: mi.SurfaceInteraction3f) -> mi.Float:
     """Radiance along the normals of points, mean over the channels."""
     si.wi = mi.Vector3f(0.0, 0.0, 1.0)
     return dr.mean(emitter.eval(si)) + dr.zeros(mi.Float, dr.width(si.p))
 
 
-def _texels(texture: Any) -> tuple[float, float] | None:
+def _texels(texture: mi.Texture) -> tuple[float, float] | None:
     """Texels that the unit square of texture coordinates holds along either axis; None if the texture has none."""
     if plugin_name(texture) != "bitmap":
         return None

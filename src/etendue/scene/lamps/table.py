@@ -25,7 +25,6 @@ share.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -48,26 +47,27 @@ _LEAST_PICK = 0.01
 class Light:
     """A picked emitter and its entries of the table, one lane each."""
 
-    row: Any  #: its number
-    emitter: Any  #: EmitterPtr
-    pick: Any  #: probability of having picked it
-    area_density: Any  #: 1/A of an area emitter or a beam, 1 of a point-like emitter, 1/(pi R^2) of an infinite one
-    direction_density: Any  #: of a point-like emitter, per solid angle; 0 for the others
-    is_delta: Any  #: no ray can hit it: point-like emitters, beams, and those with one direction
-    is_area: Any
-    is_point: Any
-    is_infinite: Any
-    is_beam: Any
-    exponent: Any  #: focus of an area emitter around its normal; None where no light of the scene has one
-    sphere: Any  #: centre and radius of a spherical area emitter, radius 0 for others; None where there is none
+    row: mi.UInt32  #: number of the light
+    emitter: mi.EmitterPtr
+    pick: mi.Float  #: probability of picking it
+    area_density: mi.Float  #: 1/A of an area emitter or a beam, 1 of a point-like one, 1/(pi R^2) of an infinite one
+    direction_density: mi.Float  #: of a point-like emitter, per solid angle; 0 for the others
+    is_delta: mi.Bool  #: no ray can hit it: point-like emitters, beams, and those with one direction
+    is_area: mi.Bool
+    is_point: mi.Bool
+    is_infinite: mi.Bool
+    is_beam: mi.Bool
+    exponent: mi.Float | None  #: focus of an area emitter around its normal; None where no light of the scene has one
+    #: Centre and radius of a spherical area emitter, radius 0 for others; None where no light of the scene is one.
+    sphere: mi.Vector4f | None
 
-    def direction_pdf(self, cos: Any) -> Any:
+    def direction_pdf(self, cos: mi.Float) -> mi.Float:
         """Solid-angle density with which an area emitter's ray leaves at ``cos`` to the normal."""
         if self.exponent is None:
             return cos * dr.inv_pi
         return square_to_cosine_power_pdf(cos, self.exponent + 1.0)
 
-    def direction(self, u: Any) -> Any:
+    def direction(self, u: mi.Point2f) -> mi.Vector3f:
         """A direction of that density around the z axis."""
         if self.exponent is None:
             return mi.warp.square_to_cosine_hemisphere(u)
@@ -77,10 +77,10 @@ class Light:
 class LightTable:
     """Emitters of a scene as device arrays, looked up by picking one or by the emitter pointer of a hit."""
 
-    def __init__(self, scene: Any) -> None:
+    def __init__(self, scene: mi.Scene) -> None:
         emitters = scene.emitters()
         if not emitters:
-            raise SceneError("the scene has no emitter; add a light source, or every picture is black")
+            raise SceneError("the scene has no emitter, so every picture would be black; add a light source")
         sphere = scene.bbox().bounding_sphere()
         #: Centre and radius R of the sphere that bounds the scene's geometry.
         self.centre, self.radius = sphere.center, float(np.asarray(sphere.radius).ravel()[0])
@@ -122,26 +122,26 @@ class LightTable:
         row_of[ids] = np.arange(len(rows))
         self._row_of = on_device(mi.UInt32, row_of)
 
-    def pick(self, u: Any, active: Any = True) -> Light:
+    def pick(self, u: mi.Float, active: mi.Bool | bool = True) -> Light:
         """Pick an emitter with probability proportional to its power."""
         if self.count == 1:
             return self.row(dr.zeros(mi.UInt32, dr.width(u)), active)
         return self.row(self._cdf.sample(u, active), active)
 
-    def left_by_pick(self, u: Any) -> Any:
+    def left_by_pick(self, u: mi.Float) -> mi.Float:
         """The remainder of a number that picks an emitter: uniform in [0, 1), independent of the emitter."""
         if self.count == 1:
             return u
         return dr.clip(self._cdf.sample_reuse(u)[1], 0.0, 1.0 - 2.0**-24)
 
-    def of(self, emitter: Any, active: Any = True) -> Light:
+    def of(self, emitter: mi.EmitterPtr, active: mi.Bool | bool = True) -> Light:
         """The entries of the emitter that a ray has hit. Lanes without emitter must not be active."""
         if self.count == 1:
             return self.row(dr.zeros(mi.UInt32, dr.width(emitter)), active)
         number = dr.reinterpret_array(mi.UInt32, emitter)
         return self.row(dr.gather(mi.UInt32, self._row_of, number, active), active)
 
-    def row(self, row: Any, active: Any = True) -> Light:
+    def row(self, row: mi.UInt32 | int, active: mi.Bool | bool = True) -> Light:
         """The entries of the light with a given number."""
         kind = dr.gather(mi.UInt32, self._kind, row, active)
         return Light(
@@ -176,7 +176,7 @@ class _Row:
     sphere: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  #: centre and radius of a spherical one
 
 
-def _describe(emitter: Any, scene_radius: float) -> _Row:
+def _describe(emitter: mi.Emitter, scene_radius: float) -> _Row:
     flags = emitter.flags()
     name = emitter.id() or emitter.class_name()
     one_direction = mi.has_flag(flags, mi.EmitterFlags.DeltaDirection)
@@ -186,7 +186,7 @@ def _describe(emitter: Any, scene_radius: float) -> _Row:
         return _Row(name, "point", _power(emitter), 1.0, _cone_density(emitter), is_delta=True)
     area = float(np.asarray(emitter.get_shape().surface_area()).ravel()[0])
     if not area > 0:
-        raise SceneError(f"area emitter '{name}' sits on a shape without area; remove it or repair the shape")
+        raise SceneError(f"area emitter '{name}' is on a shape without area; remove it or repair the shape")
     if one_direction:
         return _Row(name, "beam", _power(emitter), 1.0 / area, is_delta=True)
     exponent = float(np.asarray(emitter.exponent).ravel()[0]) if plugin_name(emitter) == "focusarea" else 0.0
@@ -197,7 +197,7 @@ def _describe(emitter: Any, scene_radius: float) -> _Row:
     return _Row(name, "area", power, 1.0 / area, exponent=exponent, cells=cells, sphere=_sphere(emitter.get_shape()))
 
 
-def _sphere(shape: Any) -> tuple[float, float, float, float]:
+def _sphere(shape: mi.Shape) -> tuple[float, float, float, float]:
     if plugin_name(shape) != "sphere":
         return 0.0, 0.0, 0.0, 0.0
     place = as_array(dict(contents(shape).values)["to_world"]).astype(np.float64).reshape(4, 4)
@@ -205,27 +205,27 @@ def _sphere(shape: Any) -> tuple[float, float, float, float]:
     return float(x), float(y), float(z), float(np.linalg.norm(place[:3, 0]))
 
 
-def _power(emitter: Any) -> float:
+def _power(emitter: mi.Emitter) -> float:
     """Emitted power, the mean weight of emitted rays, averaged over the colour channels."""
     u = _weyl(_POWER_SAMPLES)
     _, weight = emitter.sample_ray(0.0, 0.5, mi.Point2f(u[0], u[1]), mi.Point2f(u[2], u[3]))
     return float(np.asarray(weight, dtype=np.float64).mean())
 
 
-def _radiance(emitter: Any) -> float:
+def _radiance(emitter: mi.Emitter) -> float:
     """Radiance of a uniform area light along its normal, mean over the colour channels."""
     si = dr.zeros(mi.SurfaceInteraction3f)
     si.wi = mi.Vector3f(0.0, 0.0, 1.0)
     return float(np.asarray(emitter.eval(si), dtype=np.float64).mean())
 
 
-def _weyl(n: int) -> list[Any]:
+def _weyl(n: int) -> list[mi.Float]:
     """``n`` points of a four-dimensional Kronecker sequence."""
     i = np.arange(n) + 0.5
     return [on_device(mi.Float, np.mod(i * a, 1.0)) for a in (0.8566749, 0.7338919, 0.6287067, 0.5385973)]
 
 
-def _cone_density(emitter: Any) -> float:
+def _cone_density(emitter: mi.Emitter) -> float:
     """Solid-angle density of directions uniform over the cone that holds the rays of a point-like emitter."""
     parameters = mi.traverse(emitter)
     if "cutoff_angle" in parameters:

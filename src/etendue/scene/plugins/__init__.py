@@ -1,15 +1,15 @@
 """étendue's own Mitsuba plugins: BSDFs ``phong`` and ``ward``, emitter ``focusarea``, sensor ``spherical``; and
-materials made of functions.
+materials from functions.
 
-Mitsuba 3.9.1 has no plugin of these names. Each class is made when a plugin is first used under a variant, since its
-base class is Mitsuba's of that variant.
+Mitsuba 3.9.1 has no plugins of these names. Each class is created when a plugin is first used under a variant, because
+its base class depends on the variant.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING
 
 from etendue.core import check_variant
 
@@ -20,6 +20,9 @@ from .reflection import make_reflection
 from .spherical import make_spherical
 from .ward import WardLobe
 
+if TYPE_CHECKING:
+    import mitsuba as mi
+
 __all__ = ["composed_bsdf", "register"]
 
 _BSDFS = {"phong": lambda: make_reflection(PhongLobe), "ward": lambda: make_reflection(WardLobe)}
@@ -28,7 +31,7 @@ _SENSORS = {"spherical": make_spherical}
 
 
 def register() -> None:
-    """Make the plugins known to Mitsuba under the variant that is set; harmless when repeated.
+    """Register the plugins with Mitsuba for the current variant; can be repeated.
 
     Under unsupported variants the names are registered, too, and using one raises :class:`BackendError`.
     """
@@ -40,8 +43,8 @@ def register() -> None:
             announce(name, _constructor(make))
 
 
-def _constructor(make: Callable[[], type]) -> Callable[[Any], Any]:
-    def construct(props: Any) -> Any:
+def _constructor(make: Callable[[], type]) -> Callable[[mi.Properties], mi.Object]:
+    def construct(props: mi.Properties) -> mi.Object:
         import mitsuba as mi
 
         check_variant(mi.variant())

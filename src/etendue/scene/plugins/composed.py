@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 
@@ -14,39 +12,47 @@ from etendue.integration import Integrand
 PARAMETERS = 8
 
 
-def composed_bsdf(f: Integrand) -> Any:
-    """A Mitsuba material, for ``"bsdf"`` of a scene dictionary, that reflects by the function ``f`` [Leeson 2001, 5.2].
+def composed_bsdf(f: Integrand) -> mi.BSDF:
+    """A Mitsuba material, for ``"bsdf"`` of a scene dictionary, whose BRDF is the function ``f`` [Leeson 2001,
+    sec. 5.2].
 
     Parameters
     ----------
     f: the BRDF, a function of (u, v), the direction towards the light (x, y, z) and that towards the eye; unit vectors
-        in the frame of the surface, z its normal. Real, or a colour of three values; on the device, or on either side.
+        in the frame of the surface, z its normal. Scalar, or a colour of three values; it must run on the device.
 
     One-sided; wrap it in ``twosided`` for both sides. Directions are sampled by the cosine, since a general function
-    cannot be sampled: narrow lobes are noisy. ``etendue.check`` tests whether it conserves energy and is reciprocal. It
-    is evaluated inside kernels, so it must not contain integrals. Raises :class:`OptionError` for a function of other
-    parameters
-    or values, or of the host.
+    cannot be sampled, so narrow lobes are noisy. ``etendue.check`` tests whether it conserves energy and is reciprocal.
+    It is evaluated inside kernels and must not contain integrals. Raises :class:`OptionError` for a function with other
+    parameters or values, or one that runs on the host only.
     """
     if f.dimension != PARAMETERS or f.values not in (1, 3) or f.on == "host":
         raise OptionError(
-            f"a material is a function of {PARAMETERS} parameters (u, v, light x, y, z, eye x, y, z) on the device, of "
-            f"1 or 3 values, not of {f.dimension} on the {f.on} and {f.values}"
+            f"a material is a function of {PARAMETERS} parameters (u, v, light x, y, z, eye x, y, z) on the device "
+            f"with 1 or 3 values, not one of {f.dimension} parameters on the {f.on} with {f.values} values"
         )
     use_variant()
 
     class ComposedBSDF(mi.BSDF):
         """f cos, and the density of cosine sampling."""
 
-        def __init__(self, props: Any) -> None:
+        def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
             self.plugin_name = "composed"
             flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.SpatiallyVarying
-            # It is unknown whether the function is isotropic: assume not, so that paths keep the whole frame.
+            # Whether the function is isotropic is unknown: assume that it is not, so that stored vertices keep the
+            # tangents.
             self.m_components = [flags | mi.BSDFFlags.Anisotropic]
             self.m_flags = self.m_components[0]
 
-        def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> tuple[Any, Any]:
+        def sample(
+            self,
+            ctx: mi.BSDFContext,
+            si: mi.SurfaceInteraction3f,
+            sample1: mi.Float,
+            sample2: mi.Point2f,
+            active: mi.Bool | bool = True,
+        ) -> tuple[mi.BSDFSample3f, mi.Color3f]:
             bs = mi.BSDFSample3f()
             bs.wo = mi.warp.square_to_cosine_hemisphere(sample2)
             bs.eta = 1.0
@@ -55,7 +61,9 @@ def composed_bsdf(f: Integrand) -> Any:
             value, bs.pdf = self.eval_pdf(ctx, si, bs.wo, active)
             return bs, dr.select(bs.pdf > 0.0, value / bs.pdf, 0.0)
 
-        def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> tuple[Any, Any]:
+        def eval_pdf(
+            self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool | bool = True
+        ) -> tuple[mi.Color3f, mi.Float]:
             cos = mi.Frame3f.cos_theta(wo)
             active = active & (mi.Frame3f.cos_theta(si.wi) > 0.0) & (cos > 0.0)
             active &= ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 0)
@@ -64,10 +72,14 @@ def composed_bsdf(f: Integrand) -> Any:
             value = mi.Color3f(*found) if f.values == 3 else mi.Color3f(mi.Float(found[0]))
             return value * cos & active, cos * dr.inv_pi & active
 
-        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        def eval(
+            self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool | bool = True
+        ) -> mi.Color3f:
             return self.eval_pdf(ctx, si, wo, active)[0]
 
-        def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        def pdf(
+            self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool | bool = True
+        ) -> mi.Float:
             return self.eval_pdf(ctx, si, wo, active)[1]
 
         def to_string(self) -> str:

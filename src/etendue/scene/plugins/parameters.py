@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -11,7 +9,7 @@ import numpy as np
 from etendue.core import OptionError, is_number
 
 
-def number(props: Any, key: str, default: float) -> Any:
+def number(props: mi.Properties, key: str, default: float) -> mi.Float:
     """The plugin parameter ``key`` as a float on the device. Raises :class:`OptionError` for anything but a number."""
     value = props.get(key, default)
     if not is_number(value):
@@ -20,7 +18,7 @@ def number(props: Any, key: str, default: float) -> Any:
     return mi.Float(float(value))
 
 
-def check_range(owner: str, key: str, value: Any, low: float, strict: bool = False) -> None:
+def check_range(owner: str, key: str, value: mi.Float, low: float, strict: bool = False) -> None:
     """Raise :class:`OptionError` unless ``value`` is one finite number of at least (``strict``: above) ``low``."""
     array = np.asarray(value, dtype=np.float64).ravel()
     fits = array.size == 1 and np.isfinite(array[0]) and (array[0] > low if strict else array[0] >= low)
@@ -29,12 +27,12 @@ def check_range(owner: str, key: str, value: Any, low: float, strict: bool = Fal
         raise OptionError(f"'{owner}': '{key}' is {np.array2string(array)}; it must be one number {bound}")
 
 
-def settle(*values: Any) -> None:
+def make_opaque(*values: mi.Float) -> None:
     """Make values opaque, so that a change does not recompile kernels."""
     dr.make_opaque(*values)
 
 
-def block(name: str, **rows: Any) -> str:
+def block(name: str, **rows: object) -> str:
     """The description of a plugin in Mitsuba's style."""
     lines = []
     for key, value in rows.items():

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 
 from .parameters import block
+from .phong import PhongLobe
+from .ward import WardLobe
 
 
-def make_reflection(lobe_type: Any) -> type:
+def make_reflection(lobe_type: type[PhongLobe] | type[WardLobe]) -> type:
     """The BSDF class of a lobe (``PhongLobe``, ``WardLobe``) for the current variant."""
 
     class DiffuseAndLobe(mi.BSDF):
         """f = k_d / pi + k_s lobe; a component is selected by its share of the reflectance and sampled."""
 
-        def __init__(self, props: Any) -> None:
+        def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
             self.plugin_name = lobe_type.name
             self.diffuse = props.get_texture("diffuse_reflectance", 0.5)
@@ -36,13 +36,13 @@ def make_reflection(lobe_type: Any) -> type:
             self.m_components = [diffuse, glossy]
             self.m_flags = diffuse | glossy
 
-        def _reflectances(self, si: Any, active: Any) -> tuple[Any, Any]:
+        def _reflectances(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool) -> tuple[mi.Color3f, mi.Color3f]:
             """k_d and k_s, their sum at most 1 in every channel."""
             diffuse, specular = self.diffuse.eval(si, active), self.specular.eval(si, active)
             scale = dr.rcp(dr.maximum(diffuse + specular, 1.0))
             return diffuse * scale, specular * scale
 
-        def _lobe_share(self, ctx: Any, diffuse: Any, specular: Any) -> Any:
+        def _lobe_share(self, ctx: mi.BSDFContext, diffuse: mi.Color3f, specular: mi.Color3f) -> mi.Float:
             """Probability of sampling the lobe."""
             if not ctx.is_enabled(mi.BSDFFlags.DiffuseReflection, 0):
                 return mi.Float(1.0)
@@ -51,7 +51,14 @@ def make_reflection(lobe_type: Any) -> type:
             whole = dr.mean(diffuse + specular)
             return dr.select(whole > 0.0, dr.mean(specular) / whole, 0.0)
 
-        def _evaluate(self, ctx: Any, si: Any, wo: Any, reflectances: Any, active: Any) -> tuple[Any, Any]:
+        def _evaluate(
+            self,
+            ctx: mi.BSDFContext,
+            si: mi.SurfaceInteraction3f,
+            wo: mi.Vector3f,
+            reflectances: tuple[mi.Color3f, mi.Color3f],
+            active: mi.Bool | bool,
+        ) -> tuple[mi.Color3f, mi.Float]:
             """f cos and the density of sampling ``wo``; zero below the surface."""
             diffuse, specular = reflectances
             value, pdf = mi.Color3f(0.0), mi.Float(0.0)
@@ -67,7 +74,14 @@ def make_reflection(lobe_type: Any) -> type:
                 pdf += share * lobe_pdf
             return value * cos & active, pdf & active
 
-        def sample(self, ctx: Any, si: Any, sample1: Any, sample2: Any, active: Any = True) -> tuple[Any, Any]:
+        def sample(
+            self,
+            ctx: mi.BSDFContext,
+            si: mi.SurfaceInteraction3f,
+            sample1: mi.Float,
+            sample2: mi.Point2f,
+            active: mi.Bool | bool = True,
+        ) -> tuple[mi.BSDFSample3f, mi.Color3f]:
             reflectances = self._reflectances(si, active)
             share = self._lobe_share(ctx, *reflectances)
             of_lobe = sample1 < share
@@ -80,26 +94,32 @@ def make_reflection(lobe_type: Any) -> type:
             value, bs.pdf = self._evaluate(ctx, si, bs.wo, reflectances, active)
             return bs, dr.select(bs.pdf > 0.0, value / bs.pdf, 0.0)
 
-        def eval_pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> tuple[Any, Any]:
+        def eval_pdf(
+            self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool | bool = True
+        ) -> tuple[mi.Color3f, mi.Float]:
             return self._evaluate(ctx, si, wo, self._reflectances(si, active), active)
 
-        def eval(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        def eval(
+            self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool | bool = True
+        ) -> mi.Color3f:
             return self.eval_pdf(ctx, si, wo, active)[0]
 
-        def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
+        def pdf(
+            self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Bool | bool = True
+        ) -> mi.Float:
             return self.eval_pdf(ctx, si, wo, active)[1]
 
-        def eval_diffuse_reflectance(self, si: Any, active: Any = True) -> Any:
+        def eval_diffuse_reflectance(self, si: mi.SurfaceInteraction3f, active: mi.Bool | bool = True) -> mi.Color3f:
             return self._reflectances(si, active)[0]
 
-        def traverse(self, callback: Any) -> None:
+        def traverse(self, callback: mi.TraversalCallback) -> None:
             flags = mi.ParamFlags.Differentiable
             callback.put("diffuse_reflectance", self.diffuse, flags)
             callback.put("specular_reflectance", self.specular, flags)
             for name, value in self.lobe.parameters().items():
                 callback.put(name, value, flags)
 
-        def parameters_changed(self, keys: Any) -> None:
+        def parameters_changed(self, keys: list[str]) -> None:
             self.lobe.parameters_changed()
             self._set_components()
 

@@ -1,12 +1,12 @@
-"""Sensor ``spherical``: the whole sphere of directions around a point as a latitude-longitude picture.
+"""Sensor ``spherical``: all directions around a point, as a latitude-longitude picture.
 
 Film coordinates (u, v) in [0, 1]^2 of the whole film, u to the right, v downwards, are the directions
 
     d = (sin phi sin theta, cos theta, -cos phi sin theta),    phi = 2 pi u, theta = pi v
 
-in the sensor's own frame: y is up, the picture's middle looks along +z, as other Mitsuba cameras do, and it lies on the
-sphere as the bitmap of an ``envmap`` does, so that a picture serves as environment map. A direction uniform in one of
-the W x H pixels has the density W H / (2 pi^2 sin theta) per solid angle.
+in the sensor's own frame: y is up, and the middle of the picture is the direction +z, as for other Mitsuba cameras. The
+mapping is that of ``envmap``, so that a picture can be used as an environment map. A direction uniform in one of the
+W x H pixels has the density W H / (2 pi^2 sin theta) per solid angle.
 
 Parameters: ``to_world`` (without scale); ``near_clip`` (0.01) and ``far_clip`` (10000), distances from the point; film,
 sampler and shutter as in every sensor. A crop window shows its part of the sphere.
@@ -14,44 +14,49 @@ sampler and shutter as in every sensor. A crop window shows its part of the sphe
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from etendue.core import OptionError
 
-from .parameters import block, check_range, number, settle
+from .parameters import block, check_range, make_opaque, number
 
 
 def make_spherical() -> type:
     """The sensor class for the current variant."""
 
     class Spherical(mi.Sensor):
-        """A camera that sees all around."""
+        """A camera for all directions."""
 
-        def __init__(self, props: Any) -> None:
+        def __init__(self, props: mi.Properties) -> None:
             super().__init__(props)
             self.plugin_name = "spherical"
             self.near_clip = number(props, "near_clip", 1e-2)
             self.far_clip = number(props, "far_clip", 1e4)
             self.m_needs_sample_3 = False
-            self._settle()
+            self._check()
 
-        def _settle(self) -> None:
+        def _check(self) -> None:
             check_range("spherical", "near_clip", self.near_clip, 0.0, strict=True)
             check_range("spherical", "far_clip", self.far_clip, float(np.asarray(self.near_clip)[0]), strict=True)
             if np.asarray(self.world_transform().has_scale()).any():
-                raise OptionError("'spherical' takes no scale in 'to_world'; remove it")
-            settle(self.near_clip, self.far_clip)
+                raise OptionError("'to_world' of 'spherical' must not contain a scale; remove it")
+            make_opaque(self.near_clip, self.far_clip)
             film = self.film()
             #: Whole film, crop window and its offset, in pixels.
             self._size, self._window, self._offset = (
                 mi.ScalarVector2f(v) for v in (film.size(), film.crop_size(), film.crop_offset())
             )
 
-        def sample_ray(self, time: Any, sample1: Any, sample2: Any, sample3: Any, active: Any = True) -> Any:
+        def sample_ray(
+            self,
+            time: mi.Float,
+            sample1: mi.Float,
+            sample2: mi.Point2f,
+            sample3: mi.Point2f,
+            active: mi.Bool | bool = True,
+        ) -> tuple[mi.Ray3f, mi.Color3f]:
             wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), sample1, active)
             place = (self._offset + sample2 * self._window) / self._size
             sin_phi, cos_phi = dr.sincos(dr.two_pi * place.x)
@@ -62,9 +67,11 @@ def make_spherical() -> type:
             origin = mi.Point3f(to_world.translation()) + d * self.near_clip
             return mi.Ray3f(origin, d, self.far_clip - self.near_clip, time, wavelengths), weight
 
-        def sample_direction(self, it: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
-            """The film position of ``it`` in pixels of the crop window (``uv``), and what a picture of unit size
-            measures of radiance from there: the density of its directions, over the squared distance."""
+        def sample_direction(
+            self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Bool | bool = True
+        ) -> tuple[mi.DirectionSample3f, mi.Color3f]:
+            """The film position of ``it`` in pixels of the crop window (``uv``), and the importance over the squared
+            distance, for a film of unit size."""
             to_world = self.world_transform()
             ds = dr.zeros(mi.DirectionSample3f)
             ds.p = mi.Point3f(to_world.translation())
@@ -81,24 +88,24 @@ def make_spherical() -> type:
             active = active & (ds.dist >= self.near_clip) & (ds.dist <= self.far_clip)
             active &= dr.all((ds.uv >= 0.0) & (ds.uv <= self._window))
             ds.pdf = dr.select(active, mi.Float(1.0), 0.0)
-            share = dr.prod(self._size) / dr.prod(self._window)
-            density = share / (2.0 * dr.square(dr.pi) * dr.maximum(sin_theta, 1e-7))
+            ratio = dr.prod(self._size) / dr.prod(self._window)
+            density = ratio / (2.0 * dr.square(dr.pi) * dr.maximum(sin_theta, 1e-7))
             return ds, mi.Color3f(dr.select(active, density / dr.square(ds.dist), 0.0))
 
-        def bbox(self) -> Any:
+        def bbox(self) -> mi.ScalarBoundingBox3f:
             at = mi.ScalarPoint3f(np.asarray(self.world_transform().translation()).ravel().tolist())
             return mi.ScalarBoundingBox3f(at, at)
 
-        def traverse(self, callback: Any) -> None:
+        def traverse(self, callback: mi.TraversalCallback) -> None:
             fixed = mi.ParamFlags.NonDifferentiable
             callback.put("near_clip", self.near_clip, fixed)
             callback.put("far_clip", self.far_clip, fixed)
             super().traverse(callback)
             callback.put("to_world", self.m_to_world, fixed)
 
-        def parameters_changed(self, keys: Any) -> None:
+        def parameters_changed(self, keys: list[str]) -> None:
             super().parameters_changed(keys)
-            self._settle()
+            self._check()
 
         def to_string(self) -> str:
             return block(

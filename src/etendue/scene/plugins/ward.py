@@ -16,15 +16,13 @@ to about 0.2. One-sided; wrap it in ``twosided`` for both sides.
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from etendue.core import OptionError
 
-from .parameters import check_range, number, settle
+from .parameters import check_range, make_opaque, number
 
 
 class WardLobe:
@@ -32,11 +30,11 @@ class WardLobe:
 
     name = "ward"
 
-    def __init__(self, props: Any) -> None:
+    def __init__(self, props: mi.Properties) -> None:
         if "alpha" in props and ("alpha_u" in props or "alpha_v" in props):
-            raise OptionError("'ward' takes either 'alpha' or 'alpha_u' and 'alpha_v'; remove one of them")
+            raise OptionError("'ward' has either 'alpha', or 'alpha_u' and 'alpha_v'; remove one or the other")
         if ("alpha_u" in props) != ("alpha_v" in props):
-            raise OptionError("'ward' needs both 'alpha_u' and 'alpha_v', or 'alpha' for both; give the other")
+            raise OptionError("'ward' needs both 'alpha_u' and 'alpha_v', or 'alpha' for both; add the missing one")
         key_u, key_v = ("alpha_u", "alpha_v") if "alpha_u" in props else ("alpha", "alpha")
         self.alpha_u, self.alpha_v = number(props, key_u, 0.1), number(props, key_v, 0.1)
         self.parameters_changed()
@@ -46,17 +44,17 @@ class WardLobe:
         """Whether the slopes differ."""
         return float(np.asarray(self.alpha_u)[0]) != float(np.asarray(self.alpha_v)[0])
 
-    def parameters(self) -> dict[str, Any]:
-        """What ``mi.traverse`` shows."""
+    def parameters(self) -> dict[str, mi.Float]:
+        """The parameters for ``mi.traverse``."""
         return {"alpha_u": self.alpha_u, "alpha_v": self.alpha_v}
 
     def parameters_changed(self) -> None:
-        """Check and settle the parameters."""
+        """Check the parameters, and make them opaque."""
         for key, value in self.parameters().items():
             check_range(self.name, key, value, 0.0, strict=True)
-        settle(self.alpha_u, self.alpha_v)
+        make_opaque(self.alpha_u, self.alpha_v)
 
-    def evaluate(self, wi: Any, wo: Any) -> tuple[Any, Any]:
+    def evaluate(self, wi: mi.Vector3f, wo: mi.Vector3f) -> tuple[mi.Float, mi.Float]:
         """The lobe without its cosine, and the solid-angle density of sampling ``wo``."""
         h = dr.normalize(wi + wo)
         slope_u, slope_v = h.x / (self.alpha_u * h.z), h.y / (self.alpha_v * h.z)
@@ -68,8 +66,8 @@ class WardLobe:
         # over the cosine [Walter 2005].
         return value, gauss / (dr.dot(h, wi) * h.z * dr.square(h.z))
 
-    def sample(self, wi: Any, u: Any) -> Any:
-        """A direction mirrored by a half vector of Gaussian slopes; it may lie below the surface."""
+    def sample(self, wi: mi.Vector3f, u: mi.Point2f) -> mi.Vector3f:
+        """A direction mirrored at a half vector of Gaussian slopes; it may be below the surface."""
         radius = dr.sqrt(-dr.log(1.0 - u.x))
         sin, cos = dr.sincos(dr.two_pi * u.y)
         h = dr.normalize(mi.Vector3f(self.alpha_u * radius * cos, self.alpha_v * radius * sin, 1.0))

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 
 
-def square_to_cosine_power(u: Any, exponent: Any) -> Any:
+def square_to_cosine_power(u: mi.Point2f, exponent: mi.Float) -> mi.Vector3f:
     """Direction of density (exponent + 1) / (2 pi) cos^exponent over the upper hemisphere, ``u`` in [0, 1)^2.
 
     A point of the unit disc, lifted: cos^(exponent + 1) is uniform, as 1 - r^2 is. Exponent 1 gives Mitsuba's
@@ -21,6 +19,6 @@ def square_to_cosine_power(u: Any, exponent: Any) -> Any:
     return mi.Vector3f(disk.x * scale, disk.y * scale, cos)
 
 
-def square_to_cosine_power_pdf(cos: Any, exponent: Any) -> Any:
+def square_to_cosine_power_pdf(cos: mi.Float, exponent: mi.Float) -> mi.Float:
     """The solid-angle density of :func:`square_to_cosine_power` at the cosine ``cos``; 0 below the horizon."""
     return dr.select(cos > 0.0, (exponent + 1.0) * (0.5 * dr.inv_pi) * dr.power(dr.maximum(cos, 0.0), exponent), 0.0)

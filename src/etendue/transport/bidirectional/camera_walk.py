@@ -1,4 +1,4 @@
-"""The camera pass: sub-paths from the sensor, at each vertex every technique that joins it to the light side."""
+"""The camera walk: sub-paths from the sensor, with emission, next event, connections and merging at each vertex."""
 
 from __future__ import annotations
 
@@ -34,11 +34,12 @@ class _State(BidirectionalPath):
 
 @dataclass
 class LightCache:
-    """The stored light vertices as connections use them.
+    """The stored light vertices for connections.
 
-    With ``picks``: ``techniques.connection`` vertices drawn at random from all paths [Davidovic 2014]. The lanes of a
-    block draw one number together and take consecutive vertices from there, so that they read memory together; each
-    vertex is as likely as any other for each lane. Without: every vertex of the light path of the same number.
+    With ``picks``, ``techniques.connection`` vertices are sampled uniformly from all paths [Davidovic 2014]. The lanes
+    of a block share one random number and take consecutive vertices, which are close in memory; for each lane, the
+    vertex is uniformly distributed. Without ``picks``, a camera path is connected to all vertices of the light path
+    with the same number.
     """
 
     vertices: LightVertices
@@ -48,13 +49,13 @@ class LightCache:
     picks: SampleSource | None  #: one number a block of ``PICK_BLOCK`` lanes
 
 
-#: Lanes that pick light vertices together.
+#: Lanes that share a random number for picking light vertices.
 PICK_BLOCK = 16
 
 
 @dataclass
 class _Joined:
-    """An edge from a camera vertex to a light vertex."""
+    """An untraced edge from a camera vertex to a light vertex."""
 
     vertex: LightVertex
     direction: mi.Vector3f  #: world, towards the light vertex
@@ -64,9 +65,9 @@ class _Joined:
 
 @dataclass
 class Gather:
-    """The stored light vertices as merging uses them: sorted by a grid for the largest radius.
+    """The stored light vertices for merging, sorted by a grid for the largest radius.
 
-    Of each radius ``factors`` holds 1 / (n_VM pi r^2), and ``squares`` r^2.
+    ``factors``: 1 / (n_VM pi r^2) of each radius; ``squares``: r^2.
     """
 
     grid: HashGrid
@@ -83,7 +84,7 @@ class Gather:
         active: mi.Bool,
         radius_squared: mi.Float | None = None,
     ) -> T:
-        """Visit the photons around ``point`` that have at most ``edges`` edges behind them; see ``HashGrid.within``."""
+        """Visit the photons around ``point`` with a depth of at most ``edges``; see ``HashGrid.within``."""
 
         def read(photon: mi.UInt32) -> tuple[mi.Point3f, mi.Bool]:
             position, depth = self.photons.position(photon, active)
@@ -94,17 +95,18 @@ class Gather:
 
 @dataclass(kw_only=True)
 class CameraWalk(BidirectionalWalk):
-    """What a camera pass needs; :meth:`trace` runs it as one kernel."""
+    """Traces camera sub-paths; :meth:`trace` is one kernel."""
 
     sink: CameraSink
     cache: LightCache | None = None
     gather: Gather | None = None
 
     def trace(self, pixel: mi.UInt32, source: SampleSource) -> tuple[dict[str, mi.Color3f], mi.UInt32]:
-        """One camera path an entry of ``pixel``. Returns (layers of radiance, rays), a lane each, not yet evaluated."""
+        """Trace one camera path for each entry of ``pixel``. Returns (layers of radiance, rays), one lane a path, not
+        yet evaluated."""
         lanes = dr.width(pixel)
         ray, importance, aperture = self.camera.primary(pixel, source)
-        # The first edge is measured from the aperture, though its ray starts at the near plane.
+        # The first edge starts at the aperture, its ray at the near plane.
         density, lead = self.camera.density(ray, aperture)
         d_vcm, d_vc = self.mis.start_camera(density)
         state = _State(
@@ -125,11 +127,11 @@ class CameraWalk(BidirectionalWalk):
         return {name: radiance * importance for name, radiance in state.layers.items()}, state.rays
 
     def _edge(self, s: _State, source: SampleSource) -> _State:
-        """Trace one edge, join its end to the light side in every way, and scatter."""
+        """Trace one edge, apply the techniques at its end, and scatter."""
         techniques = self.mis.techniques
         vertex = self.arrive(s)
 
-        # ---- Arrive: the environment is weighted before the densities become those of an area
+        # ---- Arrive. Emission of the environment has densities per solid angle: no conversion where the ray missed
         on_edge = s.d_vcm, s.d_vc
         cos = geometric_cos(vertex.si, vertex.incoming)
         d_vcm, d_vc = self.mis.hit(*on_edge, dr.square(vertex.distance), cos)
@@ -143,24 +145,24 @@ class CameraWalk(BidirectionalWalk):
         s.active &= s.depth < self.max_edges
         smooth &= s.active
 
-        # ---- Choose light points and light vertices; ask the BSDF about all of them and a way on, in one call
+        # ---- Light points and light vertices: the BSDF is sampled, and evaluated for all of them, in one call
         lights = [self.light_point(vertex, source, smooth, index) for index in range(techniques.next_event)]
         picked = self._pick_vertices(s, vertex, smooth)
-        scattered, towards = vertex.sample(source, s.active, [*lights, *picked])
+        scattered, evaluated = vertex.sample(source, s.active, [*lights, *picked])
         for index, light in enumerate(lights):
             u = source.decide(s.depth, dim.NEXT_EVENT + 4 * index + 3)
-            self._next_event(s, vertex, light, towards[index], u)
+            self._next_event(s, vertex, light, evaluated[index], u)
         for index, joined in enumerate(picked):
             u = source.decide(s.depth, dim.CONNECT + index)
-            contribution, rays = self._connection(s, vertex, joined, towards[len(lights) + index], u)
+            contribution, rays = self._connection(s, vertex, joined, evaluated[len(lights) + index], u)
             s.rays += rays
             self.sink.add(s.layers, "connection", contribution, joined.active)
         if self.cache is not None and self.cache.picks is None:
             self._connect_pair(s, vertex, source.decide(s.depth, dim.CONNECT), smooth)
 
-        # ---- Go on
-        way = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
-        s.d_vcm, s.d_vc = self.mis.scatter_camera(self.number(s), s.d_vcm, s.d_vc, *way)
+        # ---- Advance
+        sampled = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
+        s.d_vcm, s.d_vc = self.mis.scatter_camera(self.number(s), s.d_vcm, s.d_vc, *sampled)
         self.leave(s, vertex, scattered, source, on_edge)
         return s
 
@@ -192,7 +194,7 @@ class CameraWalk(BidirectionalWalk):
         self.sink.add(s.layers, "next_event", contribution.weighted, contribution.active)
 
     def _pick_vertices(self, s: _State, vertex: WalkVertex, active: mi.Bool) -> list[_Joined]:
-        """Light vertices drawn at random from the cache, joined to a camera vertex."""
+        """Edges from a camera vertex to light vertices sampled from the cache."""
         if self.cache is None or self.cache.picks is None:
             return []
         active = active & (self.cache.count > 0)
@@ -206,7 +208,7 @@ class CameraWalk(BidirectionalWalk):
         return joined
 
     def _connect_pair(self, s: _State, vertex: WalkVertex, u: mi.Float, active: mi.Bool) -> None:
-        """Connect to every vertex of the light path that goes with this camera path."""
+        """Connect to every vertex of the light path with the number of this camera path."""
         assert self.cache is not None
         first, count = self.cache.vertices.path_vertices(s.lane % self.cache.paths, active)
 
@@ -215,7 +217,7 @@ class CameraWalk(BidirectionalWalk):
         ) -> tuple[mi.UInt32, list[mi.Color3f], mi.UInt32]:
             joined = self._join(s, vertex, first + j, active)
             f = vertex.evaluate(joined.direction, joined.active)
-            # Roulette of all of a path's connections by one number: each decision is right by itself.
+            # One random number for all connections of the vertex: each is unbiased, though they are correlated.
             values, ray = self._connection(s, vertex, joined, f, u)
             return j + 1, [total + value for total, value in zip(totals, values, strict=True)], rays + ray
 
@@ -230,7 +232,7 @@ class CameraWalk(BidirectionalWalk):
         self.sink.add(s.layers, "connection", totals, active)
 
     def _blank(self, lanes: int) -> list[mi.Color3f]:
-        """Black, once a radius."""
+        """Zero radiance for each radius."""
         return [dr.zeros(mi.Color3f, lanes) for _ in range(1 + len(self.sink.more_radii))]
 
     def _join(self, s: _State, vertex: WalkVertex, number: mi.UInt32, active: mi.Bool) -> _Joined:

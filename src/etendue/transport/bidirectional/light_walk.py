@@ -1,4 +1,4 @@
-"""The light pass: sub-paths from the lights, joined to the camera on the way and stored vertex by vertex."""
+"""The light walk: sub-paths from the lights, whose vertices are stored and connected to the camera."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ class _State(BidirectionalPath):
     kind: mi.UInt32  #: the :class:`Kind` of the vertex that the edge leads to
     from_infinity: mi.Bool  #: the edge being traced leaves an infinite light
     light: mi.UInt32 | None  #: number of the light that the path left; None where no light is spherical
-    waiting: mi.Float | None  #: area density of the light point until the end of the first edge says another; then 0
+    waiting: mi.Float | None  #: area density that :meth:`Mis.lit` corrects at the end of the first edge; 0 after it
     nonfinite: mi.UInt32
 
 
 @dataclass(kw_only=True)
 class LightWalk(BidirectionalWalk):
-    """What a light pass needs; :meth:`trace` runs it as one kernel."""
+    """Traces light sub-paths; :meth:`trace` is one kernel."""
 
     proposal: Proposal = scatter_light
     sink: SplatSink | None = None
@@ -43,14 +43,14 @@ class LightWalk(BidirectionalWalk):
     def trace(
         self, paths: int, source: SampleSource, vertices: LightVertices | None = None
     ) -> tuple[mi.UInt32, mi.UInt32]:
-        """Trace ``paths`` sub-paths; stores into ``vertices`` and splats into the sink where there are such. Returns
-        (rays, non-finite splats) a lane, not yet evaluated."""
+        """Trace ``paths`` sub-paths; their vertices are added to ``vertices`` and splatted to the sink, if given.
+        Returns (rays, non-finite splats), one lane a path, not yet evaluated."""
         emitted = emit(self.lights, source, mi.Bool(True))
         d_vcm, d_vc = self.mis.start_light(
             emitted.area_density, emitted.emission_density, emitted.cos_light, emitted.is_delta
         )
         path = dr.arange(mi.UInt32, paths)
-        # Whether next event draws the points of some light by the point that is lit: the end of the first edge.
+        # Next event samples spherical lights by solid angle, with a density that depends on the end of the first edge.
         waits = self.lights.has_sphere and self.mis.techniques.next_event > 0
         numbered = self.pyramid is not None or (vertices is not None and vertices.numbered)
         state = _State(
@@ -63,7 +63,7 @@ class LightWalk(BidirectionalWalk):
             depth=dr.full(mi.UInt32, 1, paths),
             vertex=mi.UInt32(1) if numbered else None,
             stored=dr.zeros(mi.UInt32, paths),
-            # A beam is out of reach for next event, so what it shines on counts as a caustic.
+            # Next event cannot sample a beam, so light of a beam counts as a caustic.
             kind=dr.select(emitted.area_density > 0.0, mi.UInt32(Kind.DIRECT), mi.UInt32(Kind.CAUSTIC)),
             from_infinity=emitted.is_infinite,
             light=mi.UInt32(emitted.light) if waits else None,
@@ -103,7 +103,7 @@ class LightWalk(BidirectionalWalk):
             vertices.append(path, s.stored, vertex, s.throughput, fluence, mis, s.kind, smooth, self.number(s))
             s.stored += ones(smooth)
 
-        # ---- Splat, and draw a way on. Going on takes an edge, and using the vertex it leads to at least one more
+        # ---- Splat and scatter. The next vertex is useful only if the path may have two more edges
         s.active &= s.depth + 1 < self.max_edges
         if self.sink is None:
             scattered, _ = vertex.sample(source, s.active)
@@ -112,11 +112,11 @@ class LightWalk(BidirectionalWalk):
             scattered, (f,) = vertex.sample(source, s.active, [joined])
             self._splat(s, vertex, joined, light_cos, f, source, self.sink)
 
-        # ---- Go on
-        way = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
-        s.d_vcm, s.d_vc = self.mis.scatter_light(s.d_vcm, s.d_vc, light_cos, *way)
-        through = dr.select(s.kind == mi.UInt32(Kind.INDIRECT), s.kind, mi.UInt32(Kind.CAUSTIC))
-        kind = dr.select(scattered.is_delta, through, mi.UInt32(Kind.INDIRECT))
+        # ---- Advance
+        sampled = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
+        s.d_vcm, s.d_vc = self.mis.scatter_light(s.d_vcm, s.d_vc, light_cos, *sampled)
+        after_delta = dr.select(s.kind == mi.UInt32(Kind.INDIRECT), s.kind, mi.UInt32(Kind.CAUSTIC))
+        kind = dr.select(scattered.is_delta, after_delta, mi.UInt32(Kind.INDIRECT))
         s.kind = self.keep_if_null(scattered, s.kind, kind)
         s.from_infinity = self.keep_if_null(scattered, s.from_infinity, mi.Bool(False))
         if s.waiting is not None:
@@ -135,14 +135,14 @@ class LightWalk(BidirectionalWalk):
         source: SampleSource,
         sink: SplatSink,
     ) -> None:
-        """Join the vertex to the camera (t = 1) [Georgiev 2012b, eq. 46, 47]."""
+        """Connect the vertex to the camera (t = 1) [Georgiev 2012b, eq. 46, 47]."""
         area_pdf = joined.area_pdf(geometric_cos(vertex.si, joined.direction))
         weights = self.mis.splat_weight(s.d_vcm, s.d_vc, light_cos, f.reverse_pdf, area_pdf)
         place = self.camera.splat_place(joined, source, s.depth)
         factor = joined.importance * place.weight * cosine_ratio(vertex.si, joined.direction)
         alone = s.throughput * f.value
         values = [alone * (factor * weight) for weight in weights]
-        # One splat is to its pixel's sum over paths what a camera path is to that over samples.
+        # Splats are summed over paths, camera paths over samples: the threshold is scaled accordingly.
         threshold, u = self.dark * self.mis.paths_per_sample, source.decide(s.depth, dim.SPLAT_SHADOW)
         on_film = joined.active & place.on_film
         contribution, rays = self.connect(

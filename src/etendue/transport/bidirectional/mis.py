@@ -1,33 +1,33 @@
-"""Multiple importance sampling over all techniques of a path, carried along each sub-path in two numbers.
+"""Multiple importance sampling over all techniques, with weights computed recursively from two numbers a sub-path.
 
-A path with k edges can be made by hitting the light (emission), by next event, by connecting two inner vertices, by
+A path with k edges can be sampled by hitting the light (emission), by next event, by connecting two inner vertices, by
 connecting a light sub-path to the camera (splat), and by merging at any inner vertex. The weight of technique i is
-``(n_i p_i)^beta / sum_j (n_j p_j)^beta`` [Veach 1997, eq. 9.8; Georgiev 2012, eq. 7]; its denominator is assembled
-from one running pair per sub-path, so it costs O(1) per vertex [Georgiev 2012b, sec. 4]. The report's quantities are
-dVCM, dVC and dVM; here
+``(n_i p_i)^beta / sum_j (n_j p_j)^beta`` [Veach 1997, eq. 9.8; Georgiev 2012, eq. 7]. Its denominator is computed from
+two numbers that each sub-path carries, in O(1) operations a vertex [Georgiev 2012b, sec. 4]. The report's quantities
+are dVCM, dVC and dVM; here
 
-- ``d_vcm`` is the report's dVCM times the sample count of the technique that it stands for, and
-- ``d_vc`` holds dVC; with merging but no connections it holds ``eta_vm * dVM``. The report's dVM is never stored:
-  with both it equals dVC / eta_vm [Georgiev 2012b, eq. 20 in 35 and 36].
+- ``d_vcm`` is the report's dVCM times the sample count of the technique that it describes, and
+- ``d_vc`` is dVC; with merging but no connections it is ``eta_vm * dVM``. dVM is never stored: with connections and
+  merging it equals dVC / eta_vm [Georgiev 2012b, eq. 20 in 35 and 36].
 
-Sample counts enter where a technique enters, so any set of techniques, each with any count, gives weights that sum to
-one: a count of zero removes the technique, from the estimator and from the weights alike. Cosines in here are those of
-the geometric normal. Russian roulette is left out of every density; that costs no bias, as the weights of a path stay
-the same whichever technique makes it.
+The sample count of a technique is a factor wherever the technique is added to a sum. The weights therefore sum to one
+for any set of techniques with any counts; a count of zero removes a technique from the estimator and from the weights.
+Cosines are those of the geometric normal. Russian roulette is left out of all densities, which causes no bias, because
+the weights of a path then do not depend on the technique that samples it.
 
-Merging divides by the cosine at which light reached a photon's surface, and near zero the quotient has no bound. A
-vertex where it is below :data:`GRAZING` is therefore no place to merge at, in the estimator and in the weights, as long
-as there are techniques that connect; merging alone bounds the quotient (:meth:`Mis.fluence`).
+Merging divides by the cosine at which light arrives at the photon's surface; the quotient is unbounded near zero. If
+there are techniques that connect vertices, a vertex with a cosine below :data:`GRAZING` is therefore not merged, in the
+estimator and in the weights; if there are none, the quotient is bounded (:meth:`Mis.fluence`).
 
-With several merging radii at once the pair is a triple: d_vc is linear in eta_vm, so its two coefficients are carried
-instead (:class:`RadiusFree`), and a weight is a number for each radius.
+With several merging radii, d_vc, which is linear in eta_vm, is replaced by its two coefficients (:class:`RadiusFree`),
+and there is one weight a radius.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeAlias
 
 import drjit as dr
 import mitsuba as mi
@@ -38,87 +38,95 @@ GRAZING = 0.02
 
 @dataclass(frozen=True)
 class Techniques:
-    """How many samples each technique takes per camera path (zero: not used) and the heuristic's exponent."""
+    """Samples that each technique takes at a vertex (0: not used), and the exponent of the heuristic."""
 
     emission: int = 1  #: the camera sub-path hits a light (s = 0)
-    next_event: int = 1  #: a camera vertex is joined to a fresh light point (s = 1)
-    connection: int = 1  #: a camera vertex is joined to stored light vertices (s >= 2, t >= 2)
-    splat: bool = True  #: a light vertex is joined to the camera (t = 1)
-    merge: bool = True  #: a camera vertex gathers light vertices around it
-    merge_first: bool = True  #: merging at the first camera vertex too
+    next_event: int = 1  #: a camera vertex is connected to light points (s = 1)
+    connection: int = 1  #: a camera vertex is connected to stored light vertices (s >= 2, t >= 2)
+    splat: bool = True  #: a light vertex is connected to the camera (t = 1)
+    merge: bool = True  #: a camera vertex is merged with stored light vertices around it
+    merge_first: bool = True  #: merging at the first camera vertex, too
     beta: int = 1  #: 1 balance heuristic, 2 power heuristic
 
     @property
     def connects(self) -> bool:
-        """Whether any technique joins two vertices by an edge (the report's VC family)."""
+        """Whether any technique connects two vertices by an edge (the report's VC)."""
         return bool(self.next_event or self.connection or self.splat)
 
 
 @dataclass
 class RadiusFree:
-    """``a + b eta`` of an eta that is filled in last. A product or sum with a number has this on its left."""
+    """``a + b eta`` for an eta that is given later. In products and sums with numbers it is the left operand."""
 
-    a: Any
-    b: Any
+    a: mi.Float | float
+    b: mi.Float | float
 
-    def __add__(self, other: Any) -> RadiusFree:
+    def __add__(self, other: RadiusFree | mi.Float | float) -> RadiusFree:
         if isinstance(other, RadiusFree):
             return RadiusFree(self.a + other.a, self.b + other.b)
         return RadiusFree(self.a + other, self.b)
 
-    def __mul__(self, factor: Any) -> RadiusFree:
+    def __mul__(self, factor: mi.Float | float) -> RadiusFree:
         return RadiusFree(self.a * factor, self.b * factor)
 
-    def at(self, eta: Any) -> Any:
-        """Its value."""
+    def at(self, eta: mi.Float | float) -> mi.Float:
+        """The value for an eta."""
         return self.a + self.b * eta
 
 
+#: d_vc of a vertex: one number, or two with several merging radii.
+Carried: TypeAlias = "mi.Float | RadiusFree"
+
+
 class Mis:
-    """The recursion and the weights for one set of techniques. Every weight is a list: one a merging radius.
+    """The recursion and the weights for one set of techniques. Weights are lists with one entry a merging radius.
 
     Parameters
     ----------
     techniques: the sample counts.
-    eta_vm: merging's sample count times the acceptance area, n_VM pi r^2 [Georgiev 2012b, eq. 20], of each radius; may
-        be opaque scalars, as they shrink from pass to pass. Ignored if merging is off.
-    paths_per_sample: light sub-paths per camera path of one pixel, n_LP (a splat reaches every pixel).
+    eta_vm: number of light paths times the area of the merging disc, n_VM pi r^2 [Georgiev 2012b, eq. 20], for each
+        radius; opaque scalars if they change from pass to pass. Ignored without merging.
+    paths_per_sample: light sub-paths of a pass over camera paths of a pixel, n_LP.
     """
 
-    def __init__(self, techniques: Techniques, eta_vm: Sequence[Any], paths_per_sample: Any) -> None:
+    def __init__(
+        self, techniques: Techniques, eta_vm: Sequence[mi.Float | float], paths_per_sample: mi.Float | float
+    ) -> None:
         self.techniques = techniques
         self.paths_per_sample = paths_per_sample
         self._etas = [self.power(eta) for eta in eta_vm] if techniques.merge else [0.0]
-        #: What the recursion adds where a sub-path may merge.
-        self._eta: Any = RadiusFree(0.0, 1.0) if self.radius_free else self._etas[0]
+        # The term that the recursion adds at vertices that can be merged.
+        self._eta: RadiusFree | mi.Float | float = RadiusFree(0.0, 1.0) if self.radius_free else self._etas[0]
 
     @property
     def radius_free(self) -> bool:
-        """Whether d_vc is a :class:`RadiusFree`, there being several radii, or a number."""
+        """Whether d_vc is a :class:`RadiusFree`, because there are several radii."""
         return len(self._etas) > 1
 
-    def power(self, x: Any) -> Any:
+    def power(self, x: mi.Float | float) -> mi.Float:
         """``x^beta``."""
         return x * x if self.techniques.beta == 2 else x
 
     def _count(self, n: int) -> float:
         return float(n**self.techniques.beta)
 
-    def _start(self, d_vc: Any) -> Any:
+    def _start(self, d_vc: mi.Float) -> Carried:
         return RadiusFree(d_vc, dr.zeros(mi.Float, dr.width(d_vc))) if self.radius_free else d_vc
 
-    def _at_radii(self, value: Any) -> list[Any]:
-        """A sum of the recursion, for each radius."""
+    def _at_radii(self, value: Carried) -> list[mi.Float]:
+        """A sum of the recursion, evaluated for each radius."""
         return [value.at(eta) for eta in self._etas] if isinstance(value, RadiusFree) else [value] * len(self._etas)
 
     # ------------------------------------------------------------------ light sub-path
 
-    def start_light(self, area_density: Any, emission_density: Any, cos_light: Any, is_delta: Any) -> tuple[Any, Any]:
+    def start_light(
+        self, area_density: mi.Float, emission_density: mi.Float, cos_light: mi.Float, is_delta: mi.Bool
+    ) -> tuple[mi.Float, Carried]:
         """(d_vcm, d_vc) of an emitted ray [Georgiev 2012b, eq. 31, 32].
 
-        ``area_density``: density of the light point under next event (of the direction, for an infinite light), and
-        ``emission_density``: of point and direction together; both include the picking probability. Where the first
-        depends on the point that is lit, any number stands for it until :meth:`lit` knows that point.
+        ``area_density``: density of the light point under next event (of the direction, for an infinite light);
+        ``emission_density``: density of point and direction; both include light selection. If the former depends on
+        the lit point, pass any positive number, and correct the result by :meth:`lit` when that point is known.
         """
         t = self.techniques
         d_vcm = self.power(area_density / emission_density) * self._count(t.next_event)
@@ -126,74 +134,95 @@ class Mis:
         d_vc = dr.select(is_delta, 0.0, self.power(cos_light / emission_density) * emission)
         return d_vcm, self._start(d_vc)
 
-    def lit(self, d_vcm: Any, ratio: Any) -> Any:
-        """``d_vcm`` of an emitted ray that has met x_1; ``ratio``: density p(x_0 | x_1) of the light point under next
-        event, over the ``area_density`` that the sub-path was started with. Before :meth:`hit`.
+    def lit(self, d_vcm: mi.Float, ratio: mi.Float) -> mi.Float:
+        """``d_vcm`` of an emitted ray that has hit x_1; ``ratio``: density p(x_0 | x_1) of the light point under next
+        event, over the ``area_density`` that :meth:`start_light` was called with. To be called before :meth:`hit`.
 
-        Only d_vcm holds that density [Georgiev 2012b, eq. 31]: the techniques that d_vc stands for begin by emission.
+        d_vc does not contain this density [Georgiev 2012b, eq. 31].
         """
         return d_vcm * self.power(ratio)
 
     # ------------------------------------------------------------------ camera sub-path
 
-    def start_camera(self, pixel_density: Any) -> tuple[Any, Any]:
-        """(d_vcm, d_vc) of a camera ray; ``pixel_density`` is its solid-angle density for a point uniform in its pixel.
-        Zero density (a direction the sensor can't be splatted from) leaves the splat out [eq. 31]."""
+    def start_camera(self, pixel_density: mi.Float) -> tuple[mi.Float, Carried]:
+        """(d_vcm, d_vc) of a camera ray; ``pixel_density``: its solid-angle density for a point uniform in its pixel.
+        0 where the sensor cannot be splatted to: the weights then do not contain the splat [Georgiev 2012b, eq. 31]."""
         ok = (pixel_density > 0.0) & self.techniques.splat
         d_vcm = dr.select(ok, self.power(self.paths_per_sample / dr.select(ok, pixel_density, 1.0)), 0.0)
         return d_vcm, self._start(dr.zeros(mi.Float, dr.width(d_vcm)))
 
     # ------------------------------------------------------------------ both
 
-    def hit(self, d_vcm: Any, d_vc: Any, distance_squared: Any, cos: Any) -> tuple[Any, Any]:
-        """Solid angle to area at the surface just reached; ``cos`` = \\|cos\\| there."""
-        inverse = dr.rcp(self.power(dr.maximum(cos, 1e-8)))  # a ray along the surface: 0 * inf is no weight
+    def hit(
+        self, d_vcm: mi.Float, d_vc: Carried, distance_squared: mi.Float, cos: mi.Float
+    ) -> tuple[mi.Float, Carried]:
+        """(d_vcm, d_vc) after a hit, which converts densities from solid angle to area; ``cos``: absolute cosine at the
+        surface that was hit."""
+        inverse = dr.rcp(self.power(dr.maximum(cos, 1e-8)))  # against 0 * inf for tangential rays
         return d_vcm * self.power(distance_squared) * inverse, d_vc * inverse
 
-    def joined(self, depth: Any, d_vcm: Any) -> Any:
-        """``d_vcm`` of a camera vertex as the count of the technique that cuts the edge before it: a splat at the first
-        vertex, a connection after (kept unscaled by the walk, as emission weighs the same edge as next event)."""
+    def joined(self, depth: mi.UInt32, d_vcm: mi.Float) -> mi.Float:
+        """``d_vcm`` of a camera vertex, scaled by the sample count of the technique that connects along the edge before
+        it: 1 for the splat at the first vertex, that of connections after. The walk keeps it unscaled, because the
+        weight of emission needs it for next event along the same edge."""
         count = self._count(self.techniques.connection)
         return d_vcm if count == 1.0 else d_vcm * dr.select(depth == 1, 1.0, count)
 
-    def fluence(self, cos: Any) -> Any:
-        """Fluence of light of unit flux per area that reaches a surface at this geometric cosine, 1 / cos, for
-        merging; 0 where a vertex is no place to merge at."""
+    def fluence(self, cos: mi.Float) -> mi.Float:
+        """1 / cos: fluence of light of unit flux per area that arrives at a surface at this geometric cosine; 0 where
+        vertices are not merged."""
         bounded = dr.rcp(dr.maximum(cos, GRAZING))
         return dr.select(cos >= GRAZING, bounded, 0.0) if self.techniques.connects else bounded
 
-    def _merge_area(self, cos: Any, depth: Any = None) -> Any:
-        """``eta_vm`` where a vertex may merge that light reaches at this geometric cosine, else 0; ``depth``: of a
-        camera vertex."""
+    def _merge_area(self, cos: mi.Float, depth: mi.UInt32 | None = None) -> Carried | float:
+        """``eta_vm`` where a vertex at which light arrives at this geometric cosine can be merged, else 0. ``depth``:
+        of a camera vertex."""
         t = self.techniques
         if not t.merge:
             return self._eta
-        may = self.fluence(cos) > 0.0
+        mergeable = self.fluence(cos) > 0.0
         if depth is not None and not t.merge_first:
-            may &= depth != 1
-        return self._eta * dr.select(may, mi.Float(1.0), mi.Float(0.0))
+            mergeable &= depth != 1
+        return self._eta * dr.select(mergeable, mi.Float(1.0), mi.Float(0.0))
 
-    def _sum(self, eta: Any, d_vcm: Any, reverse_pdf: Any, d_vc: Any) -> Any:
-        """Techniques that cut the sub-path at its end vertex or before, over the density of reaching it."""
+    def _sum(self, eta: Carried | float, d_vcm: mi.Float, reverse_pdf: mi.Float, d_vc: Carried) -> Carried:
+        """Sum over the techniques that connect or merge at the end vertex of the sub-path or before it, of their
+        densities over that of the sub-path."""
         before = d_vc * self.power(reverse_pdf)
         return before + d_vcm + eta if self.techniques.connects else before + eta
 
     def scatter_light(
-        self, d_vcm: Any, d_vc: Any, light_cos: Any, cos: Any, pdf: Any, reverse_pdf: Any, is_delta: Any
-    ) -> Any:
-        """(d_vcm, d_vc) after scattering at a light vertex [Georgiev 2012b, eq. 34, 35; delta: 53, 54]; ``light_cos``:
-        of the direction it was reached from, ``cos``: of the one it is left in."""
+        self,
+        d_vcm: mi.Float,
+        d_vc: Carried,
+        light_cos: mi.Float,
+        cos: mi.Float,
+        pdf: mi.Float,
+        reverse_pdf: mi.Float,
+        is_delta: mi.Bool,
+    ) -> tuple[mi.Float, Carried]:
+        """(d_vcm, d_vc) after scattering at a light vertex [Georgiev 2012b, eq. 34, 35; delta: 53, 54]. ``light_cos``
+        and ``cos``: geometric cosines of the incoming and of the sampled direction."""
         total = self._sum(self._merge_area(light_cos), d_vcm, reverse_pdf, d_vc)
         return self._scatter(total, d_vc, cos, pdf, is_delta, self._count(self.techniques.connection))
 
     def scatter_camera(
-        self, depth: Any, d_vcm: Any, d_vc: Any, cos: Any, pdf: Any, reverse_pdf: Any, is_delta: Any
-    ) -> Any:
-        """(d_vcm, d_vc) after scattering at camera vertex ``depth``; d_vcm stays unscaled (see :meth:`joined`)."""
+        self,
+        depth: mi.UInt32,
+        d_vcm: mi.Float,
+        d_vc: Carried,
+        cos: mi.Float,
+        pdf: mi.Float,
+        reverse_pdf: mi.Float,
+        is_delta: mi.Bool,
+    ) -> tuple[mi.Float, Carried]:
+        """(d_vcm, d_vc) after scattering at camera vertex ``depth``; d_vcm is unscaled (see :meth:`joined`)."""
         total = self._sum(self._merge_area(cos, depth), self.joined(depth, d_vcm), reverse_pdf, d_vc)
         return self._scatter(total, d_vc, cos, pdf, is_delta, 1.0)
 
-    def _scatter(self, total: Any, d_vc: Any, cos: Any, pdf: Any, is_delta: Any, count: float) -> tuple[Any, Any]:
+    def _scatter(
+        self, total: Carried, d_vc: Carried, cos: mi.Float, pdf: mi.Float, is_delta: mi.Bool, count: float
+    ) -> tuple[mi.Float, Carried]:
         cos, inverse_pdf = self.power(cos), self.power(dr.rcp(pdf))
         return (
             dr.select(is_delta, 0.0, inverse_pdf * count),
@@ -202,15 +231,17 @@ class Mis:
 
     # ------------------------------------------------------------------ weights, one a radius
 
-    def emission_weight(self, depth: Any, d_vcm: Any, d_vc: Any, area_density: Any, emission_density: Any) -> list[Any]:
-        """The camera sub-path hit a light at its vertex ``depth`` [Georgiev 2012b, eq. 43]."""
+    def emission_weight(
+        self, depth: mi.UInt32, d_vcm: mi.Float, d_vc: Carried, area_density: mi.Float, emission_density: mi.Float
+    ) -> list[mi.Float]:
+        """Weights of a camera sub-path that hits a light at its vertex ``depth`` [Georgiev 2012b, eq. 43]."""
         t = self.techniques
         if not (t.connects and t.emission):
-            # Only what nothing else can make: seen directly, or through vertices that no other technique may cut.
-            uncut = (d_vc.a == 0.0) & (d_vc.b == 0.0) if self.radius_free else d_vc == 0.0
+            # Only paths that no other technique samples: lights seen directly or through delta scattering.
+            only = (d_vc.a == 0.0) & (d_vc.b == 0.0) if self.radius_free else d_vc == 0.0
             if t.connects:
-                uncut &= d_vcm == 0.0
-            return self._at_radii(dr.select((depth == 1) | uncut, 1.0, 0.0))
+                only &= d_vcm == 0.0
+            return self._at_radii(dr.select((depth == 1) | only, 1.0, 0.0))
         own = self._count(t.emission)
         by_next_event = self.power(area_density) * d_vcm * self._count(t.next_event)
         others = self._at_radii(d_vc * self.power(emission_density) + by_next_event)
@@ -218,20 +249,20 @@ class Mis:
 
     def next_event_weight(
         self,
-        depth: Any,
-        d_vcm: Any,
-        d_vc: Any,
-        cos: Any,
-        bsdf_pdf: Any,
-        reverse_pdf: Any,
-        direct_pdf: Any,
-        light_ratio: Any,
-    ) -> list[Any]:
-        """A camera vertex joined to a light point, at a geometric cosine ``cos`` [Georgiev 2012b, eq. 44, 45].
+        depth: mi.UInt32,
+        d_vcm: mi.Float,
+        d_vc: Carried,
+        cos: mi.Float,
+        bsdf_pdf: mi.Float,
+        reverse_pdf: mi.Float,
+        direct_pdf: mi.Float,
+        light_ratio: mi.Float,
+    ) -> list[mi.Float]:
+        """Weights of a camera vertex connected to a light point [Georgiev 2012b, eq. 44, 45].
 
-        ``bsdf_pdf``: of scattering towards the light (0 for a light that no ray hits); ``direct_pdf``: solid-angle
-        density of the light point; ``light_ratio``: emission density times cos at the vertex over ``direct_pdf`` times
-        cos at the light.
+        ``cos``: geometric cosine at the vertex; ``bsdf_pdf``: density of scattering towards the light, 0 for a light
+        that no ray hits; ``direct_pdf``: solid-angle density of the light point; ``light_ratio``: emission density
+        times ``cos`` over (``direct_pdf`` times cosine at the light).
         """
         own = self._count(self.techniques.next_event)
         hit = self.power(bsdf_pdf / direct_pdf) * self._count(self.techniques.emission)
@@ -241,18 +272,18 @@ class Mis:
 
     def connection_weight(
         self,
-        depth: Any,
-        camera: tuple[Any, Any],
-        light: tuple[Any, Any],
-        camera_cos: Any,
-        light_cos: Any,
-        area_pdf_to_light: Any,
-        area_pdf_to_camera: Any,
-        reverse_pdf_camera: Any,
-        reverse_pdf_light: Any,
-    ) -> list[Any]:
-        """Two inner vertices joined; ``camera`` and ``light`` are their (d_vcm, d_vc), ``camera_cos`` and ``light_cos``
-        the cosines at which light reaches them [Georgiev 2012b, eq. 40, 41]."""
+        depth: mi.UInt32,
+        camera: tuple[mi.Float, Carried],
+        light: tuple[mi.Float, Carried],
+        camera_cos: mi.Float,
+        light_cos: mi.Float,
+        area_pdf_to_light: mi.Float,
+        area_pdf_to_camera: mi.Float,
+        reverse_pdf_camera: mi.Float,
+        reverse_pdf_light: mi.Float,
+    ) -> list[mi.Float]:
+        """Weights of the connection of two inner vertices [Georgiev 2012b, eq. 40, 41]. ``camera``, ``light``: their
+        (d_vcm, d_vc); ``camera_cos``, ``light_cos``: geometric cosines at which light arrives at them."""
         own = self._count(self.techniques.connection)
         by_light = self._sum(self._merge_area(light_cos), light[0], reverse_pdf_light, light[1])
         area = self._merge_area(camera_cos, depth)
@@ -260,19 +291,28 @@ class Mis:
         others = by_light * self.power(area_pdf_to_light) + by_camera * self.power(area_pdf_to_camera)
         return [own / (own + other) for other in self._at_radii(others)]
 
-    def splat_weight(self, d_vcm: Any, d_vc: Any, light_cos: Any, reverse_pdf: Any, camera_area_pdf: Any) -> list[Any]:
-        """A light vertex joined to the camera; ``light_cos``: at which light reaches it, ``camera_area_pdf``: area
-        density with which the pixel's camera ray does [Georgiev 2012b, eq. 46, 47]."""
+    def splat_weight(
+        self, d_vcm: mi.Float, d_vc: Carried, light_cos: mi.Float, reverse_pdf: mi.Float, camera_area_pdf: mi.Float
+    ) -> list[mi.Float]:
+        """Weights of a light vertex connected to the camera [Georgiev 2012b, eq. 46, 47]. ``light_cos``: geometric
+        cosine at which light arrives at the vertex; ``camera_area_pdf``: area density of the vertex for a camera ray of
+        the pixel."""
         eta = self._merge_area(light_cos) if self.techniques.merge_first else 0.0
         others = self._sum(eta, d_vcm, reverse_pdf, d_vc) * self.power(camera_area_pdf / self.paths_per_sample)
         return [dr.rcp(1.0 + other) for other in self._at_radii(others)]
 
     def merge_weight(
-        self, depth: Any, camera: tuple[Any, Any], light: tuple[Any, Any], pdf: Any, reverse_pdf: Any
-    ) -> list[Any]:
-        """A light vertex merged into a camera vertex [Georgiev 2012b, eq. 38, 39].
+        self,
+        depth: mi.UInt32,
+        camera: tuple[mi.Float, Carried],
+        light: tuple[mi.Float, Carried],
+        pdf: mi.Float,
+        reverse_pdf: mi.Float,
+    ) -> list[mi.Float]:
+        """Weights of a light vertex merged with a camera vertex [Georgiev 2012b, eq. 38, 39].
 
-        ``pdf``: of the camera vertex's BSDF towards where the light came from; ``reverse_pdf``: the other way.
+        ``pdf``, ``reverse_pdf``: densities of the camera vertex's BSDF for the direction that the light arrived from,
+        and for the opposite walk.
         """
         by_light = self._sum(0.0, light[0], pdf, light[1])
         others = by_light + self._sum(0.0, self.joined(depth, camera[0]), reverse_pdf, camera[1])

@@ -1,13 +1,12 @@
-"""The technique pyramid: on the device, a picture for each technique, with its weight and without [Veach 1997, 10.3].
+"""The technique pyramid: a picture for each technique, with MIS weight and without [Veach 1997, sec. 10.3].
 
-Within a kernel the vertices of a path are counted by loops, so the technique of a contribution is a number as any
-other: one buffer holds all pictures, and a contribution finds its place in it through a table.
+All pictures are in one buffer on the device. A kernel computes the technique of a contribution from the numbers of
+vertices of the two sub-paths, and a table maps the technique to its layer of the buffer.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -20,10 +19,10 @@ from etendue.film import LONGER, Technique
 from ..camera import SplatPlace
 from .mis import Techniques
 
-#: Bytes that a pixel of a layer takes: four floats on the device; on the host a pass's sum, the sum of all passes, the
+#: Bytes of a pixel of a layer: four floats on the device; on the host the sum of a pass, the sum of all passes, the
 #: picture, and the channels that are written.
 _BYTES = 16 + 24 + 24 + 12 + 12
-#: Longest paths that a pyramid may be asked for; light vertices keep their number in four bits.
+#: Edges of the longest paths that a pyramid can show: light vertices store their number in four bits.
 PYRAMID_MAX = 12
 
 
@@ -32,9 +31,9 @@ class Pyramid:
 
     Parameters
     ----------
-    techniques: those in use.
-    depth: edges of the longest paths that get pictures of their own, at most :data:`PYRAMID_MAX`.
-    pixels: of the image.
+    techniques: the techniques in use.
+    depth: edges of the longest paths with pictures of their own, at most :data:`PYRAMID_MAX`.
+    pixels: pixels of the image.
     """
 
     def __init__(self, techniques: Techniques, depth: int, pixels: int) -> None:
@@ -45,50 +44,61 @@ class Pyramid:
         for slot, technique in enumerate(self.techniques):
             table[int(technique.merged), technique.edges, technique.s] = slot
         self._table = on_device(mi.UInt32, table.ravel())
-        #: Weighted layers, that of longer paths, unweighted ones, splats of longer paths; a packet of four floats a
-        #: pixel. Splats are filtered as they come, what camera paths bring in the end.
+        #: Weighted layers, the layer of longer paths, unweighted layers, splats of longer paths; four floats a pixel.
+        #: Splats are filtered when they are added, contributions of camera paths in :meth:`layers`.
         self.array = dr.zeros(mi.Float, 4 * pixels * (2 * self._longer + 2))
 
     @staticmethod
     def bytes(techniques: Techniques, depth: int, pixels: int) -> int:
-        """Memory that a rendering with such a pyramid takes for it.
+        """Memory of such a pyramid in bytes, on device and host.
 
-        Raises :class:`OptionError` if an array of the device cannot hold it, whatever the memory."""
+        Raises :class:`OptionError` if the pyramid has more numbers than a device array can have, 2^32."""
         layers = 2 * len(in_pyramid(techniques, depth)) + 2
         if 4 * pixels * layers >= 1 << 32:
             raise OptionError(f"a technique pyramid has {layers} layers, too many for {pixels} pixels; lower the size")
         return _BYTES * pixels * layers
 
-    def add(self, merged: bool, s: Any, t: Any, pixel: Any, weighted: Any, alone: Any, active: Any) -> None:
-        """Add what a camera path brings to its pixel: ``weighted`` as to the picture, ``alone`` without its weight.
-        What is not finite is left out here, and counted where the picture is summed."""
+    def add(
+        self,
+        merged: bool,
+        s: mi.UInt32,
+        t: mi.UInt32,
+        pixel: mi.UInt32,
+        weighted: mi.Color3f,
+        alone: mi.Color3f,
+        active: mi.Bool,
+    ) -> None:
+        """Add a contribution of camera paths to their pixels: ``weighted`` with the MIS weight, ``alone`` without.
+        Values that are not finite are left out; they are counted where the picture is summed."""
         slot, inside = self._slot(merged, s, t, active)
         self._scatter(dr.select(inside, slot, self._longer), pixel, weighted, active)
         self._scatter(slot + (self._longer + 1), pixel, alone, active & inside)
 
-    def add_splat(self, s: Any, place: SplatPlace, weighted: Any, alone: Any, active: Any) -> None:
-        """Add a splat by a light sub-path of ``s`` vertices, as :meth:`add` does."""
+    def add_splat(
+        self, s: mi.UInt32, place: SplatPlace, weighted: mi.Color3f, alone: mi.Color3f, active: mi.Bool
+    ) -> None:
+        """Add a splat of light sub-paths of ``s`` vertices, as :meth:`add` does."""
         slot, inside = self._slot(False, s, mi.UInt32(1), active)
         first = dr.select(inside, slot, 2 * self._longer + 1)
         for pixel, share, on_film in place.taps:
             self._scatter(first, pixel, weighted * share, active & on_film)
             self._scatter(slot + (self._longer + 1), pixel, alone * share, active & inside & on_film)
 
-    def _slot(self, merged: bool, s: Any, t: Any, active: Any) -> tuple[Any, Any]:
-        """(number of a technique, whether it has a picture of its own)."""
+    def _slot(self, merged: bool, s: mi.UInt32, t: mi.UInt32, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
+        """(layer of a technique, whether it has a layer of its own)."""
         edges = s + t - (2 if merged else 1)
         inside = edges <= self._depth
         row = edges + (self._depth + 1 if merged else 0)
         return dr.gather(mi.UInt32, self._table, row * (self._depth + 1) + s, active & inside), inside
 
-    def _scatter(self, slot: Any, pixel: Any, value: Any, active: Any) -> None:
+    def _scatter(self, slot: mi.UInt32, pixel: mi.UInt32, value: mi.Color3f, active: mi.Bool) -> None:
         packet = mi.Vector4f(value.x, value.y, value.z, 0.0)
         active = active & dr.all(dr.isfinite(value)) & dr.any(value != 0.0)
         dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet, slot * self._pixels + pixel, active)
 
-    def layers(self, image: Callable[[Any], NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
-        """The pictures by name, (height, width, 3), sums over all paths. ``image`` makes one of what camera paths
-        contribution to their pixels, a lane a pixel."""
+    def layers(self, image: Callable[[mi.Color3f], NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
+        """The pictures by name, (height, width, 3), sums over all paths. ``image`` filters sums of contributions of
+        camera paths, one lane a pixel."""
         lanes = dr.arange(mi.UInt32, self._pixels)
         sums = []
         for slot, technique in enumerate([*self.techniques, None, *self.techniques, None]):
@@ -104,7 +114,8 @@ class Pyramid:
 
 
 def in_pyramid(techniques: Techniques, depth: int) -> list[Technique]:
-    """The techniques in use that make paths of at most ``depth`` edges: by length, then by vertices of the light."""
+    """The techniques in use for paths of at most ``depth`` edges, ordered by edges and vertices of the light
+    sub-path."""
     found = []
     for edges in range(1, depth + 1):
         for s in range(edges + 1):

@@ -15,7 +15,7 @@ from .pyramid import Pyramid
 
 @dataclass
 class Contribution:
-    """Contribution of one technique, one lane each."""
+    """Contribution of one technique, one lane a path."""
 
     weighted: Sequence[mi.Color3f]  #: with its weight, one a merging radius
     alone: mi.Color3f  #: without a weight, for the pyramid
@@ -40,7 +40,7 @@ class CameraSink(Sink):
     def begin(self, techniques: Techniques, pixel: mi.UInt32, importance: mi.Color3f) -> dict[str, mi.Color3f]:
         """Initial layers. ``pixel`` and ``importance`` of the paths are kept for the pyramid."""
         self._pixel, self._importance = pixel, importance
-        # Not literal zeros: Dr.Jit takes a layer that no material adds to for a constant, then stumbles over it.
+        # Opaque, because Dr.Jit fails on literal zeros in a loop if no material of the scene adds to a layer.
         names = (*self.families(techniques), *self.more_radii)
         return {name: mi.Color3f(dr.opaque(mi.Float, 0.0)) for name in names}
 

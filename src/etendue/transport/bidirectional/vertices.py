@@ -1,16 +1,15 @@
 """Light sub-path vertices in device memory: written once by the light walk, read by index, never copied to the host.
 
-A vertex is a few packets of four floats, so that one read brings one cache line's worth. Two layouts: *framed* keeps
-the two normals and texture coordinates, enough for every material that looks at nothing else; *indexed* keeps what
-recomputes the whole surface interaction (primitive and shape), for bump and normal maps, mesh attributes and
-anisotropic materials, at twice the cost of reading.
+A vertex is a few packets of four floats, which are read together. There are two layouts. *Framed* stores the two
+normals and the texture coordinates, which is enough for most materials. *Indexed* stores primitive and shape, from
+which the surface interaction is computed again, for bump and normal maps, mesh attributes and anisotropic materials;
+reading it takes twice the time.
 """
 
 from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -22,22 +21,22 @@ from ..vertex import Vertex, WalkVertex
 from .mis import RadiusFree
 from .photons import Photons, depth_of, number_of, packed_direction, packed_normal, unpacked_direction
 
-#: Packets of four floats in a record: of a vertex that is connected to, and of one that is only merged with.
+#: Packets of four floats of a vertex, for connections and merging, and for merging only.
 _PACKETS = 6
 _PHOTON_PACKETS = 3
-#: Bits of a depth, and those that are left to it where the vertex number takes four.
+#: Bits of a depth, without and with a vertex number, which takes four.
 _DEPTH_BITS = 16
 _NUMBERED_DEPTH_BITS = 12
-#: Paths that are numbered together, position by position.
+#: Paths whose vertices are numbered together.
 _BLOCK = 16
 
 
-#: Materials and textures that look at more than normals and texture coordinates, without a flag that says so.
+#: Materials and textures that read more than normals and texture coordinates, but have no flag that says so.
 _READ_MORE = ("BumpMap", "NormalMap", "MeshAttribute")
 
 
-def needs_interaction(scene: Any) -> bool:
-    """Whether some material reads more of a surface than the framed layout keeps."""
+def needs_interaction(scene: mi.Scene) -> bool:
+    """Whether some material reads more of a surface interaction than the framed layout stores."""
     return any(
         node.class_name() in _READ_MORE
         or (isinstance(node, mi.BSDF) and mi.has_flag(node.flags(), mi.BSDFFlags.Anisotropic))
@@ -46,7 +45,7 @@ def needs_interaction(scene: Any) -> bool:
 
 
 class Kind(enum.IntEnum):
-    """What contribution light to a vertex, in Heckbert's notation [Heckbert 1990]."""
+    """Light paths that end at a vertex, in Heckbert's notation [Heckbert 1990]."""
 
     INDIRECT = 0  #: L...D...D
     DIRECT = 1  #: LD
@@ -62,28 +61,28 @@ class LightVertex(Vertex):
     d_vcm: mi.Float
     d_vc: mi.Float | RadiusFree
     depth: mi.UInt32  #: edges from the light
-    number: mi.UInt32  #: the same without the surfaces that were crossed, where these are counted
+    number: mi.UInt32  #: as ``depth``, without null surfaces if the store is ``numbered``
 
     def evaluate(self, direction: mi.Vector3f, active: mi.Bool) -> Evaluated:
-        """The BSDF towards the eye side; its value, times :func:`cosine_ratio`, is the adjoint BSDF times its
-        cosine."""
+        """The BSDF for a world direction of the eye side; the value times :func:`cosine_ratio` is the adjoint BSDF
+        times its cosine."""
         return evaluate_light_end(self.bsdf, self.si, self.si.to_local(direction), active)
 
 
 class LightVertices:
     """A store of at most ``capacity`` vertices of ``paths`` light sub-paths.
 
-    Slots are claimed by an atomic counter, in no repeatable order. :meth:`number` therefore gives vertices numbers that
-    depend on the paths alone, and :meth:`slot` leads from number to slot. Nothing here waits for the device: the count
-    stays on it, and arrays are as wide as the capacity.
+    Slots are assigned by an atomic counter, in an order that is not repeatable. :meth:`number` therefore gives vertices
+    numbers that depend on the paths only, and :meth:`slot` maps numbers to slots. No function waits for the device: the
+    count stays there, and arrays have the width of the capacity.
 
     Parameters
     ----------
     indexed: the layout that recomputes surface interactions (see above).
-    connected: vertices will be connected to; if not, only what merging reads is kept.
-    radius_free: d_vc comes as a :class:`RadiusFree`, of two numbers.
-    numbered: keep also which vertex of its path each is, the light point being 0, up to 15. Without, its depth stands
-        for that: the two differ where surfaces are crossed unbent.
+    connected: vertices are used for connections; if not, only the data for merging is stored.
+    radius_free: d_vc is a :class:`RadiusFree`, of two numbers.
+    numbered: store the number of each vertex on its path, up to 15; the light point is 0. Without, the depth is used,
+        which differs from the number after null surfaces.
     """
 
     def __init__(
@@ -101,34 +100,33 @@ class LightVertices:
         self.numbered = numbered
         self._depth_bits = _NUMBERED_DEPTH_BITS if numbered else _DEPTH_BITS
         self._packets = _PACKETS if connected else _PHOTON_PACKETS
-        #: Vertices that the paths wanted to store, one number on the device; may exceed the capacity.
+        #: Vertices of all paths, one number on the device; may exceed the capacity.
         self.wanted = dr.zeros(mi.UInt32, 1)
-        # One record a vertex, of packets: position, depth | index on path; throughput (fluence if vertices are only
-        # merged with), d_vcm; world direction to the light side, normal, d_vc; two packets of the surface; BSDF, path,
-        # fluence of unit throughput.
-        self._limit = dr.opaque(mi.UInt32, capacity)  # measured, so another seed has another: no constant of a kernel
+        # Packets of a vertex: position, depth | index on path; throughput (fluence if only merged), d_vcm; world
+        # direction to the light side, normal, d_vc; two packets of the surface; BSDF, path, fluence of unit throughput.
+        self._limit = dr.opaque(mi.UInt32, capacity)  # opaque, because the capacity depends on the seed
         self._records = dr.empty(mi.Float, 4 * self._packets * capacity)
-        self._slopes = dr.empty(mi.Float, capacity) if radius_free else None  # the second number of d_vc
+        self._slopes = dr.empty(mi.Float, capacity) if radius_free else None  # second coefficient of d_vc
         padded = -(-paths // _BLOCK) * _BLOCK
         self._stored = dr.zeros(mi.UInt32, padded if connected else 1)  # vertices of each path
-        self._order: Any = None
-        self._start: Any = None
+        self._order: mi.UInt32 | None = None
+        self._start: mi.UInt32 | None = None
 
     @staticmethod
     def bytes_per_vertex(connected: bool, merged: bool, radius_free: bool = False) -> int:
-        """Device memory that a stored vertex takes, the copy and the grid of merging included."""
+        """Device memory of a stored vertex in bytes, including the copy and the grid for merging."""
         bytes_ = 16 * (_PACKETS if connected else _PHOTON_PACKETS) + (4 if connected else 0)
         return bytes_ + (48 + 24 if merged else 0) + (8 if radius_free else 0)
 
     @staticmethod
     def floats_per_vertex(connected: bool) -> int:
-        """Numbers of a vertex in the array of records; an array has fewer than 2^32."""
+        """Numbers of a vertex in the array of records; an array can have fewer than 2^32."""
         return 4 * (_PACKETS if connected else _PHOTON_PACKETS)
 
-    def _put(self, packet: int, value: Any, slot: Any, active: Any) -> None:
+    def _put(self, packet: int, value: mi.Vector4f, slot: mi.UInt32, active: mi.Bool) -> None:
         dr.scatter(self._records, value, slot * self._packets + packet, active)
 
-    def _get(self, packet: int, slot: Any, active: Any = True) -> Any:
+    def _get(self, packet: int, slot: mi.UInt32, active: mi.Bool | bool = True) -> mi.Vector4f:
         return dr.gather(mi.Vector4f, self._records, slot * self._packets + packet, active)
 
     def append(
@@ -143,12 +141,12 @@ class LightVertices:
         active: mi.Bool,
         number: mi.UInt32,
     ) -> None:
-        """Store one vertex per active lane, inside the walk; ``fluence`` is what the throughput is multiplied by for
-        merging (see :meth:`Mis.fluence`), ``index`` counts the vertices that the path has stored, ``kind`` is one of
-        :class:`Kind`, ``number`` counts the path's vertices and is kept if the store is ``numbered``.
+        """Store one vertex per active lane, inside the walk. ``index``: vertices that the path has stored before;
+        ``fluence``: factor on the throughput for merging (see :meth:`Mis.fluence`); ``kind``: one of :class:`Kind`;
+        ``number``: number of the vertex on its path, stored if the store is ``numbered``.
 
-        A full store drops vertices but goes on counting, so that the caller sees ``wanted > capacity`` and repeats
-        the pass with more room."""
+        A full store drops vertices but counts them, so that the caller can repeat the pass with a larger capacity if
+        ``wanted > capacity``."""
         slot = dr.scatter_inc(self.wanted, mi.UInt32(0), active)
         active = active & (slot < self._limit)
         si, hit, depth = vertex.si, vertex.hit, vertex.number
@@ -178,24 +176,24 @@ class LightVertices:
         self._put(4, second, slot, active)
         self._put(5, mi.Vector4f(_as_float(_pointer(vertex.bsdf)), _as_float(path), fluence, 0.0), slot, active)
 
-    def close_paths(self, path: Any, stored: Any) -> None:
-        """Record how many vertices each path has stored; called once after the walk, in the same kernel."""
+    def close_paths(self, path: mi.UInt32, stored: mi.UInt32) -> None:
+        """Store the number of vertices of each path; called once after the walk, in the same kernel."""
         if self.connected:
             dr.scatter(self._stored, stored, path)
 
     def launch(self) -> None:
-        """Start the walk's kernel, with whatever else is scheduled."""
+        """Launch the walk's kernel, and all that is scheduled."""
         dr.eval(self.wanted, self._records, self._stored, self._slopes)
 
     @property
-    def count(self) -> Any:
-        """Vertices held, one number on the device."""
+    def count(self) -> mi.UInt32:
+        """Stored vertices, one number on the device."""
         return dr.minimum(self.wanted, self._limit)
 
     def number(self, by_path: bool) -> None:
-        """Number the vertices, repeatably: path after path (``by_path``), or block of paths after block and in it by
-        position on the path, so that neighbouring numbers are slots that lie together in memory. Numbers count what a
-        full store has dropped, so they may lie beyond it; such a pass is thrown away, but must touch nothing else."""
+        """Number the vertices, independently of the order of the slots: path by path (``by_path``), or by block of
+        paths and in a block by position on the path, so that consecutive numbers are close in memory. Dropped vertices
+        are numbered, too; numbers may therefore exceed the capacity, and are masked where they do."""
         self._start = dr.prefix_reduce(dr.ReduceOp.Add, self._stored, exclusive=True)
         slot = dr.arange(mi.UInt32, self.capacity)
         held = slot < self.count
@@ -214,15 +212,15 @@ class LightVertices:
         dr.scatter(self._order, slot, number, held & (number < self._limit))
         dr.eval(self._order, self._start)
 
-    def slot(self, number: Any, active: Any) -> Any:
-        """Slot of the vertex with this number."""
+    def slot(self, number: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """Slot of the vertex with a number."""
         return dr.gather(mi.UInt32, self._order, number, active & (number < self._limit))
 
-    def path_vertices(self, path: Any, active: Any) -> tuple[Any, Any]:
-        """(first number, how many) of a path's vertices."""
+    def path_vertices(self, path: mi.UInt32, active: mi.Bool) -> tuple[mi.UInt32, mi.UInt32]:
+        """(first number, count) of a path's vertices."""
         return dr.gather(mi.UInt32, self._start, path, active), dr.gather(mi.UInt32, self._stored, path, active)
 
-    def read(self, slot: Any, active: Any) -> LightVertex:
+    def read(self, slot: mi.UInt32, active: mi.Bool) -> LightVertex:
         """Read whole vertices."""
         position, throughput, direction, first, second, owner = (self._get(i, slot, active) for i in range(_PACKETS))
         bsdf = dr.reinterpret_array(mi.BSDFPtr, _as_uint(owner.x))
@@ -241,7 +239,9 @@ class LightVertices:
             number=number_of(position.w, self._depth_bits),
         )
 
-    def _recompute(self, p: Any, world: Any, first: Any, second: Any, active: Any) -> Any:
+    def _recompute(
+        self, p: mi.Point3f, world: mi.Vector3f, first: mi.Vector4f, second: mi.Vector4f, active: mi.Bool
+    ) -> mi.SurfaceInteraction3f:
         pi = dr.zeros(mi.PreliminaryIntersection3f)
         pi.t = mi.Float(1.0)
         pi.valid = mi.Bool(True)
@@ -252,15 +252,15 @@ class LightVertices:
         pi.instance = dr.reinterpret_array(mi.ShapePtr, _as_uint(second.x))
         return pi.compute_surface_interaction(mi.Ray3f(p + world, -world), active=active)
 
-    def positions(self) -> tuple[Any, Any, Any]:
-        """(positions, :class:`Kind`, mask of the slots that hold a vertex), one lane a slot."""
+    def positions(self) -> tuple[mi.Point3f, mi.UInt32, mi.Bool]:
+        """(positions, :class:`Kind`, mask of the slots in use), one lane a slot."""
         slot = dr.arange(mi.UInt32, self.capacity)
         held = slot < self.count
         p = self._get(0, slot, held)
         return mi.Point3f(p.x, p.y, p.z), _as_uint(p.w) >> 30, held
 
-    def sorted_by(self, destination: Any, active: Any = True) -> Photons:
-        """The packets that merging reads, in the order that a search structure gives to the ``active`` slots."""
+    def sorted_by(self, destination: mi.UInt32, active: mi.Bool | bool = True) -> Photons:
+        """The data for merging, copied to the order of a search structure: slot i to ``destination[i]``."""
         slot = dr.arange(mi.UInt32, self.capacity)
         held = (slot < self.count) & active
         position = dr.empty(mi.Float, 4 * self.capacity)
@@ -280,7 +280,7 @@ class LightVertices:
         return Photons(position, flux, slopes, self._depth_bits)
 
 
-def _framed(p: Any, first: Any, second: Any) -> Any:
+def _framed(p: mi.Point3f, first: mi.Vector4f, second: mi.Vector4f) -> mi.SurfaceInteraction3f:
     si = dr.zeros(mi.SurfaceInteraction3f)
     si.t = mi.Float(0.0)
     si.p = p
@@ -290,17 +290,17 @@ def _framed(p: Any, first: Any, second: Any) -> Any:
     return si
 
 
-def _d_vc(value: Any, slopes: Any, index: Any, active: Any) -> Any:
+def _d_vc(value: mi.Float, slopes: mi.Float | None, index: mi.UInt32, active: mi.Bool) -> mi.Float | RadiusFree:
     return value if slopes is None else RadiusFree(value, dr.gather(mi.Float, slopes, index, active))
 
 
-def _as_float(bits: Any) -> Any:
+def _as_float(bits: mi.UInt32 | mi.Float) -> mi.Float:
     return dr.reinterpret_array(mi.Float, bits)
 
 
-def _as_uint(value: Any) -> Any:
+def _as_uint(value: mi.Float) -> mi.UInt32:
     return dr.reinterpret_array(mi.UInt32, value)
 
 
-def _pointer(pointer: Any) -> Any:
+def _pointer(pointer: mi.ShapePtr | mi.BSDFPtr) -> mi.UInt32:
     return dr.reinterpret_array(mi.UInt32, pointer)

@@ -1,4 +1,4 @@
-"""What the camera walk and the light walk share: the recursion of the weights, and connections along untraced edges."""
+"""Base of the camera walk and the light walk: recursion of the MIS weights, and connections along untraced edges."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class BidirectionalPath(SubPath):
 
     d_vcm: mi.Float
     d_vc: mi.Float | RadiusFree
-    vertex: mi.UInt32 | None  #: as ``depth``, without null surfaces; None where it is not used
+    vertex: mi.UInt32 | None  #: as ``depth``, without null surfaces; None if it is not used
 
 
 @dataclass(kw_only=True)
@@ -57,18 +57,18 @@ class BidirectionalWalk(Walker):
         u: mi.Float,
         active: mi.Bool,
     ) -> tuple[Contribution, mi.UInt32]:
-        """(contribution of the path through the untraced edge from a vertex to ``target``, shadow rays cast).
+        """(contribution of the path along the untraced edge from a vertex to ``target``, shadow rays cast).
 
         edges: length of the path. contributions: one a radius, without visibility; alone: without a weight. Roulette by
         ``u`` skips shadow rays of contributions below ``threshold``. With a pyramid, a ray is cast wherever ``alone``
         is not zero.
         """
-        lit, factor = shadow_roulette(contributions, threshold, u, active)
-        asked = lit if self.pyramid is None else active & ~dr.all(alone == 0.0)
-        visible, transmittance = self.visible(vertex, target, edges, asked)
+        survives, factor = shadow_roulette(contributions, threshold, u, active)
+        tested = survives if self.pyramid is None else active & ~dr.all(alone == 0.0)
+        visible, transmittance = self.visible(vertex, target, edges, tested)
         weighted = [contribution * (factor * transmittance) for contribution in contributions]
-        active = visible if self.pyramid is None else visible & lit
-        return Contribution(weighted, alone * transmittance, active, visible), ones(asked)
+        active = visible if self.pyramid is None else visible & survives
+        return Contribution(weighted, alone * transmittance, active, visible), ones(tested)
 
     def leave(
         self,

@@ -1,1 +1,1 @@
-"""Where light was found, learned cell by cell of the scene: directions, the choice of lights, and a walk by both."""
+"""Path guiding: learned distributions of directions and of the choice of lights, and the walk that samples them."""

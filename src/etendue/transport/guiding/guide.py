@@ -1,14 +1,14 @@
-r"""Directions drawn from where light was found before, in turn with the BSDF.
+r"""The guide: a learned density of directions for each cell of the scene, sampled in a mixture with the BSDF.
 
-A :class:`Guide` holds a density over directions for each cell of the scene, by place and facing. A scattering draws
-from it with the cell's probability a and else from the BSDF [Muller 2017]; whichever it was, the direction's density is
+A cell is a range of positions and surface normals. Scattering samples the guide's density of the cell with probability
+a, and the BSDF otherwise [Muller 2017]. The density of the direction is that of the mixture,
 
 .. math:: p(\omega) = a\, p_{guide}(\omega) + (1 - a)\, p_{BSDF}(\omega),
 
-and so it is for the directions of light points. Delta components stay with the BSDF.
+also in the weights of light points. Delta components are sampled by the BSDF only.
 
-Directions of the sphere are points of the unit square: each hemisphere around the z axis is half of it, by way of the
-disc, so that equal areas stay equal [Shirley 1997].
+Directions are mapped to the unit square: each hemisphere around the z axis is mapped to a disc and this to half of the
+square, both with equal areas [Shirley 1997].
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from .. import dimensions as dim
 from ..scattering import Evaluated, Proposal, Scattered, geometric_cos, is_smooth
 from .lights import MOST_LIGHTS, LightChoice, LocalLights
 
-#: Of the square's density, that of the sphere.
+#: Solid-angle density of a direction over the density of its point in the square.
 _PER_STERADIAN = 0.25 / np.pi
 #: The largest number below one.
 _BELOW_ONE = 1.0 - 2.0**-24
-#: Where nothing is counted.
+#: Number that stands for no place.
 NOWHERE = 0xFFFFFFFF
 
 
-def square_of(direction: Any) -> Any:
-    """The point of the unit square that stands for a direction."""
+def square_of(direction: mi.Vector3f) -> mi.Point2f:
+    """The point of the unit square for a direction."""
     below = direction.z < 0.0
     disc = mi.Point2f(direction.x, direction.y) * dr.rsqrt(1.0 + dr.abs(direction.z))
     half = mi.warp.uniform_disk_to_square_concentric(disc)
@@ -47,7 +47,7 @@ def square_of(direction: Any) -> Any:
     return mi.Point2f(dr.minimum(x, _BELOW_ONE), dr.clip(half.y, 0.0, _BELOW_ONE))
 
 
-def direction_of(point: Any) -> Any:
+def direction_of(point: mi.Point2f) -> mi.Vector3f:
     """Inverse of :func:`square_of`."""
     below = point.x >= 0.5
     half = mi.Point2f(2.0 * point.x - dr.select(below, 1.0, 0.0), point.y)
@@ -60,19 +60,20 @@ def direction_of(point: Any) -> Any:
 
 @dataclass
 class GuidedScattered(Scattered):
-    """A direction by the BSDF or the guide, one lane each."""
+    """A direction sampled from the BSDF or the guide, one lane each."""
 
-    place: mi.UInt32  #: of the guide's trees, in which the direction lies; NOWHERE for a delta scattering
-    glow: mi.Float  #: luminance that the surface is expected to reflect, less that of its light points; 0: unknown
+    place: mi.UInt32  #: leaf of the guide's quadtrees that holds the direction; NOWHERE for a delta scattering
+    glow: mi.Float  #: expected reflected luminance without that of light points; 0: unknown
 
 
 class Guide:
-    """Where light comes from, by position, facing and direction.
+    """Learned incident light by position, surface normal and direction.
 
     Parameters
     ----------
-    lower, upper: corners of a box that holds the scene.
-    lights: those whose choice is learned, too, unless there is only one or more than :data:`MOST_LIGHTS`.
+    lower, upper: corners of a box that contains the scene.
+    lights: the lights whose selection is learned, too; not if there is one light only, or more than
+        :data:`MOST_LIGHTS`.
     """
 
     def __init__(self, lower: Sequence[float], upper: Sequence[float], lights: LightTable | None = None) -> None:
@@ -80,7 +81,7 @@ class Guide:
         if lights is not None and not 1 < lights.count <= MOST_LIGHTS:
             lights = None
         self._choice = None if lights is None else LightChoice(lights, self._cells.count)
-        #: Lights whose choice is learned.
+        #: Number of lights whose selection is learned; 0 if it is not.
         self.light_count = 0 if lights is None else lights.count
         self._trees = Quadtrees.even(self._cells.count)
         self._glow = np.zeros(self._cells.count)
@@ -99,39 +100,40 @@ class Guide:
 
     @property
     def places(self) -> int:
-        """Places that directions are counted in."""
+        """Leaves of the quadtrees of all cells."""
         return self._trees.places
 
     # ------------------------------------------------------------------ on the device
 
-    def locate(self, si: Any, active: Any) -> Any:
-        """The cells of surface points, as seen by the paths that reached them."""
+    def locate(self, si: mi.SurfaceInteraction3f, active: mi.Bool) -> mi.UInt32:
+        """The cells of surface points; the normal counts on the side of ``si.wi``."""
         facing = si.sh_frame.n * dr.sign(mi.Frame3f.cos_theta(si.wi))
         return self._cells.find(si.p, facing, active)
 
     def lights_at(self, cell: mi.UInt32, lights: LightTable) -> LightTable | LocalLights:
-        """``lights`` as light points are drawn on them in a cell."""
+        """``lights`` with the selection probabilities of a cell."""
         return lights if self._choice is None else self._choice.at(cell)
 
     def scatter(
         self,
-        cell: Any,
+        cell: mi.UInt32,
         scatter: Proposal,
-        bsdf: Any,
-        si: Any,
+        bsdf: mi.BSDFPtr,
+        si: mi.SurfaceInteraction3f,
         source: SampleSource,
-        vertex: Any,
-        active: Any,
-        directions: Sequence[tuple[Any, Any]] = (),
+        vertex: mi.UInt32,
+        active: mi.Bool,
+        directions: Sequence[tuple[mi.Vector3f, mi.Bool]] = (),
     ) -> tuple[GuidedScattered, list[Evaluated]]:
-        """As ``scatter`` (:func:`scatter_camera`, say) with the other arguments, by the guide's and its directions in
-        turn; densities are those of both together. ``cell``: as of :meth:`locate`."""
+        """Sample a direction from the mixture of the guide and the proposal ``scatter`` (such as
+        :func:`scatter_camera`), and evaluate the BSDF in ``directions``; densities are those of the mixture.
+        ``cell``: from :meth:`locate`; other arguments as of :class:`Proposal`."""
         smooth = active & is_smooth(bsdf)
         share, glow = dr.gather(mi.Vector2f, self._pairs, cell, smooth)
         by_guide = smooth & (source.decide(vertex, dim.GUIDE) < share)
         knows = smooth & (share > 0.0)
 
-        # The same numbers as the BSDF's: only one of the two directions is taken.
+        # The same random numbers as for the BSDF, because only one of the two directions is used.
         u = mi.Point2f(*source.next_2d(vertex, dim.DIRECTION))
         point, density, place = self._sampler.sample(cell, u, by_guide)
         toward = direction_of(point)
@@ -176,17 +178,17 @@ class Guide:
         share: float,
         brought: NDArray[np.float64] | None = None,
     ) -> NDArray[np.int64]:
-        """Take over what was found in each place, and refine. Returns for each cell that there is now the one that it
-        was a part of.
+        """Learn from training samples, and refine cells and quadtrees. Returns for each new cell the old cell that it
+        is a part of, (cells,).
 
         Parameters
         ----------
-        found: (places,) light that came from each.
-        samples: (places,) directions that were looked into.
-        most: samples above which a cell is divided.
-        leaf_share: of a cell's light, the share above which directions are divided.
-        share: of directions that are drawn from the guide where light was found.
-        brought: (cells, lights) what light points brought to each cell, where the choice of lights is learned.
+        found: (places,) sums of incident light.
+        samples: (places,) numbers of training samples.
+        most: samples from which on a cell is divided.
+        leaf_share: share of a cell's light from which on a leaf of its quadtree is divided.
+        share: probability a of the guide, in cells in which light was found.
+        brought: (cells, lights) contributions of light points, where light selection is learned.
         """
         tree = self._trees.tree_of_place()
         light, count = np.bincount(tree, found, self.cells), np.bincount(tree, samples, self.cells)
@@ -202,7 +204,7 @@ class Guide:
         return origin
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """What has been learned, in arrays that are not changed later."""
+        """The learned state, as arrays that are not modified later."""
         return {
             "glow": self._glow,
             "share": np.array(self._share),
@@ -212,7 +214,7 @@ class Guide:
         }
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Inverse of :meth:`state`."""
+        """Set the state, as returned by :meth:`state`."""
         self._cells.set_arrays(state)
         if self._choice is not None:
             self._choice.restore(state["lights"])
@@ -221,6 +223,6 @@ class Guide:
         self._upload()
 
 
-def _mixed(share: Any, square_density: Any, pdf: Any) -> Any:
-    """Solid-angle density of a direction that the guide is asked for with probability ``share``."""
+def _mixed(share: mi.Float, square_density: mi.Float, pdf: mi.Float) -> mi.Float:
+    """Solid-angle density of the mixture, in which the guide has the probability ``share``."""
     return share * (square_density * _PER_STERADIAN) + (1.0 - share) * pdf

@@ -1,13 +1,13 @@
-"""Which light to draw a point on, learned for each cell of the scene.
+"""Probabilities of light selection, learned for each cell of the scene.
 
-The light table picks lights by their power. In a cell from which a strong lamp is not seen, or far away, that is waste:
-here each cell picks a light in proportion to what its points brought there, and now and then by power.
+The light table selects lights by power, which is inefficient in cells where a strong light is occluded or far away.
+Here each cell selects a light with probability proportional to the contribution of its light points in the cell, mixed
+with selection by power.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -17,19 +17,19 @@ from numpy.typing import NDArray
 from etendue.core import copied_to_device
 from etendue.scene import Light, LightTable
 
-#: Lights of a scene whose choice is learned at most: each costs a look at a table.
+#: Most lights of a scene for which selection is learned; each costs one table lookup a sample.
 MOST_LIGHTS = 16
-#: Probability with which a light is picked by its power all the same.
+#: Probability with which a light is selected by power.
 _BY_POWER = 0.2
 
 
 @dataclass
 class LocalLights:
-    """A light table as seen from the cells of lanes: it picks, and knows how probable a pick was, by the cell."""
+    """A light table with the selection probabilities of a cell, one cell a lane."""
 
     table: LightTable
-    probability: Any  #: of each light in each cell, on the device
-    cell: Any
+    probability: mi.Float  #: (cells * lights) on the device
+    cell: mi.UInt32  #: cell of each lane
 
     def __post_init__(self) -> None:
         table = self.table
@@ -37,10 +37,10 @@ class LocalLights:
         self.has_infinite, self.has_beam = table.has_infinite, table.has_beam
         self.points, self.has_sphere = table.points, table.has_sphere
 
-    def _chance(self, row: Any, active: Any) -> Any:
+    def _chance(self, row: mi.UInt32 | int, active: mi.Bool | bool) -> mi.Float:
         return dr.gather(mi.Float, self.probability, self.cell * self.table.count + row, active)
 
-    def pick(self, u: Any, active: Any = True) -> Light:
+    def pick(self, u: mi.Float, active: mi.Bool | bool = True) -> Light:
         """As :meth:`LightTable.pick`, with the cell's probabilities."""
         row, below = mi.UInt32(0), mi.Float(0.0)
         for number in range(self.table.count - 1):
@@ -48,17 +48,17 @@ class LocalLights:
             row = dr.select(u >= below, mi.UInt32(number + 1), row)
         return self._local(self.table.row(row, active), active)
 
-    def of(self, emitter: Any, active: Any = True) -> Light:
+    def of(self, emitter: mi.EmitterPtr, active: mi.Bool | bool = True) -> Light:
         """As :meth:`LightTable.of`."""
         return self._local(self.table.of(emitter, active), active)
 
-    def _local(self, light: Light, active: Any) -> Light:
+    def _local(self, light: Light, active: mi.Bool | bool) -> Light:
         light.pick = self._chance(light.row, active)
         return light
 
 
 class LightChoice:
-    """Probabilities of the lights for each of ``cells`` cells; by power until something is learned."""
+    """Selection probabilities of the lights for each of ``cells`` cells; by power before the first training."""
 
     def __init__(self, lights: LightTable, cells: int) -> None:
         self._lights = lights
@@ -69,18 +69,18 @@ class LightChoice:
         mixed = (1.0 - _BY_POWER) * self.shares + _BY_POWER * self._lights.probabilities
         self._probability = copied_to_device(mi.Float, mixed.astype(np.float32))
 
-    def at(self, cell: Any) -> LocalLights:
-        """The lights as seen from cells."""
+    def at(self, cell: mi.UInt32) -> LocalLights:
+        """The lights with the probabilities of cells."""
         return LocalLights(self._lights, self._probability, cell)
 
     def learn(self, found: NDArray[np.float64], origin: NDArray[np.int64]) -> None:
-        """Take over what points of each light brought to each cell, (cells, lights). ``origin``: for each cell that
-        there will be, the one whose probabilities it inherits. A cell that found nothing keeps its own."""
+        """Learn from contributions ``found`` of light points, (cells, lights). ``origin``: for each new cell, the old
+        cell whose probabilities it inherits. A cell without contributions keeps its probabilities."""
         total = found.sum(axis=1, keepdims=True)
         shares = np.divide(found, total, out=self.shares.copy(), where=total > 0.0)
         self.restore(shares[origin])
 
     def restore(self, shares: NDArray[np.float64]) -> None:
-        """Set the probabilities, (cells, lights), before power is mixed in."""
+        """Set the learned probabilities, (cells, lights), with which power is mixed."""
         self.shares = np.array(shares, np.float64)
         self._upload()

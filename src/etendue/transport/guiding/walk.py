@@ -20,14 +20,14 @@ from ..emission import DirectSample
 from ..walk import CameraPath, Walker
 from .guide import NOWHERE, Guide, GuidedScattered
 
-#: Light found by paths is summed as integers, so that the sum does not depend on the order. Units per mean of the
-#: picture; and the largest value of one path.
+#: Training samples are summed as integers, so that the sum does not depend on the order of the additions. Units per
+#: mean luminance of a path, and the largest value of one sample.
 FOUND_UNITS = 1 << 20
 _MOST = FOUND_UNITS << 14
-#: Vertices of a path that give training samples, from the first on, and bytes of a sample.
+#: Most vertices of a path that are recorded, from the first on; and bytes of a recorded vertex.
 _VERTICES = 6
 _BYTES = 16
-#: Least throughput that light is divided by.
+#: Least throughput by which contributions are divided.
 _FAINT = 1e-20
 #: Least survival probability of roulette.
 _LEAST_SURVIVAL = 0.1
@@ -35,22 +35,22 @@ _LEAST_SURVIVAL = 0.1
 
 @dataclass(kw_only=True)
 class GuidedPath(CameraPath):
-    """State of a guided camera path; luminances."""
+    """State of a guided camera path."""
 
-    found: mi.Float  #: sum of the contributions
-    expected: mi.Float  #: expected beyond the last vertex; 0: unknown
+    found: mi.Float  #: luminance of the contributions so far
+    expected: mi.Float  #: expected luminance of the contributions after the last vertex; 0: unknown
     expected_at_first: mi.Float  #: the same at the first vertex where it was known
     cell: mi.UInt32  #: the guide's cell at the start of the next edge
 
 
 class TrainingSamples:
-    """Training samples of a pass: light found beyond vertices, and light that light points bring to each cell.
+    """Training samples of a pass: incident light at vertices by direction, and contributions of light points by cell.
 
     Parameters
     ----------
     lanes: numbers of the paths.
-    stride: one path in ``stride`` gives samples.
-    unit: mean luminance of a path; light points are not counted while it is unknown, 0.
+    stride: one path in ``stride`` is recorded.
+    unit: mean luminance of a path, or 0 if unknown; light points are not counted then.
     recording: whether the guide is trained in this pass.
     """
 
@@ -66,7 +66,7 @@ class TrainingSamples:
         self._packets = dr.zeros(mi.UInt32, 4 * max(1, self._count * _VERTICES))
         self._scale = dr.opaque(mi.Float, FOUND_UNITS / unit if recording and unit > 0.0 else 0.0)
         self._lights = guide.light_count
-        #: (cells, lights) light by light points, in units.
+        #: (cells * lights) contributions of light points, in units.
         self.brought = dr.zeros(mi.UInt64, guide.cells * max(1, self._lights))
 
     def record(self, s: GuidedPath, scattered: GuidedScattered) -> None:
@@ -101,7 +101,7 @@ class TrainingSamples:
             value = dr.minimum((found - before) * factor * scale, float(_MOST))
             active = packet[0] > 0
             place = packet[0] - 1
-            # Directly: other ways have the number of places in the kernel.
+            # Direct mode, because other modes compile the number of places into the kernel.
             dr.scatter_add(seen, mi.UInt32(1), place, active, dr.ReduceMode.Direct)
             active &= value >= 1.0
             dr.scatter_add(light, mi.UInt64(value), place, active, dr.ReduceMode.Direct)
@@ -139,15 +139,15 @@ class GuidedWalk(Walker):
 
         # ---- Light point and direction by the cell of the vertex
         cell = self.guide.locate(vertex.si, s.active)
-        nearby = self.guide.lights_at(cell, self.lights)
-        looking = s.active & vertex.smooth
-        lights = [self.light_point(vertex, source, looking, lights=nearby)] if self.weights.next_event else []
+        local = self.guide.lights_at(cell, self.lights)
+        smooth = s.active & vertex.smooth
+        lights = [self.light_point(vertex, source, smooth, lights=local)] if self.weights.next_event else []
         guided = functools.partial(self.guide.scatter, cell, vertex.proposal)
-        scattered, towards = vertex.sample(source, s.active, lights, guided)
-        for light, f in zip(lights, towards, strict=True):
-            contribution, seen = self.next_event(s, vertex, light, f, self.weights.light_point(light, f.pdf))
-            self._add(s, contribution, seen)
-            self.training.record_light(s, cell, light, contribution, seen)
+        scattered, evaluated = vertex.sample(source, s.active, lights, guided)
+        for light, f in zip(lights, evaluated, strict=True):
+            contribution, visible = self.next_event(s, vertex, light, f, self.weights.light_point(light, f.pdf))
+            self._add(s, contribution, visible)
+            self.training.record_light(s, cell, light, contribution, visible)
 
         # ---- Advance; roulette by expected light
         assert isinstance(scattered, GuidedScattered)
@@ -158,10 +158,10 @@ class GuidedWalk(Walker):
         s.expected_at_first = dr.select(known & (s.expected_at_first == 0.0), carried, s.expected_at_first)
         s.cell = dr.select(scattered.is_null, s.cell, cell)
         s.pdf = self.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
-        expects = s.expected_at_first > 0.0
-        share = mi.Color3f(dr.maximum(s.expected / s.expected_at_first, _LEAST_SURVIVAL))
-        by = dr.select(expects, share, s.throughput * scattered.weight)
-        eta = dr.select(expects, 1.0, s.eta * scattered.eta)
+        estimated = s.expected_at_first > 0.0
+        ratio = mi.Color3f(dr.maximum(s.expected / s.expected_at_first, _LEAST_SURVIVAL))
+        by = dr.select(estimated, ratio, s.throughput * scattered.weight)
+        eta = dr.select(estimated, 1.0, s.eta * scattered.eta)
         s.expected = s.expected * self.advance(s, vertex, scattered, source, (by, eta))
         return s
 
