@@ -76,7 +76,7 @@ def test_expectations_and_their_errors():
     truth = (1 / 9 * (1 - 4 * math.exp(-3))) / ((1 - math.exp(-3)) / 3) + 4 / 3
     z = []
     for seed in range(40):
-        found = Metropolis(chains=20, burn_in=50).sample(TARGET, 20_000, seed).expectation(g)
+        found = Metropolis(chains=40, burn_in=50).sample(TARGET, 20_000, seed).expectation(g)
         z.append((found.mean - truth) / found.standard_error)
     assert abs(np.mean(z)) < 4.5 / math.sqrt(40) * np.std(z) and 0.7 < np.std(z) < 1.4
 

@@ -47,7 +47,7 @@ def test_every_option_is_unbiased_and_honest(name):
     assert all(e.samples == 3000 for e in found)
 
 
-@pytest.mark.parametrize("name", thinned(sorted(OPTIONS), sorted(OPTIONS)[::3]))
+@pytest.mark.parametrize("name", thinned(sorted(OPTIONS), sorted(OPTIONS)[3::3]))
 def test_two_narrow_peaks(name):
     """Check 7 of the framework's list: a fifth of the variance of plain Monte Carlo at 10^4 samples, or less. Options
     that waste samples here are only asked to win."""

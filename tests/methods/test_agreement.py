@@ -1,9 +1,10 @@
 """Every unbiased method against Mitsuba's own ``path``: emitters x materials x sensors x filters x methods.
 
-A scene shows six materials at once, so four scenes an emitter cross it with all of them. The fast table has every
-emitter, and every pair of (method, material), (method, sensor) and (method, filter). Of the slow ones the first adds
-the pairs (emitter, material), (emitter, sensor) and (sensor, filter); the second is the full cross of emitters,
-materials, sensors and methods, the filters in turn.
+A scene shows six materials at once, so four scenes an emitter cross it with all of them. There are two walks: methods
+that trace paths of the camera share one, methods that trace paths of the lights as well the other. The fast table has
+every emitter and every method, and with each walk every material, every sensor and every filter. Of the slow ones the
+first adds the pairs (method, material), (method, sensor), (method, filter), (emitter, material), (emitter, sensor) and
+(sensor, filter); the second is the full cross of emitters, materials, sensors and methods, the filters in turn.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "vegas": ("vegas", {}),
     "stratified": ("stratified", {}),
 }
+#: Those that trace paths of the lights as well.
+BOTH_WAYS = ("bpt cache", "bpt path", "light")
 #: What only the slow table runs.
 MORE = {
     "path power": ("path", {"heuristic": "power"}),
@@ -75,7 +78,8 @@ def fast() -> list[tuple[str, str, str, str, str]]:
     """Rows of :func:`covering`, as few as have what the fast table is for."""
 
     def wanted(row: tuple[str, ...]) -> set[Any]:
-        return {row[0], row[4], (row[2], row[1]), (row[2], row[3])}
+        walk = row[2] in BOTH_WAYS
+        return {row[0], row[2], (walk, row[1]), (walk, row[3]), (walk, row[4])}
 
     rows, left = [], set().union(*map(wanted, covering()))
     while left:

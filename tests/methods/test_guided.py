@@ -58,7 +58,7 @@ SWITCHES: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", thinned(SWITCHES, list(SWITCHES)[::6]))
+@pytest.mark.parametrize("name", thinned(SWITCHES, ("power",)))
 def test_switches_do_not_change_the_mean(name):
     emitter = "rectangle" if name == "naive" else "mixed"
     scene = scenes.room(emitter, scenes.FEW, rfilter="gaussian")
@@ -159,7 +159,7 @@ def test_a_state_that_does_not_fit_is_refused():
 
 def test_a_seed_gives_one_picture_whatever_was_learned():
     settings = {"samples_per_pass": 64, **TRAINED}
-    first, again = (go(prepared(behind_a_door(), "guided", **settings), 8).mean for _ in range(2))
+    first, again = (go(prepared(behind_a_door((12, 9)), "guided", **settings), 8).mean for _ in range(2))
     np.testing.assert_array_equal(first, again)
 
 

@@ -123,7 +123,9 @@ def test_two_halves_add_to_one_run_in_any_order(name):
 @pytest.mark.parametrize("name", thinned(METHODS, ("path", "guided", "vegas", "light", "bpt cache", "vcm", "sppm")))
 def test_a_seed_gives_one_picture(name):
     method, settings = METHODS[name]
-    first = run(problem(), method, passes=2, samples=4, seed=3, **settings).mean
+    run_of_seed = run(problem(), method, passes=2, samples=4, seed=3, **settings)
+    assert np.abs(run_of_seed.images[0] - run_of_seed.images[1]).max() > 1e-3
+    first = run_of_seed.mean
     again = run(problem(), method, passes=2, samples=4, seed=3, **settings).mean
     other = run(problem(), method, passes=2, samples=4, seed=4, **settings).mean
     if method == "path":
@@ -132,9 +134,7 @@ def test_a_seed_gives_one_picture(name):
     assert np.abs(first - other).max() > 1e-3
 
 
-@pytest.mark.parametrize(
-    "name", thinned(METHODS, [name for name in METHODS if name not in ("bpt path", "bpm", "vcm path")])
-)
+@pytest.mark.parametrize("name", thinned(METHODS, ("stratified", "pm", "ppm")))  # of the others, see above
 def test_passes_differ(name):
     method, settings = METHODS[name]
     images = run(problem(), method, passes=2, samples=4, **settings).images
@@ -294,7 +294,7 @@ def test_another_seed_compiles_nothing(method):
     assert all(kernel["cache_hit"] for kernel in kernels)
 
 
-@pytest.mark.parametrize(("near", "far"), [(1.0, 20.0), (2.5, 4.9)])
+@pytest.mark.parametrize(("near", "far"), thinned([(1.0, 20.0), (2.5, 4.9)], [(2.5, 4.9)]))
 def test_clipping_planes_do_not_matter(near, far):
     """The same picture whatever the sensor's range, as long as everything seen lies in it."""
     dictionary = {
@@ -311,7 +311,7 @@ def test_clipping_planes_do_not_matter(near, far):
         assert_agree(run(clipped, method, passes=6, samples=512, seed=3).images, expected.images, method)
 
 
-@pytest.mark.parametrize("name", thinned(METHODS, ("light", "vcm", "sppm")))
+@pytest.mark.parametrize("name", thinned(METHODS, ("light", "vcm")))
 def test_even_points_have_the_same_mean(name):
     """Owen-scrambled points against independent numbers. A seed each: the passes of one are not independent."""
     method, settings = METHODS[name]

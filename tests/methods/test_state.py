@@ -26,7 +26,7 @@ from etendue.methods.photon.progressive import Sppm
 from etendue.methods.store import VertexRoom
 from etendue.transport import LightChoice
 
-PASSES = 8
+PASSES = 6
 GUIDED = {"samples_per_pass": 16, "cell_samples": 200}
 VEGAS = {"samples_per_pass": 16, "update": 2}
 #: By name: method, settings, what learns, at which of its calls a pass fails, and how. Passes of ``guided`` that end a

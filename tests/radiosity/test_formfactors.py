@@ -51,7 +51,7 @@ def relative_errors(name, seeds):
 
 @pytest.mark.parametrize("name", thinned(["parallel", "perpendicular", "discs"], ["perpendicular"]))
 def test_pairs_in_closed_form_by_global_lines(name):
-    found = relative_errors(name, range(8 if name != "discs" else 4))
+    found = relative_errors(name, range(4))
     assert np.sqrt((found**2).mean()) < 3e-4
 
 
