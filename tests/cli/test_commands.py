@@ -286,12 +286,31 @@ def test_a_signal_stops_at_the_next_pass_and_the_rest_can_follow(number, folder)
     assert np.array_equal(film.read_exr("a.exr").image, film.read_exr("b.exr").image)
 
 
-@pytest.mark.skipif(os.name != "posix", reason="signals of Unix")
+def wait_for_handler(process: subprocess.Popen[str]) -> None:
+    """Return when the process catches SIGTERM, which it does not before it renders."""
+    while not int(re.search(r"SigCgt:\s*(\w+)", proc(process, "status"))[1], 16) >> (signal.SIGTERM - 1) & 1:
+        time.sleep(0.05)
+
+
+def processor_seconds_of(process: subprocess.Popen[str]) -> float:
+    fields = proc(process, "stat").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def proc(process: subprocess.Popen[str], name: str) -> str:
+    assert process.poll() is None, process.communicate()
+    return Path(f"/proc/{process.pid}/{name}").read_text("ascii")
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self"), reason="asks Linux how far a process is")
 def test_a_second_signal_aborts_at_once(folder):
     process = start(
         *shlex.split("render cornell-box -m path --size 1024x1024 -D samples_per_pass=32 --spp 320 -o a.exr")
     )
-    time.sleep(6.0)  # inside the first pass, also where starting takes long; it takes many times as long
+    wait_for_handler(process)
+    begun = processor_seconds_of(process)
+    while processor_seconds_of(process) < begun + 2.0:  # then it is inside the first pass, which takes many times that
+        time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     time.sleep(0.3)
     process.send_signal(signal.SIGINT)

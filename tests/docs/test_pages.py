@@ -19,6 +19,7 @@ from etendue.cli import rendering, solutions
 from etendue.cli.experiments import compare
 from etendue.cli.inspection import doctor
 from etendue.cli.main import main
+from etendue.radiosity import ABuffer
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted(
@@ -111,6 +112,8 @@ def test_examples_run(page, number, tmp_path, monkeypatch, variant):
     for name in ("render", "start"):
         monkeypatch.setattr(etendue, name, short(getattr(api, name)), raising=False)
     monkeypatch.setattr(etendue, "resume", api.resume, raising=False)
+    cast = ABuffer.cast
+    monkeypatch.setattr(ABuffer, "cast", lambda engine, count, *rest: cast(engine, min(count, 64), *rest))
     monkeypatch.setattr(mi, "set_variant", lambda name: None)  # that of the session stays
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scene.xml").write_text(SCENE)

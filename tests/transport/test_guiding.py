@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import drjit as dr
@@ -50,6 +51,7 @@ def test_square_and_direction_are_inverse():
     assert ((places >= 0.0) & (places < 1.0)).all()
 
 
+@lru_cache
 def learned(share: float = 0.5) -> Guide:
     """A guide that has found light in one direction of every cell, and a little everywhere."""
     guide = Guide(*BOX)
