@@ -14,6 +14,8 @@ from etendue.core import choose_variant, use_variant
 
 ROOT = Path(__file__).resolve().parent.parent
 SCENES = ROOT.parent / "shared" / "scenes"
+#: Folders whose tests make a scene each, and compile kernels for it.
+WITH_SCENES = ("conformance", "docs", "examples", "methods", "plugins", "transport")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -75,6 +77,14 @@ def _tidy_drjit(variant: str, request: pytest.FixtureRequest) -> Iterator[None]:
     dr.flush_kernel_cache()
     dr.flush_malloc_cache()
     dr.kernel_history_clear()
+
+
+@pytest.fixture(autouse=True)
+def _forget_scenes(request: pytest.FixtureRequest) -> Iterator[None]:
+    """One scene at a time: Dr.Jit compiles a virtual call for every object alive, those of other scenes included."""
+    yield
+    if request.path.parent.name in WITH_SCENES:
+        gc.collect()
 
 
 @pytest.fixture(scope="session")

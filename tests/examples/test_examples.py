@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import importlib.util
 import math
 import sys
@@ -25,13 +24,6 @@ def example(name):
     module = sys.modules[name] = importlib.util.module_from_spec(spec)  # where its dataclasses look for it
     spec.loader.exec_module(module)
     return module
-
-
-@pytest.fixture(autouse=True)
-def _forget_scenes():
-    """One scene at a time: Dr.Jit compiles a virtual call for every object alive."""
-    yield
-    gc.collect()
 
 
 def test_every_example_is_tested_and_described():
