@@ -291,7 +291,7 @@ BAD = [
     (BOX + "[autosave]\nexit_after_last = true", 2, "exit_after_last needs times"),
     (BOX + "[autosave]\ntimes = [5]\n[budget]\nseconds = 2", 2, "before its last autosave at 5 s"),
     (BOX + "[camera]\norigin = [0, 0]", 2, "'origin' is three numbers"),
-    (BOX + "[camera]\norigin = [0, 0, 1]", 2, "[camera]: a camera's origin and target belong together"),
+    (BOX + "[camera]\norigin = [0, 0, 1]", 2, "[camera]: a camera needs both origin and target"),
     (BOX + "[camera]\nfov = 200", 2, "between 0 and 180"),
     (BOX + '[output]\nlayers = "both"', 2, '"together" or "separate"'),
     (BOX + '[output]\nname = "a/b"', 2, "put the path into folder"),

@@ -111,7 +111,7 @@ def test_odd_bases_on_the_device():
     for base in (9, 15, 21, 255, 645, 65535):
         device = np.asarray(radical_inverse(mi.UInt32(index), base))
         assert np.abs(device - radical_inverse(index, base)).max() < 2.0**-23
-    with pytest.raises(PointSetError, match="the base 2 or an odd one, not 4"):
+    with pytest.raises(PointSetError, match="must be 2 or odd, not 4"):
         radical_inverse(mi.UInt32(0), 4)
 
 

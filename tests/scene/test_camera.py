@@ -60,8 +60,8 @@ def test_a_resumed_run_needs_the_camera_again(path):
 @pytest.mark.parametrize(
     ("values", "text"),
     [
-        ({"origin": [0, 0, 1]}, "belong together"),
-        ({"target": [0, 0, 1]}, "belong together"),
+        ({"origin": [0, 0, 1]}, "needs both origin and target"),
+        ({"target": [0, 0, 1]}, "needs both origin and target"),
         ({"origin": [0, 0, 1], "target": [0, 0, 1]}, "is its origin"),
         ({"origin": [0, 0, 1], "target": [0, 3, 1]}, "along its view"),
         ({"origin": [0, 0, 1], "target": [0, 3, 1], "up": [0, 0, 0]}, "is zero"),

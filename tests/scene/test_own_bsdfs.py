@@ -280,7 +280,7 @@ def test_parameters_can_be_changed():
         ({"type": "phong", "exponent": float("nan")}, "'exponent' is .*nan"),
         ({"type": "phong", "exponent": "much"}, "'exponent' is a number, not a str"),
         ({"type": "ward", "alpha": 0.0}, "'alpha_u' is .* above 0"),
-        ({"type": "ward", "alpha": 0.1, "alpha_u": 0.2}, "either 'alpha' or"),
+        ({"type": "ward", "alpha": 0.1, "alpha_u": 0.2}, "either 'alpha', or"),
         ({"type": "ward", "alpha_u": 0.2}, "both 'alpha_u' and 'alpha_v'"),
         ({"type": "ward", "exponent": 2.0}, "exponent"),
     ],

@@ -228,7 +228,7 @@ def test_parameters_can_be_changed():
     [
         ({"near_clip": 0.0}, "'near_clip' is .* above 0"),
         ({"near_clip": 2.0, "far_clip": 1.0}, "'far_clip' is .* above 2"),
-        ({"to_world": None}, "no scale"),
+        ({"to_world": None}, "a scale"),
         ({"fov": 60.0}, "fov"),
     ],
 )

@@ -26,9 +26,9 @@ Point = tuple[float, float, float]
 class Camera:
     """Position, view direction and field of view of a perspective or thin-lens sensor, in world space.
 
-    ``origin`` and ``target`` must be given together; without them the scene's are kept. ``up`` is the
-    direction that is up in the picture. ``fov`` is the vertical field of view of the whole film in degrees; without it
-    the scene's is kept. Raises :class:`OptionError` for invalid values.
+    ``origin`` and ``target`` must be given together; without them the scene's are kept. ``up`` is the direction that is
+    up in the picture. ``fov`` is the vertical field of view of the whole film in degrees; without it the scene's is
+    kept. Raises :class:`OptionError` for invalid values.
     """
 
     origin: Sequence[float] | None = None

@@ -217,7 +217,7 @@ def _from_parser(
             scene, space = moved(scene, chosen, space, source, name, config, unmerged)
         chosen = _sensor(scene, sensor, name)
     if not integrator and scene.integrator() is not None:
-        # Mitsuba's parser knows the type of a Python plugin only after it is built.
+        # The type of a Python plugin is not known before it is built.
         integrator, depth, options = built_integrator(scene.integrator())
     return _problem(scene, chosen, integrator, depth, options, name, memory, details, check, space)
 

@@ -1,9 +1,9 @@
 """Irradiance caching with gradients: irradiance is computed at few points and extrapolated from them.
 
 A record at x_i with normal n_i estimates ``E(x, n) = E_i + (n_i cross n) . rotation_i + (x - x_i) . translation_i``
-near x_i. Its weight is ``1 / (|x - x_i| / R_i + sqrt(1 - n . n_i))``; it is used where the weight is above
-``1 / accuracy``. R_i is the harmonic mean distance to the surfaces that the rays of the record hit
-[Ward 1988; WardHeckbert 1992].
+near x_i. Its weight is ``1 / (|x - x_i| / R_i + sqrt(1 - n . n_i))``; a record is used where its weight is above
+``1 / accuracy``. R_i is the harmonic mean distance to the surfaces that the rays of the record hit [Ward 1988;
+WardHeckbert 1992].
 """
 
 from __future__ import annotations

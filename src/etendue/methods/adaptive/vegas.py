@@ -87,7 +87,7 @@ class VegasSettings(AdaptiveSettings):
         False, "use one path of a sampled number of edges, instead of paths of all lengths; more noise"
     )
     lengths: int = setting(
-        6, "with one_path: largest number of edges that is sampled; it stands for all longer paths, too", minimum=1
+        6, "with one_path: largest number of edges that is sampled, which includes all longer paths", minimum=1
     )
 
 

@@ -1,9 +1,9 @@
 """The demonstration scene: glass, gold and water on a stone floor, lit by one small lamp inside a glass bulb.
 
 Every light path leaves the lamp through the bulb, so next event estimation never reaches the lamp and a path tracer
-finds it only by rare hits. All of its light is caustics: of the bulb, the ball, the vase, the stone and
-the ring on the floor, and of the ripples on the bottom of the pool, which the camera sees through the water again
-(specular, diffuse, specular).
+finds it only by rare hits. All of its light is caustics: of the bulb, the ball, the vase, the stone and the ring on the
+floor, and of the ripples on the bottom of the pool, which the camera sees through the water again (specular, diffuse,
+specular).
 """
 
 from __future__ import annotations

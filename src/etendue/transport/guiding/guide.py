@@ -131,7 +131,7 @@ class Guide:
         smooth = active & is_smooth(bsdf)
         share, glow = dr.gather(mi.Vector2f, self._pairs, cell, smooth)
         by_guide = smooth & (source.decide(vertex, dim.GUIDE) < share)
-        knows = smooth & (share > 0.0)
+        trained = smooth & (share > 0.0)
 
         # The same random numbers as for the BSDF, because only one of the two directions is used.
         u = mi.Point2f(*source.next_2d(vertex, dim.DIRECTION))
@@ -141,7 +141,7 @@ class Guide:
         sampled, evaluated = scatter(bsdf, si, source, vertex, active, [*directions, (wo, by_guide)])
         guided = evaluated.pop()
         for (wo, mask), value in zip(directions, evaluated, strict=True):
-            there, _ = self._sampler.find(cell, square_of(si.to_world(wo)), mask & knows)
+            there, _ = self._sampler.find(cell, square_of(si.to_world(wo)), mask & trained)
             value.pdf = _mixed(share, there, value.pdf)
 
         by_bsdf = active & ~by_guide & sampled.active
