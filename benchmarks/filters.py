@@ -14,7 +14,7 @@ from etendue import methods, scene
 from etendue.core import OptionError, Replica
 from etendue.scene import Problem, bundled
 
-from .measuring import Clock, Record, interleaved, verdict
+from .measuring import Clock, Record, console, interleaved, verdict
 from .mitsuba_pictures import picture
 from .options import Methods, Pixels, Rounds, Seeds
 
@@ -22,6 +22,8 @@ from .options import Methods, Pixels, Rounds, Seeds
 COST_BAR = 1.05
 _KINDS = ("box", "tent", "gaussian", "lanczos")
 _SAMPLES = (1, 4, 16)
+#: Pixels of the picture of an edge along each side, and points of its reference in a pixel along each side.
+_SIDE, _POINTS = 48, 64
 #: Ways to render: settings of ``path``; none is Mitsuba's ``path``.
 _WAYS: dict[str, dict[str, str] | None] = {
     "Mitsuba": None,
@@ -93,22 +95,39 @@ def edges(seeds: int) -> Record:
     for what, angle in (("along pixels", 0.0), ("turned by 7 degrees", 7.0)):
         for kind in ("tent", "gaussian"):
             problem = _rectangle(angle, kind)
-            truth = picture(problem, 4711, samples=8192, part=1024)[0][..., 0]
+            truth = _exact(problem)
             on_edge = (truth > 0.02) & (truth < 0.98)
             for samples in _SAMPLES:
                 cells = []
                 for settings in _WAYS.values():
-                    errors = [
-                        _picture(problem, samples, seed, settings)[on_edge] - truth[on_edge] for seed in range(seeds)
-                    ]
-                    alone = np.sqrt(np.mean(np.square(errors)))
-                    cells.append(f"{alone:.3f} / {np.sqrt(np.mean(np.square(np.mean(errors, axis=1)))):.4f}")
+                    errors = [image[on_edge] - truth[on_edge] for image in _pictures(problem, samples, seeds, settings)]
+                    alone, mean = (np.sqrt(np.mean(np.square(e))) for e in (errors, np.mean(errors, axis=1)))
+                    cells.append(f"{alone:.3f} / {mean:.4f}")
                 record.add(what, kind, str(samples), *cells)
+                console.print("  ".join([what, kind, str(samples), *cells]), style="dim")
     record.notes.append(
-        f"root mean squares over {seeds} seeds; 48x48 pixels; reference: Mitsuba's path, 8192 samples; shared: all "
-        "pixels have the same offsets, by Owen's points or independent within a pass of one sample"
+        f"root mean squares over {seeds} seeds; {_SIDE}x{_SIDE} pixels, all samples in one pass; reference: "
+        f"{_POINTS}x{_POINTS} rays a pixel; shared: all pixels have the same offsets"
     )
     return record
+
+
+def _exact(problem: Problem) -> np.ndarray:
+    """The rectangle, jittered in cells much finer than pixels, times the film's filter."""
+    count = _SIDE * _POINTS
+    rng = np.random.default_rng(5)
+    y, x = ((np.indices((count, count)) + rng.random((2, count, count))) / count).astype(np.float32)
+    place = mi.Point2f(x.ravel(), y.ravel())
+    rays, _ = problem.sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))
+    seen = np.asarray(problem.scene.ray_intersect_preliminary(rays).is_valid()).reshape(count, count)
+    offset = (np.arange(count) + 0.5)[None, :] / _POINTS - np.arange(_SIDE)[:, None] - 0.5
+    rfilter = problem.sensor.film().rfilter()
+    weights = np.where(
+        np.abs(offset) < rfilter.radius(), np.asarray(rfilter.eval(mi.Float(offset.ravel()))).reshape(offset.shape), 0
+    )
+    weights /= weights.sum(axis=1, keepdims=True)
+    image: np.ndarray = weights @ seen @ weights.T
+    return image
 
 
 def _rectangle(angle: float, kind: str) -> Problem:
@@ -122,7 +141,7 @@ def _rectangle(angle: float, kind: str) -> Problem:
                 "type": "perspective",
                 "fov": 40,
                 "to_world": transform.look_at(origin=[0, 0, 3], target=[0, 0, 0], up=[0, 1, 0]),
-                "film": {"type": "hdrfilm", "width": 48, "height": 48, "rfilter": {"type": kind}},
+                "film": {"type": "hdrfilm", "width": _SIDE, "height": _SIDE, "rfilter": {"type": kind}},
                 "sampler": {"type": "independent"},
             },
             "integrator": {"type": "path", "max_depth": 1},
@@ -131,15 +150,15 @@ def _rectangle(angle: float, kind: str) -> Problem:
     )
 
 
-def _picture(problem: Problem, samples: int, seed: int, settings: dict[str, str] | None) -> np.ndarray:
+def _pictures(problem: Problem, samples: int, seeds: int, settings: dict[str, str] | None) -> Iterator[np.ndarray]:
+    """One picture a seed, (height, width)."""
     if settings is None:
-        return picture(problem, seed, samples=samples, part=samples)[0][..., 0]
+        for seed in range(seeds):
+            yield picture(problem, seed, samples=samples, part=samples)[0][..., 0]
+        return
     method = methods.get("path")
-    path = method(method.Settings(max_depth=1, samples_per_pass=1, **settings))
-    path.prepare(problem, seed)
-    replica = Replica(path, seed)
-    total = replica.step(0)
-    for iteration in range(1, samples):
-        total += replica.step(iteration)
-    image: np.ndarray = replica.develop(total).image[..., 0]
-    return image
+    path = method(method.Settings(max_depth=1, samples_per_pass=samples, **settings))
+    path.prepare(problem, 0)
+    for seed in range(seeds):
+        replica = Replica(path, seed)
+        yield replica.develop(replica.step(0)).image[..., 0]
