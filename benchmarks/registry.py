@@ -67,6 +67,7 @@ PROGRAMS = {
                 Benchmark("quality", "quality.measure", 30, "Error after a given time, for every method."),
                 Benchmark("choice", "choice.measure", 60, "Error of auto beside its candidates, warm and cold."),
                 Benchmark("mitsuba-path", "mitsuba_path.measure", 90, "path beside Mitsuba's path.", in_all=False),
+                Benchmark("filters", "filters.measure", 3, "Cost of a pass by filter, and edges after few samples."),
                 Benchmark("guided", "guided.measure", 13, "Error times time of guided, beside path."),
                 Benchmark("knn", "neighbours.measure", 1, "A kd-tree and nearest neighbours, beside scipy's cKDTree."),
                 Benchmark("points", "sequences.measure", 1, "Points of sequences a second, beside scipy's qmc."),

@@ -119,6 +119,12 @@ def test_variants_of_settings_take_turns_with_their_method():
     assert "to the method without" not in cost.measure(variants[:1], (8, 8), rounds=1, warm_up=1).columns
 
 
+def test_filters_take_turns():
+    record = module("filters").cost(["path"], 8, rounds=2)
+    (row,) = record.rows
+    assert row[0] == "path" and all(0.1 < float(cell.split()[0]) < 10.0 for cell in row[3:6])
+
+
 def test_short_renders_take_turns():
     record = module("renders").measure(["light"], (8, 8), rounds=2, warm_up=1)
     assert [row[0] for row in record.rows] == ["Mitsuba path", "light", "light, prepared anew"]

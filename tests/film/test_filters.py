@@ -111,12 +111,75 @@ def taps_image(mi, pixel_filter, width, height, samples):
     return image.reshape(height, width) * (width * height / samples)
 
 
-@pytest.mark.parametrize(("image", "samples", "rtol"), [(spread_image, 2048, 2e-3), (taps_image, 200_000, 6e-3)])
+def cells_image(mi, pixel_filter, width, height, samples):
+    """Samples anywhere, added to cells, under several shifts of the grid."""
+    s1, s2 = lattice(samples, 2, seed=2)
+    x, y = mi.Float(s1 * np.float32(width)), mi.Float(s2 * np.float32(height))
+    value = radiance(x.numpy().astype(np.float64), y.numpy().astype(np.float64))
+    image, shifts = np.zeros((height, width)), lattice(64, 2, seed=8).T
+    for u1, u2 in shifts:
+        grid = pixel_filter.cells(mi.Float(u1), mi.Float(u2))
+        image += in_cells(mi, grid, x, y, value[:, None])[:, 0].reshape(height, width)
+    return image * (width * height / (samples * len(shifts)))
+
+
+def in_cells(mi, grid, x, y, value):
+    """A picture of splats (N, channels up to 4) that are added to the cells of a grid."""
+    cell = grid.cell(x, y).numpy()
+    packets = np.zeros((grid.count, 4))
+    for channel, values in enumerate(value.T):
+        packets[:, channel] = np.bincount(cell, weights=values, minlength=grid.count)
+    return grid.pixels(mi.Float(packets.ravel().astype(np.float32))).numpy().reshape(-1, 4)
+
+
+SOFT = ["gaussian", "mitchell", "catmullrom", "lanczos", "wide"]
+
+
+@pytest.mark.parametrize("name", SOFT)
+def test_splats_in_cells_have_the_weights_of_the_filter_on_average(mi, name):
+    """Position by position over all shifts, up to the border of the film: the table of the filter over Z."""
+    from etendue.film.cells import CellAxis, cell_weights
+    from etendue.film.filters import BINS_PER_PIXEL, FilterTable
+
+    size, bins = 5, BINS_PER_PIXEL // 2
+    table = FilterTable(make_filter(mi, name))
+    integral, _ = table.integrals(size)
+    weights = cell_weights(table.values, bins)
+    position = np.concatenate([[0.0, 0.001, 4.999], np.random.default_rng(5).uniform(0, size, 29)]).astype(np.float32)
+    line, pixel = np.repeat(np.arange(32), size), np.tile(np.arange(size), 32)
+    mean = np.zeros(32 * size)
+    for shift in range(bins):
+        axis = CellAxis(mi.Float(weights), bins, mi.Float(1.0 / integral), mi.Float((shift + 0.5) / bins))
+        packets = np.zeros((32, axis.count, 4), np.float32)
+        packets[np.arange(32), axis.cell(mi.Float(position)).numpy(), 1] = 1.0
+        first = mi.UInt32(line * axis.count)
+        mean += axis.convolve(mi.Float(packets.ravel()), first, mi.UInt32(1), mi.UInt32(pixel))[1].numpy() / bins
+    place = np.floor((position[line] - pixel - 0.5) * BINS_PER_PIXEL).astype(int) + len(table.values) // 2
+    inside = (place >= 0) & (place < len(table.values))
+    expected = np.where(inside, table.values[np.clip(place, 0, len(table.values) - 1)], 0.0) / integral[pixel]
+    np.testing.assert_allclose(mean, expected, atol=2e-5 * expected.max())
+
+
+def test_cells_of_a_sharp_filter_would_be_noisier_than_what_they_save(mi):
+    """A tent's weights grow by an eighth an axis, and it reaches four pixels only."""
+    from etendue.film import PixelFilter
+
+    half = mi.Float(0.5)
+    assert PixelFilter(make_filter(mi, "tent"), 4, 4).cells(half, half) is None
+    assert PixelFilter(make_filter(mi, "box"), 4, 4).cells(half, half) is None
+
+
+@pytest.mark.parametrize(
+    ("image", "samples", "rtol"),
+    [(spread_image, 2048, 2e-3), (taps_image, 200_000, 6e-3), (cells_image, 50_000, 1e-2)],
+)
 @pytest.mark.parametrize(("name", "size"), crossed(FILTERS, SIZES, 2))
 def test_samples_that_count_for_all_pixels_in_reach(mi, image, samples, rtol, name, size):
     from etendue.film import PixelFilter
 
     width, height = size
+    if image is cells_image and name not in SOFT:
+        return
     rfilter = make_filter(mi, name)
     got = image(mi, PixelFilter(rfilter, width, height), width, height, samples)
     np.testing.assert_allclose(got, expected_image(mi, name, width, height), rtol=rtol)
@@ -298,7 +361,7 @@ def test_borders_agree_with_a_mitsuba_render(mi, name):
         si = scene.ray_intersect(ray)
         return np.array(si.emitter(scene).eval(si)).T
 
-    camera, splat, spread, taps = [], [], [], []
+    camera, splat, spread, taps, cells = [], [], [], [], []
     pixels = np.tile(np.arange(width * height), spp)
     n = len(pixels)
     for _ in range(runs):
@@ -318,6 +381,13 @@ def test_borders_agree_with_a_mitsuba_render(mi, name):
             share, place = weight.numpy() * valid.numpy(), index.numpy() * valid.numpy()
             image += [np.bincount(place, weights=value[:, k] * share, minlength=width * height) for k in range(3)]
         taps.append(image.T.reshape(height, width, 3) / spp)
+        if name in SOFT:
+            # A shift for every 1024 splats, as passes have.
+            image = np.zeros((width * height, 3))
+            for part in np.split(np.arange(n), spp // 64):
+                grid = sampler.cells(*(mi.Float(u) for u in rng.random(2)))
+                image += in_cells(mi, grid, mi.Float(x.numpy()[part]), mi.Float(y.numpy()[part]), value[part])[:, :3]
+            cells.append(image.reshape(height, width, 3) / spp)
         u1, u2 = rng.random((2, spp)).astype(np.float32)
         pixel = np.repeat(np.arange(width * height), spp)
         places = mi.Float(pixel % width + np.tile(u1, n // spp)), mi.Float(pixel // width + np.tile(u2, n // spp))
@@ -325,7 +395,9 @@ def test_borders_agree_with_a_mitsuba_render(mi, name):
         spread.append(sampler.spread(value, mi.Float(u1), mi.Float(u2)).numpy().T.reshape(height, width, 3) / spp)
 
     # Pixels of `spread` share the places of their samples, and so their errors: the mean is that of a few numbers.
-    for ours, bound in ((camera, 1.9), (splat, 1.9), (taps, 1.9), (spread, 4.0)):
+    for ours, bound in ((camera, 1.9), (splat, 1.9), (taps, 1.9), (cells, 1.9), (spread, 4.0)):
+        if not ours:
+            continue
         ours = np.array(ours)
         variance = (ours.var(axis=0, ddof=1) + theirs.var(axis=0, ddof=1)) / runs
         z = (ours.mean(axis=0) - theirs.mean(axis=0)) / np.sqrt(variance)

@@ -80,3 +80,31 @@ def test_sheets_of_instances_attenuate_and_walls_of_instances_block():
     for spare, expected in ((8, [0.75**2, 0.0, 1.0]), (1, [0.0, 0.0, 1.0]), (0, [0.0, 0.0, 1.0])):
         _, share = visibility.along(ray, mi.UInt32(spare), mi.Bool(True))
         np.testing.assert_allclose(np.asarray(share)[0], expected, rtol=1e-5)
+
+
+def test_opaque_meshes_tested_first_change_nothing():
+    """Cubes, balls and sheets with holes between random points: as if every surface had been looked at in turn."""
+    scene = {"type": "scene", "sensor": scenes.camera(), "sky": {"type": "constant"}}
+    checker = {"type": "checkerboard", "color0": 0.0, "color1": 1.0, "to_uv": scenes.transform().scale(4.0)}
+    leaf = {"type": "mask", "opacity": checker, "bsdf": {"type": "diffuse"}}
+    haze = {"type": "mask", "opacity": 0.4, "bsdf": {"type": "diffuse"}}
+    rng = np.random.default_rng(11)
+    shapes = [{"type": "cube"}, {"type": "sphere"}, {"type": "rectangle", "bsdf": leaf}, {"type": "cube", "bsdf": haze}]
+    for index in range(16):
+        place = (
+            scenes.transform().translate(list(rng.uniform(-3.0, 3.0, 3))).rotate([0, 0.6, 0.8], 40.0 * index).scale(0.5)
+        )
+        scene[f"shape{index}"] = shapes[index % 4] | {"to_world": place}
+    loaded = scenes.load(scene).scene
+    visibility, plain = Visibility(loaded), Visibility(loaded)
+    plain._opaque = None
+
+    starts, ends = rng.uniform(-4.0, 4.0, (2, 20000, 3))
+    ray = in_space(starts).spawn_ray_to(mi.Point3f(*ends.T.astype(np.float32)))
+    seen, share = visibility.along(ray, mi.UInt32(8), mi.Bool(True))
+    expected, expected_share = plain.along(ray, mi.UInt32(8), mi.Bool(True))
+    assert (visibility._opaque is None) == (dr.backend_v(mi.Float) != dr.JitBackend.LLVM)
+    assert 0.5 < np.asarray(seen).mean() < 0.9
+    np.testing.assert_array_equal(np.asarray(seen), np.asarray(expected))
+    np.testing.assert_array_equal(np.asarray(share), np.asarray(expected_share))
+    assert len(np.unique(np.asarray(share)[0])) >= 4  # 0, 1, and through one wall of haze or more

@@ -1,5 +1,6 @@
 """Film: reconstruction filters, error measures, multi-layer OpenEXR."""
 
+from .cells import CellGrid
 from .errors import (
     LUMINANCE,
     block_average,
@@ -17,6 +18,7 @@ from .pyramid import LONGER, Technique
 __all__ = [
     "LONGER",
     "LUMINANCE",
+    "CellGrid",
     "PixelFilter",
     "Technique",
     "block_average",

@@ -5,12 +5,13 @@ Pixel ``c`` of a film is
     I_c = 1/Z_c  integral over the film of f(x - c - 1/2) L(x) dx,    Z_c = integral over the film of f(x - c - 1/2),
 
 which is what Mitsuba's film converges to: it divides by the filter weights of its samples, and has no samples outside
-the film (``sample_border`` off). There are three estimators of this integral:
+the film (``sample_border`` off). There are these estimators of this integral:
 
 - Camera paths with the same offsets in all pixels: every path contributes to all pixels within the filter's radius, and
   the sum is a convolution with weights that depend only on the offsets (:meth:`PixelFilter.spread`). Near the border it
   is divided by the weights of the samples of the pass.
-- A path at an arbitrary film position contributes to all pixels within the radius (:meth:`PixelFilter.taps`).
+- A path at an arbitrary film position contributes to all pixels within the radius (:meth:`PixelFilter.taps`), or to a
+  cell of a grid that is convolved at the end of the pass (:meth:`PixelFilter.cells`).
 - Independent pixels, as denoisers need: a camera path samples its film position from ``|f|`` around its pixel
   [Ernst 2006] (:meth:`PixelFilter.camera`), a splat samples one of the pixels within the radius
   (:meth:`PixelFilter.splat`).
@@ -36,10 +37,13 @@ from numpy.typing import NDArray
 
 from etendue.core import OptionError, on_device
 
+from .cells import PER_PIXEL, CellAxis, CellGrid, cell_weights
+
 V = TypeVar("V")
 
 #: Bins of the table per pixel: a filter of radius 1 has this many on either side.
 BINS_PER_PIXEL = 1024
+_BINS_PER_CELL = BINS_PER_PIXEL // PER_PIXEL
 #: A filter is divided by its sum over pixels if this is within 0.5 of 1; narrower filters leave gaps between pixels.
 _NEAR_ONE = 0.5
 #: Points of the midpoint rule in a bin, whose value is the mean of the filter.
@@ -105,6 +109,12 @@ class _Axis:
         self.values = on_device(mi.Float, table.values)
         self.inverse_integral = on_device(mi.Float, 1.0 / integral)
         self.camera_weight = on_device(mi.Float, magnitude / integral)
+        weights = cell_weights(table.values, _BINS_PER_CELL)
+        self.cell_weights = None if weights is None else on_device(mi.Float, weights)
+
+    def cells(self, u: mi.Float) -> CellAxis:
+        """The cells of splats along this axis, shifted by ``u``."""
+        return CellAxis(self.cell_weights, _BINS_PER_CELL, self.inverse_integral, u)
 
     def camera(self, pixel: mi.UInt32, u: mi.Float) -> tuple[mi.Float, mi.Float]:
         """Film position sampled from ``|f|`` around ``pixel``, and its signed weight."""
@@ -222,7 +232,7 @@ class PixelFilter:
 
     ``rfilter`` is a Mitsuba reconstruction filter (``film.rfilter()``). Film positions are continuous, in pixels,
     with (0, 0) the corner of the first pixel (of the crop window, if the film has one). Built under a JIT variant;
-    all but :meth:`spread` use gathers only and may be called inside symbolic loops.
+    all but :meth:`spread` and :meth:`cells` use gathers only and may be called inside symbolic loops.
     """
 
     def __init__(self, rfilter: mi.ReconstructionFilter, width: int, height: int) -> None:
@@ -283,6 +293,13 @@ class PixelFilter:
             for row, row_weight, row_valid in rows
             for column, weight, valid in columns
         ]
+
+    def cells(self, u1: mi.Float, u2: mi.Float) -> CellGrid | None:
+        """The cells to which the splats of a pass may be added in place of :meth:`taps`, shifted by two numbers in
+        [0, 1); ``None`` if they save nothing or add too much variance."""
+        if self.is_box or self.has_gaps or self._x.cell_weights is None:
+            return None
+        return CellGrid(self._x.cells(u1), self._y.cells(u2), self.width, self.height)
 
     def splat(
         self, x: mi.Float, y: mi.Float, u1: mi.Float | float, u2: mi.Float | float

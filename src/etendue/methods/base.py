@@ -26,7 +26,7 @@ from etendue.core import (
 )
 from etendue.points import OwenSobolSource
 from etendue.scene import LightTable, Problem
-from etendue.transport import CameraSampler, Visibility, Walker
+from etendue.transport import CameraSampler, Splats, Visibility, Walker
 from etendue.transport import dimensions as dim
 
 V = TypeVar("V")
@@ -262,6 +262,12 @@ class ImageMethod(ABC):
             return IndependentSource(lane, seed, role, iteration, high)
         index, high = lanes.numbers(iteration * paths)
         return OwenSobolSource(dr.zeros(mi.UInt32), index, seed, role, high)
+
+    def splats(self, seed: int, iteration: int, images: int = 1, role: str = "", in_cells: bool = True) -> Splats:
+        """Images for the splats of a pass."""
+        index, high = _places(mi.UInt32(0), iteration)  # well spread over the passes
+        shift = OwenSobolSource(mi.UInt32(0), index, seed, role + "splats", high).next_2d(0, dim.FILM)
+        return Splats(self.camera, images, shift if in_cells else None)
 
     def kept(self, radiance: mi.Color3f) -> tuple[mi.Color3f, mi.Bool]:
         """(radiance of camera paths, clamped, 0 where it is not finite; mask of lanes where it is not finite). For

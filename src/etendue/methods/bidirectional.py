@@ -154,7 +154,7 @@ class Bidirectional(Carrying, ImageMethod):
         self._dark = 0.0
         paths = min(PILOT_PATHS, self._paths)
         samples = min(PILOT_PATHS, self.camera.pixels)
-        splats = self._splats()
+        splats = self._splats(seed, 0, "pilot ")
         lanes = dr.arange(mi.UInt32, samples)
         pixel = dr.minimum(mi.UInt32((mi.Float(lanes) + 0.5) * (self.camera.pixels / samples)), self.camera.pixels - 1)
         run = _Run("pilot ", 0, seed, self._first_radius, Lanes(0, paths), lanes, pixel, 1, splats, None, 64 * paths)
@@ -163,7 +163,7 @@ class Bidirectional(Carrying, ImageMethod):
         own = [value for name, value in radiance.items() if name not in self._more_radii]
         mean = sum(float(np.asarray(v, np.float64).mean()) for v in own)
         if splats:
-            splatted = splats.sums(self.camera.height, self.camera.width)[0]
+            splatted = splats.sums()[0]
             mean += float(splatted.mean(dtype=np.float64)) / paths
         # Rounded to steps, so that the order of atomic additions in the pilot does not change the picture.
         brightness = 2.0 ** (round(4.0 * math.log2(mean)) / 4.0) if mean > 0.0 else 0.0
@@ -174,8 +174,11 @@ class Bidirectional(Carrying, ImageMethod):
         """Layers of the additional radii."""
         return tuple(radii.layer(factor) for factor in self._factors[1:])
 
-    def _splats(self) -> Splats | None:
-        return Splats(self.camera.pixels, len(self._factors)) if self.techniques.splat else None
+    def _splats(self, seed: int, iteration: int, role: str = "") -> Splats | None:
+        if not self.techniques.splat:
+            return None
+        # The pictures of a pyramid add up to that of the pass, so they are made in one way: without cells.
+        return self.splats(seed, iteration, len(self._factors), role, in_cells=not self.settings.pyramid)
 
     def _count_groups(self) -> int:
         """Number of groups into which the light paths of a pass are divided, so that the vertices of a group fit into
@@ -202,7 +205,7 @@ class Bidirectional(Carrying, ImageMethod):
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         radius = self.radius(iteration) if self.techniques.merge else 0.0
-        splats = self._splats()
+        splats = self._splats(seed, iteration)
         s = self.settings
         pyramid = Pyramid(self.techniques, s.pyramid_depth, self.camera.pixels) if s.pyramid else None
         parts: list[dict[str, mi.Color3f]] = []
@@ -224,7 +227,7 @@ class Bidirectional(Carrying, ImageMethod):
         counters["paths"] = float(self.camera.pixels * samples + self._paths)
         if splats:
             # Splats are sums over N light paths; the weight of the layers is the number of samples.
-            splatted = splats.sums(self.camera.height, self.camera.width) * (samples / self._paths)
+            splatted = splats.sums() * (samples / self._paths)
             names = ("splat" if s.split_layers else "image", *self._more_radii)
             for name, image in zip(names, splatted, strict=True):
                 layers[name] = layers[name] + image if name in layers else image

@@ -19,7 +19,7 @@ import mitsuba as mi
 
 from etendue.core import SampleSource, UnsupportedError, setting
 from etendue.scene import Problem
-from etendue.transport import Contribution, LightWalk, Mis, Splats, SplatSink, Techniques, ones, point_on
+from etendue.transport import Contribution, LightWalk, Mis, SplatSink, Techniques, ones, point_on
 from etendue.transport import dimensions as dim
 
 from . import base
@@ -60,7 +60,7 @@ class LightTracing(ImageMethod):
         techniques = Techniques(emission=0, next_event=0, connection=0, splat=True, merge=False)
         mis = Mis(techniques, [0.0], dr.opaque(mi.Float, paths / samples))
         scattered, seen = (
-            SplatSink(splats=Splats(self.camera.pixels), paths_per_sample=mis.paths_per_sample) for _ in range(2)
+            SplatSink(splats=self.splats(seed, iteration), paths_per_sample=mis.paths_per_sample) for _ in range(2)
         )
         walk = self.walker(LightWalk, camera=self.camera, mis=mis, dark=mi.Float(0.0), sink=scattered)
         counters = {"rays": 0.0, "paths": float(paths), "nonfinite": 0.0}
@@ -76,8 +76,7 @@ class LightTracing(ImageMethod):
             counters["nonfinite"] += total(bad) + total(seen_bad)
 
         layers = {
-            name: sink.splats.sums(self.camera.height, self.camera.width)[0] * (samples / paths)
-            for name, sink in (("splat", scattered), ("emission", seen))
+            name: sink.splats.sums()[0] * (samples / paths) for name, sink in (("splat", scattered), ("emission", seen))
         }
         return layers, counters
 
@@ -116,7 +115,7 @@ class LightTracing(ImageMethod):
             si.wi = dr.select(light.is_infinite, joined.direction, si.wi)
         active = joined.active & (cos > 0.0)
         radiance = light.emitter.eval(si, active)
-        place = self.camera.splat_place(joined, source, 1)
+        place = sink.splats.place(joined, source, 1)
         contribution = radiance * (joined.importance * cos * place.weight / density)
         active &= place.on_film & ~dr.all(contribution == 0.0)
         rays = ones(active)

@@ -40,32 +40,50 @@ class CameraConnection:
 class SplatPlace:
     """Pixels that a splat is added to, one lane each."""
 
-    taps: list[tuple[mi.UInt32, mi.Float, mi.Bool]]  #: (pixel, filter weight, whether the pixel is on the film)
+    taps: list[tuple[mi.UInt32, mi.Float, mi.Bool]]  #: (pixel or cell, weight, whether the pixel is on the film)
     weight: mi.Float  #: factor on the contribution, beside the filter weights
     on_film: mi.Bool  #: whether the splat's position is on the film
 
 
 class Splats:
-    """Images of splats on the device: sums over light paths, four floats a pixel."""
+    """Images of splats on the device: sums over light paths, four floats a pixel or a cell.
 
-    def __init__(self, pixels: int, images: int = 1) -> None:
-        self._pixels = pixels
-        self.array = dr.zeros(mi.Float, 4 * pixels * images)
+    ``shift``: two numbers in [0, 1), other ones in every pass, that shift the grid of cells
+    (:class:`etendue.film.CellGrid`); ``None``: splats are added to pixels, as by the technique pyramid.
+    """
+
+    def __init__(self, camera: CameraSampler, images: int = 1, shift: tuple[mi.Float, mi.Float] | None = None) -> None:
+        self._camera = camera
+        self._grid = None if shift is None or camera.independent else camera.filter.cells(*shift)
+        self._stride = camera.pixels if self._grid is None else self._grid.count
+        self.array = dr.zeros(mi.Float, 4 * self._stride * images)
         # On a CPU, one copy of the images a thread is faster than atomic additions (a GPU ignores the mode).
-        small = 16 * pixels * images * dr.thread_count() <= _EXPAND_BYTES
+        small = 16 * self._stride * images * dr.thread_count() <= _EXPAND_BYTES
         self._mode = dr.ReduceMode.Expand if small else dr.ReduceMode.Auto
+
+    def place(self, connection: CameraConnection, source: SampleSource, vertex: mi.UInt32) -> SplatPlace:
+        """The pixels, or the cell, that a splat is added to."""
+        camera, x, y = self._camera, connection.position.x, connection.position.y
+        if camera.independent:
+            u = (0.5, 0.5) if camera.filter.is_box else source.next_2d(vertex, dim.SPLAT_FILTER)
+            pixel, weight, on_film = camera.filter.splat(x, y, *u)
+            return SplatPlace([(pixel, mi.Float(1.0), on_film)], weight, on_film)
+        on_film = (x >= 0.0) & (x < float(camera.width)) & (y >= 0.0) & (y < float(camera.height))
+        taps = camera.filter.taps(x, y) if self._grid is None else [(self._grid.cell(x, y), mi.Float(1.0), on_film)]
+        return SplatPlace(taps, mi.Float(1.0), on_film)
 
     def add(self, place: SplatPlace, values: Sequence[mi.Color3f], active: mi.Bool) -> None:
         """Add a colour to each image, in each active lane."""
         for image, value in enumerate(values):
             packet = mi.Vector4f(value.x, value.y, value.z, 0.0)
-            for pixel, share, on_film in place.taps:
-                index = pixel + image * self._pixels
+            for index, share, on_film in place.taps:
+                index = index + image * self._stride
                 dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet * share, index, active & on_film, mode=self._mode)
 
-    def sums(self, height: int, width: int) -> NDArray[np.float32]:
+    def sums(self) -> NDArray[np.float32]:
         """The images on the host, (images, height, width, 3) float32."""
-        return np.asarray(self.array).reshape(-1, height, width, 4)[..., :3]
+        pixels = self.array if self._grid is None else self._grid.pixels(self.array)
+        return np.asarray(pixels).reshape(-1, self._camera.height, self._camera.width, 4)[..., :3]
 
 
 class CameraSampler:
@@ -149,16 +167,6 @@ class CameraSampler:
         if self.sensor.needs_aperture_sample():
             return mi.Point2f(*source.next_2d(vertex, dim.SPLAT_APERTURE))
         return mi.Point2f(0.5)
-
-    def splat_place(self, connection: CameraConnection, source: SampleSource, vertex: mi.UInt32) -> SplatPlace:
-        """The pixels that a splat is added to."""
-        x, y = connection.position.x, connection.position.y
-        if self.independent:
-            u = (0.5, 0.5) if self.filter.is_box else source.next_2d(vertex, dim.SPLAT_FILTER)
-            pixel, weight, on_film = self.filter.splat(x, y, *u)
-            return SplatPlace([(pixel, mi.Float(1.0), on_film)], weight, on_film)
-        on_film = (x >= 0.0) & (x < float(self.width)) & (y >= 0.0) & (y < float(self.height))
-        return SplatPlace(self.filter.taps(x, y), mi.Float(1.0), on_film)
 
 
 def _can_connect(sensor: mi.Sensor) -> bool:

@@ -138,7 +138,7 @@ class LightWalk(BidirectionalWalk):
         """Connect the vertex to the camera (t = 1) [Georgiev 2012b, eq. 46, 47]."""
         area_pdf = joined.area_pdf(geometric_cos(vertex.si, joined.direction))
         weights = self.mis.splat_weight(s.d_vcm, s.d_vc, light_cos, f.reverse_pdf, area_pdf)
-        place = self.camera.splat_place(joined, source, s.depth)
+        place = sink.splats.place(joined, source, s.depth)
         factor = joined.importance * place.weight * cosine_ratio(vertex.si, joined.direction)
         alone = s.throughput * f.value
         values = [alone * (factor * weight) for weight in weights]
