@@ -140,7 +140,7 @@ def test_guiding_is_compared_seed_by_seed():
     [
         ("vmc", "did you mean 'vcm'"),
         ("vcm:split_layer=1", "method 'vcm' has no option 'split_layer'; did you mean 'split_layers'"),
-        ("vcm:split_layers", "vcm wants name=value"),
+        ("vcm:split_layers", "vcm needs name=value"),
         ("vcm:split_layers=maybe", "'split_layers' must be true or false"),
     ],
 )

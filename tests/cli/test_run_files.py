@@ -272,7 +272,7 @@ BAD = [
     ('[scene]\nbundled = "cornell-bax"', 3, "did you mean 'cornell-box'"),
     (BOX.replace('"path"', '"vmc"'), 2, "did you mean 'vcm'"),
     # values
-    ("= 1", 2, "is no TOML"),
+    ("= 1", 2, "is not valid TOML"),
     ("seed = -1\n" + BOX, 2, "'seed' is a whole number of at least 0, not -1"),
     ("seed = true\n" + BOX, 2, "'seed' is a whole number"),
     ("budget = 5\n" + BOX, 2, "'budget' is a table: write its keys under [budget]"),

@@ -325,7 +325,7 @@ def test_samples_that_are_not_finite_are_counted_and_left_out(caplog):
         (lambda: FixedKernel([0.0], -1.0), "bandwidth must be"),
         (lambda: FixedKernel([0.0], np.nan), "bandwidth must be"),
         (lambda: FixedKernel([0.0], "wide"), "bandwidth must be"),
-        (lambda: FixedKernel([0.0, 1.0], 1e-8), "too fine for single precision"),
+        (lambda: FixedKernel([0.0, 1.0], 1e-8), "too small for single precision"),
         (lambda: FixedKernel([0.0], 1, domain=[(1, 1)]), "empty or infinite domain"),
         (lambda: FixedKernel([0.0], 1, domain=[(2, 1)]), "empty or infinite domain"),
         (lambda: FixedKernel([0.0, 5.0], 1, domain=[(0, 1)]), "1 of 2 samples lie outside the domain"),

@@ -132,7 +132,7 @@ def test_what_cannot_be_mixed():
         with_local_rays(mixed)
     with pytest.raises(RadiosityError, match="cannot be added"):
         mixed + segments
-    with pytest.raises(RadiosityError, match="only segments of lines are written"):
+    with pytest.raises(RadiosityError, match="segments with local rays cannot be saved"):
         save_segments("mixed.nc", mixed)
 
 

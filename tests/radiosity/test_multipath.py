@@ -153,7 +153,7 @@ def test_single_lines_are_no_bundles():
     with pytest.raises(RadiosityError, match=r"single lines: take multipath\(\)"):
         multipath_bundles(engine, 8)
     for call in (multipath, multipath_bundles):
-        with pytest.raises(RadiosityError, match="nothing to cast: 0 points"):
+        with pytest.raises(RadiosityError, match="multipath needs at least one point, not 0"):
             call(ABuffer(patches, lines=1), 0)
 
 

@@ -215,7 +215,7 @@ def test_coordinates_that_are_no_atlas(uv, message):
 def test_refusals(tmp_path, monkeypatch):
     solution, mesh = solved(grid(1, reflectance=0.5), 1.0), plane([[0, 0], [1, 0], [1, 1], [0, 1]])
     away = TexturedMesh(mesh.vertices + np.array([0, 0, 3]), mesh.faces, mesh.uv)
-    with pytest.raises(SurfaceError, match="no patch is where the mesh"):
+    with pytest.raises(SurfaceError, match="the mesh with the texture coordinates is not on the patches"):
         lightmap(solution, away, (8, 8))
     with pytest.raises(RadiosityError, match="of 'radiosity' or 'irradiance'"):
         lightmap(solution, mesh, (8, 8), quantity="light")

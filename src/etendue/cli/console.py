@@ -1,4 +1,4 @@
-"""Messages and progress on a terminal or in a pipe. Paths of written files go to standard output, the rest to standard
+"""Messages and progress in a terminal or a pipe. Paths of written files go to standard output, the rest to standard
 error."""
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ _LINE_RATIO, _LINE_EVERY = 1.5, 60.0
 
 
 def error_console() -> Console:
-    """Where progress, warnings and errors go."""
+    """The console of progress, warnings and errors: standard error."""
     return Console(stderr=True, highlight=False)
 
 
 def say(text: str) -> None:
-    """A line of a command's output, on standard output; never wrapped."""
+    """Print a line of a command's output on standard output, without wrapping."""
     Console(highlight=False).print(text, markup=False, soft_wrap=True)
 
 
 def note(console: Console, text: str, style: str | None = None) -> None:
-    """A line on standard error; never wrapped."""
+    """Print a line on standard error, without wrapping."""
     console.print(text, markup=False, soft_wrap=True, style=style)
 
 
@@ -80,7 +80,7 @@ class ProgressView:
         self.close()
 
     def close(self) -> None:
-        """Remove the bar and give the cursor back."""
+        """Remove the bar and show the cursor."""
         if self._bar is not None:
             self._bar.stop()
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import Self
 
-#: Signals that ask a process to end.
+#: Signals that request the end of a process.
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 

@@ -1,4 +1,4 @@
-"""The command `etendue`. Every error that a user can cause is one line on standard error and a non-zero exit status.
+"""The command `etendue`. Every error of a user is one line on standard error with a non-zero exit status.
 
 Mitsuba, NumPy and the rest of étendue are imported inside the commands: `etendue --help` is immediate.
 """
@@ -36,7 +36,7 @@ _UsageError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c._
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; ``arguments`` are those of the process by default. Returns the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    debug = "--debug" in words  # read here, since it must also apply to errors in the other options
+    debug = "--debug" in words  # read here, since it also applies to errors in other options
     handler = ConsoleHandler(error_console(), logging.DEBUG if debug else logging.WARNING)
     level = logger.level
     logger.addHandler(handler)
@@ -118,7 +118,7 @@ def resume(
 ) -> int:
     """Continue an interrupted or finished render; the checkpoint is updated.
 
-    --time is additional time, --spp and --error are those of the whole picture. Without them the rest of the
+    --time is additional time, --spp and --error are limits of the whole picture. Without them the rest of the
     interrupted budget is used. Without -o the pictures with that name beside the checkpoint are updated, .exr and .png
     (if there are none, an .exr is written); for a run file, the remaining saves, log and table continue.
     """

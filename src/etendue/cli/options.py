@@ -35,7 +35,7 @@ def parse_time(text: str | float, option: str = "--time") -> float:
             raise ValueError
         hours, minutes, seconds = (float(match[unit] or 0) for unit in "hms")
     except ValueError:
-        raise OptionError(f"{option} wants a time such as 60, 90s, 5m or 1h30m, not '{text}'") from None
+        raise OptionError(f"{option} needs a time such as 60, 90s, 5m or 1h30m, not '{text}'") from None
     return 3600 * hours + 60 * minutes + seconds
 
 
@@ -43,7 +43,7 @@ def parse_period(text: str | float) -> float | None:
     """As :func:`parse_time`; ``None`` from ``0``."""
     seconds = parse_time(text, "--save-every")
     if seconds < 0:
-        raise OptionError(f"--save-every wants a time of at least 0, not '{text}'")
+        raise OptionError(f"--save-every needs a time of at least 0, not '{text}'")
     return seconds or None
 
 
@@ -51,7 +51,7 @@ def parse_size(text: str) -> Size:
     """Width and height from ``640x480``. Raises :class:`OptionError`."""
     match = re.match(r"^\s*(\d+)\s*[x×,]\s*(\d+)\s*$", text.lower())
     if match is None or "0" in (match[1].lstrip("0") or "0", match[2].lstrip("0") or "0"):
-        raise OptionError(f"--size wants WIDTHxHEIGHT in pixels, as 640x480, not '{text}'")
+        raise OptionError(f"--size needs WIDTHxHEIGHT in pixels, such as 640x480, not '{text}'")
     return Size(int(match[1]), int(match[2]))
 
 
@@ -75,20 +75,20 @@ def parse_memory(text: str) -> int:
         if size < 1:
             raise ValueError
     except ValueError:
-        raise OptionError(f"--memory wants a size above 0 such as 512M or 2G, not '{text}'") from None
+        raise OptionError(f"--memory needs a size above 0 such as 512M or 2G, not '{text}'") from None
     return size
 
 
 def parse_pairs(pairs: list[str] | None, option: str) -> dict[str, str]:
-    """Names and values from ``name=value``. Raises :class:`OptionError` on another form or a name that comes twice."""
+    """Names and values from ``name=value``. Raises :class:`OptionError` for another form and for a repeated name."""
     values: dict[str, str] = {}
     for pair in pairs or ():
         name, equals, value = pair.partition("=")
         name = name.strip()
         if not equals or not name:
-            raise OptionError(f"{option} wants name=value, not '{pair}'")
+            raise OptionError(f"{option} needs name=value, not '{pair}'")
         if name in values:
-            raise OptionError(f"{option} names '{name}' twice; give it once")
+            raise OptionError(f"{option} gives '{name}' twice; give it once")
         values[name] = value.strip()
     return values
 
@@ -102,7 +102,7 @@ def settings(
     no_bsdf_sampling: bool = False,
 ) -> dict[str, Any]:
     """The settings from -D and from options for settings; a pyramid depth also enables the pyramid. Raises
-    :class:`OptionError` if two of them set the same."""
+    :class:`OptionError` if a setting is given twice."""
     pairs = parse_pairs(define, "-D")
     said = {
         "max_depth": max_depth,
@@ -114,7 +114,7 @@ def settings(
     short = {name: value for name, value in said.items() if value is not None}
     for name in short.keys() & pairs.keys():
         option = name.replace("_", "-") if short[name] is not False else f"no-{name.replace('_', '-')}"
-        raise OptionError(f"--{option} and -D {name} say the same; give one of them")
+        raise OptionError(f"--{option} and -D {name} are the same setting; give one of them")
     return short | pairs
 
 
@@ -132,7 +132,7 @@ def settings_by_method(names: Sequence[str], settings: Mapping[str, Any]) -> dic
     for key in sorted(settings, key=lambda key: "." in key):
         owner, dot, setting = key.rpartition(".")
         if dot and owner not in result:
-            raise OptionError(f"-D {key}: '{owner}' is not compared here; there are: {', '.join(names)}")
+            raise OptionError(f"-D {key}: '{owner}' is not among the compared methods: {', '.join(names)}")
         takers = [owner] if dot else [name for name in names if key in known[name]]
         for name in takers or names[:1]:
             result[name][setting] = settings[key]

@@ -70,7 +70,7 @@ def render(
     settings = opt.settings(define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling)
     parameters = opt.parse_pairs(param, "-P")
     choose_device(variant, threads)
-    notes: list[str] = []  # shown when all is checked
+    notes: list[str] = []  # shown after all checks
     found = locate(scene, notes.append)
     chosen = choose_method(method, found, parameters, notes.append)
     task = Task(found, chosen, settings, seed, budget, size, sensor, parameters, memory)
@@ -105,7 +105,7 @@ def run(
 
     wanted = RunFile.read(file)
     choose_device(wanted.variant, wanted.threads)
-    notes: list[str] = []  # shown when all is checked
+    notes: list[str] = []  # shown after all checks
     task = wanted.task(notes.append)
     console = error_console()
     recorder = Recorder(wanted, lambda text: note(console, text))

@@ -1,4 +1,4 @@
-"""`etendue form-factors` and `etendue radiosity`: patches, global lines, files for others."""
+"""`etendue form-factors` and `etendue radiosity`: options of both commands, and their execution."""
 
 from __future__ import annotations
 
@@ -41,11 +41,9 @@ Error = Annotated[
     ),
 ]
 CheckpointFile = Annotated[
-    Path | None, typer.Option("--checkpoint", help="Keep what was cast, for `etendue resume`.", metavar="FILE")
+    Path | None, typer.Option("--checkpoint", help="Save the lines, for `etendue resume`.", metavar="FILE")
 ]
-MaxArea = Annotated[
-    float | None, typer.Option("--max-area", help="Cut faces that are larger than this.", metavar="AREA")
-]
+MaxArea = Annotated[float | None, typer.Option("--max-area", help="Subdivide faces larger than this.", metavar="AREA")]
 Reflectance = Annotated[
     str | None,
     typer.Option(
@@ -79,7 +77,7 @@ def form_factors(
     max_area: MaxArea = None,
     two_sided: TwoSided = False,
     exact: Annotated[
-        bool, typer.Option("--exact", help="By integrals in place of lines, if faces hide nothing from each other.")
+        bool, typer.Option("--exact", help="By integrals instead of lines, for surfaces without occlusion.")
     ] = False,
     seed: LineSeed = 0,
     no_local_rays: NoLocalRays = False,
@@ -90,8 +88,8 @@ def form_factors(
 ) -> int:
     """Compute the form factors (view factors) of a mesh, each face a patch, by lines through the whole scene.
 
-    A face looks to where its corners run counterclockwise. Stops at the first of --bundles, --time and --error that is
-    reached, or by Ctrl-C, and writes what the lines so far say.
+    The front of a face is the side from which its corners are counterclockwise. Stops at the first of --bundles, --time
+    and --error that is reached, or by Ctrl-C, and writes the form factors from the lines so far.
     """
     from etendue.jobs import FormFactorRequest, FormFactorWork
 
@@ -161,13 +159,13 @@ def radiosity(
         typer.Option("--temperature", help="Of a mesh: in kelvin, for grey bodies that emit.", metavar="X|NAME"),
     ] = None,
     sky: Annotated[
-        str | None, typer.Option("--sky", help="Of a mesh: power per area that comes from outside.", metavar="X")
+        str | None, typer.Option("--sky", help="Of a mesh: power per area from the surroundings.", metavar="X")
     ] = None,
     ids: Ids = None,
     two_sided: TwoSided = False,
     seed: LineSeed = 0,
     no_shot: Annotated[
-        bool, typer.Option("--no-shot", help="Leave the light of small emitters to the lines, too.")
+        bool, typer.Option("--no-shot", help="No local rays for the light of small emitters: lines transport it, too.")
     ] = False,
     no_local_rays: NoLocalRays = False,
     sensor: opt.Sensor = 0,
@@ -186,7 +184,7 @@ def radiosity(
     threads: opt.Threads = None,
     debug: opt.Debug = False,
 ) -> int:
-    """Compute the radiosities of a scene's or mesh's surfaces, each face a patch; materials count as diffuse.
+    """Compute the radiosities of a scene's or mesh's surfaces, each face a patch; all materials are treated as diffuse.
 
     Stops at the first of --bundles (or --points), --time and --error that is reached, or by Ctrl-C, and writes the
     solution from the lines so far.
@@ -265,7 +263,7 @@ def resume_lines(
 
 
 def _quantity(text: str | None) -> float | str | list[list[float]] | None:
-    """A number, a row of them for channels, or a name."""
+    """A number, a row of numbers for channels, or a name."""
     if text is None:
         return None
     try:
@@ -285,7 +283,7 @@ def _sky(text: str | None) -> float | list[float] | None:
 def _run(
     request: LinesRequest, open_work: Callable[..., PatchWork[Any, Any]], variant: str | None, threads: int | None
 ) -> int:
-    """From a request to files. Returns the exit status."""
+    """Execute a request and write its files. Returns the exit status."""
     from .rendering import choose_device
     from .solutions import cast, describe_patches, finish
 
@@ -303,7 +301,7 @@ def _run(
 
 
 def _run_exact(request: FormFactorRequest, threads: int | None) -> int:
-    """Form factors without lines. Returns the exit status."""
+    """Execute a request for exact form factors. Returns the exit status."""
     from .rendering import choose_device
     from .solutions import describe_patches, exact_to_files
 
@@ -318,7 +316,7 @@ def _run_exact(request: FormFactorRequest, threads: int | None) -> int:
 
 
 def _write_again(request: RadiosityRequest, solution: Path, variant: str | None, threads: int | None) -> int:
-    """Write a solution that is in a file. Returns the exit status."""
+    """Write the outputs of a solution from a file. Returns the exit status."""
     from .rendering import choose_device
     from .solutions import solution_to_files
 
@@ -337,10 +335,14 @@ def _end(began: float, request: LinesRequest) -> None:
 
 @contextmanager
 def _ended_by_ctrl_c(checkpoint: Path | None) -> Iterator[None]:
-    """While lines are not being cast. Files are written whole: there is nothing to clean up, only something to say."""
+    """Handles Ctrl-C while no lines are cast: a message and the exit status. Files are written atomically, so nothing
+    has to be cleaned up."""
     try:
         yield
     except KeyboardInterrupt:
         kept = checkpoint is not None and checkpoint.exists()
-        note(error_console(), f"stopped; {f'go on by: etendue resume {checkpoint}' if kept else 'nothing was written'}")
+        note(
+            error_console(),
+            f"stopped; {f'continue by: etendue resume {checkpoint}' if kept else 'nothing was written'}",
+        )
         raise typer.Exit(130) from None

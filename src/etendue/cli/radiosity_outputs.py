@@ -1,4 +1,4 @@
-"""What `etendue radiosity` takes for its outputs, and how messages name options."""
+"""Options of `etendue radiosity` for its outputs, and the names of options in messages."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Gather = Annotated[
     int,
     typer.Option(
         "--gather",
-        help="Paths per pixel of a picture that gather light at what is seen; 0 shows patches.",
+        help="Paths per pixel of a picture with final gathering; 0 shows the patches.",
         min=0,
         metavar="N",
     ),
@@ -29,7 +29,7 @@ LightmapSize = Annotated[
     int | None,
     typer.Option(
         "--lightmap",
-        help="Write a lightmap of at most this many texels a side, and a mesh that fits.",
+        help="Write a lightmap of at most this many texels a side, and its mesh.",
         min=16,
         metavar="SIZE",
     ),
@@ -48,13 +48,13 @@ TextureCoordinates = Annotated[
 Solved = Annotated[
     Path | None,
     typer.Option(
-        "--solution", help="A solution of this scene, .npz or .nc, to be written in another way.", metavar="FILE"
+        "--solution", help="A solution of this scene, .npz or .nc, to write in other formats.", metavar="FILE"
     ),
 ]
 
 
 class Options(Wording):
-    """Messages of jobs in the words of the command line."""
+    """Names of options for messages of jobs."""
 
     mesh_light = "give --emission or --temperature (a number, or the name of an array of the file), or --sky"
     lightmap = "give the size of one, as --lightmap 1024"

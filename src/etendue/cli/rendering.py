@@ -43,7 +43,8 @@ def follow(
     label: str,
     words: Callable[[Progress], list[str]] | None = None,
 ) -> Outcome[T]:
-    """Start a session and show its progress, with its own ``words``, until it ends. Errors as those of the session."""
+    """Start a session and show its progress until it ends; ``words`` formats the progress. Raises the errors of the
+    session."""
     with ProgressView(console, label, words) as view:
         session = open_session()
         announced = False
@@ -53,7 +54,7 @@ def follow(
             nonlocal announced
             if interrupts.received is not None and not announced:
                 announced = True
-                note(console, "stopping after this pass; again to abort at once", "yellow")
+                note(console, "stopping after this pass; press again to abort at once", "yellow")
 
         def abort() -> None:
             view.close()
@@ -74,12 +75,12 @@ def follow(
 
 
 def render_to_files(open_job: Callable[[], Job], outputs: Writer, label: str) -> int:
-    """Render, write ``outputs`` and name them on standard output, one a line. Returns the exit status."""
+    """Render, write ``outputs`` and print their paths on standard output, one per line. Returns the exit status."""
     console = error_console()
     try:
         outcome = follow(lambda: start_job(open_job, outputs), console, label)
     except RunError:
-        _name_files(outputs)  # the passes before the failure are in them
+        _name_files(outputs)  # they contain the passes before the failure
         raise
     if outcome.result is not None:
         note(console, summary(outcome.result))
@@ -115,7 +116,7 @@ def make_folder(folder: Path) -> None:
 def check_reference(reference: NDArray[np.float32] | None, size: tuple[int, int], remedy: str) -> None:
     """Check the size of the reference before the first pass, not only at the end.
 
-    ``remedy`` is how to ask for a size, with ``{}`` for width and height. Raises :class:`OptionError`.
+    ``remedy`` is the option for a size, with ``{}`` for width and height. Raises :class:`OptionError`.
     """
     if reference is not None and reference.shape[1::-1] != size:
         height, width = reference.shape[:2]

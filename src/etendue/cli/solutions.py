@@ -1,4 +1,4 @@
-"""What `etendue form-factors` and `etendue radiosity` say of patches, of lines as they are cast, and of the outcome."""
+"""Messages of `etendue form-factors` and `etendue radiosity` on patches, progress and results."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
     from etendue.radiosity import FirstShot, FormFactors, Lightmap, Patches, Segments
     from etendue.scene import Problem
 
-#: Share of what patches see that may be sky without a warning: single convex solids have all of it.
+#: Share of the sky above which a warning is given; single convex solids see only the sky.
 _ALL_SKY = 0.999
-#: Share that is not worth a word.
+#: Share of the sky below which it is not reported.
 _NO_SKY = 1e-6
 
 
 @dataclass
 class _Casting:
-    """The lines of some work alone: what is made of them is made in the main thread, where Ctrl-C ends it."""
+    """The line casting of some work; the result is made in the main thread, where Ctrl-C ends it."""
 
     work: PatchWork[Any, Any]
 
@@ -44,7 +44,7 @@ class _Casting:
         self.work.keep(run)
 
     def finish(self, run: RunResult) -> RunResult:
-        # While signals only ask for an end. If it fails, `PatchWork.finish` tries again and says so.
+        # Here a signal does not end the process. If it fails, `PatchWork.finish` tries again and reports the error.
         with suppress(EtendueError, OSError):
             self.work.keep(run)
         return run
@@ -57,7 +57,7 @@ def cast(work: PatchWork[Any, Any]) -> Outcome[RunResult]:
 
 
 def finish(work: PatchWork[Any, Any], run: RunResult) -> None:
-    """Make what was asked for, write it, and say what came of it."""
+    """Make the result, write it and report it."""
     console = error_console()
     with console.status("counting") as status:
         result = work.finish(run, status.update, partial(_describe_segments, console))
@@ -73,7 +73,7 @@ def finish(work: PatchWork[Any, Any], run: RunResult) -> None:
 
 
 def exact_to_files(request: FormFactorRequest, patches: Patches) -> None:
-    """Integrate, write, and say what came of it."""
+    """Integrate, write and report the form factors."""
     from etendue.jobs import about
     from etendue.radiosity import exact_form_factors, save_form_factors
 
@@ -88,7 +88,7 @@ def exact_to_files(request: FormFactorRequest, patches: Patches) -> None:
 
 
 def solution_to_files(request: RadiosityRequest, problem: Problem | None, solved: Path) -> None:
-    """Write a solution that is in a file in another way."""
+    """Write the outputs of a solution from a file."""
     from etendue.jobs import Writing
     from etendue.radiosity import read_solution
 
@@ -102,7 +102,7 @@ def solution_to_files(request: RadiosityRequest, problem: Problem | None, solved
 
 
 def _rows(factors: FormFactors) -> str:
-    """What rows sum to, what leads to the sky included."""
+    """The range of row sums, including the sky."""
     sums = factors.row_sums()
     least, most = f"{sums.min():.7g}", f"{sums.max():.7g}"
     whole = "rows and sky sum to" if (factors.sky > _NO_SKY).any() else "rows sum to"
@@ -141,7 +141,7 @@ def _of_shot(shot: FirstShot) -> str:
 
 
 def describe_patches(request: LinesRequest, patches: Patches) -> None:
-    """A line on the patches."""
+    """Report the patches."""
     from etendue.radiosity import diagnose
 
     faces = len(patches.faces)
@@ -149,20 +149,18 @@ def describe_patches(request: LinesRequest, patches: Patches) -> None:
 
 
 def _describe_segments(console: Console, bundles: int, segments: Segments) -> None:
-    """A line on what was cast."""
+    """Report the segments."""
     from etendue.radiosity import MixedSegments
 
     sky = segments.to_sky.sum() / max(segments.counted.sum(), 1e-300)
-    # In a closed mesh no line gets out, but of a million rays one may, by their single precision.
+    # In a closed mesh no line leaves the scene, but a ray in a million may, because of single precision.
     open_ends = f", {100 * sky:.3g} % of what patches see is the sky" if sky > _NO_SKY else ""
     note(console, f"{len(segments)} segments of {bundles} bundle{'' if bundles == 1 else 's'}{open_ends}")
     if isinstance(segments, MixedSegments):
         few = int(np.count_nonzero(segments.extra > 0))
         note(console, f"{few} small patches, which few lines meet, have {segments.rays // few} local rays each")
     if sky > _ALL_SKY:
-        logger.warning(
-            "patches see nothing but the sky: if this should be a room, its faces are turned outward; turn them round"
-        )
+        logger.warning("patches see only the sky: if the mesh is a room, its faces are turned outward; flip them")
 
 
 def _words(work: PatchWork[Any, Any]) -> Callable[[Progress], list[str]]:

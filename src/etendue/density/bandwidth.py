@@ -52,19 +52,20 @@ def silverman(samples: Samples | Points, kernel: Kernel | str = "gaussian") -> f
 def cross_validation(
     samples: Samples | Points, kernel: Kernel | str = "gaussian", bandwidths: ArrayLike | None = None
 ) -> tuple[float, Array, Array]:
-    """The bandwidth that minimises ``int f^2 - 2 sum_i w_i f_without_i(x_i)``: (bandwidth, candidates, their scores).
+    """The bandwidth that minimises ``int f^2 - 2 sum_i w_i f_without_i(x_i)``: (bandwidth, candidates, scores).
 
     Least-squares cross-validation [Bowman 1984; Silverman 1986, sec. 3.4.3] assumes nothing about the density, but has
     a large variance: a score estimates the integrated squared error plus a constant. It uses the Gaussian, for which
     the sum over all pairs is computed by a Fourier transform of a grid; the result is converted to other kernels
-    [Marron 1988], the scores are those of the Gaussian. A warning says if the minimum is at an end of the candidates.
+    [Marron 1988], the scores are those of the Gaussian. A warning is given if the minimum is at an end of the
+    candidates.
 
     bandwidths: the candidates; by default 60 from 0.05 to 2 times the :func:`normal_reference`. Raises
     :class:`DensityError` as there, and for fewer than 2 samples.
     """
     checked = _plain(samples)
     if len(checked) < 2:
-        raise DensityError("cross-validation leaves out one sample: it needs 2 at least")
+        raise DensityError("cross-validation leaves out one sample: it needs at least 2")
     to_gaussian = KERNELS["gaussian"].canonical_bandwidth(checked.dimension) / kernel_of(kernel).canonical_bandwidth(
         checked.dimension
     )
@@ -120,7 +121,7 @@ class _Pairs:
         return float(np.sum(self._power * np.exp(-0.5 * width**2 * self._squares)) / self._cell)
 
     def score(self, h: float) -> float:
-        """The criterion; with unequal weights, the left-out samples are corrected for on average."""
+        """The criterion; with unequal weights, the correction for left-out samples is correct on average."""
         peak = (2 * math.pi * h * h) ** (-0.5 * self._dimension)
         others = (self.sum(h) - self._own * peak) / (1 - self._own)
         return self.sum(math.sqrt(2) * h) - 2 * others

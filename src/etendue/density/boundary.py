@@ -1,4 +1,4 @@
-"""Boundary corrections: the part of a kernel beyond the border of a domain is compensated.
+"""Boundary corrections for the part of a kernel outside the domain.
 
 ``"reflect"`` mirrors the samples at the border. The estimate then has the right integral and zero slope at the border.
 ``"renormalise"`` divides by the share of the kernel inside the domain [Jones 1993]; a surface divides by the area
@@ -78,7 +78,7 @@ def share_inside(kernel: Kernel, point: mi.Point3f, bandwidth: mi.Float, box: Bo
 
 
 def _distances(x: mi.Float, axis: int, bandwidth: mi.Float, box: Box) -> tuple[mi.Float, mi.Float]:
-    """Bandwidths to either end of the box."""
+    """Distances to both ends of the box, in bandwidths."""
     low, high = (dr.opaque(mi.Float, end) for end in (box.lower[axis], box.upper[axis]))
     return dr.maximum(x - low, 0) / bandwidth, dr.maximum(high - x, 0) / bandwidth
 
@@ -89,7 +89,7 @@ def _wedge(kernel: Kernel, distance: mi.Float, along: mi.Float) -> mi.Float:
     met = dr.minimum(angle, dr.acos(dr.minimum(distance / kernel.reach, 1.0)))
     total: mi.Float = angle - met
     for node, weight in zip(_NODES, _WEIGHTS, strict=True):
-        # For a near foot 1 / cos is steep at the end, so nodes are denser there.
+        # For a close side 1 / cos is steep at the end, so nodes are denser there.
         s = 0.5 * (node + 1)
         phi = met * (s * (2 - s))
         radius = dr.minimum(distance / dr.maximum(dr.cos(phi), 1e-9), kernel.reach)

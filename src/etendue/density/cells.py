@@ -1,4 +1,4 @@
-"""A box divided into cells by position and facing, adaptively by samples; lookup by one gather.
+"""A box divided adaptively into cells of position and facing, with lookup by one gather.
 
 A cell is halved across its longest side when more than a given number of samples fell into it [Muller 2017]. Surfaces
 that face along different axes have separate cells from the start, since light on a floor says little about light on the
@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import copied_to_device
 
-#: Facings: towards plus and minus x, y, z.
+#: Number of facings: plus and minus x, y, z.
 FACINGS = 6
 #: Largest number of halvings: the table has 2^18 entries per facing.
 FINEST = 18

@@ -19,7 +19,7 @@ from .estimator import Estimator, positive
 from .kernels import Kernel, kernel_of
 from .samples import Points, Samples
 
-#: Takes positions, (m,) or (m, 2), and returns the known density there, (m,).
+#: A known density: takes positions, (m,) or (m, 2), returns the density there, (m,).
 Known = Callable[[Array], ArrayLike]
 
 
@@ -83,7 +83,7 @@ def by_expansion(
 
 
 def by_quadrature(density: Known, x: Array, kernel: Kernel | str, bandwidth: float, count: float) -> Diagnosis:
-    """Errors for any bandwidth, from the density around each point: without expansion and border.
+    """Errors for any bandwidth, integrated over the density around each point; without borders.
 
     The mean is the density smoothed by the kernel, the variance that of the kernel at a random sample over ``count``.
     x: (m,) or (m, 2).
@@ -146,8 +146,9 @@ def by_bootstrap(
 ) -> Diagnosis:
     """Variance of an estimator from ``runs`` sets resampled from the samples with replacement.
 
-    The mean of these is near the estimate itself, not its expectation: without a known ``density`` the truth is the
-    estimate from all samples, and the bias does not include smoothing; with one, it is the error of this estimate.
+    The mean of these sets is near the estimate itself, not its expectation. Without a known ``density`` the truth is
+    the estimate from all samples, so the bias does not include smoothing; with one, the bias is the error of this
+    estimate.
     """
     checked = Samples.of(samples)
     truth = make(checked)(x) if density is None else np.asarray(density(x))

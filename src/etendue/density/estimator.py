@@ -18,7 +18,7 @@ from .samples import Frame, Points, Samples, box_of, by_place, numbers, rows
 
 
 class Estimator(ABC):
-    """An estimate of the density of samples, called at points.
+    """An estimate of the density of samples, a function of points.
 
     ``estimate(x)`` takes positions with as many coordinates as the samples. NumPy arrays, (m,) or (m, coordinates),
     give an array (m,); ``Float``, ``Point2f`` or ``Point3f`` give a ``Float``, also inside kernels and loops. Both are
@@ -28,7 +28,7 @@ class Estimator(ABC):
 
     #: Papers, as keys of the bibliography.
     citations: ClassVar[tuple[str, ...]] = ()
-    #: Whether it searches for samples, so that sorted queries are faster.
+    #: Whether the estimator searches for samples, so that sorted queries are faster.
     _searches: ClassVar[bool] = True
 
     def __init__(self, samples: Samples | Points, domain: Domain | None = None) -> None:

@@ -64,8 +64,8 @@ class FixedKernel(Estimator):
         local = self.bandwidth / self._frame.unit
         if local * self.kernel.reach < _FINEST:
             raise DensityError(
-                f"a bandwidth of {self.bandwidth:g} is too fine for single precision beside samples that are "
-                f"{self._frame.unit:g} apart: widen it, or leave out what lies far from the rest"
+                f"a bandwidth of {self.bandwidth:g} is too small for single precision with samples that are "
+                f"{self._frame.unit:g} apart: enlarge it, or leave out distant samples"
             )
         self._h = dr.opaque(mi.Float, local)
         self._sum = _Sum(positions, weights, local, self.kernel, self.samples.dimension, self._frame)
@@ -125,7 +125,7 @@ class _Sum:
         limit = self._kernel.reach**2
 
         def add(i: mi.UInt32, total: mi.Float) -> tuple[mi.UInt32, mi.Float]:
-            """Evaluates every candidate: selecting those within reach first would take longer."""
+            """All candidates are evaluated: selecting those within reach first would take longer."""
             sample = dr.gather(mi.Vector4f, self._packed, self._grid.candidate(query, i))
             x, y, z = sample.x - point.x, sample.y - point.y, sample.z - point.z
             t = dr.fma(x, x, dr.fma(y, y, z * z)) * self._inverse

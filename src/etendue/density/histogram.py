@@ -25,12 +25,12 @@ _STEPS = 10
 
 
 class Histogram(Estimator):
-    """Share of the samples in a cell over the cell's size: count / (n h) on a line.
+    """Share of the samples in a cell divided by the size of the cell: count / (n h) on a line.
 
     Parameters
     ----------
     samples: :class:`Samples`, or positions, on a line or in the plane.
-    bins: how many, for all dimensions or for each.
+    bins: number of bins, for all dimensions or for each.
     domain: by default the smallest box around the samples.
     areas: the size of each bin, of shape ``bins``, if it differs from that in the domain: for samples in (u, v) of a
         surface, the area of each texel. The density is then per this area.
@@ -161,12 +161,12 @@ def smallest_box(samples: Samples, margin: float = 0.0) -> Box:
     if samples.coordinates == 3:
         raise DensityError("a grid needs samples on a line or in the plane: give surfaces by (u, v), with areas")
     if not (upper + margin > lower - margin).all():
-        raise DensityError("all samples have one and the same coordinate, their box is empty: give a domain")
+        raise DensityError("all samples have the same coordinate, so their box is empty: give a domain")
     return Box(tuple(lower - margin), tuple(upper + margin))
 
 
 def share_out(positions: Array, weights: Array, box: Box, counts: tuple[int, ...]) -> Array:
-    """Weights distributed linearly to the nodes around each position: an array of shape ``counts``."""
+    """Weights distributed linearly over the nodes around each position: an array of shape ``counts``."""
     index, share = np.zeros(len(weights), dtype=np.int64), [weights]
     indices = [index]
     for axis, n in enumerate(counts):
@@ -192,7 +192,7 @@ def _shape(bins: int | Sequence[int], dimension: int) -> tuple[int, ...]:
 
 
 def _steps(x: mi.Float, axis: int, box: Box) -> mi.Float:
-    """0 to 1 along an axis of the box."""
+    """Position along an axis of the box, from 0 to 1."""
     return (x - dr.opaque(mi.Float, box.lower[axis])) * dr.opaque(mi.Float, 1 / box.sides[axis])
 
 

@@ -55,12 +55,12 @@ class Quadtrees:
 
     @property
     def count(self) -> int:
-        """Trees."""
+        """Number of trees."""
         return int(np.count_nonzero(self.parent < 0))
 
     @property
     def places(self) -> int:
-        """Places, the divided ones included."""
+        """Number of places, including divided ones."""
         return 4 * len(self.tree)
 
     def tree_of_place(self) -> NDArray[np.int64]:
@@ -124,7 +124,7 @@ class Quadtrees:
         divided = np.flatnonzero(parent >= 0)
         child.reshape(-1)[parent[divided]] = divided
         above = np.where(parent >= 0, parent // 4, np.arange(nodes))
-        for _ in range(DEEPEST):  # correct for a node once it is for its ancestors
+        for _ in range(DEEPEST):  # a node is correct once its ancestors are
             tree[divided] = tree[above[divided]]
             level[divided] = level[above[divided]] + 1
         return cls(tree, level, parent, child, mass)

@@ -27,9 +27,9 @@ class Samples:
     ----------
     positions: NumPy (n,), (n, 2) or (n, 3), or a ``Float``, ``Point2f`` or ``Point3f``. Three coordinates are those of
         points on surfaces, whose density is per area.
-    weights: (n,), not negative; by default all alike. ``NaN`` and infinite positions or weights are counted in
+    weights: (n,), not negative; by default all equal. ``NaN`` and infinite positions or weights are counted in
         ``rejected``, reported by a warning, and left out.
-    mass: what the density integrates to: 1 for a probability, the sum of the weights for the flux of photons.
+    mass: integral of the density: 1 for a probability, the sum of the weights for the flux of photons.
 
     Raises :class:`DensityError` if no sample is left, for negative weights, and if all are zero.
 
@@ -37,7 +37,7 @@ class Samples:
     ----------
     positions: (n, coordinates), double precision.
     weights: (n,), of sum 1.
-    rejected: how many were left out.
+    rejected: number of samples that were left out.
     dimension: 1 on a line, 2 in the plane and on surfaces.
     """
 
@@ -49,7 +49,7 @@ class Samples:
         if w.shape != (len(x),):
             raise DensityError(f"{len(x)} samples need as many weights, not an array of shape {w.shape}")
         if len(x) == 0:
-            raise DensityError("there are no samples: a density needs one at least")
+            raise DensityError("there are no samples: a density needs at least one")
         finite = np.isfinite(x).all(axis=1) & np.isfinite(w)
         self.rejected = int(len(x) - np.count_nonzero(finite))
         if self.rejected == len(x):
@@ -78,7 +78,7 @@ class Samples:
 
     @property
     def dimension(self) -> int:
-        """Of what they lie on."""
+        """Dimension of the line, plane or surface."""
         return min(self.coordinates, 2)
 
     @cached_property
@@ -92,7 +92,7 @@ class Samples:
         return float(1 / np.sum(self.weights**2))
 
     def chosen(self, index: NDArray[np.integer[Any]], weights: ArrayLike | None = None) -> Samples:
-        """Those of an index, repetitions included; for the bootstrap."""
+        """The samples of an index array, which may repeat; for the bootstrap."""
         return Samples(self.positions[index], self.weights[index] if weights is None else weights, self.mass)
 
 
@@ -101,8 +101,8 @@ class Surface:
     """Surfaces as points spread over them, each with the area (``areas``) that it represents.
 
     positions: (m, 3). areas: (m,), or a number for all. An estimator divides by the share of its kernel that lies on
-    the surface, so that edges, corners and bends are not too dark. There must be several points per bandwidth.
-    Raises :class:`DensityError` if there are none, or for an area that is not positive.
+    the surface, so that the estimate is not too low at edges, corners and bends. There must be several points per
+    bandwidth. Raises :class:`DensityError` if there are none, or for an area that is not positive.
     """
 
     positions: Array
@@ -128,7 +128,7 @@ class Frame:
 
     @classmethod
     def around(cls, samples: Samples) -> Frame:
-        """From the samples: zero is at their median, so that precision is best where most samples are, despite
+        """The frame of samples: the origin is their median, so that precision is best where most samples are, despite
         outliers."""
         lower, upper = samples.bounds
         extent = float(np.max(upper - lower))

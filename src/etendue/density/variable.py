@@ -1,7 +1,7 @@
 """Two-pass kernel estimators: each sample has its own bandwidth, ``f(x) = sum_j w_j K((x - x_j) / h_j) / h_j^d``.
 
-The first pass finds sparse regions, the second uses wider kernels there: dark areas become smooth while bright edges
-stay sharp [Breiman 1977; Abramson 1982; Silverman 1986, ch. 5; Leeson 2001, sec. 3.5 and 5.7.2].
+The first pass finds sparse regions, the second uses wider kernels there, so that dark areas become smooth and bright
+edges remain sharp [Breiman 1977; Abramson 1982; Silverman 1986, ch. 5; Leeson 2001, sec. 3.5 and 5.7.2].
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class SampleBandwidths(Estimator):
     Parameters
     ----------
     samples: :class:`Samples`, or positions.
-    bandwidths: (n,), of each sample that was not left out.
+    bandwidths: (n,), one for each sample that was not left out.
     kernel: a :class:`Kernel` or its name.
     domain, boundary: ``"reflect"`` or ``"none"``, as for :class:`FixedKernel`.
 
@@ -154,9 +154,10 @@ class AdaptiveKernel(SampleBandwidths):
 
 
 def neighbour_distances(samples: Samples, k: int, mirror: Box | None = None) -> Array:
-    """Distance from each sample to its k-th neighbour, itself not counted: (n,).
+    """Distance from each sample to its k-th neighbour, excluding itself: (n,).
 
-    With ``mirror`` the images of samples at the border of this box count as neighbours, too; else widths grow there.
+    With ``mirror`` the images of samples at the border of this box count as neighbours, too; otherwise bandwidths grow
+    there.
     """
     frame = Frame.around(samples)
     order = by_place(samples.positions)

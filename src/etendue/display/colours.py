@@ -20,7 +20,7 @@ _INFERNO = np.array(
     ],
     dtype=np.float64,
 )
-#: What is not a number is shown in a colour that the map does not contain.
+#: NaN is shown in a colour that the map does not contain.
 _NOT_FINITE = (0, 200, 220)
 
 

@@ -1,4 +1,4 @@
-"""HTML pages from templates in ``assets``: what is put into them is escaped, and a page holds its style and script."""
+"""HTML pages from templates in ``assets``. Values are escaped; style and script are part of the page."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 
 def page(template: str, **values: Any) -> str:
-    """The text of a page. Templates have ``asset(name)``, the text of a file in ``assets`` as it is."""
+    """The text of a page. In templates, ``asset(name)`` is the unescaped text of a file in ``assets``."""
     return _environment().get_template(template).render(values)
 
 

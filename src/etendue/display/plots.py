@@ -1,4 +1,4 @@
-"""Convergence plots as inline SVG: log-log, readable in light and dark, without colour, and by a screen reader."""
+"""Convergence plots as inline SVG: log-log, legible on light and dark pages, without colour, and by screen readers."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def encode_png(image: NDArray[np.uint8]) -> bytes:
 
 
 def write_png(path: str | os.PathLike[str], image: NDArray[np.uint8]) -> None:
-    """Write ``image``, (height, width, 3) uint8 sRGB as :func:`tonemap` makes it; the file appears whole or not at all.
+    """Write ``image``, (height, width, 3) uint8 sRGB as :func:`tonemap` makes it; the file is written atomically.
 
     Raises :class:`OutputError` if it cannot be written.
     """

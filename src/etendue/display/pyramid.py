@@ -1,7 +1,7 @@
-"""A technique pyramid on the comparison page: the triangle that papers print [Veach 1997, fig. 10.3].
+"""A technique pyramid on the comparison page: the usual triangle [Veach 1997, fig. 10.3].
 
 A row holds the ways of making paths of one length, a column those with the same number of light vertices. All pictures
-are shown at the exposure of the page, so that the weighted ones add up to the picture by eye, too.
+are shown at the exposure of the page, so that the sum of the weighted pictures is the displayed picture.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def pyramids(name: str, image: Image, layers: Mapping[str, Image], exposure: flo
 
 
 def _small(layer: Image, exposure: float, curve: str) -> NDArray[np.uint8]:
-    """Averaged as radiance, then tone-mapped; what does not fill a block at the edges is left out."""
+    """The layer averaged as radiance, then tone-mapped; incomplete blocks at the edges are omitted."""
     height, width = layer.shape[:2]
     factor = min(max(1, round(width / _ACROSS)), height)
     cropped = layer[: height // factor * factor, : width // factor * factor]

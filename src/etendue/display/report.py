@@ -1,4 +1,5 @@
-"""The comparison page: one HTML file that holds its pictures, figures and script, and asks the network for nothing.
+"""The comparison page: one HTML file that contains its pictures, figures and script, and loads nothing from the
+network.
 
 It reads as a page without its script: pictures, error maps, tables and the plot are in the markup. The script adds the
 exposure, which needs radiance rather than bytes: pictures travel as shared-exponent pixels [Ward 1991], deflated.
@@ -32,7 +33,7 @@ Image = NDArray[np.float32]
 #: The range of the error maps: relMSE of a single pixel, from 1 % to ten times its value.
 _ERROR_RANGE = (1e-4, 1e2)
 _TRIM = 0.001
-#: Larger pictures go without the exposure slider, as their page would not fit a browser comfortably.
+#: Pictures above this size have no exposure slider, since their page would be too large for a browser.
 _MOST_PIXELS = 1_500_000
 
 
@@ -40,9 +41,9 @@ _MOST_PIXELS = 1_500_000
 class Entry:
     """One picture of a comparison.
 
-    ``image`` is (height, width, 3) linear radiance. ``metadata`` is what a ``Result`` carries: ``settings`` and
-    ``versions`` (mappings) get tables of their own, ``seconds`` and ``passes`` go to the caption, everything else is
-    listed. ``error_history`` holds rows (seconds, relMSE). ``layers`` are further pictures to show, by name.
+    ``image`` is (height, width, 3) linear radiance. ``metadata`` is that of a ``Result``: ``settings`` and ``versions``
+    (mappings) get tables of their own, ``seconds`` and ``passes`` go to the caption, everything else is listed.
+    ``error_history`` holds rows (seconds, relMSE). ``layers`` are further pictures to show, by name.
     """
 
     name: str
@@ -189,7 +190,7 @@ def _plots(entries: Sequence[Entry]) -> dict[str, str] | None:
 
 
 def _layers(entries: Sequence[Entry], exposure: float, curve: str) -> list[tuple[str, list[Figure]]]:
-    """Names of pictures, and their layers that are no part of a pyramid."""
+    """Names of pictures, and their layers that are not part of a pyramid."""
     found = []
     for entry in entries:
         figures = [
@@ -222,7 +223,7 @@ def _tables(entries: Sequence[Entry]) -> list[tuple[str, FactTable | None]]:
 
 
 def _script_data(pictures: list[tuple[str, Image]], exposure: float, curve: str) -> dict[str, Any] | None:
-    """What the script needs; ``None`` for very large pictures."""
+    """Data of the script; ``None`` for very large pictures."""
     height, width = pictures[0][1].shape[:2]
     if height * width > _MOST_PIXELS:
         return None

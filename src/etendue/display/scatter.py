@@ -1,4 +1,4 @@
-"""Points in squares, side by side: the picture of a point set's projections, as SVG."""
+"""Projections of a point set as squares side by side, in SVG."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from html import escape
 import numpy as np
 from numpy.typing import ArrayLike
 
-#: Sides of a square and of what is around it, in pixels.
+#: Size of a square and of its margins, in pixels.
 _SQUARE, _GAP, _HEAD, _FOOT = 240.0, 28.0, 44.0, 22.0
 
 

@@ -35,7 +35,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Row:
-    """A fact of several pictures; ``differs`` if they do not agree on it and that is worth a mark."""
+    """A fact of several pictures; ``differs`` if its values differ and the row is to be marked."""
 
     name: str
     texts: Sequence[str]
@@ -51,7 +51,7 @@ class FactTable:
 
 
 def fact_table(names: Sequence[str], facts: Sequence[Mapping[str, Any]], mark: bool = False) -> FactTable | None:
-    """Facts of pictures; one column if all agree on everything, ``None`` without facts.
+    """Facts of pictures; one column if all values agree, ``None`` without facts.
 
     ``mark`` marks the rows in which the pictures that have the fact differ.
     """
@@ -80,7 +80,7 @@ def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def value_text(value: Any) -> str:
-    """A setting or fact for people: yes and no, short numbers, lists with commas."""
+    """A setting or fact as text: yes and no, short numbers, lists with commas."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if value is None or value == "":

@@ -13,7 +13,7 @@ from etendue.film import LUMINANCE
 
 Array = NDArray[np.float64]
 
-#: The grey that the log-average luminance is brought to [Reinhard 2002, eq. 2].
+#: The grey to which the log-average luminance is scaled [Reinhard 2002, eq. 2].
 MIDDLE_GREY: Final = 0.18
 
 
@@ -71,7 +71,7 @@ def tonemap(image: ArrayLike, exposure: float | str = 0.0, curve: str = "srgb") 
         exposure = auto_exposure(image)
     if not np.isfinite(exposure):
         raise OptionError(f"exposure must be a finite number of stops, not {exposure}")
-    # The bound keeps the rational curve finite; it is white for every exposure of use.
+    # The bound keeps the rational curve finite; it is white at every practical exposure.
     x = np.nan_to_num(np.asarray(image, dtype=np.float64), nan=0.0, posinf=1e30, neginf=0.0)
     x = np.clip(x * 2.0**exposure, 0.0, 1e30)
     return np.round(srgb_encode(CURVES[curve](x)) * 255.0).astype(np.uint8)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def view3d_lines(matrix: scipy.sparse.csr_array, areas: Array, emissivity: Array, is_closed: bool) -> Iterator[str]:
-    """Lines of the text: "program version format enclosure emissivities-used patches", as View3D's reader wants it;
+    """Lines of the text: "program version format enclosure emissivities-used patches", as View3D's reader expects it;
     areas (n,), the rows of the CSR ``matrix`` (n, n) with their zeros, and emissivities (n,)."""
     count = len(areas)
     yield f"View3D 3.2 0 {int(is_closed)} 0 {count}\n"

@@ -84,7 +84,7 @@ __all__ = [
 if not TYPE_CHECKING:
 
     def __getattr__(name):
-        """``library``, as ``array_namespace`` was called: one name with ``etendue.core.library``, another meaning."""
+        """``library`` is the former name of ``array_namespace``."""
         if name == "library":
             return array_namespace
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""The few array operations that integrators need, for NumPy on the host and for Dr.Jit on its device.
+"""Array operations of integrators, for NumPy on the host and for Dr.Jit on the device.
 
 Points are coordinate-major everywhere: ``x[i]`` is coordinate ``i`` of all ``n`` points, an array of ``n`` numbers.
 On the host ``x`` is an ndarray of shape (d, n) in double precision, on the device a list of d arrays of Mitsuba's
@@ -36,7 +36,7 @@ class Backend(Protocol):
 
     #: The best number of points to evaluate at once.
     batch: int
-    #: Limits on the parts of an axis and the cells of a grid, so that numbers still have enough digits within one.
+    #: Limits on the parts of an axis and the cells of a grid, so that numbers within one still have enough digits.
     parts: int
     cells: int
 
@@ -85,7 +85,7 @@ class Backend(Protocol):
         ...
 
     def clean(self, values: Numbers) -> Numbers:
-        """``values`` with zero in place of those that are not finite, which :meth:`rejected` counts."""
+        """``values`` with non-finite numbers replaced by zero and counted by :meth:`rejected`."""
         ...
 
     def compute(self, *values: Any) -> None:

@@ -19,7 +19,7 @@ _WINDOW = 5.0
 
 @dataclass(frozen=True)
 class ChainDiagnosis:
-    """Of some quantity along chains.
+    """Diagnosis of a quantity along chains.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ def autocorrelation(values: Array) -> Array:
     v = _checked(values)
     steps = v.shape[1]
     centred = v - v.mean()
-    size = 1 << (2 * steps - 1).bit_length()  # zero padding, so that the ends do not meet
+    size = 1 << (2 * steps - 1).bit_length()  # zero padding against the periodicity of the transform
     spectrum = np.zeros(size // 2 + 1)
     for row in centred:
         spectrum += np.abs(np.fft.rfft(row, size)) ** 2
@@ -78,7 +78,7 @@ def split_r_hat(values: Array) -> float:
 
 
 def diagnose(values: Array) -> ChainDiagnosis:
-    """All of these for (chains, steps) numbers."""
+    """The diagnosis of (chains, steps) numbers."""
     v = _checked(values)
     time = autocorrelation_time(v)
     effective = v.size / time

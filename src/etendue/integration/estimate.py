@@ -1,4 +1,4 @@
-"""Shared by all integrators: the estimate that they return, and the evaluation of the integrand."""
+"""The estimate that integrators return, and the evaluation of integrands."""
 
 from __future__ import annotations
 
@@ -135,12 +135,12 @@ class Moments:
 
     @property
     def variance(self) -> float:
-        """Of the numbers, unbiased."""
+        """Unbiased variance of the numbers."""
         return self._squares / max(self.count - 1, 1)
 
     @property
     def standard_error(self) -> float:
-        """Of the mean."""
+        """Standard error of the mean."""
         return math.sqrt(self.variance / self.count)
 
 
@@ -183,7 +183,7 @@ class Integrator(ABC):
 
     @abstractmethod
     def _integrate(self, work: Work, samples: int) -> Estimate:
-        """The method itself."""
+        """The estimate of ``work``, implemented by the method."""
 
     def spread(self, work: Work, integrals: int, samples: int) -> tuple[Any, Any, int]:
         """Points for many integrals over one domain: ``(x, weight, size)``, ``size <= samples`` consecutive points for

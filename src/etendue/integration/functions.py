@@ -65,7 +65,7 @@ class Box:
 
     @property
     def sides(self) -> tuple[float, ...]:
-        """Lengths."""
+        """Lengths of the sides."""
         return tuple(high - low for low, high in zip(self.lower, self.upper, strict=True))
 
     @property

@@ -24,10 +24,10 @@ _TRIES = 64
 
 
 class Proposal(Protocol):
-    """How a chain moves, in the unit cube."""
+    """A proposal distribution of a chain in the unit cube."""
 
     def numbers(self, dimension: int) -> int:
-        """Random numbers that a step takes."""
+        """Number of random numbers per step."""
         ...
 
     def propose(self, backend: Backend, x: list[Numbers], u: Points) -> tuple[list[Numbers], Numbers]:
@@ -133,7 +133,7 @@ class Chains:
 
     @property
     def diagnosis(self) -> tuple[ChainDiagnosis, ...]:
-        """Of each coordinate."""
+        """Diagnosis of each coordinate."""
         return tuple(diagnose(x) for x in self.points)
 
     @property
@@ -173,8 +173,8 @@ class Metropolis:
     def sample(self, target: Integrand, samples: int, seed: int = 0) -> Chains:
         """``samples`` states in all, burn-in and repeats included, of chains distributed as ``target``.
 
-        Raises :class:`IntegrationError` if the target is negative somewhere, or zero at all tried starting points.
-        A warning says so if the chains do not agree (split R-hat above 1.1).
+        Raises :class:`IntegrationError` if the target is negative somewhere, or zero at all tried starting points. A
+        warning is given if the chains do not agree (split R-hat above 1.1).
         """
         steps = samples // self.chains
         kept = steps - (self.burn_in or 0)

@@ -145,7 +145,7 @@ class _Run:
         self.cost = 0.0
 
     def _blind_order(self) -> list[int]:
-        """The dimension of each level without exploration: the one that is furthest behind its weight."""
+        """The dimension of each level without exploration: the one with the largest deficit relative to its weight."""
         times, order = np.zeros(self.d), []
         for _ in range(self.o.initial_depth):
             axis = int(np.argmax(self.weights / (times + 1)))
@@ -184,7 +184,7 @@ class _Run:
         return points, np.concatenate(values), cost
 
     def descend(self, samples: int) -> list[_Level]:
-        """Divide the domain until nothing is left to divide; all levels."""
+        """Divide the domain completely; returns all levels."""
         corner, side = np.zeros((1, self.d)), np.ones((1, self.d))
         level = _Level.of(corner, side, np.array([samples]), np.array([-1]))
         levels = [level]
@@ -292,7 +292,7 @@ class _Run:
         and the metric and the cost in them."""
         width = np.diff(edges)
         held = np.sqrt(metric) * width
-        held = 0.8 * held + 0.2 * held.mean(axis=1, keepdims=True)  # so that none gets too thin
+        held = 0.8 * held + 0.2 * held.mean(axis=1, keepdims=True)  # so that no part becomes too thin
         borders = np.stack([split_equally(e, h, self.o.divisions) for e, h in zip(edges, held, strict=True)])
         parts = np.diff(borders)
 
@@ -323,7 +323,8 @@ class _Run:
         n = self.o.divisions
         total = parts.sum(axis=1, keepdims=True)
         ratio = np.where(total > 0, parts / np.where(total > 0, total, 1.0), 1 / n)
-        # Parts without visible variation get a tenth of an equal share: the exploration may have missed something.
+        # Parts without measured variation get a tenth of an equal share, since the exploration may have missed a part
+        # of the function.
         ratio = 0.9 * ratio + 0.1 / n
         free = rest - 2 * n
         share = (ratio * free[:, None]).astype(int)
@@ -348,7 +349,8 @@ class _Run:
         seen, seen_variance, count = above.explored.T
         use = inner & np.isfinite(seen)
         rest = np.maximum(above.samples - count, 1)
-        # A few uniform samples are never better than many stratified ones; if they seem so, they missed something.
+        # A few uniform samples cannot be more accurate than many stratified ones; if they seem to be, they missed a
+        # part of the function.
         bound = np.maximum(seen_variance, variance * rest / np.maximum(count, 1))
         weight = np.where(use & (bound > 0), variance / np.where(bound + variance > 0, bound + variance, 1.0), 0.0)
         weight = np.where(use, weight, 0.0)

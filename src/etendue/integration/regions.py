@@ -37,11 +37,11 @@ class Regions:
 
     @property
     def volume(self) -> Array:
-        """Of each box."""
+        """Volume of each box."""
         return np.asarray(self.side.prod(axis=1))
 
     def tables(self) -> list[Array]:
-        """What :meth:`look_up` reads: probabilities, those of all before, 1 / density, corners, edges."""
+        """The tables of :meth:`look_up`: probabilities, those of all before, 1 / density, corners, edges."""
         p = self.shares
         empty = np.arange(self.bins) >= self._count
         reached = np.where(empty, 2.0, np.cumsum(p) - p)  # empty ones are never selected

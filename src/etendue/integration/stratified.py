@@ -53,7 +53,7 @@ class Stratified(Integrator):
         return Estimate(mean * scale, math.sqrt(variance) * scale, total * size, details={"strata": parts})
 
     def spread(self, work: Work, integrals: int, samples: int) -> tuple[Any, Any, int]:
-        """See :class:`Integrator`. It needs no error, so one sample in each stratum is enough."""
+        """See :class:`Integrator`. There is no error estimate, so one sample per stratum is enough."""
         d = work.dimension
         parts = self.strata if self.strata is not None else max(int((samples + 1e-9) ** (1 / d)), 1)
         if samples < parts**d:

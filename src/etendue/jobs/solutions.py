@@ -50,7 +50,7 @@ _LEAST_TEXELS = 16
 
 @dataclass
 class Shown:
-    """What was made to be seen; ``None`` for what was not asked for."""
+    """The picture and the lightmap of a solution; ``None`` if not requested."""
 
     picture: Result | None = None
     lightmap: Lightmap | None = None
@@ -58,20 +58,23 @@ class Shown:
 
 @dataclass(frozen=True)
 class SolutionOutputs:
-    """What is to be written of a solution. ``files`` are solutions or pictures (.exr, .png), by their suffixes."""
+    """The requested outputs of a solution. ``files`` are solutions or pictures (.exr, .png), depending on their
+    suffixes."""
 
     files: tuple[Path, ...] = ()
     # Of pictures.
     size: tuple[int, int] | None = None
     sensor: int = 0
-    gather: int = 0  #: paths per pixel that gather light at what is seen; 0 shows patches
+    gather: int = 0  #: paths per pixel for final gathering; 0 shows the patches
     samples: int = 16  #: rays per pixel without ``gather``
     smooth: bool = True  #: in pictures and lightmaps
     error_picture: bool = False  #: beside a .png, its relative standard error in false colours
     # Of a lightmap.
-    lightmap: Path | None = None  #: an .exr file, or that of the mesh that fits, beside which the .exr is
-    lightmap_size: int = 1024  #: texels of a side, at most
-    uv: str | None = None  #: a glTF file with TEXCOORD_1, or "scene" for the scene's own; without this an atlas is made
+    lightmap: Path | None = None  #: an .exr file, or a mesh file with the .exr beside it
+    lightmap_size: int = 1024  #: largest number of texels of a side
+    uv: str | None = (
+        None  #: a glTF file with TEXCOORD_1, or "scene" for those of the scene; without it an atlas is made
+    )
 
     @property
     def pictures(self) -> tuple[Path, ...]:
@@ -80,18 +83,18 @@ class SolutionOutputs:
 
     @property
     def error_pictures(self) -> tuple[Path, ...]:
-        """Pictures of errors."""
+        """Paths of error pictures."""
         return tuple(_beside(p) for p in self.pictures if p.suffix.lower() == ".png") if self.error_picture else ()
 
     @property
     def texture(self) -> Path:
-        """The lightmap itself."""
+        """Path of the lightmap."""
         assert self.lightmap is not None
         return self.lightmap.with_suffix(".exr")
 
     @property
     def mesh(self) -> Path:
-        """The mesh that fits to the lightmap, if it has no coordinates yet."""
+        """Path of the mesh for the lightmap, if an atlas is made."""
         assert self.lightmap is not None
         return self.lightmap if self.lightmap != self.texture else self.lightmap.with_suffix(".glb")
 

@@ -32,7 +32,7 @@ _PAGE = "index.html"
 def tasks(scene: Any, names: Sequence[str], settings: Mapping[str, Any], **common: Any) -> list[Task]:
     """The same task for each method of ``names``; ``settings`` as for :func:`settings_by_method`."""
     if len(set(names)) < len(names):
-        raise OptionError(f"each method once, not {', '.join(names)}")
+        raise OptionError(f"give each method once, not {', '.join(names)}")
     return [Task(scene, methods.get(n), own, **common) for n, own in settings_by_method(names, settings).items()]
 
 
@@ -52,7 +52,7 @@ class Comparison:
         """Render the methods in turn, write the page with those that succeeded and print its path. Returns the exit
         status.
 
-        Errors of reference and output folder are raised before rendering.
+        The reference and the output folder are checked before rendering.
         """
         if self.reference is not None:
             self._reference = film.read_image(self.reference)

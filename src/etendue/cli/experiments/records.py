@@ -59,7 +59,7 @@ def run_of(saved: Checkpoint, path: Path) -> RunFile | None:
 
 
 class Recorder:
-    """Writes the files of a run; an ``outputs.Writer``. As a context it creates the folder and logs warnings.
+    """Writes the files of a run; a ``jobs.Writer``. As a context it creates the folder and logs warnings.
 
     A save at a given time has its own files, other saves replace ``name.exr``. ``tell`` receives the log line of every
     save except periodic ones. The seconds of a run include the time of saves. If a run is resumed, log and table
@@ -103,7 +103,7 @@ class Recorder:
                 file.close()
 
     def saving(self, job: Job) -> dict[str, Any]:
-        """See ``outputs.Writer``. Starts or continues log and table."""
+        """See ``jobs.Writer``. Starts or continues log and table."""
         self._earlier = job.earlier
         self._save_at = {time - job.earlier: time for time in self._run.save_at if time > job.earlier}
         self._begin(job)

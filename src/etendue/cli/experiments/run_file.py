@@ -194,7 +194,7 @@ def _tables(path: Path) -> dict[str, dict[str, Any]]:
     except OSError as error:
         raise OptionError(f"cannot read the run file '{path}': {error.strerror or error}") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise OptionError(f"{path} is no TOML: {error}; correct it there") from error
+        raise OptionError(f"{path} is not valid TOML: {error}; correct it there") from error
     head = {key: value for key, value in values.items() if key not in TABLES}
     tables = {"": head} | {name: values.get(name, {}) for name in TABLES if name}
     for name, table in tables.items():

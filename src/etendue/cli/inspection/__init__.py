@@ -1,1 +1,1 @@
-"""Commands that show and check what is there: installation, scenes, methods, point sets."""
+"""Commands that list and check: installation, scenes, methods, point sets."""

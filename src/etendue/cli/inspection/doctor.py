@@ -25,7 +25,7 @@ Status = Literal["ok", "warn", "fail"]
 #: The versions that étendue is tested with; others get a warning.
 TESTED = {"mitsuba": "3.9.1", "drjit": "1.5.0"}
 
-# Renders a Cornell box of 8x8 pixels: compiler, ray casting and Mitsuba's plugins in one go.
+# Renders a Cornell box of 8x8 pixels: a test of compiler, ray casting and Mitsuba's plugins.
 _PROBE = """
 import sys
 from etendue.core import use_variant
@@ -37,7 +37,7 @@ mean = float(np.array(mi.render(mi.load_dict(box), spp=4)).mean())
 sys.exit(0 if 0.01 < mean < 10 else f"the picture is wrong: its mean is {mean}")
 """
 
-# As in a user's script: Mitsuba chooses LLVM without étendue.
+# As in a user's script, where Mitsuba chooses LLVM without étendue.
 _MITSUBA_FIRST = "import mitsuba, drjit; print(drjit.detail.llvm_version()[0])"
 
 
@@ -115,7 +115,7 @@ def _llvm() -> Check:
     try:
         backend.check_llvm()
     except EtendueError as error:
-        # A machine with a usable GPU renders without.
+        # A machine with a usable GPU can render without it.
         status: Status = "warn" if backend.cuda_problem() is None else "fail"
         return Check("llvm", status, f"Dr.Jit has none that works; found: {others or 'none'}", str(error))
     version = backend.llvm_version()

@@ -20,7 +20,7 @@ _ALWAYS_CITED = ("Mitsuba3", "Jakob2022")
 
 
 def show_methods() -> int:
-    """A line per method."""
+    """Print a line per method."""
     table = Table(box=None, pad_edge=False, show_header=False)
     table.add_column(no_wrap=True, style="bold")
     table.add_column()
@@ -53,7 +53,7 @@ def show_method(name: str) -> int:
 
 
 def show_scenes() -> int:
-    """A line per bundled scene."""
+    """Print a line per bundled scene."""
     from etendue.scene import bundled
 
     table = Table(box=None, pad_edge=False, show_header=False)

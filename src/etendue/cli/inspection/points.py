@@ -37,7 +37,7 @@ _ROWS = 1 << 14
 
 
 def show_point_sets() -> int:
-    """A line for each."""
+    """Print a line for each point set."""
     table = Table(box=None, pad_edge=False)
     for heading in ("name", "dimensions", "points", "seed", "what"):
         table.add_column(heading, no_wrap=heading != "what")
@@ -67,7 +67,7 @@ def show_points(
         raise OptionError("--measure and --plot exclude each other; a plot shows the discrepancy of each pair")
     chosen = [parse_pair(text) for text in pairs]
     if chosen and plot is None:
-        raise OptionError("--pair says what --plot shows; give --plot FILE.svg")
+        raise OptionError("--pair selects the dimensions of --plot; give --plot FILE.svg")
     count = count or (_PLOTTED if measure or plot else _LISTED)
     dimension = dimension or max([2, *(1 + max(pair) for pair in chosen)])
     points = point_set(name, dimension, first + count, seed)
@@ -87,7 +87,7 @@ def parse_pair(text: str) -> tuple[int, int]:
     """Two dimensions from ``10,11``. Raises :class:`OptionError`."""
     match = re.match(r"^\s*(\d+)\s*,\s*(\d+)\s*$", text)
     if match is None:
-        raise OptionError(f"--pair wants two dimensions as 0,1, counted from 0, not '{text}'")
+        raise OptionError(f"--pair needs two dimensions such as 0,1, counted from 0, not '{text}'")
     return int(match[1]), int(match[2])
 
 

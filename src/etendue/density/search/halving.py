@@ -25,10 +25,10 @@ def highest(side: mi.Float, block: int) -> mi.Float:
 
 
 def sorted_into_halves(index: mi.UInt32, sides: list[mi.Float]) -> tuple[mi.UInt32, list[mi.Float]]:
-    """Reorder, so that every aligned block of a leaf's size times a power of two is a node of the kd-tree.
+    """Reorder the points, so that every aligned block of a leaf's size times a power of two is a node of the kd-tree.
 
     A level is one sort by the number of the node and the position along the axis that this node is cut at. The position
-    is rounded to the bits that are left: a cut need not be exact, since the boxes are taken from the points afterwards.
+    is rounded to the remaining bits: a cut need not be exact, since the boxes are computed from the points afterwards.
     """
     places = dr.width(index)
     block, depth = places, 0

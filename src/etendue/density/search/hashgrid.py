@@ -1,6 +1,6 @@
 """A hash grid over points: every point within a fixed radius of a query, on device arrays.
 
-Cells have side ``2 r``, so a ball of radius ``r`` touches two cells an axis. A cell's bucket is ``hash(y, z) + x``:
+Cells have side ``2 r``, so a ball of radius ``r`` touches two cells per axis. A cell's bucket is ``hash(y, z) + x``:
 neighbours along x are neighbours in the table, and a query reads four rows of two adjacent buckets, four ranges of the
 sorted points. Rows whose hashes collide share buckets; each bucket is read once. Built by counting sort [Green 2008].
 """
@@ -16,9 +16,9 @@ import mitsuba as mi
 
 from etendue.core import Array
 
-#: State of a search: what a Dr.Jit loop takes.
+#: State of a search: any state of a Dr.Jit loop.
 S = TypeVar("S")
-#: Largest number of cells along x; with more, cells are made wider, which only costs time.
+#: Largest number of cells along x; with more, cells become wider, which only costs time.
 _MAX_CELLS_X = 1 << 22
 #: Number of candidates that are tested, a bit each, before the neighbours among them are visited. Alternating between
 #: testing and visiting keeps the lanes of a packet coherent: one candidate in five is a neighbour, so visiting each as
@@ -40,7 +40,7 @@ class HashGrid:
 
     Parameters
     ----------
-    points: Point3f, one lane a point.
+    points: Point3f, a lane per point.
     radius: search radius, scene units, a host number above zero.
     lower, upper: corners of a box that contains the points (host sequences of three numbers).
     active: mask of the points to insert; the others get no destination.
@@ -123,10 +123,10 @@ class HashGrid:
 
         Parameters
         ----------
-        point: Point3f, a query a lane.
+        point: Point3f, a query per lane.
         read: ``read(place) -> (position, wanted)`` of a sorted point; one that is not wanted is not visited.
         visit: ``visit(place, state)`` returns the next state. Traced once.
-        state: what a Dr.Jit loop takes.
+        state: any state of a Dr.Jit loop.
         radius_squared: a smaller radius of each lane, squared; by default that of the grid.
         """
         query = self.query(point, active)

@@ -22,15 +22,16 @@ import mitsuba as mi
 
 from .halving import LEAF, highest, lowest, sorted_into_halves
 
-#: State of a search: what a Dr.Jit loop takes.
+#: State of a search: any state of a Dr.Jit loop.
 S = TypeVar("S")
 #: Thresholds at which one search counts.
 _THRESHOLDS = 8
 #: Number of sorted distances that the last search keeps.
 _KEPT = 8
-#: A first threshold below the k-th distance costs a search, one far above it makes the first search slower.
+#: Factor of the first threshold. Below the k-th distance it costs another search, far above it the first search is
+#: slower.
 _MARGIN = 1.1
-#: Below the squared distance of an empty place, which is infinite.
+#: Upper bound of finite squared distances; that of an empty place is infinite.
 _LARGEST = 3.4e38
 _UNKNOWN = 0xFFFFFFFF
 
@@ -52,9 +53,9 @@ class KdTree:
 
     Parameters
     ----------
-    points: Point3f, one lane a point. Points that are not finite are left out.
+    points: Point3f, a lane per point. Points that are not finite are left out.
     active: mask of the points to insert.
-    reach: radius of influence of each point, for :meth:`covering`; scene units, a lane a point.
+    reach: radius of influence of each point, for :meth:`covering`; scene units, a lane per point.
 
     Attributes
     ----------

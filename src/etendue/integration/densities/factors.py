@@ -34,7 +34,7 @@ class Tabulated(Protocol):
 
     @property
     def volume(self) -> Array:
-        """Of each bin, (bins,)."""
+        """Volume of each bin, (bins,)."""
         ...
 
     def tables(self) -> list[Array]:
@@ -48,7 +48,7 @@ class Tabulated(Protocol):
 
 
 class Factor(Tabulated, Protocol):
-    """One that is learned."""
+    """A tabulated density that is learned."""
 
     #: Power of the contribution by which its bins adapt; bins with movable borders equalise its square.
     order: int
@@ -67,7 +67,7 @@ class Factor(Tabulated, Protocol):
 
 
 class _ByTables:
-    """Shared by all factors."""
+    """Warping by the tables, for all factors."""
 
     def warp(self: Any, backend: Backend, u: Sequence[Numbers]) -> Warped:
         """See :class:`Factor`."""
@@ -252,7 +252,7 @@ def warp_rows(backend: Backend, factors: Sequence[Tabulated], u: Sequence[Number
 
 
 def stabilised(values: Array, smoothing: bool, damping: float | None) -> Array:
-    """Smoothed and damped, or as they are."""
+    """The values, smoothed and damped if requested."""
     values = smooth(values) if smoothing else np.asarray(values)
     return values if damping is None else damp(values, damping)
 

@@ -65,8 +65,7 @@ def save_segments(
     """
     if segments.correction is not None:
         raise RadiosityError(
-            "segments with local rays cannot be saved: save the segments of lines, and call with_local_rays() after "
-            "reading"
+            "segments with local rays cannot be saved: save those of lines, and call with_local_rays() after reading"
         )
     if Path(path).suffix.lower() != ".nc":
         raise RadiosityError(f"segments are written as .nc, not as '{path}'; change the name")
