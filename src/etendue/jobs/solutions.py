@@ -72,9 +72,7 @@ class SolutionOutputs:
     # Of a lightmap.
     lightmap: Path | None = None  #: an .exr file, or a mesh file with the .exr beside it
     lightmap_size: int = 1024  #: largest number of texels of a side
-    uv: str | None = (
-        None  #: a glTF file with TEXCOORD_1, or "scene" for those of the scene; without it an atlas is made
-    )
+    uv: str | None = None  #: a glTF file with TEXCOORD_1, or "scene" for the scene's own; None makes an atlas
 
     @property
     def pictures(self) -> tuple[Path, ...]:
