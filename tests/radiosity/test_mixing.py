@@ -128,7 +128,7 @@ def test_rays_are_never_many_more_than_an_eighth_of_the_segments():
 def test_what_cannot_be_mixed():
     segments = cast(pebbles(), OwenSobol(4, seed=1))
     mixed = with_local_rays(segments)
-    with pytest.raises(RadiosityError, match="have been mixed"):
+    with pytest.raises(RadiosityError, match="have local rays already"):
         with_local_rays(mixed)
     with pytest.raises(RadiosityError, match="cannot be added"):
         mixed + segments

@@ -176,7 +176,7 @@ def test_shots_that_do_not_fit():
     patches = lamp_in_a_room()
     shot = first_shot(RayScene(patches), OwenSobol(4).block(64))
     segments = ABuffer(patches, lines=200).cast(16)
-    with pytest.raises(RadiosityError, match="more light than patches emit"):
+    with pytest.raises(RadiosityError, match="more light than the patches emit"):
         solve(patches.with_properties(emission=0.5 * patches.emission), segments, shot=shot)
     other = lamp_in_a_room(walls=1)
     with pytest.raises(RadiosityError, match="of other patches"):
