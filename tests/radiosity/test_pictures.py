@@ -233,7 +233,7 @@ def test_refusals(options, error, message):
     patches = scene_patches(scene)
     with pytest.raises(error, match=message):
         picture(solved(patches, 1.0), scene, **options)
-    with pytest.raises(OptionError, match=r"give these to etendue.scene.load"):
+    with pytest.raises(OptionError, match="a loaded scene has its sensor and size"):
         picture(solved(patches, 1.0), load(scene, check=False), size=(8, 8))
 
 
