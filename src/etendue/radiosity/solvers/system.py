@@ -141,7 +141,7 @@ def solve(
         raise RadiosityError(f"there is no solver {solver!r}; there are: {', '.join(SOLVERS)}")
     if solver in ("gauss-seidel", "southwell", "direct") and not isinstance(transport, FormFactors):
         raise RadiosityError(f"{solver} needs form factors; on segments there are jacobi and conjugate-gradient")
-    rest = patches if shot is None else _after(shot, patches)
+    rest = patches if shot is None else after_shot(shot, patches)
     steps = _STEPS[solver](rest, transport)
     scale = max(rest.emission.max(), rest.sky.max()) or 1.0  # a shot at black patches leaves nothing
     residuals = []
@@ -173,8 +173,9 @@ def check_direct(patches: int) -> None:
         )
 
 
-def _after(shot: FirstShot, patches: Patches) -> Patches:
-    """Patches that emit their remaining light and the reflected light of the shot."""
+def after_shot(shot: FirstShot, patches: Patches) -> Patches:
+    """Patches that emit their remaining light and the reflected light of the shot. Raises :class:`RadiosityError` for a
+    shot of other patches."""
     if shot.emission.shape != patches.emission.shape or not np.array_equal(shot.patches.areas, patches.areas):
         raise RadiosityError("the first shot is that of other patches: shoot from the patches of the solution")
     left = patches.emission - shot.emission
