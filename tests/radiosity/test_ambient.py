@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from support.patches import cube, room
 
-from etendue.points import Independent
+import etendue
+from etendue.cli.main import main
+from etendue.points import Independent, OwenSobol
 from etendue.radiosity import (
     ABuffer,
     ChainedRays,
@@ -24,6 +26,9 @@ from etendue.radiosity import (
     hierarchical_ambient,
     joined,
     multipath,
+    multipath_bundles,
+    read_solution,
+    shot_at_patches,
     solve,
     spread,
     sub_scenes,
@@ -333,3 +338,80 @@ def test_bad_parts():
         ambient_solution(patches, "fuzzy", twice)
     with pytest.raises(RadiosityError, match="patch 0 is in none"):
         ambient_solution(patches, "fuzzy", SubScene(np.arange(1, len(patches))))
+
+
+# ---------------------------------------------------------------------------------------------------- doors
+
+
+def test_at_once(tmp_path):
+    """By Python and by the command line, to files that are read again."""
+    patches = room(2, reflectance=0.6, emission=np.arange(48)[:, None] < 8)
+    file = tmp_path / "room.npz"
+    result = etendue.solve_radiosity(patches, ambient="crisp", save=file)
+    np.testing.assert_array_equal(result.solution.irradiance, ambient_solution(patches, "crisp").irradiance)
+    assert (result.bundles, len(result.segments), result.stopped_by) == (0, 0, "ambient")
+    assert np.isnan(result.solution.residual) and result.solution.imbalance < 1e-12
+    read, error = read_solution(file)
+    np.testing.assert_array_equal(read.radiosity, result.solution.radiosity)
+    assert error is None and read.residuals == ()
+    other = tmp_path / "box.npz"
+    assert main(["radiosity", "cornell-box", "--ambient", "fuzzy", "-o", str(other), "--max-area", "0.1"]) == 0
+    found = etendue.solve_radiosity("cornell-box", ambient="fuzzy", max_area=0.1).solution
+    np.testing.assert_array_equal(read_solution(other)[0].radiosity, found.radiosity)
+
+
+def test_after_some_bounces():
+    patches = room(2, reflectance=0.6, emission=np.arange(48)[:, None] < 8)
+    asked = {"bundles": 32, "shot": False, "local_rays": False}
+    early = etendue.solve_radiosity(patches, "jacobi", ambient="fuzzy", bounces=2, **asked)
+    assert len(early.solution.residuals) == 2 and early.bundles == 32
+    whole = etendue.solve_radiosity(patches, "jacobi", **asked).solution
+    np.testing.assert_allclose(mean(patches, early.solution.radiosity), mean(patches, whole.radiosity), rtol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"ambient": "fuzz"}, "no ambient term 'fuzz'; did you mean 'fuzzy'"),
+        ({"ambient": "fuzzy", "bundles": 4}, "leave out bundles="),
+        ({"ambient": "fuzzy", "solver": "jacobi"}, "leave out solver="),
+        ({"bounces": 3}, "say by ambient="),
+        ({"ambient": "fuzzy", "bounces": 0}, "bounces= is a whole number of at least 1"),
+    ],
+)
+def test_options_that_do_not_go_together(options, message):
+    with pytest.raises(etendue.OptionError, match=message):
+        etendue.solve_radiosity(cube(1, emission=1.0), **options)
+
+
+def test_no_session_for_what_is_there_at_once():
+    with pytest.raises(etendue.OptionError, match="take solve_radiosity"):
+        etendue.start_radiosity(cube(1, emission=1.0), ambient="fuzzy")
+
+
+def test_after_direct_light():
+    """With a shot, what it has brought is not spread again: all power is found."""
+    patches = room(2, reflectance=0.6, emission=np.arange(48)[:, None] < 4)
+    shot = shot_at_patches(RayScene(patches), 1 << 12)
+    found = ambient_solution(patches, "fuzzy", shot=shot)
+    assert found.imbalance < 1e-9
+    assert (found.irradiance >= shot.irradiance).all()
+    exact = solve(patches, ABuffer(patches).cast(256), "conjugate-gradient", shot=shot).irradiance
+    plain = ambient_solution(patches, "fuzzy").irradiance
+    error = [np.sqrt(mean(patches, (light - exact) ** 2)) for light in (found.irradiance, plain)]
+    assert error[0] < 0.5 * error[1]
+
+
+def test_one_round_of_bundles_does():
+    """Of multipath by bundles: with what is left spread, the error of one round is that of all."""
+    patches = room(2, reflectance=0.7, emission=np.arange(48)[:, None] < 24)
+    exact = solve(patches, ABuffer(patches).cast(1024), "conjugate-gradient").radiosity
+    errors = []
+    for seed in range(4):
+        engine = ABuffer(patches, OwenSobol(4, seed=seed))
+        one = multipath_bundles(engine, 64, rounds=1)
+        found = one, finished(patches, one), multipath_bundles(engine, 64)
+        errors.append([mean(patches, (each.radiosity - exact) ** 2)[0] for each in found])
+    left, spread_out, whole = np.mean(errors, axis=0)
+    assert spread_out < 0.5 * left
+    assert spread_out < 2 * whole
