@@ -91,6 +91,8 @@ def measure(
         f"CPU ms: all light, without the shot; median of {rounds} rounds in turn",
     ]
     yield record
+    if "bleed-box" in scenes:
+        yield _bleeding(AMBIENT_SCENES["bleed-box"](detail).patches, bundles)
     yield _speed(rounds)
 
 
@@ -125,6 +127,26 @@ def _rows(
     if size is not None:
         made = [task() for task in tasks.values()] + [task(shot) for task in tasks.values()] + [exact]
         _strip(out / f"ambient-{name}.png", shown, made, size)
+
+
+def _bleeding(patches: Patches, bundles: int) -> Record:
+    """Colours of the white cube."""
+    shot = shot_at_patches(RayScene(patches), _RAYS)
+    solutions = {
+        **{f"{term}, after direct light": ambient_solution(patches, term, shot=shot) for term in AMBIENT_TERMS},
+        "by lines": solve(patches, ABuffer(patches).cast(bundles), "conjugate-gradient", shot=shot),
+    }
+    middle = sum(patches.bounds) / 2
+    cube = np.abs(patches.centres - middle).max(axis=1) < 0.51
+    record = Record("Red over green on the white cube of bleed-box", ("", "towards red", "towards green", "the front"))
+    for label, solution in solutions.items():
+        ratios = []
+        for direction in ((-1, 0, 0), (1, 0, 0), (0, -1, 0)):
+            side = cube & (patches.normals @ direction > 0.9)
+            light = patches.areas[side] @ solution.radiosity[side]
+            ratios.append(f"{light[0] / light[1]:.2f}")
+        record.add(label, *ratios)
+    return record
 
 
 def _by_fifths(patches: Patches, term: AmbientTerm | str, power: Array) -> Array:
