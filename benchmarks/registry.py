@@ -113,6 +113,7 @@ PROGRAMS = {
                 Benchmark("generators", "generators.measure", 2, "The four generators of global lines."),
                 Benchmark("direct", "sequences.direct", 1, "What sequences gain for direct light and for all light."),
                 Benchmark("estimators", "estimators.measure", 1, "The estimators F1 to F4 on the same lines."),
+                Benchmark("hemicube", "hemicube.measure", 1, "Hemicubes beside local lines and global lines."),
                 Benchmark("ambient", "ambient.measure", 2, "Ambient terms: their errors, their time, pictures."),
                 Benchmark("finishing", "ambient.finishing", 1, "Solvers that stop early, with and without the terms."),
             ),

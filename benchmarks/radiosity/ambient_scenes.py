@@ -24,7 +24,7 @@ from etendue.core import Array
 from etendue.radiosity import Patches
 from etendue.surfaces import triangles
 
-from .scenes import GAP, Mesh, SceneBuilder, placed, room
+from .scenes import GAP, Mesh, _Builder, placed, room
 
 _GREY, _WHITE, _RED, _GREEN = (0.5,) * 3, (0.8,) * 3, (0.7, 0.1, 0.1), (0.1, 0.6, 0.1)
 
@@ -67,7 +67,7 @@ def interior(detail: float = 1.0) -> Shown:
 def bleed_box(detail: float = 1.0) -> Shown:
     """Cubic room of 3 m: grey (0.5), the wall of low x red (0.7, 0.1, 0.1), that of high x green (0.1, 0.6, 0.1). A
     white (0.8) cube of 1 m floats in its middle. A lamp of 0.8 x 0.8 m at 2.9 m emits 100 W/m^2."""
-    scene = SceneBuilder(detail)
+    scene = _Builder(detail)
     scene.room((3, 3, 3), 0.25, [_RED, _GREEN, _GREY, _GREY, _GREY, _GREY])
     scene.add(scene.block((1, 1, 1), (2, 2, 2), 0.2), _WHITE)
     scene.lamp(1.5, 1.5, 2.9, 0.8, 0.2, (100.0,) * 3)
@@ -78,7 +78,7 @@ def curved(detail: float = 1.0, colour: bool = False) -> Shown:
     """Room of 4 x 4 x 3 m that reflects 0.5; or its wall of low x blue (0.15, 0.25, 0.7), that of high x orange (0.75,
     0.4, 0.1) and its floor green (0.1, 0.6, 0.1). White (0.8) are a sphere with a radius of 0.6 m, a column with one of
     0.35 m, 1.6 m high, and half a pipe of 0.5 m. A lamp of 1 x 1 m at 2.9 m emits 100 W/m^2."""
-    scene = SceneBuilder(detail)
+    scene = _Builder(detail)
     blue, orange = (0.15, 0.25, 0.7), (0.75, 0.4, 0.1)
     scene.room((4, 4, 3), 0.4, [blue, orange, _GREY, _GREY, _GREEN, _GREY] if colour else [_GREY] * 6)
     around = max(round(36 * detail), 8)
@@ -98,7 +98,7 @@ def three_lamps(detail: float = 1.0) -> Shown:
     """Hall of 9 x 7 x 3 m that reflects 0.6. Partitions of 3 x 2.2 m (0.7) divide it into three booths that are open to
     the front and above. In each a grey table and, at 2.15 m, a lamp of 0.5 x 0.5 m: 200, 50 and 12 W/m^2. A booth with
     its partitions, table and lamp is a sub-scene."""
-    scene = SceneBuilder(detail)
+    scene = _Builder(detail)
     scene.room((9, 7, 3), 0.5, [(0.6,) * 3] * 6)
     sizes = [sum(len(mesh[1]) for mesh in scene.meshes)]
     parts = [-1]

@@ -30,7 +30,7 @@ Mesh = tuple[Array, NDArray[np.int64]]
 GAP = 0.005
 
 
-class SceneBuilder:
+class _Builder:
     """Meshes with a reflectance and an emission for every face."""
 
     def __init__(self, detail: float) -> None:
@@ -91,7 +91,7 @@ def placed(mesh: Mesh, x: float, y: float, z: float = 0.0, turn: float = 0.0) ->
 def six_cubes(detail: float = 1.0) -> Patches:
     """Room of 5 x 4 x 3 m: walls reflect 0.6, the floor 0.4, the ceiling 0.75. Six cubes with edges of 0.5 to 0.9 m,
     turned at will, that reflect 0.2 to 0.8. A lamp of 0.8 x 0.8 m at 2.9 m emits 100 W/m^2."""
-    scene = SceneBuilder(detail)
+    scene = _Builder(detail)
     scene.room((5, 4, 3), 0.5, [0.6, 0.6, 0.6, 0.6, 0.4, 0.75])
     for x, y, edge, colour, turn in (
         (0.9, 0.8, 0.8, 0.3, 20),
@@ -111,7 +111,7 @@ def room(detail: float = 1.0) -> Patches:
     wood, the ceiling white. A brown table with four chairs, a grey desk with one, and on them five coloured things. A
     lamp of 0.8 x 0.8 m at 2.5 m emits (100, 95, 85) W/m^2."""
     cream, wood, brown, grey = (0.7, 0.68, 0.6), (0.45, 0.32, 0.2), (0.4, 0.25, 0.15), (0.5, 0.5, 0.52)
-    scene = SceneBuilder(detail)
+    scene = _Builder(detail)
     scene.room((5, 4, 2.6), 0.35, [(0.6, 0.2, 0.15), (0.2, 0.3, 0.6), cream, cream, wood, (0.8, 0.8, 0.8)])
     for mesh in _table(scene, 1.4, 0.9):
         scene.add(placed(mesh, 1.7, 1.9), brown)
@@ -138,7 +138,7 @@ def room(detail: float = 1.0) -> Patches:
 def four_chairs(detail: float = 1.0) -> Patches:
     """Room of 3.6 x 3.6 x 2.5 m that reflects 0.6, floor 0.3. A table of 1.2 x 0.8 m (0.5) and a chair at each of its
     sides (0.4). A lamp of 0.6 x 0.6 m at 2.4 m emits 100 W/m^2."""
-    scene = SceneBuilder(detail)
+    scene = _Builder(detail)
     scene.room((3.6, 3.6, 2.5), 0.4, [0.6, 0.6, 0.6, 0.6, 0.3, 0.6])
     for mesh in _table(scene, 1.2, 0.8):
         scene.add(placed(mesh, 1.8, 1.8), 0.5)
@@ -153,7 +153,7 @@ def nine_cubes(detail: float = 1.0) -> Patches:
     """Cubic room of 4 m that reflects 0.5, walls in patches of 1 m. Two groups of four cubes of 0.4 m, 0.2 m apart, in
     opposite corners, and one of 0.6 m by itself, one patch a face; they reflect 0.7. A lamp of 0.8 x 0.8 m at 3.9 m
     emits 100 W/m^2."""
-    scene = SceneBuilder(detail)
+    scene = _Builder(detail)
     scene.room((4, 4, 4), 1.0, [0.5] * 6)
     for x, y in ((0.9, 0.9), (3.1, 3.1)):
         for dx, dy in ((-0.3, -0.3), (0.3, -0.3), (-0.3, 0.3), (0.3, 0.3)):
@@ -166,7 +166,7 @@ def nine_cubes(detail: float = 1.0) -> Patches:
 def test_one(detail: float = 1.0) -> Patches:
     """Cubic room of 3 m that reflects 0.6. A cube of 0.8 m (0.7), a pyramid of four sides, 1 m high on a square of
     0.9 m (0.4), and a lamp of 1 x 1 m at 2.9 m that emits 50 W/m^2."""
-    scene = SceneBuilder(detail)
+    scene = _Builder(detail)
     scene.room((3, 3, 3), 0.6, [0.6] * 6)
     scene.cube(0.9, 0.9, 0.8, 0.4, 0.7, turn=20)
     corners = np.array([[-0.45, -0.45, 0], [0.45, -0.45, 0], [0.45, 0.45, 0], [-0.45, 0.45, 0], [0, 0, 1.0]])
@@ -184,20 +184,20 @@ def _legs(width: float, depth: float, height: float, thick: float) -> list[Mesh]
     return [box([*(end - half), GAP], [*(end + half), height - GAP]) for end in ends]
 
 
-def _table(scene: SceneBuilder, width: float, depth: float) -> list[Mesh]:
+def _table(scene: _Builder, width: float, depth: float) -> list[Mesh]:
     """0.75 m high, around the origin."""
     top = scene.block((-width / 2, -depth / 2, 0.71), (width / 2, depth / 2, 0.75), 0.35)
     return [top, *_legs(width - 0.1, depth - 0.1, 0.71, 0.06)]
 
 
-def _chair(scene: SceneBuilder) -> list[Mesh]:
+def _chair(scene: _Builder) -> list[Mesh]:
     """Its back on the side of high y."""
     seat = scene.block((-0.21, -0.21, 0.42), (0.21, 0.21, 0.45), 0.25)
     back = scene.block((-0.21, 0.18, 0.45 + GAP), (0.21, 0.21, 0.9), 0.25)
     return [seat, back, *_legs(0.42, 0.42, 0.42, 0.04)]
 
 
-def _desk(scene: SceneBuilder) -> list[Mesh]:
+def _desk(scene: _Builder) -> list[Mesh]:
     """0.75 m high, a plate on a panel at one side and drawers at the other."""
     top = scene.block((-0.75, -0.35, 0.71), (0.75, 0.35, 0.75), 0.35)
     panel = scene.block((-0.75, -0.35, GAP), (-0.71, 0.35, 0.71 - GAP), 0.35)

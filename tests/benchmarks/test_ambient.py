@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.experiments import is_number, tables_of
 
-from etendue.radiosity import diagnose, sub_scenes
+from etendue.radiosity import Patches, RayScene, box, diagnose, sub_scenes
 
 ROOT = Path(__file__).resolve().parents[2]
 SIZES = {"bleed-box": 1062, "curved": 1988, "curved-colour": 1988, "three-lamps": 2154}
@@ -83,3 +83,18 @@ def test_the_best_constant():
     reference = image + colour * albedo
     reference[0, 0] = np.nan
     np.testing.assert_allclose(fit(image, albedo, reference), colour, rtol=1e-5)
+
+
+def test_hemicube():
+    """Form factors of its pixels sum to 1; that of the opposite wall of a cube from the centre of another is known."""
+    hemicube = importlib.import_module("benchmarks.radiosity.hemicube")
+    rays, delta = hemicube.hemicube_rays(64)
+    np.testing.assert_allclose(np.linalg.norm(rays, axis=1), 1.0, rtol=1e-12)
+    assert len(rays) == 3 * 64 * 64
+    np.testing.assert_allclose(delta.sum(), 1.0, rtol=1e-3)
+    matrix = hemicube.hemicube_form_factors(RayScene(Patches(*box((0, 0, 0), (1, 1, 1), 1, inward=True))), 64)
+    # From the centre, at distance 1, a quarter of the opposite wall is a square of 1/2 x 1/2.
+    quarter = 0.5 / np.sqrt(1.25) * np.arctan(0.5 / np.sqrt(1.25)) / np.pi
+    np.testing.assert_allclose(matrix[4, 5], 4 * quarter, rtol=5e-3)
+    np.testing.assert_allclose(matrix.sum(axis=1), 1.0, rtol=1e-3)
+    assert np.abs(np.diag(matrix)).max() == 0
