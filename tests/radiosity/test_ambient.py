@@ -349,7 +349,7 @@ def test_at_once(tmp_path):
     file = tmp_path / "room.npz"
     result = etendue.solve_radiosity(patches, ambient="crisp", save=file)
     np.testing.assert_array_equal(result.solution.irradiance, ambient_solution(patches, "crisp").irradiance)
-    assert (result.bundles, len(result.segments), result.stopped_by) == (0, 0, "ambient")
+    assert (result.bundles, result.segments, result.stopped_by) == (0, None, "ambient")
     assert np.isnan(result.solution.residual) and result.solution.imbalance < 1e-12
     read, error = read_solution(file)
     np.testing.assert_array_equal(read.radiosity, result.solution.radiosity)
@@ -375,6 +375,7 @@ def test_after_some_bounces():
         ({"ambient": "fuzz"}, "no ambient term 'fuzz'; did you mean 'fuzzy'"),
         ({"ambient": "fuzzy", "bundles": 4}, "leave out bundles="),
         ({"ambient": "fuzzy", "solver": "jacobi"}, "leave out solver="),
+        ({"ambient": "fuzzy", "solver": "multipath"}, "leave out ambient="),
         ({"bounces": 3}, "say by ambient="),
         ({"ambient": "fuzzy", "bounces": 0}, "bounces= is a whole number of at least 1"),
     ],

@@ -94,6 +94,7 @@ class AmbientPath(_Ambient, Path):
     name: ClassVar[str] = "ambient_path"
     plugin: ClassVar[str | None] = None
     Settings: ClassVar[type[ImageSettings]] = AmbientPathSettings
+    settings: AmbientPathSettings
     citations: ClassVar[tuple[str, ...]] = ("Castro2002", "Kajiya1986")
 
     def walker(self, kind: type[W], **own: Any) -> W:
@@ -108,6 +109,7 @@ class AmbientLight(_Ambient, LightTracing):
 
     name: ClassVar[str] = "ambient_light"
     Settings: ClassVar[type[ImageSettings]] = AmbientLightSettings
+    settings: AmbientLightSettings
     citations: ClassVar[tuple[str, ...]] = ("Castro2002", "Arvo1986")
 
     @property
