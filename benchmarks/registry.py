@@ -69,6 +69,7 @@ PROGRAMS = {
                 Benchmark("mitsuba-path", "mitsuba_path.measure", 90, "path beside Mitsuba's path.", in_all=False),
                 Benchmark("filters", "filters.measure", 3, "Cost of a pass by filter, and edges after few samples."),
                 Benchmark("guided", "guided.measure", 13, "Error times time of guided, beside path."),
+                Benchmark("ambient", "ambient.measure", 12, "Paths that end in an ambient term, beside whole paths."),
                 Benchmark("knn", "neighbours.measure", 1, "A kd-tree and nearest neighbours, beside scipy's cKDTree."),
                 Benchmark("points", "sequences.measure", 1, "Points of sequences a second, beside scipy's qmc."),
                 Benchmark("integration", "integrals.measure", 1, "Vegas beside the vegas package: errors and speed."),
@@ -112,6 +113,9 @@ PROGRAMS = {
                 Benchmark("generators", "generators.measure", 2, "The four generators of global lines."),
                 Benchmark("direct", "sequences.direct", 1, "What sequences gain for direct light and for all light."),
                 Benchmark("estimators", "estimators.measure", 1, "The estimators F1 to F4 on the same lines."),
+                Benchmark("hemicube", "hemicube.measure", 1, "Hemicubes beside local lines and global lines."),
+                Benchmark("ambient", "ambient.measure", 2, "Ambient terms: their errors, their time, pictures."),
+                Benchmark("finishing", "ambient.finishing", 1, "Solvers that stop early, with and without the terms."),
             ),
         ),
     )

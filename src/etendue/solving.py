@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from etendue.core import Progress, use_variant
+from etendue.core import OptionError, Progress, use_variant
 from etendue.engine import Checkpoint, Runner, Session
 from etendue.jobs import FormFactorResult, PathLike, RadiosityResult, listed, run_work, start_work
 
@@ -88,6 +88,8 @@ def solve_radiosity(
     seed: int = 0,
     lines: float = 0.0,
     shot: bool = True,
+    ambient: str | None = None,
+    bounces: int | None = None,
     local_rays: bool = True,
     parameters: Mapping[str, Any] | None = None,
     callback: Callback | None = None,
@@ -116,6 +118,9 @@ def solve_radiosity(
         irradiance, averaged over the surface and divided by the mean irradiance. Without limits, 1024 bundles.
     points: number of lines of multipath, in place of ``bundles``; 4,194,304 without limits.
     shot: send the light of small emitters by local rays first.
+    ambient: ``classic``, ``crisp`` or ``fuzzy``, see :func:`etendue.radiosity.ambient_solution`: all light by an
+        ambient term, at once and without lines. With ``bounces``, a solution by lines of which the solver makes so many
+        iterations, and only what is left is ambient.
     save: files for the solution, ``.vtu``, ``.ply``, ``.glb``, ``.gltf``, ``.npz`` or ``.nc``, and for pictures of it,
         ``.exr`` or ``.png``. The picture is also in the result.
     size, sensor, gather, samples, smooth: options of pictures, see :func:`etendue.jobs.picture`.
@@ -127,7 +132,11 @@ def solve_radiosity(
 
     The other arguments and the errors are those of :func:`compute_form_factors`.
     """
-    open_work, watch = _radiosity(**locals())
+    request, open_work, watch = _radiosity(**locals())
+    if request.is_instant:
+        from etendue.jobs import solve_ambient
+
+        return solve_ambient(request)
     return run_work(open_work(), watch)
 
 
@@ -143,6 +152,8 @@ def start_radiosity(
     seed: int = 0,
     lines: float = 0.0,
     shot: bool = True,
+    ambient: str | None = None,
+    bounces: int | None = None,
     local_rays: bool = True,
     parameters: Mapping[str, Any] | None = None,
     callback: Callback | None = None,
@@ -167,7 +178,10 @@ def start_radiosity(
     when the solution from the lines so far is written. ``wait()`` and ``result`` raise the error of the run. Options,
     budgets and names of files are checked before this function returns.
     """
-    return start_work(*_radiosity(**locals()))
+    request, open_work, watch = _radiosity(**locals())
+    if request.is_instant:
+        raise OptionError("an ambient solution is there at once: take solve_radiosity, or give bounces=")
+    return start_work(open_work, watch)
 
 
 def _form_factors(
@@ -197,8 +211,12 @@ def _radiosity(
     resume: PathLike | None,
     callback: Callback | None,
     **asked: Any,
-) -> tuple[Callable[[], PatchWork[RadiosityRequest, RadiosityResult]], Callable[[Progress, Runner], object]]:
-    """As :func:`_form_factors`, with the arguments of :func:`solve_radiosity`."""
+) -> tuple[
+    RadiosityRequest,
+    Callable[[], PatchWork[RadiosityRequest, RadiosityResult]],
+    Callable[[Progress, Runner], object],
+]:
+    """As :func:`_form_factors`, with the arguments of :func:`solve_radiosity`; and the request."""
     from etendue.jobs import RadiosityRequest, SolutionOutputs, radiosity_work
 
     names = ("size", "sensor", "gather", "samples", "smooth", "error_picture", "lightmap_size")
@@ -211,7 +229,7 @@ def _radiosity(
     request = RadiosityRequest(source=scene, outputs=outputs, checkpoint=_path(checkpoint), **asked)
     saved = None if resume is None else Checkpoint.read(resume)
     use_variant()
-    return lambda: radiosity_work(request, saved), _watch(callback)
+    return request, lambda: radiosity_work(request, saved), _watch(callback)
 
 
 def _path(given: PathLike | None) -> Path | None:

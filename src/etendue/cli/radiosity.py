@@ -149,6 +149,19 @@ def radiosity(
             metavar="N",
         ),
     ] = None,
+    ambient: Annotated[
+        str | None,
+        typer.Option(
+            "--ambient",
+            help="All light by an ambient term, at once and without lines: classic, crisp or fuzzy. With --bounces, "
+            "what a solution by lines has left.",
+            metavar="NAME",
+        ),
+    ] = None,
+    bounces: Annotated[
+        int | None,
+        typer.Option("--bounces", help="Iterations of the solver; light of more is ambient.", min=1, metavar="N"),
+    ] = None,
     reflectance: Reflectance = None,
     emission: Annotated[
         str | None,
@@ -213,6 +226,8 @@ def radiosity(
         seed=seed,
         max_area=max_area,
         shot=not no_shot,
+        ambient=ambient,
+        bounces=bounces,
         local_rays=not no_local_rays,
         mesh={
             "reflectance": _quantity(reflectance),
@@ -229,6 +244,8 @@ def radiosity(
     )
     if solution is not None:
         return _write_again(request, solution, variant, threads)
+    if request.is_instant:
+        return _run_ambient(request, variant, threads)
     return _run(request, lambda **options: radiosity_work(request, **options), variant, threads)
 
 
@@ -311,6 +328,19 @@ def _run_exact(request: FormFactorRequest, threads: int | None) -> int:
         _, patches = request.load()
         describe_patches(request, patches)
         exact_to_files(request, patches)
+    _end(began, request)
+    return 0
+
+
+def _run_ambient(request: RadiosityRequest, variant: str | None, threads: int | None) -> int:
+    """A solution without lines. Returns the exit status."""
+    from .rendering import choose_device
+    from .solutions import ambient_to_files
+
+    choose_device(variant, threads)
+    began = time.perf_counter()
+    with _ended_by_ctrl_c(None):
+        ambient_to_files(request)
     _end(began, request)
     return 0
 

@@ -69,7 +69,7 @@ def finish(work: PatchWork[Any, Any], run: RunResult) -> None:
         )
     else:
         _describe_shown(work.request, result.lightmap)
-        _describe_solution(work.request.solver, result)
+        _describe_solution(work.request, result)
 
 
 def exact_to_files(request: FormFactorRequest, patches: Patches) -> None:
@@ -85,6 +85,19 @@ def exact_to_files(request: FormFactorRequest, patches: Patches) -> None:
     sky = (patches.areas * factors.sky).sum() / patches.areas.sum()
     open_ends = f", {100 * sky:.3g} % of what patches see is the sky" if sky > 0 else ""
     _say(f"{factors.matrix.nnz} form factors (exact), {_rows(factors)}{open_ends}")
+
+
+def ambient_to_files(request: RadiosityRequest) -> None:
+    """Solve by an ambient term, write, and say what came of it."""
+    from etendue.jobs import solve_ambient
+
+    with error_console().status("reading") as status:
+        result = solve_ambient(request, status.update, partial(describe_patches, request))
+    _describe_shown(request, result.lightmap)
+    _say(
+        f"{request.ambient} ambient term: {1000 * result.elapsed:.0f} ms, without lines, shadows and distances; "
+        f"imbalance of power {result.solution.imbalance:.2g}"
+    )
 
 
 def solution_to_files(request: RadiosityRequest, problem: Problem | None, solved: Path) -> None:
@@ -120,14 +133,16 @@ def _describe_shown(request: RadiosityRequest, made: Lightmap | None) -> None:
         _say(f"lightmap of {width} x {height}, {made.covered.mean():.0%} covered by surfaces")
 
 
-def _describe_solution(solver: str, result: RadiosityResult) -> None:
+def _describe_solution(request: RadiosityRequest, result: RadiosityResult) -> None:
     solution, error, areas = result.solution, result.irradiance_error, result.patches.areas[:, None]
     if result.shot is not None:
         _say(_of_shot(result.shot))
     steps = len(solution.residuals)
-    parts = [f"{solver}: {steps} iteration{'' if steps == 1 else 's'}, residual {solution.residual:.1g}"]
+    parts = [f"{request.solver}: {steps} iteration{'' if steps == 1 else 's'}, residual {solution.residual:.1g}"]
     if result.points:
-        parts = [f"{solver}: {result.points} lines, {solution.residual:.1%} of the power unshot"]
+        parts = [f"{request.solver}: {result.points} lines, {solution.residual:.1%} of the power unshot"]
+    if request.ambient is not None:
+        parts.append(f"the rest by the {request.ambient} ambient term")
     parts.append(f"imbalance of power {solution.imbalance:.2g}")
     if error is not None and (light := (areas * solution.irradiance).sum()) > 0:
         parts.append(f"standard error of irradiance {(areas * error).sum() / light:.2g} in the mean")

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from .multipath import MultipathWork
     from .requests import FormFactorRequest, LinesRequest, RadiosityRequest, asked_before
     from .solutions import ERROR_SCALE, SolutionOutputs
-    from .solving import FormFactorWork, LinesWork, PatchWork, RadiosityWork, about, radiosity_work
+    from .solving import FormFactorWork, LinesWork, PatchWork, RadiosityWork, about, radiosity_work, solve_ambient
 else:
     #: Modules that import radiosity. They are imported when one of their names is used, since rendering does not need
     #: them.
@@ -25,7 +25,15 @@ else:
         "multipath": ("MultipathWork",),
         "requests": ("FormFactorRequest", "LinesRequest", "RadiosityRequest", "asked_before"),
         "solutions": ("ERROR_SCALE", "SolutionOutputs"),
-        "solving": ("FormFactorWork", "LinesWork", "PatchWork", "RadiosityWork", "about", "radiosity_work"),
+        "solving": (
+            "FormFactorWork",
+            "LinesWork",
+            "PatchWork",
+            "RadiosityWork",
+            "about",
+            "radiosity_work",
+            "solve_ambient",
+        ),
     }
 
     def __getattr__(name):
@@ -75,5 +83,6 @@ __all__ = [
     "radiosity_work",
     "run_work",
     "save_result",
+    "solve_ambient",
     "start_work",
 ]

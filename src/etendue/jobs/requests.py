@@ -24,6 +24,7 @@ from etendue.core import (
 )
 from etendue.engine import Budget, Checkpoint, check_period, check_records, remaining
 from etendue.radiosity import (
+    AMBIENT_TERMS,
     ESTIMATORS,
     FORM_FACTOR_FILES,
     SOLVERS,
@@ -267,6 +268,9 @@ class RadiosityRequest(LinesRequest):
     solver: str = "conjugate-gradient"
     points: int | None = None
     shot: bool = True  #: send the light of small emitters by local rays first
+    #: Ambient term for all light, without lines; or for what is left after so many ``bounces`` (iterations).
+    ambient: str | None = None
+    bounces: int | None = None
     outputs: SolutionOutputs = field(default_factory=SolutionOutputs)
 
     work: ClassVar[str] = "radiosity"
@@ -297,6 +301,7 @@ class RadiosityRequest(LinesRequest):
     def _check_outputs(self) -> None:
         _check_name("solver", self.solver, (*SOLVERS, MULTIPATH))
         self._check_limits()
+        self._check_ambient()
         self.outputs.check(self.wording)
         if 1 in (self.bundles, self.points):
             self.outputs.check_errors(None, self.wording)
@@ -314,6 +319,34 @@ class RadiosityRequest(LinesRequest):
             raise OptionError(f"multipath casts single lines: leave out {option('lines')}, the lines of a bundle")
         if not self.local_rays:
             raise OptionError(f"multipath casts no local rays: leave out {option('local_rays')}")
+
+    @property
+    def is_instant(self) -> bool:
+        """Whether all light is ambient, so that no lines are cast."""
+        return self.ambient is not None and self.bounces is None
+
+    def _check_ambient(self) -> None:
+        option = self.wording.option
+        if self.solver == MULTIPATH and (self.ambient, self.bounces) != (None, None):
+            given = option("bounces" if self.ambient is None else "ambient")
+            raise OptionError(f"multipath makes no iterations and leaves little light: leave out {given}")
+        if self.bounces is not None:
+            if not is_whole(self.bounces) or self.bounces < 1:
+                raise OptionError(f"{option('bounces')} is a whole number of at least 1, not {self.bounces!r}")
+            if self.ambient is None:
+                raise OptionError(f"{option('bounces')} leaves light over: say by {option('ambient')} how to spread it")
+        if self.ambient is not None:
+            _check_name("ambient term", self.ambient, AMBIENT_TERMS)
+        if not self.is_instant:
+            return
+        asked = {name: getattr(self, name) for name in ("seconds", "bundles", "error", "checkpoint")}
+        asked["solver"] = None if self.solver == RadiosityRequest.solver else self.solver
+        for name in (name for name, value in asked.items() if value is not None):
+            raise OptionError(
+                f"an ambient solution needs no lines: leave out {option(name)}, or give {option('bounces')} for a "
+                "solution by lines that ends in an ambient term"
+            )
+        self.outputs.check_errors(None, self.wording)
 
     def check_patches(self, patches: Patches, problem: Problem | None) -> None:
         """See :class:`LinesRequest`; raises :class:`SceneError` if there is no light."""
@@ -337,7 +370,7 @@ class RadiosityRequest(LinesRequest):
         return f"'{self.name}' has no light; {how}"
 
     def _noted(self) -> tuple[str, ...]:
-        return (*super()._noted(), "solver", "shot")
+        return (*super()._noted(), "solver", "shot", "ambient", "bounces")
 
     def _noted_outputs(self) -> dict[str, Any]:
         given = None if self.parameters is None else {name: str(value) for name, value in self.parameters.items()}

@@ -20,9 +20,10 @@ class LinesResult:
     """What every cast of lines returns."""
 
     patches: Patches
-    #: Bundles that were cast; 0 for multipath, which casts single lines.
+    #: Bundles that were cast; 0 for multipath, which casts single lines, and for ambient solutions.
     bundles: int = 0
-    #: The limit that ended the casting: ``seconds``, ``samples`` (bundles or points), ``error``; or ``cancel``.
+    #: The limit that ended the casting: ``seconds``, ``samples`` (bundles or points), ``error``; or ``cancel``. For
+    #: solutions without lines ``ambient``.
     stopped_by: str
     #: Seconds of this run.
     elapsed: float

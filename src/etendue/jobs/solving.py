@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
 from etendue.core import EtendueError, OutputError, describe, logger
-from etendue.radiosity import form_factors, save_form_factors, solve
+from etendue.radiosity import ambient_solution, form_factors, save_form_factors, solve
 
 from .files import Writing, add_to_message, rescued
 from .lines import LinesJob, LinesTask
@@ -20,7 +21,7 @@ from .results import FormFactorResult, RadiosityResult
 
 if TYPE_CHECKING:
     from etendue.engine import Checkpoint, Runner, RunResult
-    from etendue.radiosity import CastLines, Segments
+    from etendue.radiosity import CastLines, Patches, Segments
 
 Q = TypeVar("Q", bound=LinesRequest)
 R = TypeVar("R")
@@ -247,7 +248,8 @@ class RadiosityWork(LinesWork[RadiosityRequest, RadiosityResult]):
         tell("solving")
         shot = lines.shot()
         transport = form_factors(segments) if request.needs_matrix else segments
-        solution = solve(self.patches, transport, solver, shot=shot)  # type: ignore[arg-type]
+        rest: Any = {} if request.bounces is None else {"max_iterations": request.bounces, "ambient": request.ambient}
+        solution = solve(self.patches, transport, solver, shot=shot, **rest)  # type: ignore[arg-type]
         error = solution.irradiance_error(segments) if segments.batch_count > 1 else None
         known = self._metadata(bundles=lines.count, solver=solver, imbalance=solution.imbalance)
         shown = request.outputs.write(writing, self.problem, solution, error, known, request.wording, tell)
@@ -270,6 +272,31 @@ def radiosity_work(
 
         return MultipathWork(request, saved, **options)
     return RadiosityWork(request, saved, **options)
+
+
+def solve_ambient(
+    request: RadiosityRequest, tell: Tell = logger.info, patches_read: Callable[[Patches], object] = _silent
+) -> RadiosityResult:
+    """A solution without lines, and its files. ``patches_read`` is given the patches before they are solved for."""
+    assert request.ambient is not None
+    problem, patches = request.load(tell)
+    patches_read(patches)
+    begin = time.perf_counter()
+    solution = ambient_solution(patches, request.ambient)  # type: ignore[arg-type]
+    elapsed = time.perf_counter() - begin
+    source = request.name if problem is None else problem.source
+    known, writing = about(source, solver=f"ambient, {request.ambient}", imbalance=solution.imbalance), Writing()
+    shown = request.outputs.write(writing, problem, solution, None, known, request.wording, tell)
+    writing.finish()
+    return RadiosityResult(
+        patches=patches,
+        stopped_by="ambient",
+        elapsed=elapsed,
+        solution=solution,
+        irradiance_error=None,
+        picture=shown.picture,
+        lightmap=shown.lightmap,
+    )
 
 
 def about(source: str, **more: Any) -> dict[str, Any]:

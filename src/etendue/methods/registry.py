@@ -20,6 +20,7 @@ from etendue.core import OptionError, bibliography, describe, logger, suggest
 
 from .adaptive.stratified import StratifiedPath
 from .adaptive.vegas import VegasPath
+from .ambient import AmbientLight, AmbientPath
 from .auto import Auto
 from .base import ImageMethod, ImageSettings
 from .bidirectional import Bpm, Bpt, Vcm
@@ -45,6 +46,8 @@ _OWN: tuple[type[ImageMethod], ...] = (
     Bpt,
     Bpm,
     Vcm,
+    AmbientPath,
+    AmbientLight,
 )
 _methods: dict[str, type[ImageMethod]] = {cls.name: cls for cls in _OWN}
 #: Methods of other packages that could not be loaded, with the cause.

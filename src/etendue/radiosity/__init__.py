@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING
 
 from etendue.formats import FormatError, GltfMesh, write_gltf
 from etendue.surfaces import (
+    AMBIENT_TERMS,
     LIGHTMAP_MESHES,
     STEFAN_BOLTZMANN,
+    AmbientTerm,
     Lightmap,
     MeshDiagnosis,
     PatchError,
@@ -35,6 +37,9 @@ from etendue.surfaces import (
     vertex_radiosity,
 )
 
+from .ambient.solutions import ambient_solution, finished
+from .ambient.spreading import spread
+from .ambient.subscenes import HierarchicalAmbient, SubScene, hierarchical_ambient, sub_scenes
 from .casting import REPLICATES, CastingSettings, CastLines, LineCasting
 from .errors import RadiosityError
 from .factors.exact import exact_form_factors
@@ -71,6 +76,7 @@ from .solvers.system import SOLVERS, Solution, Solver, Transport, check_direct, 
 from .solvers.values import check_colours, radiosity_on
 
 __all__ = [
+    "AMBIENT_TERMS",
     "ESTIMATORS",
     "FORM_FACTOR_FILES",
     "GENERATORS",
@@ -80,6 +86,7 @@ __all__ = [
     "SOLVERS",
     "STEFAN_BOLTZMANN",
     "ABuffer",
+    "AmbientTerm",
     "Backend",
     "BoxWalls",
     "Bundles",
@@ -92,6 +99,7 @@ __all__ = [
     "FormatError",
     "GltfMesh",
     "GreatCircle",
+    "HierarchicalAmbient",
     "Lightmap",
     "LineCasting",
     "LineEngine",
@@ -114,10 +122,12 @@ __all__ = [
     "Solver",
     "SpherePairs",
     "SpiralPoints",
+    "SubScene",
     "SurfaceError",
     "TexturedMesh",
     "Transport",
     "VertexRadiosity",
+    "ambient_solution",
     "area_form_factors",
     "atlas",
     "band_shares",
@@ -133,10 +143,12 @@ __all__ = [
     "diagnose",
     "estimate",
     "exact_form_factors",
+    "finished",
     "first_shot",
     "form_factors",
     "gebhart_factors",
     "gltf_mesh",
+    "hierarchical_ambient",
     "joined",
     "lightmap",
     "local_form_factors",
@@ -158,6 +170,8 @@ __all__ = [
     "shot_at_patches",
     "small_emitters",
     "solve",
+    "spread",
+    "sub_scenes",
     "thermal",
     "vertex_radiosity",
     "with_local_rays",

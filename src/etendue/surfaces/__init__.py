@@ -1,5 +1,15 @@
 """Surfaces: patches and faces, read from meshes and scenes; ray casting; values and lightmaps on surfaces."""
 
+from .ambient import (
+    AMBIENT_TERMS,
+    CLASS_NORMALS,
+    AmbientTerm,
+    class_factors,
+    class_light,
+    class_weights,
+    equal_factors,
+    incoming,
+)
 from .diagnosis import MeshDiagnosis, diagnose
 from .errors import PatchError, SurfaceError
 from .faces import face_vectors, triangles
@@ -25,10 +35,13 @@ from .smoothing import VertexRadiosity, face_sides, vertex_radiosity
 from .solids import box, joined
 
 __all__ = [
+    "AMBIENT_TERMS",
     "BATCH",
+    "CLASS_NORMALS",
     "LIGHTMAP_MESHES",
     "STEFAN_BOLTZMANN",
     "STEP",
+    "AmbientTerm",
     "Lightmap",
     "MeshDiagnosis",
     "PatchError",
@@ -48,14 +61,19 @@ __all__ = [
     "band_shares",
     "box",
     "check_coordinates",
+    "class_factors",
+    "class_light",
+    "class_weights",
     "columns",
     "cosine_lanes",
     "cosine_law",
     "diagnose",
+    "equal_factors",
     "even_lanes",
     "face_sides",
     "face_vectors",
     "gltf_mesh",
+    "incoming",
     "joined",
     "lightmap_of",
     "mesh_normals",

@@ -1,6 +1,7 @@
 """Light transport for all methods: vertices, walks, emission, camera, scattering, MIS weights, vertex stores."""
 
 from . import dimensions
+from .ambient import AMBIENT_WALKS, AmbientScene, AmbientTable, ambient_scene
 from .bidirectional.camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
 from .bidirectional.light_walk import LightWalk
 from .bidirectional.mis import GRAZING, Mis, Techniques
@@ -37,12 +38,15 @@ from .visibility import Visibility
 from .walk import CameraPath, Emission, SubPath, Walker, ones
 
 __all__ = [
+    "AMBIENT_WALKS",
     "FOUND_UNITS",
     "GRAZING",
     "MOST_LIGHTS",
     "NOWHERE",
     "PICK_BLOCK",
     "PYRAMID_MAX",
+    "AmbientScene",
+    "AmbientTable",
     "CameraConnection",
     "CameraPath",
     "CameraSampler",
@@ -85,6 +89,7 @@ __all__ = [
     "Visibility",
     "WalkVertex",
     "Walker",
+    "ambient_scene",
     "cosine_ratio",
     "dimensions",
     "direction_of",

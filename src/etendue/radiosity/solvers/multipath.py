@@ -19,7 +19,7 @@ from .shot import FirstShot
 #: Multiple of its power that a round of bundles could take from a patch, without feedback. A larger value makes the
 #: last round shorter, and the result noisier.
 _SHARES = 16.0
-#: Accepted share of unshot power at the end, and largest number of rounds.
+#: Accepted share of unshot power at the end, and largest number of rounds unless another is asked for.
 _LEFT, _ROUNDS = 1e-6, 4
 
 
@@ -93,7 +93,9 @@ class LineExchange:
         return _result(self.patches, self.shot, sent, unshot[:-2], received)
 
 
-def multipath_bundles(engine: LineEngine, count: int, first: int = 0, shot: FirstShot | None = None) -> Multipath:
+def multipath_bundles(
+    engine: LineEngine, count: int, first: int = 0, shot: FirstShot | None = None, rounds: int = _ROUNDS
+) -> Multipath:
     r"""Exchange power bundle by bundle: each line takes a share of the unshot power of its patch, and later bundles
     send on what the patch receives.
 
@@ -114,7 +116,8 @@ def multipath_bundles(engine: LineEngine, count: int, first: int = 0, shot: Firs
     *Start-up.* The first bundles find little power to send, and the last leave some: so the bundles are used
     cyclically. The first ones are cast once more, without own power, until a millionth of the sent power is unshot.
     This takes 0.7 more rounds, or more with few bundles and high reflectances (two with 64 bundles and reflectances of
-    0.8); there are at most four rounds in all. The rest is ``unshot``.
+    0.8); there are at most ``rounds`` in all. The rest is ``unshot``: :func:`finished` spreads it by an ambient term,
+    with which one round may do.
 
     *Order.* It is random, since successive points of a sequence are far apart by design; each bundle occurs once per
     round. Light can therefore not return along the bundle that delivered it, which independent bundles would allow with
@@ -126,6 +129,8 @@ def multipath_bundles(engine: LineEngine, count: int, first: int = 0, shot: Firs
     one point, and for an engine without bundles.
     """
     patches, own, bundles = engine.patches, _own(engine.patches, shot, count), engine.bundles
+    if rounds < 1:
+        raise RadiosityError(f"there is nothing to cast: {rounds} rounds")
     if bundles is None:
         raise RadiosityError(
             f"multipath_bundles takes bundles of parallel lines, such as those of ABuffer; {type(engine).__name__} has "
@@ -139,7 +144,7 @@ def multipath_bundles(engine: LineEngine, count: int, first: int = 0, shot: Firs
     sky = _sky_per_line(patches, engine.expected(count))
     values, received = np.zeros((2, len(patches) + 2, patches.channels))
     sent, unshot = np.zeros(patches.channels), np.zeros_like(own)
-    for done, chunk in enumerate(_rounds(engine.shuffled(count, first), count, first)):
+    for done, chunk in enumerate(_rounds(engine.shuffled(count, first), count, first, rounds)):
         ends = np.zeros((len(values), 3), np.int64)
         compiled().count_ends(chunk, ends)
         lines = ends[:-2, :1]
@@ -161,9 +166,9 @@ def multipath_bundles(engine: LineEngine, count: int, first: int = 0, shot: Firs
     return _result(patches, shot, sent, unshot, received)
 
 
-def _rounds(engine: LineEngine, count: int, first: int) -> Iterator[Pairs]:
+def _rounds(engine: LineEngine, count: int, first: int, rounds: int) -> Iterator[Pairs]:
     """The segments of each bundle, one round after the other."""
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         yield from engine.stream(count, first, 1)
 
 

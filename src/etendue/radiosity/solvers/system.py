@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Literal, Protocol
 import numpy as np
 
 from etendue.core import Array, free_memory
-from etendue.surfaces import Patches
+from etendue.surfaces import AmbientTerm, Patches
 
+from ..ambient.spreading import spread
 from ..errors import RadiosityError
 from ..factors.formfactors import FormFactors
 from ..lines.segments import Segments
@@ -62,8 +63,8 @@ class Solution:
 
     @property
     def residual(self) -> float:
-        """The last residual."""
-        return self.residuals[-1]
+        """The last residual; not a number for an ambient solution, which solves no system."""
+        return self.residuals[-1] if self.residuals else float("nan")
 
     @cached_property
     def power(self) -> dict[str, Array]:
@@ -110,6 +111,7 @@ def solve(
     shot: FirstShot | None = None,
     tolerance: float = 1e-6,
     max_iterations: int = 1000,
+    ambient: AmbientTerm | None = None,
 ) -> Solution:
     """Radiosities of patches, by form factors or segments.
 
@@ -125,9 +127,11 @@ def solve(
     shot: of :func:`first_shot`: light of emitters sent by rays. The system is then solved for the reflected part: B = E
         + R, R = rho (D + F R), with the irradiance D of the shot in place of F E.
     tolerance: of the residual, see :class:`Solution`.
+    ambient: spread what is left after ``max_iterations`` by this ambient term, instead of raising an error. The
+        solution then does not depend on the solver alone, and ``max_iterations`` of 2 or 3 are of use.
 
     Raises :class:`RadiosityError` if nothing emits, if a solver does not support the transport, if a shot belongs to
-    other patches, or if the solver has not converged after ``max_iterations``.
+    other patches, or if the solver has not converged after ``max_iterations`` and there is no ``ambient`` term.
     """
     if len(transport.sky) != len(patches):
         raise RadiosityError(f"there are {len(patches)} patches, but the transport is that of {len(transport.sky)}")
@@ -137,15 +141,19 @@ def solve(
         raise RadiosityError(f"there is no solver {solver!r}; there are: {', '.join(SOLVERS)}")
     if solver in ("gauss-seidel", "southwell", "direct") and not isinstance(transport, FormFactors):
         raise RadiosityError(f"{solver} needs form factors; on segments there are jacobi and conjugate-gradient")
-    rest = patches if shot is None else _after(shot, patches)
+    rest = patches if shot is None else after_shot(shot, patches)
     steps = _STEPS[solver](rest, transport)
     scale = max(rest.emission.max(), rest.sky.max()) or 1.0  # a shot at black patches leaves nothing
     residuals = []
     for _ in range(max_iterations):
         radiosity, irradiance = steps.step()
-        residual = np.abs(rest.emission + rest.reflectance * irradiance - radiosity).max() / scale
-        residuals.append(float(residual))
-        if residual <= tolerance:
+        left = rest.emission + rest.reflectance * irradiance - radiosity
+        residuals.append(float(np.abs(left).max() / scale))
+        is_last = ambient is not None and len(residuals) == max_iterations
+        if residuals[-1] <= tolerance or is_last:
+            if ambient is not None:
+                spread_out = spread(patches, patches.areas[:, None] * left, ambient, transport.sky)
+                radiosity, irradiance = radiosity + left + rest.reflectance * spread_out, irradiance + spread_out
             if shot is not None:
                 radiosity, irradiance = radiosity + shot.emission, irradiance + shot.irradiance
             return Solution(patches, radiosity, irradiance, transport.sky, tuple(residuals), shot)
@@ -165,8 +173,9 @@ def check_direct(patches: int) -> None:
         )
 
 
-def _after(shot: FirstShot, patches: Patches) -> Patches:
-    """Patches that emit their remaining light and the reflected light of the shot."""
+def after_shot(shot: FirstShot, patches: Patches) -> Patches:
+    """Patches that emit their remaining light and the reflected light of the shot. Raises :class:`RadiosityError` for a
+    shot of other patches."""
     if shot.emission.shape != patches.emission.shape or not np.array_equal(shot.patches.areas, patches.areas):
         raise RadiosityError("the first shot is that of other patches: shoot from the patches of the solution")
     left = patches.emission - shot.emission

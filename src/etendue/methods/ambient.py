@@ -1,0 +1,215 @@
+r"""Paths that end early, in an ambient term for all light that is reflected more often.
+
+Estimator [Castro 2002, ch. 6]: that of ``path`` or ``light`` for light that is reflected up to m = ``bounces`` times,
+and for the rest a term at one vertex of the path,
+
+.. math:: \alpha \, \rho(z) \, \frac{H_k(n)}{\pi}, \quad H_k = F \, (1 - R F)^{-1} (R F)^{k - 1} B_1
+
+with the throughput alpha up to the vertex z, its albedo rho and its normal n. H_k is the irradiance of light that has
+been reflected k times or more before; B_1 (radiosity by direct light), R (albedo) and F are means over classes of
+normals, see :mod:`etendue.transport.ambient`. ``ambient_path`` takes it at the m-th vertex from the camera, with k = 1,
+``ambient_light`` at the first, with k = m, as it cannot add anything at the ends of its light paths.
+
+Biased: the ambient term knows neither corners nor shadows, nor where in a scene a surface is. The bias does not become
+less with time, but with more bounces.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core import IndependentSource, SampleSource, setting
+from etendue.scene import Problem
+from etendue.surfaces import AMBIENT_TERMS
+from etendue.transport import (
+    AMBIENT_WALKS,
+    AmbientScene,
+    AmbientTable,
+    CameraPath,
+    DirectSample,
+    LightWalk,
+    Scattered,
+    SubPath,
+    Walker,
+    WalkVertex,
+    ambient_scene,
+)
+from etendue.transport import dimensions as dim
+
+from .base import ImageMethod, ImageSettings, Layer, W, total
+from .light import LightSettings, LightTracing
+from .path import Path, PathSettings
+
+#: Added to the numbers of the vertices after the last of a path: a loop over edges has no other mark to tell them by.
+_AFTER = 1 << 24
+
+
+@dataclass(frozen=True)
+class _AmbientSettings:
+    """What both methods take."""
+
+    ambient: str = setting(
+        "fuzzy",
+        "ambient light: the same for all surfaces (classic), by the nearest of six axis directions (crisp), or by the "
+        "squares of the components of the normal (fuzzy)",
+        choices=AMBIENT_TERMS,
+    )
+    bounces: int = setting(1, "reflections of the paths that are followed; light of more is ambient", minimum=1)
+
+
+@dataclass(frozen=True)
+class AmbientPathSettings(_AmbientSettings, PathSettings):
+    """Settings of ``ambient_path``."""
+
+
+@dataclass(frozen=True)
+class AmbientLightSettings(_AmbientSettings, LightSettings):
+    """Settings of ``ambient_light``."""
+
+
+class _Ambient(ImageMethod):
+    """Finds the ambient light before the first pass."""
+
+    #: Of the light that is ambient, what :meth:`AmbientScene.irradiance` calls ``reflected``.
+    reflected: int = 1
+
+    def prepare(self, problem: Problem, seed: int) -> None:
+        """See :class:`ImageMethod`; walks from the camera to find the ambient light."""
+        super().prepare(problem, seed)
+        source = IndependentSource(dr.arange(mi.UInt32, AMBIENT_WALKS), seed, "ambient", 0)
+        pixel = mi.UInt32(source.next_1d(0, dim.LENGTH) * self.camera.pixels)
+        ray, _, _ = self.camera.primary(dr.minimum(pixel, self.camera.pixels - 1), source)
+        walker = Walker(visibility=self.visibility, lights=self.lights, max_edges=self.edges, rr_depth=1 << 30)
+        self.found: AmbientScene = ambient_scene(walker, ray, source, self.settings.ambient)
+        self.ambient = AmbientTable(self.settings.ambient, self.found.irradiance(self.reflected))
+
+
+class AmbientPath(_Ambient, Path):
+    """Path tracing that ends in an ambient term after so many reflections."""
+
+    name: ClassVar[str] = "ambient_path"
+    plugin: ClassVar[str | None] = None
+    Settings: ClassVar[type[ImageSettings]] = AmbientPathSettings
+    settings: AmbientPathSettings
+    citations: ClassVar[tuple[str, ...]] = ("Castro2002", "Kajiya1986")
+
+    def walker(self, kind: type[W], **own: Any) -> W:
+        """See :class:`ImageMethod`; of paths that end early."""
+        ends = {"ambient": self.ambient, "bounces": self.settings.bounces}
+        walker: Any = super().walker(_EndingWalker, **ends, **own)
+        return walker
+
+
+class AmbientLight(_Ambient, LightTracing):
+    """Light tracing that ends after so many reflections, and an ambient term for the rest at what the camera sees."""
+
+    name: ClassVar[str] = "ambient_light"
+    Settings: ClassVar[type[ImageSettings]] = AmbientLightSettings
+    settings: AmbientLightSettings
+    citations: ClassVar[tuple[str, ...]] = ("Castro2002", "Arvo1986")
+
+    @property
+    def reflected(self) -> int:  # type: ignore[override]
+        """See :class:`_Ambient`."""
+        return int(self.settings.bounces)
+
+    def walker(self, kind: type[W], **own: Any) -> W:
+        """See :class:`ImageMethod`; light paths end early."""
+        if kind is not LightWalk:
+            return super().walker(kind, **own)
+        walker: Any = super().walker(_EndingLightWalk, bounces=self.settings.bounces, **own)
+        return walker
+
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
+        """See :class:`ImageMethod`."""
+        layers, counters = super().render_pass(iteration, seed, samples)
+        lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
+        source = self.camera_numbers(lanes, samples, seed, iteration)
+        ray, importance, _ = self.camera.primary(lanes // samples, source)
+        walker = self.walker(Walker)
+        path = CameraPath.start(ray, walker.max_edges)
+        path = walker.walk(path, lambda s: _seen(s, walker, self.ambient, source), "ambient")
+        radiance = path.radiance * importance
+        dr.eval(radiance, path.rays)
+        counters["rays"] += total(path.rays)
+        return {"ambient": self.image(radiance, seed, iteration)} | layers, counters
+
+
+def _seen(s: CameraPath, walker: Walker, ambient: AmbientTable, source: SampleSource) -> CameraPath:
+    """Ambient light at what the camera sees, be it in mirrors or through glass."""
+    vertex = walker.arrive(s)
+    s.active &= vertex.valid & (s.depth < walker.max_edges)
+    scattered, _ = vertex.sample(source, s.active)
+    s.radiance += reflected(s, vertex, scattered, ambient)
+    walker.advance(s, vertex, scattered, source)
+    s.active &= scattered.is_delta
+    return s
+
+
+def reflected(s: CameraPath, vertex: WalkVertex, scattered: Scattered, ambient: AmbientTable) -> mi.Color3f:
+    """Ambient light that a vertex reflects along the path; nothing where a mirror, or glass, goes on with the path."""
+    ends = scattered.active & ~scattered.is_delta
+    return (s.throughput * scattered.weight * ambient.at(vertex, ends)) & ends
+
+
+@dataclass(kw_only=True)
+class _EndingWalker(Walker):
+    """Paths take ambient light at the vertex of number ``bounces``, or the first after it that is no mirror. What they
+    do after it is to find lights, in mirrors and through glass too, for the light points of that vertex."""
+
+    ambient: AmbientTable
+    bounces: int
+
+    def light_point(
+        self,
+        vertex: WalkVertex,
+        source: SampleSource,
+        active: mi.Bool,
+        index: int = 0,
+        lights: Any = None,
+    ) -> DirectSample:
+        """See :class:`Walker`."""
+        return super().light_point(vertex, source, active & (vertex.number < _AFTER), index, lights)
+
+    def advance(
+        self,
+        s: SubPath,
+        vertex: WalkVertex,
+        scattered: Scattered,
+        source: SampleSource,
+        roulette_by: tuple[mi.Color3f, mi.Float] | None = None,
+    ) -> mi.Float:
+        """See :class:`Walker`."""
+        assert isinstance(s, CameraPath)
+        is_after = vertex.number >= _AFTER
+        is_last = ~scattered.is_delta & ~is_after & (vertex.number >= self.bounces)
+        s.radiance += reflected(s, vertex, scattered, self.ambient) & is_last
+        factor = super().advance(s, vertex, scattered, source, roulette_by)
+        s.active &= scattered.is_delta | ~is_after
+        s.depth += dr.select(is_last & (self.max_edges > _AFTER), mi.UInt32(_AFTER), 0)
+        s.depth = dr.select(is_last & (self.max_edges <= _AFTER), self.max_edges, s.depth)
+        return factor
+
+
+@dataclass(kw_only=True)
+class _EndingLightWalk(LightWalk):
+    """Light paths end at the vertex of number ``bounces``, or the first after it that is no mirror."""
+
+    bounces: int
+
+    def advance(
+        self,
+        s: SubPath,
+        vertex: WalkVertex,
+        scattered: Scattered,
+        source: SampleSource,
+        roulette_by: tuple[mi.Color3f, mi.Float] | None = None,
+    ) -> mi.Float:
+        """See :class:`Walker`."""
+        factor = super().advance(s, vertex, scattered, source, roulette_by)
+        s.active &= scattered.is_delta | (vertex.number < self.bounces)
+        return factor
