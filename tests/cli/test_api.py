@@ -71,7 +71,7 @@ def test_the_scenes_own_integrator_gives_settings_that_were_not_given(caplog):
     scene["integrator"] = {"type": "path", "max_depth": 5, "rr_depth": 3, "strength": 2.0}
     settings = api.render(scene, "path", samples=1, rr_depth=2).metadata["settings"]
     assert (settings["max_depth"], settings["rr_depth"]) == (5, 2)
-    assert "'strength' of the scene's integrator 'path' is not known" in caplog.text
+    assert "'strength' of the scene's integrator 'path' is not supported" in caplog.text
     assert api.render(scene, "light", samples=1).metadata["settings"]["rr_depth"] != 3
 
 
@@ -307,7 +307,7 @@ def test_resume_refuses_a_changed_scene_and_a_spent_budget(tmp_path):
     scene.write_text(text.replace("RADIUS", "1"))
     checkpoint = tmp_path / "a.checkpoint"
     api.render(scene, "path", samples=2, samples_per_pass=1, checkpoint=checkpoint)
-    with pytest.raises(CheckpointError, match="budget is used up"):
+    with pytest.raises(CheckpointError, match="the budget of the checkpoint is used up"):
         api.resume(checkpoint)
     scene.write_text(text.replace("RADIUS", "2"))
     before = checkpoint.read_bytes()

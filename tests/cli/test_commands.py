@@ -74,7 +74,7 @@ def test_resume_goes_on(folder, capsys):
     assert run("render cornell-box -m path --size 8x8 --spp 5 -D samples_per_pass=1 -o b.exr") == 0
     assert np.array_equal(film.read_exr("a.exr").image, film.read_exr("b.exr").image)
     assert run("resume a.checkpoint") == 4
-    assert "budget is used up" in capsys.readouterr().err
+    assert "the budget of the checkpoint is used up" in capsys.readouterr().err
     for words, message in (
         ("-m bpt", "made by method 'path', not 'bpt'; resume it with path"),
         ("-D rr_depth=3", "made with other settings (rr_depth was 5, is 3)"),

@@ -80,7 +80,7 @@ def test_a_plot(capsys):
         ("points halton -d 9999", "at most 6542 dimensions"),
         ("points halton --first 4294967290", "an index is below 2^32"),
         ("points halton --pair 0,1", "give --plot FILE.svg"),
-        ("points halton --plot a.svg --pair 1", "two dimensions as 0,1"),
+        ("points halton --plot a.svg --pair 1", "two dimensions such as 0,1"),
         ("points halton --plot a.png", "--plot writes .svg"),
         ("points halton -d 2 --plot a.svg --pair 0,5", "has the dimensions 0 to 1, not 5"),
         ("points halton -d 1 --plot a.svg", "has the dimensions 0 to 0, not 1"),

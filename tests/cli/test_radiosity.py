@@ -95,7 +95,7 @@ def test_exact_form_factors_of_what_is_hidden_are_refused(capsys):
 def test_a_room_that_is_turned_outward_is_noticed(capsys):
     write_room("flipped.ply", inward=False)
     assert run("form-factors flipped.ply --bundles 8") == 0
-    assert "warning: patches see nothing but the sky" in capsys.readouterr().err
+    assert "warning: patches see only the sky" in capsys.readouterr().err
     assert Path("factors.npz").is_file()
 
 
@@ -153,7 +153,7 @@ def test_one_bundle_has_no_error(capsys, variant):
         ("radiosity room.ply --emission -1", "must not be negative, nor infinite"),
         ("radiosity room.ply --emission inf", "must not be negative, nor infinite"),
         ("radiosity room.ply --emission 1 --temperature 300", "give one of the two"),
-        ("radiosity room.ply --temperature -3", "from 0"),
+        ("radiosity room.ply --temperature -3", "at least 0 kelvin"),
         ("radiosity room.ply --emission 1 --sky blue", "--sky is a number"),
         ("radiosity room.ply --emission 1,2 --reflectance 0.1,0.2,0.3", "3 channels, emission 2"),
         ("radiosity room.ply --emission 1,2 -o s.ply", ".ply shows one channel or three"),

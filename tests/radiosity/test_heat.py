@@ -89,11 +89,11 @@ def test_a_warm_sky():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"temperatures": -3}, "in kelvin"),
+        ({"temperatures": -3}, "at least 0 kelvin"),
         ({"emissivity": 0.0}, "absorb"),
         ({"emissivity": 1.2}, "absorb"),
         ({"emissivity": [0.5, 0.5]}, "2 rows for 6 patches"),
-        ({"emissivity": [[0.5, 0.6]]}, "by edges"),
+        ({"emissivity": [[0.5, 0.6]]}, "the edges of the bands"),
         ({"emissivity": [[0.5, 0.6]], "edges": [0, 1, 2, 3]}, "2 columns for 3 bands"),
         ({"edges": [1e-6, 1e-7]}, "ascend"),
     ],
