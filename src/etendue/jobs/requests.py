@@ -11,6 +11,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
+
 from etendue.core import (
     BackendError,
     CheckpointError,
@@ -28,10 +30,13 @@ from etendue.radiosity import (
     FORM_FACTOR_FILES,
     SOLVERS,
     CastingSettings,
+    HierarchySettings,
+    Objects,
     Patches,
     check_direct,
     check_file,
     check_text_size,
+    find_objects,
     read_patches,
     scene_patches,
 )
@@ -42,6 +47,8 @@ from .results import DEFAULT_BUNDLES, DEFAULT_POINTS
 from .solutions import SolutionOutputs
 from .wording import PYTHON, Wording
 
+#: What makes an object; any other name is an array of the mesh file.
+GROUPINGS = ("components", "shapes", "labels")
 #: The solver that needs neither stored segments nor a matrix.
 MULTIPATH = "multipath"
 #: Solvers that work on segments; the others, except multipath, need the matrix.
@@ -227,10 +234,55 @@ def _plain(values: dict[str, Any]) -> dict[str, Any]:
 class FormFactorRequest(LinesRequest):
     """Form factors of patches."""
 
-    estimator: str = "F1"
+    #: ``None`` for F1, or F4 with a hierarchy.
+    estimator: str | None = None
     outputs: tuple[Path, ...] = ()
+    #: Cast lines in a hierarchy of spheres: what makes objects, see :func:`etendue.radiosity.find_objects`. Any other
+    #: name is that of an array of the mesh file, with the number of an object for each face, negative for walls.
+    hierarchy: Any = None
+    walls: tuple[str, ...] | None = None
+    engine: str | None = None
+    points: str | None = None
+    main_share: float | None = None
 
     work: ClassVar[str] = "form-factors"
+
+    @property
+    def chosen_estimator(self) -> str:
+        """That which is asked for, or suits."""
+        return self.estimator or ("F1" if self.hierarchy is None else "F4")
+
+    @property
+    def hierarchy_settings(self) -> dict[str, Any]:
+        """What was asked for of :class:`etendue.radiosity.HierarchySettings`."""
+        given = {name: getattr(self, name) for name in ("engine", "points", "main_share")}
+        return {name: value for name, value in given.items() if value is not None}
+
+    def objects(self, patches: Patches) -> Objects | None:
+        """Those that spheres are made around, ``None`` without a hierarchy."""
+        if self.hierarchy is None:
+            return None
+        by = self.hierarchy
+        named = isinstance(by, str) and by not in GROUPINGS
+        return find_objects(patches, "shapes" if named else by, walls=self.walls)
+
+    def _check_options(self) -> None:
+        super()._check_options()
+        option = self.wording.option
+        if self.hierarchy is None:
+            for name in ("walls", "engine", "points", "main_share"):
+                if getattr(self, name) is not None:
+                    raise OptionError(f"{option(name)} is for lines in a hierarchy: give {option('hierarchy')}, too")
+            return
+        HierarchySettings.from_mapping(self.hierarchy_settings, owner="a hierarchy")
+        if not isinstance(self.hierarchy, str):
+            object.__setattr__(self, "hierarchy", np.asarray(self.hierarchy).tolist())  # plain, for checkpoints
+        elif self.hierarchy not in GROUPINGS:
+            if not self.is_mesh:
+                raise OptionError(
+                    f"objects are found by {', '.join(GROUPINGS)}, or an array, not by '{self.hierarchy}'"
+                )
+            object.__setattr__(self, "mesh", {**self.mesh, "objects": self.hierarchy})
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -243,7 +295,7 @@ class FormFactorRequest(LinesRequest):
         return True
 
     def _check_outputs(self) -> None:
-        _check_name("estimator", self.estimator, ESTIMATORS)
+        _check_name("estimator", self.chosen_estimator, ESTIMATORS)
         for path in self.outputs:
             check_file(path, FORM_FACTOR_FILES)
 
@@ -254,7 +306,8 @@ class FormFactorRequest(LinesRequest):
                 check_text_size(path, len(patches), 0)
 
     def _noted(self) -> tuple[str, ...]:
-        return (*super()._noted(), "estimator")
+        own = ("estimator", "hierarchy", "walls", "engine", "points", "main_share")
+        return (*super()._noted(), *(name for name in own if getattr(self, name) is not None))
 
     def _noted_outputs(self) -> dict[str, Any]:
         return {"outputs": [str(path.absolute()) for path in self.outputs]}

@@ -55,6 +55,11 @@ from .files.results import (
     save_solution,
 )
 from .files.solutionfiles import read_solution
+from .hierarchical_factors.allocation import MAIN_SHARE, allocated, area_shares, least_error_shares
+from .hierarchical_factors.casting import HierarchicalCasting, HierarchySettings
+from .hierarchical_factors.lines import TreeBundles, TreeRays
+from .hierarchical_factors.segments import PartialSegments, partial_form_factors
+from .hierarchical_factors.tree import SphereTree, sphere_tree
 from .lightmaps import lightmap
 from .lines.abuffer import ABuffer, Backend
 from .lines.chained import ChainedRays
@@ -77,6 +82,7 @@ __all__ = [
     "FORM_FACTOR_FILES",
     "GENERATORS",
     "LIGHTMAP_MESHES",
+    "MAIN_SHARE",
     "REPLICATES",
     "SOLUTION_FILES",
     "SOLVERS",
@@ -94,6 +100,8 @@ __all__ = [
     "FormatError",
     "GltfMesh",
     "GreatCircle",
+    "HierarchicalCasting",
+    "HierarchySettings",
     "Lightmap",
     "LineCasting",
     "LineEngine",
@@ -106,6 +114,7 @@ __all__ = [
     "MultipathPasses",
     "MultipathSettings",
     "Objects",
+    "PartialSegments",
     "Particles",
     "PatchError",
     "PatchProblem",
@@ -116,12 +125,17 @@ __all__ = [
     "Solution",
     "Solver",
     "SpherePairs",
+    "SphereTree",
     "SpiralPoints",
     "SurfaceError",
     "TexturedMesh",
     "Transport",
+    "TreeBundles",
+    "TreeRays",
     "VertexRadiosity",
+    "allocated",
     "area_form_factors",
+    "area_shares",
     "atlas",
     "band_shares",
     "box",
@@ -142,11 +156,13 @@ __all__ = [
     "gebhart_factors",
     "gltf_mesh",
     "joined",
+    "least_error_shares",
     "lightmap",
     "local_form_factors",
     "multipath",
     "multipath_bundles",
     "pair_errors",
+    "partial_form_factors",
     "radiosity_on",
     "read_form_factors",
     "read_patches",
@@ -162,6 +178,7 @@ __all__ = [
     "shot_at_patches",
     "small_emitters",
     "solve",
+    "sphere_tree",
     "thermal",
     "vertex_radiosity",
     "with_local_rays",

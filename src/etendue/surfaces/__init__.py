@@ -17,7 +17,7 @@ from .lightmaps.textures import Lightmap, check_coordinates, lightmap_of, save_l
 from .objects import Objects, find_objects
 from .patches import Patches
 from .places import PatchSurfaces, Place, SurfaceValues
-from .rays.raycasting import STEP, RayScene
+from .rays.raycasting import STEP, Hits, RayScene
 from .rays.sides import Sides, across, around, cosine_law
 from .rays.sources import BATCH, RaySource, columns, cosine_lanes, even_lanes, pairs_of
 from .readers.meshfiles import read_patches
@@ -31,6 +31,7 @@ __all__ = [
     "LIGHTMAP_MESHES",
     "STEFAN_BOLTZMANN",
     "STEP",
+    "Hits",
     "Lightmap",
     "MeshDiagnosis",
     "Objects",

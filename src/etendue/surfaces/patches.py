@@ -54,7 +54,8 @@ class Patches:
     reflectance, emission: (n, c).
     sky: (c,).
     labels: (n,) the number in ``ids``, or of the face; that of the front for a back.
-    shapes, shape_names: (n,) the shape of a scene that a patch is of, if it was read from a scene, and names of shapes.
+    shapes, shape_names: (n,) the shape of a scene, or the object of a mesh file, that a patch is of, -1 for none, and
+        names of shapes. ``None`` if nothing is known.
     """
 
     shapes: Index | None = None
