@@ -25,7 +25,7 @@ from .tree import SphereTree
 Index = NDArray[np.int64]
 
 #: Lines at once.
-_BATCH = 1 << 18
+_BATCH = 1 << 16
 #: Bundles of all spheres in one task.
 _BUNDLES = 8
 

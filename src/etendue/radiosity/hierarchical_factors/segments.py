@@ -147,14 +147,17 @@ def partial_form_factors(segments: PartialSegments, estimator: Estimator = "F4")
         i, j = matrix.coords
         # Lines expected through a unit of area of the one, of the other, and of both together.
         density, common = tree.of_patches(segments.densities), segments.densities[tree.common(i, j)]
+        different, relative = density[i] + density[j] - common, 1 / matrix.data
         if estimator == "reciprocal":
-            lines, different = segments.expected, density[i] + density[j] - common
+            lines = segments.expected
         else:
             counted = lines / patches.areas
-            different = counted[i] + counted[j] - common * (counted[i] + counted[j]) / (density[i] + density[j])
-        expected = patches.areas[i] * different
+            both_ways = counted[i] + counted[j]
+            different *= both_ways / (density[i] + density[j])
+            relative += _spread_of_lines(i, j, found, both, lines, patches.areas, matrix.data)
         errors = matrix.copy()
-        matrix.data, errors.data = matrix.data / expected, np.sqrt(errors.data) / expected
+        matrix.data = matrix.data / (patches.areas[i] * different)
+        errors.data = matrix.data * np.sqrt(np.maximum(relative, 0))
         matrix, errors = matrix.tocsr(), errors.tocsr()
     else:
         matrix = estimate(found, lines, patches.areas, estimator).tocsr()
@@ -179,6 +182,16 @@ def _errors(matrix: Any, found: Any, both: Any, lines: Array, areas: Array, esti
     a, b = (w / np.maximum(weights[0] + weights[1], 1e-300) for w in weights)
     entries.data = np.sqrt(np.maximum(a * a * parts[0] + b * b * parts[1] + 2 * a * b * common, 0))
     return entries.tocsr()
+
+
+def _spread_of_lines(i: Index, j: Index, found: Any, both: Any, lines: Array, areas: Array, different: Array) -> Array:
+    """What the scatter of ``r_i / A_i + r_j / A_j`` adds to the relative variance of entries with that divisor: less
+    than nothing, as it counts the ``different`` lines of the entry, too."""
+    there, back, shared = (_entries(x, i, j) for x in (found, found.T.tocsr(), both))
+    a, b = areas[i], areas[j]
+    divisor = lines[i] / a + lines[j] / b
+    own = (lines[i] / a**2 + lines[j] / b**2 + 2 * shared / (a * b)) / divisor**2
+    return np.asarray(own - 2 * (there / a + back / b) / (different * divisor))
 
 
 def _entries(matrix: Any, row: Index, column: Index) -> Array:
