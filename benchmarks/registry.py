@@ -112,6 +112,7 @@ PROGRAMS = {
                 Benchmark("generators", "generators.measure", 2, "The four generators of global lines."),
                 Benchmark("direct", "sequences.direct", 1, "What sequences gain for direct light and for all light."),
                 Benchmark("estimators", "estimators.measure", 1, "The estimators F1 to F4 on the same lines."),
+                Benchmark("hierarchy", "hierarchy.measure", 8, "Form factors by lines in a hierarchy of spheres."),
             ),
         ),
     )

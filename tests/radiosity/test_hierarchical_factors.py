@@ -1,5 +1,5 @@
-"""Hierarchical form factors by global lines [Castro 2002, ch. 4]: checks 15 to 18 of its specification, engines, passes,
-requests, bad input. Errors and speed on the scenes of the thesis are in tests/benchmarks."""
+"""Hierarchical form factors by global lines [Castro 2002, ch. 4]: spheres, counters, estimates, passes, requests, bad
+input. What the thesis found on its scenes is in tests/benchmarks."""
 
 from __future__ import annotations
 
