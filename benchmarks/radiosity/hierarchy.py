@@ -38,6 +38,7 @@ from etendue.radiosity import (
 from .. import plotting
 from ..measuring import Record, timed
 from ..options import Out, Seeds, whole_numbers
+from . import trees
 from .drivers import DRIVERS
 from .options import BUNDLES, OUT, Detail, ReferenceBundles, Scenes
 from .references import factor_reference
@@ -167,6 +168,7 @@ def measure(
     for name in scenes:
         scene = RayScene(SCENES[name](detail))
         tree = sphere_tree(find_objects(scene.patches))
+        trees.save(out / f"tree-{name}.svg", tree, f"Spheres around the objects of {name}, from above")
         exact, noise = factor_reference(scene.patches, bundles)
         runs = sweep(ways(scene, tree), exact, lines, seeds)
         title = f"{name}, {len(scene.patches)} patches, {tree.objects.count} objects, {seeds} seeds"

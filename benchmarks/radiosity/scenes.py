@@ -3,18 +3,18 @@
 Lengths are metres, z is up, a lamp is a flat box under the ceiling whose underside shines. Solids end some millimetres
 before each other: rays cannot tell apart faces in the same place. ``detail`` divides the size of the patches.
 
-=========== ====================================================================================== ======= ========
-scene       content                                                                                patches channels
-=========== ====================================================================================== ======= ========
-six-cubes   grey room with six grey cubes on its floor and one lamp                                    740 1
-room        coloured room: table with four chairs, desk with a chair, small objects on both, a lamp   1110 3
-four-chairs table and four chairs in a plain room, a lamp                                              664 1
-nine-cubes  cubic room, two groups of four cubes and one by itself, a lamp                             156 1
-test-one    cubic room with a large lamp, a cube and a pyramid                                         185 1
-=========== ====================================================================================== ======= ========
-
-Versions for form factors have larger patches on walls and smaller ones on solids: ``six-cubes-factors`` (192 patches),
-``nine-cubes-factors`` (276) and ``test-one-factors`` (74).
+========================= =============================================================================== ======= ========
+scene              content                                                                         patches channels
+================== =============================================================================== ======= ========
+six-cubes          grey room with six grey cubes on its floor and one lamp                             740 1
+room               coloured room: table with four chairs, desk with a chair, small objects, a lamp    1110 3
+four-chairs        table and four chairs in a plain room, a lamp                                       664 1
+nine-cubes         cubic room, two groups of four cubes and one by itself, a lamp                      156 1
+test-one           cubic room with a large lamp, a cube and a pyramid                                  185 1
+six-cubes-factors  for form factors: larger patches on walls, four on a face of a cube                 174 1
+nine-cubes-factors the same                                                                            276 1
+test-one-factors   larger patches on walls, four on a side of the pyramid                               74 1
+================== =============================================================================== ======= ========
 """
 
 from __future__ import annotations
