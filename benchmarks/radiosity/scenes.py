@@ -3,7 +3,7 @@
 Lengths are metres, z is up, a lamp is a flat box under the ceiling whose underside shines. Solids end some millimetres
 before each other: rays cannot tell apart faces in the same place. ``detail`` divides the size of the patches.
 
-========================= =============================================================================== ======= ========
+================== =============================================================================== ======= ========
 scene              content                                                                         patches channels
 ================== =============================================================================== ======= ========
 six-cubes          grey room with six grey cubes on its floor and one lamp                             740 1
