@@ -24,7 +24,7 @@ def compute_form_factors(
     hierarchy: Any = None,
     walls: Sequence[str | int] | None = None,
     engine: str | None = None,
-    points: str | None = None,
+    point_set: str | None = None,
     main_share: float | None = None,
     seconds: float | None = None,
     bundles: int | None = None,
@@ -45,7 +45,8 @@ def compute_form_factors(
         default F1, or F4 with a hierarchy.
     hierarchy: cast lines in a hierarchy of spheres around objects: ``components``, ``shapes``, ``labels`` or an array,
         see :func:`etendue.radiosity.find_objects`, or the name of an array of the mesh file. ``walls`` are its walls.
-    engine, points, main_share: see :class:`etendue.radiosity.HierarchySettings`.
+    engine, point_set, main_share: ``engine``, ``points`` and ``main_share`` of
+        :class:`etendue.radiosity.HierarchySettings`.
     seconds, bundles, error: the first limit that is reached ends the casting; ``error`` is the standard error of a row
         of form factors, averaged over patches. Without limits, 1024 bundles.
     lines: lines of a bundle through the bounding sphere; 0 for a number that suits the patches.
@@ -72,7 +73,7 @@ def start_form_factors(
     hierarchy: Any = None,
     walls: Sequence[str | int] | None = None,
     engine: str | None = None,
-    points: str | None = None,
+    point_set: str | None = None,
     main_share: float | None = None,
     seconds: float | None = None,
     bundles: int | None = None,

@@ -23,9 +23,9 @@ Engine = Annotated[
     str | None,
     typer.Option("--engine", help="With --hierarchy: rays, line by line, or bundles, rasterised.", metavar="NAME"),
 ]
-Points = Annotated[
+PointSet = Annotated[
     str | None,
-    typer.Option("--points", help="With --hierarchy: independent, halton, sobol or spiral.", metavar="NAME"),
+    typer.Option("--point-set", help="With --hierarchy: independent, halton, sobol or spiral.", metavar="NAME"),
 ]
 MainShare = Annotated[
     float | None,

@@ -11,8 +11,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
-
 from etendue.core import (
     BackendError,
     CheckpointError,
@@ -30,25 +28,21 @@ from etendue.radiosity import (
     FORM_FACTOR_FILES,
     SOLVERS,
     CastingSettings,
-    HierarchySettings,
-    Objects,
     Patches,
     check_direct,
     check_file,
     check_text_size,
-    find_objects,
     read_patches,
     scene_patches,
 )
 from etendue.scene import Problem, load, locate
 
 from .files import check_files
+from .hierarchies import HIERARCHY_OPTIONS, HierarchyOptions
 from .results import DEFAULT_BUNDLES, DEFAULT_POINTS
 from .solutions import SolutionOutputs
 from .wording import PYTHON, Wording
 
-#: What makes an object; any other name is an array of the mesh file.
-GROUPINGS = ("components", "shapes", "labels")
 #: The solver that needs neither stored segments nor a matrix.
 MULTIPATH = "multipath"
 #: Solvers that work on segments; the others, except multipath, need the matrix.
@@ -231,57 +225,24 @@ def _plain(values: dict[str, Any]) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FormFactorRequest(LinesRequest):
+class FormFactorRequest(HierarchyOptions, LinesRequest):
     """Form factors of patches."""
 
     #: ``None`` for F1, or F4 with a hierarchy.
     estimator: str | None = None
     outputs: tuple[Path, ...] = ()
-    #: Cast lines in a hierarchy of spheres: what makes objects, see :func:`etendue.radiosity.find_objects`. Any other
-    #: name is that of an array of the mesh file, with the number of an object for each face, negative for walls.
-    hierarchy: Any = None
-    walls: tuple[str, ...] | None = None
-    engine: str | None = None
-    points: str | None = None
-    main_share: float | None = None
 
     work: ClassVar[str] = "form-factors"
 
     @property
     def chosen_estimator(self) -> str:
-        """That which is asked for, or suits."""
+        """The requested estimator, or the default."""
         return self.estimator or ("F1" if self.hierarchy is None else "F4")
-
-    @property
-    def hierarchy_settings(self) -> dict[str, Any]:
-        """What was asked for of :class:`etendue.radiosity.HierarchySettings`."""
-        given = {name: getattr(self, name) for name in ("engine", "points", "main_share")}
-        return {name: value for name, value in given.items() if value is not None}
-
-    def objects(self, patches: Patches) -> Objects | None:
-        """Those that spheres are made around, ``None`` without a hierarchy."""
-        if self.hierarchy is None:
-            return None
-        by = self.hierarchy
-        named = isinstance(by, str) and by not in GROUPINGS
-        return find_objects(patches, "shapes" if named else by, walls=self.walls)
 
     def _check_options(self) -> None:
         super()._check_options()
-        option = self.wording.option
-        if self.hierarchy is None:
-            for name in ("walls", "engine", "points", "main_share"):
-                if getattr(self, name) is not None:
-                    raise OptionError(f"{option(name)} is for lines in a hierarchy: give {option('hierarchy')}, too")
-            return
-        HierarchySettings.from_mapping(self.hierarchy_settings, owner="a hierarchy")
-        if not isinstance(self.hierarchy, str):
-            object.__setattr__(self, "hierarchy", np.asarray(self.hierarchy).tolist())  # plain, for checkpoints
-        elif self.hierarchy not in GROUPINGS:
-            if not self.is_mesh:
-                raise OptionError(
-                    f"objects are found by {', '.join(GROUPINGS)}, or an array, not by '{self.hierarchy}'"
-                )
+        self._check_hierarchy(self.wording, self.is_mesh)
+        if self.names_an_array:
             object.__setattr__(self, "mesh", {**self.mesh, "objects": self.hierarchy})
 
     @property
@@ -306,7 +267,7 @@ class FormFactorRequest(LinesRequest):
                 check_text_size(path, len(patches), 0)
 
     def _noted(self) -> tuple[str, ...]:
-        own = ("estimator", "hierarchy", "walls", "engine", "points", "main_share")
+        own = ("estimator", "hierarchy", *HIERARCHY_OPTIONS)
         return (*super()._noted(), *(name for name in own if getattr(self, name) is not None))
 
     def _noted_outputs(self) -> dict[str, Any]:

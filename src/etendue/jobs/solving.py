@@ -20,7 +20,7 @@ from .results import FormFactorResult, RadiosityResult
 
 if TYPE_CHECKING:
     from etendue.engine import Checkpoint, Runner, RunResult
-    from etendue.radiosity import CastLines, Segments
+    from etendue.radiosity import CastLines, Objects, Segments
 
 Q = TypeVar("Q", bound=LinesRequest)
 R = TypeVar("R")
