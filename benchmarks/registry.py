@@ -116,6 +116,7 @@ PROGRAMS = {
                 Benchmark("hemicube", "hemicube.measure", 1, "Hemicubes beside local lines and global lines."),
                 Benchmark("ambient", "ambient.measure", 2, "Ambient terms: their errors, their time, pictures."),
                 Benchmark("finishing", "ambient.finishing", 1, "Solvers that stop early, with and without the terms."),
+                Benchmark("hierarchy", "hierarchy.measure", 8, "Form factors by lines in a hierarchy of spheres."),
             ),
         ),
     )

@@ -3,15 +3,18 @@
 Lengths are metres, z is up, a lamp is a flat box under the ceiling whose underside shines. Solids end some millimetres
 before each other: rays cannot tell apart faces in the same place. ``detail`` divides the size of the patches.
 
-=========== ====================================================================================== ======= ========
-scene       content                                                                                patches channels
-=========== ====================================================================================== ======= ========
-six-cubes   grey room with six grey cubes on its floor and one lamp                                    740 1
-room        coloured room: table with four chairs, desk with a chair, small objects on both, a lamp   1110 3
-four-chairs table and four chairs in a plain room, a lamp                                              664 1
-nine-cubes  cubic room, two groups of four cubes and one by itself, a lamp                             156 1
-test-one    cubic room with a large lamp, a cube and a pyramid                                         185 1
-=========== ====================================================================================== ======= ========
+================== =============================================================================== ======= ========
+scene              content                                                                         patches channels
+================== =============================================================================== ======= ========
+six-cubes          grey room with six grey cubes on its floor and one lamp                             740 1
+room               coloured room: table with four chairs, desk with a chair, small objects, a lamp    1110 3
+four-chairs        table and four chairs in a plain room, a lamp                                       664 1
+nine-cubes         cubic room, two groups of four cubes and one by itself, a lamp                      156 1
+test-one           cubic room with a large lamp, a cube and a pyramid                                  185 1
+six-cubes-factors  for form factors: larger patches on walls, four on a face of a cube                 174 1
+nine-cubes-factors the same                                                                            276 1
+test-one-factors   larger patches on walls, four on a side of the pyramid                               74 1
+================== =============================================================================== ======= ========
 """
 
 from __future__ import annotations
@@ -88,11 +91,14 @@ def placed(mesh: Mesh, x: float, y: float, z: float = 0.0, turn: float = 0.0) ->
     return mesh[0] @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + [x, y, z], mesh[1]
 
 
-def six_cubes(detail: float = 1.0) -> Patches:
+def six_cubes(detail: float = 1.0, for_factors: bool = False) -> Patches:
     """Room of 5 x 4 x 3 m: walls reflect 0.6, the floor 0.4, the ceiling 0.75. Six cubes with edges of 0.5 to 0.9 m,
-    turned at will, that reflect 0.2 to 0.8. A lamp of 0.8 x 0.8 m at 2.9 m emits 100 W/m^2."""
+    turned at will, that reflect 0.2 to 0.8. A lamp of 0.8 x 0.8 m at 2.9 m emits 100 W/m^2.
+
+    for_factors: walls in patches of about 2 m, cubes in four a face.
+    """
     scene = _Builder(detail)
-    scene.room((5, 4, 3), 0.5, [0.6, 0.6, 0.6, 0.6, 0.4, 0.75])
+    scene.room((5, 4, 3), 2.0 if for_factors else 0.5, [0.6, 0.6, 0.6, 0.6, 0.4, 0.75])
     for x, y, edge, colour, turn in (
         (0.9, 0.8, 0.8, 0.3, 20),
         (2.5, 0.9, 0.6, 0.6, -15),
@@ -101,8 +107,8 @@ def six_cubes(detail: float = 1.0) -> Patches:
         (2.6, 2.9, 0.9, 0.2, 30),
         (4.2, 3.2, 0.5, 0.7, -35),
     ):
-        scene.cube(x, y, edge, 0.25, colour, turn)
-    scene.lamp(2.5, 2.0, 2.9, 0.8, 0.4, 100.0)
+        scene.cube(x, y, edge, edge / 2 if for_factors else 0.25, colour, turn)
+    scene.lamp(2.5, 2.0, 2.9, 0.8, 0.8 if for_factors else 0.4, 100.0)
     return scene.patches()
 
 
@@ -149,29 +155,36 @@ def four_chairs(detail: float = 1.0) -> Patches:
     return scene.patches()
 
 
-def nine_cubes(detail: float = 1.0) -> Patches:
+def nine_cubes(detail: float = 1.0, for_factors: bool = False) -> Patches:
     """Cubic room of 4 m that reflects 0.5, walls in patches of 1 m. Two groups of four cubes of 0.4 m, 0.2 m apart, in
     opposite corners, and one of 0.6 m by itself, one patch a face; they reflect 0.7. A lamp of 0.8 x 0.8 m at 3.9 m
-    emits 100 W/m^2."""
-    scene = _Builder(detail)
-    scene.room((4, 4, 4), 1.0, [0.5] * 6)
+    emits 100 W/m^2.
+
+    for_factors: walls in patches of 4/3 m, cubes in four a face.
+    """
+    scene, parts = _Builder(detail), 2 if for_factors else 1
+    scene.room((4, 4, 4), 4 / 3 if for_factors else 1.0, [0.5] * 6)
     for x, y in ((0.9, 0.9), (3.1, 3.1)):
         for dx, dy in ((-0.3, -0.3), (0.3, -0.3), (-0.3, 0.3), (0.3, 0.3)):
-            scene.cube(x + dx, y + dy, 0.4, 0.4, 0.7)
-    scene.cube(3.0, 1.0, 0.6, 0.6, 0.7, turn=25)
+            scene.cube(x + dx, y + dy, 0.4, 0.4 / parts, 0.7)
+    scene.cube(3.0, 1.0, 0.6, 0.6 / parts, 0.7, turn=25)
     scene.lamp(2.0, 2.0, 3.9, 0.8, 0.8, 100.0)
     return scene.patches()
 
 
-def test_one(detail: float = 1.0) -> Patches:
+def test_one(detail: float = 1.0, for_factors: bool = False) -> Patches:
     """Cubic room of 3 m that reflects 0.6. A cube of 0.8 m (0.7), a pyramid of four sides, 1 m high on a square of
-    0.9 m (0.4), and a lamp of 1 x 1 m at 2.9 m that emits 50 W/m^2."""
+    0.9 m (0.4), and a lamp of 1 x 1 m at 2.9 m that emits 50 W/m^2.
+
+    for_factors: walls in patches of 1.5 m, the pyramid in four a side.
+    """
     scene = _Builder(detail)
-    scene.room((3, 3, 3), 0.6, [0.6] * 6)
+    scene.room((3, 3, 3), 1.5 if for_factors else 0.6, [0.6] * 6)
     scene.cube(0.9, 0.9, 0.8, 0.4, 0.7, turn=20)
     corners = np.array([[-0.45, -0.45, 0], [0.45, -0.45, 0], [0.45, 0.45, 0], [-0.45, 0.45, 0], [0, 0, 1.0]])
     sides = np.array([[0, 3, 2, 1], [0, 1, 4, 4], [1, 2, 4, 4], [2, 3, 4, 4], [3, 0, 4, 4]])
-    scene.add(placed((corners, sides), 2.1, 2.0, GAP, turn=10), 0.4)
+    pyramid = Patches(corners, sides).subdivided(0.25 / detail**2 if for_factors else 1.0)
+    scene.add(placed((pyramid.vertices, pyramid.faces), 2.1, 2.0, GAP, turn=10), 0.4)
     scene.lamp(1.5, 1.5, 2.9, 1.0, 1.0, 50.0)
     return scene.patches()
 
@@ -205,10 +218,17 @@ def _desk(scene: _Builder) -> list[Mesh]:
     return [top, panel, drawers]
 
 
+def _for_factors(scene: Callable[..., Patches]) -> Callable[[float], Patches]:
+    return lambda detail: scene(detail, for_factors=True)
+
+
 SCENES: dict[str, Callable[[float], Patches]] = {
     "six-cubes": six_cubes,
     "room": room,
     "four-chairs": four_chairs,
     "nine-cubes": nine_cubes,
     "test-one": test_one,
+    "six-cubes-factors": _for_factors(six_cubes),
+    "nine-cubes-factors": _for_factors(nine_cubes),
+    "test-one-factors": _for_factors(test_one),
 }

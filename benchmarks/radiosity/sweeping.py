@@ -51,7 +51,7 @@ class Track:
         def fit(errors: Array) -> float:
             return float(np.polyfit(places, np.log(errors.mean(axis=0)), 1)[0])
 
-        return _jackknife(fit, self.errors)
+        return jackknife(fit, self.errors)
 
     def ratio(self, other: Track, marks: int = 1) -> Known:
         """Of the errors to those of another, at the last ``marks`` numbers of lines: their geometric mean."""
@@ -60,7 +60,7 @@ class Track:
             mine, theirs = pair.mean(axis=0)
             return float(np.exp(np.log(mine / theirs).mean()))
 
-        return _jackknife(quotient, np.stack([self.errors, other.errors], axis=1)[:, :, -marks:])
+        return jackknife(quotient, np.stack([self.errors, other.errors], axis=1)[:, :, -marks:])
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Known:
         return f"{self.value:.2f} ± {self.error:.2f}"
 
 
-def _jackknife(function: Callable[[Array], float], rows: Array) -> Known:
+def jackknife(function: Callable[[Array], float], rows: Array) -> Known:
     """A function of all seeds (rows), and its standard error from leaving out one after the other."""
     count = len(rows)
     if count < 2:

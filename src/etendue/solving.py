@@ -19,8 +19,13 @@ Callback = Callable[[Progress], object]
 
 def compute_form_factors(
     mesh: Any,
-    estimator: str = "F1",
+    estimator: str | None = None,
     *,
+    hierarchy: Any = None,
+    walls: Sequence[str | int] | None = None,
+    engine: str | None = None,
+    point_set: str | None = None,
+    main_share: float | None = None,
     seconds: float | None = None,
     bundles: int | None = None,
     error: float | None = None,
@@ -36,7 +41,12 @@ def compute_form_factors(
     """Form factors of patches, by lines through the whole scene.
 
     mesh: :class:`etendue.radiosity.Patches`, or the path of a mesh file, each face of which is a patch.
-    estimator: ``F1``, ``F2``, ``F3``, ``F4`` or ``reciprocal``, see :func:`etendue.radiosity.form_factors`.
+    estimator: ``F1``, ``F2``, ``F3``, ``F4``, ``reciprocal`` or ``pooled``, see :func:`etendue.radiosity.estimate`; by
+        default F1, or F4 with a hierarchy.
+    hierarchy: cast lines in a hierarchy of spheres around objects: ``components``, ``shapes``, ``labels`` or an array,
+        see :func:`etendue.radiosity.find_objects`, or the name of an array of the mesh file. ``walls`` are its walls.
+    engine, point_set, main_share: ``engine``, ``points`` and ``main_share`` of
+        :class:`etendue.radiosity.HierarchySettings`.
     seconds, bundles, error: the first limit that is reached ends the casting; ``error`` is the standard error of a row
         of form factors, averaged over patches. Without limits, 1024 bundles.
     lines: lines of a bundle through the bounding sphere; 0 for a number that suits the patches.
@@ -58,8 +68,13 @@ def compute_form_factors(
 
 def start_form_factors(
     mesh: Any,
-    estimator: str = "F1",
+    estimator: str | None = None,
     *,
+    hierarchy: Any = None,
+    walls: Sequence[str | int] | None = None,
+    engine: str | None = None,
+    point_set: str | None = None,
+    main_share: float | None = None,
     seconds: float | None = None,
     bundles: int | None = None,
     error: float | None = None,

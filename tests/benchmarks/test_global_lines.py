@@ -23,6 +23,9 @@ SIZES = {
     "four-chairs": (664, 1),
     "nine-cubes": (156, 1),
     "test-one": (185, 1),
+    "six-cubes-factors": (174, 1),
+    "nine-cubes-factors": (276, 1),
+    "test-one-factors": (74, 1),
 }
 
 
@@ -192,6 +195,52 @@ def test_sequences_gain_more_for_direct_light(small):
     assert one.value < other.value and one.value < 0.5
 
 
+def hierarchical(name, ways, lines, seeds):
+    """Errors of form factors, and rays a line, of some ways to cast lines in a scene."""
+    from etendue.radiosity import find_objects, sphere_tree
+
+    hierarchy, scene = module("hierarchy"), RayScene(module("scenes").SCENES[name](1.0))
+    exact, noise = module("references").factor_reference(scene.patches, 1024)
+    made = hierarchy.ways(scene, sphere_tree(find_objects(scene.patches)))
+    return hierarchy.sweep({way: made[way] for way in ways}, exact, [lines], seeds), noise, scene
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["nine-cubes-factors", "six-cubes-factors"])
+def test_a_hierarchy_makes_form_factors_of_small_patches_better(name, monkeypatch):
+    """At equal lines, by F4 a third to a fifth of the squared error of lines of the whole scene by F1, F3 many times
+    that; rays a line are 1.2 to 1.4 times as many. Measured at 500,000 lines: F4 1.1 and pooled 0.92 of F1."""
+    runs, noise, scene = hierarchical(name, ["whole scene", "independent", "least error"], 500_000, 4)
+    flat, tree = (runs[way].errors for way in ("whole scene", "independent"))
+    mean = {kind: errors.mean() for kind, errors in tree.items()}
+    assert noise < 0.05 * mean["pooled"]
+    assert 2.5 < flat["F1"].mean() / mean["F4"] < 6
+    assert mean["pooled"] < mean["F1"] and mean["F4"] < 1.25 * mean["F1"] and mean["F3"] > 3 * mean["F1"]
+    assert runs["least error"].errors["F1"].mean() < mean["F1"]
+    rays = {}
+    for way in ("first_hits", "first_patches"):
+        cast = getattr(RayScene, way)
+        counted = lambda self, a, b, cast=cast: (rays.update(n=rays["n"] + len(a)), cast(self, a, b))[1]  # noqa: E731
+        monkeypatch.setattr(RayScene, way, counted)
+    from etendue.radiosity import find_objects, sphere_tree
+
+    made, cost = module("hierarchy").ways(scene, sphere_tree(find_objects(scene.patches))), []
+    for way in ("whole scene", "independent"):
+        rays["n"] = 0
+        made[way](100_000, 1)
+        cost.append(rays["n"])
+    assert 1.1 < cost[1] / cost[0] < 1.6
+
+
+@pytest.mark.slow
+def test_sequences_gain_in_a_hierarchy():
+    """Measured at 100,000 lines: 0.6 and 0.55 of the error of independent numbers, by Halton's and Sobol's points."""
+    runs, *_ = hierarchical("test-one-factors", ["independent", "halton", "sobol"], 100_000, 10)
+    plain = runs["independent"].errors["pooled"].mean()
+    for name in ("halton", "sobol"):
+        assert runs[name].errors["pooled"].mean() < plain / 1.4
+
+
 # ---------------------------------------------------------------------- commands
 
 _TINY = ["--detail", "0.3", "--lines", "256", "--least", "64", "--seeds", "2", "--rays", "4096", "--bundles", "32"]
@@ -200,15 +249,16 @@ COMMANDS = {
     "generators": _TINY,
     "direct": [*_TINY, "--sequences", "sobol"],
     "estimators": ["--detail", "0.3", "--lines", "500,1000", "--seeds", "2", "--bundles", "32"],
+    "hierarchy": ["--scene", "test-one-factors", "--lines", "4096,8192", "--seeds", "2", "--bundles", "32"],
 }
-FILES = {"sequences": 6, "generators": 1, "direct": 1, "estimators": 2}
+FILES = {"sequences": 6, "generators": 1, "direct": 1, "estimators": 2, "hierarchy": 2}
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_make_tables_of_numbers(command, tmp_path, monkeypatch):
     words = [command, *COMMANDS[command], "--out", str(tmp_path), "--record"]
     tables = tables_of("radiosity", words, tmp_path, monkeypatch)
-    assert len(tables) == {"sequences": 4, "estimators": 2}.get(command, 1)
+    assert len(tables) == {"sequences": 4, "estimators": 2, "hierarchy": 4}.get(command, 1)
     for row in (row for table in tables for row in table.rows):
         assert any(map(is_number, row)) and not re.search(r"nan|inf", "".join(row)), row
     if command == "direct":  # independent numbers come first, as all others are compared to them

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.patches import box
+from support.patches import box, joined
 
 from etendue.cli.main import main
 from etendue.jobs import requests
@@ -210,3 +210,18 @@ def test_ctrl_c_before_the_first_line_keeps_the_old_file(monkeypatch, capsys):
     assert run("form-factors room.ply -o f.npz") == 130
     assert "stopped; nothing was written" in capsys.readouterr().err
     assert Path("f.npz").read_text() == "old" and len(list(Path().iterdir())) == 2
+
+
+def test_form_factors_in_a_hierarchy_are_resumed(capsys):
+    """Walls from -1 on in an array of the file; two boxes are one object."""
+    mesh = joined(box((0, 0, 0), (1, 1, 1), inward=True), box((0.2,) * 3, (0.3,) * 3), box((0.6,) * 3, (0.8,) * 3))
+    numbers = np.repeat([-1, 4], [6, 12])
+    meshio.write("boxes.vtu", meshio.Mesh(mesh[0], [("quad", mesh[1])], cell_data={"thing": [numbers]}))
+    command = "form-factors boxes.vtu -o f.npz --hierarchy thing --bundles 20 --checkpoint c --point-set halton"
+    assert run(command) == 0 and run("resume c --bundles 40") == 0
+    err = capsys.readouterr().err
+    assert "(F4), rows sum to" in err and "40 bundles" in err
+    with np.load("f.npz") as arrays:
+        assert json.loads(str(arrays["metadata"]))["estimator"] == "F4"
+    assert run("form-factors boxes.vtu -o f.npz --walls 4") == 2
+    assert "--walls is for lines in a hierarchy: give --hierarchy, too" in capsys.readouterr().err

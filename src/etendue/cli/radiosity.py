@@ -13,6 +13,7 @@ import typer
 from etendue.core import OptionError, format_seconds
 from etendue.jobs import DEFAULT_BUNDLES, DEFAULT_POINTS
 
+from . import hierarchical
 from . import options as opt
 from . import radiosity_outputs as out
 from .console import error_console, note, say
@@ -23,8 +24,9 @@ if TYPE_CHECKING:
     from etendue.engine import Checkpoint
     from etendue.jobs import FormFactorRequest, LinesRequest, PatchWork, RadiosityRequest
 
-#: Methods of checkpoints: the names of ``LineCasting`` and ``MultipathPasses`` of ``etendue.radiosity``.
-LINES = ("global-lines", "multipath")
+#: Methods of checkpoints: the names of ``LineCasting``, ``HierarchicalCasting`` and ``MultipathPasses`` of
+#: ``etendue.radiosity``.
+LINES = ("global-lines", "hierarchical-lines", "multipath")
 Bundles = Annotated[
     int | None,
     typer.Option(
@@ -71,7 +73,17 @@ def form_factors(
     bundles: Bundles = None,
     time: opt.Time = None,
     error: Error = None,
-    estimator: Annotated[str, typer.Option("--estimator", help="F1, F2, F3, F4 or reciprocal.", metavar="NAME")] = "F1",
+    estimator: Annotated[
+        str | None,
+        typer.Option(
+            "--estimator", help="F1, F2, F3, F4, reciprocal or pooled; F1, or F4 with --hierarchy.", metavar="NAME"
+        ),
+    ] = None,
+    hierarchy: hierarchical.Hierarchy = None,
+    walls: hierarchical.Walls = None,
+    engine: hierarchical.Engine = None,
+    point_set: hierarchical.PointSet = None,
+    main_share: hierarchical.MainShare = None,
     reflectance: Reflectance = None,
     ids: Ids = None,
     max_area: MaxArea = None,
@@ -93,11 +105,16 @@ def form_factors(
     """
     from etendue.jobs import FormFactorRequest, FormFactorWork
 
-    if exact and (bundles, time, error, checkpoint) != (None, None, None, None):
-        raise OptionError("--exact casts no lines: leave out --bundles, --time, --error and --checkpoint")
+    if exact and (bundles, time, error, checkpoint, hierarchy) != (None, None, None, None, None):
+        raise OptionError("--exact casts no lines: leave out --bundles, --time, --error, --checkpoint and --hierarchy")
     request = FormFactorRequest(
         source=str(mesh),
         estimator=estimator,
+        hierarchy=hierarchy,
+        walls=None if walls is None else tuple(name for name in walls.split(",") if name),
+        engine=engine,
+        point_set=point_set,
+        main_share=main_share,
         outputs=(output,),
         seconds=time,
         bundles=bundles,

@@ -64,7 +64,7 @@ def finish(work: PatchWork[Any, Any], run: RunResult) -> None:
     if isinstance(result, FormFactorResult):
         errors = result.factors.row_errors()
         _say(
-            f"{result.factors.matrix.nnz} form factors ({work.request.estimator}), {_rows(result.factors)}, "
+            f"{result.factors.matrix.nnz} form factors ({work.request.chosen_estimator}), {_rows(result.factors)}, "
             f"standard error of a row {errors.mean():.2g} (at most {errors.max():.2g})"
         )
     else:

@@ -15,7 +15,10 @@ from etendue.radiosity import (
     REPLICATES,
     CastingSettings,
     CastLines,
+    HierarchicalCasting,
+    HierarchySettings,
     LineCasting,
+    Objects,
     Patches,
     PatchProblem,
     RadiosityError,
@@ -45,6 +48,9 @@ class LinesTask:
     lines: float = 0.0
     shot: bool = True
     local_rays: bool = True
+    #: Where lines are cast in a hierarchy: its objects, and further options of :class:`HierarchySettings`.
+    objects: Objects | None = None
+    hierarchy: Mapping[str, Any] = field(default_factory=dict)
     #: Whether an error ends this run, or the run that it resumes: lines are then cast as replicates.
     to_error: bool = False
     #: Whether errors are estimated during the run even if the budget has none.
@@ -69,16 +75,7 @@ class LinesJob:
         self._files: list[RecordFile] = []
         self._rows_in_files = 0
         self._is_limited_by_disk = False
-        estimated = task.is_watched or task.budget.error is not None
-        self.casting = LineCasting(
-            CastingSettings(
-                lines=task.lines,
-                shot=task.shot,
-                local_rays=task.local_rays,
-                replicates=REPLICATES if task.to_error else 1,
-            ),
-            goal=task.goal if estimated else None,
-        )
+        self.casting = self._casting()
 
     def runner(self, **options: Any) -> Runner:
         """Prepare the casting; ``options`` are those of :class:`Runner`.
@@ -92,9 +89,9 @@ class LinesJob:
         if saved is not None:
             asked = casting.settings.to_dict()
             del asked["bundles_per_pass"]  # keep that of the checkpoint: another machine may choose another
-            settings = saved.settings_of(LineCasting, asked, task.seed)
+            settings = saved.settings_of(type(casting), asked, task.seed)
             saved.require_scene(problem.fingerprint)
-            casting = self.casting = LineCasting(settings, goal=casting.goal)  # type: ignore[arg-type]
+            casting = self.casting = self._casting(settings)
         casting.prepare(problem, task.seed)
         casting.most, limited = self._limited(0 if saved is None else casting.bundles(saved.measurement))
         earlier = 0.0
@@ -136,6 +133,21 @@ class LinesJob:
         if self._is_limited_by_disk:
             return f"the disk has room for no more than these {bundles} bundles of lines: free some, or use another one"
         return f"memory holds no more than these {bundles} bundles of lines: free some, or make patches larger"
+
+    def _casting(self, settings: Any = None) -> LineCasting:
+        """That of the task, with the settings of a checkpoint if there are any."""
+        task = self.task
+        goal: Any = task.goal if task.is_watched or task.budget.error is not None else None
+        if task.objects is not None:
+            asked = HierarchySettings.from_mapping({"lines": task.lines, **task.hierarchy}, owner="a hierarchy")
+            return HierarchicalCasting(task.objects, settings or asked, goal=goal)
+        asked_flat = CastingSettings(
+            lines=task.lines,
+            shot=task.shot,
+            local_rays=task.local_rays,
+            replicates=REPLICATES if task.to_error else 1,
+        )
+        return LineCasting(settings or asked_flat, goal=goal)
 
     def _limited(self, before: int) -> tuple[int, Budget]:
         """The largest number of bundles, of which ``before`` are in the checkpoint, and a budget with this number."""

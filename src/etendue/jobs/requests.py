@@ -39,6 +39,7 @@ from etendue.radiosity import (
 from etendue.scene import Problem, load, locate
 
 from .files import check_files
+from .hierarchies import HIERARCHY_OPTIONS, HierarchyOptions
 from .results import DEFAULT_BUNDLES, DEFAULT_POINTS
 from .solutions import SolutionOutputs
 from .wording import PYTHON, Wording
@@ -225,13 +226,25 @@ def _plain(values: dict[str, Any]) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FormFactorRequest(LinesRequest):
+class FormFactorRequest(HierarchyOptions, LinesRequest):
     """Form factors of patches."""
 
-    estimator: str = "F1"
+    #: ``None`` for F1, or F4 with a hierarchy.
+    estimator: str | None = None
     outputs: tuple[Path, ...] = ()
 
     work: ClassVar[str] = "form-factors"
+
+    @property
+    def chosen_estimator(self) -> str:
+        """The requested estimator, or the default."""
+        return self.estimator or ("F1" if self.hierarchy is None else "F4")
+
+    def _check_options(self) -> None:
+        super()._check_options()
+        self._check_hierarchy(self.wording, self.is_mesh)
+        if self.names_an_array:
+            object.__setattr__(self, "mesh", {**self.mesh, "objects": self.hierarchy})
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -244,7 +257,7 @@ class FormFactorRequest(LinesRequest):
         return True
 
     def _check_outputs(self) -> None:
-        _check_name("estimator", self.estimator, ESTIMATORS)
+        _check_name("estimator", self.chosen_estimator, ESTIMATORS)
         for path in self.outputs:
             check_file(path, FORM_FACTOR_FILES)
 
@@ -255,7 +268,8 @@ class FormFactorRequest(LinesRequest):
                 check_text_size(path, len(patches), 0)
 
     def _noted(self) -> tuple[str, ...]:
-        return (*super()._noted(), "estimator")
+        own = ("estimator", "hierarchy", *HIERARCHY_OPTIONS)
+        return (*super()._noted(), *(name for name in own if getattr(self, name) is not None))
 
     def _noted_outputs(self) -> dict[str, Any]:
         return {"outputs": [str(path.absolute()) for path in self.outputs]}

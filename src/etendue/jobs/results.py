@@ -31,7 +31,8 @@ class LinesResult:
 
 @dataclass(kw_only=True)
 class FormFactorResult(LinesResult):
-    """Form factors, and the lines from which they are counted."""
+    """Form factors, and the lines from which they are counted; with a hierarchy,
+    :class:`etendue.radiosity.PartialSegments`."""
 
     factors: FormFactors
     segments: Segments

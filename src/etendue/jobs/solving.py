@@ -12,7 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
 from etendue.core import EtendueError, OutputError, describe, logger
-from etendue.radiosity import ambient_solution, form_factors, save_form_factors, solve
+from etendue.radiosity import (
+    PartialSegments,
+    ambient_solution,
+    form_factors,
+    partial_form_factors,
+    save_form_factors,
+    solve,
+)
 
 from .files import Writing, add_to_message, rescued
 from .lines import LinesJob, LinesTask
@@ -21,7 +28,7 @@ from .results import FormFactorResult, RadiosityResult
 
 if TYPE_CHECKING:
     from etendue.engine import Checkpoint, Runner, RunResult
-    from etendue.radiosity import CastLines, Patches, Segments
+    from etendue.radiosity import CastLines, Objects, Patches, Segments
 
 Q = TypeVar("Q", bound=LinesRequest)
 R = TypeVar("R")
@@ -148,6 +155,8 @@ class LinesWork(PatchWork[Q, R]):
                 request.lines,
                 shot=self._wants_shot,
                 local_rays=request.local_rays,
+                objects=self._objects(),
+                hierarchy=self._hierarchy,
                 to_error=to_error,
                 is_watched=is_watched,
                 needs_matrix=request.needs_matrix,
@@ -161,6 +170,14 @@ class LinesWork(PatchWork[Q, R]):
     @property
     def _wants_shot(self) -> bool:
         return False
+
+    def _objects(self) -> Objects | None:
+        """Those of a hierarchy of lines, ``None`` for lines of the whole scene."""
+        return None
+
+    @property
+    def _hierarchy(self) -> dict[str, Any]:
+        return {}
 
     def runner(self, **options: Any) -> Runner:
         """See :class:`Work`."""
@@ -220,11 +237,19 @@ class FormFactorWork(LinesWork[FormFactorRequest, FormFactorResult]):
 
     goal: ClassVar[Literal["rows", "irradiance"]] = "rows"
 
+    def _objects(self) -> Objects | None:
+        return self.request.objects(self.patches)
+
+    @property
+    def _hierarchy(self) -> dict[str, Any]:
+        return self.request.hierarchy_settings
+
     def _evaluate(
         self, run: RunResult, lines: CastLines, segments: Segments, writing: Writing, tell: Tell
     ) -> FormFactorResult:
-        estimator: Any = self.request.estimator
-        factors = form_factors(segments, estimator)
+        estimator: Any = self.request.chosen_estimator
+        make: Any = partial_form_factors if isinstance(segments, PartialSegments) else form_factors
+        factors = make(segments, estimator)
         known = self._metadata(bundles=lines.count, estimator=estimator)
         for path in self.request.outputs:
             with writing.attempt(f"write '{path}'"):

@@ -15,6 +15,7 @@ from etendue.surfaces import (
     AmbientTerm,
     Lightmap,
     MeshDiagnosis,
+    Objects,
     PatchError,
     Patches,
     RayScene,
@@ -26,6 +27,7 @@ from etendue.surfaces import (
     box,
     check_coordinates,
     diagnose,
+    find_objects,
     gltf_mesh,
     joined,
     read_patches,
@@ -58,6 +60,11 @@ from .files.results import (
     save_solution,
 )
 from .files.solutionfiles import read_solution
+from .hierarchical_factors.allocation import MAIN_SHARE, allocated, area_shares, least_error_shares
+from .hierarchical_factors.casting import HierarchicalCasting, HierarchySettings
+from .hierarchical_factors.lines import TreeBundles, TreeRays
+from .hierarchical_factors.segments import PartialSegments, partial_form_factors
+from .hierarchical_factors.tree import SphereTree, sphere_tree
 from .lightmaps import lightmap
 from .lines.abuffer import ABuffer, Backend
 from .lines.chained import ChainedRays
@@ -81,6 +88,7 @@ __all__ = [
     "FORM_FACTOR_FILES",
     "GENERATORS",
     "LIGHTMAP_MESHES",
+    "MAIN_SHARE",
     "REPLICATES",
     "SOLUTION_FILES",
     "SOLVERS",
@@ -100,6 +108,8 @@ __all__ = [
     "GltfMesh",
     "GreatCircle",
     "HierarchicalAmbient",
+    "HierarchicalCasting",
+    "HierarchySettings",
     "Lightmap",
     "LineCasting",
     "LineEngine",
@@ -111,6 +121,8 @@ __all__ = [
     "Multipath",
     "MultipathPasses",
     "MultipathSettings",
+    "Objects",
+    "PartialSegments",
     "Particles",
     "PatchError",
     "PatchProblem",
@@ -121,14 +133,19 @@ __all__ = [
     "Solution",
     "Solver",
     "SpherePairs",
+    "SphereTree",
     "SpiralPoints",
     "SubScene",
     "SurfaceError",
     "TexturedMesh",
     "Transport",
+    "TreeBundles",
+    "TreeRays",
     "VertexRadiosity",
+    "allocated",
     "ambient_solution",
     "area_form_factors",
+    "area_shares",
     "atlas",
     "band_shares",
     "box",
@@ -143,6 +160,7 @@ __all__ = [
     "diagnose",
     "estimate",
     "exact_form_factors",
+    "find_objects",
     "finished",
     "first_shot",
     "form_factors",
@@ -150,11 +168,13 @@ __all__ = [
     "gltf_mesh",
     "hierarchical_ambient",
     "joined",
+    "least_error_shares",
     "lightmap",
     "local_form_factors",
     "multipath",
     "multipath_bundles",
     "pair_errors",
+    "partial_form_factors",
     "radiosity_on",
     "read_form_factors",
     "read_patches",
@@ -170,6 +190,7 @@ __all__ = [
     "shot_at_patches",
     "small_emitters",
     "solve",
+    "sphere_tree",
     "spread",
     "sub_scenes",
     "thermal",

@@ -24,15 +24,17 @@ from .lightmaps.atlases import (
     scene_mesh,
 )
 from .lightmaps.textures import Lightmap, check_coordinates, lightmap_of, save_lightmap
+from .objects import Objects, find_objects
 from .patches import Patches
 from .places import PatchSurfaces, Place, SurfaceValues
-from .rays.raycasting import STEP, RayScene
+from .rays.raycasting import STEP, Hits, RayScene
 from .rays.sides import Sides, across, around, cosine_law
 from .rays.sources import BATCH, RaySource, columns, cosine_lanes, even_lanes, pairs_of
 from .readers.meshfiles import read_patches
 from .readers.scenepatches import scene_patches
 from .smoothing import VertexRadiosity, face_sides, vertex_radiosity
 from .solids import box, joined
+from .spheres import bounding_sphere, joint_sphere
 
 __all__ = [
     "AMBIENT_TERMS",
@@ -42,8 +44,10 @@ __all__ = [
     "STEFAN_BOLTZMANN",
     "STEP",
     "AmbientTerm",
+    "Hits",
     "Lightmap",
     "MeshDiagnosis",
+    "Objects",
     "PatchError",
     "PatchSurfaces",
     "Patches",
@@ -59,6 +63,7 @@ __all__ = [
     "around",
     "atlas",
     "band_shares",
+    "bounding_sphere",
     "box",
     "check_coordinates",
     "class_factors",
@@ -72,9 +77,11 @@ __all__ = [
     "even_lanes",
     "face_sides",
     "face_vectors",
+    "find_objects",
     "gltf_mesh",
     "incoming",
     "joined",
+    "joint_sphere",
     "lightmap_of",
     "mesh_normals",
     "pairs_of",

@@ -54,7 +54,12 @@ class Patches:
     reflectance, emission: (n, c).
     sky: (c,).
     labels: (n,) the number in ``ids``, or of the face; that of the front for a back.
+    shapes, shape_names: (n,) the shape of a scene, or the object of a mesh file, that a patch is of, -1 for none, and
+        names of shapes. ``None`` if nothing is known.
     """
+
+    shapes: Index | None = None
+    shape_names: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -225,6 +230,7 @@ class Patches:
             sky=self.sky,
         )
         result.labels = self.labels[sides]
+        result.shapes, result.shape_names = None if self.shapes is None else self.shapes[sides], self.shape_names
         return result
 
     def with_properties(

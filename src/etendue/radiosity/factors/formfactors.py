@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     import scipy.sparse
 
 #: Estimators of form factors from counts, see :func:`estimate`.
-Estimator = Literal["F1", "F2", "F3", "F4", "reciprocal"]
-ESTIMATORS: tuple[Estimator, ...] = ("F1", "F2", "F3", "F4", "reciprocal")
+Estimator = Literal["F1", "F2", "F3", "F4", "reciprocal", "pooled"]
+ESTIMATORS: tuple[Estimator, ...] = ("F1", "F2", "F3", "F4", "reciprocal", "pooled")
 
 
 @dataclass(frozen=True)
@@ -166,6 +166,7 @@ def estimate(
     ``F3``          mean of both, weighted by ``r_i, r_j``
     ``F4``          mean of both, weighted by ``r_ij, r_ji``   the least error
     ``reciprocal``  ``r_ij / r_i``, ``r_i`` as expected        ``A_i F_ij = A_j F_ji`` to rounding
+    ``pooled``      ``2 r_ij / (r_i + r_j A_i / A_j)``         the same, by the lines of both patches as counted
     ==============  =========================================  =====================================================
     """
     if estimator not in ESTIMATORS:
@@ -174,6 +175,11 @@ def estimate(
     own = _diagonal(per_line) @ counts
     if estimator in ("F1", "reciprocal"):
         return own.tocsr()
+    if estimator == "pooled":
+        result = counts.tocoo()
+        density = lines / areas
+        result.data = 2 * result.data / (areas[result.row] * (density[result.row] + density[result.col]))
+        return result.tocsr()
     transposed = counts.T.tocsr()
     other = _diagonal(1 / areas) @ transposed @ _diagonal(areas * per_line)
     if estimator == "F2":

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Literal, Self, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import Array, free_memory, logger
 from etendue.points import PointSet
@@ -72,7 +73,7 @@ class ABuffer(LineEngine):
             raise RadiosityError(f"the backend is one of {', '.join(get_args(Backend))}, not {backend!r}")
         self.backend = ("drjit" if uses_cuda() else "compiled") if backend == "auto" else backend
         if lines is None:
-            wanted, most = _wanted(patches)
+            wanted, most = wanted_lines(patches)
             if wanted > most:
                 logger.warning(
                     "bundles have %.2g lines in place of %.2g: surfaces are few in a large space, and few lines meet "
@@ -91,14 +92,20 @@ class ABuffer(LineEngine):
         self._spacing = self.bundles.spacing / self.bundles.radius
         self._vertices = (patches.vertices[used] - self.bundles.centre) / self.bundles.radius
         self._faces = np.ascontiguousarray(faces.reshape(-1, 4), dtype=np.uint32)
-        self._solid = self._is_inside()
+        #: Whether the scene is an interior.
+        self.solid = self._is_inside()
         front, back = patches.front, np.where(patches.back < 0, len(patches) + 1, patches.back)
         self._ends = np.stack([front, back, back, front], axis=1).reshape(-1, 2).astype(np.uint32)
+
+    @property
+    def arrays(self) -> tuple[Array, NDArray[np.uint32], NDArray[np.uint32]]:
+        """Vertices, faces and their sides, as the compiled loops take them: in units of the radius of the scene."""
+        return self._vertices, self._faces, self._ends
 
     @staticmethod
     def suits(patches: Patches) -> bool:
         """Whether bundles with a moderate number of lines hit the patches; if not, use :class:`LocalRays`."""
-        wanted, most = _wanted(patches)
+        wanted, most = wanted_lines(patches)
         return wanted <= most
 
     def expected(self, count: int) -> Array:
@@ -123,8 +130,8 @@ class ABuffer(LineEngine):
         room = int(1.2 * self.expected(1).sum()) + 1024
 
         def task(start: int, number: int) -> Callable[[], Pairs]:
-            arrays = self._vertices, self._faces, self._ends, *self._grids(start, number)
-            return lambda: rasterise(*arrays, self._spacing, len(self.patches), room, self._solid)
+            arrays = *self.arrays, *self._grids(start, number)
+            return lambda: rasterise(*arrays, self._spacing, np.zeros(3), np.inf, len(self.patches), room, self.solid)
 
         return in_order(task(*piece) for piece in pieces)
 
@@ -162,11 +169,11 @@ class ABuffer(LineEngine):
             radius=1.0,
             spacing=self._spacing,
             gap=_GAP,
-            solid=self._solid,
+            solid=self.solid,
         )
 
 
-def _wanted(patches: Patches) -> tuple[float, float]:
-    """Lines of a bundle for the default mean number per patch, and their limit."""
+def wanted_lines(patches: Patches) -> tuple[float, float]:
+    """Lines of a bundle through the bounding sphere for the default mean number per patch, and their limit."""
     sparse = 2 * np.pi * patches.sphere[1] ** 2 / patches.areas.sum()
     return max(LINES_PER_PATCH * sparse * len(patches), _FEWEST), max(_MOST, _MOST_PER_PATCH * len(patches))

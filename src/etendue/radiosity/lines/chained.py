@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from etendue.core import Array
 from etendue.points import PointSet
-from etendue.surfaces import STEP, RayScene
+from etendue.surfaces import STEP, Hits, RayScene
 
 from ..errors import RadiosityError
 from .engine import LineEngine
@@ -54,14 +54,28 @@ class ChainedRays(LineEngine):
 
     def segments(self, lines: Lines) -> Pairs:
         """The segments of given lines, line by line, each from its origin on."""
-        sky = len(self.patches)
+        pairs, line = self.segments_within(lines, np.full(len(lines), np.inf))
+        return pairs[np.argsort(line, kind="stable")]
+
+    def segments_within(self, lines: Lines, reach: Array) -> tuple[Pairs, Index]:
+        """Those of the parts of lines that are of interest, in some order of the lines, and the line of each segment.
+
+        reach: (n,) lengths. A line of finite length begins with what its origin sees backwards, and ends at its first
+            hit beyond this length; it has no segments if there is no hit up to there.
+        """
+        sky, ends_at = len(self.patches), reach / self.scene.radius
         origins, directions = self.scene.local(lines.origins), lines.directions
         line, travelled = np.arange(len(lines)), np.zeros(len(lines))
-        # The last side that a line left, and its face.
-        before, last_face = np.full(len(lines), sky), np.full(len(lines), -1)
+        hits = self.scene.first_hits(origins, directions)
+        ends = np.isfinite(reach)
+        if ends.any():
+            hits, line = _within(hits, ends_at)
+            travelled = travelled[line]
+        before, last_face = np.full(len(line), sky), np.full(len(line), -1)  # the last side that a line left, its face
+        back = np.flatnonzero(ends[line])
+        before[back] = self.scene.first_patches(origins[line[back]], -directions[line[back]])
         found: list[tuple[Index, Index, Index]] = []
         for _ in range(_MOST_HITS):
-            hits = self.scene.first_hits(origins[line] + travelled[:, None] * directions[line], directions[line])
             ends = np.ones(len(line), dtype=bool)
             ends[hits.ray] = False
             found.append((line[ends], before[ends], np.full(np.count_nonzero(ends), sky)))
@@ -73,9 +87,20 @@ class ChainedRays(LineEngine):
             near, far = self.scene.sides(hits.face, directions[line])
             found.append((line[~again], before[~again], near[~again]))
             before, last_face = np.where(again, before, far), hits.face
+            on = travelled <= ends_at[line]
+            if not on.all():
+                line, before, last_face, travelled = line[on], before[on], last_face[on], travelled[on]
+                if len(line) == 0:
+                    break
+            hits = self.scene.first_hits(origins[line] + travelled[:, None] * directions[line], directions[line])
         else:
             raise RadiosityError(f"a line meets more than {_MOST_HITS} faces; check the mesh for coincident faces")
         of, one, other = (np.concatenate([part[i] for part in found]) for i in range(3))
         real = (one < sky) | (other < sky)
-        order = np.argsort(of[real], kind="stable")
-        return np.stack([one[real], other[real]], axis=1)[order].astype(np.uint32)
+        return np.stack([one[real], other[real]], axis=1).astype(np.uint32), of[real]
+
+
+def _within(hits: Hits, reach: Array) -> tuple[Hits, Index]:
+    """The hits up to given lengths, numbered anew, and their rays."""
+    near = hits.distance <= reach[hits.ray]
+    return Hits(np.arange(np.count_nonzero(near)), hits.distance[near], hits.face[near]), hits.ray[near]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from copy import copy
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -93,7 +93,7 @@ class LineEngine(ABC):
         return ((start, min(size, first + count - start)) for start in range(first, first + count, size))
 
 
-def warn_of_faults(segments: Segments) -> None:
+def warn_of_faults(segments: Segments | Any) -> None:
     """Warn of patches that no line has met, and if many lines meet backs of faces."""
     if len(segments.unseen):
         logger.warning(

@@ -46,14 +46,21 @@ class Lines:
         return len(self.origins)
 
 
+#: Centre and radius.
+Sphere = tuple[Array, float]
+
+
 class LineGenerator(ABC):
-    """Lines through patches, from points of the unit cube of four dimensions."""
+    """Lines through patches, from points of the unit cube of four dimensions.
+
+    sphere: of which they are the lines, by default one around all patches.
+    """
 
     name: ClassVar[str]
     citations: ClassVar[tuple[str, ...]] = ("Sbert1993", "Castro2002")
 
-    def __init__(self, patches: Patches) -> None:
-        self.centre, self.radius = patches.sphere
+    def __init__(self, patches: Patches, sphere: Sphere | None = None) -> None:
+        self.centre, self.radius = patches.sphere if sphere is None else sphere
         #: Surface area of the convex body from which the lines are sampled.
         self.surface = 4 * np.pi * self.radius**2
 
@@ -145,8 +152,8 @@ class Bundles(LineGenerator):
 
     name = "bundles"
 
-    def __init__(self, patches: Patches, lines: float = 4096) -> None:
-        super().__init__(patches)
+    def __init__(self, patches: Patches, lines: float = 4096, sphere: Sphere | None = None) -> None:
+        super().__init__(patches, sphere)
         if not np.isfinite(lines) or lines < 1:
             raise RadiosityError(f"a bundle has one line at least, not {lines!r}")
         #: Distance of neighbouring lines.

@@ -41,6 +41,8 @@ def rasterise(
     frames: Array,
     shifts: Array,
     spacing: float,
+    centre: Array,
+    reach: float,
     patches: int,
     room: int,
     solid: bool,
@@ -49,8 +51,9 @@ def rasterise(
 
     vertices (v, 3) in the unit sphere; faces (f, 4), flat and convex; ends (2 f, 2): near and far patch of a face, and
     the same of the face seen from the back, ``patches + 1`` for none; frames (b, 3, 3) as of :meth:`Bundles.frames`;
-    shifts (b, 2) of the grid in units of ``spacing``; room, the initial capacity for hits of a bundle; solid, whether
-    the scene is an interior, so that lines begin behind the backs of faces.
+    shifts (b, 2) of the grid in units of ``spacing``; centre (3,), reach: only lines that are not farther from it than
+    this along both axes of the grid are cast; room, the initial capacity for hits of a bundle; solid, whether the scene
+    is an interior, so that lines begin behind the backs of faces.
 
     Each line has a list of its hits, in order of their discovery; see :func:`_settle` for hits that are too close to
     each other to be ordered by depth.
@@ -64,6 +67,13 @@ def rasterise(
     pairs, made = np.empty((room * (len(frames) + 3) * 3 // 5, 2), np.uint32), 0
     for b in range(len(frames)):
         low_x, high_x, low_y, high_y = _project(vertices, frames[b], shifts[b], spacing, place)
+        if reach < np.inf:
+            x, y = -shifts[b, 0], -shifts[b, 1]
+            for axis in range(3):
+                x += frames[b, 0, axis] * centre[axis] / spacing
+                y += frames[b, 1, axis] * centre[axis] / spacing
+            low_x, high_x = max(low_x, x - reach / spacing), min(high_x, x + reach / spacing)
+            low_y, high_y = max(low_y, y - reach / spacing), min(high_y, y + reach / spacing)
         column, row = math.ceil(low_x), math.ceil(low_y)
         columns, rows = math.ceil(high_x) - column, math.ceil(high_y) - row
         if columns <= 0 or rows <= 0:
@@ -73,7 +83,7 @@ def rasterise(
         heads[: columns * rows] = _NONE
         face, count, wanted = 0, 0, 0
         while True:
-            face, count, wanted = _fill(place, faces, column, row, columns, heads, hits, nexts, face, count)
+            face, count, wanted = _fill(place, faces, column, row, columns, rows, heads, hits, nexts, face, count)
             if face == len(faces):
                 break
             room = max(2 * len(hits), count + wanted)
@@ -117,13 +127,14 @@ def _fill(
     first_column: int,
     first_row: int,
     columns: int,
+    rows: int,
     heads: NDArray[np.int32],
     hits: NDArray[np.uint64],
     nexts: NDArray[np.int32],
     start: int,
     count: int,
 ) -> tuple[int, int, int]:
-    """Put the hits of the faces from ``start`` on into the lists.
+    """Put the hits of the faces from ``start`` on, as far as they are in the grid, into the lists.
 
     Returns the face at which the capacity was exceeded (``len(faces)`` if it was not), the number of hits, and the
     largest number of hits of that face.
@@ -135,10 +146,12 @@ def _fill(
         i0, i1, i2, i3 = faces[f, 0], faces[f, 1], faces[f, 2], faces[f, 3]
         y0, y1, y2, y3 = place[i0, 1], place[i1, 1], place[i2, 1], place[i3, 1]
         top, end = math.ceil(min(min(y0, y1), min(y2, y3))), math.ceil(max(max(y0, y1), max(y2, y3)))
+        top, end = max(top, first_row), min(end, first_row + rows)
         if top >= end:
             continue
         x0, x1, x2, x3 = place[i0, 0], place[i1, 0], place[i2, 0], place[i3, 0]
-        width = math.ceil(max(max(x0, x1), max(x2, x3))) - math.ceil(min(min(x0, x1), min(x2, x3)))
+        width = min(math.ceil(max(max(x0, x1), max(x2, x3))), first_column + columns)
+        width -= max(math.ceil(min(min(x0, x1), min(x2, x3))), first_column)
         if width <= 0:
             continue
         if count + (end - top) * width > len(hits):
@@ -179,7 +192,7 @@ def _fill(
                 max(e0 if up0 != up1 else -np.inf, e1 if up1 != up2 else -np.inf),
                 max(e2 if up2 != up3 else -np.inf, e3 if up3 != up0 else -np.inf),
             )
-            begin, stop = math.ceil(left), math.ceil(right)
+            begin, stop = max(math.ceil(left), first_column), min(math.ceil(right), first_column + columns)
             depth = z0 + slope_y * (row - y0) + slope_x * (begin - x0)
             line = (row - first_row) * columns - first_column
             for column in range(begin, stop):

@@ -34,6 +34,7 @@ def read_patches(
     ids: ArrayLike | str | None = None,
     two_sided: ArrayLike = False,
     sky: ArrayLike = 0.0,
+    objects: str | None = None,
 ) -> Patches:
     """Patches of a mesh file, with the arguments of :class:`Patches`.
 
@@ -42,6 +43,8 @@ def read_patches(
         values.
     temperature: in kelvin, in the same forms: patches then emit as grey bodies whose emissivity is one minus the
         reflectance, in W/m^2 (:func:`thermal`).
+    objects: an array of the file with the number of an object for each face, negative for walls; these are then the
+        ``shapes`` of the patches, for :func:`find_objects`.
 
     Reads triangles and quadrilaterals and ignores lines and solids. Faces without area and duplicates are left out with
     a warning. Raises :class:`PatchError` for a file that cannot be read, without faces, with other types of faces, or
@@ -76,7 +79,28 @@ def read_patches(
         if isinstance(temperature, str):
             kelvin = _means(kelvin, inverse, areas, len(groups))
     patches = Patches(vertices, faces, reflectance=rho, emission=exitance, ids=labels, two_sided=two_sided, sky=sky)
+    if objects is not None:
+        numbers = _cell_array(path, cells, objects, whole=True)
+        _set_shapes(patches, np.arange(len(faces)) if labels is None else labels, numbers, f"{path}, array '{objects}'")
     return patches if temperature is None else _warm(patches, np.asarray(kelvin, dtype=np.float64).ravel(), sky)
+
+
+def _set_shapes(patches: Patches, labels: Index, numbers: Index, array: str) -> None:
+    """The object of each patch, from the numbers of the faces and the labels of their patches."""
+    known, patch = np.unique(labels, return_inverse=True)
+    low, high = np.full(len(known), numbers.max()), np.full(len(known), numbers.min())
+    np.minimum.at(low, patch, numbers)
+    np.maximum.at(high, patch, numbers)
+    torn = np.flatnonzero(low != high)
+    if len(torn):
+        raise PatchError(
+            f"{array}: patch {known[torn[0]]} has faces of the objects {low[torn[0]]} and {high[torn[0]]}; a patch "
+            "belongs to one object"
+        )
+    number = low[np.searchsorted(known, patches.labels)]
+    names = np.unique(number[number >= 0])
+    patches.shapes = np.where(number < 0, -1, np.searchsorted(names, number))
+    patches.shape_names = tuple(map(str, names))
 
 
 def _warm(patches: Patches, kelvin: Array, sky: ArrayLike) -> Patches:

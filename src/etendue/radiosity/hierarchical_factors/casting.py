@@ -1,0 +1,134 @@
+"""Hierarchical form factors in passes, for what drives methods: budgets, progress, checkpoints, stops."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, cast
+
+import numpy as np
+
+from etendue.core import CheckpointError, Measurement, seed_key, setting
+from etendue.core import Settings as AnySettings
+from etendue.points import Halton, Independent, OwenSobol, PointSet, RandomShift
+from etendue.surfaces import Objects, Patches
+
+from ..casting import CastingSettings, LineCasting
+from ..errors import RadiosityError
+from ..lines.abuffer import wanted_lines
+from ..lines.engine import LineEngine, warn_of_faults
+from ..lines.segments import Pairs
+from ..lines.spiral import SpiralPoints
+from ..problem import PatchProblem
+from .allocation import MAIN_SHARE, allocated, area_shares, least_error_shares
+from .lines import TreeBundles, TreeRays
+from .segments import PartialSegments
+from .tree import sphere_tree
+
+#: Lines of a bundle by rays, at least, and for each sphere.
+_LINES, _LINES_PER_SPHERE = 4096, 32
+#: Of a measurement: the record of segments.
+_SEGMENTS = "segments"
+
+
+@dataclass(frozen=True, kw_only=True)
+class HierarchySettings(CastingSettings):
+    """What of hierarchical casting decides the lines. A *bundle* is cast in all spheres, by their shares: parallel
+    lines in each of them, or, with rays, as many single ones."""
+
+    lines: float = setting(0.0, "lines of a bundle in all spheres together, 0 for the engine's choice", minimum=0)
+    shot: bool = setting(False, "no shot: it is for light")
+    local_rays: bool = setting(False, "no local rays: lines in small spheres take their place")
+    engine: str = setting("rays", "line by line, or rasterised bundles", choices=("rays", "bundles"))
+    points: str = setting(
+        "auto",
+        "what draws the lines; auto takes sobol for rays, spiral for bundles",
+        choices=("auto", "independent", "halton", "sobol", "spiral"),
+    )
+    main_share: float = setting(
+        MAIN_SHARE, "share of the lines in the sphere around the scene; 0 chooses all shares by least error", minimum=0
+    )
+    objects: str = setting("", "which objects there are: a checksum, found by itself")
+
+
+class HierarchicalCasting(LineCasting):
+    """Lines in a hierarchy of spheres around the objects of a scene [Castro 2002, ch. 4]; implements ``core.Method`` as
+    :class:`LineCasting` does. The form factors of small patches, which few lines of the whole scene meet, come from
+    lines of the spheres around them.
+
+    objects: of the patches that :meth:`prepare` is given. goal: ``rows``, or none.
+    """
+
+    name: ClassVar[str] = "hierarchical-lines"
+    Settings: ClassVar[type[AnySettings]] = HierarchySettings
+    citations: ClassVar[tuple[str, ...]] = ("Castro2002", "Sbert1993")
+
+    def __init__(
+        self,
+        objects: Objects,
+        settings: HierarchySettings | None = None,
+        *,
+        goal: Literal["rows"] | None = None,
+        most: int | None = None,
+    ) -> None:
+        settings = settings or HierarchySettings()
+        if settings.main_share > 1:
+            raise RadiosityError(f"the main sphere has at most all of the lines, not {settings.main_share:g}")
+        if settings.engine == "rays" and settings.points == "spiral":
+            raise RadiosityError("a spiral is for bundles; rays take independent, halton or sobol points")
+        if settings.shot or settings.local_rays or settings.replicates > 1:
+            raise RadiosityError("form factors by a hierarchy have neither shot nor local rays nor replicates")
+        mark = hashlib.blake2b(objects.of_patch.tobytes(), digest_size=8).hexdigest()
+        if settings.objects not in ("", mark):
+            raise CheckpointError("the checkpoint was made with other objects; find them as they were, or cast anew")
+        super().__init__(settings.replace(objects=mark), goal=goal, most=most)
+        self.objects = objects
+
+    def prepare(self, problem: PatchProblem, seed: int) -> None:
+        """See :class:`LineCasting`."""
+        known = self.objects.patches
+        if len(known) != len(problem.patches) or not np.array_equal(known.areas, problem.patches.areas):
+            raise RadiosityError("the objects are of other patches: find those of these patches")
+        self.tree = sphere_tree(self.objects)
+        super().prepare(problem, seed)
+
+    def segments(self, measurement: Measurement) -> PartialSegments:  # type: ignore[override]
+        """Of all bundles. Warns as :meth:`LineEngine.cast` does."""
+        segments = self._lines(measurement)
+        warn_of_faults(segments)
+        return segments
+
+    @property
+    def _hierarchy(self) -> HierarchySettings:
+        return cast(HierarchySettings, self._options)
+
+    def _engine_for(self, patches: Patches) -> LineEngine:
+        options, tree = self._hierarchy, self.tree
+        shares = area_shares(tree, options.main_share) if options.main_share else least_error_shares(tree)
+        sequences = [self._points(node) for node in range(len(tree))]
+        if options.engine == "bundles":
+            return TreeBundles(tree, sequences, (options.lines or min(wanted_lines(patches))) * shares)
+        lines = int(options.lines) or max(_LINES, _LINES_PER_SPHERE * len(tree))
+        return TreeRays(tree, self._scene, sequences, allocated(lines, shares))
+
+    def _points(self, node: int) -> PointSet:
+        """Those of a sphere."""
+        seed = seed_key(self._seed, "lines", node)[0]
+        name = self._hierarchy.points
+        if name == "auto":
+            name = "sobol" if self._hierarchy.engine == "rays" else "spiral"
+        if name == "halton":
+            return RandomShift(Halton(4), seed)
+        kinds: dict[str, Any] = {"independent": Independent, "sobol": OwenSobol}
+        points: PointSet = SpiralPoints(seed) if name == "spiral" else kinds[name](4, seed)
+        return points
+
+    def _part(self, chunks: Sequence[Pairs]) -> PartialSegments:  # type: ignore[override]
+        return PartialSegments(self.tree, chunks, cast(TreeRays, self.engine).densities(1))
+
+    def _lines(self, measurement: Measurement) -> PartialSegments:  # type: ignore[override]
+        engine = cast(TreeRays, self.engine)
+        return PartialSegments(
+            self.tree, list(measurement.records[_SEGMENTS]), engine.densities(self.bundles(measurement))
+        )
