@@ -146,9 +146,13 @@ def plugin_name(item: mi.Object) -> str:
     return _PLUGIN_NAMES.get(name, name.removesuffix("Integrator").lower())
 
 
+def name(item: mi.Object) -> str:
+    """The id that the scene gave, empty if it gave none."""
+    own = str(item.id())
+    return "" if own.startswith(("_unnamed", "_arg_", "__root__")) else own
+
+
 def describe(item: mi.Object, role: str) -> str:
     """``ROLE 'ID' of type 'PLUGIN'``, without the id if the scene gave none."""
-    own = str(item.id())
-    unnamed = not own or own.startswith(("_unnamed", "_arg_", "__root__"))
-    kind = plugin_name(item)
-    return f"{role} of type '{kind}'" if unnamed else f"{role} '{own}' of type '{kind}'"
+    own, kind = name(item), plugin_name(item)
+    return f"{role} '{own}' of type '{kind}'" if own else f"{role} of type '{kind}'"

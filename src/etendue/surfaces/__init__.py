@@ -14,6 +14,7 @@ from .lightmaps.atlases import (
     scene_mesh,
 )
 from .lightmaps.textures import Lightmap, check_coordinates, lightmap_of, save_lightmap
+from .objects import Objects, find_objects
 from .patches import Patches
 from .places import PatchSurfaces, Place, SurfaceValues
 from .rays.raycasting import STEP, RayScene
@@ -23,6 +24,7 @@ from .readers.meshfiles import read_patches
 from .readers.scenepatches import scene_patches
 from .smoothing import VertexRadiosity, face_sides, vertex_radiosity
 from .solids import box, joined
+from .spheres import bounding_sphere, joint_sphere
 
 __all__ = [
     "BATCH",
@@ -31,6 +33,7 @@ __all__ = [
     "STEP",
     "Lightmap",
     "MeshDiagnosis",
+    "Objects",
     "PatchError",
     "PatchSurfaces",
     "Patches",
@@ -46,6 +49,7 @@ __all__ = [
     "around",
     "atlas",
     "band_shares",
+    "bounding_sphere",
     "box",
     "check_coordinates",
     "columns",
@@ -55,8 +59,10 @@ __all__ = [
     "even_lanes",
     "face_sides",
     "face_vectors",
+    "find_objects",
     "gltf_mesh",
     "joined",
+    "joint_sphere",
     "lightmap_of",
     "mesh_normals",
     "pairs_of",

@@ -54,7 +54,11 @@ class Patches:
     reflectance, emission: (n, c).
     sky: (c,).
     labels: (n,) the number in ``ids``, or of the face; that of the front for a back.
+    shapes, shape_names: (n,) the shape of a scene that a patch is of, if it was read from a scene, and names of shapes.
     """
+
+    shapes: Index | None = None
+    shape_names: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -230,6 +234,7 @@ class Patches:
             sky=self.sky,
         )
         result.labels = self.labels[sides]
+        result.shapes, result.shape_names = None if self.shapes is None else self.shapes[sides], self.shape_names
         return result
 
     def only(self, chosen: ArrayLike) -> tuple[Patches, Index]:

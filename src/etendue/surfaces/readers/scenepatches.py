@@ -37,6 +37,8 @@ def scene_patches(
 
     max_area: larger faces are subdivided after textures are read, see :meth:`Patches.subdivided`.
 
+    The patches know their ``shapes``, for :func:`find_objects`.
+
     Raises :class:`UnsupportedError` for materials that transmit, lights that are not diffuse or have no area, curves,
     volumes and instances, :class:`SceneError` for a scene without shapes, :class:`PatchError` for broken meshes and
     for materials that absorb nothing. A scene without emitter is valid, since form factors need no light.
@@ -68,8 +70,12 @@ def scene_patches(
         warn_of_steps("the scene", np.abs(patches.vertices).max(), patches.sphere[1], remedy)
     shape = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
     if per == "shape":
-        return _joined(patches, shape, np.array([part.is_sheet for part in parts]))
-    return patches if max_area is None else patches.subdivided(max_area)
+        patches = _joined(patches, shape, np.array([part.is_sheet for part in parts]))
+        patches.shapes = patches.labels
+    else:
+        patches.shapes = shape[patches.labels]
+    patches.shape_names = tuple(graph.name(item) or f"shape {k}" for k, item in enumerate(scene.shapes()))
+    return patches if max_area is None or per == "shape" else patches.subdivided(max_area)
 
 
 def loaded_scene(scene: Any) -> tuple[mi.Scene, RenderSpace]:
