@@ -55,6 +55,14 @@ from .files.results import (
     save_solution,
 )
 from .files.solutionfiles import read_solution
+from .hierarchical_multipath.grouping import grouped
+from .hierarchical_multipath.method import (
+    HierarchicalMultipath,
+    HierarchicalSolution,
+    HierarchySettings,
+    PartProblem,
+)
+from .hierarchical_multipath.parts import Part
 from .lightmaps import lightmap
 from .lines.abuffer import ABuffer, Backend
 from .lines.chained import ChainedRays
@@ -94,6 +102,9 @@ __all__ = [
     "FormatError",
     "GltfMesh",
     "GreatCircle",
+    "HierarchicalMultipath",
+    "HierarchicalSolution",
+    "HierarchySettings",
     "Lightmap",
     "LineCasting",
     "LineEngine",
@@ -106,6 +117,8 @@ __all__ = [
     "MultipathPasses",
     "MultipathSettings",
     "Objects",
+    "Part",
+    "PartProblem",
     "Particles",
     "PatchError",
     "PatchProblem",
@@ -141,6 +154,7 @@ __all__ = [
     "form_factors",
     "gebhart_factors",
     "gltf_mesh",
+    "grouped",
     "joined",
     "lightmap",
     "local_form_factors",
