@@ -11,7 +11,7 @@ from etendue.engine import Checkpoint, Runner, Session
 from etendue.jobs import FormFactorResult, PathLike, RadiosityResult, listed, run_work, start_work
 
 if TYPE_CHECKING:
-    from etendue.jobs import FormFactorWork, PatchWork, RadiosityRequest
+    from etendue.jobs import FormFactorWork
 
 #: Called after each pass of lines; ``False`` ends the casting.
 Callback = Callable[[Progress], object]
@@ -89,6 +89,7 @@ def solve_radiosity(
     lines: float = 0.0,
     shot: bool = True,
     local_rays: bool = True,
+    hierarchy: bool | Mapping[str, Any] = False,
     parameters: Mapping[str, Any] | None = None,
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
@@ -116,6 +117,10 @@ def solve_radiosity(
         irradiance, averaged over the surface and divided by the mean irradiance. Without limits, 1024 bundles.
     points: number of lines of multipath, in place of ``bundles``; 4,194,304 without limits.
     shot: send the light of small emitters by local rays first.
+    hierarchy: solve by hierarchical multipath, with boxes around objects, or a dictionary of its settings:
+        ``objects``, ``threshold``, ``least``, ``levels``, and those of :class:`etendue.radiosity.HierarchySettings`.
+        ``bundles`` are then passes of lines (16 by default), and the result is an
+        :class:`etendue.jobs.HierarchyResult`. The scene may also be a :class:`etendue.radiosity.Part`.
     save: files for the solution, ``.vtu``, ``.ply``, ``.glb``, ``.gltf``, ``.npz`` or ``.nc``, and for pictures of it,
         ``.exr`` or ``.png``. The picture is also in the result.
     size, sensor, gather, samples, smooth: options of pictures, see :func:`etendue.jobs.picture`.
@@ -144,6 +149,7 @@ def start_radiosity(
     lines: float = 0.0,
     shot: bool = True,
     local_rays: bool = True,
+    hierarchy: bool | Mapping[str, Any] = False,
     parameters: Mapping[str, Any] | None = None,
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
@@ -196,8 +202,9 @@ def _radiosity(
     checkpoint: PathLike | None,
     resume: PathLike | None,
     callback: Callback | None,
+    hierarchy: bool | Mapping[str, Any],
     **asked: Any,
-) -> tuple[Callable[[], PatchWork[RadiosityRequest, RadiosityResult]], Callable[[Progress, Runner], object]]:
+) -> tuple[Callable[[], Any], Callable[[Progress, Runner], object]]:
     """As :func:`_form_factors`, with the arguments of :func:`solve_radiosity`."""
     from etendue.jobs import RadiosityRequest, SolutionOutputs, radiosity_work
 
@@ -208,8 +215,24 @@ def _radiosity(
         uv=None if uv is None else str(uv),
         **{name: asked.pop(name) for name in names},
     )
-    request = RadiosityRequest(source=scene, outputs=outputs, checkpoint=_path(checkpoint), **asked)
     saved = None if resume is None else Checkpoint.read(resume)
+    if hierarchy is not False:
+        from etendue.jobs import HierarchyRequest, HierarchyWork
+
+        given = {} if hierarchy is True else dict(hierarchy)
+        groups: dict[str, Any] = {name: given.pop(name) for name in ("threshold", "least", "levels") if name in given}
+        boxes = HierarchyRequest(
+            source=scene,
+            outputs=outputs,
+            checkpoint=_path(checkpoint),
+            objects=given.pop("objects", None),
+            groups=groups,
+            hierarchy=given,
+            **asked,
+        )
+        use_variant()
+        return lambda: HierarchyWork(boxes, saved), _watch(callback)
+    request = RadiosityRequest(source=scene, outputs=outputs, checkpoint=_path(checkpoint), **asked)
     use_variant()
     return lambda: radiosity_work(request, saved), _watch(callback)
 

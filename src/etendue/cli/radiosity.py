@@ -168,6 +168,27 @@ def radiosity(
         bool, typer.Option("--no-shot", help="No local rays for the light of small emitters: lines transport it, too.")
     ] = False,
     no_local_rays: NoLocalRays = False,
+    hierarchy: Annotated[
+        bool,
+        typer.Option(
+            "--hierarchy",
+            help="Hierarchical multipath, with boxes around objects or instances; --bundles are then passes of lines.",
+        ),
+    ] = False,
+    objects: Annotated[
+        str | None,
+        typer.Option("--objects", help="With --hierarchy: objects are shapes, components or labels.", metavar="NAME"),
+    ] = None,
+    threshold: Annotated[
+        float | None,
+        typer.Option(
+            "--threshold", help="With --hierarchy: objects get a box if they fill it so well (0.5).", metavar="X"
+        ),
+    ] = None,
+    regions: Annotated[
+        int | None,
+        typer.Option("--regions", help="With --hierarchy: places along an edge of a box (4).", min=1, metavar="N"),
+    ] = None,
     sensor: opt.Sensor = 0,
     size: opt.PictureSize = None,
     gather: out.Gather = 0,
@@ -191,7 +212,7 @@ def radiosity(
     """
     from etendue.jobs import RadiosityRequest, SolutionOutputs, radiosity_work
 
-    request = RadiosityRequest(
+    asked: dict[str, Any] = dict(
         source=scene,
         solver=solver,
         outputs=SolutionOutputs(
@@ -227,6 +248,21 @@ def radiosity(
         save_every=save_every,
         wording=out.Options(),
     )
+    if hierarchy:
+        from etendue.jobs import HierarchyRequest
+
+        from .hierarchy import solve_hierarchy
+
+        if solution is not None:
+            raise OptionError("--solution is there already: leave out --hierarchy")
+        groups = {} if threshold is None else {"threshold": threshold}
+        boxes = {"grid": regions} if regions is not None else {}
+        boxed = HierarchyRequest(**asked, objects=objects, groups=groups, hierarchy=boxes)
+        return solve_hierarchy(boxed, None, variant, threads)
+    for name, value in (("--objects", objects), ("--threshold", threshold), ("--regions", regions)):
+        if value is not None:
+            raise OptionError(f"{name} is for --hierarchy")
+    request = RadiosityRequest(**asked)
     if solution is not None:
         return _write_again(request, solution, variant, threads)
     return _run(request, lambda **options: radiosity_work(request, **options), variant, threads)

@@ -11,6 +11,7 @@ from .wording import PYTHON, Wording
 
 if TYPE_CHECKING:
     from .gathering import PICTURE_FILES, picture
+    from .hierarchies import DEFAULT_PASSES, HierarchyRequest, HierarchyResult, HierarchyWork, Passes
     from .lines import LinesJob, LinesTask
     from .multipath import MultipathWork
     from .requests import FormFactorRequest, LinesRequest, RadiosityRequest, asked_before
@@ -21,6 +22,7 @@ else:
     #: them.
     _LATER = {
         "gathering": ("PICTURE_FILES", "picture"),
+        "hierarchies": ("DEFAULT_PASSES", "HierarchyRequest", "HierarchyResult", "HierarchyWork", "Passes"),
         "lines": ("LinesJob", "LinesTask"),
         "multipath": ("MultipathWork",),
         "requests": ("FormFactorRequest", "LinesRequest", "RadiosityRequest", "asked_before"),
@@ -38,6 +40,7 @@ else:
 
 __all__ = [
     "DEFAULT_BUNDLES",
+    "DEFAULT_PASSES",
     "DEFAULT_POINTS",
     "ERROR_SCALE",
     "PICTURE_FILES",
@@ -45,6 +48,9 @@ __all__ = [
     "FormFactorRequest",
     "FormFactorResult",
     "FormFactorWork",
+    "HierarchyRequest",
+    "HierarchyResult",
+    "HierarchyWork",
     "Image",
     "LinesJob",
     "LinesRequest",
@@ -53,6 +59,7 @@ __all__ = [
     "LinesWork",
     "MultipathWork",
     "Outputs",
+    "Passes",
     "PatchWork",
     "PathLike",
     "PictureWork",

@@ -344,15 +344,22 @@ class RadiosityRequest(LinesRequest):
         return {"parameters": given, "outputs": self.outputs.to_dict()}
 
 
-def asked_before(saved: Checkpoint, *, source: Any = None, output: Path | None = None, **changes: Any) -> LinesRequest:
+def asked_before(
+    saved: Checkpoint,
+    *,
+    source: Any = None,
+    output: Path | None = None,
+    kinds: Sequence[type[LinesRequest]] = (),
+    **changes: Any,
+) -> LinesRequest:
     """The request of a checkpoint of lines, with another ``source`` and ``output`` where they are given.
 
     Raises :class:`CheckpointError` if the checkpoint has no request, and the errors of a request.
     """
-    kinds: dict[str, Any] = {kind.work: kind for kind in (FormFactorRequest, RadiosityRequest)}
+    known_kinds: dict[str, Any] = {kind.work: kind for kind in kinds or (FormFactorRequest, RadiosityRequest)}
     try:
         known = dict(saved.notes[_NOTE])
-        kind = kinds[known.pop("work")]
+        kind = known_kinds[known.pop("work")]
         if kind is FormFactorRequest:
             known["outputs"] = tuple(map(Path, known["outputs"])) if output is None else (output,)
         else:

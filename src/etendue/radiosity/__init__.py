@@ -56,13 +56,10 @@ from .files.results import (
 )
 from .files.solutionfiles import read_solution
 from .hierarchical_multipath.grouping import grouped
-from .hierarchical_multipath.method import (
-    HierarchicalMultipath,
-    HierarchicalSolution,
-    HierarchySettings,
-    PartProblem,
-)
+from .hierarchical_multipath.method import HierarchicalMultipath, HierarchySettings, PartProblem
 from .hierarchical_multipath.parts import Part
+from .hierarchical_multipath.reading import part_of, scene_part
+from .hierarchical_multipath.solution import HierarchicalSolution, relative_error
 from .lightmaps import lightmap
 from .lines.abuffer import ABuffer, Backend
 from .lines.chained import ChainedRays
@@ -161,17 +158,20 @@ __all__ = [
     "multipath",
     "multipath_bundles",
     "pair_errors",
+    "part_of",
     "radiosity_on",
     "read_form_factors",
     "read_patches",
     "read_segments",
     "read_solution",
+    "relative_error",
     "save_form_factors",
     "save_lightmap",
     "save_segments",
     "save_solution",
     "save_textured_mesh",
     "scene_mesh",
+    "scene_part",
     "scene_patches",
     "shot_at_patches",
     "small_emitters",

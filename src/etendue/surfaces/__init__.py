@@ -21,6 +21,7 @@ from .rays.raycasting import STEP, RayScene
 from .rays.sides import Sides, across, around, cosine_law
 from .rays.sources import BATCH, RaySource, columns, cosine_lanes, even_lanes, pairs_of
 from .readers.meshfiles import read_patches
+from .readers.sceneparts import has_instances, scene_parts
 from .readers.scenepatches import scene_patches
 from .smoothing import VertexRadiosity, face_sides, vertex_radiosity
 from .solids import box, joined
@@ -61,6 +62,7 @@ __all__ = [
     "face_vectors",
     "find_objects",
     "gltf_mesh",
+    "has_instances",
     "joined",
     "joint_sphere",
     "lightmap_of",
@@ -70,6 +72,7 @@ __all__ = [
     "save_lightmap",
     "save_textured_mesh",
     "scene_mesh",
+    "scene_parts",
     "scene_patches",
     "thermal",
     "triangles",

@@ -259,6 +259,7 @@ class Patches:
             sky=self.sky,
         )
         result.labels = self.labels[numbers]
+        result.shapes, result.shape_names = None if self.shapes is None else self.shapes[numbers], self.shape_names
         return result, numbers
 
     def with_properties(

@@ -11,7 +11,6 @@ from typing import ClassVar
 import numpy as np
 
 from etendue.core import (
-    Array,
     Iterations,
     Measurement,
     Pass,
@@ -24,7 +23,6 @@ from etendue.core import (
 )
 from etendue.core import Settings as AnySettings
 from etendue.points import OwenSobol, PointSet
-from etendue.surfaces import Patches
 
 from ..errors import RadiosityError
 from ..problem import PatchProblem
@@ -33,6 +31,7 @@ from .firstshot import FirstShots
 from .lists import Lists, PartRays, preprocess
 from .parts import Part, Tree
 from .regions import Regions
+from .solution import HierarchicalSolution
 
 #: Lines that a pass has by itself: for each patch of distinct parts, and for each region of a box.
 _LINES_PER_PATCH, _LINES_PER_REGION = 16, 2
@@ -92,60 +91,6 @@ class PartProblem:
             for copy in part.copies:
                 digest.update(f"{number[id(copy.part)]} {copy.transforms.shape}".encode() + copy.transforms.tobytes())
         return digest.hexdigest()
-
-
-@dataclass(frozen=True)
-class HierarchicalSolution:
-    """Radiosities in a scene of parts, by copies.
-
-    Power (c,): ``sent``, the emission and what came from the sky; ``absorbed``, ``to_sky``, ``lost`` to backs of faces,
-    and ``residual``, on its way. ``received``: (patches, c) power, node by node as in ``tree``; ``error``: its standard
-    error, ``None`` for a single pass.
-    """
-
-    tree: Tree
-    received: Array
-    error: Array | None
-    sent: Array
-    absorbed: Array
-    to_sky: Array
-    lost: Array
-    residual: Array
-
-    def irradiance(self, node: int) -> Array:
-        """(n, c) of a node."""
-        return self._rows(self.received, node) / self.tree.areas(node)[:, None]
-
-    def irradiance_error(self, node: int) -> Array | None:
-        """Its standard error."""
-        return None if self.error is None else self._rows(self.error, node) / self.tree.areas(node)[:, None]
-
-    def radiosity(self, node: int) -> Array:
-        """(n, c) of a node."""
-        patches = self.tree.parts[self.tree.part[node]].patches
-        assert patches is not None, "the part has no patches of its own"
-        return patches.emission + patches.reflectance * self.irradiance(node)
-
-    def irradiance_on(self, patches: Patches) -> tuple[Array, Array | None]:
-        """(n, c) irradiance and its standard error on the ``patches`` that parts were made of, by the ``numbers`` that
-        parts know them by, or on those of ``tree.joined()``."""
-        parts = [self.tree.parts[k] for k in self.tree.part]
-        numbers = np.concatenate([part.numbers for part in parts])
-        if len(np.unique(numbers)) < len(numbers):
-            numbers = self.tree.numbers_in_joined
-        if len(numbers) != len(patches):
-            raise RadiosityError(f"the scene of parts has {len(numbers)} patches, not {len(patches)}")
-        areas = patches.areas[:, None]
-
-        def placed(rows: Array) -> Array:
-            result = np.empty_like(rows)
-            result[numbers] = rows
-            return result / areas
-
-        return placed(self.received), None if self.error is None else placed(self.error)
-
-    def _rows(self, values: Array, node: int) -> Array:
-        return values[self.tree.offsets[node] : self.tree.offsets[node + 1]]
 
 
 class HierarchicalMultipath:
