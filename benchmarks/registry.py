@@ -112,6 +112,10 @@ PROGRAMS = {
                 Benchmark("generators", "generators.measure", 2, "The four generators of global lines."),
                 Benchmark("direct", "sequences.direct", 1, "What sequences gain for direct light and for all light."),
                 Benchmark("estimators", "estimators.measure", 1, "The estimators F1 to F4 on the same lines."),
+                Benchmark("box-tests", "boxes.tests", 1, "Ray-polygon tests of multipath with and without boxes."),
+                Benchmark("box-errors", "boxes.errors", 10, "Error of multipath with boxes, by point sequence."),
+                Benchmark("box-bias", "boxes.bias", 3, "The bias of boxes, by distance and resolution."),
+                Benchmark("box-choice", "boxes.choice", 2, "A-buffer, flat multipath and boxes at equal error."),
             ),
         ),
     )

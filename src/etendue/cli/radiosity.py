@@ -182,7 +182,7 @@ def radiosity(
     threshold: Annotated[
         float | None,
         typer.Option(
-            "--threshold", help="With --hierarchy: objects get a box if they fill it so well (0.5).", metavar="X"
+            "--threshold", help="With --hierarchy: objects get a box if they fill it so well (0.8).", metavar="X"
         ),
     ] = None,
     regions: Annotated[

@@ -16,7 +16,7 @@ from .parts import Part, box_area, faces_in_box
 Index = NDArray[np.int64]
 
 #: Sum of the areas of the boxes of objects over that of the box around them all, above which they become a part.
-THRESHOLD = 0.5
+THRESHOLD = 0.8
 #: Patches that a box is worth.
 LEAST = 64
 
