@@ -251,7 +251,7 @@ def radiosity(
     if hierarchy:
         from etendue.jobs import HierarchyRequest
 
-        from .hierarchy import solve_hierarchy
+        from .boxes import solve_hierarchy
 
         if solution is not None:
             raise OptionError("--solution is there already: leave out --hierarchy")

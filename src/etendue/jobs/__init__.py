@@ -10,8 +10,8 @@ from .running import Watch, Work, run_work, start_work
 from .wording import PYTHON, Wording
 
 if TYPE_CHECKING:
+    from .boxes import DEFAULT_PASSES, HierarchyRequest, HierarchyResult, HierarchyWork, Passes
     from .gathering import PICTURE_FILES, picture
-    from .hierarchies import DEFAULT_PASSES, HierarchyRequest, HierarchyResult, HierarchyWork, Passes
     from .lines import LinesJob, LinesTask
     from .multipath import MultipathWork
     from .requests import FormFactorRequest, LinesRequest, RadiosityRequest, asked_before
@@ -22,7 +22,7 @@ else:
     #: them.
     _LATER = {
         "gathering": ("PICTURE_FILES", "picture"),
-        "hierarchies": ("DEFAULT_PASSES", "HierarchyRequest", "HierarchyResult", "HierarchyWork", "Passes"),
+        "boxes": ("DEFAULT_PASSES", "HierarchyRequest", "HierarchyResult", "HierarchyWork", "Passes"),
         "lines": ("LinesJob", "LinesTask"),
         "multipath": ("MultipathWork",),
         "requests": ("FormFactorRequest", "LinesRequest", "RadiosityRequest", "asked_before"),
