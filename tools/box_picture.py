@@ -60,4 +60,4 @@ def main(path: str, width: int = 640, height: int = 400) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:2])
+    main(sys.argv[1])

@@ -126,7 +126,7 @@ def _tests(room: Room, count: int) -> Record:
     rays = _from_lamp(room.patches, OwenSobol(4, seed=6).block(count))
     options = method._options
     top = options.top * casters["boxed"].line_tests(o, d, "top")
-    plain = {name: casters["flat" if name == "all" else "objects"].line_tests(o, d, name) for name in ("all", "boxes")}  # type: ignore[arg-type]
+    plain = {name: casters["flat" if name == "all" else "objects"].line_tests(o, d, name) for name in ("all", "boxes")}
     shots = {
         "every polygon": casters["flat"].first_hits(*rays, "all"),
         "a box for each object": casters["objects"].first_hits(*rays, "boxes"),
@@ -298,23 +298,21 @@ def _bias(room: Room, out: Path) -> Record:
         ),
     )
     for grid, sectors, rings in ((4, 4, 2), (8, 8, 4)):
-        if (grid, sectors, rings) == (4, 4, 2):
-            halves = room.references[True]
-        else:
-            more = {"grid": grid, "sectors": sectors, "rings": rings, "seed": 0}
-            halves = tuple(  # type: ignore[assignment]
-                room.solved(room.method(True, _REFERENCE, **{**more, "seed": 9000 + k}), _PASSES) for k in range(2)
-            )
-        off = [half - one for half, one in zip(halves, flat, strict=True)]
-        relative = [one / np.maximum(exact, 1e-12) for one, exact in zip(off, flat, strict=True)]
+        halves = room.references[True]
+        if (grid, sectors, rings) != (4, 4, 2):
+            finer: Any = {"grid": grid, "sectors": sectors, "rings": rings}
+            methods = [room.method(True, _REFERENCE, seed=9000 + k, **finer) for k in range(2)]
+            halves = room.solved(methods[0], _PASSES), room.solved(methods[1], _PASSES)
+        apart: Any = [half - one for half, one in zip(halves, flat, strict=True)]
+        relative: Any = [one / np.maximum(exact, 1e-12) for one, exact in zip(apart, flat, strict=True)]
         for zone, chosen in zones.items():
-            weight = areas[chosen, None] * np.ones(patches.channels)
+            weight: Any = areas[chosen, None] * np.ones(patches.channels)
             scale = (weight * (flat[0] * flat[1])[chosen]).sum()
             squares = (
                 (weight * relative[0][chosen] * relative[1][chosen]).sum() / weight.sum(),
-                (weight * off[0][chosen] * off[1][chosen]).sum() / scale,
+                (weight * apart[0][chosen] * apart[1][chosen]).sum() / scale,
             )
-            mean = (weight * (off[0] + off[1])[chosen]).sum() / (weight * (flat[0] + flat[1])[chosen]).sum()
+            mean = (weight * (apart[0] + apart[1])[chosen]).sum() / (weight * (flat[0] + flat[1])[chosen]).sum()
             each, rms = (np.sign(square) * np.sqrt(abs(square)) for square in squares)
             bar = verdict(each, 0.02) if zone in ("0.25 to 0.75 m", "farther") else ""
             share = f"{areas[chosen].sum() / areas.sum():.0%}"
@@ -324,9 +322,9 @@ def _bias(room: Room, out: Path) -> Record:
             lumped = np.abs((relative[0] + relative[1]) / 2).max(axis=1)
             _picture(room, lumped, out / f"bias-{room.name}.png")
     record.notes += [
-        "noise is taken off: the product of the differences of two independent halves; of radiosities, those of patches "
-        "to their own and to the root mean square of the zone. In boxes some patches are all but dark (5 mm below a "
-        "plate), where what is wrong by little is wrong by a multiple",
+        "differences of radiosities, to that of each patch and to the root mean square of the zone; noise is taken "
+        "off by two independent halves. In boxes some patches are all but dark (5 mm below a plate): what is wrong "
+        "there by little is wrong by a multiple",
         f"map: bias-{room.name}.png, the relative difference of the worst channel, noise included; black 0.2 % to "
         "yellow 20 %",
     ]
