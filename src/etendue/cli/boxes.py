@@ -67,6 +67,11 @@ def resume_hierarchy(
 def _describe(work: HierarchyWork) -> None:
     root = work.parts.root
     boxes = sum(len(part.children) for part in root.distinct)
+    if boxes == 0:
+        note(
+            error_console(), f"{work.request.name}: {root.total} patches without boxes: no object or group is worth one"
+        )
+        return
     copies = f"{boxes} box{'' if boxes == 1 else 'es'}, {len(root.distinct) - 1} distinct"
     note(error_console(), f"{work.request.name}: {root.total} patches, {len(root)} of them around {copies}")
 
