@@ -20,7 +20,6 @@ from etendue.core import EtendueError, OptionError, describe, logger
 from . import options as opt
 from .boxes import HIERARCHY, resume_hierarchy
 from .console import ConsoleHandler, error_console, note, print_error, say
-from .hierarchy import HIERARCHY, resume_hierarchy
 from .pictures import compare, demo, render, run
 from .radiosity import LINES, form_factors, radiosity, resume_lines
 

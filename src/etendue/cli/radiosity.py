@@ -283,11 +283,12 @@ def resume_lines(
 
     if limits.get("points") is not None and saved.method != "multipath":
         raise OptionError(f"{checkpoint} has bundles of lines: give --bundles in place of --points")
+    given: dict[str, Any] = {name: limit for name, limit in limits.items() if limit is not None}
     request: Any = asked_before(
         saved,
         source=scene,
         output=output[0] if output else None,
-        **{name: limit for name, limit in limits.items() if limit is not None},
+        **given,
         checkpoint=checkpoint,
         save_every=save_every,
         wording=out.Options(),

@@ -60,6 +60,11 @@ class HierarchyRequest(RadiosityRequest):
         """See :class:`LinesRequest`."""
         return "<parts>" if isinstance(self.source, Part) else super().name
 
+    @property
+    def stores_lines(self) -> bool:
+        """See :class:`LinesRequest`: only those of a pass."""
+        return False
+
     def _check_options(self) -> None:
         self.settings  # noqa: B018 (checked)
         if unknown := set(self.groups) - {"threshold", "least", "levels"}:
@@ -203,9 +208,8 @@ class HierarchyWork:
             if kept is None:
                 kept = rescued("passes.checkpoint", ("", lambda place: self._save(run, place)))
             if kept is not None:
-                add_to_message(
-                    error, f"; the passes are kept: {request.wording.resume(kept, len(run.measurement.iterations))}"
-                )
+                how = request.wording.resume(kept, "bundles", len(run.measurement.iterations))
+                add_to_message(error, f"; the passes are kept: {how}")
             raise
         return result
 
