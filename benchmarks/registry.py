@@ -117,6 +117,13 @@ PROGRAMS = {
                 Benchmark("ambient", "ambient.measure", 2, "Ambient terms: their errors, their time, pictures."),
                 Benchmark("finishing", "ambient.finishing", 1, "Solvers that stop early, with and without the terms."),
                 Benchmark("hierarchy", "hierarchy.measure", 8, "Form factors by lines in a hierarchy of spheres."),
+                Benchmark("box-tests", "boxes.tests", 1, "Ray-polygon tests of multipath with and without boxes."),
+                Benchmark("box-errors", "boxes.errors", 10, "Error of multipath with boxes, by point sequence."),
+                Benchmark("box-bias", "boxes.bias", 3, "The bias of boxes, by distance and resolution."),
+                Benchmark("hall", "halls.against_flat", 2, "Copies of a desk against a flat solution."),
+                Benchmark("hall-inside", "halls.inside", 3, "Desks inside a large hall against flat blocks."),
+                Benchmark("hall-1000", "halls.thousand", 3, "A thousand desks of 10,000 patches: time and memory."),
+                Benchmark("box-choice", "boxes.choice", 2, "A-buffer, flat multipath and boxes at equal error."),
             ),
         ),
     )

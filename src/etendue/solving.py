@@ -11,7 +11,7 @@ from etendue.engine import Checkpoint, Runner, Session
 from etendue.jobs import FormFactorResult, PathLike, RadiosityResult, listed, run_work, start_work
 
 if TYPE_CHECKING:
-    from etendue.jobs import FormFactorWork, PatchWork, RadiosityRequest
+    from etendue.jobs import FormFactorWork
 
 #: Called after each pass of lines; ``False`` ends the casting.
 Callback = Callable[[Progress], object]
@@ -46,7 +46,7 @@ def compute_form_factors(
     hierarchy: cast lines in a hierarchy of spheres around objects: ``components``, ``shapes``, ``labels`` or an array,
         see :func:`etendue.radiosity.find_objects`, or the name of an array of the mesh file. ``walls`` are its walls.
     engine, point_set, main_share: ``engine``, ``points`` and ``main_share`` of
-        :class:`etendue.radiosity.HierarchySettings`.
+        :class:`etendue.radiosity.HierarchicalCastingSettings`.
     seconds, bundles, error: the first limit that is reached ends the casting; ``error`` is the standard error of a row
         of form factors, averaged over patches. Without limits, 1024 bundles.
     lines: lines of a bundle through the bounding sphere; 0 for a number that suits the patches.
@@ -106,6 +106,7 @@ def solve_radiosity(
     ambient: str | None = None,
     bounces: int | None = None,
     local_rays: bool = True,
+    hierarchy: bool | Mapping[str, Any] = False,
     parameters: Mapping[str, Any] | None = None,
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
@@ -136,6 +137,11 @@ def solve_radiosity(
     ambient: ``classic``, ``crisp`` or ``fuzzy``, see :func:`etendue.radiosity.ambient_solution`: all light by an
         ambient term, at once and without lines. With ``bounces``, a solution by lines of which the solver makes so many
         iterations, and only what is left is ambient.
+    hierarchy: solve by hierarchical multipath, with boxes around objects, or a dictionary of its settings:
+        ``objects``, ``threshold``, ``least``, ``levels``, and those of
+        :class:`etendue.radiosity.HierarchicalMultipathSettings`. ``bundles`` are then passes of lines (16 by
+        default), and the result is an
+        :class:`etendue.jobs.HierarchyResult`. The scene may also be a :class:`etendue.radiosity.Part`.
     save: files for the solution, ``.vtu``, ``.ply``, ``.glb``, ``.gltf``, ``.npz`` or ``.nc``, and for pictures of it,
         ``.exr`` or ``.png``. The picture is also in the result.
     size, sensor, gather, samples, smooth: options of pictures, see :func:`etendue.jobs.picture`.
@@ -170,6 +176,7 @@ def start_radiosity(
     ambient: str | None = None,
     bounces: int | None = None,
     local_rays: bool = True,
+    hierarchy: bool | Mapping[str, Any] = False,
     parameters: Mapping[str, Any] | None = None,
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
@@ -225,12 +232,9 @@ def _radiosity(
     checkpoint: PathLike | None,
     resume: PathLike | None,
     callback: Callback | None,
+    hierarchy: bool | Mapping[str, Any],
     **asked: Any,
-) -> tuple[
-    RadiosityRequest,
-    Callable[[], PatchWork[RadiosityRequest, RadiosityResult]],
-    Callable[[Progress, Runner], object],
-]:
+) -> tuple[Any, Callable[[], Any], Callable[[Progress, Runner], object]]:
     """As :func:`_form_factors`, with the arguments of :func:`solve_radiosity`; and the request."""
     from etendue.jobs import RadiosityRequest, SolutionOutputs, radiosity_work
 
@@ -241,8 +245,24 @@ def _radiosity(
         uv=None if uv is None else str(uv),
         **{name: asked.pop(name) for name in names},
     )
-    request = RadiosityRequest(source=scene, outputs=outputs, checkpoint=_path(checkpoint), **asked)
     saved = None if resume is None else Checkpoint.read(resume)
+    if hierarchy is not False:
+        from etendue.jobs import HierarchyRequest, HierarchyWork
+
+        given = {} if hierarchy is True else dict(hierarchy)
+        groups: dict[str, Any] = {name: given.pop(name) for name in ("threshold", "least", "levels") if name in given}
+        boxes = HierarchyRequest(
+            source=scene,
+            outputs=outputs,
+            checkpoint=_path(checkpoint),
+            objects=given.pop("objects", None),
+            groups=groups,
+            hierarchy=given,
+            **asked,
+        )
+        use_variant()
+        return boxes, lambda: HierarchyWork(boxes, saved), _watch(callback)
+    request = RadiosityRequest(source=scene, outputs=outputs, checkpoint=_path(checkpoint), **asked)
     use_variant()
     return request, lambda: radiosity_work(request, saved), _watch(callback)
 

@@ -154,6 +154,7 @@ def test_commands_are_understood(command, folder, monkeypatch, capsys):
     monkeypatch.setattr(rendering, "render_to_files", lambda *arguments: begun.append(arguments) or 0)
     monkeypatch.setattr(compare.Comparison, "run", lambda *arguments: begun.append(arguments) or 0)
     monkeypatch.setattr(solutions, "cast", lambda *arguments: begun.append(arguments) or rendering.Outcome(None, 0))
+    monkeypatch.setattr(rendering, "follow", lambda *arguments: begun.append(arguments) or rendering.Outcome(None, 0))
     for name in ("solution_to_files", "exact_to_files"):
         monkeypatch.setattr(solutions, name, lambda *arguments: begun.append(arguments))
     monkeypatch.setattr(doctor, "run_doctor", lambda *arguments: begun.append(arguments) or 0)

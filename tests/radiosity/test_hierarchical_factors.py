@@ -15,7 +15,7 @@ from etendue.radiosity import (
     ABuffer,
     ChainedRays,
     HierarchicalCasting,
-    HierarchySettings,
+    HierarchicalCastingSettings,
     Lines,
     PartialSegments,
     Patches,
@@ -251,7 +251,7 @@ def test_stated_errors_are_those_of_independent_lines():
 
 
 def hierarchical(patches, **settings):
-    method = HierarchicalCasting(find_objects(patches), HierarchySettings(**settings), goal="rows")
+    method = HierarchicalCasting(find_objects(patches), HierarchicalCastingSettings(**settings), goal="rows")
     method.prepare(PatchProblem(patches), 3)
     return method
 
@@ -360,7 +360,7 @@ def test_what_does_not_fit_is_refused():
         ({"shot": True}, "neither shot"),
     ):
         with pytest.raises(RadiosityError, match=message):
-            HierarchicalCasting(objects, HierarchySettings(**settings))
+            HierarchicalCasting(objects, HierarchicalCastingSettings(**settings))
     with pytest.raises(RadiosityError, match="of other patches"):
         HierarchicalCasting(objects).prepare(PatchProblem(room(2)), 0)
     with pytest.raises(RadiosityError, match="the main sphere needs lines"):

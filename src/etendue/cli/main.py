@@ -18,6 +18,7 @@ import typer
 from etendue.core import EtendueError, OptionError, describe, logger
 
 from . import options as opt
+from .boxes import HIERARCHY, resume_hierarchy
 from .console import ConsoleHandler, error_console, note, print_error, say
 from .pictures import compare, demo, render, run
 from .radiosity import LINES, form_factors, radiosity, resume_lines
@@ -136,6 +137,11 @@ def resume(
             raise OptionError(f"{checkpoint} is a checkpoint of radiosity: --spp, -m and -D do not apply")
         limits = {"bundles": bundles, "points": points, "seconds": time, "error": error}
         return resume_lines(saved, checkpoint, output or [], scene, limits, save_every, variant, threads)
+    if saved.method == HIERARCHY:
+        if (spp, points, method, define) != (None, None, None, None):
+            raise OptionError(f"{checkpoint} has passes of lines: --spp, --points, -m and -D do not apply")
+        asked = {"source": scene, "bundles": bundles, "seconds": time, "error": error, "save_every": save_every}
+        return resume_hierarchy(saved, checkpoint, output or [], variant, threads, **asked)
     if (bundles, points) != (None, None):
         raise OptionError(f"{checkpoint} is a checkpoint of a picture: --bundles and --points do not apply")
     kind = methods.get(saved.method if method is None else method)

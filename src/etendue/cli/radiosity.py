@@ -11,12 +11,29 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from etendue.core import OptionError, format_seconds
-from etendue.jobs import DEFAULT_BUNDLES, DEFAULT_POINTS
+from etendue.jobs import DEFAULT_POINTS
 
-from . import hierarchical
 from . import options as opt
 from . import radiosity_outputs as out
 from .console import error_console, note, say
+from .radiosity_options import (
+    Bundles,
+    CheckpointFile,
+    Engine,
+    Error,
+    Hierarchy,
+    Ids,
+    LineSeed,
+    MainShare,
+    MaxArea,
+    NoLocalRays,
+    PointSet,
+    Reflectance,
+    TwoSided,
+    Walls,
+    quantity,
+    sky_of,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -27,42 +44,6 @@ if TYPE_CHECKING:
 #: Methods of checkpoints: the names of ``LineCasting``, ``HierarchicalCasting`` and ``MultipathPasses`` of
 #: ``etendue.radiosity``.
 LINES = ("global-lines", "hierarchical-lines", "multipath")
-Bundles = Annotated[
-    int | None,
-    typer.Option(
-        "--bundles",
-        help=f"Directions of parallel lines; a power of two is best. {DEFAULT_BUNDLES}, if no budget is given.",
-        min=1,
-        metavar="N",
-    ),
-]
-Error = Annotated[
-    float | None,
-    typer.Option(
-        "--error", help="Stop at this standard error: of the irradiance, relative; of a row of factors.", metavar="X"
-    ),
-]
-CheckpointFile = Annotated[
-    Path | None, typer.Option("--checkpoint", help="Save the lines, for `etendue resume`.", metavar="FILE")
-]
-MaxArea = Annotated[float | None, typer.Option("--max-area", help="Subdivide faces larger than this.", metavar="AREA")]
-Reflectance = Annotated[
-    str | None,
-    typer.Option(
-        "--reflectance",
-        help="Of a mesh: a number, one for each channel as 0.7,0.5,0.2, or an array of the file for its faces "
-        "('emissivity' counts as one minus it). 0 if not given.",
-        metavar="X|NAME",
-    ),
-]
-Ids = Annotated[
-    str | None, typer.Option("--ids", help="Of a mesh: array of the file; faces of equal number are one patch.")
-]
-TwoSided = Annotated[
-    bool, typer.Option("--two-sided", help="Faces of a mesh are sheets: their backs are patches, too.")
-]
-NoLocalRays = Annotated[bool, typer.Option("--no-local-rays", help="No rays from small patches, which few lines meet.")]
-LineSeed = Annotated[int, typer.Option("--seed", help="The same seed gives the same lines.", metavar="N")]
 
 
 def form_factors(
@@ -79,11 +60,11 @@ def form_factors(
             "--estimator", help="F1, F2, F3, F4, reciprocal or pooled; F1, or F4 with --hierarchy.", metavar="NAME"
         ),
     ] = None,
-    hierarchy: hierarchical.Hierarchy = None,
-    walls: hierarchical.Walls = None,
-    engine: hierarchical.Engine = None,
-    point_set: hierarchical.PointSet = None,
-    main_share: hierarchical.MainShare = None,
+    hierarchy: Hierarchy = None,
+    walls: Walls = None,
+    engine: Engine = None,
+    point_set: PointSet = None,
+    main_share: MainShare = None,
     reflectance: Reflectance = None,
     ids: Ids = None,
     max_area: MaxArea = None,
@@ -122,7 +103,7 @@ def form_factors(
         seed=seed,
         max_area=max_area,
         local_rays=not no_local_rays,
-        mesh={"reflectance": _quantity(reflectance), "ids": ids, "two_sided": two_sided},
+        mesh={"reflectance": quantity(reflectance), "ids": ids, "two_sided": two_sided},
         checkpoint=checkpoint,
         save_every=save_every,
         wording=out.Options(),
@@ -198,6 +179,27 @@ def radiosity(
         bool, typer.Option("--no-shot", help="No local rays for the light of small emitters: lines transport it, too.")
     ] = False,
     no_local_rays: NoLocalRays = False,
+    hierarchy: Annotated[
+        bool,
+        typer.Option(
+            "--hierarchy",
+            help="Hierarchical multipath, with boxes around objects or instances; --bundles are then passes of lines.",
+        ),
+    ] = False,
+    objects: Annotated[
+        str | None,
+        typer.Option("--objects", help="With --hierarchy: objects are shapes, components or labels.", metavar="NAME"),
+    ] = None,
+    threshold: Annotated[
+        float | None,
+        typer.Option(
+            "--threshold", help="With --hierarchy: objects get a box if they fill it so well (0.8).", metavar="X"
+        ),
+    ] = None,
+    regions: Annotated[
+        int | None,
+        typer.Option("--regions", help="With --hierarchy: places along an edge of a box (4).", min=1, metavar="N"),
+    ] = None,
     sensor: opt.Sensor = 0,
     size: opt.PictureSize = None,
     gather: out.Gather = 0,
@@ -221,7 +223,7 @@ def radiosity(
     """
     from etendue.jobs import RadiosityRequest, SolutionOutputs, radiosity_work
 
-    request = RadiosityRequest(
+    asked: dict[str, Any] = dict(
         source=scene,
         solver=solver,
         outputs=SolutionOutputs(
@@ -247,11 +249,11 @@ def radiosity(
         bounces=bounces,
         local_rays=not no_local_rays,
         mesh={
-            "reflectance": _quantity(reflectance),
-            "emission": _quantity(emission),
-            "temperature": _quantity(temperature),
+            "reflectance": quantity(reflectance),
+            "emission": quantity(emission),
+            "temperature": quantity(temperature),
             "ids": ids,
-            "sky": _sky(sky),
+            "sky": sky_of(sky),
             "two_sided": two_sided,
         },
         parameters=opt.parse_pairs(param, "-P"),
@@ -259,6 +261,21 @@ def radiosity(
         save_every=save_every,
         wording=out.Options(),
     )
+    if hierarchy:
+        from etendue.jobs import HierarchyRequest
+
+        from .boxes import solve_hierarchy
+
+        if solution is not None:
+            raise OptionError("--solution is there already: leave out --hierarchy")
+        groups = {} if threshold is None else {"threshold": threshold}
+        boxes = {"grid": regions} if regions is not None else {}
+        boxed = HierarchyRequest(**asked, objects=objects, groups=groups, hierarchy=boxes)
+        return solve_hierarchy(boxed, None, variant, threads)
+    for name, value in (("--objects", objects), ("--threshold", threshold), ("--regions", regions)):
+        if value is not None:
+            raise OptionError(f"{name} is for --hierarchy")
+    request = RadiosityRequest(**asked)
     if solution is not None:
         return _write_again(request, solution, variant, threads)
     if request.is_instant:
@@ -281,11 +298,12 @@ def resume_lines(
 
     if limits.get("points") is not None and saved.method != "multipath":
         raise OptionError(f"{checkpoint} has bundles of lines: give --bundles in place of --points")
+    given: dict[str, Any] = {name: limit for name, limit in limits.items() if limit is not None}
     request: Any = asked_before(
         saved,
         source=scene,
         output=output[0] if output else None,
-        **{name: limit for name, limit in limits.items() if limit is not None},
+        **given,
         checkpoint=checkpoint,
         save_every=save_every,
         wording=out.Options(),
@@ -294,24 +312,6 @@ def resume_lines(
         raise OptionError(f"etendue {request.work} writes one file, not {len(output)}")
     work: Any = FormFactorWork if isinstance(request, FormFactorRequest) else radiosity_work
     return _run(request, lambda **options: work(request, saved, **options), variant, threads)
-
-
-def _quantity(text: str | None) -> float | str | list[list[float]] | None:
-    """A number, a row of numbers for channels, or a name."""
-    if text is None:
-        return None
-    try:
-        numbers = [float(word) for word in text.split(",")]
-    except ValueError:
-        return text
-    return numbers[0] if len(numbers) == 1 else [numbers]
-
-
-def _sky(text: str | None) -> float | list[float] | None:
-    light = _quantity(text)
-    if isinstance(light, str):
-        raise OptionError(f"--sky is a number, or one for each channel as 1,0.8,0.5, not '{text}'")
-    return light[0] if isinstance(light, list) else light
 
 
 def _run(

@@ -10,10 +10,12 @@ from .running import Watch, Work, run_work, start_work
 from .wording import PYTHON, Wording
 
 if TYPE_CHECKING:
+    from .boxes import DEFAULT_PASSES, HierarchyRequest, HierarchyResult, HierarchyWork, Passes
     from .gathering import PICTURE_FILES, picture
     from .lines import LinesJob, LinesTask
+    from .linesrequest import LinesRequest
     from .multipath import MultipathWork
-    from .requests import FormFactorRequest, LinesRequest, RadiosityRequest, asked_before
+    from .requests import FormFactorRequest, RadiosityRequest, asked_before
     from .solutions import ERROR_SCALE, SolutionOutputs
     from .solving import FormFactorWork, LinesWork, PatchWork, RadiosityWork, about, radiosity_work, solve_ambient
 else:
@@ -21,6 +23,7 @@ else:
     #: them.
     _LATER = {
         "gathering": ("PICTURE_FILES", "picture"),
+        "boxes": ("DEFAULT_PASSES", "HierarchyRequest", "HierarchyResult", "HierarchyWork", "Passes"),
         "lines": ("LinesJob", "LinesTask"),
         "multipath": ("MultipathWork",),
         "requests": ("FormFactorRequest", "LinesRequest", "RadiosityRequest", "asked_before"),
@@ -46,6 +49,7 @@ else:
 
 __all__ = [
     "DEFAULT_BUNDLES",
+    "DEFAULT_PASSES",
     "DEFAULT_POINTS",
     "ERROR_SCALE",
     "PICTURE_FILES",
@@ -53,6 +57,9 @@ __all__ = [
     "FormFactorRequest",
     "FormFactorResult",
     "FormFactorWork",
+    "HierarchyRequest",
+    "HierarchyResult",
+    "HierarchyWork",
     "Image",
     "LinesJob",
     "LinesRequest",
@@ -61,6 +68,7 @@ __all__ = [
     "LinesWork",
     "MultipathWork",
     "Outputs",
+    "Passes",
     "PatchWork",
     "PathLike",
     "PictureWork",

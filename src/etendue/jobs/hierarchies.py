@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from etendue.core import OptionError
-from etendue.radiosity import HierarchySettings, find_objects
+from etendue.radiosity import HierarchicalCastingSettings, find_objects
 
 if TYPE_CHECKING:
     from etendue.radiosity import Objects, Patches
@@ -40,7 +40,7 @@ class HierarchyOptions:
 
     @property
     def hierarchy_settings(self) -> dict[str, Any]:
-        """The requested values of :class:`etendue.radiosity.HierarchySettings`."""
+        """The requested values of :class:`etendue.radiosity.HierarchicalCastingSettings`."""
         given = {"engine": self.engine, "points": self.point_set, "main_share": self.main_share}
         return {name: value for name, value in given.items() if value is not None}
 
@@ -58,7 +58,7 @@ class HierarchyOptions:
                     option, needed = wording.option(name), wording.option("hierarchy")
                     raise OptionError(f"{option} is for lines in a hierarchy: give {needed}, too")
             return
-        HierarchySettings.from_mapping(self.hierarchy_settings, owner="a hierarchy")
+        HierarchicalCastingSettings.from_mapping(self.hierarchy_settings, owner="a hierarchy")
         if not isinstance(self.hierarchy, str):
             object.__setattr__(self, "hierarchy", np.asarray(self.hierarchy).tolist())  # plain, for checkpoints
         elif self.names_an_array and not is_mesh:

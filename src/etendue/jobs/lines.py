@@ -16,7 +16,7 @@ from etendue.radiosity import (
     CastingSettings,
     CastLines,
     HierarchicalCasting,
-    HierarchySettings,
+    HierarchicalCastingSettings,
     LineCasting,
     Objects,
     Patches,
@@ -48,7 +48,7 @@ class LinesTask:
     lines: float = 0.0
     shot: bool = True
     local_rays: bool = True
-    #: Where lines are cast in a hierarchy: its objects, and further options of :class:`HierarchySettings`.
+    #: Where lines are cast in a hierarchy: its objects, and further options of :class:`HierarchicalCastingSettings`.
     objects: Objects | None = None
     hierarchy: Mapping[str, Any] = field(default_factory=dict)
     #: Whether an error ends this run, or the run that it resumes: lines are then cast as replicates.
@@ -139,7 +139,8 @@ class LinesJob:
         task = self.task
         goal: Any = task.goal if task.is_watched or task.budget.error is not None else None
         if task.objects is not None:
-            asked = HierarchySettings.from_mapping({"lines": task.lines, **task.hierarchy}, owner="a hierarchy")
+            options = {"lines": task.lines, **task.hierarchy}
+            asked = HierarchicalCastingSettings.from_mapping(options, owner="a hierarchy")
             return HierarchicalCasting(task.objects, settings or asked, goal=goal)
         asked_flat = CastingSettings(
             lines=task.lines,

@@ -23,7 +23,8 @@ from etendue.radiosity import (
 
 from .files import Writing, add_to_message, rescued
 from .lines import LinesJob, LinesTask
-from .requests import MULTIPATH, FormFactorRequest, LinesRequest, RadiosityRequest
+from .linesrequest import LinesRequest
+from .requests import MULTIPATH, FormFactorRequest, RadiosityRequest
 from .results import FormFactorResult, RadiosityResult
 
 if TYPE_CHECKING:

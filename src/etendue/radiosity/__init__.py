@@ -61,10 +61,15 @@ from .files.results import (
 )
 from .files.solutionfiles import read_solution
 from .hierarchical_factors.allocation import MAIN_SHARE, allocated, area_shares, least_error_shares
-from .hierarchical_factors.casting import HierarchicalCasting, HierarchySettings
+from .hierarchical_factors.casting import HierarchicalCasting, HierarchicalCastingSettings
 from .hierarchical_factors.lines import TreeBundles, TreeRays
 from .hierarchical_factors.segments import PartialSegments, partial_form_factors
 from .hierarchical_factors.tree import SphereTree, sphere_tree
+from .hierarchical_multipath.grouping import grouped
+from .hierarchical_multipath.method import HierarchicalMultipath, HierarchicalMultipathSettings, PartProblem
+from .hierarchical_multipath.parts import Part
+from .hierarchical_multipath.reading import part_of, scene_part
+from .hierarchical_multipath.solution import HierarchicalSolution, relative_error
 from .lightmaps import lightmap
 from .lines.abuffer import ABuffer, Backend
 from .lines.chained import ChainedRays
@@ -109,7 +114,10 @@ __all__ = [
     "GreatCircle",
     "HierarchicalAmbient",
     "HierarchicalCasting",
-    "HierarchySettings",
+    "HierarchicalCastingSettings",
+    "HierarchicalMultipath",
+    "HierarchicalMultipathSettings",
+    "HierarchicalSolution",
     "Lightmap",
     "LineCasting",
     "LineEngine",
@@ -122,6 +130,8 @@ __all__ = [
     "MultipathPasses",
     "MultipathSettings",
     "Objects",
+    "Part",
+    "PartProblem",
     "PartialSegments",
     "Particles",
     "PatchError",
@@ -166,6 +176,7 @@ __all__ = [
     "form_factors",
     "gebhart_factors",
     "gltf_mesh",
+    "grouped",
     "hierarchical_ambient",
     "joined",
     "least_error_shares",
@@ -174,18 +185,21 @@ __all__ = [
     "multipath",
     "multipath_bundles",
     "pair_errors",
+    "part_of",
     "partial_form_factors",
     "radiosity_on",
     "read_form_factors",
     "read_patches",
     "read_segments",
     "read_solution",
+    "relative_error",
     "save_form_factors",
     "save_lightmap",
     "save_segments",
     "save_solution",
     "save_textured_mesh",
     "scene_mesh",
+    "scene_part",
     "scene_patches",
     "shot_at_patches",
     "small_emitters",

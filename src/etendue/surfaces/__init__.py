@@ -31,6 +31,7 @@ from .rays.raycasting import STEP, Hits, RayScene
 from .rays.sides import Sides, across, around, cosine_law
 from .rays.sources import BATCH, RaySource, columns, cosine_lanes, even_lanes, pairs_of
 from .readers.meshfiles import read_patches
+from .readers.sceneparts import has_instances, scene_parts
 from .readers.scenepatches import scene_patches
 from .smoothing import VertexRadiosity, face_sides, vertex_radiosity
 from .solids import box, joined
@@ -79,6 +80,7 @@ __all__ = [
     "face_vectors",
     "find_objects",
     "gltf_mesh",
+    "has_instances",
     "incoming",
     "joined",
     "joint_sphere",
@@ -89,6 +91,7 @@ __all__ = [
     "save_lightmap",
     "save_textured_mesh",
     "scene_mesh",
+    "scene_parts",
     "scene_patches",
     "thermal",
     "triangles",

@@ -153,6 +153,11 @@ class Patches:
         """Colours or bands of reflectance and emission."""
         return self.reflectance.shape[1]
 
+    @property
+    def fronts(self) -> int:
+        """Patches seen from the front; those from this index on are backs of sheets."""
+        return self._fronts
+
     @cached_property
     def other_side(self) -> Index:
         """(n,) the patch on the other side of a sheet, -1 where there is none."""
@@ -232,6 +237,31 @@ class Patches:
         result.labels = self.labels[sides]
         result.shapes, result.shape_names = None if self.shapes is None else self.shapes[sides], self.shape_names
         return result
+
+    def only(self, chosen: ArrayLike) -> tuple[Patches, Index]:
+        """The ``chosen`` (n,) patches with their labels, and the index that each of them has here.
+
+        Both sides of a sheet stay together: it is the fronts that are chosen. Raises :class:`PatchError` for none.
+        """
+        kept = np.flatnonzero(np.asarray(chosen, dtype=bool)[: self._fronts])
+        faces = np.isin(self.front, kept)
+        if not faces.any():
+            raise PatchError("no patch is chosen")
+        used, corners = np.unique(self.faces[faces], return_inverse=True)
+        backs = self.other_side[kept]
+        numbers = np.concatenate([kept, backs[backs >= 0]])
+        result = Patches(
+            self.vertices[used],
+            corners.reshape(-1, 4),
+            reflectance=self.reflectance[numbers],
+            emission=self.emission[numbers],
+            ids=self.front[faces],
+            two_sided=backs >= 0,
+            sky=self.sky,
+        )
+        result.labels = self.labels[numbers]
+        result.shapes, result.shape_names = None if self.shapes is None else self.shapes[numbers], self.shape_names
+        return result, numbers
 
     def with_properties(
         self, reflectance: ArrayLike | None = None, emission: ArrayLike | None = None, sky: ArrayLike | None = None

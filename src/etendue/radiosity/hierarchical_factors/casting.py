@@ -33,7 +33,7 @@ _SEGMENTS = "segments"
 
 
 @dataclass(frozen=True, kw_only=True)
-class HierarchySettings(CastingSettings):
+class HierarchicalCastingSettings(CastingSettings):
     """What of hierarchical casting decides the lines. A *bundle* is cast in all spheres, by their shares: parallel
     lines in each of them, or, with rays, as many single ones."""
 
@@ -61,18 +61,18 @@ class HierarchicalCasting(LineCasting):
     """
 
     name: ClassVar[str] = "hierarchical-lines"
-    Settings: ClassVar[type[AnySettings]] = HierarchySettings
+    Settings: ClassVar[type[AnySettings]] = HierarchicalCastingSettings
     citations: ClassVar[tuple[str, ...]] = ("Castro2002", "Sbert1993")
 
     def __init__(
         self,
         objects: Objects,
-        settings: HierarchySettings | None = None,
+        settings: HierarchicalCastingSettings | None = None,
         *,
         goal: Literal["rows"] | None = None,
         most: int | None = None,
     ) -> None:
-        settings = settings or HierarchySettings()
+        settings = settings or HierarchicalCastingSettings()
         if settings.main_share > 1:
             raise RadiosityError(f"the main sphere has at most all of the lines, not {settings.main_share:g}")
         if settings.engine == "rays" and settings.points == "spiral":
@@ -100,8 +100,8 @@ class HierarchicalCasting(LineCasting):
         return segments
 
     @property
-    def _hierarchy(self) -> HierarchySettings:
-        return cast(HierarchySettings, self._options)
+    def _hierarchy(self) -> HierarchicalCastingSettings:
+        return cast(HierarchicalCastingSettings, self._options)
 
     def _engine_for(self, patches: Patches) -> LineEngine:
         options, tree = self._hierarchy, self.tree

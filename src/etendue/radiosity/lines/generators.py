@@ -106,24 +106,31 @@ class BoxWalls(LineGenerator):
         self.lower, upper = patches.bounds
         # Flat scenes get a thickness, so that the box has a volume.
         self.sides = np.maximum(upper - self.lower, 1e-3 * self.radius)
-        walls = np.prod(self.sides) / self.sides
-        self.surface = float(2 * walls.sum())
-        self._edges = np.concatenate([[0.0], np.cumsum(np.repeat(walls, 2))]) / self.surface
+        self.surface = float(2 * (np.prod(self.sides) / self.sides).sum())
 
     def lines(self, u: Array) -> Lines:
         """See :class:`LineGenerator`."""
-        wall = np.minimum(np.searchsorted(self._edges, u[:, 0], side="right") - 1, 5)
-        first = (u[:, 0] - self._edges[wall]) / (self._edges[wall + 1] - self._edges[wall])
-        axis, is_upper = wall // 2, wall % 2
-        rows = np.arange(len(u))
-        place, way = np.empty((len(u), 3)), np.empty((len(u), 3))
-        place[rows, axis] = is_upper
-        place[rows, (axis + 1) % 3], place[rows, (axis + 2) % 3] = first, u[:, 1]
-        # A point of the unit disc, projected up to the hemisphere, has cosine density.
-        r, phi = np.sqrt(u[:, 2]), 2 * np.pi * u[:, 3]
-        way[rows, axis] = np.sqrt(1 - u[:, 2]) * (1 - 2 * is_upper)
-        way[rows, (axis + 1) % 3], way[rows, (axis + 2) % 3] = r * np.cos(phi), r * np.sin(phi)
-        return self._outside(self.lower + place * self.sides, way)
+        return self._outside(*box_lines(u, self.lower, self.lower + self.sides))
+
+
+def box_lines(u: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Points on the walls of a box, and directions into it by the cosine law: one for each of the points ``u`` (n, 4)
+    of the unit cube."""
+    sides = high - low
+    walls = np.repeat(np.prod(sides) / sides, 2)
+    edges = np.concatenate([[0.0], np.cumsum(walls)]) / walls.sum()
+    wall = np.minimum(np.searchsorted(edges, u[:, 0], side="right") - 1, 5)
+    first = (u[:, 0] - edges[wall]) / (edges[wall + 1] - edges[wall])
+    axis, is_upper = wall // 2, wall % 2
+    rows = np.arange(len(u))
+    place, way = np.empty((len(u), 3)), np.empty((len(u), 3))
+    place[rows, axis] = is_upper
+    place[rows, (axis + 1) % 3], place[rows, (axis + 2) % 3] = first, u[:, 1]
+    # A point of the unit disc, projected up to the hemisphere, has cosine density.
+    r, phi = np.sqrt(u[:, 2]), 2 * np.pi * u[:, 3]
+    way[rows, axis] = np.sqrt(1 - u[:, 2]) * (1 - 2 * is_upper)
+    way[rows, (axis + 1) % 3], way[rows, (axis + 2) % 3] = r * np.cos(phi), r * np.sin(phi)
+    return low + place * sides, way
 
 
 class GreatCircle(LineGenerator):

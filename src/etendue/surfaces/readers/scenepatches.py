@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -49,11 +50,29 @@ def scene_patches(
         raise SurfaceError(f"a patch is made per 'face' or per 'shape', not {per!r}")
     if not isinstance(segments, int) or segments < 3:
         raise SurfaceError(f"a circle needs three segments at least, not {segments!r}")
-    parts = [_part(shape, segments) for shape in scene.shapes()]
+    patches, shape, sheets = patches_of(scene.shapes(), segments, space)
+    patches = patches.with_properties(sky=scene_sky(scene))
+    if space.is_own:
+        remedy = "put it near the origin, or give it as a file or as a dictionary of plugins"
+        warn_of_steps("the scene", np.abs(patches.vertices).max(), patches.sphere[1], remedy)
+    if per == "shape":
+        patches = _joined(patches, shape, sheets)
+        patches.shapes = patches.labels
+    else:
+        patches.shapes = shape[patches.labels]
+    patches.shape_names = tuple(graph.name(item) or f"shape {k}" for k, item in enumerate(scene.shapes()))
+    return patches if max_area is None or per == "shape" else patches.subdivided(max_area)
+
+
+def patches_of(shapes: Sequence[Any], segments: int, space: RenderSpace) -> tuple[Patches, Index, NDArray[np.bool_]]:
+    """Patches of Mitsuba shapes, one for each face; the shape of each face, and which shapes are sheets."""
+    parts = [_part(shape, segments) for shape in shapes]
     if not parts:
         raise SceneError("the scene has no shapes; a radiosity problem needs surfaces")
     offsets = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    sheets = np.concatenate([np.full(len(part.faces), part.is_sheet) for part in parts])
+    counts = [len(part.faces) for part in parts]
+    is_sheet = np.array([part.is_sheet for part in parts])
+    sheets = np.repeat(is_sheet, counts)
     reflectance = np.concatenate([part.reflectance for part in parts])
     backs = np.concatenate([part.back_reflectance for part in parts])[sheets]
     emission = np.concatenate([part.emission for part in parts])
@@ -63,19 +82,8 @@ def scene_patches(
         reflectance=np.concatenate([reflectance, backs]),
         emission=np.concatenate([emission, np.zeros_like(backs)]),
         two_sided=sheets,
-        sky=_sky(scene),
     )
-    if space.is_own:
-        remedy = "put it near the origin, or give it as a file or as a dictionary of plugins"
-        warn_of_steps("the scene", np.abs(patches.vertices).max(), patches.sphere[1], remedy)
-    shape = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
-    if per == "shape":
-        patches = _joined(patches, shape, np.array([part.is_sheet for part in parts]))
-        patches.shapes = patches.labels
-    else:
-        patches.shapes = shape[patches.labels]
-    patches.shape_names = tuple(graph.name(item) or f"shape {k}" for k, item in enumerate(scene.shapes()))
-    return patches if max_area is None or per == "shape" else patches.subdivided(max_area)
+    return patches, np.repeat(np.arange(len(parts)), counts), is_sheet
 
 
 def loaded_scene(scene: Any) -> tuple[mi.Scene, RenderSpace]:
@@ -164,7 +172,8 @@ def _hemispherical_albedo(bsdf: mi.BSDF, at: mi.SurfaceInteraction3f, directions
     return total / directions
 
 
-def _sky(scene: mi.Scene) -> Array:
+def scene_sky(scene: mi.Scene) -> Array:
+    """(3,) radiosity of ``constant`` lights. Raises :class:`UnsupportedError` for other lights without a surface."""
     light = np.zeros(3)
     for emitter in scene.emitters():
         kind = graph.plugin_name(emitter)

@@ -1,0 +1,99 @@
+"""`etendue radiosity --hierarchy`: passes of hierarchical multipath, with what they say."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from etendue.core import OptionError, Progress, format_seconds
+from etendue.jobs import start_work
+
+from . import radiosity_outputs as out
+from .console import error_console, note, say
+
+if TYPE_CHECKING:
+    from etendue.engine import Checkpoint
+    from etendue.jobs import HierarchyRequest, HierarchyResult, HierarchyWork
+
+#: The method of checkpoints: the name of :class:`etendue.radiosity.HierarchicalMultipath`.
+HIERARCHY = "hierarchical-multipath"
+
+
+def solve_hierarchy(
+    request: HierarchyRequest, saved: Checkpoint | None, variant: str | None, threads: int | None
+) -> int:
+    """From a request to files. Returns the exit status."""
+    from etendue.jobs import HierarchyWork, Passes
+
+    from .rendering import choose_device, follow
+
+    choose_device(variant, threads)
+    began, console = time.perf_counter(), error_console()
+    work = HierarchyWork(request, saved, tell=lambda text: note(console, text))
+    _describe(work)
+    outcome = follow(lambda: start_work(lambda: Passes(work)), console, "radiosity", _words(work))
+    if outcome.result is None:
+        return outcome.exit_code
+    with console.status("writing") as status:
+        result = work.finish(outcome.result, status.update)
+    _describe_result(result)
+    note(console, f"in {format_seconds(time.perf_counter() - began)}")
+    say("\n".join(map(str, request.files)))
+    return outcome.exit_code
+
+
+def resume_hierarchy(
+    saved: Checkpoint, checkpoint: Path, output: Sequence[Path], variant: str | None, threads: int | None, **asked: Any
+) -> int:
+    """Go on with a checkpoint, and write its file anew."""
+    from etendue.jobs import HierarchyRequest, asked_before
+
+    if len(output) > 1:
+        raise OptionError(f"etendue radiosity writes one file, not {len(output)}")
+    request: Any = asked_before(
+        saved,
+        output=output[0] if output else None,
+        kinds=(HierarchyRequest,),
+        checkpoint=checkpoint,
+        wording=out.Options(),
+        **asked,
+    )
+    return solve_hierarchy(request, saved, variant, threads)
+
+
+def _describe(work: HierarchyWork) -> None:
+    root = work.parts.root
+    boxes = sum(len(part.children) for part in root.distinct)
+    if boxes == 0:
+        note(
+            error_console(), f"{work.request.name}: {root.total} patches without boxes: no object or group is worth one"
+        )
+        return
+    copies = f"{boxes} box{'' if boxes == 1 else 'es'}, {len(root.distinct) - 1} distinct"
+    note(error_console(), f"{work.request.name}: {root.total} patches, {len(root)} of them around {copies}")
+
+
+def _describe_result(result: HierarchyResult) -> None:
+    from etendue.radiosity import relative_error
+
+    left = float((result.parts.residual / result.parts.sent.clip(1e-300)).max())
+    words = f"{result.passes} pass{'' if result.passes == 1 else 'es'}, {left:.1g} of the light is on its way"
+    error = relative_error(result.parts)
+    if error is not None:
+        words += f", standard error of irradiance {error:.2g} in the mean (noise; light through boxes is binned)"
+    note(error_console(), words)
+
+
+def _words(work: HierarchyWork) -> Any:
+    def words(progress: Progress) -> list[str]:
+        parts = [f"{progress.samples:.3g} lines", format_seconds(progress.elapsed)]
+        if progress.eta is not None:
+            parts.append(f"ETA {format_seconds(progress.eta)}")
+        if progress.relative_error is not None:
+            parts.append(f"error {math.sqrt(progress.relative_error):.2g}")
+        return parts
+
+    return words

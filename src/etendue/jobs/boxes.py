@@ -1,0 +1,242 @@
+"""Solutions by hierarchical multipath as work: a scene is put into boxes, passes of lines are run, files written."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from etendue.core import EtendueError, OptionError, SceneError, logger
+from etendue.engine import Budget, Checkpoint, Job, Runner, RunResult, remaining
+from etendue.radiosity import (
+    HierarchicalMultipath,
+    HierarchicalMultipathSettings,
+    Part,
+    PartProblem,
+    Patches,
+    part_of,
+    read_patches,
+    scene_part,
+    scene_patches,
+)
+
+from .files import Writing, add_to_message, rescued
+from .requests import RadiosityRequest
+from .solving import about
+
+if TYPE_CHECKING:
+    from etendue.core import Array, Result
+    from etendue.radiosity import HierarchicalSolution, Lightmap, Solution
+    from etendue.scene import Problem
+
+#: Passes, if no budget is given.
+DEFAULT_PASSES = 16
+
+
+@dataclass(frozen=True, kw_only=True)
+class HierarchyRequest(RadiosityRequest):
+    """A solution by hierarchical multipath. Its ``bundles`` are passes of lines. The source may also be a
+    :class:`etendue.radiosity.Part`; a scene with instances becomes one, another source is grouped by its objects."""
+
+    #: What makes an object, see :func:`etendue.radiosity.find_objects`; by default shapes of scenes, components else.
+    objects: str | None = None
+    #: Of :func:`etendue.radiosity.grouped`, such as the threshold.
+    groups: Mapping[str, Any] = field(default_factory=dict)
+    #: Of :class:`etendue.radiosity.HierarchicalMultipathSettings`.
+    hierarchy: Mapping[str, Any] = field(default_factory=dict)
+
+    work: ClassVar[str] = "radiosity-hierarchy"
+
+    @property
+    def settings(self) -> HierarchicalMultipathSettings:
+        """Of the method. Raises :class:`OptionError` for unknown ones, and values out of range."""
+        return HierarchicalMultipathSettings.from_mapping(self.hierarchy, owner="hierarchical multipath")
+
+    @property
+    def name(self) -> str:
+        """See :class:`LinesRequest`."""
+        return "<parts>" if isinstance(self.source, Part) else super().name
+
+    @property
+    def stores_lines(self) -> bool:
+        """See :class:`LinesRequest`: only those of a pass."""
+        return False
+
+    def _check_options(self) -> None:
+        self.settings  # noqa: B018 (checked)
+        if unknown := set(self.groups) - {"threshold", "least", "levels"}:
+            raise OptionError(f"groups have a threshold, least and levels, no {', '.join(sorted(unknown))}")
+        if isinstance(self.source, Part):
+            if self.max_area is not None or self.parameters is not None or self.objects is not None:
+                raise OptionError("parts are what they are: leave out max_area, parameters and objects")
+        else:
+            super()._check_options()
+        if self.solver != "conjugate-gradient" or self.lines:
+            raise OptionError("hierarchical multipath solves by itself: leave out the solver and lines of bundles")
+        for name in ("points", "ambient", "bounces"):
+            if getattr(self, name) is not None:
+                raise OptionError(f"{self.wording.option(name)} is not for hierarchical multipath; leave it out")
+
+    def budget(self, saved: Checkpoint | None) -> Budget:
+        """See :class:`LinesRequest`."""
+        if (self.seconds, self.bundles, self.error) != (None, None, None):
+            passes = None if self.bundles is None else int(self.bundles)
+            return Budget(self.seconds, None, passes, None if self.error is None else self.error**2)
+        if saved is None:
+            return Budget(iterations=DEFAULT_PASSES)
+        bundles, seconds, error = map(self.wording.option, ("bundles", "seconds", "error"))
+        return remaining(saved, f"{bundles}, {seconds} or {error}")
+
+    def load_parts(self, tell: Callable[[str], object]) -> tuple[Problem | None, Patches | None, Part]:
+        """The scene, if it is one; patches in one mesh, ``None`` where copies have none; and the parts."""
+        if isinstance(self.source, Part):
+            return None, None, self.source
+        problem = self.problem(tell)
+        if problem is not None and (root := scene_part(problem, max_area=self.max_area)) is not None:
+            return problem, None, root
+        if isinstance(self.source, Patches):
+            patches = self.source
+        elif problem is not None:
+            patches = scene_patches(problem, max_area=self.max_area)
+        else:
+            patches = read_patches(self.source, **{k: v for k, v in self.mesh.items() if v is not None})
+            patches = patches if self.max_area is None else patches.subdivided(self.max_area)
+        self.check_patches(patches, problem)
+        by = self.objects or ("components" if problem is None or patches.shapes is None else "shapes")
+        return problem, patches, part_of(patches, by, **self.groups)
+
+    def _noted(self) -> tuple[str, ...]:
+        return (*super()._noted(), "objects", "groups", "hierarchy")
+
+
+@dataclass
+class HierarchyResult:
+    """A solution by hierarchical multipath. ``parts``: of every copy. ``patches`` and ``solution`` in one mesh, and the
+    standard error of its irradiance; ``None`` for a scene with copies, unless files of it were asked for."""
+
+    parts: HierarchicalSolution
+    patches: Patches | None
+    solution: Solution | None
+    irradiance_error: Array | None
+    passes: int
+    #: What ended the run: ``seconds``, ``samples`` (passes), ``error`` or ``cancel``.
+    stopped_by: str
+    elapsed: float
+    picture: Result | None = None
+    lightmap: Lightmap | None = None
+
+
+class HierarchyWork:
+    """A request whose source has been read, and passes that work on it; see :class:`Work`."""
+
+    def __init__(
+        self,
+        request: HierarchyRequest,
+        saved: Checkpoint | None = None,
+        *,
+        is_watched: bool = False,
+        tell: Callable[[str], object] = logger.info,
+    ) -> None:
+        self.request, self._saved = request, saved
+        self._budget = request.budget(saved)
+        self.problem, self.patches, root = request.load_parts(tell)
+        self.parts = PartProblem(root, request.name)
+        emits = any(p.patches is not None and (p.patches.emission.any() or p.patches.sky.any()) for p in root.distinct)
+        if not emits:
+            raise SceneError(request._without_light(self.problem))
+        self.method = HierarchicalMultipath(request.settings)
+        self._job: Job | None = None
+
+    def runner(self, **options: Any) -> Runner:
+        """See :class:`Work`."""
+        request, saved, begin = self.request, self._saved, time.perf_counter()
+        earlier = 0.0
+        if saved is not None:
+            asked = {k: v for k, v in request.settings.to_dict().items() if k != "lines" or v}
+            settings: Any = saved.settings_of(HierarchicalMultipath, asked, int(request.seed))
+            saved.require_scene(self.parts.fingerprint)
+            self.method = HierarchicalMultipath(settings)
+            earlier = saved.earlier + saved.elapsed
+            options |= {"start": saved.measurement, "state": saved.state}
+        self.method.prepare(self.parts, int(request.seed))
+        notes = request.notes() or ({} if saved is None else saved.notes)
+        known: Any = {
+            "seed": int(request.seed),
+            "budget": self._budget,
+            "place": {},
+            "earlier": earlier,
+            "notes": notes,
+        }
+        self._job = Job(self.parts, self.method, **known)  # type: ignore[arg-type]
+        if (path := request.checkpoint) is not None and request.save_every is not None:
+            options |= {"on_save": lambda run: self._save(run, path), "save_every": request.save_every}
+        spent = time.perf_counter() - begin
+        return Runner(self.method, seed=int(request.seed), budget=self._budget, spent=spent, **options)
+
+    def keep(self, run: RunResult) -> None:
+        """Write the checkpoint, if one is asked for."""
+        if self.request.checkpoint is not None:
+            self._save(run, self.request.checkpoint)
+
+    def finish(self, run: RunResult, tell: Callable[[str], object] = lambda _: None) -> HierarchyResult:
+        """Write the checkpoint and the files. If something fails, the error says where the passes are kept."""
+        request, writing = self.request, Writing()
+        kept: Path | None = None
+        try:
+            if (path := request.checkpoint) is not None:
+                with writing.attempt(f"write '{path}'"):
+                    self._save(run, path)
+                    kept = path
+            parts = self.method.solution(run.measurement)
+            result = HierarchyResult(
+                parts, self.patches, None, None, len(run.measurement.iterations), str(run.stopped_by), run.elapsed
+            )
+            if result.patches is None and request.outputs.written:
+                tell("putting all copies into one mesh")
+                result.patches = parts.tree.joined()
+                request.outputs.check_source(result.patches, self.problem, request.wording)
+            if result.patches is not None:
+                result.solution = parts.on(result.patches)
+                result.irradiance_error = parts.irradiance_on(result.patches)[1]
+                known = about(request.name, passes=result.passes, seed=request.seed, solver=self.method.name)
+                shown = request.outputs.write(
+                    *(writing, self.problem, result.solution, result.irradiance_error, known, request.wording, tell)
+                )
+                result.picture, result.lightmap = shown.picture, shown.lightmap
+            writing.finish()
+        except EtendueError as error:
+            if kept is None:
+                kept = rescued("passes.checkpoint", ("", lambda place: self._save(run, place)))
+            if kept is not None:
+                how = request.wording.resume(kept, "bundles", len(run.measurement.iterations))
+                add_to_message(error, f"; the passes are kept: {how}")
+            raise
+        return result
+
+    def _save(self, run: RunResult, path: Path) -> None:
+        assert self._job is not None, "there is no run before there is a runner"
+        self._job.checkpoint(run).write(path)
+
+
+class Passes:
+    """The passes of some work alone: files are written in the main thread, where Ctrl-C ends it."""
+
+    def __init__(self, work: HierarchyWork) -> None:
+        self.work = work
+
+    def runner(self, **options: Any) -> Runner:
+        """See :class:`Work`."""
+        return self.work.runner(**options)
+
+    def keep(self, run: RunResult) -> None:
+        """See :class:`Work`."""
+        self.work.keep(run)
+
+    def finish(self, run: RunResult) -> RunResult:
+        """Save: if that fails, :meth:`HierarchyWork.finish` tries again and says so."""
+        with suppress(EtendueError, OSError):
+            self.work.keep(run)
+        return run

@@ -1,0 +1,335 @@
+"""Loops compiled by Numba that cast lines through a part: all that a line meets, in double precision.
+
+Primitives of a part are its faces and the boxes of its copies, in a tree of boxes (bounding volume hierarchy).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+#: Primitives of a leaf, cuts that are tried along an axis, and depth of the stack.
+_LEAF, _BINS, _DEPTH = 4, 16, 128
+#: Hits of a line, at most.
+MOST_HITS = 4096
+#: Hits nearer to each other than this, in sizes of the part, are in one place.
+_SAME_PLACE = 1e-10
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def build(low: Any, high: Any) -> Any:
+    """A tree over boxes (n, 3): corners of its nodes (m, 2, 3), links (m, 3), and the order of the primitives.
+
+    Links are: the second child (the first follows its parent), or of a leaf its first place in the order; how many
+    primitives a leaf has, 0 for other nodes; the axis of the cut. Cuts are those of least surface area heuristic.
+    """
+    count = len(low)
+    order = np.arange(count)
+    corners = np.empty((2 * count + 1, 2, 3))
+    links = np.zeros((2 * count + 1, 3), np.int64)
+    stack = np.empty((_DEPTH * 64, 3), np.int64)
+    stack[0] = 0, count, -1
+    top, made = 1, 0
+    bins_low, bins_high = np.empty((_BINS, 3)), np.empty((_BINS, 3))
+    bins, area = np.empty(_BINS, np.int64), np.empty(_BINS)
+    while top > 0:
+        top -= 1
+        begin, end, parent = stack[top]
+        node = made
+        made += 1
+        if parent >= 0:
+            links[parent, 0] = node
+        first, last = np.full(3, np.inf), np.full(3, -np.inf)
+        middle_low, middle_high = np.full(3, np.inf), np.full(3, -np.inf)
+        for k in range(begin, end):
+            for a in range(3):
+                x, y = low[order[k], a], high[order[k], a]
+                first[a], last[a] = min(first[a], x), max(last[a], y)
+                middle_low[a], middle_high[a] = min(middle_low[a], x + y), max(middle_high[a], x + y)
+        corners[node, 0], corners[node, 1] = first, last
+        axis = np.argmax(middle_high - middle_low)
+        width = middle_high[axis] - middle_low[axis]
+        if end - begin <= _LEAF or width <= 0:
+            links[node, 0], links[node, 1] = begin, end - begin
+            continue
+        bins[:], bins_low[:], bins_high[:] = 0, np.inf, -np.inf
+        for k in range(begin, end):
+            p = order[k]
+            b = min(int((low[p, axis] + high[p, axis] - middle_low[axis]) / width * _BINS), _BINS - 1)
+            bins[b] += 1
+            for a in range(3):
+                bins_low[b, a], bins_high[b, a] = min(bins_low[b, a], low[p, a]), max(bins_high[b, a], high[p, a])
+        # Areas times numbers of all that is right of each cut, then of what is left of it.
+        first, last, n = np.full(3, np.inf), np.full(3, -np.inf), 0
+        for b in range(_BINS - 1, 0, -1):
+            n += bins[b]
+            for a in range(3):
+                first[a], last[a] = min(first[a], bins_low[b, a]), max(last[a], bins_high[b, a])
+            area[b] = n * _half_area(first, last) if n else 0.0
+        first, last, n = np.full(3, np.inf), np.full(3, -np.inf), 0
+        best, cut = np.inf, 1
+        for b in range(_BINS - 1):
+            n += bins[b]
+            for a in range(3):
+                first[a], last[a] = min(first[a], bins_low[b, a]), max(last[a], bins_high[b, a])
+            cost = (n * _half_area(first, last) if n else 0.0) + area[b + 1]
+            if 0 < n < end - begin and cost < best:
+                best, cut = cost, b + 1
+        left, right = begin, end - 1
+        while left <= right:
+            p = order[left]
+            if min(int((low[p, axis] + high[p, axis] - middle_low[axis]) / width * _BINS), _BINS - 1) < cut:
+                left += 1
+            else:
+                order[left], order[right] = order[right], order[left]
+                right -= 1
+        links[node, 2] = axis
+        stack[top] = left, end, node
+        stack[top + 1] = begin, left, -1
+        top += 2
+    return corners[:made].copy(), links[:made].copy(), order
+
+
+@njit(nogil=True, cache=True, error_model="numpy", inline="always")
+def _half_area(low: Any, high: Any) -> Any:
+    x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
+    return x * y + y * z + z * x
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def slab(corners: Any, o: Any, inverse: Any) -> Any:
+    """Where a line enters a box and leaves it."""
+    near, far = -np.inf, np.inf
+    for a in range(3):
+        x, y = (corners[0, a] - o[a]) * inverse[a], (corners[1, a] - o[a]) * inverse[a]
+        if x > y:
+            x, y = y, x
+        if x > near:  # false for 0 times infinity: a line in the plane of a wall
+            near = x
+        if y < far:
+            far = y
+    return near, far
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def meets(corners: Any, normal: Any, o: Any, d: Any) -> Any:
+    """Where a line meets a face (4, 3), NaN where it does not. Edges that faces share have equal signs for both."""
+    positive, negative = False, False
+    bx, by, bz = corners[0, 0] - o[0], corners[0, 1] - o[1], corners[0, 2] - o[2]
+    x0, y0, z0 = bx, by, bz
+    for k in range(4):
+        ax, ay, az = bx, by, bz
+        if k == 3:
+            bx, by, bz = x0, y0, z0
+        else:
+            bx, by, bz = corners[k + 1, 0] - o[0], corners[k + 1, 1] - o[1], corners[k + 1, 2] - o[2]
+        side = d[0] * (ay * bz - az * by) + d[1] * (az * bx - ax * bz) + d[2] * (ax * by - ay * bx)
+        positive |= side > 0
+        negative |= side < 0
+        if positive and negative:
+            return np.nan
+    along = normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2]
+    if along == 0 or not (positive or negative):
+        return np.nan
+    return (normal[0] * x0 + normal[1] * y0 + normal[2] * z0) / along
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def enter(matrix: Any, o: Any, d: Any, inner_o: Any, inner_d: Any) -> None:
+    """A line in coordinates of a copy; ``matrix`` (3, 4) goes there. Distances along it stay the same numbers."""
+    for a in range(3):
+        inner_d[a] = matrix[a, 0] * d[0] + matrix[a, 1] * d[1] + matrix[a, 2] * d[2]
+        inner_o[a] = matrix[a, 0] * o[0] + matrix[a, 1] * o[1] + matrix[a, 2] * o[2] + matrix[a, 3]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def region(corners: Any, o: Any, d: Any, t: Any, leaves: Any, grid: Any, around: Any, up: Any) -> Any:
+    """The region of a box that a line crosses at t, where it ``leaves`` the box or enters it.
+
+    By face (low x, high x, low y, ...), place on it (grid x grid) and direction: ``around`` sectors times ``up`` rings,
+    which lines of cosine density cross equally often.
+    """
+    # The face whose plane is the nearest; the direction out of the box.
+    sign = 1.0 if leaves else -1.0
+    axis, best = 0, np.inf
+    for a in range(3):
+        if d[a] != 0:
+            wall = corners[1, a] if sign * d[a] > 0 else corners[0, a]
+            off = abs((wall - o[a]) / d[a] - t)
+            if off < best:
+                axis, best = a, off
+    high = 1 if sign * d[axis] > 0 else 0
+    b, c = (axis + 1) % 3, (axis + 2) % 3
+    u = (o[b] + t * d[b] - corners[0, b]) / (corners[1, b] - corners[0, b])
+    v = (o[c] + t * d[c] - corners[0, c]) / (corners[1, c] - corners[0, c])
+    i, j = min(max(int(u * grid), 0), grid - 1), min(max(int(v * grid), 0), grid - 1)
+    x, y, z = sign * d[b], sign * d[c], d[axis]
+    ring = min(int((x * x + y * y) / (x * x + y * y + z * z) * up), up - 1)
+    sector = int((np.arctan2(y, x) / (2 * np.pi) + 0.5) * around) % around
+    return (((2 * axis + high) * grid + i) * grid + j) * around * up + ring * around + sector
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def lists(
+    origins: Any,
+    directions: Any,
+    corners: Any,
+    links: Any,
+    order: Any,
+    faces: Any,
+    normals: Any,
+    sides: Any,
+    boxes: Any,
+    matrices: Any,
+    transmittances: Any,
+    own: Any,
+    resolution: Any,
+    size: Any,
+    is_root: Any,
+) -> Any:
+    """What lines meet in a part: stretches between two ends with the boxes crossed on the way.
+
+    An end is a patch (``sides`` (f, 2) of faces: front, back), n the sky, n + 1 dark, or n + 2 + r region r of the
+    part's own box. Returns ends (k, 2); where the crossings of each stretch begin (k + 1,); crossings (x, 2), numbers
+    of regions of children where a line enters and leaves; lines through each region (r,), their summed transmittances
+    (r,); first faces (y, 2) behind regions; tests of polygons, of boxes of copies; whether a line had too many hits.
+    """
+    grid, around, up = resolution[0], resolution[1], resolution[2]
+    regions = 6 * grid * grid * around * up
+    sky = resolution[3]
+    ends, begins = np.empty((1024, 2), np.int32), np.empty(1024, np.int64)
+    crossings, firsts = np.empty((1024, 2), np.int32), np.empty((1024, 2), np.int32)
+    made, crossed, seen = 0, 0, 0
+    through, passed = np.zeros(regions), np.zeros(regions)
+    at, what = np.empty(MOST_HITS), np.empty(MOST_HITS, np.int64)
+    leaves = np.empty(MOST_HITS, np.bool_)
+    place = np.empty((MOST_HITS, 2), np.int64)
+    stack = np.empty(_DEPTH, np.int64)
+    inverse, inner_o, inner_d, inner_inverse = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    tests, box_tests = 0, 0
+    for line in range(len(origins)):
+        o, d = origins[line], directions[line]
+        for a in range(3):
+            inverse[a] = 1 / d[a]
+        hits, top = 0, 1
+        stack[0] = 0
+        while top > 0:
+            top -= 1
+            node = stack[top]
+            near, far = slab(corners[node], o, inverse)
+            if near > far + size * _SAME_PLACE:
+                continue
+            if links[node, 1] == 0 and links[node, 0] > 0:
+                stack[top], stack[top + 1] = node + 1, links[node, 0]
+                top += 2
+                continue
+            for k in range(links[node, 0], links[node, 0] + links[node, 1]):
+                p = order[k]
+                if hits == MOST_HITS:
+                    return ends[:0], begins[:1], crossings[:0], through, passed, firsts[:0], tests, box_tests, True
+                if p < len(faces):
+                    tests += 1
+                    t = meets(faces[p], normals[p], o, d)
+                    if not np.isnan(t):
+                        at[hits], what[hits] = t, p
+                        along = normals[p, 0] * d[0] + normals[p, 1] * d[1] + normals[p, 2] * d[2]
+                        leaves[hits] = along > 0
+                        hits += 1
+                    continue
+                box_tests += 1
+                child = p - len(faces)
+                enter(matrices[child], o, d, inner_o, inner_d)
+                for a in range(3):
+                    inner_inverse[a] = 1 / inner_d[a]
+                near, far = slab(boxes[child], inner_o, inner_inverse)
+                if far - near > size * _SAME_PLACE:
+                    at[hits], what[hits], leaves[hits] = (near + far) / 2, p, False
+                    place[hits, 0] = child * regions + region(
+                        boxes[child], inner_o, inner_d, near, False, grid, around, up
+                    )
+                    place[hits, 1] = child * regions + region(
+                        boxes[child], inner_o, inner_d, far, True, grid, around, up
+                    )
+                    hits += 1
+        # By distance; of faces in one place first those that the line leaves, as of solids that touch.
+        for i in range(1, hits):
+            t, w, leave, p0, p1 = at[i], what[i], leaves[i], place[i, 0], place[i, 1]
+            j = i - 1
+            while j >= 0:
+                same = abs(at[j] - t) <= size * _SAME_PLACE
+                if not ((leave and not leaves[j]) if same else at[j] > t):
+                    break
+                at[j + 1], what[j + 1], leaves[j + 1] = at[j], what[j], leaves[j]
+                place[j + 1, 0], place[j + 1, 1] = place[j, 0], place[j, 1]
+                j -= 1
+            at[j + 1], what[j + 1], leaves[j + 1], place[j + 1, 0], place[j + 1, 1] = t, w, leave, p0, p1
+        left, last = sky, sky
+        if not is_root:
+            near, far = slab(own, o, inverse)
+            left = sky + 2 + region(own, o, d, near, False, grid, around, up)
+            last = sky + 2 + region(own, o, d, far, True, grid, around, up)
+            through[left - sky - 2] += 1
+            through[last - sky - 2] += 1
+        passes, returns, waiting = 1.0, 1.0, crossed
+        for i in range(hits + 1):
+            if i < hits and what[i] >= len(faces):
+                if crossed == len(crossings):
+                    crossings = _grown(crossings)
+                crossings[crossed, 0], crossings[crossed, 1] = place[i, 0], place[i, 1]
+                crossed += 1
+                passes *= transmittances[place[i, 0]]
+                returns *= transmittances[place[i, 1]]
+                continue
+            right, after = last, last
+            if i < hits:
+                face, back = what[i], int(leaves[i])
+                right, after = sides[face, back], sides[face, 1 - back]
+            # What neither light enters nor leaves is not kept, but for what crosses copies.
+            is_empty = (left == sky or left == sky + 1) and (right == sky or right == sky + 1)
+            is_through = left > sky + 1 and right > sky + 1
+            if is_through:
+                passed[left - sky - 2] += passes
+                passed[right - sky - 2] += returns
+            if crossed > waiting or not (is_empty or is_through):
+                if made + 1 >= len(ends):
+                    ends = _grown(ends)
+                    wider = np.empty(2 * len(begins), np.int64)
+                    wider[: len(begins)] = begins
+                    begins = wider
+                ends[made, 0], ends[made, 1], begins[made] = left, right, waiting
+                made += 1
+                if seen + 2 > len(firsts):
+                    firsts = _grown(firsts)
+                if i < hits and left > sky + 1:
+                    firsts[seen, 0], firsts[seen, 1] = left - sky - 2, what[i]
+                    seen += 1
+                if right > sky + 1 and left <= sky + 1 and i > 0:
+                    k = i - 1
+                    while k >= 0 and what[k] >= len(faces):
+                        k -= 1
+                    if k >= 0:
+                        firsts[seen, 0], firsts[seen, 1] = right - sky - 2, what[k]
+                        seen += 1
+                waiting = crossed
+            left, passes, returns = after, 1.0, 1.0
+    begins[made] = crossed
+    return (
+        ends[:made].copy(),
+        begins[: made + 1].copy(),
+        crossings[:crossed].copy(),
+        through,
+        passed,
+        firsts[:seen].copy(),
+        tests,
+        box_tests,
+        False,
+    )
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _grown(rows: Any) -> Any:
+    wider = np.empty((2 * len(rows), 2), np.int32)
+    wider[: len(rows)] = rows
+    return wider

@@ -1,0 +1,165 @@
+"""The recursive exchange of power along stored lines, copy by copy [Castro 2002, sec. 5.3.6]."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array
+
+from ..parallel import compiled, in_order, threads
+from .light import Light, Shot
+from .lists import Lists
+from .parts import Part, Tree
+
+Index = NDArray[np.int64]
+
+#: Copies whose exchange is one task, at most.
+_COPIES = 32
+
+
+class Exchange:
+    """Power on its way through a scene of parts.
+
+    lists: of every distinct part. shot: has sent all emission; without one, patches send theirs along the lines, as the
+    sky does in any case.
+
+    At the beginning of an iteration each patch shares what it has not sent on among all its lines. What it receives
+    along one of them leaves along the next one, as in Multipath: nearly all light is absorbed within few iterations.
+
+    ``received``: by patches. ``unshot``: by patches that have not sent it on yet; ``incoming``, ``outgoing`` (nodes, r,
+    c): what waits at the regions of boxes, to be taken into the copy and out of it. (c,): ``sent`` by emission and sky;
+    ``to_sky``, ``lost`` to backs of faces.
+    """
+
+    def __init__(self, tree: Tree, lists: Mapping[Part, Lists], shot: Shot | None = None) -> None:
+        self.tree = tree
+        self._lists = [lists[part] for part in tree.parts]
+        channels, regions = tree.root.channels, len(self._lists[0].regions)
+        self.received, self.unshot = Light.none(tree) if shot is None else shot.received, Light.none(tree)
+        self.incoming, self.outgoing = np.zeros((2, len(tree), regions, channels))
+        self.sent, self.to_sky, self.lost = np.zeros((3, channels))
+        if shot is not None:
+            self.sent, self.to_sky, self.lost = shot.sent.copy(), shot.to_sky.copy(), shot.lost.copy()
+        self._reflectance = []
+        for k, (part, lines) in enumerate(zip(tree.parts, self._lists, strict=True)):
+            rho = np.zeros((len(part) + 2 + regions, channels))
+            if part.patches is not None:
+                rho[: len(part)] = part.patches.reflectance
+            self._reflectance.append(rho)
+            if shot is not None:
+                np.multiply(rho[: len(part)], shot.received.of_parts[k], out=self.unshot.of_parts[k])
+            lines.donors, lines.child_donors  # noqa: B018 (made here, by one thread)
+        self._own_is_unsent, self._sky_is_unsent = shot is None, True
+
+    def iterate(self) -> None:
+        """Send all power once along the lines of all parts, from the root down."""
+        for level in self.tree.levels:
+            # Copies of a part next to each other: its lists stay in the cache.
+            nodes = np.array(level)[np.argsort(self.tree.part[level.start : level.stop], kind="stable")]
+            size = max(min(_COPIES, -(-len(nodes) // (4 * threads()))), 1)
+            blocks = [nodes[k : k + size] for k in range(0, len(nodes), size)]
+            for sent, to_sky, lost in in_order(partial(self._block, block) for block in blocks):
+                self.sent += sent
+                self.to_sky += to_sky
+                self.lost += lost
+        self._own_is_unsent = self._sky_is_unsent = False
+
+    def iterate_until(self, residual: float, most: int, told: Callable[[int, float], object] | None = None) -> float:
+        """Iterate until no more than this share of the sent power is on its way, ``most`` times at most. Returns the
+        share. ``told`` is given the iterations so far and the share."""
+        share = np.inf
+        for iteration in range(most):
+            self.iterate()
+            share = float((self.residual / np.where(self.sent > 0, self.sent, 1)).max())
+            if told is not None:
+                told(iteration + 1, share)
+            if share <= residual:
+                break
+        return share
+
+    @property
+    def residual(self) -> Array:
+        """(c,) power on its way."""
+        waiting = sum((part.sum(axis=(0, 1)) for part in self.unshot.of_parts), start=np.zeros_like(self.sent))
+        result: Array = waiting + (self.incoming + self.outgoing).sum(axis=(0, 1))
+        return result
+
+    @property
+    def absorbed(self) -> Array:
+        """(c,) power absorbed by patches."""
+        kept = np.zeros_like(self.sent)
+        for rho, part in zip(self._reflectance, self.received.of_parts, strict=True):
+            kept += ((1 - rho[: part.shape[1]]) * part).sum(axis=(0, 1))
+        return kept
+
+    @property
+    def imbalance(self) -> float:
+        """Power sent less what was absorbed, what went to the sky and was lost, and what is on its way; relative."""
+        off = self.sent - self.absorbed - self.to_sky - self.lost - self.residual
+        return float(np.abs(off).max() / max(self.sent.max(), 1e-300))
+
+    def _block(self, nodes: Index) -> tuple[Array, Array, Array]:
+        totals = np.zeros((3, len(self.sent)))
+        for node in nodes:
+            totals += self._node(int(node))
+        return totals[0], totals[1], totals[2]
+
+    def _node(self, node: int) -> Array:
+        """Exchange in one copy. Returns the power that it sent anew, that left to the sky, and that was lost."""
+        tree, part = self.tree, self.tree.parts[self.tree.part[node]]
+        lists, rho = self._lists[tree.part[node]], self._reflectance[tree.part[node]]
+        n = len(part)
+        values, sums = np.zeros((2, *rho.shape))
+        unshot, totals = self.unshot.of(tree, node), np.zeros((3, len(self.sent)))
+        counted = np.maximum(lists.counted, 1)[:, None]
+        has_lines = (lists.counted > 0)[:, None]
+        if self._own_is_unsent and part.patches is not None:
+            own = tree.areas(node)[:, None] * part.patches.emission
+            totals[0] = own.sum(axis=0)
+            values[:n] = own / counted * has_lines
+            unshot += own * ~has_lines  # nobody knows where to
+        if self._sky_is_unsent and node == 0 and part.patches is not None and part.patches.sky.any():
+            values[n] = part.patches.sky * part.box_area / (2 * lists.lines)
+            totals[0] += values[n] * np.count_nonzero(lists.ends == n)
+        if node > 0:
+            arrived, self.incoming[node] = _moved(self.incoming[node], lists.donors), 0.0
+            hitting = lists.hitting[:, None]
+            values[n + 2 :] = np.divide(arrived, hitting, out=np.zeros_like(arrived), where=hitting > 0)
+        values[:n] += unshot / counted * has_lines
+        unshot *= ~has_lines
+        carried = np.zeros_like(values)
+        if lists.begins is None:
+            compiled("hierarchical_multipath.walking").exchange(lists.ends, rho, values, carried, sums)
+        else:
+            self._walk(node, lists, rho, values, carried, sums)
+        unshot += carried[:n]
+        self.received.of(tree, node)[:] += sums[:n]
+        totals[1:] = sums[n : n + 2]
+        if node > 0:
+            self.outgoing[node] += sums[n + 2 :]
+        return totals
+
+    def _walk(self, node: int, lists: Lists, rho: Array, values: Array, carried: Array, sums: Array) -> None:
+        first, count = int(self.tree.first[node]), len(lists.part.children)
+        inner = slice(first, first + count)
+        shape = (count * len(lists.regions), len(self.sent))
+        leaving = _moved(self.outgoing[inner].reshape(shape), lists.child_donors)
+        self.outgoing[inner] = 0.0
+        leaving /= np.maximum(lists.child_lines, 1)[:, None]
+        compiled("hierarchical_multipath.walking").walk(
+            *(lists.ends, lists.begins, lists.crossings, lists.child_transmittance, leaving),
+            *(self.incoming[inner].reshape(shape), len(lists.part) + 2, rho, values, carried, sums),
+        )
+
+
+def _moved(power: Array, donors: Index) -> Array:
+    """Power of regions, given to those that pass it on."""
+    result = power.copy()
+    away = np.flatnonzero((donors != np.arange(len(donors))) & power.any(axis=1))
+    result[away] = 0.0
+    np.add.at(result, donors[away], power[away])
+    return result

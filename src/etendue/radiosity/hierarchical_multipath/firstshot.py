@@ -1,0 +1,172 @@
+"""The first shot: light of emitters, sent to the patches of all copies, never to boxes [Castro 2002, sec. 5.3.5]."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array
+from etendue.points import PointSet
+from etendue.surfaces import Sides
+
+from ..errors import RadiosityError
+from ..parallel import compiled, in_order
+from .light import Light, Shot
+from .lists import PartRays
+from .parts import Part, Tree
+
+Index = NDArray[np.int64]
+
+#: Rays by the cosine law for each aimed one, and at once.
+_COSINE, _BLOCK = 1 / 8, 1 << 14
+#: Share of a lamp's light up to which a patch takes it from aimed rays: nearer to the lamp, rays by the cosine law are
+#: better.
+_NEAR = 0.3
+
+
+@dataclass(frozen=True)
+class _Lamps:
+    """Triangles that emit, of all copies, in the scene."""
+
+    corners: Array  # (l, 3, 3)
+    normals: Array
+    edges: Array  # (l + 1,) cumulated power, channels summed
+    colours: Array  # (l, c) power by channel, in units of that
+
+
+class FirstShots:
+    """Shots in one scene. Raises :class:`RadiosityError` if nothing emits."""
+
+    def __init__(self, tree: Tree, rays: Mapping[Part, PartRays]) -> None:
+        self.tree = tree
+        self._sides = [None if part.patches is None else _in_part(part) for part in tree.parts]
+        self._lamps = self._find_lamps()
+        self._pack([rays[part] for part in tree.parts])
+        self._size = rays[tree.root].size
+        #: From the scene into the coordinates of each node, linear part.
+        self._linear = np.linalg.inv(tree.world[:, :3, :3])
+
+    def cast(self, rays: float, points: PointSet, first: int, seed: int) -> Shot:
+        """Aim ``rays`` in all, or more: as many at each patch, and an eighth of them by the cosine law. ``points``: of
+        four dimensions, from ``first`` on in units of a shot; ``seed``: moves them from patch to patch."""
+        tree, each = self.tree, max(round(rays / self.tree.root.total), 1)
+        aimed_at = points.block(each, first * each)
+        received, loops = Light.none(tree), compiled("hierarchical_multipath.rays")
+        lamps = self._lamps.corners, self._lamps.normals, self._lamps.edges, self._lamps.colours
+
+        def aim(node: int) -> None:
+            sides = self._sides[tree.part[node]]
+            if sides is not None:
+                loops.aim(
+                    *(self._world, self._root, node, tree.world[node], tree.scale[node]),
+                    *(sides.corners, sides.normals, sides.edges, self._starts[tree.part[node]]),
+                    *(*lamps, aimed_at, seed, _NEAR, received.of(tree, node)),
+                )
+
+        for _ in in_order(partial(aim, node) for node in range(len(tree))):
+            pass
+        count = max(int(_COSINE * each * tree.root.total), 1)
+
+        def shoot(start: int) -> Any:
+            u = points.block(min(_BLOCK, count - start), first * count + start)
+            return loops.shoot(
+                *(self._world, self._root, self._size, self._face_sides, self._face_areas, self._linear),
+                *(*lamps, u, _NEAR),
+            )
+
+        away = np.zeros((2, tree.root.channels))
+        power = self._lamps.edges[-1] / count
+        for found in in_order(partial(shoot, start) for start in range(0, count, _BLOCK)):
+            self._add(found, power, received, away)
+        return self._balanced(received, away, each * tree.root.total + count)
+
+    def _add(self, found: Index, power: float, received: Light, away: Array) -> None:
+        """What rays by the cosine law bring: to the sky, to backs, and to patches very near to a lamp."""
+        node, patch, lamp = found.T
+        brought = power * self._lamps.colours[lamp]
+        away[0] += brought[node == -1].sum(axis=0)
+        away[1] += brought[(node >= 0) & (patch < 0)].sum(axis=0)
+        for k in np.flatnonzero((node >= 0) & (patch >= 0)):
+            received.of(self.tree, node[k])[patch[k]] += brought[k]
+
+    def _balanced(self, received: Light, away: Array, rays: int) -> Shot:
+        """Made to add up: rays that leave are few, and give way to those that arrive."""
+        sent = (self._lamps.colours * np.diff(self._lamps.edges)[:, None]).sum(axis=0)
+        arrived = sum((part.sum(axis=(0, 1)) for part in received.of_parts), start=np.zeros_like(sent))
+        leaving = away.sum(axis=0)
+        outside = np.divide(sent - arrived, leaving, out=np.ones_like(sent), where=(leaving > 0) & (arrived < sent))
+        inside = np.divide(sent - outside * leaving, arrived, out=np.zeros_like(sent), where=arrived > 0)
+        for part in received.of_parts:
+            part *= np.maximum(inside, 0)
+        to_sky, lost = away * outside
+        return Shot(received, sent, to_sky, lost, rays)
+
+    def _find_lamps(self) -> _Lamps:
+        tree, found = self.tree, []
+        for node, k in enumerate(tree.part):
+            sides, patches = self._sides[k], tree.parts[k].patches
+            if sides is None or patches is None or not patches.emission.any():
+                continue
+            world, scale = tree.world[node], tree.scale[node]
+            lit = np.flatnonzero(patches.emission[sides.patch].any(axis=1))
+            power = patches.emission[sides.patch[lit]] * (sides.areas[lit] * scale**2)[:, None]
+            corners = sides.corners[lit] @ world[:3, :3].T + world[:3, 3]
+            found.append((corners, sides.normals[lit] @ world[:3, :3].T / scale, power))
+        if not found:
+            raise RadiosityError("no patch emits light: there is no first shot")
+        corners, normals, power = (np.concatenate(rows) for rows in zip(*found, strict=True))
+        strength = power.sum(axis=1)
+        return _Lamps(corners, normals, np.concatenate([[0], np.cumsum(strength)]), power / strength[:, None])
+
+    def _pack(self, rays: list[PartRays]) -> None:
+        """The world that :mod:`.rays` describes, and what of its faces shots want to know."""
+        tree = self.tree
+        number = {id(part): k for k, part in enumerate(tree.parts)}
+        nodes = np.cumsum([0, *(len(r.corners) for r in rays)])
+        places = np.cumsum([0, *(len(r.order) for r in rays)])
+        faces = np.cumsum([0, *(len(r.faces) for r in rays)])
+        copies = np.cumsum([0, *(len(r.matrices) for r in rays)])
+        links, order, sides, areas = [], [], [], []
+        roots: list[int] = []
+        ranks: list[int] = []
+        for k, r in enumerate(rays):
+            link = r.links.copy()
+            is_leaf = link[:, 1] > 0
+            link[:, 0] += np.where(is_leaf, places[k], nodes[k])
+            links.append(link)
+            is_face = r.order < len(r.faces)
+            order.append(np.where(is_face, r.order + faces[k], -1 - (r.order - len(r.faces)) - copies[k]))
+            roots += [nodes[number[id(child)]] for child, _ in r.part.children]
+            ranks += range(len(r.part.children))
+            known = np.concatenate([[] if r.part.patches is None else r.part.patches.areas, [0.0, 0.0]])
+            sides.append(np.where(r.sides < len(r.part), r.sides, -1))
+            areas.append(known[r.sides])
+        self._world = (
+            np.concatenate([r.corners for r in rays]),
+            np.concatenate(links),
+            np.concatenate(order),
+            np.concatenate([r.faces for r in rays]),
+            np.concatenate([r.normals for r in rays]),
+            np.concatenate([r.matrices for r in rays]),
+            np.array(roots, dtype=np.int64),
+            np.array(ranks, dtype=np.int64),
+            tree.first,
+        )
+        self._root = int(nodes[number[id(tree.root)]])
+        self._face_sides, self._face_areas = np.concatenate(sides), np.concatenate(areas)
+        self._starts = [
+            np.zeros(1, np.int64) if s is None else np.searchsorted(s.patch, np.arange(len(p) + 1))
+            for s, p in zip(self._sides, tree.parts, strict=True)
+        ]
+
+
+def _in_part(part: Part) -> Sides:
+    """Sides of the patches of a part in its own coordinates."""
+    assert part.patches is not None
+    sides, (centre, radius) = Sides.of(part.patches), part.patches.sphere
+    return Sides(sides.corners * radius + centre, sides.normals, sides.patch, sides.face, sides.edges * radius**2)

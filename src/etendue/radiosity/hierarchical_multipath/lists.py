@@ -1,0 +1,181 @@
+"""The preprocess: lines through every distinct part, kept as lists of what they meet [Castro 2002, sec. 5.3.3]."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array
+from etendue.points import PointSet
+
+from ..errors import RadiosityError
+from ..lines.generators import box_lines
+from ..parallel import compiled, in_order
+from .parts import Part
+from .regions import Regions
+
+Index = NDArray[np.int64]
+
+#: Lines at once.
+_BLOCK = 1 << 15
+#: Points for a part, by its number among the distinct ones.
+PointsOf = Callable[[int], PointSet]
+
+
+class PartRays:
+    """A part as compiled loops take it: its primitives in a tree, and the matrices into its copies."""
+
+    def __init__(self, part: Part) -> None:
+        self.part = part
+        self.own = np.stack(part.bounds)
+        self.size = float(np.linalg.norm(self.own[1] - self.own[0]))
+        patches, children = part.patches, part.children
+        self.faces = np.zeros((0, 4, 3)) if patches is None else np.ascontiguousarray(patches.vertices[patches.faces])
+        self.normals = np.zeros((0, 3)) if patches is None else patches.face_normals
+        self.sides = np.zeros((0, 2), dtype=np.int64)
+        if patches is not None:
+            back = np.where(patches.back < 0, len(patches) + 1, patches.back)
+            self.sides = np.stack([patches.front, back], axis=1)
+        self.boxes = np.array([np.stack(child.bounds) for child, _ in children]).reshape(-1, 2, 3)
+        self.matrices = np.array([np.linalg.inv(matrix)[:3] for _, matrix in children]).reshape(-1, 3, 4)
+        low, high = [self.faces.min(axis=1)], [self.faces.max(axis=1)]
+        for child, matrix in children:
+            ends = np.stack(child.bounds)
+            points = np.array([[ends[k >> a & 1][a] for a in range(3)] for k in range(8)])
+            placed = points @ matrix[:3, :3].T + matrix[:3, 3]
+            low.append(placed.min(axis=0)[None])
+            high.append(placed.max(axis=0)[None])
+        self.corners, self.links, self.order = _loops().build(np.concatenate(low), np.concatenate(high))
+
+
+@dataclass(frozen=True)
+class Lists:
+    """Stretches of lines through a part; see :func:`.casting.lists`, which makes them.
+
+    ``ends``: (k, 2), ``begins``: (k + 1,) into ``crossings``: (x, 2), ``None`` without any. ``transmittance``: (r,) of
+    the regions of the part's own box. Lines that end at each patch ``counted`` (n,); of each region of the own box the
+    lines ``through`` (r,), and how many of them meet something, ``hitting`` (r,), in parts where boxes let light pass.
+    Lines through each region of each child: ``child_lines`` (children * r,). ``firsts``: (y, 2) region, and the face
+    that a line which comes in there meets first. ``tests``: of polygons, and of boxes of copies.
+    """
+
+    part: Part
+    regions: Regions
+    lines: int
+    ends: NDArray[np.int32]
+    begins: Index | None
+    crossings: NDArray[np.int32] | None
+    transmittance: Array
+    counted: Index
+    through: Array
+    hitting: Array
+    child_lines: Index
+    child_transmittance: Array
+    firsts: NDArray[np.int32]
+    tests: tuple[int, int]
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the lists."""
+        more = 0 if self.begins is None or self.crossings is None else self.begins.nbytes + self.crossings.nbytes
+        return self.ends.nbytes + more
+
+    @cached_property
+    def donors(self) -> Index:
+        """(r,) from which region light goes in that comes to each; see :meth:`Regions.donors`."""
+        return self.regions.donors(self.hitting)
+
+    @cached_property
+    def child_donors(self) -> Index:
+        """(children * r,) from which region of the same child light goes on that comes out of each."""
+        rows = self.child_lines.reshape(-1, len(self.regions))
+        found = [self.regions.donors(row.astype(float)) + k * len(self.regions) for k, row in enumerate(rows)]
+        return np.concatenate(found) if found else np.zeros(0, dtype=np.int64)
+
+    @cached_property
+    def polygons(self) -> dict[int, Index]:
+        """Faces associated with each region, that met first by the most lines first."""
+        if len(self.firsts) == 0:
+            return {}
+        pairs, count = np.unique(self.firsts, axis=0, return_counts=True)
+        order = np.lexsort((-count, pairs[:, 0]))
+        region, start = np.unique(pairs[order, 0], return_index=True)
+        return dict(zip(region.tolist(), np.split(pairs[order, 1].astype(np.int64), start[1:]), strict=True))
+
+
+def preprocess(
+    rays: Mapping[Part, PartRays], root: Part, lines: Mapping[Part, int], regions: Regions, points: PointsOf, first: int
+) -> dict[Part, Lists]:
+    """Lists of ``lines`` of every distinct part, the inner ones first: their transmittances are needed around them.
+
+    ``first``: the first point of each pass, in units of its number of lines. Raises :class:`RadiosityError` for a line
+    that meets too much, and for a copy that no line of what is around it crosses.
+    """
+    made: dict[Part, Lists] = {}
+    for number, part in enumerate(root.distinct):
+        count = lines[part]
+        made[part] = _lists_of(rays[part], part is root, count, regions, made, points(number), first * count)
+    return made
+
+
+def _lists_of(
+    rays: PartRays,
+    is_root: bool,
+    count: int,
+    regions: Regions,
+    inner: Mapping[Part, Lists],
+    points: PointSet,
+    first: int,
+) -> Lists:
+    part, n = rays.part, len(rays.part)
+    transmittances = np.array([inner[child].transmittance for child, _ in part.children]).ravel()
+    resolution = np.array([regions.grid, regions.around, regions.up, n])
+    known = (rays.corners, rays.links, rays.order, rays.faces, rays.normals, rays.sides, rays.boxes, rays.matrices)
+
+    def cast(start: int) -> Any:
+        u = points.block(min(_BLOCK, count - start), first + start)
+        origins, directions = box_lines(u, *rays.own)
+        return _loops().lists(origins, directions, *known, transmittances, rays.own, resolution, rays.size, is_root)
+
+    blocks = list(in_order(partial(cast, start) for start in range(0, count, _BLOCK)))
+    if any(block[-1] for block in blocks):
+        raise RadiosityError("a line through a part meets more than 4096 faces; are they in each other's place?")
+    ends = np.concatenate([block[0] for block in blocks])
+    crossings = np.concatenate([block[2] for block in blocks])
+    through, passed = (np.sum([block[k] for block in blocks], axis=0) for k in (3, 4))
+    begins = None
+    if len(crossings):
+        shifts = np.cumsum([0, *(len(block[2]) for block in blocks)])
+        begins = np.concatenate(
+            [*(block[1][:-1] + shift for block, shift in zip(blocks, shifts, strict=False)), shifts[-1:]]
+        )
+    child_lines = np.bincount(crossings.ravel(), minlength=len(part.children) * len(regions))
+    for k, row in enumerate(child_lines.reshape(-1, len(regions))):
+        if not row.any():
+            raise RadiosityError(f"no line crosses the box of copy {k} of {len(part.children)}: cast more lines")
+    share = np.divide(passed, through, out=np.zeros(len(regions)), where=through > 0)
+    return Lists(
+        part=part,
+        regions=regions,
+        lines=count,
+        ends=ends,
+        begins=begins,
+        crossings=crossings if len(crossings) else None,
+        transmittance=regions.interpolated(share, through > 0),
+        counted=np.bincount(ends.ravel(), minlength=n + 2)[:n],
+        through=through,
+        hitting=np.maximum(through - passed, 0),
+        child_lines=child_lines,
+        child_transmittance=transmittances,
+        firsts=np.concatenate([block[5] for block in blocks]),
+        tests=(sum(block[6] for block in blocks), sum(block[7] for block in blocks)),
+    )
+
+
+def _loops() -> Any:
+    return compiled("hierarchical_multipath.casting")

@@ -1,0 +1,245 @@
+"""Hierarchical multipath in passes, for what drives methods: budgets, progress, checkpoints, stops."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from etendue.core import (
+    Iterations,
+    Measurement,
+    Pass,
+    Result,
+    State,
+    free_memory,
+    logger,
+    seed_key,
+    setting,
+)
+from etendue.core import Settings as AnySettings
+from etendue.points import OwenSobol, PointSet
+
+from ..errors import RadiosityError
+from ..problem import PatchProblem
+from .exchange import Exchange
+from .firstshot import FirstShots
+from .lists import Lists, PartRays, preprocess
+from .parts import Part, Tree
+from .regions import Regions
+from .solution import HierarchicalSolution
+
+#: Lines that a pass has by itself: for each patch of distinct parts, and for each region of a box.
+_LINES_PER_PATCH, _LINES_PER_REGION = 16, 2
+#: The fewest.
+_FEWEST = 1 << 14
+#: Bytes of a line of the whole scene and of a part inside, as measured in rooms and halls.
+BYTES_OUTSIDE, BYTES_INSIDE = 40, 12
+#: Least passes before an error is estimated.
+_LEAST_PASSES = 8
+#: Share of the light that may be on its way at the end without a warning.
+_MUCH = 0.05
+
+#: Makes points of four dimensions for a purpose and a seed.
+MakePoints = Callable[[str, int], PointSet]
+
+
+def even_points(purpose: str, seed: int) -> PointSet:
+    """A scrambled Sobol' sequence."""
+    return OwenSobol(4, seed=seed_key(seed, purpose, 0)[0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class HierarchicalMultipathSettings(AnySettings):
+    """Lines of a pass, and resolution of boxes."""
+
+    lines: int = setting(0, "lines of a pass, N; 0 for as many as suit the scene", minimum=0)
+    shot: float = setting(1.0, "rays of the first shot, in N; 0 sends emission along the lines", minimum=0)
+    top: float = setting(0.65, "lines through the whole scene, in N", minimum=0.01)
+    inside: float = setting(0.25, "lines through all distinct parts, by their numbers of objects, in N", minimum=0.01)
+    grid: int = setting(4, "places along each edge of a face of a box", minimum=1)
+    sectors: int = setting(4, "sectors of directions at each of them", minimum=1)
+    rings: int = setting(2, "rings of directions at each of them", minimum=1)
+    iterations: int = setting(8, "times that stored lines are used, at most", minimum=1)
+    residual: float = setting(1e-4, "share of the light that may be on its way at the end", minimum=0)
+
+    @property
+    def regions(self) -> Regions:
+        """Of each box."""
+        return Regions(self.grid, self.sectors, self.rings)
+
+
+@dataclass(frozen=True)
+class PartProblem:
+    """A scene of parts as what a job works on. ``source`` says where it is from."""
+
+    root: Part
+    source: str = "<parts>"
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """Hex digest of all parts and their places; the same in every process."""
+        digest = hashlib.blake2b(digest_size=16)
+        number = {id(part): k for k, part in enumerate(self.root.distinct)}
+        for part in self.root.distinct:
+            own = "" if part.patches is None else PatchProblem(part.patches).fingerprint
+            digest.update(f"{own} {part.objects}".encode())
+            for copy in part.copies:
+                digest.update(f"{number[id(copy.part)]} {copy.transforms.shape}".encode() + copy.transforms.tobytes())
+        return digest.hexdigest()
+
+
+class HierarchicalMultipath:
+    """Multipath through a scene of parts, whose copies share their lines [Castro 2002, ch. 5]; implements
+    ``core.Method``.
+
+    Each pass is a whole solution: lines are cast through every distinct part and through what is around the copies, and
+    stored; a first shot sends the emission to patches; power is exchanged along the stored lines, from the root down,
+    until little is on its way. The mean of passes has the noise of all of them, their scatter tells it, and memory is
+    that of one. A sample of a budget is a line, N of them a pass; its error the *square* of the standard error of the
+    irradiance, mean over the surface in units of its mean, by the scatter of the passes.
+
+    Light that crosses a box is known by region of the box only: see :class:`Regions`. This bias does not fall with more
+    lines, but with finer regions, which take more lines.
+
+    settings: see :class:`HierarchicalMultipathSettings`. points: what draws lines and rays.
+    """
+
+    name: ClassVar[str] = "hierarchical-multipath"
+    carries_on: ClassVar[bool] = False
+    Settings: ClassVar[type[AnySettings]] = HierarchicalMultipathSettings
+    citations: ClassVar[tuple[str, ...]] = ("Sbert1996", "Castro2002")
+
+    def __init__(self, settings: HierarchicalMultipathSettings | None = None, points: MakePoints = even_points) -> None:
+        self._options = settings or HierarchicalMultipathSettings()
+        #: With the lines of a pass, once :meth:`prepare` has chosen them: they decide what passes are.
+        self.settings: AnySettings = self._options
+        self._points = points
+
+    @property
+    def samples_per_iteration(self) -> int:
+        """Lines of a pass, N."""
+        return self._options.lines
+
+    def prepare(self, problem: PartProblem, seed: int) -> None:
+        """Make ready for rays. Raises :class:`RadiosityError` if nothing emits, and if memory does not hold the lists
+        and the power of all patches."""
+        self.root, self._seed = problem.root, seed
+        self.tree = Tree(problem.root)
+        emits = [part.patches is not None and bool(part.patches.emission.any()) for part in self.tree.parts]
+        sky = problem.root.patches is not None and bool(problem.root.patches.sky.any())
+        if not (any(emits) or sky):
+            raise RadiosityError("no patch emits light, nor does the sky: give one an emission above zero")
+        if self._options.lines == 0:
+            self._options = self._options.replace(lines=self._enough())
+            self.settings = self._options
+        self.lines = self._shared_out()
+        self._check_memory()
+        self._rays = {part: PartRays(part) for part in self.tree.parts}
+        self._shots = FirstShots(self.tree, self._rays) if self._options.shot and any(emits) else None
+
+    def start(self) -> State:
+        """See ``core.Method``: passes carry nothing on."""
+        return {}
+
+    def enter(self, state: State) -> None:
+        """See ``core.Method``."""
+
+    def step(self, iteration: int, seed: int, state: State) -> Pass:
+        """A solution by new lines."""
+        if seed != self._seed:
+            raise RadiosityError(f"lines of seed {seed} are cast by what was prepared with that seed, not {self._seed}")
+        options = self._options
+        lists = self.cast_lines(iteration)
+        shot = None
+        if self._shots is not None:
+            rays = options.shot * options.lines
+            shot = self._shots.cast(rays, self._points("first shot", seed), iteration, seed_key(seed, "shifts", 0)[0])
+        exchange = Exchange(self.tree, lists, shot)
+        left = exchange.iterate_until(options.residual, options.iterations)
+        if left > _MUCH:
+            logger.warning(
+                "%.0f %% of the light is still on its way after %d iterations: allow more, or cast more lines",
+                *(100 * left, options.iterations),
+            )
+        sums = {"received": exchange.received.by_node(self.tree)}
+        for name in ("sent", "absorbed", "to_sky", "lost", "residual"):
+            sums[name] = getattr(exchange, name)
+        del exchange.unshot
+        measurement = Measurement(
+            sums,
+            dict.fromkeys(sums, 1.0),
+            Iterations.single(iteration),
+            squares={"received": sums["received"] ** 2},
+            counters={
+                "rays": float(sum(self.lines.values()) + (0 if shot is None else shot.rays)),
+                "bytes of lists": float(sum(lines.nbytes for lines in lists.values())),
+            },
+        )
+        return Pass(measurement, state)
+
+    def cast_lines(self, iteration: int = 0) -> dict[Part, Lists]:
+        """The stored lines of a pass, by part."""
+        regions = self._options.regions
+        return preprocess(
+            self._rays, self.root, self.lines, regions, lambda k: self._points(f"part {k}", self._seed), iteration
+        )
+
+    def solution(self, measurement: Measurement) -> HierarchicalSolution:
+        """The mean of the passes."""
+        means = {name: measurement.mean(name) for name in measurement.sums}
+        error = None
+        if len(measurement.iterations) > 1:
+            error = np.sqrt(np.maximum(measurement.variance_of_mean("received"), 0))
+        return HierarchicalSolution(tree=self.tree, error=error, **means)
+
+    def develop(self, measurement: Measurement, state: State) -> Result:
+        """No picture: only how much was cast."""
+        lines = self.samples_per_iteration * len(measurement.iterations)
+        return Result({}, {"lines": lines, "rays": int(measurement.counters["rays"])})
+
+    def noise(self, measurement: Measurement) -> float | None:
+        """Square of the standard error of the irradiance; ``None`` while it is not known."""
+        if len(measurement.iterations) < _LEAST_PASSES:
+            return None
+        light = measurement.mean("received").sum()
+        error = np.sqrt(np.maximum(measurement.variance_of_mean("received"), 0)).sum()
+        return float((error / light) ** 2) if light > 0 else None
+
+    def _enough(self) -> int:
+        """Lines of a pass that suit the scene: some for every distinct patch, and for every region of every box."""
+        options, regions = self._options, len(self._options.regions)
+        patches = sum(map(len, self.tree.parts))
+        need = [_FEWEST, _LINES_PER_PATCH * patches]
+        for part in self.tree.parts:
+            share = options.top if part is self.root else options.inside * self._share(part)
+            for child, transform in part.children:
+                area = child.box_area * np.abs(np.linalg.det(transform[:3, :3])) ** (2 / 3)
+                need.append(int(_LINES_PER_REGION * regions / 2 * part.box_area / area / share))
+        return max(need)
+
+    def _share(self, part: Part) -> float:
+        return part.objects / sum(p.objects for p in self.tree.parts if p is not self.root)
+
+    def _shared_out(self) -> dict[Part, int]:
+        """Lines of each distinct part."""
+        options = self._options
+        shares = {
+            part: options.top if part is self.root else options.inside * self._share(part) for part in self.tree.parts
+        }
+        return {part: max(round(share * options.lines), 1) for part, share in shares.items()}
+
+    def _check_memory(self) -> None:
+        lists = sum((BYTES_OUTSIDE if part.children else BYTES_INSIDE) * n for part, n in self.lines.items())
+        # Received and unshot power; their sum, squares, and the same again where passes are added up.
+        power = 8 * 6 * self.root.total * self.root.channels
+        free = free_memory()
+        if free is not None and lists + power > free:
+            raise RadiosityError(
+                f"{self._options.lines} lines and {self.root.total} patches need {(lists + power) / 1e9:.1f} GB, "
+                f"{free / 1e9:.1f} GB are free: cast fewer lines, or make patches larger"
+            )

@@ -1,0 +1,93 @@
+"""Loops compiled by Numba of a caster without a tree, which counts its tests of polygons."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from .casting import enter, meets, region, slab
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def first_hits(
+    origins: Any,
+    directions: Any,
+    matrices: Any,
+    first_face: Any,
+    faces: Any,
+    normals: Any,
+    boxes: Any,
+    starts: Any,
+    items: Any,
+    resolution: Any,
+    uses_boxes: Any,
+    trusts: Any,
+    hits: Any,
+    distance: Any,
+) -> Any:
+    """The first face that each ray meets: ``hits`` (k, 2), scene node and face of its part or -1, and ``distance``.
+
+    Of node m the faces are those from ``first_face[m, 0]`` to ``first_face[m, 1]`` of all, in its own coordinates. With
+    ``uses_boxes`` those in a box that a ray misses are left out. Of the others only the ``items`` of the region where
+    the ray comes in, from ``starts[first_face[m, 2] + region]`` on, are tested, if there are lists (``starts``). With
+    ``trusts``, a hit on one of them counts as the first in the box, and all faces are tested where there is none.
+    Returns the numbers of tests of polygons and of boxes.
+    """
+    o, d, inverse = np.empty(3), np.empty(3), np.empty(3)
+    tests, box_tests = 0, 0
+    for k in range(len(origins)):
+        best, node, face = np.inf, -1, -1
+        for m in range(len(matrices)):
+            enter(matrices[m], origins[k], directions[k], o, d)
+            begin, end = first_face[m, 0], first_face[m, 1]
+            is_listed = False
+            if uses_boxes and m > 0:
+                box_tests += 1
+                for a in range(3):
+                    inverse[a] = 1 / d[a]
+                near, far = slab(boxes[m], o, inverse)
+                if near > far or far < 0:
+                    continue
+                # A ray that begins inside came through no region.
+                is_listed = len(starts) > 0 and near > 0
+                if is_listed:
+                    grid, around, up = resolution[0], resolution[1], resolution[2]
+                    r = first_face[m, 2] + region(boxes[m], o, d, near, False, grid, around, up)
+                    found = False
+                    for i in range(starts[r], starts[r + 1]):
+                        f = begin + items[i]
+                        tests += 1
+                        t = meets(faces[f], normals[f], o, d)
+                        if t > 0:
+                            found = True
+                            if t < best:
+                                best, node, face = t, m, items[i]
+                    if found or not trusts:
+                        continue
+            for f in range(begin, end):
+                tests += 1
+                t = meets(faces[f], normals[f], o, d)
+                if 0 < t < best:
+                    best, node, face = t, m, f - begin
+        hits[k, 0], hits[k, 1], distance[k] = node, face, best
+    return tests, box_tests
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def line_tests(origins: Any, directions: Any, matrices: Any, first_face: Any, boxes: Any) -> Any:
+    """Tests of polygons that all hits of lines take, where those in boxes that a line misses are left out."""
+    o, d, inverse = np.empty(3), np.empty(3), np.empty(3)
+    tests = 0
+    for k in range(len(origins)):
+        for m in range(len(matrices)):
+            if m > 0:
+                enter(matrices[m], origins[k], directions[k], o, d)
+                for a in range(3):
+                    inverse[a] = 1 / d[a]
+                near, far = slab(boxes[m], o, inverse)
+                if near > far:
+                    continue
+            tests += first_face[m, 1] - first_face[m, 0]
+    return tests

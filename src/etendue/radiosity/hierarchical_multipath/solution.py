@@ -1,0 +1,101 @@
+"""Solutions of scenes of parts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from etendue.core import Array
+from etendue.surfaces import Patches
+
+from ..errors import RadiosityError
+from ..solvers.system import Solution
+from .parts import Tree
+
+
+@dataclass(frozen=True)
+class HierarchicalSolution:
+    """Radiosities in a scene of parts, by copies.
+
+    Power (c,): ``sent``, the emission and what came from the sky; ``absorbed``, ``to_sky``, ``lost`` to backs of faces,
+    and ``residual``, on its way. ``received``: (patches, c) power, node by node as in ``tree``; ``error``: its standard
+    error, ``None`` for a single pass.
+    """
+
+    tree: Tree
+    received: Array
+    error: Array | None
+    sent: Array
+    absorbed: Array
+    to_sky: Array
+    lost: Array
+    residual: Array
+
+    def irradiance(self, node: int) -> Array:
+        """(n, c) of a node."""
+        return self._rows(self.received, node) / self.tree.areas(node)[:, None]
+
+    def irradiance_error(self, node: int) -> Array | None:
+        """Its standard error."""
+        return None if self.error is None else self._rows(self.error, node) / self.tree.areas(node)[:, None]
+
+    def radiosity(self, node: int) -> Array:
+        """(n, c) of a node."""
+        patches = self.tree.parts[self.tree.part[node]].patches
+        assert patches is not None, "the part has no patches of its own"
+        return patches.emission + patches.reflectance * self.irradiance(node)
+
+    def irradiance_on(self, patches: Patches) -> tuple[Array, Array | None]:
+        """(n, c) irradiance and its standard error on the ``patches`` that parts were made of, by the ``numbers`` that
+        parts know them by, or on those of ``tree.joined()``."""
+        parts = [self.tree.parts[k] for k in self.tree.part]
+        numbers = np.concatenate([part.numbers for part in parts])
+        if len(np.unique(numbers)) < len(numbers):
+            numbers = self.tree.numbers_in_joined
+        if len(numbers) != len(patches):
+            raise RadiosityError(f"the scene of parts has {len(numbers)} patches, not {len(patches)}")
+        areas = patches.areas[:, None]
+
+        def placed(rows: Array) -> Array:
+            result = np.empty_like(rows)
+            result[numbers] = rows
+            return result / areas
+
+        return placed(self.received), None if self.error is None else placed(self.error)
+
+    def on(self, patches: Patches) -> Solution:
+        """The same for patches in one mesh, see :meth:`irradiance_on`. Shares of the sky are not known (NaN), unless
+        nothing reaches it."""
+        irradiance, _ = self.irradiance_on(patches)
+        share = np.full(len(patches), np.nan if self.to_sky.any() else 0.0)
+        radiosity = patches.emission + patches.reflectance * irradiance
+        left = float((self.residual / np.where(self.sent > 0, self.sent, 1)).max())
+        return PartSolution(patches, radiosity, irradiance, share, (left,), whole=self)
+
+    def _rows(self, values: Array, node: int) -> Array:
+        return values[self.tree.offsets[node] : self.tree.offsets[node + 1]]
+
+
+def relative_error(solution: HierarchicalSolution) -> float | None:
+    """Standard error of the irradiance, mean over the surface in units of its mean; ``None`` for a single pass."""
+    light = solution.received.sum()
+    return None if solution.error is None or light <= 0 else float(solution.error.sum() / light)
+
+
+@dataclass(frozen=True)
+class PartSolution(Solution):
+    """A solution on patches in one mesh, made with the parts of the scene. Its residual is the share of the light that
+    is on its way."""
+
+    whole: HierarchicalSolution | None = None
+
+    @cached_property
+    def power(self) -> dict[str, Array]:
+        """See :class:`Solution`; what backs of faces take is absorbed, as is what is on its way."""
+        assert self.whole is not None
+        emitted = (self.patches.areas[:, None] * self.patches.emission).sum(axis=0)
+        absorbed = self.whole.absorbed + self.whole.lost + self.whole.residual
+        from_sky = np.maximum(self.whole.sent - emitted, 0)
+        return {"emitted": emitted, "from_sky": from_sky, "absorbed": absorbed, "to_sky": self.whole.to_sky}

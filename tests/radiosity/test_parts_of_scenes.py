@@ -1,0 +1,147 @@
+"""Hierarchical multipath of whole scenes: instances of Mitsuba, the Python call and the command."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support.patches import room
+
+import etendue
+from etendue.cli.main import main
+from etendue.core import OptionError, SceneError, UnsupportedError
+from etendue.jobs import HierarchyResult
+from etendue.radiosity import Part, Patches, box, read_solution, scene_part, scene_patches
+from etendue.surfaces import scene_parts
+
+
+def translated(mi, x, y, z):
+    return mi.ScalarTransform4f().translate([x, y, z])
+
+
+@pytest.fixture
+def scene():
+    """Two blocks of a group and one by itself in a room with a lamp."""
+    etendue.core.use_variant()
+    import mitsuba as mi
+
+    grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}}
+    lamp = {"type": "area", "radiance": {"type": "rgb", "value": [5.0, 4.0, 3.0]}}
+    return {
+        "type": "scene",
+        "sensor": {"type": "perspective", "to_world": translated(mi, 0, 0, -2)},
+        "room": {
+            "type": "cube",
+            "to_world": mi.ScalarTransform4f().scale(4),
+            "flip_normals": True,
+            "bsdf": grey,
+        },
+        "lamp": {
+            "type": "rectangle",
+            "to_world": translated(mi, 0, 0, 3.9) @ mi.ScalarTransform4f().rotate([1, 0, 0], 180),
+            "emitter": lamp,
+        },
+        "blocks": {
+            "type": "shapegroup",
+            "one": {"type": "cube", "to_world": mi.ScalarTransform4f().scale(0.5), "bsdf": grey},
+            "two": {"type": "cube", "to_world": translated(mi, 1.2, 0, 0).scale(0.4), "bsdf": grey},
+        },
+        "first": {"type": "instance", "blocks": {"type": "ref", "id": "blocks"}, "to_world": translated(mi, -2, 0, -2)},
+        "second": {
+            "type": "instance",
+            "blocks": {"type": "ref", "id": "blocks"},
+            "to_world": translated(mi, 1, 2, -1).rotate([0, 0, 1], 30).scale(0.8),
+        },
+    }
+
+
+def test_instances_are_copies_of_one_part(scene):
+    around, ((patches, transforms),) = scene_parts(scene, max_area=1.0)
+    assert len(transforms) == 2 and around.areas.max() < 1.001 and patches.areas.max() < 1.001
+    np.testing.assert_allclose(patches.bounds, [[-0.5] * 3, [1.6, 0.5, 0.5]], atol=1e-6)
+    np.testing.assert_allclose(transforms[0][:3, 3], [-2, 0, -2], atol=1e-6)
+    np.testing.assert_allclose(np.linalg.det(transforms[1]), 0.8**3, rtol=1e-5)
+    root = scene_part(scene, max_area=1.0)
+    assert root.total == len(around) + 2 * len(patches) == len(root.joined())
+    with pytest.raises(UnsupportedError):
+        scene_patches(scene)
+    for name in ("first", "second"):
+        del scene[name]
+    assert scene_part(scene) is None
+
+
+def test_a_scene_with_instances_is_that_with_its_shapes(scene, tmp_path):
+    """The same light as with the shapes in place of the instances, and a file of all patches."""
+    chosen = {"lines": 1 << 14, "grid": 4, "sectors": 8}
+    found = etendue.solve_radiosity(scene, bundles=6, max_area=0.5, hierarchy=chosen, save=tmp_path / "a.npz")
+    assert isinstance(found, HierarchyResult) and found.passes == 6
+    assert found.solution.imbalance < 1e-9
+    for name in ("first", "second"):
+        to_world = scene.pop(name)["to_world"]
+        for block in ("one", "two"):
+            shape = scene["blocks"][block]
+            scene[f"{name}-{block}"] = shape | {"to_world": to_world @ shape["to_world"]}
+    del scene["blocks"]
+    flat = etendue.solve_radiosity(scene, bundles=512, max_area=0.5)
+    one, other = found.solution, flat.solution
+    assert len(one.patches) == len(other.patches)
+
+    def absorbed(solution):
+        return (solution.patches.areas[:, None] * solution.irradiance).sum(axis=0)
+
+    np.testing.assert_allclose(absorbed(one), absorbed(other), rtol=0.02)
+    saved, error = read_solution(tmp_path / "a.npz")
+    np.testing.assert_array_equal(saved.radiosity, one.radiosity)
+    assert error.shape == one.irradiance.shape
+
+
+def test_patches_parts_and_resumed_runs(tmp_path):
+    patches = room(3, emission=np.eye(1, len(room(3)), 0)[0] * 10, reflectance=0.5)
+    asked = {"hierarchy": {"objects": "components", "least": 1, "threshold": 0.3, "lines": 1 << 10}}
+    path = tmp_path / "a.checkpoint"
+    whole = etendue.solve_radiosity(patches, bundles=4, **asked)
+    assert len(whole.parts.tree) > 1 and whole.irradiance_error.shape == (len(patches), 1)
+    part = etendue.solve_radiosity(patches, bundles=2, checkpoint=path, **asked)
+    rest = etendue.solve_radiosity(patches, bundles=4, resume=path, **asked)
+    assert (part.passes, rest.passes) == (2, 4)
+    np.testing.assert_array_equal(rest.solution.radiosity, whole.solution.radiosity)
+    with pytest.raises(etendue.CheckpointError):
+        etendue.solve_radiosity(patches, bundles=4, resume=path, hierarchy={"objects": "components", "lines": 1 << 10})
+    parts = Part(patches, [(Part(Patches(*box((0, 0, 0), (0.05, 0.05, 0.05)))), np.eye(4))])
+    seen = etendue.solve_radiosity(parts, bundles=2, hierarchy={"lines": 1 << 12})
+    assert seen.solution is None and seen.parts.irradiance(1).shape == (6, 1)
+
+
+@pytest.mark.parametrize(
+    ("asked", "error", "message"),
+    [
+        ({"hierarchy": {"gird": 4}}, OptionError, "gird"),
+        ({"hierarchy": {"grid": 0}}, OptionError, "grid"),
+        ({"hierarchy": True, "solver": "jacobi"}, OptionError, "solves by itself"),
+        ({"hierarchy": {"threshold": -1}}, etendue.EtendueError, "threshold"),
+        ({"hierarchy": {"objects": "shape"}}, etendue.EtendueError, "objects are found by"),
+    ],
+)
+def test_bad_options_are_one_line(asked, error, message):
+    patches = room(2, emission=1.0, reflectance=0.5)
+    with pytest.raises(error, match=message) as found:
+        etendue.solve_radiosity(patches, bundles=1, **asked)
+    assert "\n" not in str(found.value)
+
+
+def test_parts_without_light_are_refused():
+    with pytest.raises(SceneError, match="no light"):
+        etendue.solve_radiosity(Part(room(2)), bundles=1, hierarchy=True)
+
+
+def test_the_command_solves_and_goes_on(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = "radiosity cornell-box --hierarchy --objects shapes --max-area 0.2 --bundles 2 --checkpoint a.checkpoint"
+    assert main([*words.split(), "-o", "a.npz"]) == 0
+    assert "2 passes" in capsys.readouterr().err
+    first, _ = read_solution("a.npz")
+    assert main(["resume", "a.checkpoint", "--bundles", "3"]) == 0
+    assert "3 passes" in capsys.readouterr().err
+    second, _ = read_solution("a.npz")
+    assert (first.radiosity != second.radiosity).any()
+    assert main(["radiosity", "cornell-box", "--threshold", "0.5", "-o", "b.npz"]) != 0
+    assert "--threshold is for --hierarchy" in capsys.readouterr().err
