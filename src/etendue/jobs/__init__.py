@@ -26,7 +26,8 @@ else:
         "boxes": ("DEFAULT_PASSES", "HierarchyRequest", "HierarchyResult", "HierarchyWork", "Passes"),
         "lines": ("LinesJob", "LinesTask"),
         "multipath": ("MultipathWork",),
-        "requests": ("FormFactorRequest", "LinesRequest", "RadiosityRequest", "asked_before"),
+        "linesrequest": ("LinesRequest",),
+        "requests": ("FormFactorRequest", "RadiosityRequest", "asked_before"),
         "solutions": ("ERROR_SCALE", "SolutionOutputs"),
         "solving": (
             "FormFactorWork",
