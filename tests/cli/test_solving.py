@@ -145,3 +145,14 @@ def test_what_cannot_be(call, error, text, tmp_path, monkeypatch):
     with pytest.raises(error, match=text):
         call()
     assert not list(tmp_path.iterdir())
+
+
+def test_a_checkpoint_inside_a_pass_goes_on_to_any_number(tmp_path):
+    """The pass has 8 bundles; each run ends inside one, or at its end."""
+    patches, kept = cube(2, **LIT), tmp_path / "lines.checkpoint"
+    etendue.solve_radiosity(patches, seed=2, bundles=3, checkpoint=kept)
+    for bundles in (5, 8, 21):
+        result = etendue.solve_radiosity(patches, seed=2, bundles=bundles, resume=kept, checkpoint=kept)
+        whole = etendue.solve_radiosity(patches, seed=2, bundles=bundles)
+        assert (result.bundles, len(result.segments)) == (bundles, len(whole.segments))
+        np.testing.assert_allclose(result.solution.radiosity, whole.solution.radiosity, rtol=1e-9)

@@ -93,7 +93,7 @@ class LinesJob:
             saved.require_scene(problem.fingerprint)
             casting = self.casting = self._casting(settings)
         casting.prepare(problem, task.seed)
-        casting.most, limited = self._limited(0 if saved is None else casting.bundles(saved.measurement))
+        casting.most, limited = self._limited()
         earlier = 0.0
         if saved is not None:
             casting.go_on(saved.measurement)
@@ -150,9 +150,13 @@ class LinesJob:
         )
         return LineCasting(settings or asked_flat, goal=goal)
 
-    def _limited(self, before: int) -> tuple[int, Budget]:
-        """The largest number of bundles, of which ``before`` are in the checkpoint, and a budget with this number."""
+    def _limited(self) -> tuple[int, Budget]:
+        """The largest number of bundles, and a budget with this number."""
         budget, casting, checkpoint = self.task.budget, self.casting, self.task.checkpoint
+        saved = self._saved
+        before, passes = (
+            (0, 0) if saved is None else (casting.bundles(saved.measurement), len(saved.measurement.iterations))
+        )
         room, place = casting.memory(self.task.needs_matrix, in_files=checkpoint is not None), "into memory"
         if checkpoint is not None:
             on_disk = int(shutil.disk_usage(checkpoint.parent).free / (_COPIES * casting.bytes_per_bundle))
@@ -165,4 +169,6 @@ class LinesJob:
                 f"{most} bundles of lines through {len(casting.patches)} patches do not fit {place}, {before + room} "
                 f"do: ask for fewer ({self.task.bundles_option}), or make patches larger"
             )
-        return most, Budget(budget.seconds, most, None, budget.error)
+        # A further pass casts what the last one has left out, even if no bundle of its own is within the limit.
+        whole = casting.samples_per_iteration * (passes + 1) if most > before else most
+        return most, Budget(budget.seconds, max(most, whole), None, budget.error)

@@ -180,13 +180,15 @@ class LineCasting:
             raise RadiosityError(f"the method was prepared with seed {self._seed}, not {seed}: prepare it again")
         size = self.samples_per_iteration
         first, end = iteration * size, min((iteration + 1) * size, self.most or _ENDLESS)
-        if first >= end:
-            raise RadiosityError(f"pass {iteration} has no lines: the limit is {self.most} bundles")
-        chunk = self._cast(iteration)
+        chunks = [self._cast(iteration)] if first < end else []
         owed, left_out = self._owed
-        if left_out and owed + left_out == first:
-            left = min(left_out, (self.most or _ENDLESS) - owed)
-            chunk, first = np.concatenate([*self.engine.stream(left, owed, left), chunk]), owed
+        left = min(left_out, (self.most or _ENDLESS) - owed)
+        if left > 0 and owed + left_out == first:
+            chunks = [*self.engine.stream(left, owed, left), *chunks]
+            first, end = owed, max(owed + left, end)
+        if not chunks:
+            raise RadiosityError(f"pass {iteration} has no lines: the limit is {self.most} bundles")
+        chunk = np.concatenate(chunks)
         sums: dict[str, Array] = {}
         weights: dict[str, float] = {}
         if self._shot is not None:
