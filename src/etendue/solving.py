@@ -157,6 +157,8 @@ def solve_radiosity(
     if request.is_instant:
         from etendue.jobs import solve_ambient
 
+        if resume is not None:
+            raise OptionError("an ambient solution needs no lines: leave out resume=, or give bounces=")
         return solve_ambient(request)
     return run_work(open_work(), watch)
 
@@ -246,6 +248,8 @@ def _radiosity(
         **{name: asked.pop(name) for name in names},
     )
     saved = None if resume is None else Checkpoint.read(resume)
+    if not isinstance(hierarchy, (bool, Mapping)):
+        raise OptionError(f"hierarchy= is True, or a dictionary of settings, not {hierarchy!r}")
     if hierarchy is not False:
         from etendue.jobs import HierarchyRequest, HierarchyWork
 

@@ -122,3 +122,18 @@ def test_a_mirror_is_no_end():
 def test_settings():
     settings = get("ambient_path").Settings.from_mapping({"ambient": "crisp", "bounces": "3", "mode": "next_event"})
     assert (settings.ambient, settings.bounces, settings.mode) == ("crisp", 3, "next_event")
+
+
+def test_max_depth():
+    """It ends paths before the ambient term, or not at all."""
+    problem = load("cornell-box", size=(16, 12))
+    for method, plain in (("ambient_path", "path"), ("ambient_light", "light")):
+
+        def image(name, **settings):
+            return prepared(problem, name, samples_per_pass=16, **settings).step(0, 5).mean()
+
+        whole = image(method, bounces=2)
+        np.testing.assert_allclose(image(method, bounces=2, max_depth=9), whole, rtol=1e-4, atol=1e-6)
+        short = image(plain, max_depth=3)
+        np.testing.assert_allclose(image(method, bounces=2, max_depth=3), short, rtol=1e-4, atol=1e-6)
+        assert short.mean() < 0.97 * whole.mean()

@@ -32,6 +32,7 @@ from etendue.radiosity import (
     form_factors,
     least_error_shares,
     partial_form_factors,
+    scene_patches,
     sphere_tree,
 )
 from etendue.radiosity.hierarchical_factors.segments import OUTSIDE, marked
@@ -372,3 +373,9 @@ def test_what_does_not_fit_is_refused():
     ):
         with pytest.raises(OptionError, match=message):
             etendue.compute_form_factors(patches, bundles=1, **asked)
+
+
+def test_three_channels_of_a_scene():
+    """Patches of a scene have three channels."""
+    result = etendue.compute_form_factors(scene_patches("cornell-box"), hierarchy="shapes", bundles=2)
+    assert (result.factors.row_sums() > 0.5).all()

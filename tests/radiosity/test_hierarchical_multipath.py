@@ -267,6 +267,29 @@ def test_a_mirrored_turned_and_larger_scene_has_the_same_light():
     assert abs((found / expected).mean() - 1) < 0.02
 
 
+def test_values_on_patches_and_on_the_joined_mesh():
+    """Each patch of both meshes has the irradiance of its place."""
+    patches = Patches(*joined(*(block((4 * x, 0, 0), (4 * x + 1, 1, 1), 4) for x in (2, 0, 1))), emission=1.0)
+    root = grouped(patches, np.repeat([0, 1, 2], 96), least=1)
+    solution = solved(root)
+    solution.received[:] = (solution.tree.joined().centres[:, :1] * solution.tree.joined().areas[:, None])[
+        solution.tree.numbers_in_joined
+    ]
+    np.testing.assert_allclose(solution.irradiance_on(patches)[0][:, 0], patches.centres[:, 0])
+    whole = solution.tree.joined()
+    np.testing.assert_allclose(solution.irradiance_on(whole, joined=True)[0][:, 0], whole.centres[:, 0])
+
+
+def test_the_sky_is_seen_by_a_scene_without_walls():
+    blocks = joined(*(block((4 * x, 0, 0), (4 * x + 1, 1, 1), 2) for x in range(3)))
+    patches = Patches(*blocks, reflectance=0.5, sky=1.0)
+    of = np.repeat([0, 1, 2], 24)
+    root = grouped(patches, of, least=1 << 20)  # no boxes
+    assert root.patches.sky.tolist() == [1.0]
+    with pytest.raises(RadiosityError, match="all patches are in boxes"):
+        grouped(patches, of, least=1)
+
+
 def test_passes_add_and_tell_their_error():
     root = hall(2)
     method = HierarchicalMultipath(HierarchicalMultipathSettings(lines=1 << 12))

@@ -9,8 +9,8 @@ whose upper edge lies uniformly between ``x`` and ``x + h``, so that its expecte
     f(x) = 1/h integral of g(y) for y from x to x + h,   that is   g(y) = g(y - h) + h f'(y - h).
 
 As ``f`` sums to 1 over pixels and ``h`` divides a pixel, ``g`` has no wider support than ``f``. The mean square of a
-splat's weights grows by that of ``g`` over that of ``f``: with cells of half a pixel by 9 % for the Gaussian, by 11 to
-14 % for cubic splines and Lanczos' filter.
+splat's weights grows by that of ``g`` over that of ``f``: with cells of half a pixel, over both axes, by 9 % for the
+Gaussian, by 11 to 14 % for cubic splines and Lanczos' filter.
 """
 
 from __future__ import annotations

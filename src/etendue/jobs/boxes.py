@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from etendue.core import EtendueError, OptionError, SceneError, logger
+from etendue.core import EtendueError, OptionError, OutputError, SceneError, describe, is_number, is_whole, logger
 from etendue.engine import Budget, Checkpoint, Job, Runner, RunResult, remaining
 from etendue.radiosity import (
     HierarchicalMultipath,
@@ -53,7 +53,8 @@ class HierarchyRequest(RadiosityRequest):
     @property
     def settings(self) -> HierarchicalMultipathSettings:
         """Of the method. Raises :class:`OptionError` for unknown ones, and values out of range."""
-        return HierarchicalMultipathSettings.from_mapping(self.hierarchy, owner="hierarchical multipath")
+        given = dict(self.hierarchy) if self.shot else {"shot": 0} | dict(self.hierarchy)
+        return HierarchicalMultipathSettings.from_mapping(given, owner="hierarchical multipath")
 
     @property
     def name(self) -> str:
@@ -65,20 +66,40 @@ class HierarchyRequest(RadiosityRequest):
         """See :class:`LinesRequest`: only those of a pass."""
         return False
 
-    def _check_options(self) -> None:
-        self.settings  # noqa: B018 (checked)
-        if unknown := set(self.groups) - {"threshold", "least", "levels"}:
-            raise OptionError(f"groups have a threshold, least and levels, no {', '.join(sorted(unknown))}")
-        if isinstance(self.source, Part):
-            if self.max_area is not None or self.parameters is not None or self.objects is not None:
-                raise OptionError("parts are what they are: leave out max_area, parameters and objects")
-        else:
-            super()._check_options()
-        if self.solver != "conjugate-gradient" or self.lines:
-            raise OptionError("hierarchical multipath solves by itself: leave out the solver and lines of bundles")
+    def _check_outputs(self) -> None:
+        option = self.wording.option
         for name in ("points", "ambient", "bounces"):
             if getattr(self, name) is not None:
-                raise OptionError(f"{self.wording.option(name)} is not for hierarchical multipath; leave it out")
+                raise OptionError(f"{option(name)} is not for hierarchical multipath; leave it out")
+        if self.solver != "conjugate-gradient" or self.lines:
+            raise OptionError("hierarchical multipath solves by itself: leave out the solver and lines of bundles")
+        if not self.local_rays:
+            raise OptionError(f"hierarchical multipath casts no local rays: leave out {option('local_rays')}")
+        super()._check_outputs()
+
+    def _check_options(self) -> None:
+        self.settings  # noqa: B018 (checked)
+        if not (self.objects is None or isinstance(self.objects, str)):
+            raise OptionError("objects are named by components, shapes or labels; give numbers of patches to part_of")
+        if unknown := set(self.groups) - {"threshold", "least", "levels"}:
+            raise OptionError(f"groups have a threshold, least and levels, no {', '.join(sorted(unknown))}")
+        for name, value in self.groups.items():
+            is_right = is_number(value) if name == "threshold" else is_whole(value)
+            if not (is_right and (value > 0 if name == "threshold" else value >= 1)):
+                what = "number above 0" if name == "threshold" else "whole number of at least 1"
+                raise OptionError(f"{name} is a {what}, not {value!r}")
+        if isinstance(self.source, Part):
+            if self.max_area is not None or self.parameters is not None or self._is_grouped:
+                raise OptionError(
+                    "parts are given: leave out max_area, parameters, objects, threshold, least and levels"
+                )
+        else:
+            super()._check_options()
+
+    @property
+    def _is_grouped(self) -> bool:
+        """Whether options of the grouping of objects are given."""
+        return self.objects is not None or bool(self.groups)
 
     def budget(self, saved: Checkpoint | None) -> Budget:
         """See :class:`LinesRequest`."""
@@ -96,6 +117,10 @@ class HierarchyRequest(RadiosityRequest):
             return None, None, self.source
         problem = self.problem(tell)
         if problem is not None and (root := scene_part(problem, max_area=self.max_area)) is not None:
+            if self._is_grouped:
+                raise OptionError(
+                    "instances of the scene are its parts: leave out objects, threshold, least and levels"
+                )
             return problem, None, root
         if isinstance(self.source, Patches):
             patches = self.source
@@ -199,21 +224,24 @@ class HierarchyWork:
                 result.patches = parts.tree.joined()
                 request.outputs.check_source(result.patches, self.problem, request.wording)
             if result.patches is not None:
-                result.solution = parts.on(result.patches)
-                result.irradiance_error = parts.irradiance_on(result.patches)[1]
+                is_joined = self.patches is None
+                result.solution = parts.on(result.patches, is_joined)
+                result.irradiance_error = parts.irradiance_on(result.patches, is_joined)[1]
                 known = about(request.name, passes=result.passes, seed=request.seed, solver=self.method.name)
                 shown = request.outputs.write(
                     *(writing, self.problem, result.solution, result.irradiance_error, known, request.wording, tell)
                 )
                 result.picture, result.lightmap = shown.picture, shown.lightmap
             writing.finish()
-        except EtendueError as error:
+        except Exception as problem:
+            known_error = problem if isinstance(problem, EtendueError) else None
+            error = known_error or OutputError(f"the passes could not be evaluated: {describe(problem)}")
             if kept is None:
                 kept = rescued("passes.checkpoint", ("", lambda place: self._save(run, place)))
             if kept is not None:
                 how = request.wording.resume(kept, "bundles", len(run.measurement.iterations))
                 add_to_message(error, f"; the passes are kept: {how}")
-            raise
+            raise error from (problem.__cause__ if known_error else problem)
         return result
 
     def _save(self, run: RunResult, path: Path) -> None:

@@ -48,7 +48,10 @@ class HierarchyOptions:
         """The objects of the hierarchy, ``None`` without one."""
         if self.hierarchy is None:
             return None
-        return find_objects(patches, "shapes" if self.names_an_array else self.hierarchy, walls=self.walls)
+        if not self.names_an_array:
+            return find_objects(patches, self.hierarchy, walls=self.walls)
+        # The array says itself what walls are.
+        return find_objects(patches, "shapes", walls=() if self.walls is None else self.walls)
 
     def _check_hierarchy(self, wording: Wording, is_mesh: bool) -> None:
         """Raise :class:`OptionError` for options that do not fit."""

@@ -16,6 +16,7 @@ from .solving import PatchWork, Tell
 
 if TYPE_CHECKING:
     from etendue.engine import Checkpoint
+    from etendue.radiosity import FirstShot
 
     from .files import Writing
     from .solving import Counted
@@ -64,6 +65,8 @@ class MultipathWork(PatchWork[RadiosityRequest, RadiosityResult]):
         self.method.prepare(problem, seed)
         if saved is None:
             self._refine_shot(problem, seed)
+        else:
+            self._check_shot()
         known: Any = {"seed": seed, "budget": self.budget, "place": {}, "earlier": earlier, "notes": self.notes}
         self._job = Job(problem, self.method, **known)  # type: ignore[arg-type]
         spent = time.perf_counter() - begin
@@ -127,12 +130,28 @@ class MultipathWork(PatchWork[RadiosityRequest, RadiosityResult]):
             raise CheckpointError(f"the checkpoint has {done} points, more than {wanted}")
         return MultipathPasses(settings)
 
+    def _check_shot(self) -> None:
+        """Raise :class:`CheckpointError` if the error of the checkpoint's shot is above the requested one."""
+        wanted, shot = self.request.error, self.method.shot
+        if wanted is None or shot is None:
+            return
+        share = self._share_of_shot(shot)
+        if share >= wanted:
+            raise CheckpointError(
+                f"the first shot of the checkpoint has a standard error of {share:.2g} already: ask for an "
+                f"{self.request.wording.option('error')} above it, or begin again with the lower one"
+            )
+
+    def _share_of_shot(self, shot: FirstShot) -> float:
+        """Standard error of the shot's irradiance, mean over the surface, relative to the mean irradiance."""
+        areas = self.patches.areas[:, None]
+        return float((areas * shot.error).sum() / max((areas * shot.irradiance).sum(), 1e-300))
+
     def _refine_shot(self, problem: PatchProblem, seed: int) -> None:
         """Repeat the first shot with more rays until its error is small beside the requested one."""
         wanted = self.request.error
         while wanted is not None and (shot := self.method.shot) is not None:
-            areas = self.patches.areas[:, None]
-            share = (areas * shot.error).sum() / max((areas * shot.irradiance).sum(), 1e-300)
+            share = self._share_of_shot(shot)
             if share <= _SHOT_SHARE * wanted:
                 return
             settings: Any = self.method.settings

@@ -130,8 +130,8 @@ class RadiosityRequest(LinesRequest):
 
     def _check_outputs(self) -> None:
         _check_name("solver", self.solver, (*SOLVERS, MULTIPATH))
-        self._check_limits()
         self._check_ambient()
+        self._check_limits()
         self.outputs.check(self.wording)
         if 1 in (self.bundles, self.points):
             self.outputs.check_errors(None, self.wording)
@@ -169,7 +169,10 @@ class RadiosityRequest(LinesRequest):
             _check_name("ambient term", self.ambient, AMBIENT_TERMS)
         if not self.is_instant:
             return
-        asked = {name: getattr(self, name) for name in ("seconds", "bundles", "error", "checkpoint")}
+        asked: dict[str, Any] = {
+            name: getattr(self, name) for name in ("seconds", "bundles", "points", "error", "checkpoint")
+        }
+        asked |= {name: None if getattr(self, name) else False for name in ("shot", "local_rays")}
         asked["solver"] = None if self.solver == RadiosityRequest.solver else self.solver
         for name in (name for name, value in asked.items() if value is not None):
             raise OptionError(

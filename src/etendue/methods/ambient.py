@@ -23,7 +23,7 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import IndependentSource, SampleSource, setting
-from etendue.scene import Problem
+from etendue.scene import LightTable, Problem
 from etendue.surfaces import AMBIENT_TERMS
 from etendue.transport import (
     AMBIENT_WALKS,
@@ -32,6 +32,7 @@ from etendue.transport import (
     CameraPath,
     DirectSample,
     LightWalk,
+    LocalLights,
     Scattered,
     SubPath,
     Walker,
@@ -40,7 +41,7 @@ from etendue.transport import (
 )
 from etendue.transport import dimensions as dim
 
-from .base import ImageMethod, ImageSettings, Layer, W, total
+from .base import ImageMethod, ImageSettings, Layer, W, keep_finite, total
 from .light import LightSettings, LightTracing
 from .path import Path, PathSettings
 
@@ -77,9 +78,20 @@ class _Ambient(ImageMethod):
     #: Of the light that is ambient, what :meth:`AmbientScene.irradiance` calls ``reflected``.
     reflected: int = 1
 
+    @property
+    def has_ambient(self) -> bool:
+        """Whether there is light for the ambient term: not if ``max_depth`` ends all paths within ``bounces``."""
+        return not 0 <= self.settings.max_depth <= self.settings.bounces + 1
+
+    def max_edges(self) -> int:
+        """See :class:`ImageMethod`; no limit for paths that end in the term, which has all further reflections."""
+        return 1 << 30 if self.has_ambient else super().max_edges()
+
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`; walks from the camera to find the ambient light."""
         super().prepare(problem, seed)
+        if not self.has_ambient:
+            return
         source = IndependentSource(dr.arange(mi.UInt32, AMBIENT_WALKS), seed, "ambient", 0)
         pixel = mi.UInt32(source.next_1d(0, dim.LENGTH) * self.camera.pixels)
         ray, _, _ = self.camera.primary(dr.minimum(pixel, self.camera.pixels - 1), source)
@@ -99,6 +111,8 @@ class AmbientPath(_Ambient, Path):
 
     def walker(self, kind: type[W], **own: Any) -> W:
         """See :class:`ImageMethod`; of paths that end early."""
+        if not self.has_ambient:
+            return super().walker(kind, **own)
         ends = {"ambient": self.ambient, "bounces": self.settings.bounces}
         walker: Any = super().walker(_EndingWalker, **ends, **own)
         return walker
@@ -119,7 +133,7 @@ class AmbientLight(_Ambient, LightTracing):
 
     def walker(self, kind: type[W], **own: Any) -> W:
         """See :class:`ImageMethod`; light paths end early."""
-        if kind is not LightWalk:
+        if kind is not LightWalk or not self.has_ambient:
             return super().walker(kind, **own)
         walker: Any = super().walker(_EndingLightWalk, bounces=self.settings.bounces, **own)
         return walker
@@ -127,15 +141,18 @@ class AmbientLight(_Ambient, LightTracing):
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         layers, counters = super().render_pass(iteration, seed, samples)
+        if not self.has_ambient:
+            return layers, counters
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         source = self.camera_numbers(lanes, samples, seed, iteration)
         ray, importance, _ = self.camera.primary(lanes // samples, source)
         walker = self.walker(Walker)
         path = CameraPath.start(ray, walker.max_edges)
         path = walker.walk(path, lambda s: _seen(s, walker, self.ambient, source), "ambient")
-        radiance = path.radiance * importance
-        dr.eval(radiance, path.rays)
+        radiance, bad = keep_finite(path.radiance * importance)
+        dr.eval(radiance, path.rays, bad)
         counters["rays"] += total(path.rays)
+        counters["nonfinite"] += total(bad)
         return {"ambient": self.image(radiance, seed, iteration)} | layers, counters
 
 
@@ -170,7 +187,7 @@ class _EndingWalker(Walker):
         source: SampleSource,
         active: mi.Bool,
         index: int = 0,
-        lights: Any = None,
+        lights: LightTable | LocalLights | None = None,
     ) -> DirectSample:
         """See :class:`Walker`."""
         return super().light_point(vertex, source, active & (vertex.number < _AFTER), index, lights)
@@ -190,8 +207,7 @@ class _EndingWalker(Walker):
         s.radiance += reflected(s, vertex, scattered, self.ambient) & is_last
         factor = super().advance(s, vertex, scattered, source, roulette_by)
         s.active &= scattered.is_delta | ~is_after
-        s.depth += dr.select(is_last & (self.max_edges > _AFTER), mi.UInt32(_AFTER), 0)
-        s.depth = dr.select(is_last & (self.max_edges <= _AFTER), self.max_edges, s.depth)
+        s.depth += dr.select(is_last, mi.UInt32(_AFTER), 0)
         return factor
 
 

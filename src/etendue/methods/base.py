@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar
@@ -22,6 +23,7 @@ from etendue.core import (
     SampleSource,
     Settings,
     State,
+    free_memory,
     setting,
 )
 from etendue.points import OwenSobolSource
@@ -45,6 +47,8 @@ STEP_LANES = 1 << 17
 _LANE_BYTES = 64
 #: Most camera paths per pixel and pass, unless ``samples_per_pass`` is set.
 _MOST_SAMPLES = 32
+#: Bytes of a pixel of a splat image in cells, and the share of the memory that such images may take.
+_CELL_BYTES, _CELL_SHARE = 120, 0.125
 #: Light and camera paths of a pilot pass.
 PILOT_PATHS = 1 << 13
 #: Most camera paths of a pass: a device array has fewer than 2^32 numbers, and a path has a colour.
@@ -155,6 +159,7 @@ class ImageMethod(ABC):
         self.visibility = Visibility(problem.scene)
         #: :meth:`max_edges` on the device, opaque.
         self.edges = dr.opaque(mi.UInt32, self.max_edges())
+        self._most_cell_bytes = _CELL_SHARE * (problem.memory or free_memory() or math.inf)
 
     def bind(self, scene: mi.Scene | None) -> None:
         """Set the scene for which the method was prepared, or release it (``None``) until the next run."""
@@ -267,6 +272,7 @@ class ImageMethod(ABC):
         """Images for the splats of a pass."""
         index, high = _places(mi.UInt32(0), iteration)  # well spread over the passes
         shift = OwenSobolSource(mi.UInt32(0), index, seed, role + "splats", high).next_2d(0, dim.FILM)
+        in_cells = in_cells and _CELL_BYTES * self.camera.pixels * images <= self._most_cell_bytes
         return Splats(self.camera, images, shift if in_cells else None)
 
     def kept(self, radiance: mi.Color3f) -> tuple[mi.Color3f, mi.Bool]:

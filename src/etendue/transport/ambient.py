@@ -9,7 +9,6 @@ light, the mean albedo, and form factors, here the shares of walks that lead fro
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -94,7 +93,7 @@ class _Found:
     goes_on: Mask
 
 
-def ambient_scene(walker: Walker, ray: Any, source: SampleSource, term: AmbientTerm) -> AmbientScene:
+def ambient_scene(walker: Walker, ray: mi.Ray3f, source: SampleSource, term: AmbientTerm) -> AmbientScene:
     """Walk from the camera rays ``ray`` (a lane for each walk) with the numbers of ``source``."""
     path = CameraPath.start(ray, mi.UInt32(_EDGES))
     carried = dr.full(mi.Color3f, 1.0, dr.width(ray))
@@ -125,7 +124,10 @@ def _edge(s: CameraPath, carried: mi.Color3f, walker: Walker, source: SampleSour
     found = [facing(vertex), smooth, scattered.weight & scattered.active, contribution & visible, emitted, carried]
     walker.advance(s, vertex, scattered, source)
     dr.eval(s, through, found)
+    # Numbers that are not finite would spread to all classes.
     rows = [np.array(values).T for values in (*found, s.active)]
+    for row in rows:
+        row[~np.isfinite(row)] = 0
     return through, _Found(*rows)
 
 

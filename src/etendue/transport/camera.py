@@ -54,14 +54,16 @@ class Splats:
 
     def __init__(self, camera: CameraSampler, images: int = 1, shift: tuple[mi.Float, mi.Float] | None = None) -> None:
         self._camera = camera
-        self._grid = None if shift is None or camera.independent else camera.filter.cells(*shift)
+        grid = None if shift is None or camera.independent else camera.filter.cells(*shift)
+        # The limit is that of 32-bit indices of floats.
+        self._grid = grid if grid is not None and 4 * grid.count * images < 1 << 32 else None
         self._stride = camera.pixels if self._grid is None else self._grid.count
         self.array = dr.zeros(mi.Float, 4 * self._stride * images)
         # On a CPU, one copy of the images a thread is faster than atomic additions (a GPU ignores the mode).
         small = 16 * self._stride * images * dr.thread_count() <= _EXPAND_BYTES
         self._mode = dr.ReduceMode.Expand if small else dr.ReduceMode.Auto
 
-    def place(self, connection: CameraConnection, source: SampleSource, vertex: mi.UInt32) -> SplatPlace:
+    def place(self, connection: CameraConnection, source: SampleSource, vertex: mi.UInt32 | int) -> SplatPlace:
         """The pixels, or the cell, that a splat is added to."""
         camera, x, y = self._camera, connection.position.x, connection.position.y
         if camera.independent:

@@ -17,7 +17,8 @@ from etendue.scene import materials
 
 
 class Visibility:
-    """Visibility in one scene. ``transparent``: whether the scene has null surfaces."""
+    """Visibility in one scene, with its geometry at the time of construction. ``transparent``: whether the scene has
+    null surfaces."""
 
     def __init__(self, scene: mi.Scene) -> None:
         self.scene = scene

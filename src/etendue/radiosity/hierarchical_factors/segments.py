@@ -79,7 +79,8 @@ class PartialSegments:
     def gather(self, values: ArrayLike) -> Array:
         """Mean of ``values`` (n, c) over what each patch sees, zero in the sky: F values, with F1."""
         n = len(self.patches)
-        full = np.concatenate([np.asarray(values, dtype=np.float64).reshape(n, -1), np.zeros((2, 1))], axis=0)
+        given = np.asarray(values, dtype=np.float64).reshape(n, -1)
+        full = np.concatenate([given, np.zeros((2, given.shape[1]))], axis=0)
         sums = np.zeros((n, full.shape[1]))
         for start, end in self._views():
             for column in range(full.shape[1]):

@@ -95,7 +95,12 @@ class _Builder:
         """The root: walls, what is not grouped, and copies of each group."""
         parts, loose = self._boxed(items)
         mine = (self.of < 0) | np.isin(self.of, loose)
-        return self._part(mine, parts, 1)
+        if not mine.any() and self.patches.sky.any():
+            raise RadiosityError(
+                "all patches are in boxes, so that no part is left that sees the sky: add a ground or walls, or leave "
+                "an object without a box by a larger 'least'"
+            )
+        return self._part(mine, parts, 1, is_root=True)
 
     def _boxed(self, items: list[_Item]) -> tuple[list[Part], list[int]]:
         """Parts of the items that are worth a box, and objects of the others."""
@@ -115,13 +120,13 @@ class _Builder:
                 parts.append(self._part(np.isin(self.of, own), inner, len(item.objects)))
         return parts, loose
 
-    def _part(self, mine: NDArray[np.bool_], inner: list[Part], objects: int) -> Part:
+    def _part(self, mine: NDArray[np.bool_], inner: list[Part], objects: int, is_root: bool = False) -> Part:
         """A part of these patches and of parts in the same coordinates. The sky is the root's."""
         copies = [(part, np.eye(4)) for part in inner]
         if not mine.any():
             return Part(None, copies, objects=objects)
         patches, numbers = self.patches.only(mine)
-        if not (self.of[numbers] < 0).any() and len(numbers) < len(self.patches):
+        if not is_root:
             patches = patches.with_properties(sky=np.zeros_like(patches.sky))
         return Part(patches, copies, numbers=numbers, objects=objects)
 

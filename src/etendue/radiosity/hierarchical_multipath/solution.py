@@ -47,12 +47,12 @@ class HierarchicalSolution:
         assert patches is not None, "the part has no patches of its own"
         return patches.emission + patches.reflectance * self.irradiance(node)
 
-    def irradiance_on(self, patches: Patches) -> tuple[Array, Array | None]:
+    def irradiance_on(self, patches: Patches, joined: bool = False) -> tuple[Array, Array | None]:
         """(n, c) irradiance and its standard error on the ``patches`` that parts were made of, by the ``numbers`` that
-        parts know them by, or on those of ``tree.joined()``."""
+        parts know them by. ``joined``: on those of ``tree.joined()``; always so for scenes with copies."""
         parts = [self.tree.parts[k] for k in self.tree.part]
         numbers = np.concatenate([part.numbers for part in parts])
-        if len(np.unique(numbers)) < len(numbers):
+        if joined or len(np.unique(numbers)) < len(numbers):
             numbers = self.tree.numbers_in_joined
         if len(numbers) != len(patches):
             raise RadiosityError(f"the scene of parts has {len(numbers)} patches, not {len(patches)}")
@@ -65,10 +65,10 @@ class HierarchicalSolution:
 
         return placed(self.received), None if self.error is None else placed(self.error)
 
-    def on(self, patches: Patches) -> Solution:
+    def on(self, patches: Patches, joined: bool = False) -> Solution:
         """The same for patches in one mesh, see :meth:`irradiance_on`. Shares of the sky are not known (NaN), unless
         nothing reaches it."""
-        irradiance, _ = self.irradiance_on(patches)
+        irradiance, _ = self.irradiance_on(patches, joined)
         share = np.full(len(patches), np.nan if self.to_sky.any() else 0.0)
         radiosity = patches.emission + patches.reflectance * irradiance
         left = float((self.residual / np.where(self.sent > 0, self.sent, 1)).max())
