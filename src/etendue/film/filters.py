@@ -17,9 +17,9 @@ the film (``sample_border`` off). There are these estimators of this integral:
   (:meth:`PixelFilter.splat`).
 
 All read the same table of ``f``, or weights derived from it. It is constant on bins, and the film's border is an edge
-of bins, so that the expectations are equal, except for the first estimator near the border. In the table ``f`` is divided
-by its sum over all pixels, so that the weights of a sample sum to 1 and a constant picture stays constant; for tents,
-cubic splines and boxes this sum is 1, for Mitsuba's Gaussian it is 1 within 1.5 %.
+of bins, so that the expectations are equal, except for the first estimator near the border. In the table ``f`` is
+divided by its sum over all pixels, so that the weights of a sample sum to 1 and a constant picture stays constant; for
+tents, cubic splines and boxes this sum is 1, for Mitsuba's Gaussian it is 1 within 1.5 %.
 
 Filters are separable, so everything is computed per axis. The weight has the sign of negative lobes.
 """
