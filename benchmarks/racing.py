@@ -72,15 +72,16 @@ def race(
     seeds: Sequence[int] = (0,),
     by: Literal["seconds", "samples"] = "seconds",
     look: Look | None = None,
-    clock: Callable[[], float] = time.perf_counter,
+    clock: Callable[[], float] | None = None,
 ) -> dict[str, list[Point]]:
     """Let every entrant render until the last mark of ``at``; a point a mark, that of the first pass that reaches it.
 
     The next pass is always that of the entrant which is least far, so that what else the machine does meets all alike.
     Only passes count: neither the compilation (a pass before the start) nor the looking at the picture. ``look`` is
-    shown the pictures of the first seed. ``clock``: of the seconds; ``time.process_time`` for a machine with other
-    work.
+    shown the pictures of the first seed. ``clock``: of the seconds, by default ``time.perf_counter``;
+    ``time.process_time`` for a machine with other work.
     """
+    clock = clock or time.perf_counter
     tracks: dict[str, list[list[Point]]] = {entrant.label: [] for entrant in entrants}
     for seed in seeds:
         runs = [_Run(entrant, problem, seed, by, clock) for entrant in entrants]
