@@ -11,7 +11,7 @@ import pytest
 from support.patches import box, joined
 
 from etendue.cli.main import main
-from etendue.jobs import requests
+from etendue.jobs import linesrequest
 
 meshio = pytest.importorskip("meshio")
 sparse = pytest.importorskip("scipy.sparse")
@@ -193,7 +193,7 @@ def test_bad_input(command, message, capsys, variant):
 
 
 def test_a_missing_library_is_named(monkeypatch, capsys):
-    monkeypatch.setattr(requests, "find_spec", lambda name: None if name == "numba" else True)
+    monkeypatch.setattr(linesrequest, "find_spec", lambda name: None if name == "numba" else True)
     for command in ("form-factors room.ply", "radiosity cornell-box"):
         assert run(command) == 6
         assert (
@@ -206,7 +206,7 @@ def test_ctrl_c_before_the_first_line_keeps_the_old_file(monkeypatch, capsys):
         raise KeyboardInterrupt
 
     Path("f.npz").write_text("old")
-    monkeypatch.setattr(requests, "read_patches", interrupted)
+    monkeypatch.setattr(linesrequest, "read_patches", interrupted)
     assert run("form-factors room.ply -o f.npz") == 130
     assert "stopped; nothing was written" in capsys.readouterr().err
     assert Path("f.npz").read_text() == "old" and len(list(Path().iterdir())) == 2
