@@ -206,5 +206,5 @@ def test_other_files_are_no_form_factors(tmp_path, content):
         np.savez(path, data=np.ones(3))
     elif content is not None:
         path.write_bytes(content)
-    with pytest.raises(RadiosityError, match="is not a file of form factors"):
+    with pytest.raises(RadiosityError, match="file of form factors"):
         read_form_factors(path)
