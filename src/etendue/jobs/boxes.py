@@ -18,9 +18,7 @@ from etendue.radiosity import (
     PartProblem,
     Patches,
     part_of,
-    read_patches,
     scene_part,
-    scene_patches,
 )
 
 from .files import Writing, add_to_message, rescued
@@ -122,14 +120,7 @@ class HierarchyRequest(RadiosityRequest):
                     "instances of the scene are its parts: leave out objects, threshold, least and levels"
                 )
             return problem, None, root
-        if isinstance(self.source, Patches):
-            patches = self.source
-        elif problem is not None:
-            patches = scene_patches(problem, max_area=self.max_area)
-        else:
-            patches = read_patches(self.source, **{k: v for k, v in self.mesh.items() if v is not None})
-            patches = patches if self.max_area is None else patches.subdivided(self.max_area)
-        self.check_patches(patches, problem)
+        patches = self._patches(problem)
         by = self.objects or ("components" if problem is None or patches.shapes is None else "shapes")
         return problem, patches, part_of(patches, by, **self.groups)
 

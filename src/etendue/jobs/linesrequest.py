@@ -171,6 +171,10 @@ class LinesRequest(ABC):
         """The scene, if the source is one, and the checked patches. ``tell`` receives a line if the scene's name is
         ambiguous."""
         problem = self.problem(tell)
+        return problem, self._patches(problem)
+
+    def _patches(self, problem: Problem | None) -> Patches:
+        """The checked patches of the source, or of the scene that it is."""
         if isinstance(self.source, Patches):
             patches = self.source
         elif problem is not None:
@@ -179,7 +183,7 @@ class LinesRequest(ABC):
             patches = read_patches(self.source, **{k: v for k, v in self.mesh.items() if v is not None})
             patches = patches if self.max_area is None else patches.subdivided(self.max_area)
         self.check_patches(patches, problem)
-        return problem, patches
+        return patches
 
     def problem(self, tell: Callable[[str], object] = logger.info) -> Problem | None:
         """The scene; ``None`` if the source is not a scene."""
