@@ -55,7 +55,7 @@ def _flux_code(red: float, green: float, blue: float) -> int:
     if not (red >= 0.0 and green >= 0.0 and blue >= 0.0 and largest < np.inf):
         return -1
     if largest < 2.0**-120:
-        return 0
+        return 0 if largest == 0.0 else -1
     exponent = int(np.floor(np.log2(largest))) + 1
     while largest >= 2.0**exponent:
         exponent += 1
