@@ -21,7 +21,7 @@ from etendue.core import bibliography
 SOURCE = Path(etendue.__file__).parent
 ROOMS = (
     *("core", "points", "integration", "density", "film", "scene", "formats", "surfaces", "transport", "conformance"),
-    *("methods", "radiosity", "engine", "distributed", "display", "jobs", "viewer", "plugins", "cli"),
+    *("particles", "methods", "radiosity", "engine", "distributed", "display", "jobs", "viewer", "plugins", "cli"),
 )
 #: Siblings: one stands after the other in the list, but may not import it.
 FORBIDDEN = {
