@@ -23,11 +23,12 @@ from .lightmaps.atlases import (
     save_textured_mesh,
     scene_mesh,
 )
-from .lightmaps.textures import Lightmap, check_coordinates, lightmap_of, save_lightmap
+from .lightmaps.colours import shown_exposure, vertex_colours
+from .lightmaps.textures import Lightmap, check_coordinates, lightmap_from, lightmap_of, save_lightmap
 from .maps.cells import HistogramBuilder, PatchMap
 from .maps.files import read_map, save_map, solution_map
 from .maps.kernels import KernelBuilder, variable_bandwidths
-from .maps.nearest import NearestMap
+from .maps.nearest import PARTICLE_BYTES, NearestMap
 from .maps.places import MapSurfaces
 from .maps.protocol import Irradiance, SurfaceMap, SurfaceParticles, irradiance_at
 from .maps.widths import rule_bandwidths
@@ -49,6 +50,7 @@ __all__ = [
     "BATCH",
     "CLASS_NORMALS",
     "LIGHTMAP_MESHES",
+    "PARTICLE_BYTES",
     "STEFAN_BOLTZMANN",
     "STEP",
     "AmbientTerm",
@@ -100,6 +102,7 @@ __all__ = [
     "irradiance_at",
     "joined",
     "joint_sphere",
+    "lightmap_from",
     "lightmap_of",
     "mesh_normals",
     "pairs_of",
@@ -112,9 +115,11 @@ __all__ = [
     "scene_mesh",
     "scene_parts",
     "scene_patches",
+    "shown_exposure",
     "solution_map",
     "thermal",
     "triangles",
     "variable_bandwidths",
+    "vertex_colours",
     "vertex_radiosity",
 ]

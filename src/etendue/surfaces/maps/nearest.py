@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 PARTICLE_BYTES = 350
 #: Least number of quadrature points in a disc for the integral over the surface: four a cell.
 _LEAST_POINTS = 24.0
-#: Cells for this integral in the mean disc, and most of the scene.
-_CELLS, _MOST_CELLS = 12, 400_000
+#: Cells for this integral in the mean disc, and least and most of the scene.
+_CELLS, _LEAST_CELLS, _MOST_CELLS = 12, 1000, 400_000
 #: Factor on the squared distance of the farthest particle, so that it is not inside.
 _INSIDE = 1.0 - 1e-6
 
@@ -81,7 +81,7 @@ class NearestMap:
         self._particles = _Tree(located, self._origin, self._unit)
         self._area = None
         if correct:
-            count = min(max(_CELLS * len(hits) / self.k, len(surfaces.patches)), _MOST_CELLS)
+            count = min(max(_CELLS * len(hits) / self.k, _LEAST_CELLS), _MOST_CELLS)
             fine = surfaces.whole.subdivided(float(surfaces.whole.areas.sum()) / count)
             points, areas, _ = quadrature(fine, self.space)
             # In units of the local frame, as the area of the disc.

@@ -42,12 +42,24 @@ class SurfaceMap(Protocol):
 class SurfaceParticles(Protocol):
     """Particles: the arrays of :class:`etendue.particles.Particles` that maps read."""
 
-    position: NDArray[np.float32]  #: (n, 3)
-    direction: NDArray[np.float32]  #: (n, 3) of flight
-    power: NDArray[np.float32]  #: (n, 3) W
-    path: NDArray[np.uint32]  #: (n,)
+    @property
+    def position(self) -> NDArray[np.float32]:
+        """(n, 3)"""
 
-    def __len__(self) -> int: ...
+    @property
+    def direction(self) -> NDArray[np.float32]:
+        """(n, 3) of flight."""
+
+    @property
+    def power(self) -> NDArray[np.float32]:
+        """(n, 3) W."""
+
+    @property
+    def path(self) -> NDArray[np.uint32]:
+        """(n,)"""
+
+    def __len__(self) -> int:
+        """n"""
 
 
 def irradiance_at(surface_map: SurfaceMap, positions: ArrayLike, normals: ArrayLike) -> tuple[Array, Array]:
