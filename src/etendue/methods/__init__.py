@@ -9,6 +9,7 @@ from .base import CameraSettings, ImageMethod, ImageSettings, Layer, total
 from .bidirectional import Bidirectional, Bpm, Bpt, Vcm
 from .guided import Guided
 from .light import LightTracing
+from .particles import ParticleTracing
 from .path import Path
 from .photon.hits import photon_hits, trace_photons
 from .photon.map import Pm
@@ -26,6 +27,7 @@ __all__ = [
     "ImageSettings",
     "Layer",
     "LightTracing",
+    "ParticleTracing",
     "Path",
     "Pm",
     "Ppm",
