@@ -109,7 +109,7 @@ def map_lightmap(made: SurfaceMap, mesh: Any, size: tuple[int, int]) -> Lightmap
 
     def evaluate(points: Array, normals: Array) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         values, _ = irradiance_at(made, points, normals)
-        found = ~np.isnan(values).any(axis=1, keepdims=True)
-        return np.where(found, values, 0.0).astype(np.float32), found[:, 0]
+        found = np.asarray(~np.isnan(values).any(axis=1))
+        return np.where(found[:, None], values, 0.0).astype(np.float32), found
 
     return lightmap_from(evaluate, mesh, size)
