@@ -20,7 +20,7 @@ from etendue.core import EtendueError, OptionError, describe, logger
 from . import options as opt
 from .boxes import HIERARCHY, resume_hierarchy
 from .console import ConsoleHandler, error_console, note, print_error, say
-from .particles import app as particles
+from .particle_maps import app as particles
 from .particles import resume_particles
 from .pictures import compare, demo, render, run
 from .radiosity import LINES, form_factors, radiosity, resume_lines

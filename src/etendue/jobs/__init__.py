@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from .gathering import PICTURE_FILES, picture
     from .lines import LinesJob, LinesTask
     from .linesrequest import LinesRequest
+    from .maps.making import MadeMap, MapOptions, make_map
+    from .maps.sources import FileSource
+    from .maps.writing import MAP_FILES, check_map_file, map_lightmap, write_map
     from .multipath import MultipathWork
     from .requests import FormFactorRequest, RadiosityRequest, asked_before
     from .solutions import ERROR_SCALE, SolutionOutputs
@@ -26,6 +29,9 @@ else:
         "gathering": ("PICTURE_FILES", "picture"),
         "boxes": ("DEFAULT_PASSES", "HierarchyRequest", "HierarchyResult", "HierarchyWork", "Passes"),
         "lines": ("LinesJob", "LinesTask"),
+        "maps.making": ("MadeMap", "MapOptions", "make_map"),
+        "maps.sources": ("FileSource",),
+        "maps.writing": ("MAP_FILES", "check_map_file", "map_lightmap", "write_map"),
         "multipath": ("MultipathWork",),
         "linesrequest": ("LinesRequest",),
         "requests": ("FormFactorRequest", "RadiosityRequest", "asked_before"),
@@ -59,8 +65,10 @@ __all__ = [
     "DEFAULT_PATHS",
     "DEFAULT_POINTS",
     "ERROR_SCALE",
+    "MAP_FILES",
     "PICTURE_FILES",
     "PYTHON",
+    "FileSource",
     "FormFactorRequest",
     "FormFactorResult",
     "FormFactorWork",
@@ -73,6 +81,8 @@ __all__ = [
     "LinesResult",
     "LinesTask",
     "LinesWork",
+    "MadeMap",
+    "MapOptions",
     "MultipathWork",
     "Outputs",
     "ParticleRequest",
@@ -96,7 +106,10 @@ __all__ = [
     "about",
     "asked_before",
     "check_files",
+    "check_map_file",
     "listed",
+    "make_map",
+    "map_lightmap",
     "picture",
     "radiosity_work",
     "repack",
@@ -104,4 +117,5 @@ __all__ = [
     "save_result",
     "solve_ambient",
     "start_work",
+    "write_map",
 ]

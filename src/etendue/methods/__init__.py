@@ -11,6 +11,7 @@ from .guided import Guided
 from .light import LightTracing
 from .particles import ParticleTracing
 from .path import Path
+from .photon.hits import photon_hits, trace_photons
 from .photon.map import Pm
 from .photon.progressive import Ppm, Sppm
 from .registry import by_plugin, get, register, table
@@ -36,7 +37,9 @@ __all__ = [
     "VegasPath",
     "by_plugin",
     "get",
+    "photon_hits",
     "register",
     "table",
     "total",
+    "trace_photons",
 ]

@@ -12,6 +12,7 @@ from .bidirectional.vertices import Kind, LightVertex, LightVertices, needs_inte
 from .camera import CameraConnection, CameraSampler, Splats
 from .direct import DirectWeights
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
+from .ending import EndingGuidedWalk, EndingWalker, light_of_map
 from .functions import TransportFunctions, film_picture
 from .guiding.guide import NOWHERE, Guide, GuidedScattered, direction_of, square_of
 from .guiding.lights import MOST_LIGHTS, LightChoice, LocalLights
@@ -35,7 +36,7 @@ from .scattering import (
 )
 from .vertex import Joined, Vertex, WalkVertex
 from .visibility import Visibility
-from .walk import CameraPath, Emission, SubPath, Walker, ones
+from .walk import CameraPath, Emission, MapEnd, SubPath, Walker, ones
 
 __all__ = [
     "AMBIENT_WALKS",
@@ -57,6 +58,8 @@ __all__ = [
     "DirectWeights",
     "Emission",
     "EmittedRay",
+    "EndingGuidedWalk",
+    "EndingWalker",
     "Evaluated",
     "Gather",
     "Guide",
@@ -72,6 +75,7 @@ __all__ = [
     "LightVertices",
     "LightWalk",
     "LocalLights",
+    "MapEnd",
     "Mis",
     "Photon",
     "Photons",
@@ -103,6 +107,7 @@ __all__ = [
     "irradiance_gradients",
     "is_emissive",
     "is_smooth",
+    "light_of_map",
     "needs_interaction",
     "ones",
     "point_on",
