@@ -26,6 +26,7 @@ from .base import ImageMethod, ImageSettings
 from .bidirectional import Bpm, Bpt, Vcm
 from .guided import Guided
 from .light import LightTracing
+from .metropolis.mmlt import Mmlt
 from .metropolis.pssmlt import Pssmlt
 from .path import Path
 from .photon.map import Pm
@@ -48,6 +49,7 @@ _OWN: tuple[type[ImageMethod], ...] = (
     Bpm,
     Vcm,
     Pssmlt,
+    Mmlt,
     AmbientPath,
     AmbientLight,
 )

@@ -7,6 +7,7 @@ from .bidirectional.light_walk import LightWalk
 from .bidirectional.mis import GRAZING, Mis, Techniques
 from .bidirectional.photons import Photon, Photons, unfolded
 from .bidirectional.pyramid import PYRAMID_MAX, Pyramid
+from .bidirectional.single import SingleContribution, SingleTechnique
 from .bidirectional.sinks import CameraSink, Contribution, Sink, SplatSink
 from .bidirectional.vertices import Kind, LightVertex, LightVertices, needs_interaction
 from .camera import CameraConnection, CameraSampler, Splats
@@ -78,6 +79,8 @@ __all__ = [
     "Proposal",
     "Pyramid",
     "Scattered",
+    "SingleContribution",
+    "SingleTechnique",
     "Sink",
     "SplatSink",
     "Splats",
