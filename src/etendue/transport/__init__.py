@@ -10,7 +10,7 @@ from .bidirectional.pyramid import PYRAMID_MAX, Pyramid
 from .bidirectional.single import SingleContribution, SingleTechnique
 from .bidirectional.sinks import CameraSink, Contribution, Sink, SplatSink
 from .bidirectional.vertices import Kind, LightVertex, LightVertices, needs_interaction
-from .camera import CameraConnection, CameraSampler, Splats
+from .camera import CameraConnection, CameraSampler, SplatPlace, Splats
 from .direct import DirectWeights
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
 from .functions import TransportFunctions, film_picture
@@ -82,6 +82,7 @@ __all__ = [
     "SingleContribution",
     "SingleTechnique",
     "Sink",
+    "SplatPlace",
     "SplatSink",
     "Splats",
     "SubPath",

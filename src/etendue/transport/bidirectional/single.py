@@ -16,7 +16,7 @@ import mitsuba as mi
 from etendue.core import SampleSource
 from etendue.scene import LightTable
 
-from ..camera import CameraSampler
+from ..camera import CameraConnection, CameraSampler
 from ..emission import sample_direct
 from ..scattering import cosine_ratio, evaluate_light_end, geometric_cos, scatter_camera
 from ..vertex import WalkVertex
@@ -199,7 +199,7 @@ class SingleTechnique:
         distance_squared = dr.squared_norm(offset)
         joins = eye_ok & light_ok & (distance_squared > 0.0)
         between = offset * dr.rsqrt(dr.select(joins, distance_squared, 1.0))
-        sensor = self.camera.connect(light_end.si, self.camera.splat_aperture(light, 1), light_ok & (t == 1))
+        sensor = self._connect(light_end, light, light_ok & (t == 1))
 
         towards = dr.select(s == 1, point.direction, between)
         f = eye_end.evaluate(towards, dr.select(s == 1, point.active, joins))
@@ -250,6 +250,15 @@ class SingleTechnique:
         position = dr.select(t == 1, sensor.position, place)
         rays = eye.rays + lit.rays + ones(tested)
         return SingleContribution(position, weighted + by_hit[0], alone + by_hit[1], rays)
+
+    def _connect(self, vertex: WalkVertex, source: SampleSource, active: mi.Bool) -> CameraConnection:
+        """A light vertex connected to the sensor."""
+        if self.camera.can_splat:
+            return self.camera.connect(vertex.si, self.camera.splat_aperture(source, 1), active)
+        nowhere = dr.zeros(mi.Point2f, dr.width(active))
+        return CameraConnection(
+            nowhere, mi.Vector3f(0.0, 0.0, 1.0), mi.Point3f(0.0), mi.Float(1.0), mi.Float(0.0), mi.Bool(False)
+        )
 
     @staticmethod
     def _end(s: Any) -> WalkVertex:
