@@ -72,7 +72,7 @@ class Path(EndsInMap):
         ray, importance, _ = self.camera.primary(lanes // samples, source)
         walker, weights = self.walker(Walker, proposal=self.settings.proposal), self.settings.direct_weights
         path = CameraPath.start(ray, walker.max_edges, **self.ending_state())
-        path = walker.walk(path, lambda s: _edge(s, walker, weights, source), "path")
+        path = walker.walk(path, lambda s: edge(s, walker, weights, source), "path")
         if (light := self.light_of_map(path)) is not None:
             path.radiance += light
         radiance, bad = self.kept(path.radiance * importance)
@@ -81,7 +81,7 @@ class Path(EndsInMap):
         return {"image": self.image(radiance, seed, iteration)}, counters
 
 
-def _edge(s: CameraPath, walker: Walker, weights: DirectWeights, source: SampleSource) -> CameraPath:
+def edge(s: CameraPath, walker: Walker, weights: DirectWeights, source: SampleSource) -> CameraPath:
     """The j-th term of the sum: trace the edge to z_j, and scatter."""
     vertex = walker.arrive(s)
 

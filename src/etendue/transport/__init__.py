@@ -7,9 +7,10 @@ from .bidirectional.light_walk import LightWalk
 from .bidirectional.mis import GRAZING, Mis, Techniques
 from .bidirectional.photons import Photon, Photons, unfolded
 from .bidirectional.pyramid import PYRAMID_MAX, Pyramid
+from .bidirectional.single import SingleContribution, SingleTechnique
 from .bidirectional.sinks import CameraSink, Contribution, Sink, SplatSink
 from .bidirectional.vertices import Kind, LightVertex, LightVertices, needs_interaction
-from .camera import CameraConnection, CameraSampler, Splats
+from .camera import CameraConnection, CameraSampler, SplatPlace, Splats
 from .direct import DirectWeights
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
 from .ending import EndingGuidedWalk, EndingWalker, light_of_map
@@ -82,7 +83,10 @@ __all__ = [
     "Proposal",
     "Pyramid",
     "Scattered",
+    "SingleContribution",
+    "SingleTechnique",
     "Sink",
+    "SplatPlace",
     "SplatSink",
     "Splats",
     "SubPath",

@@ -1,0 +1,1 @@
+"""Pictures by Metropolis sampling: Markov chains over the random numbers of paths."""
