@@ -24,7 +24,7 @@ LONGEST = 12
 
 
 def made(problem: Problem, seed: int = 1, **settings: Any) -> MetropolisParticles:
-    common = {"chains": 1024, "steps": 64, "max_bounces": LONGEST, "bootstrap": 1 << 15}
+    common = {"chains": 1024, "steps": 64, "max_bounces": LONGEST, "bootstrap": 1 << 15, "specular": True}
     method = MetropolisParticles(MetropolisParticlesSettings(**common | settings))
     method.prepare(problem, seed)
     return method

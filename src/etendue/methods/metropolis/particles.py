@@ -40,11 +40,12 @@ from etendue.integration import ChainDiagnosis, diagnose
 from etendue.particles import Particles
 from etendue.scene import LightTable, Problem
 
-from .tails import Independent, TailChains, TailState, Walked
+from .lightpaths import Independent, LightPaths, PathNumbers
+from .tails import TailChains, Walked
 
 #: Names in a measurement: the rows of particles, the states of some chains after every step, and the sums over
 #: independent paths.
-_ROWS, _TRACES, _SCALE, _FLUX = "particles", "traces", "scale", "flux"
+_ROWS, _REPEATS, _TRACES, _SCALE, _FLUX = "particles", "repeats", "traces", "scale", "flux"
 #: Chains whose states are recorded after every step.
 _TRACED = 64
 #: What is recorded of them.
@@ -74,6 +75,7 @@ class MetropolisParticlesSettings(Settings):
     bootstrap: int = setting(
         1 << 16, "independent light paths from which the chains start", minimum=64, maximum=1 << 24
     )
+    specular: bool = setting(False, "also keep hits on surfaces without a diffuse or glossy part")
     scale: str = setting(
         "traced",
         "the flux of a particle: from independent light paths, an eighth as many as steps (traced), or from the share "
@@ -113,8 +115,8 @@ class MetropolisParticles(Carrying):
         self._forget_states()
         o = self.settings
         self.problem, self.scene = problem, problem.scene
-        lights = LightTable(problem.scene)
-        self._chains = TailChains(problem.scene, lights, o.max_bounces, o.step_size, o.anew)
+        self._paths = LightPaths(problem.scene, LightTable(problem.scene), o.max_bounces)
+        self._chains = TailChains(self._paths, o.step_size, o.anew)
         self._shapes = ShapeNumbers(problem.scene)
         pilot = self._independent(o.bootstrap, seed, "tail bootstrap", 0)
         total = pilot.total.sum()
@@ -135,10 +137,10 @@ class MetropolisParticles(Carrying):
         picked = np.minimum(np.searchsorted(np.cumsum(pilot.total), places, side="right"), o.bootstrap - 1)
         lanes = copied_to_device(mi.UInt32, picked.astype(np.uint32))
         edges = copied_to_device(mi.UInt32, pilot.edges[picked])
-        self._state = self._chains.from_independent(lanes, edges, seed, "tail bootstrap", 0)
+        self._state = self._paths.from_independent(lanes, edges, seed, "tail bootstrap", 0)
 
     def _independent(self, paths: int, seed: int, role: str, iteration: int) -> Independent:
-        return self._chains.independent(dr.arange(mi.UInt32, paths), seed, role, iteration)
+        return self._paths.independent(dr.arange(mi.UInt32, paths), seed, role, iteration)
 
     def _step(self, iteration: int, seed: int) -> Measurement:
         o = self.settings
@@ -149,6 +151,10 @@ class MetropolisParticles(Carrying):
         beside = self._independent(paths, seed, "tail scale", iteration)
         scale = np.array([beside.total.sum(), beside.direct.sum()])
         steps = float(o.chains * o.steps)
+        rows, repeats, direct = self._shapes.rows(walked, o.chains)
+        if not o.specular:
+            smooth = self._shapes.is_smooth[rows[:, _SHAPE]]
+            rows, repeats = rows[smooth], repeats[smooth]
         return Measurement(
             sums={_SCALE: scale, _FLUX: beside.colour.sum(axis=0)},
             weights={_SCALE: float(paths), _FLUX: float(paths)},
@@ -156,16 +162,27 @@ class MetropolisParticles(Carrying):
             squares={_SCALE: scale**2},
             counters={
                 "steps": steps,
+                "direct_steps": direct,
                 "accepted": walked.accepted,
                 "rays": walked.rays + walked.rebuilt + beside.rays,
                 "step_rays": walked.rays,
                 "nonfinite": walked.bad,
             },
             records={
-                _ROWS: Record.single(self._shapes.rows(walked, o.chains), iteration),
+                _ROWS: Record.single(self._in_scene(rows), iteration),
+                _REPEATS: Record.single(repeats, iteration),
                 _TRACES: Record.single(np.array(walked.traces).reshape(o.steps, traced * 4), iteration),
             },
         )
+
+    def _in_scene(self, rows: NDArray[np.uint32]) -> NDArray[np.uint32]:
+        """Rows of the render space in the scene's units."""
+        space = self.problem.space
+        if not space.is_own:
+            position = rows[:, 0:3].copy().view(np.float32)
+            rows[:, 0:3] = space.to_scene(position).astype(np.float32).view(np.uint32)
+            rows[:, 6:9] = (rows[:, 6:9].copy().view(np.float32) / np.float32(space.scale) ** 2).view(np.uint32)
+        return rows
 
     def develop(self, measurement: Measurement, state: State) -> Result:
         """No picture: the flux of a step with its relative standard error, and the diagnosis of the chains."""
@@ -178,8 +195,8 @@ class MetropolisParticles(Carrying):
                 "method": self.name,
                 "settings": self.settings.to_dict(),
                 "particles": len(measurement.records[_ROWS]),
-                "flux": flux * steps,
-                "flux_error": error * steps,
+                "flux": flux * steps / self.problem.space.scale**2,
+                "flux_error": error * steps / self.problem.space.scale**2,
                 "acceptance": measurement.counters["accepted"] / steps,
                 "rays_per_step": measurement.counters["step_rays"] / steps,
                 "autocorrelation_time": {name: d.autocorrelation_time for name, d in diagnosis.items()},
@@ -204,22 +221,21 @@ class MetropolisParticles(Carrying):
         (total, direct), variance = measurement.mean(_SCALE), measurement.variance_of_mean(_SCALE)
         if self.settings.scale == "traced":
             return float(total) / steps, math.sqrt(variance[0]) / steps
-        share = diagnose(self.traces(measurement)[:, :, 0] == 1.0)
-        relative = math.hypot(
-            math.sqrt(variance[1]) / direct, self._all_chains(share) / self._direct_share(measurement)
-        )
-        flux = float(direct) / (self._direct_share(measurement) * steps)
+        share = measurement.counters["direct_steps"] / steps
+        of_share = self._all_chains(diagnose(self.traces(measurement)[:, :, 0] == 1.0))
+        relative = math.hypot(math.sqrt(variance[1]) / direct, of_share / share)
+        flux = float(direct) / (share * steps)
         return flux, relative * flux
 
     def particles(self, measurement: Measurement) -> Iterator[Particles]:
         """The particles of each pass. ``path`` is the number of the chain."""
         flux, _ = self.flux_per_step(measurement)
         for rows in measurement.records[_ROWS]:
-            yield unpacked(rows, flux)[0]
+            yield unpacked(rows, flux)
 
     def repeats(self, measurement: Measurement) -> Iterator[NDArray[np.uint32]]:
         """Steps for which the chains stayed at each of the particles of each pass."""
-        return (rows[:, -1].copy() for rows in measurement.records[_ROWS])
+        return iter(measurement.records[_REPEATS])
 
     def traces(self, measurement: Measurement) -> Array:
         """(chains, steps, 4): number of edges and end of the path of the first chains after every step."""
@@ -231,11 +247,6 @@ class MetropolisParticles(Carrying):
         """Diagnosis of the number of edges and of the end of the path, along the first chains."""
         traces = self.traces(measurement)
         return {name: diagnose(traces[:, :, i]) for i, name in enumerate(QUANTITIES)}
-
-    def _direct_share(self, measurement: Measurement) -> float:
-        """Share of the steps whose path has one edge."""
-        direct = sum(int(rows[rows[:, -2] == 1, -1].sum()) for rows in measurement.records[_ROWS])
-        return float(direct / measurement.counters["steps"])
 
     def _all_chains(self, diagnosis: ChainDiagnosis) -> float:
         """The standard error of a mean over all chains, of which only the first were diagnosed."""
@@ -256,16 +267,15 @@ class MetropolisParticles(Carrying):
         sizes = o.chains, 5 * o.chains, max(1, 3 * (o.max_bounces - 1) * o.chains)
         if (len(length), len(first), len(later)) != sizes or not 1 <= length.min() <= length.max() <= o.max_bounces:
             raise CheckpointError("the chains in the checkpoint do not fit these settings; start a new run")
-        self._state = TailState(
+        self._state = PathNumbers(
             copied_to_device(mi.UInt32, length), copied_to_device(mi.Float, first), copied_to_device(mi.Float, later)
         )
 
 
 # ---------------------------------------------------------------------- rows of a record
 
-#: Columns of a row, 32 bits each: position, direction, flux over its luminance, parameters on the primitive; shape,
-#: primitive, chain, edges, repeats.
-_COLUMNS = 16
+#: Columns of a row of :class:`Particles`, 32 bits each, and that of the shape.
+_COLUMNS, _SHAPE = 15, 9
 
 
 class ShapeNumbers:
@@ -276,9 +286,12 @@ class ShapeNumbers:
         self._number = np.zeros(int(ids.max()) + 1, np.uint32)
         self._number[ids] = np.arange(len(ids))
         self._is_mesh = np.array([shape.is_mesh() for shape in scene.shapes()])
+        #: Whether the shapes have a diffuse or glossy part.
+        self.is_smooth = np.array([mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth) for shape in scene.shapes()])
 
-    def rows(self, walked: Walked, chains: int) -> NDArray[np.uint32]:
-        """The rows of the states that chains have left, in the order of the steps."""
+    def rows(self, walked: Walked, chains: int) -> tuple[NDArray[np.uint32], NDArray[np.uint32], float]:
+        """(rows of the states that chains have left, in the order of the steps, with the power of a step of luminance 1
+        times the repeats; repeats; steps at the end of first edges)."""
         slot = dr.compress(walked.counts > 0)
         position, direction, flux = (
             dr.gather(mi.Vector4f, array, slot) for array in (walked.position, walked.direction, walked.flux)
@@ -296,34 +309,34 @@ class ShapeNumbers:
         if not self._is_mesh.all():
             other = ~hit.shape.is_mesh()
             uv = dr.select(other, hit.compute_surface_interaction(ray, mi.RayFlags.UV, active=other).uv, uv)
-        scale = dr.rcp(mi.luminance(mi.Color3f(flux.x, flux.y, flux.z)))
-        numbers = [*ray.o, *ray.d, *(mi.Color3f(flux.x, flux.y, flux.z) * scale), *uv]
+        repeats = dr.gather(mi.UInt32, walked.counts, slot)
+        colour = mi.Color3f(flux.x, flux.y, flux.z)
+        colour *= mi.Float(repeats) / mi.luminance(colour)
         shape = dr.select(instance != 0, instance, shape)
-        counts = [shape, primitive, slot % chains, edges, dr.gather(mi.UInt32, walked.counts, slot)]
-        dr.eval(*numbers, *counts)
+        whole = {9: shape, 10: primitive, 13: slot % chains, 14: edges}
+        real = dict(enumerate([*ray.o, *ray.d, *colour])) | {11: uv.x, 12: uv.y}
+        dr.eval(repeats, whole, real)
         rows = np.empty((dr.width(slot), _COLUMNS), np.uint32)
-        for i, column in enumerate(numbers):
+        for i, column in real.items():
             rows[:, i] = np.array(column, np.float32).view(np.uint32)
-        for i, column in enumerate(counts, len(numbers)):
+        for i, column in whole.items():
             rows[:, i] = np.array(column)
-        rows[:, len(numbers)] = self._number[rows[:, len(numbers)]]
-        return rows
+        rows[:, _SHAPE] = self._number[rows[:, _SHAPE]]
+        counts = np.array(repeats)
+        return rows, counts, float(counts[rows[:, -1] == 1].sum(dtype=np.float64))
 
 
-def unpacked(rows: NDArray[np.uint32], flux: float) -> tuple[Particles, NDArray[np.uint32]]:
-    """(the particles of rows, where a step stands for ``flux``; repeats of each)."""
-    numbers = np.ascontiguousarray(rows[:, :11]).view(np.float32)
-    shape, primitive, chain, edges, repeats = rows[:, 11:].T
-    return (
-        Particles(
-            position=numbers[:, 0:3],
-            direction=numbers[:, 3:6],
-            power=numbers[:, 6:9] * (flux * repeats[:, None]).astype(np.float32),
-            shape=shape,
-            primitive=primitive,
-            uv=numbers[:, 9:11],
-            path=chain,
-            bounce=edges,
-        ),
-        repeats,
+def unpacked(rows: NDArray[np.uint32], scale: float) -> Particles:
+    """Particles of rows, with their power times ``scale``."""
+    real = rows[:, :9].copy().view(np.float32)
+    shape, primitive, u, v, path, bounce = rows[:, 9:].T
+    return Particles(
+        position=real[:, 0:3],
+        direction=real[:, 3:6],
+        power=(real[:, 6:9] * np.float64(scale)).astype(np.float32),
+        shape=shape,
+        primitive=primitive,
+        uv=np.stack([u, v], axis=1).view(np.float32),
+        path=path,
+        bounce=bounce,
     )

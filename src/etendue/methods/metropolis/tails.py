@@ -20,68 +20,22 @@ kept. The thesis changes l and then moves the end, for which there is no reverse
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
-from numpy.typing import NDArray
 
 from etendue.core import IndependentSource, SampleSource
-from etendue.scene import LightTable
-from etendue.transport import Vertex, emit, ones, scatter_light
-from etendue.transport import dimensions as dim
+from etendue.transport import ones
+
+from .lightpaths import End, LightPaths, PathNumbers, summed
 
 #: Components of the random numbers of a step: its kind, whether it draws anew, numbers of the edge, acceptance.
 _KIND, _ANEW, _NUMBERS, _ACCEPT = 0, 1, 2, 7
-#: Component of the number that picks one of the edges of an independent path.
-_PICK_EDGE = 63
-#: Random numbers of the first edge and of a later one, by component.
-_FIRST = (dim.LIGHT_PICK, dim.LIGHT_POINT, dim.LIGHT_POINT + 1, dim.LIGHT_DIRECTION, dim.LIGHT_DIRECTION + 1)
-_LATER = (dim.LOBE, dim.DIRECTION, dim.DIRECTION + 1)
 #: Largest number below 1.
 _BELOW_ONE = 1.0 - 2.0**-24
-
-
-@dataclass(frozen=True)
-class TailState:
-    """States of chains: lengths (chains,), and the numbers of the first edge (5 * chains,) and of the later edges
-    ((longest - 1) * 3 * chains,), number by number."""
-
-    length: mi.UInt32
-    first: mi.Float
-    later: mi.Float
-
-
-@dataclass
-class _GivenNumbers:
-    """A :class:`SampleSource` of given numbers of one vertex, by component."""
-
-    numbers: dict[int, mi.Float]
-
-    def next_1d(self, vertex: mi.UInt32 | int, component: int) -> mi.Float:
-        """See :class:`SampleSource`."""
-        return self.numbers[component]
-
-    def next_2d(self, vertex: mi.UInt32 | int, component: int) -> tuple[mi.Float, mi.Float]:
-        """See :class:`SampleSource`."""
-        return self.numbers[component], self.numbers[component + 1]
-
-    def decide(self, vertex: mi.UInt32 | int, component: int) -> mi.Float:
-        """See :class:`SampleSource`."""
-        return self.numbers[component]
-
-
-@dataclass
-class End:
-    """The end of an edge, one lane each."""
-
-    ray: mi.Ray3f
-    hit: mi.PreliminaryIntersection3f
-    flux: mi.Color3f  #: that arrives; zero where the edge has no end
-    bad: mi.Bool  #: whether the flux was not finite
 
 
 @dataclass
@@ -143,7 +97,7 @@ class _Chain:
 class Walked:
     """What the steps of a pass have left. Rows (slots, 4): a slot is a step and a chain."""
 
-    state: TailState
+    state: PathNumbers
     counts: mi.UInt32  #: repeats of the state that a chain left at a step; 0: none was left
     position: mi.Float  #: x, y, z, and the first parameter on the primitive
     direction: mi.Float  #: x, y, z, and the second one
@@ -156,139 +110,21 @@ class Walked:
     bad: float  #: values that were not finite
 
 
-@dataclass
-class Independent:
-    """Independent paths, one entry each."""
-
-    total: NDArray[np.float64]  #: luminance of the flux at all their ends
-    direct: NDArray[np.float64]  #: at their first one
-    last: NDArray[np.float64]  #: at the end of the longest that are allowed
-    colour: NDArray[np.float64]  #: (paths, 3), as ``total``
-    edges: NDArray[np.uint32]  #: edges up to an end that was picked in proportion to the luminance there
-    rays: float
-
-
 @dataclass(frozen=True)
 class TailChains:
     """Chains of light paths in one scene.
 
-    longest: largest number of edges. step: size of the moves in the unit cube. anew: probability with which a step that
-    keeps the number of edges draws the numbers of the last edge anew.
+    step: size of the moves in the unit cube. anew: probability with which a step that keeps the number of edges draws
+    the numbers of the last edge anew.
     """
 
-    scene: mi.Scene
-    lights: LightTable
-    longest: int
+    paths: LightPaths
     step: float
     anew: float
 
-    # ------------------------------------------------------------------ independent paths
-
-    def independent(self, lanes: mi.UInt32, seed: int, role: str, iteration: int) -> Independent:
-        """Trace paths without roulette."""
-        source = IndependentSource(lanes, seed, role, iteration)
-        n = dr.width(lanes)
-        end = self._from_light([source.next_1d(0, c) for c in _FIRST], dr.full(mi.Bool, True, n))
-        value = mi.luminance(end.flux)
-        start = {
-            "number": mi.UInt32(1),
-            "ray": end.ray,
-            "hit": end.hit,
-            "flux": end.flux,
-            "total": mi.Float(value),
-            "last": dr.zeros(mi.Float, n),
-            "colour": mi.Color3f(end.flux),
-            "edges": mi.UInt32(1),
-            "rays": mi.UInt32(1),
-        }
-
-        def going(s: dict[str, Any]) -> mi.Bool:
-            return (s["number"] < self.longest) & dr.any(s["flux"] > 0.0)
-
-        def edge(s: dict[str, Any]) -> tuple[dict[str, Any]]:
-            number = s["number"]
-            numbers = [source.next_1d(number, c) for c in _LATER]
-            end = self._onward(s["ray"], s["hit"], s["flux"], numbers, going(s))
-            value = mi.luminance(end.flux)
-            total = s["total"] + value
-            picked = source.next_1d(number, _PICK_EDGE) * total < value
-            number = number + 1
-            return (
-                {
-                    "number": number,
-                    "ray": end.ray,
-                    "hit": end.hit,
-                    "flux": end.flux,
-                    "total": total,
-                    "last": dr.select(number == self.longest, value, 0.0),
-                    "colour": s["colour"] + end.flux,
-                    "edges": dr.select(picked, number, s["edges"]),
-                    "rays": s["rays"] + 1,
-                },
-            )
-
-        (s,) = dr.while_loop((start,), going, edge, label="independent light paths")
-        dr.eval(value, s["total"], s["last"], s["colour"], s["edges"], s["rays"])
-        total, direct, last = (np.array(x, np.float64) for x in (s["total"], value, s["last"]))
-        colour = np.array(dr.ravel(s["colour"]), np.float64).reshape(n, 3)
-        return Independent(total, direct, last, colour, np.array(s["edges"], np.uint32), summed(s["rays"]))
-
-    def from_independent(self, lanes: mi.UInt32, edges: mi.UInt32, seed: int, role: str, iteration: int) -> TailState:
-        """The state of the first ``edges`` edges of the independent paths ``lanes``."""
-        source = IndependentSource(lanes, seed, role, iteration)
-        n = dr.width(lanes)
-        first, later = dr.zeros(mi.Float, 5 * n), dr.zeros(mi.Float, max(1, 3 * (self.longest - 1) * n))
-        lane = dr.arange(mi.UInt32, n)
-        for i, component in enumerate(_FIRST):
-            dr.scatter(first, source.next_1d(0, component), lane + i * n)
-        for number in range(1, self.longest):
-            for i, component in enumerate(_LATER):
-                dr.scatter(later, source.next_1d(number, component), lane + (3 * (number - 1) + i) * n)
-        dr.eval(first, later, edges)
-        return TailState(edges, first, later)
-
-    # ------------------------------------------------------------------ edges
-
-    def _from_light(self, numbers: Sequence[mi.Float], active: mi.Bool) -> End:
-        """The first edge of a path."""
-        emitted = emit(self.lights, _GivenNumbers(dict(zip(_FIRST, numbers, strict=True))), active)
-        return self._cast(emitted.ray, emitted.throughput, emitted.active)
-
-    def _onward(
-        self,
-        ray: mi.Ray3f,
-        hit: mi.PreliminaryIntersection3f,
-        flux: mi.Color3f,
-        numbers: Sequence[mi.Float],
-        active: mi.Bool,
-    ) -> End:
-        """The edge after the hit of a ray."""
-        return self._cast(*self._scattered(ray, hit, flux, numbers, active))
-
-    def _scattered(
-        self,
-        ray: mi.Ray3f,
-        hit: mi.PreliminaryIntersection3f,
-        flux: mi.Color3f,
-        numbers: Sequence[mi.Float],
-        active: mi.Bool,
-    ) -> tuple[mi.Ray3f, mi.Color3f, mi.Bool]:
-        """(ray, flux, whether there is one) after the hit of a ray."""
-        si = hit.compute_surface_interaction(ray, active=active)
-        vertex = Vertex(si=si, bsdf=si.bsdf(ray))
-        source: SampleSource = _GivenNumbers(dict(zip(_LATER, numbers, strict=True)))
-        scattered, _ = scatter_light(vertex.bsdf, si, source, mi.UInt32(0), active)
-        return vertex.ray(scattered.direction), flux * scattered.weight, scattered.active
-
-    def _cast(self, ray: mi.Ray3f, flux: mi.Color3f, active: mi.Bool) -> End:
-        hit = self.scene.ray_intersect_preliminary(ray, active=active)
-        finite = dr.all(dr.isfinite(flux))
-        arrives = active & hit.is_valid() & finite
-        return End(ray, hit, dr.select(arrives, flux, 0.0), active & ~finite)
-
     # ------------------------------------------------------------------ chains
 
-    def walk(self, state: TailState, steps: int, traced: int, seed: int, iteration: int) -> Walked:
+    def walk(self, state: PathNumbers, steps: int, traced: int, seed: int, iteration: int) -> Walked:
         """``steps`` steps of all chains. ``traced``: number of chains whose states are recorded after every step."""
         n = dr.width(state.length)
         lane = dr.arange(mi.UInt32, n)
@@ -327,20 +163,20 @@ class TailChains:
         rays = summed(chain.rays), summed(rebuilt)
         return Walked(left, counts, *rows, what, traces, *rays, summed(chain.accepted), summed(chain.bad))
 
-    def _rebuilt(self, state: TailState, lane: mi.UInt32) -> tuple[_Chain, mi.UInt32]:
+    def _rebuilt(self, state: PathNumbers, lane: mi.UInt32) -> tuple[_Chain, mi.UInt32]:
         """The chains at ``state``, with the hits of their paths; and the number of rays for this."""
         n = dr.width(lane)
         first = [dr.gather(mi.Float, state.first, lane + i * n) for i in range(5)]
         length = mi.UInt32(state.length)
-        trail = _Trail.of(self.longest)
-        end = self._from_light(first, dr.full(mi.Bool, True, n))
+        trail = _Trail.of(self.paths.longest)
+        end = self.paths.from_light(first, dr.full(mi.Bool, True, n))
         trail.write(mi.UInt32(0), end, mi.Point3f(0.0), dr.full(mi.Bool, True, n))
 
         def edge(number: mi.UInt32, place: mi.Point3f, value: mi.Float, trail: _Trail) -> tuple[Any, ...]:
             row = 3 * (number - 1)
             numbers = mi.Point3f(*(dr.gather(mi.Float, state.later, (row + i) * n + lane) for i in range(3)))
             ray, hit, flux = trail.read(number - 1, mi.Bool(True))
-            end = self._onward(ray, hit, flux, [*numbers], mi.Bool(True))
+            end = self.paths.onward(ray, hit, flux, [*numbers], mi.Bool(True))
             trail.write(number, end, numbers, mi.Bool(True))
             return number + 1, end.ray(end.hit.t), mi.luminance(end.flux), trail
 
@@ -383,16 +219,16 @@ class TailChains:
 
         # ---- The edge: from the light, or from the vertex before it
         starts = is_first & inside_first
-        scatters = (keeps & ~is_first & inside_later) | (adds & (c.length < self.longest))
+        scatters = (keeps & ~is_first & inside_later) | (adds & (c.length < self.paths.longest))
         edge = c.length - dr.select(adds, mi.UInt32(1), mi.UInt32(2))  # the one before; wraps where there is none
         shortens = drops & (c.length > 1)
         before = c.trail.read(edge, scatters | shortens)
-        light_ray = emit(self.lights, _GivenNumbers(dict(zip(_FIRST, first, strict=True))), starts)
-        ray, flux, goes = self._scattered(*before, later, scatters)
+        light_ray = self.paths.emitted(first, starts)
+        ray, flux, goes = self.paths.scattered_ray(*before, later, scatters)
         ray = dr.select(starts, light_ray.ray, ray)
         flux = dr.select(starts, light_ray.throughput, flux)
         casts = (starts & light_ray.active) | (scatters & goes)
-        end = self._cast(ray, flux, casts)
+        end = self.paths.cast(ray, flux, casts)
 
         # ---- Accept
         value = mi.luminance(dr.select(shortens, before[2], end.flux))
@@ -410,9 +246,9 @@ class TailChains:
         c.accepted += ones(accepted)
         c.bad += ones(casts & end.bad)
 
-    def _left(self, chain: _Chain, lane: mi.UInt32, n: int) -> TailState:
+    def _left(self, chain: _Chain, lane: mi.UInt32, n: int) -> PathNumbers:
         """The state of chains, as arrays."""
-        first, later = dr.zeros(mi.Float, 5 * n), dr.zeros(mi.Float, max(1, 3 * (self.longest - 1) * n))
+        first, later = dr.zeros(mi.Float, 5 * n), dr.zeros(mi.Float, max(1, 3 * (self.paths.longest - 1) * n))
         for i, u in enumerate(chain.first):
             dr.scatter(first, u, lane + i * n)
 
@@ -424,9 +260,4 @@ class TailChains:
         dr.while_loop(
             (dr.full(mi.UInt32, 1, n), chain.trail), lambda number, _: number < chain.length, store, label="numbers"
         )
-        return TailState(mi.UInt32(chain.length), first, later)
-
-
-def summed(values: mi.UInt32) -> float:
-    """Sum over all lanes."""
-    return float(np.array(values).sum(dtype=np.float64))
+        return PathNumbers(mi.UInt32(chain.length), first, later)
