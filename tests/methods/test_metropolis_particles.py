@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-import drjit as dr
-import mitsuba as mi
 import numpy as np
 import pytest
 from scipy import stats
 from support import scenes
+from support.light_paths import independent
 
-from etendue.core import CheckpointError, IndependentSource, Measurement, Replica, SceneError
+from etendue.core import CheckpointError, Measurement, Replica, SceneError
 from etendue.integration import autocorrelation_time
 from etendue.methods.metropolis.particles import MetropolisParticles, MetropolisParticlesSettings
 from etendue.particles import Particles
-from etendue.scene import LightTable, Problem, load
-from etendue.transport import emit, scatter_light
+from etendue.scene import Problem, load
 
 #: A run that agrees is called different with this probability.
 LEVEL = 1e-5
@@ -40,30 +38,6 @@ def run(method: MetropolisParticles, passes: int, seed: int = 1) -> Measurement:
 
 def joined(method: MetropolisParticles, measurement: Measurement) -> Particles:
     return Particles.joined(list(method.particles(measurement)))
-
-
-def independent(problem: Problem, paths: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Light paths, edge by edge in Python: (shape, flux in colour, position) of every end, (LONGEST, paths, ...); flux
-    zero where there is none."""
-    lights, scene = LightTable(problem.scene), problem.scene
-    numbers = {shape: i for i, shape in enumerate(np.array(dr.reinterpret_array(mi.UInt32, scene.shapes_dr())))}
-    source = IndependentSource(dr.arange(mi.UInt32, paths), seed, "test", 0)
-    emitted = emit(lights, source, dr.full(mi.Bool, True, paths))
-    ray, flux, active = emitted.ray, emitted.throughput / paths, emitted.active
-    shapes, fluxes, places = [], [], []
-    for edge in range(1, LONGEST + 1):
-        si = scene.ray_intersect(ray, active)
-        active &= si.is_valid()
-        dr.eval(si, flux, active)
-        ids = np.array(dr.reinterpret_array(mi.UInt32, si.shape))
-        shapes.append([numbers.get(i, 0) for i in ids])
-        fluxes.append(np.array(dr.select(active, flux, 0.0)).T)
-        places.append(np.array(si.p).T)
-        scattered, _ = scatter_light(si.bsdf(ray), si, source, mi.UInt32(edge), active)
-        active &= scattered.active
-        flux *= scattered.weight
-        ray = si.spawn_ray(scattered.direction)
-    return np.array(shapes), np.array(fluxes), np.array(places)
 
 
 def cells(shape: np.ndarray, position: np.ndarray, bounce: np.ndarray) -> np.ndarray:
@@ -107,7 +81,7 @@ def test_a_closed_box_receives_its_power_over_the_absorbed_share():
 def test_places_and_lengths_as_of_independent_paths(emitter, group):
     """Chi-square over shapes, quarters of them and bounces, with the variance between chains and between paths."""
     problem = scenes.room(emitter, group)
-    shape, flux, position = independent(problem, 1 << 17, 7)
+    shape, flux, position = independent(problem, 1 << 17, 7, LONGEST)
     value = flux @ np.array([0.212671, 0.715160, 0.072169])
     cell = cells(shape, position, np.arange(1, LONGEST + 1)[:, None])
     count, batches = int(cell.max()) + 1, 64
@@ -139,7 +113,7 @@ def test_places_and_lengths_as_of_independent_paths(emitter, group):
 
 def test_colours_are_those_of_independent_paths():
     problem = scenes.room("two", ())
-    _, flux, _ = independent(problem, 1 << 17, 3)
+    _, flux, _ = independent(problem, 1 << 17, 3, LONGEST)
     batches = flux.sum(0).reshape(64, -1, 3).sum(1) * 64
     method = made(problem)
     particles = joined(method, run(method, 6))

@@ -33,12 +33,18 @@ from .scattering import (
     scatter_uniform,
     shadow_roulette,
 )
+from .schemes.cells import CellEmission, ImportancePilot
+from .schemes.numbers import BlindEmission, GivenNumbers, UniformLights
+from .schemes.numbers import Emission as EmissionScheme
+from .schemes.strata import EMISSION, FIRST_BOUNCE, StratifiedSource
 from .vertex import Joined, Vertex, WalkVertex
 from .visibility import Visibility
 from .walk import CameraPath, Emission, SubPath, Walker, ones
 
 __all__ = [
     "AMBIENT_WALKS",
+    "EMISSION",
+    "FIRST_BOUNCE",
     "FOUND_UNITS",
     "GRAZING",
     "MOST_LIGHTS",
@@ -47,22 +53,27 @@ __all__ = [
     "PYRAMID_MAX",
     "AmbientScene",
     "AmbientTable",
+    "BlindEmission",
     "CameraConnection",
     "CameraPath",
     "CameraSampler",
     "CameraSink",
     "CameraWalk",
+    "CellEmission",
     "Contribution",
     "DirectSample",
     "DirectWeights",
     "Emission",
+    "EmissionScheme",
     "EmittedRay",
     "Evaluated",
     "Gather",
+    "GivenNumbers",
     "Guide",
     "GuidedPath",
     "GuidedScattered",
     "GuidedWalk",
+    "ImportancePilot",
     "IrradianceCache",
     "Joined",
     "Kind",
@@ -81,10 +92,12 @@ __all__ = [
     "Sink",
     "SplatSink",
     "Splats",
+    "StratifiedSource",
     "SubPath",
     "Techniques",
     "TrainingSamples",
     "TransportFunctions",
+    "UniformLights",
     "Vertex",
     "Visibility",
     "WalkVertex",

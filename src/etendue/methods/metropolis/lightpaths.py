@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from etendue.core import IndependentSource, SampleSource
 from etendue.scene import LightTable
-from etendue.transport import EmittedRay, Vertex, emit, scatter_light
+from etendue.transport import EmittedRay, GivenNumbers, Vertex, emit, scatter_light
 from etendue.transport import dimensions as dim
 
 #: Component of the number that picks one of the edges of an independent path.
@@ -39,25 +39,6 @@ class PathNumbers:
     length: mi.UInt32
     first: mi.Float
     later: mi.Float
-
-
-@dataclass
-class GivenNumbers:
-    """A :class:`SampleSource` of given numbers of one vertex, by component."""
-
-    numbers: dict[int, mi.Float]
-
-    def next_1d(self, vertex: mi.UInt32 | int, component: int) -> mi.Float:
-        """See :class:`SampleSource`."""
-        return self.numbers[component]
-
-    def next_2d(self, vertex: mi.UInt32 | int, component: int) -> tuple[mi.Float, mi.Float]:
-        """See :class:`SampleSource`."""
-        return self.numbers[component], self.numbers[component + 1]
-
-    def decide(self, vertex: mi.UInt32 | int, component: int) -> mi.Float:
-        """See :class:`SampleSource`."""
-        return self.numbers[component]
 
 
 @dataclass
