@@ -18,9 +18,10 @@ from .core import (
     UnsupportedError,
 )
 from .engine import Session
-from .jobs import FormFactorResult, RadiosityResult, Rendering, Update
+from .jobs import FormFactorResult, ParticleResult, RadiosityResult, Rendering, Update
 from .plugins import register_method as register
 from .solving import compute_form_factors, solve_radiosity, start_form_factors, start_radiosity
+from .tracing import read_particles, trace_particles
 
 plugins.register()  # in every Mitsuba variant that is set, now or later
 
@@ -31,6 +32,7 @@ __all__ = [
     "FormFactorResult",
     "OptionError",
     "OutputError",
+    "ParticleResult",
     "RadiosityResult",
     "Rendering",
     "SceneError",
@@ -39,6 +41,7 @@ __all__ = [
     "Update",
     "check",
     "compute_form_factors",
+    "read_particles",
     "register",
     "render",
     "resume",
@@ -46,4 +49,5 @@ __all__ = [
     "start",
     "start_form_factors",
     "start_radiosity",
+    "trace_particles",
 ]

@@ -20,6 +20,8 @@ from etendue.core import EtendueError, OptionError, describe, logger
 from . import options as opt
 from .boxes import HIERARCHY, resume_hierarchy
 from .console import ConsoleHandler, error_console, note, print_error, say
+from .particles import app as particles
+from .particles import resume_particles
 from .pictures import compare, demo, render, run
 from .radiosity import LINES, form_factors, radiosity, resume_lines
 
@@ -92,7 +94,7 @@ app.command()(render)
 def resume(
     checkpoint: Annotated[
         Path,
-        typer.Argument(help="File that a rendering or radiosity command wrote.", metavar="CHECKPOINT"),
+        typer.Argument(help="File that a rendering, radiosity or particle command wrote.", metavar="CHECKPOINT"),
     ],
     output: opt.Output = None,
     method: Annotated[
@@ -112,6 +114,12 @@ def resume(
     points: Annotated[
         int | None, typer.Option(help="For multipath: stop at this many lines.", min=1, metavar="N")
     ] = None,
+    paths: Annotated[
+        int | None, typer.Option(help="For particles: stop at this many light paths.", min=1, metavar="N")
+    ] = None,
+    particles: Annotated[
+        int | None, typer.Option(help="For particles: stop at about so many.", min=1, metavar="N")
+    ] = None,
     variant: opt.Variant = None,
     threads: opt.Threads = None,
     save_every: opt.SaveEvery = 60.0,
@@ -126,11 +134,18 @@ def resume(
     from etendue import methods
     from etendue.engine import Checkpoint, Job, remaining
     from etendue.jobs import Outputs
+    from etendue.particles import is_particle_file
 
     from .experiments.records import Recorder, run_of
     from .rendering import choose_device, render_to_files
 
     budget = opt.budget(time, spp, error)
+    if is_particle_file(checkpoint):
+        if (spp, error, bundles, points, output, method, define) != (None,) * 7:
+            raise OptionError(f"{checkpoint} has particles: only --paths, --particles, --time and --scene apply")
+        return resume_particles(checkpoint, scene, paths, particles, time, variant, threads)
+    if (paths, particles) != (None, None):
+        raise OptionError(f"{checkpoint} is no file of particles: --paths and --particles do not apply")
     saved = Checkpoint.read(checkpoint)
     if saved.method in LINES:
         if (spp, method, define) != (None, None, None):
@@ -220,6 +235,7 @@ def points(
 
 app.command()(form_factors)
 app.command()(radiosity)
+app.add_typer(particles, name="particles")
 
 
 @app.command()

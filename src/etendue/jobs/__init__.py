@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from .files import PathLike, Writing, check_files, listed
+from .particles import DEFAULT_PATHS, ParticleRequest, ParticleResult, ParticleWork, repack
 from .pictures import Image, Outputs, PictureWork, Rendering, Update, Writer, save_result
 from .results import DEFAULT_BUNDLES, DEFAULT_POINTS, FormFactorResult, LinesResult, RadiosityResult
 from .running import Watch, Work, run_work, start_work
@@ -32,10 +33,14 @@ else:
         "solving": (
             "FormFactorWork",
             "LinesWork",
+            "ParticleRequest",
+            "ParticleResult",
+            "ParticleWork",
             "PatchWork",
             "RadiosityWork",
             "about",
             "radiosity_work",
+            "repack",
             "solve_ambient",
         ),
     }
@@ -51,6 +56,7 @@ else:
 __all__ = [
     "DEFAULT_BUNDLES",
     "DEFAULT_PASSES",
+    "DEFAULT_PATHS",
     "DEFAULT_POINTS",
     "ERROR_SCALE",
     "PICTURE_FILES",
@@ -69,6 +75,9 @@ __all__ = [
     "LinesWork",
     "MultipathWork",
     "Outputs",
+    "ParticleRequest",
+    "ParticleResult",
+    "ParticleWork",
     "Passes",
     "PatchWork",
     "PathLike",
@@ -90,6 +99,7 @@ __all__ = [
     "listed",
     "picture",
     "radiosity_work",
+    "repack",
     "run_work",
     "save_result",
     "solve_ambient",

@@ -9,6 +9,7 @@ from .base import CameraSettings, ImageMethod, ImageSettings, Layer, total
 from .bidirectional import Bidirectional, Bpm, Bpt, Vcm
 from .guided import Guided
 from .light import LightTracing
+from .particles import ParticleTracing
 from .path import Path
 from .photon.map import Pm
 from .photon.progressive import Ppm, Sppm
@@ -25,6 +26,7 @@ __all__ = [
     "ImageSettings",
     "Layer",
     "LightTracing",
+    "ParticleTracing",
     "Path",
     "Pm",
     "Ppm",

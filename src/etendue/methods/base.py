@@ -261,12 +261,8 @@ class ImageMethod(ABC):
         return OwenSobolSource(mi.UInt32(0), index, seed, role + " film", high)
 
     def light_numbers(self, lanes: Lanes, paths: int, seed: int, iteration: int, role: str = "light") -> SampleSource:
-        """Random numbers of the light paths ``lanes``; ``paths``: all light paths of a pass."""
-        if self.settings.sampler == "independent":
-            lane, high = lanes.numbers()
-            return IndependentSource(lane, seed, role, iteration, high)
-        index, high = lanes.numbers(iteration * paths)
-        return OwenSobolSource(dr.zeros(mi.UInt32), index, seed, role, high)
+        """See :func:`light_numbers`."""
+        return light_numbers(self.settings.sampler, lanes, paths, seed, iteration, role)
 
     def splats(self, seed: int, iteration: int, images: int = 1, role: str = "", in_cells: bool = True) -> Splats:
         """Images for the splats of a pass."""
@@ -316,6 +312,17 @@ class ImageMethod(ABC):
         found = {"albedo": albedo, "normal": normal, "depth": depth}
         layers = {name: self.image(values, seed, iteration) for name, values in found.items()}
         return layers, total(bad_albedo) + total(bad_normal)
+
+
+def light_numbers(
+    sampler: str, lanes: Lanes, paths: int, seed: int, iteration: int, role: str = "light"
+) -> SampleSource:
+    """Random numbers of the light paths ``lanes``; ``paths``: all light paths of a pass."""
+    if sampler == "independent":
+        lane, high = lanes.numbers()
+        return IndependentSource(lane, seed, role, iteration, high)
+    index, high = lanes.numbers(iteration * paths)
+    return OwenSobolSource(dr.zeros(mi.UInt32), index, seed, role, high)
 
 
 class SharedFilm:

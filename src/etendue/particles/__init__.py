@@ -1,6 +1,35 @@
 """Particles on surfaces: records of light paths, their files and codecs."""
 
+from .codecs import LAYOUTS, Codec, decode, encode
+from .coders import coder_names
 from .errors import ParticleError
-from .particles import LAYOUT, RAW_BYTES, Particles
+from .files import ParticleFile, is_particle_file
+from .grid import Grid
+from .particles import LAYOUT, RAW_BYTES, WORDS, Particles, Rows, columns_of
+from .surfaces import Surfaces, SurfaceTable
+from .walk import Keep, ParticleStore, ParticleWalk
+from .writer import ParticleWriter
 
-__all__ = ["LAYOUT", "RAW_BYTES", "ParticleError", "Particles"]
+__all__ = [
+    "LAYOUT",
+    "LAYOUTS",
+    "RAW_BYTES",
+    "WORDS",
+    "Codec",
+    "Grid",
+    "Keep",
+    "ParticleError",
+    "ParticleFile",
+    "ParticleStore",
+    "ParticleWalk",
+    "ParticleWriter",
+    "Particles",
+    "Rows",
+    "SurfaceTable",
+    "Surfaces",
+    "coder_names",
+    "columns_of",
+    "decode",
+    "encode",
+    "is_particle_file",
+]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,22 @@ LAYOUT: dict[str, tuple[str, tuple[int, ...]]] = {
 }
 #: Bytes of a particle whose fields are not packed.
 RAW_BYTES = sum(np.dtype(kind).itemsize * int(np.prod(shape)) for kind, shape in LAYOUT.values())
+#: Words of four bytes of a particle.
+WORDS = RAW_BYTES // 4
+
+#: Particles as words, (n, ``WORDS``) uint32: the fields of a row one after the other, floats by their bits.
+Rows = NDArray[np.uint32]
+
+
+def columns_of(name: str) -> slice:
+    """The columns of a field in :data:`Rows`."""
+    first = 0
+    for known, (_, shape) in LAYOUT.items():
+        end = first + int(np.prod(shape))
+        if known == name:
+            return slice(first, end)
+        first = end
+    raise KeyError(name)
 
 
 @dataclass(frozen=True)
@@ -78,3 +95,22 @@ class Particles:
         if not parts:
             return cls.empty()
         return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
+
+    @classmethod
+    def of_rows(cls, rows: Rows, scale: float = 1.0) -> Particles:
+        """Particles of :data:`Rows`, with their power times ``scale``."""
+        arrays: dict[str, Any] = {}
+        for name, (kind, shape) in LAYOUT.items():
+            array = np.ascontiguousarray(rows[:, columns_of(name)]).view(kind)
+            arrays[name] = array.reshape(len(rows), *shape)
+        if scale != 1.0:
+            arrays["power"] = (arrays["power"] * np.float64(scale)).astype(np.float32)
+        return cls(**arrays)
+
+    @property
+    def rows(self) -> Rows:
+        """The same as words."""
+        result = np.empty((len(self), WORDS), np.uint32)
+        for name in LAYOUT:
+            result[:, columns_of(name)] = getattr(self, name).view(np.uint32).reshape(len(self), -1)
+        return result

@@ -1,0 +1,273 @@
+"""`etendue particles`: tracing of particles into files, and what one can do with these files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from etendue.core import OptionError, Progress, format_rate, format_seconds
+
+from . import options as opt
+from .console import error_console, note, say
+from .radiosity_outputs import Options
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from etendue.jobs import ParticleResult, ParticleWork
+    from etendue.particles import ParticleFile
+
+app = typer.Typer(
+    help="Trace particles, the hits of light paths on surfaces, into files; look at these files and pack them.",
+    no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+#: Shapes that `info` lists, those with most particles.
+_LISTED = 20
+
+CodecName = Annotated[
+    str,
+    typer.Option(
+        "--codec",
+        help="raw, exact (no loss), packed (bounded loss) or packed-no-paths; with +fast, +zlib, +bz2, +lzma, +zstd, "
+        "+lz4, +blosc2, +rle or +none: the coder.",
+        metavar="NAME",
+    ),
+]
+
+
+@app.command()
+def trace(
+    scene: opt.Scene,
+    output: Annotated[Path, typer.Option("-o", "--output", help="New file of particles.", metavar="FILE")],
+    paths: Annotated[
+        int | None, typer.Option("--paths", help="Light paths; 1000000 if no budget is given.", min=1, metavar="N")
+    ] = None,
+    particles: Annotated[
+        int | None, typer.Option("--particles", help="About so many particles.", min=1, metavar="N")
+    ] = None,
+    time: opt.Time = None,
+    keep: Annotated[
+        str | None,
+        typer.Option(
+            "--keep", help="all, first (of each path on a diffuse or glossy surface) or absorbed.", metavar="NAME"
+        ),
+    ] = None,
+    after: Annotated[
+        int | None,
+        typer.Option("--after", help="Leave out hits with N edges from the light or fewer.", min=0, metavar="N"),
+    ] = None,
+    specular: Annotated[
+        bool, typer.Option("--specular", help="Also keep hits on surfaces without a diffuse or glossy part.")
+    ] = False,
+    codec: CodecName = "packed",
+    define: opt.Define = None,
+    param: opt.Param = None,
+    seed: opt.Seed = 0,
+    variant: opt.Variant = None,
+    memory: opt.Memory = None,
+    threads: opt.Threads = None,
+    debug: opt.Debug = False,
+) -> int:
+    """Trace light paths, and write their hits on surfaces to a file while tracing.
+
+    Stops at the first of --paths, --particles and --time that is reached, or by Ctrl-C; the file then has all whole
+    passes, and `etendue resume FILE` goes on.
+    """
+    from etendue.jobs import ParticleRequest, ParticleWork
+    from etendue.scene import locate
+
+    from .rendering import choose_device
+
+    settings: dict[str, Any] = dict(opt.parse_pairs(define, "-D"))
+    short = {"keep": keep, "after": after, "specular": specular or None}
+    for name, value in short.items():
+        if value is not None and name in settings:
+            raise OptionError(f"--{name} and -D {name} are the same setting; give one of them")
+        settings |= {} if value is None else {name: value}
+    request = ParticleRequest(
+        scene=locate(scene, lambda text: note(error_console(), text)),
+        output=output,
+        paths=paths,
+        particles=particles,
+        seconds=time,
+        codec=codec,
+        settings=settings,
+        seed=seed,
+        parameters=opt.parse_pairs(param, "-P"),
+        memory=memory,
+        wording=Options(),
+    )
+    choose_device(variant, threads)
+    return _run(lambda: ParticleWork.open(request), output)
+
+
+def resume_particles(
+    path: Path,
+    scene: str | None,
+    paths: int | None,
+    particles: int | None,
+    time: float | None,
+    variant: str | None,
+    threads: int | None,
+) -> int:
+    """Go on with a file of particles."""
+    from etendue.engine import Budget
+    from etendue.jobs import ParticleWork
+
+    from .rendering import choose_device
+
+    choose_device(variant, threads)
+    return _run(lambda: ParticleWork.resume(path, Budget(time, paths), particles, scene), path)
+
+
+@app.command()
+def info(
+    file: Annotated[Path, typer.Argument(help="File of particles.", metavar="FILE")],
+    json: Annotated[bool, typer.Option("--json", help="Write all of it as JSON to standard output.")] = False,
+    debug: opt.Debug = False,
+) -> int:
+    """Show scene, counts, codec, bounds of loss, and the particles on each shape, without unpacking them."""
+    from etendue.particles import ParticleFile
+
+    known = ParticleFile(file)
+    found = _described(known)
+    if json:
+        import json as writer
+
+        say(writer.dumps(found, indent=1))
+        return 0
+    from rich.markup import escape
+    from rich.table import Table
+
+    count, settings = found["particles"], ", ".join(f"{k}={v}" for k, v in found["settings"].items())
+    rows = [
+        ("scene", f"{found['scene']}, fingerprint {found['fingerprint']}, seed {found['seed']}"),
+        ("particles", f"{count} of {found['paths']} light paths in {found['passes']} passes; {found['state']}"),
+        ("power", " ".join(f"{x:.6g}" for x in found["power"]) + " W incident on all surfaces (red, green, blue)"),
+        ("size", f"{known.size} bytes, {known.size / max(count, 1):.2f} a particle; codec {found['codec']}"),
+    ]
+    if found["bounds"]:
+        b = found["bounds"]
+        rows.append(
+            (
+                "loss",
+                f"position {b['position']:.2g} (scene units), direction {b['direction']:.2g} rad, power "
+                f"{b['power']:.2g} of its largest channel",
+            )
+        )
+    rows.append(("settings", settings))
+    table = Table(box=None, show_header=False, pad_edge=False)
+    for row in rows:
+        table.add_row(*map(escape, row))
+    shapes = Table("", "shape", "particles", "share", "a unit of area", box=None, pad_edge=False, title_justify="left")
+    listed = sorted(found["shapes"], key=lambda shape: -shape["particles"])
+    for shape in [s for s in listed if s["particles"]][:_LISTED]:
+        area = shape["area"]
+        shapes.add_row(
+            str(shape["index"]),
+            escape(shape["name"]),
+            str(shape["particles"]),
+            f"{shape['particles'] / count:.2%}",
+            f"{shape['particles'] / area:.4g}" if area else "",
+        )
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    console.print(table, "", shapes)
+    return 0
+
+
+@app.command()
+def compress(
+    file: Annotated[Path, typer.Argument(help="File of particles.", metavar="FILE")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="New file of particles.", metavar="FILE")],
+    codec: CodecName = "packed",
+    debug: opt.Debug = False,
+) -> int:
+    """Write the particles of a file by another codec."""
+    from etendue.jobs import repack
+    from etendue.particles import ParticleFile
+
+    console = error_console()
+    with console.status("packing") as status:
+        repack(file, output, codec, lambda done, of: status.update(f"packing: pass {done} of {of}"))
+    before, after = ParticleFile(file), ParticleFile(output)
+    count = max(len(after), 1)
+    note(
+        console,
+        f"{len(after)} particles: {before.size / count:.2f} bytes each by {before.codec}, {after.size / count:.2f} by "
+        f"{after.codec}",
+    )
+    say(str(output))
+    return 0
+
+
+def _run(open_work: Callable[[], ParticleWork], output: Path) -> int:
+    """Trace, report and print the path of the file. Returns the exit status."""
+    from etendue.engine import RunError
+    from etendue.jobs import start_work
+
+    from .rendering import follow
+
+    console = error_console()
+    try:
+        outcome = follow(lambda: start_work(open_work), console, "particles", _words)
+    except RunError:
+        say(str(output))  # it has the passes before the failure
+        raise
+    if outcome.result is not None:
+        note(console, _summary(outcome.result, output.stat().st_size))
+        say(str(output))
+    return outcome.exit_code
+
+
+def _words(progress: Progress) -> list[str]:
+    parts = [f"{progress.samples:.4g} paths", format_seconds(progress.elapsed)]
+    if progress.eta is not None:
+        parts.append(f"ETA {format_seconds(progress.eta)}")
+    if progress.rays_per_second:
+        parts.append(format_rate(progress.rays_per_second))
+    return parts
+
+
+def _summary(result: ParticleResult, size: int) -> str:
+    particles, paths = (int(result.counters[name]) for name in ("particles", "paths"))
+    seconds = format_seconds(result.elapsed)
+    return f"{particles} particles of {paths} light paths, {seconds}, {size / max(particles, 1):.2f} bytes a particle"
+
+
+def _described(known: ParticleFile) -> dict[str, Any]:
+    import json
+
+    state = "finished" if known.is_finished else "not finished, whole passes only"
+    if known.ending.get("stopped_by") in ("cancel", "failure"):
+        state = "stopped early"
+    areas, counts = known.surfaces.areas, known.counts
+    return {
+        "scene": known.header["scene"],
+        "fingerprint": known.header["fingerprint"],
+        "seed": known.header["seed"],
+        "settings": json.loads(known.header["settings"]),
+        "versions": known.header["versions"],
+        "particles": len(known),
+        "paths": known.paths,
+        "passes": len(known.passes),
+        "state": state,
+        "power": [float(x) for x in known.power],
+        "bytes": known.size,
+        "codec": str(known.codec),
+        "codecs_before": known.header.get("before", []),
+        "bounds": known.bounds,
+        "shapes": [
+            {
+                "index": k,
+                "name": name,
+                "particles": int(counts[k]),
+                "area": float(areas[k]) if areas[k] > 0 else None,
+            }
+            for k, name in enumerate(known.surfaces.names)
+        ],
+    }

@@ -1,0 +1,246 @@
+"""Particles as work: light paths are traced, and each pass is written to a file, or kept in memory."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from etendue.core import (
+    CheckpointError,
+    Iterations,
+    Measurement,
+    OptionError,
+    Pass,
+    Record,
+    State,
+    is_number,
+    logger,
+    warn_of_nonfinite,
+)
+from etendue.engine import Budget, Checkpoint, InTurn, Job, Runner, RunResult, fit_samples, remaining, settle_samples
+from etendue.methods import ParticleTracing
+from etendue.particles import Codec, ParticleFile, Particles, ParticleWriter
+from etendue.scene import load
+
+from .wording import PYTHON, Wording
+
+#: Light paths, if no budget is given.
+DEFAULT_PATHS = 1_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParticleRequest:
+    """Particles of a scene. The first of the limits that is reached ends the tracing; passes are whole, so there may be
+    a few more. Without ``output`` the particles stay in memory."""
+
+    scene: Any
+    output: Path | None = None
+    paths: int | None = None
+    particles: int | None = None  #: about so many: a pilot says how many paths that takes
+    seconds: float | None = None
+    codec: str = "packed"
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0
+    parameters: Mapping[str, Any] | None = None
+    memory: int | None = None
+    wording: Wording = PYTHON
+
+    def __post_init__(self) -> None:
+        for name in ("paths", "particles"):
+            value = getattr(self, name)
+            whole = is_number(value) and value >= 1 and float(value).is_integer()
+            if value is not None and not whole:
+                limit = self.wording.limit(name)
+                raise OptionError(f"a budget in {limit} must be a whole number of at least 1, not {value!r}")
+        if None not in (self.paths, self.particles):
+            paths, particles = map(self.wording.option, ("paths", "particles"))
+            raise OptionError(f"{paths} and {particles} limit the same; give one of them")
+        Budget(self.seconds)
+        Codec.parse(self.codec)
+        ParticleTracing.Settings.from_mapping(self.settings, owner="particle tracing")
+        if self.output is not None and self.output.exists():
+            raise OptionError(
+                f"'{self.output}' exists: choose another name, remove it, or go on with its particles by "
+                f"etendue resume {self.output}"
+            )
+
+
+@dataclass
+class ParticleResult:
+    """What a run has traced. ``particles`` are in memory; ``None`` if they are in the file."""
+
+    particles: Particles | None
+    file: Path | None
+    counters: dict[str, float]
+    passes: int
+    stopped_by: str
+    elapsed: float
+
+
+class ParticleWork:
+    """A request whose scene has been loaded, or a file that is continued; see :class:`Work`.
+
+    Raises the errors of loading a scene, and :class:`OutputError` if the file cannot be made.
+    """
+
+    def __init__(self, job: Job, writer: ParticleWriter | None) -> None:
+        self._job, self._writer = job, writer
+
+    @classmethod
+    def open(cls, request: ParticleRequest) -> ParticleWork:
+        """Load the scene, prepare the tracing and make the file."""
+        from etendue.engine import Task, versions
+
+        problem = load(request.scene, parameters=request.parameters, memory=request.memory)
+        begin = time.perf_counter()
+        settings: Any = ParticleTracing.Settings.from_mapping(request.settings, owner="particle tracing")
+        tracing = ParticleTracing(settings)
+        tracing.prepare(problem, request.seed)
+        paths = request.paths
+        if request.particles is not None:
+            paths = tracing.paths_for(request.particles)
+        elif paths is None and request.seconds is None:
+            paths = DEFAULT_PATHS
+        budget = Budget(request.seconds, paths)
+        if budget.samples is not None:
+            tracing = fit_samples(tracing, budget.samples, problem, request.seed)  # type: ignore[assignment]
+        settle_samples(tracing)
+        task = Task(
+            request.scene, ParticleTracing, seed=request.seed, parameters=request.parameters, memory=request.memory
+        )
+        spent = time.perf_counter() - begin
+        job = Job(problem, tracing, seed=request.seed, budget=budget, place=task.place(), preparation=spent)
+        if request.output is None:
+            return cls(job, None)
+        header = {
+            "scene": problem.source,
+            "fingerprint": problem.fingerprint,
+            "place": job.place,
+            "seed": request.seed,
+            "settings": tracing.settings.to_json(),
+            "paths_per_pass": tracing.samples_per_iteration,
+            "budget": budget.to_dict(),
+            "versions": versions(),
+        }
+        codec = Codec.parse(request.codec)
+        return cls(job, ParticleWriter.create(request.output, header, tracing.surfaces, codec))
+
+    @classmethod
+    def resume(cls, path: Path, budget: Budget, particles: int | None = None, scene: Any = None) -> ParticleWork:
+        """Go on with a file; without a budget, with the rest of that of its run. ``scene``: its new place.
+
+        Raises :class:`ParticleError` for a file that cannot be read, :class:`CheckpointError` if the scene has changed
+        or the budget is used up."""
+        known = ParticleFile(path)
+        saved = _checkpoint(known)
+        if particles is not None:
+            per_path = len(known) / max(known.paths, 1) or 1.0
+            budget = Budget(budget.seconds, max(1, round(particles / per_path)))
+        budget = budget or remaining(saved, "--paths, --particles or --time")
+        job = Job.resume(saved, ParticleTracing, budget=budget, scene=scene)
+        return cls(job, ParticleWriter.resume(known))
+
+    def runner(self, **options: Any) -> Runner:
+        """See :class:`Work`."""
+        if self._writer is not None:
+            writer = self._writer
+            options["executor"] = lambda *run: _Written(writer, *run)
+        return self._job.runner(**options)
+
+    def keep(self, run: RunResult) -> None:
+        """See :class:`Work`: passes are in the file already."""
+        if self._writer is not None:
+            self._writer.close(**self._ending(run))
+
+    def finish(self, run: RunResult) -> ParticleResult:
+        """See :class:`Work`."""
+        self.keep(run)
+        warn_of_nonfinite(run.measurement)
+        tracing: Any = self._job.method
+        return ParticleResult(
+            tracing.particles(run.measurement) if self._writer is None else None,
+            None if self._writer is None else self._writer.path,
+            dict(run.measurement.counters),
+            run.passes,
+            str(run.stopped_by),
+            run.elapsed,
+        )
+
+    def _ending(self, run: RunResult) -> dict[str, Any]:
+        return {
+            "stopped_by": run.stopped_by,
+            "elapsed": run.elapsed,
+            "earlier": self._job.earlier,
+            "budget": self._job.budget.to_dict(),
+        }
+
+
+class _Written(InTurn):
+    """Makes passes and writes their particles, which then leave the measurement."""
+
+    def __init__(self, writer: ParticleWriter, method: Any, seed: int, state: State, first: int) -> None:
+        super().__init__(method, seed, state, first)
+        self._writer = writer
+
+    def next(self) -> Pass:
+        """See :class:`Executor`."""
+        made = super().next()
+        ((key, rows),) = ((key, record[key]) for record in made.measurement.records.values() for key in record.passes)
+        made.measurement.records = {name: Record() for name in made.measurement.records}
+        self._writer.add(key[1], rows, made.measurement.counters)
+        return made
+
+
+def _checkpoint(known: ParticleFile) -> Checkpoint:
+    """The state of a run from its file, as if it were saved."""
+    header, ending = known.header, known.ending
+    passes = [[0, int(block.head["pass"]), int(block.head["pass"]) + 1] for block in known.passes]
+    if not passes:
+        raise CheckpointError(f"'{known.path}' has no whole pass; remove it, and trace the particles anew")
+    names = {"particles": Record()}
+    return Checkpoint(
+        measurement=Measurement({}, {}, Iterations.from_json(passes), counters=dict(known.counters), records=names),
+        method=ParticleTracing.name,
+        settings=header["settings"],
+        seed=int(header["seed"]),
+        fingerprint=header["fingerprint"],
+        scene=dict(header["place"]),
+        budget=dict(ending.get("budget", header["budget"])),
+        stopped_by=str(ending.get("stopped_by", "running")),
+        versions=dict(header["versions"]),
+        elapsed=float(ending.get("elapsed", known.counters.get("seconds", 0.0))),
+        earlier=float(ending.get("earlier", 0.0)),
+    )
+
+
+def repack(source: Path, output: Path, codec: str, tell: Callable[[int, int], object] = lambda done, of: None) -> Path:
+    """Write the particles of a file by another codec; ``tell`` gets the numbers of passes done and of all.
+
+    Raises :class:`ParticleError` for a file that cannot be read, :class:`OutputError` if ``output`` exists or cannot be
+    written; then it is removed."""
+    chosen, known = Codec.parse(codec), ParticleFile(source)
+    header = {name: value for name, value in known.header.items() if name not in ("crc", "surfaces", "format")}
+    if known.codec.is_bounded:
+        header["before"] = [*known.header.get("before", []), str(known.codec)]
+        logger.info("%s is packed with bounded loss already", source)
+    writer = ParticleWriter.create(output, header, known.surfaces, chosen)
+    try:
+        for done, (end, rows) in enumerate(known.rows_of_passes(), start=1):
+            writer.add(int(end.head["pass"]), rows, end.head["counters"])
+            tell(done, len(known.passes))
+        ending = {name: value for name, value in known.ending.items() if name != "crc"}
+        writer.close(**ending)
+    except BaseException:
+        writer.discard()
+        raise
+    return output
+
+
+def described(header: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings in the header of a file."""
+    found: dict[str, Any] = json.loads(header["settings"])
+    return found

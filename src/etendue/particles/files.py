@@ -1,0 +1,243 @@
+"""Files of particles: reading all of them, or those on some surfaces and in a region."""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import Any, BinaryIO, TypeVar
+
+import drjit as dr
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from etendue.core import Array, suggest
+
+from . import blocks
+from .blocks import Block
+from .codecs import Codec, decode
+from .errors import ParticleError
+from .grid import Grid
+from .particles import Particles, Rows, columns_of
+from .surfaces import Surfaces
+
+PathLike = str | os.PathLike[str]
+T = TypeVar("T")
+
+
+def is_particle_file(path: PathLike) -> bool:
+    """Whether a file begins as one of particles does."""
+    try:
+        with open(path, "rb") as file:
+            return file.read(len(blocks.HEADER)) == blocks.HEADER
+    except OSError:
+        return False
+
+
+class ParticleFile:
+    """The particles of a file. Heads are read when it is opened, particles when they are asked for.
+
+    A file that was cut off has the particles of its whole passes. Raises :class:`ParticleError` if there is no file, if
+    it is not of particles, or of another version.
+
+    Attributes
+    ----------
+    header: scene, fingerprint, seed, settings, codec and versions.
+    surfaces: the shapes of the scene. counters: paths, particles and rays. passes: iterations.
+    is_finished: whether the run that wrote it ended, by its budget or on request.
+    """
+
+    def __init__(self, path: PathLike) -> None:
+        self.path = Path(path)
+        try:
+            with open(self.path, "rb") as file:
+                self._open(file)
+        except FileNotFoundError:
+            raise ParticleError(f"there is no file '{path}' of particles; check the name") from None
+        except OSError as error:
+            raise ParticleError(f"cannot read '{path}': {error.strerror or error}") from None
+
+    def _open(self, file: BinaryIO) -> None:
+        size = os.fstat(file.fileno()).st_size
+        first = blocks.read_block(file, size)
+        if first is None or first.kind != blocks.HEADER:
+            raise ParticleError(f"'{self.path}' is not a file of particles, or its beginning is damaged")
+        self.header = first.head
+        if self.header["format"] != blocks.FORMAT:
+            version = self.header.get("versions", {}).get("etendue", "of another version")
+            raise ParticleError(
+                f"'{self.path}' has format {self.header['format']}, this étendue reads format {blocks.FORMAT}; "
+                f"read it by étendue {version}"
+            )
+        self.codec = Codec.parse(self.header["codec"])
+        try:
+            frames = np.frombuffer(zlib.decompress(first.payload(file)), np.float32).reshape(-1, 9)
+        except (ValueError, zlib.error):
+            raise ParticleError(f"the header of '{self.path}' is damaged; trace the particles anew") from None
+        self.surfaces = Surfaces.described(self.header["surfaces"], frames)
+        self.grid = Grid(self.surfaces)
+        found = blocks.read_index(file, size)
+        if found is None:
+            file.seek(first.end)
+            found = list(blocks.scanned(file, size)), {}
+        every, self.ending = found
+        #: Where the last whole pass ends.
+        self.end = first.end
+        #: Chunks of particles, and the ends of passes.
+        self.chunks: list[Block] = []
+        self.passes: list[Block] = []
+        waiting: list[Block] = []
+        for block in every:
+            if block.kind == blocks.CHUNK:
+                waiting.append(block)
+            elif block.kind == blocks.PASS:
+                self.chunks += waiting
+                self.passes.append(block)
+                waiting, self.end = [], block.end
+        self.is_finished = bool(self.ending)
+        self.size = size
+        self.counters: dict[str, float] = {}
+        for block in self.passes:
+            for name, value in block.head["counters"].items():
+                self.counters[name] = self.counters.get(name, 0.0) + value
+
+    def __len__(self) -> int:
+        return sum(int(block.head["count"]) for block in self.chunks)
+
+    @property
+    def paths(self) -> int:
+        """Light paths that were emitted."""
+        return int(self.counters.get("paths", 0))
+
+    @property
+    def bounds(self) -> dict[str, float]:
+        """Bounds of the loss of all codecs that have packed the particles, see :attr:`Grid.bounds`; empty if nothing is
+        lost."""
+        times = sum(Codec.parse(name).is_bounded for name in (self.header["codec"], *self.header.get("before", [])))
+        return {name: times * bound for name, bound in self.grid.bounds.items()} if times else {}
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """Particles on each shape, from the heads of chunks."""
+        counts = np.zeros(len(self.surfaces), np.int64)
+        for block in self.chunks:
+            for shape, count in block.head["shapes"]:
+                counts[shape] += count
+        return counts
+
+    @property
+    def power(self) -> Array:
+        """Sum of the power of all particles, (3,) W, from the heads of chunks."""
+        total = np.sum([block.head["power"] for block in self.chunks], axis=0) if self.chunks else np.zeros(3)
+        return np.asarray(total / max(self.paths, 1))
+
+    def shape(self, name: str | int) -> int:
+        """The index of a shape by name or index. Raises :class:`ParticleError` if there is none."""
+        names = self.surfaces.names
+        if isinstance(name, (int, np.integer)) or str(name).isdecimal():
+            if 0 <= int(name) < len(names):
+                return int(name)
+            raise ParticleError(f"there is no shape {name}: '{self.path}' has shapes 0 to {len(names) - 1}")
+        if name not in names:
+            raise ParticleError(f"there is no shape '{name}' in '{self.path}'; {suggest(str(name), names, 'it has')}")
+        return names.index(name)
+
+    def read(self, shapes: Sequence[str | int] | None = None, box: ArrayLike | None = None) -> Particles:
+        """All particles, or those on ``shapes`` (names or indices) and in ``box`` ((2, 3): lower and upper corner)."""
+        return Particles.joined(list(self.parts(shapes, box)))
+
+    def parts(self, shapes: Sequence[str | int] | None = None, box: ArrayLike | None = None) -> Iterator[Particles]:
+        """As :meth:`read`, in parts of at most 65536 particles. Chunks without such particles are not read.
+
+        Raises :class:`ParticleError` for a damaged chunk, and for shapes that do not exist."""
+        wanted = None if shapes is None else np.array([self.shape(name) for name in shapes], np.uint32)
+        corners = _corners(box)
+        scale = 1.0 / max(self.paths, 1)
+        chosen = [block for block in self.chunks if _may_have(block.head, wanted, corners)]
+        for rows in self._unpacked(chosen, lambda rows: _selected(rows, wanted, corners)):
+            if len(rows):
+                yield Particles.of_rows(rows, scale)
+
+    def rows_of_passes(self) -> Iterator[tuple[Block, Rows]]:
+        """The end of each pass, and its rows; their power is not divided by the number of paths."""
+        begin = 0
+        for block in self.passes:
+            end = begin
+            while end < len(self.chunks) and self.chunks[end].start < block.start:
+                end += 1
+            rows = list(self._unpacked(self.chunks[begin:end], lambda rows: rows))
+            yield block, np.concatenate([np.zeros((0, 15), np.uint32), *rows])
+            begin = end
+
+    def _unpacked(self, chosen: Iterable[Block], then: Callable[[Rows], Rows]) -> Iterator[Rows]:
+        with open(self.path, "rb") as file:
+            # Chunks are read here, one after the other, and unpacked in threads.
+            yield from in_order(partial(self._decoded, block, self._payload(file, block), then) for block in chosen)
+
+    def _payload(self, file: BinaryIO, block: Block) -> bytes:
+        try:
+            return block.payload(file)
+        except (ValueError, OSError):
+            raise ParticleError(
+                f"'{self.path}' is damaged: {block.head['count']} particles of pass {block.head['pass']} cannot be "
+                "read; copy it again, or trace anew"
+            ) from None
+
+    def _decoded(self, block: Block, payload: bytes, then: Callable[[Rows], Rows]) -> Rows:
+        return then(decode(block.head, payload, self.grid))
+
+    def require_scene(self, fingerprint: str) -> None:
+        """Raise :class:`ParticleError` unless the particles are of the scene with this fingerprint."""
+        if fingerprint != self.header["fingerprint"]:
+            raise ParticleError(
+                f"'{self.path}' has particles of another scene ('{self.header['scene']}'), or its parameters, sensor "
+                "or size have changed since; trace the particles of this scene"
+            )
+
+
+def _corners(box: ArrayLike | None) -> Array | None:
+    if box is None:
+        return None
+    corners = np.asarray(box, np.float64)
+    if corners.shape != (2, 3) or not (corners[0] <= corners[1]).all():
+        raise ParticleError("a region is a lower and an upper corner, three numbers each")
+    return corners
+
+
+def _may_have(head: dict[str, Any], wanted: NDArray[np.uint32] | None, corners: Array | None) -> bool:
+    """Whether a chunk can have a particle that is asked for."""
+    if wanted is not None and not any(shape in wanted for shape, _ in head["shapes"]):
+        return False
+    box = np.array(head["box"])
+    return corners is None or bool((box[:3] <= corners[1]).all() and (box[3:] >= corners[0]).all())
+
+
+def _selected(rows: Rows, wanted: NDArray[np.uint32] | None, corners: Array | None) -> Rows:
+    keep = np.ones(len(rows), bool)
+    if wanted is not None:
+        keep &= np.isin(rows[:, columns_of("shape")][:, 0], wanted)
+    if corners is not None:
+        position = rows[:, columns_of("position")].view(np.float32)
+        keep &= ((position >= corners[0]) & (position <= corners[1])).all(1)
+    return rows if keep.all() else rows[keep]
+
+
+def in_order(tasks: Iterable[Callable[[], T]]) -> Iterator[T]:
+    """Results of tasks that run in as many threads as Dr.Jit has, in their order; a few run ahead."""
+    count = max(int(dr.thread_count()), 1)
+    waiting: deque[Future[T]] = deque()
+    with ThreadPoolExecutor(count, thread_name_prefix="particles") as pool:
+        try:
+            for task in tasks:
+                waiting.append(pool.submit(task))
+                if len(waiting) > 2 * count:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()

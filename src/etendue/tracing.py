@@ -1,0 +1,81 @@
+"""Particles from Python: the functions behind `etendue particles`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from etendue.core import Progress, use_variant
+from etendue.engine import Budget
+from etendue.jobs import ParticleRequest, ParticleResult, ParticleWork, PathLike, run_work
+from etendue.particles import ParticleFile, Particles
+
+#: Called after each pass; ``False`` ends the tracing.
+Callback = Callable[[Progress], object]
+
+
+def trace_particles(
+    scene: Any,
+    *,
+    paths: int | None = None,
+    particles: int | None = None,
+    seconds: float | None = None,
+    seed: int = 0,
+    parameters: Mapping[str, Any] | None = None,
+    memory: int | None = None,
+    variant: str | None = None,
+    callback: Callback | None = None,
+    save: PathLike | None = None,
+    codec: str = "packed",
+    resume: PathLike | None = None,
+    **settings: Any,
+) -> ParticleResult:
+    """Trace light paths of a scene, whose hits on surfaces are particles.
+
+    ``scene``: as for :func:`etendue.render`. ``paths``, ``particles`` (about so many) and ``seconds`` limit the run;
+    the first limit that is reached ends it. Without limits, a million paths. ``settings`` are those of
+    :class:`etendue.methods.ParticleTracing`: ``keep``, ``after``, ``specular``, ``max_bounces`` and others.
+
+    The result has the :class:`etendue.particles.Particles` in memory, unless ``save`` names a new file to which they
+    are written pass by pass, by a ``codec`` (see docs/particles.md). ``resume`` names such a file to go on with; limits
+    in paths and particles are those of the whole file, and ``scene`` may be ``None`` if it was a file or a bundled one.
+    ``callback`` is called with a :class:`etendue.core.Progress` after each pass; ``False`` ends the run. At Ctrl-C, or
+    if a pass fails, the file has the passes before.
+
+    Raises :class:`OptionError`, :class:`SceneError`, :class:`OutputError`, and :class:`CheckpointError` if a file
+    cannot be resumed.
+    """
+    use_variant(variant)
+    if resume is not None:
+        work = ParticleWork.resume(Path(resume), Budget(seconds, paths), particles, scene)
+    else:
+        request = ParticleRequest(
+            scene=scene,
+            output=None if save is None else Path(save),
+            paths=paths,
+            particles=particles,
+            seconds=seconds,
+            codec=codec,
+            settings=settings,
+            seed=seed,
+            parameters=parameters,
+            memory=memory,
+        )
+        work = ParticleWork.open(request)
+    return run_work(work, None if callback is None else lambda progress, _: callback(progress))
+
+
+def read_particles(
+    path: PathLike, *, shapes: Sequence[str | int] | None = None, box: ArrayLike | None = None
+) -> Particles:
+    """The particles of a file, or those on ``shapes`` (names or indices) and in ``box`` ((2, 3): lower and upper
+    corner). Parts of the file without such particles are not read; for more particles than fit into memory, see
+    :meth:`etendue.particles.ParticleFile.parts`.
+
+    Raises :class:`etendue.particles.ParticleError` for a file that cannot be read, and for shapes that it does not
+    have.
+    """
+    return ParticleFile(path).read(shapes, box)
