@@ -29,7 +29,10 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "guided": ("guided", {"cell_samples": 500}),
     "vegas": ("vegas", {}),
     "stratified": ("stratified", {}),
+    "pssmlt": ("pssmlt", {"bootstrap": 1 << 14}),
 }
+#: Methods whose passes depend on each other: independent runs have the variance.
+DEPENDENT = ("guided", "vegas", "pssmlt", "mmlt")
 #: Those that trace paths of the lights as well.
 BOTH_WAYS = ("bpt cache", "bpt path", "light")
 #: What only the slow table runs.
@@ -111,7 +114,7 @@ def compare(emitter: str, group: str, name: str, sensor: str, rfilter: str, samp
     method, settings = (METHODS | MORE)[name]
     key = (emitter, group, sensor, rfilter)
     reference = _reference(2 * samples, *key)
-    if method in ("vegas", "guided"):  # passes learn from those before: independent runs have the variance
+    if method in DEPENDENT:
         images = replicas(_scene(*key), method, runs=6, passes=2, samples=max(128, samples // 2), **settings)
     else:
         result = run(_scene(*key), method, passes=6, samples=samples, **settings)

@@ -22,12 +22,14 @@ from etendue.methods.adaptive.stratified import StratifiedPath
 from etendue.methods.adaptive.vegas import VegasPath
 from etendue.methods.bidirectional import Bidirectional
 from etendue.methods.guided import Guided
+from etendue.methods.metropolis.method import MetropolisMethod
 from etendue.methods.photon.progressive import Sppm
 from etendue.methods.store import VertexRoom
 from etendue.transport import LightChoice
 
 PASSES = 6
 GUIDED = {"samples_per_pass": 16, "cell_samples": 200}
+PSSMLT = {"samples_per_pass": 8, "bootstrap": 1 << 12}
 VEGAS = {"samples_per_pass": 16, "update": 2}
 #: By name: method, settings, what learns, at which of its calls a pass fails, and how. Passes of ``guided`` that end a
 #: generation are the first and the third.
@@ -40,6 +42,7 @@ LEARNERS: dict[str, tuple[str, dict[str, Any], type, str, int, type[BaseExceptio
     "stratified": ("stratified", {"samples_per_pass": 64, "update": 2}, StratifiedPath, "_plan", 2, RuntimeError),
     "sppm": ("sppm", {"samples_per_pass": 2, "radius": 0.05}, Sppm, "finish", 4, KeyboardInterrupt),
     "ppm": ("ppm", {"samples_per_pass": 2, "radius": 0.05}, Sppm, "finish", 4, RuntimeError),
+    "pssmlt": ("pssmlt", PSSMLT, MetropolisMethod, "_tune", 3, KeyboardInterrupt),
 }
 #: Bytes: enough for the light vertices of a pass, and not for six times as many.
 MEMORY = 1_200_000
@@ -108,7 +111,7 @@ def test_a_pass_that_fails_as_it_learns(name, monkeypatch, tmp_path):
         failing(patch, owner, step, call, error)
         left = broken_off(new())
     assert 0 < left.passes < PASSES
-    assert_goes_on(new, left, whole, tmp_path / "a", **(IN_ANY_ORDER if owner is Sppm else {}))
+    assert_goes_on(new, left, whole, tmp_path / "a", **(IN_ANY_ORDER if owner in (Sppm, MetropolisMethod) else {}))
 
 
 def grouped(problem: Any, method: str) -> Any:
@@ -178,10 +181,11 @@ CARRYING = {
     "ppm": ("ppm", {"samples_per_pass": 2, "radius": 0.05}, IN_ANY_ORDER),
     "auto": ("auto", {"samples_per_pass": 4, "choice": "path"}, {}),
     "bpt": ("bpt", {"samples_per_pass": 4}, IN_ANY_ORDER),
+    "pssmlt": ("pssmlt", PSSMLT, IN_ANY_ORDER),
 }
 
 
-@pytest.mark.parametrize("name", thinned(CARRYING, ("guided", "vegas", "sppm")))
+@pytest.mark.parametrize("name", thinned(CARRYING, ("guided", "vegas", "sppm", "pssmlt")))
 def test_replicas_share_a_method(name):
     """In turn, each from its own state, as each alone; and a pass from a state that was kept is that pass again."""
     method, settings, near = CARRYING[name]

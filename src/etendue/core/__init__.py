@@ -16,7 +16,7 @@ from .errors import (
 )
 from .extras import library, sparse
 from .log import logger
-from .measurement import RELATIVE_EPSILON, Array, Iterations, Measurement, warn_of_nonfinite
+from .measurement import CONTRAST, RELATIVE_EPSILON, Array, Iterations, Measurement, warn_of_nonfinite
 from .memory import free_memory
 from .method import Carrying, Method, Pass, Replica, Result, State
 from .progress import Progress, format_rate, format_seconds
@@ -34,6 +34,7 @@ from .settings import Settings, setting
 
 __all__ = [
     "COMPONENTS_PER_VERTEX",
+    "CONTRAST",
     "RELATIVE_EPSILON",
     "Array",
     "BackendError",

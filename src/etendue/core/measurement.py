@@ -19,6 +19,8 @@ from .records import Record
 
 Array = NDArray[np.float64]
 
+#: Ending of the name of a sum that is the difference of two independent halves of another one.
+CONTRAST = " contrast"
 #: Added to the squared reference in every relative error of the project (see :func:`Measurement.relative_error`).
 RELATIVE_EPSILON = 0.01
 
@@ -96,6 +98,9 @@ class Measurement:
 
     The other terms of the error are computed here: ``squared_weights[name]``, the sum over passes of the squared
     weight, and, if passes have different weights, ``products[name]``, the sum over passes of weight times sum.
+
+    Passes that depend on each other have no such error. Instead, ``sums[name + CONTRAST]`` is the difference of two
+    halves of ``sums[name]`` that are independent of each other in all passes, with the same weight.
 
     ``records[name]`` are rows that passes append, stored by pass and never summed: see :class:`Record`.
     """
@@ -183,8 +188,16 @@ class Measurement:
             records={k: v.copy() for k, v in self.records.items()},
         )
 
+    def has_error(self, name: str = "image") -> bool:
+        """Whether the variance of ``mean(name)`` is estimated."""
+        return name in self.squares or name + CONTRAST in self.sums
+
     def variance_of_mean(self, name: str = "image") -> Array:
-        r"""Estimated variance of ``mean(name)`` from the variance between passes; NaN with fewer than two passes.
+        r"""Estimated variance of ``mean(name)``, from its contrast where there is one, else from the variance between
+        passes; NaN with fewer than two passes.
+
+        The mean of two independent halves has the variance of half their difference, of which the square of the
+        contrast's mean is an unbiased estimate.
 
         Let passes i have weights :math:`w_i` and independent values :math:`x_i`, whose variances may differ. The
         variance of their weighted mean m is
@@ -197,6 +210,8 @@ class Measurement:
         mean, weight, squared_weight = self.mean(name), self.weights[name], self.squared_weights.get(name, np.nan)
         if len(self.iterations) < 2:
             return np.full_like(mean, np.nan)
+        if name + CONTRAST in self.sums:
+            return np.square(self.mean(name + CONTRAST))
         product = self.products[name] if name in self.products else squared_weight * mean
         scatter = self.squares[name] - mean * (2.0 * product - squared_weight * mean)
         return np.maximum(scatter, 0.0) / (weight * weight - squared_weight)

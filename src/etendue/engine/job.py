@@ -222,7 +222,7 @@ class Job:
         counters = {
             k: v for k, v in measurement.counters.items() if k not in ("samples", "seconds", "rays", "nonfinite")
         }
-        error = measurement.relative_error() if "image" in measurement.squares else float("nan")
+        error = measurement.relative_error() if measurement.has_error() else float("nan")
         result.metadata = {
             **result.metadata,
             "method": self.method.name,

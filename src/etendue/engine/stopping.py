@@ -78,7 +78,7 @@ class Stopping:
         passes = len(measurement.iterations)
         # A method whose error is not that of pixels estimates it and says how often.
         estimate = getattr(self.method, "noise", None)
-        is_known = estimate is not None or "image" in measurement.squares
+        is_known = estimate is not None or measurement.has_error()
         if passes < self._next_error or not (self._watched and is_known):
             return
         self._error = error = measurement.relative_error() if estimate is None else estimate(measurement)

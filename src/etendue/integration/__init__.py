@@ -23,6 +23,7 @@ from .functions import Box, Domain, Integrand, constant, coordinate
 from .metropolis import Chains, Independent, Metropolis, Mixture, Proposal, ScaledStep, UniformStep
 from .nested import integral
 from .plain import ControlVariate, HitOrMiss, Importance, MeanSample
+from .primary import Layout, Move, PrimarySource, Slot
 from .recursive import RecursiveStratified
 from .regions import Regions
 from .stratified import PointSequence, QuasiMonteCarlo, Stratified
@@ -48,17 +49,21 @@ __all__ = [
     "Integrand",
     "IntegrationError",
     "Integrator",
+    "Layout",
     "MeanSample",
     "Metropolis",
     "Mixture",
+    "Move",
     "PlaneBins",
     "PointSequence",
+    "PrimarySource",
     "ProductDensity",
     "Proposal",
     "QuasiMonteCarlo",
     "RecursiveStratified",
     "Regions",
     "ScaledStep",
+    "Slot",
     "Stratified",
     "Tabulated",
     "UniformStep",

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import (
+    CONTRAST,
     IndependentSource,
     Iterations,
     Measurement,
@@ -219,7 +220,8 @@ class ImageMethod(ABC):
 
     def develop(self, measurement: Measurement, state: State) -> Result:
         """Mean over the passes, layer by layer."""
-        layers = {name: measurement.mean(name).astype(np.float32) for name in measurement.sums}
+        names = (name for name in measurement.sums if not name.endswith(CONTRAST))
+        layers = {name: measurement.mean(name).astype(np.float32) for name in names}
         return Result(layers, {"method": self.name, "settings": self.settings.to_dict()})
 
     # ------------------------------------------------------------------ helpers of the subclasses

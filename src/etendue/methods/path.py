@@ -71,14 +71,14 @@ class Path(ImageMethod):
         ray, importance, _ = self.camera.primary(lanes // samples, source)
         walker, weights = self.walker(Walker, proposal=self.settings.proposal), self.settings.direct_weights
         path = CameraPath.start(ray, walker.max_edges)
-        path = walker.walk(path, lambda s: _edge(s, walker, weights, source), "path")
+        path = walker.walk(path, lambda s: edge(s, walker, weights, source), "path")
         radiance, bad = self.kept(path.radiance * importance)
         dr.eval(radiance, path.rays, bad)  # in one kernel; the sums below would launch it several times
         counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
         return {"image": self.image(radiance, seed, iteration)}, counters
 
 
-def _edge(s: CameraPath, walker: Walker, weights: DirectWeights, source: SampleSource) -> CameraPath:
+def edge(s: CameraPath, walker: Walker, weights: DirectWeights, source: SampleSource) -> CameraPath:
     """The j-th term of the sum: trace the edge to z_j, and scatter."""
     vertex = walker.arrive(s)
 

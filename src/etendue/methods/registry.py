@@ -26,6 +26,7 @@ from .base import ImageMethod, ImageSettings
 from .bidirectional import Bpm, Bpt, Vcm
 from .guided import Guided
 from .light import LightTracing
+from .metropolis.pssmlt import Pssmlt
 from .path import Path
 from .photon.map import Pm
 from .photon.progressive import Ppm, Sppm
@@ -46,6 +47,7 @@ _OWN: tuple[type[ImageMethod], ...] = (
     Bpt,
     Bpm,
     Vcm,
+    Pssmlt,
     AmbientPath,
     AmbientLight,
 )

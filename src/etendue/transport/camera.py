@@ -65,9 +65,14 @@ class Splats:
 
     def place(self, connection: CameraConnection, source: SampleSource, vertex: mi.UInt32 | int) -> SplatPlace:
         """The pixels, or the cell, that a splat is added to."""
-        camera, x, y = self._camera, connection.position.x, connection.position.y
+        sampled = self._camera.independent and not self._camera.filter.is_box
+        return self.at(connection.position, source.next_2d(vertex, dim.SPLAT_FILTER) if sampled else (0.5, 0.5))
+
+    def at(self, position: mi.Point2f, u: tuple[mi.Float | float, mi.Float | float]) -> SplatPlace:
+        """The pixels, or the cell, of a film position in pixels. ``u``: two numbers that select the pixel if the
+        reconstruction is independent."""
+        camera, x, y = self._camera, position.x, position.y
         if camera.independent:
-            u = (0.5, 0.5) if camera.filter.is_box else source.next_2d(vertex, dim.SPLAT_FILTER)
             pixel, weight, on_film = camera.filter.splat(x, y, *u)
             return SplatPlace([(pixel, mi.Float(1.0), on_film)], weight, on_film)
         on_film = (x >= 0.0) & (x < float(camera.width)) & (y >= 0.0) & (y < float(camera.height))
@@ -77,10 +82,14 @@ class Splats:
     def add(self, place: SplatPlace, values: Sequence[mi.Color3f], active: mi.Bool) -> None:
         """Add a colour to each image, in each active lane."""
         for image, value in enumerate(values):
-            packet = mi.Vector4f(value.x, value.y, value.z, 0.0)
-            for index, share, on_film in place.taps:
-                index = index + image * self._stride
-                dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet * share, index, active & on_film, mode=self._mode)
+            self.add_to(image, place, value, active)
+
+    def add_to(self, image: mi.UInt32 | int, place: SplatPlace, value: mi.Color3f, active: mi.Bool) -> None:
+        """Add a colour to the image with a given number, one lane each."""
+        packet = mi.Vector4f(value.x, value.y, value.z, 0.0)
+        for index, share, on_film in place.taps:
+            index = index + image * self._stride
+            dr.scatter_reduce(dr.ReduceOp.Add, self.array, packet * share, index, active & on_film, mode=self._mode)
 
     def sums(self) -> NDArray[np.float32]:
         """The images on the host, (images, height, width, 3) float32."""
@@ -122,12 +131,17 @@ class CameraSampler:
             film_x, film_y, weight = self.filter.camera(x, y, *u)
         else:
             film_x, film_y, weight = mi.Float(x) + u[0], mi.Float(y) + u[1], mi.Float(1.0)
-        position = mi.Point2f(film_x / self.width, film_y / self.height)
+        ray, sensor_weight, aperture = self.through(mi.Point2f(film_x, film_y), source)
+        return ray, sensor_weight * weight, aperture
+
+    def through(self, position: mi.Point2f, source: SampleSource) -> tuple[mi.Ray3f, mi.Color3f, mi.Point2f]:
+        """A camera ray through a film position in pixels: (ray, weight, aperture sample)."""
         aperture = mi.Point2f(0.5)
         if self.sensor.needs_aperture_sample():
             aperture = mi.Point2f(*source.next_2d(0, dim.APERTURE))
-        ray, sensor_weight = self.sensor.sample_ray(0.0, 0.5, position, aperture)
-        return ray, mi.Color3f(sensor_weight) * weight, aperture
+        on_film = mi.Point2f(position.x / self.width, position.y / self.height)
+        ray, weight = self.sensor.sample_ray(0.0, 0.5, on_film, aperture)
+        return ray, mi.Color3f(weight), aperture
 
     def connect(self, si: mi.SurfaceInteraction3f, aperture: mi.Point2f, active: mi.Bool) -> CameraConnection:
         """Connect ``si`` to the point of the aperture sample ``aperture``. Inactive where the projection is off the

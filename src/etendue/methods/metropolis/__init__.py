@@ -1,1 +1,1 @@
-"""Markov chains over paths."""
+"""Pictures by Metropolis sampling: Markov chains over the random numbers of paths."""

@@ -104,8 +104,14 @@ class CameraWalk(BidirectionalWalk):
     def trace(self, pixel: mi.UInt32, source: SampleSource) -> tuple[dict[str, mi.Color3f], mi.UInt32]:
         """Trace one camera path for each entry of ``pixel``. Returns (layers of radiance, rays), one lane a path, not
         yet evaluated."""
+        return self.follow(self.camera.primary(pixel, source), pixel, source)
+
+    def follow(
+        self, primary: tuple[mi.Ray3f, mi.Color3f, mi.Point2f], pixel: mi.UInt32, source: SampleSource
+    ) -> tuple[dict[str, mi.Color3f], mi.UInt32]:
+        """:meth:`trace` for the given camera rays: (ray, weight, aperture sample)."""
         lanes = dr.width(pixel)
-        ray, importance, aperture = self.camera.primary(pixel, source)
+        ray, importance, aperture = primary
         # The first edge starts at the aperture, its ray at the near plane.
         density, lead = self.camera.density(ray, aperture)
         d_vcm, d_vc = self.mis.start_camera(density)

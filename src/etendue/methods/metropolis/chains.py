@@ -1,0 +1,351 @@
+r"""Many short Markov chains over primary samples, one in each lane, which splat what they find.
+
+A step proposes a path x' for the path x of a chain, by a large or a small step (:mod:`etendue.integration.primary`),
+and accepts it with the probability a = min(1, t(x') / t(x)) for a target t > 0, the luminance of the path's
+contributions times a factor by film position, at most ``cap``. Both paths are splatted by their expected weights
+[Veach 1997, sec. 11.3.2]. All chains make a large step at the same time, in a share p of the steps of a pass. The
+proposals of these steps are independent samples as well, of density 1, while the states have the density t / b with
+b the integral of t; the two are combined by the balance heuristic [Kelemen 2002, sec. 6]:
+
+.. math:: I = \frac{1}{n} \sum_{steps} \left( \kappa \frac{b}{b_0} \left( (1 - a) \frac{c(x)}{q(x)}
+   + a \frac{c(x')}{q(x')} \right) + \ell \, \frac{c(x')}{q(x')} \right), \qquad q = \kappa t / b_0 + p
+
+where l is 1 in large steps, else 0, b_0 is the estimate of b by the bootstrap, and kappa < 1 is the weight of a step of
+a chain, whose neighbours are correlated. The weights are exact for any fixed b_0 and kappa; b is the mean of t over the
+bootstrap and all large steps so far.
+
+The chains, the samples of the bootstrap and the estimates of b are two independent *halves*, so the difference of
+their pictures measures the error, whatever the correlation along chains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array, IndependentSource, SampleSource, SceneError, hash_mix, seed_key
+from etendue.integration import Move
+from etendue.points import OwenSobolSource
+from etendue.transport import Splats
+
+from ..base import total
+from .film import BrightnessMap
+from .targets import Contribution, Target, Traced
+
+#: Most of the target, in means of it: longest expected stay of a chain at one path, in large steps.
+CAP = 100.0
+#: Weight of a step of a chain relative to that of an independent sample, because neighbours of a chain are correlated.
+CORRELATED = 0.25
+#: The bootstrap ends with this many samples that find light, or when it has grown by this factor.
+_ENOUGH_LIT, _MOST_GROWTH = 1 << 14, 16
+#: Most samples of the bootstrap that are traced together.
+_BATCH = 1 << 16
+#: Bit of the number of a sample or a chain that tells its half.
+_HALF_BIT = 31
+_WORD = 0xFFFFFFFF
+
+
+@dataclass(frozen=True)
+class ChainStates:
+    """The current paths, one lane a chain; replaced by every step, never modified."""
+
+    numbers: dict[str, mi.Float]  #: by sub-path, row by row
+    contributions: list[Contribution]
+    target: mi.Float
+    rejected: mi.UInt32  #: proposals rejected in a row
+
+
+@dataclass(frozen=True)
+class Progressed:
+    """All that chains carry on from pass to pass."""
+
+    states: ChainStates
+    factors: BrightnessMap
+    unit: float  #: b_0
+    cap: float
+    #: For each half: samples, and the sums of the target, the luminance and its square over them.
+    found: Array
+    steps: int = 0  #: steps so far
+    large: int = 0  #: large ones among them
+    longest: int = 0  #: proposals that a chain has rejected in a row, at most
+    size: float = 1.0 / 64.0  #: of small steps
+    share: float = 0.25  #: of large steps
+
+
+@dataclass
+class PassResult:
+    """A pass of all chains: the pictures of the two halves, (2, height, width, 3), as sums over one sample per pixel,
+    and counts."""
+
+    pictures: NDArray[np.float64]
+    counters: dict[str, float]
+
+
+@dataclass
+class Runner:
+    """Starts and moves the chains of a target.
+
+    Attributes
+    ----------
+    chains: an even number.
+    bootstrap: samples that chains start from, at least.
+    sampler: of the bootstrap and of large steps, ``owen`` or ``independent``.
+    """
+
+    target: Target
+    size: tuple[int, int]
+    chains: int
+    bootstrap: int
+    sampler: str
+    equalise: bool
+    _numbers: mi.UInt32 = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._numbers = _numbers(self.chains)
+        self._half = self._numbers >> _HALF_BIT
+        dr.eval(self._half)
+
+    # ------------------------------------------------------------------ random numbers
+
+    def _large(self, name: str, seed: int, first: int) -> Callable[[mi.UInt32], SampleSource]:
+        """Numbers of independent samples, from the number ``first`` of each half on."""
+
+        def fresh(number: mi.UInt32) -> SampleSource:
+            half = number >> _HALF_BIT
+            start = dr.opaque(mi.UInt32, first & _WORD)
+            index = (number & ((1 << _HALF_BIT) - 1)) + start
+            high = dr.select(index < start, mi.UInt32(1), mi.UInt32(0)) + dr.opaque(mi.UInt32, first >> 32)
+            if self.sampler == "owen":
+                return OwenSobolSource(half, index, seed, f"large {name}", high)
+            return IndependentSource(index, seed, f"large {name}", 0, 2 * high + half)
+
+        return fresh
+
+    def _small(self, name: str, seed: int, step: int) -> Callable[[mi.UInt32], SampleSource]:
+        """Numbers that move the states."""
+        return lambda number: IndependentSource(number, seed, f"small {name}", step)
+
+    def _moves(self, seed: int, first: int) -> dict[str, Move]:
+        return {name: Move(self._large(name, seed, first)) for name in self.target.layouts}
+
+    def _trace(self, moves: Mapping[str, Move], numbers: mi.UInt32, states: ChainStates | None) -> Traced:
+        sources: dict[str, SampleSource] = {}
+        lanes = dr.width(numbers)
+        lane = dr.arange(mi.UInt32, lanes)
+        for name, layout in self.target.layouts.items():
+            fresh = moves[name].fresh
+            known = replace_fresh(moves[name], fresh, numbers)
+            sources[name] = known.source(layout, None if states is None else states.numbers[name], lane, lanes)
+        return self.target.trace(sources, lanes)
+
+    # ------------------------------------------------------------------ start
+
+    def start(self, seed: int) -> Progressed:
+        """Draw the first states from independent samples in proportion to the target.
+
+        Raises :class:`SceneError` if none of them finds light. The distribution of a first state differs from the
+        target by about (1 + v) / N in total variation, for N samples of relative variance v; the mean picture times
+        the mean target of the same N samples has no such bias [Veach 1997, sec. 11.3.1].
+        """
+        batches, lit = 0, 0
+        lanes = min(_BATCH, self.bootstrap + self.bootstrap % 2)
+        wanted, numbers = max(1, -(-self.bootstrap // lanes)), _numbers(lanes)
+        parts: list[NDArray[np.float32]] = []
+        while batches < wanted or (lit < _ENOUGH_LIT and batches < wanted * _MOST_GROWTH):
+            traced = self._trace(self._moves(seed, batches * (lanes // 2)), numbers, None)
+            parts.append(_on_host(traced.contributions))
+            lit += int((parts[-1][2].sum(axis=0) > 0.0).sum())
+            batches += 1
+        # (x y luminance, contribution, half, sample)
+        found = np.stack(parts, axis=2).reshape(3, parts[0].shape[1], batches, 2, -1)
+        found = np.moveaxis(found, 3, 2).reshape(3, parts[0].shape[1], 2, -1)
+        x, y, luminance = found
+        samples = x.shape[-1]
+        if not lit:
+            raise SceneError(
+                f"the bootstrap found no light: {2 * samples} paths are black; use a method or an estimator "
+                "that finds some, or raise bootstrap"
+            )
+        flat = (x.reshape(len(x), -1), y.reshape(len(x), -1), luminance.reshape(len(x), -1))
+        factors = BrightnessMap.measured(*flat, self.size) if self.equalise else BrightnessMap.flat(self.size)
+        targets = (luminance * factors.on_host(x, y)).sum(axis=0)
+        cap = CAP * float(targets.mean())
+        targets = np.minimum(targets, cap)
+        bright = luminance.sum(axis=0, dtype=np.float64)
+        sums = np.stack([np.full(2, samples), targets.sum(1), bright.sum(1), np.square(bright).sum(1)], axis=1)
+        states = self._first_states(seed, targets, factors, cap)
+        return Progressed(states, factors, float(targets.mean()), cap, sums, large=samples)
+
+    def _first_states(self, seed: int, targets: Array, factors: BrightnessMap, cap: float) -> ChainStates:
+        half = self.chains // 2
+        chosen = np.empty((2, half), np.uint32)
+        for index, row in enumerate(targets):
+            found = index
+            if not row.any():  # this half has found nothing
+                found, row = 1 - index, targets[1 - index]
+            offset = (seed_key(seed, f"start {index}", 0)[0] + 0.5) / 2.0**32
+            reached = np.cumsum(row, dtype=np.float64)
+            place = np.searchsorted(reached, (np.arange(half) + offset) / half * reached[-1], side="right")
+            chosen[index] = np.minimum(place, np.flatnonzero(row)[-1])
+            chosen[index] += np.uint32(found << _HALF_BIT)
+        numbers, moves = mi.UInt32(chosen.ravel()), self._moves(seed, 0)
+        traced = self._trace(moves, numbers, None)
+        target = self._target(traced.contributions, factors, cap)
+        dr.eval(traced.contributions, target)
+        kept = {
+            name: moves[name].write(layout, dr.zeros(mi.Float, layout.size * self.chains), None, numbers, self.chains)
+            for name, layout in self.target.layouts.items()
+        }
+        return ChainStates(kept, traced.contributions, target, dr.zeros(mi.UInt32, self.chains))
+
+    @staticmethod
+    def _target(contributions: Sequence[Contribution], factors: BrightnessMap, cap: float) -> mi.Float:
+        result = mi.Float(0.0)
+        for one in contributions:
+            result = result + dr.maximum(mi.luminance(one.value), 0.0) * factors.at(one.position)
+        return dr.minimum(result, dr.opaque(mi.Float, cap))
+
+    # ------------------------------------------------------------------ steps
+
+    def run(self, carried: Progressed, steps: int, seed: int, splats: Splats) -> tuple[Progressed, PassResult]:
+        """``steps`` steps of all chains. ``splats``: four empty images."""
+        large_steps = min(max(round(carried.share * steps), 1), steps - 1)
+        share = large_steps / steps
+        walk = _Walk(self, carried, splats, share, dr.zeros(mi.Float, self.chains))
+        for index in range(steps):
+            walk.step(seed, (index + 1) * large_steps // steps > index * large_steps // steps)
+        return walk.finish(steps)
+
+
+def _numbers(lanes: int) -> mi.UInt32:
+    """The numbers by which sources know ``lanes`` chains or samples, half of them in each half: the half in the upper
+    bit, and the number in the half."""
+    lane, half = dr.arange(mi.UInt32, lanes), dr.opaque(mi.UInt32, lanes // 2)
+    second = lane >= half
+    numbers = dr.select(second, (lane - half) + mi.UInt32(1 << _HALF_BIT), lane)
+    dr.eval(numbers)
+    return numbers
+
+
+def replace_fresh(move: Move, fresh: Callable[[mi.UInt32], SampleSource], numbers: mi.UInt32) -> Move:
+    """``move`` for lanes in order, whose chains its fresh numbers know by ``numbers``."""
+    return replace(move, fresh=lambda lane: fresh(dr.gather(mi.UInt32, numbers, lane)))
+
+
+def _on_host(contributions: Sequence[Contribution]) -> NDArray[np.float32]:
+    """(x y luminance, contributions, samples)."""
+    found = [(one.position.x, one.position.y, dr.maximum(mi.luminance(one.value), 0.0)) for one in contributions]
+    dr.eval(found)
+    return np.array([[np.array(row[i]) for row in found] for i in range(3)], np.float32)
+
+
+@dataclass
+class _Walk:
+    """The chains during a pass."""
+
+    runner: Runner
+    carried: Progressed
+    splats: Splats
+    share: float
+    waiting: mi.Float  #: weight of the current paths that is not splatted yet
+
+    def __post_init__(self) -> None:
+        carried, chains = self.carried, self.runner.chains
+        self._inverse_unit, self._share = (dr.opaque(mi.Float, v) for v in (1.0 / carried.unit, self.share))
+        self._longest = dr.zeros(mi.UInt32, chains)
+        self._sums = [dr.zeros(mi.Float, chains) for _ in range(3)]  # over large steps: target, luminance, its square
+        self._accepted = {large: dr.zeros(mi.UInt32, chains) for large in (True, False)}
+        self._tried = {True: 0, False: 0}
+        self._rays = self._bad = dr.zeros(mi.UInt32, chains)
+
+    def _weight(self, target: mi.Float) -> mi.Float:
+        """1 / q."""
+        return dr.rcp(target * (self._inverse_unit * CORRELATED) + self._share)
+
+    def _splat(self, image: int, contributions: Sequence[Contribution], weight: mi.Float, number: SampleSource) -> None:
+        for index, one in enumerate(contributions):
+            place = self.splats.at(one.position, number.next_2d(index, 0))
+            value = one.value * (weight * place.weight)
+            self.splats.add_to(self.runner._half + image, place, value, place.on_film & ~dr.all(value == 0.0))
+
+    def step(self, seed: int, is_large: bool) -> None:
+        """Move all chains."""
+        runner, carried, old = self.runner, self.carried, self.carried.states
+        if is_large:
+            moves = runner._moves(seed, carried.large)
+        else:
+            size = dr.opaque(mi.Float, carried.size)
+            moves = {name: Move(runner._small(name, seed, carried.steps), size) for name in runner.target.layouts}
+        traced = runner._trace(moves, runner._numbers, old)
+        target = runner._target(traced.contributions, carried.factors, carried.cap)
+        dr.eval(traced.contributions, target, traced.rays, traced.nonfinite)
+
+        decisions = IndependentSource(runner._numbers, seed, "accept", carried.steps)
+        chance = dr.select(target < old.target, target / old.target, 1.0)
+        accepted = decisions.next_1d(0, 0) < chance
+        stay, go = (1.0 - chance) * self._weight(old.target), chance * self._weight(target)
+        # One path is splatted now: the old one if it is left for good, or else the proposal.
+        left = [
+            Contribution(dr.select(accepted, a.position, b.position), dr.select(accepted, a.value, b.value))
+            for a, b in zip(old.contributions, traced.contributions, strict=True)
+        ]
+        self._splat(0, left, dr.select(accepted, self.waiting + stay, go), decisions)
+        self.waiting = dr.select(accepted, go, self.waiting + stay)
+        if is_large:
+            self._splat(2, traced.contributions, self._weight(target), decisions)
+            bright = mi.Float(0.0)
+            for one in traced.contributions:
+                bright = bright + mi.luminance(one.value)
+            self._sums = [a + b for a, b in zip(self._sums, (target, bright, bright * bright), strict=True)]
+        self._accepted[is_large] = self._accepted[is_large] + dr.select(accepted, mi.UInt32(1), 0)
+        self._tried[is_large] += 1
+        rejected = dr.select(accepted, mi.UInt32(0), old.rejected + 1)
+        self._longest = dr.maximum(self._longest, rejected)
+        self._rays, self._bad = self._rays + traced.rays, self._bad + traced.nonfinite
+        new = [
+            Contribution(dr.select(accepted, b.position, a.position), dr.select(accepted, b.value, a.value))
+            for a, b in zip(old.contributions, traced.contributions, strict=True)
+        ]
+        kept = dr.select(accepted, target, old.target)
+        dr.eval(self.splats.array, self.waiting, new, kept, rejected, accepted, self._longest, self._accepted)
+        dr.eval(self._sums, self._rays, self._bad)
+        numbers = {
+            name: moves[name].write(layout, old.numbers[name], accepted, runner._numbers, runner.chains)
+            for name, layout in runner.target.layouts.items()
+        }
+        self.carried = replace(
+            carried,
+            states=ChainStates(numbers, new, kept, rejected),
+            steps=carried.steps + 1,
+            large=carried.large + (runner.chains // 2 if is_large else 0),
+        )
+
+    def finish(self, steps: int) -> tuple[Progressed, PassResult]:
+        """Splat the current paths, and combine the images of the pass."""
+        runner, carried = self.runner, self.carried
+        decisions = IndependentSource(hash_mix(runner._numbers), carried.steps, "filter", 0)
+        self._splat(0, carried.states.contributions, self.waiting, decisions)
+        new = np.array([[np.array(s).reshape(2, -1).sum(1, dtype=np.float64)] for s in self._sums])[:, 0]
+        count = np.full((1, 2), self._tried[True] * (runner.chains // 2))
+        found = carried.found + np.concatenate([count, new]).T
+        mean = found[:, 1] / found[:, 0]
+        images = self.splats.sums().astype(np.float64)
+        pixels = runner.size[0] * runner.size[1]
+        scale = pixels / (steps * runner.chains / 2)
+        pictures = scale * (images[:2] * (CORRELATED * mean / carried.unit)[:, None, None, None] + images[2:])
+        counters = {
+            "rays": total(self._rays),
+            "paths": float(steps * runner.chains),
+            "nonfinite": total(self._bad),
+            "large steps": float(self._tried[True] * runner.chains),
+            "large steps accepted": total(self._accepted[True]),
+            "small steps": float(self._tried[False] * runner.chains),
+            "small steps accepted": total(self._accepted[False]),
+        }
+        longest = max(carried.longest, int(np.array(self._longest).max()))
+        return replace(carried, found=found, longest=longest), PassResult(pictures, counters)

@@ -1,0 +1,39 @@
+r"""Primary sample space Metropolis light transport.
+
+The random numbers of a path are a point u of the unit cube, and t(u) > 0 is the luminance of its contributions. Markov
+chains of density t / b walk through the cube, many at the same time, by small steps around what they have found and
+large steps anywhere [Kelemen 2002]. Light that independent paths find rarely is explored once a chain is there.
+
+Limit: a chain knows only what independent samples of the same estimator have found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from etendue.core import setting
+
+from ..base import ImageSettings
+from .method import MetropolisMethod, MetropolisSettings
+from .targets import PathTarget, Target
+
+
+@dataclass(frozen=True)
+class PssmltSettings(MetropolisSettings):
+    """Settings of ``pssmlt``."""
+
+    estimator: str = setting("path", "paths that the chains mutate: those of path", choices=("path",))
+
+
+class Pssmlt(MetropolisMethod):
+    """Chains over the random numbers of camera paths, or of pairs of camera and light paths."""
+
+    name: ClassVar[str] = "pssmlt"
+    Settings: ClassVar[type[ImageSettings]] = PssmltSettings
+    settings: PssmltSettings
+    citations: ClassVar[tuple[str, ...]] = ("Kelemen2002", "VeachGuibas1997")
+
+    def make_target(self, seed: int) -> Target:
+        """See :class:`MetropolisMethod`."""
+        return PathTarget(self, self.settings.vertices)

@@ -1,0 +1,86 @@
+"""Functions of the random numbers of a path, for chains: what a path contributes to the film, and where."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core import SampleSource
+from etendue.integration import Layout, Slot
+from etendue.transport import CameraPath, DirectWeights, Walker
+from etendue.transport import dimensions as dim
+
+from ..base import ImageMethod, keep_finite
+from ..path import edge
+
+
+@dataclass
+class Contribution:
+    """A contribution to the film, one lane a path."""
+
+    position: mi.Point2f  #: on the film, in pixels
+    value: mi.Color3f  #: as the radiance of a camera path that is uniform on the film; 0 where there is none
+
+
+@dataclass
+class Traced:
+    """The contributions of one path a lane, not yet evaluated."""
+
+    contributions: list[Contribution]
+    rays: mi.UInt32
+    nonfinite: mi.UInt32  #: contributions that were not finite and are 0
+
+
+class Target(Protocol):
+    """A function of primary samples. Its integral over the unit cube is a picture: the mean of the contributions'
+    values over uniform numbers is the mean of the picture."""
+
+    #: The numbers of each sub-path that a chain keeps, by name.
+    layouts: Mapping[str, Layout]
+
+    def trace(self, sources: Mapping[str, SampleSource], lanes: int) -> Traced:
+        """Trace a path in each lane, with the numbers of ``sources``, one for each of ``layouts``. A function of these
+        numbers only: the count of the contributions is always the same, and no other number is used."""
+        ...
+
+
+def film_place(method: ImageMethod, source: SampleSource) -> mi.Point2f:
+    """A film position in pixels, uniform over the film."""
+    u = source.next_2d(0, dim.FILM)
+    return mi.Point2f(u[0] * method.camera.width, u[1] * method.camera.height)
+
+
+def camera_slots(method: ImageMethod) -> tuple[list[Slot], list[Slot]]:
+    """The numbers of a camera sub-path that have an effect in the prepared scene: of vertex 0, and of each other."""
+    lens = [Slot(dim.APERTURE, 2)] if method.camera.sensor.needs_aperture_sample() else []
+    pick = [Slot(dim.NEXT_EVENT)] if method.lights.count > 1 else []
+    inner = [Slot(dim.LOBE, decided=True), Slot(dim.DIRECTION, 2), *pick, Slot(dim.NEXT_EVENT + 1, 2)]
+    return [Slot(dim.FILM, 2), *lens], inner
+
+
+ROULETTE = Slot(dim.ROULETTE, decided=True)
+
+
+class PathTarget:
+    """A camera path with next event estimation and multiple importance sampling, as of ``path``. A vertex has 6
+    numbers, 7 in a scene with several lights."""
+
+    def __init__(self, method: ImageMethod, vertices: int) -> None:
+        self._method = method
+        end, inner = camera_slots(method)
+        self.layouts: Mapping[str, Layout] = {"camera": Layout(end, [*inner, ROULETTE], vertices)}
+
+    def trace(self, sources: Mapping[str, SampleSource], lanes: int) -> Traced:
+        """See :class:`Target`."""
+        method, source = self._method, sources["camera"]
+        place = film_place(method, source)
+        ray, importance, _ = method.camera.through(place, source)
+        walker, weights = method.walker(Walker), DirectWeights()
+        path = CameraPath.start(ray, walker.max_edges)
+        path = walker.walk(path, lambda s: edge(s, walker, weights, source), "path of a chain")
+        radiance, bad = keep_finite(path.radiance * importance)
+        return Traced([Contribution(place, radiance)], path.rays, dr.select(bad, mi.UInt32(1), 0))
