@@ -13,7 +13,6 @@ from support.light_paths import independent
 from etendue.core import CheckpointError, Measurement, Replica, SceneError
 from etendue.integration import autocorrelation_time
 from etendue.methods.metropolis.particles import MetropolisParticles, MetropolisParticlesSettings
-from etendue.particles import Particles
 from etendue.scene import Problem, load
 
 #: A run that agrees is called different with this probability.
@@ -36,10 +35,6 @@ def run(method: MetropolisParticles, passes: int, seed: int = 1) -> Measurement:
     return measurement
 
 
-def joined(method: MetropolisParticles, measurement: Measurement) -> Particles:
-    return Particles.joined(list(method.particles(measurement)))
-
-
 def cells(shape: np.ndarray, position: np.ndarray, bounce: np.ndarray) -> np.ndarray:
     """A number for each shape, quarter of the plane and group of bounces."""
     quarter = (position[..., 0] > 0).astype(int) + 2 * (position[..., 2] > 0)
@@ -50,15 +45,16 @@ def test_steps_cast_at_most_one_ray_and_count_every_state():
     method = made(scenes.room("rectangle", scenes.FEW))
     measurement = run(method, 2)
     steps = method.settings.chains * method.settings.steps * 2
-    repeats = np.concatenate(list(method.repeats(measurement)))
-    assert repeats.sum() == steps == measurement.counters["steps"]
+    repeats = method.repeats(measurement)
+    assert repeats.sum() == steps == measurement.counters["paths"]
     # Two of three kinds of step cast a ray, unless their numbers leave the cube.
     assert 0.5 * steps < measurement.counters["step_rays"] < 0.67 * steps
     assert 0.2 * steps < measurement.counters["accepted"] < 0.9 * steps
-    particles = joined(method, measurement)
+    particles = method.particles(measurement)
     np.testing.assert_allclose(np.linalg.norm(particles.direction, axis=1), 1.0, rtol=1e-5)
     luminance = particles.power @ [0.212671, 0.715160, 0.072169] / repeats
-    np.testing.assert_allclose(luminance, luminance[0], rtol=1e-4)
+    for part in np.split(luminance, [len(measurement.records["particles"][0, 0])]):
+        np.testing.assert_allclose(part, part[0], rtol=1e-4)
 
 
 def test_a_closed_box_receives_its_power_over_the_absorbed_share():
@@ -67,14 +63,14 @@ def test_a_closed_box_receives_its_power_over_the_absorbed_share():
     problem = scenes.furnace("box", radiance, albedo)
     method = made(problem, scale="counted", max_bounces=24, chains=2048, steps=128)
     measurement = run(method, 4)
-    flux, error = method.flux_per_step(measurement)
+    flux, error = method.flux(measurement)
     power = 24.0 * np.pi * radiance
-    total = flux * measurement.counters["steps"]
     assert error / flux < 0.01
-    assert total == pytest.approx(power / (1 - albedo), abs=4 * error * measurement.counters["steps"])
-    traced = made(problem, max_bounces=24)
-    flux, error = traced.flux_per_step(again := run(traced, 4))
-    assert flux * again.counters["steps"] == pytest.approx(power / (1 - albedo), rel=max(4 * error / flux, 1e-3))
+    assert flux == pytest.approx(power / (1 - albedo), abs=4 * error)
+    arrived = method.particles(measurement).power.sum(0, dtype=np.float64)
+    np.testing.assert_allclose(arrived, power / (1 - albedo), atol=4 * error)
+    flux, error = (traced := made(problem, max_bounces=24)).flux(run(traced, 4))
+    assert flux == pytest.approx(power / (1 - albedo), rel=max(4 * error / flux, 1e-3))
 
 
 @pytest.mark.parametrize(("emitter", "group"), [("mixed", scenes.FEW), ("textured", "specular")])
@@ -90,18 +86,16 @@ def test_places_and_lengths_as_of_independent_paths(emitter, group):
     np.add.at(expected, (np.broadcast_to(batch, cell.shape), cell), value * batches)
 
     method = made(problem)
-    particles = joined(method, measurement := run(method, 6))
+    particles = method.particles(measurement := run(method, 6))
     luminance = particles.power @ [0.212671, 0.715160, 0.072169]
     own = cells(particles.shape.astype(int), particles.position, particles.bounce.astype(int))
     measured = np.zeros((batches, count))
     np.add.at(measured, (particles.path % batches, own), luminance * batches)
 
-    flux_per_step, scale_error = method.flux_per_step(measurement)
+    flux, scale_error = method.flux(measurement)
     total = measured.mean(0).sum()
-    z = (total - expected.mean(0).sum()) / np.hypot(
-        expected.sum(1).std(ddof=1) / np.sqrt(batches), total * scale_error / flux_per_step
-    )
-    assert abs(z) < stats.norm.isf(LEVEL)
+    spread = expected.sum(1).std(ddof=1) / np.sqrt(batches)
+    assert abs(total - expected.mean(0).sum()) < stats.norm.isf(LEVEL) * np.hypot(spread, scale_error)
     # The common factor apart, whose error cells share.
     a, b = measured / total, expected / expected.mean(0).sum()
     variance = (a.var(0, ddof=1) + b.var(0, ddof=1)) / batches
@@ -116,7 +110,7 @@ def test_colours_are_those_of_independent_paths():
     _, flux, _ = independent(problem, 1 << 17, 3, LONGEST)
     batches = flux.sum(0).reshape(64, -1, 3).sum(1) * 64
     method = made(problem)
-    particles = joined(method, run(method, 6))
+    particles = method.particles(run(method, 6))
     own = np.zeros((64, 3))
     np.add.at(own, particles.path % 64, particles.power * 64)
     ratio = own / own.sum(1, keepdims=True), batches / batches.sum(1, keepdims=True)

@@ -13,6 +13,7 @@ from support import scenes
 from support.light_paths import independent
 
 from etendue.core import IndependentSource
+from etendue.methods.particles import ParticleSettings, ParticleTracing
 from etendue.scene import LightTable, Problem, load
 from etendue.transport import (
     EMISSION,
@@ -150,3 +151,21 @@ def test_strata_save_variance_of_direct_light():
     error = np.sqrt((plain.var(0, ddof=1) + even.var(0, ddof=1)) / 16) + 1e-6
     assert (np.abs(plain.mean(0) - even.mean(0)) < 4.5 * error).all()
     assert even.var(0, ddof=1).sum() < 0.7 * plain.var(0, ddof=1).sum()
+
+
+@pytest.mark.parametrize(("emission", "sampler"), [("importance", "strata"), ("blind", "strata"), ("uniform", "owen")])
+def test_particles_of_every_scheme_have_the_same_flux(emission, sampler):
+    problem = scenes.room("two", ())
+
+    def power(**settings: Any) -> np.ndarray:
+        method = ParticleTracing(ParticleSettings(samples_per_pass=1 << 14, **settings))
+        method.prepare(problem, 1)
+        found = []
+        for iteration in range(8):
+            particles = method.particles(method.step(iteration, 1, {}).measurement)
+            found.append([particles.power[particles.shape == s].sum() for s in range(3)])
+        return np.array(found)
+
+    a, b = power(sampler="independent"), power(emission=emission, sampler=sampler)
+    error = np.sqrt((a.var(0, ddof=1) + b.var(0, ddof=1)) / 8) + 1e-6
+    assert (np.abs(a.mean(0) - b.mean(0)) < 5.0 * error).all()

@@ -12,7 +12,6 @@ from the share of the chains' states that are ends of first edges, whose flux is
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -34,18 +33,19 @@ from etendue.core import (
     State,
     copied_to_device,
     logger,
+    on_device,
     setting,
 )
 from etendue.integration import ChainDiagnosis, diagnose
-from etendue.particles import Particles
+from etendue.particles import Particles, Rows, SurfaceTable, columns_of
 from etendue.scene import LightTable, Problem
 
 from .lightpaths import Independent, LightPaths, PathNumbers
 from .tails import TailChains, Walked
 
-#: Names in a measurement: the rows of particles, the states of some chains after every step, and the sums over
-#: independent paths.
-_ROWS, _REPEATS, _TRACES, _SCALE, _FLUX = "particles", "repeats", "traces", "scale", "flux"
+#: Names in a measurement: rows of particles, the number of steps by which their power is to be divided, the repeats of
+#: each, the states of some chains after every step, and the sums over independent paths.
+RECORD, PATHS, _REPEATS, _TRACES, _SCALE = "particles", "paths", "repeats", "traces", "scale"
 #: Chains whose states are recorded after every step.
 _TRACED = 64
 #: What is recorded of them.
@@ -88,8 +88,9 @@ class MetropolisParticles(Carrying):
     """Particles of equal luminance by Markov chains; implements ``core.Method``.
 
     A pass is ``steps`` steps of all chains, which are distributed as the incident flux. A chain's repeats of a state
-    are one particle with so many times the power. Measurements hold the particles as a record without their common
-    factor, which :meth:`particles` supplies.
+    are one particle with so many times the power. A measurement has the record ``particles``
+    (:data:`etendue.particles.Rows`, whose power is not divided by the number of steps) and the counter ``paths``, the
+    number of steps, as measurements of :class:`~etendue.methods.ParticleTracing` do.
     """
 
     name: ClassVar[str] = "metropolis_particles"
@@ -117,7 +118,7 @@ class MetropolisParticles(Carrying):
         self.problem, self.scene = problem, problem.scene
         self._paths = LightPaths(problem.scene, LightTable(problem.scene), o.max_bounces)
         self._chains = TailChains(self._paths, o.step_size, o.anew)
-        self._shapes = ShapeNumbers(problem.scene)
+        self._maker = _RowMaker(problem)
         pilot = self._independent(o.bootstrap, seed, "tail bootstrap", 0)
         total = pilot.total.sum()
         if not total > 0.0:
@@ -138,6 +139,8 @@ class MetropolisParticles(Carrying):
         lanes = copied_to_device(mi.UInt32, picked.astype(np.uint32))
         edges = copied_to_device(mi.UInt32, pilot.edges[picked])
         self._state = self._paths.from_independent(lanes, edges, seed, "tail bootstrap", 0)
+        #: Independent paths, sums of the luminance at their ends and at the first ones; steps, and those at first ends.
+        self._known = np.array([o.bootstrap, total, pilot.direct.sum(), 0.0, 0.0])
 
     def _independent(self, paths: int, seed: int, role: str, iteration: int) -> Independent:
         return self._paths.independent(dr.arange(mi.UInt32, paths), seed, role, iteration)
@@ -149,19 +152,24 @@ class MetropolisParticles(Carrying):
         self._state = walked.state
         paths = max(1, o.chains * o.steps // 8)
         beside = self._independent(paths, seed, "tail scale", iteration)
-        scale = np.array([beside.total.sum(), beside.direct.sum()])
+        rows, repeats, direct = self._maker.rows(walked, o.chains)
         steps = float(o.chains * o.steps)
-        rows, repeats, direct = self._shapes.rows(walked, o.chains)
+        of_paths = np.array([beside.total.sum(), beside.direct.sum()])
+        self._known = self._known + np.array([paths, *of_paths, steps, direct])
         if not o.specular:
-            smooth = self._shapes.is_smooth[rows[:, _SHAPE]]
+            smooth = self._maker.is_smooth[rows[:, columns_of("shape").start]]
             rows, repeats = rows[smooth], repeats[smooth]
+        power = rows[:, columns_of("power")]
+        scale = self._flux() / self.problem.space.scale**2
+        power[:] = (power.view(np.float32) * np.float32(scale)).view(np.uint32)
         return Measurement(
-            sums={_SCALE: scale, _FLUX: beside.colour.sum(axis=0)},
-            weights={_SCALE: float(paths), _FLUX: float(paths)},
+            sums={_SCALE: of_paths},
+            weights={_SCALE: float(paths)},
             iterations=Iterations.single(iteration),
-            squares={_SCALE: scale**2},
+            squares={_SCALE: of_paths**2},
             counters={
-                "steps": steps,
+                PATHS: steps,
+                RECORD: float(len(rows)),
                 "direct_steps": direct,
                 "accepted": walked.accepted,
                 "rays": walked.rays + walked.rebuilt + beside.rays,
@@ -169,73 +177,71 @@ class MetropolisParticles(Carrying):
                 "nonfinite": walked.bad,
             },
             records={
-                _ROWS: Record.single(self._in_scene(rows), iteration),
+                RECORD: Record.single(rows, iteration),
                 _REPEATS: Record.single(repeats, iteration),
                 _TRACES: Record.single(np.array(walked.traces).reshape(o.steps, traced * 4), iteration),
             },
         )
 
-    def _in_scene(self, rows: NDArray[np.uint32]) -> NDArray[np.uint32]:
-        """Rows of the render space in the scene's units."""
-        space = self.problem.space
-        if not space.is_own:
-            position = rows[:, 0:3].copy().view(np.float32)
-            rows[:, 0:3] = space.to_scene(position).astype(np.float32).view(np.uint32)
-            rows[:, 6:9] = (rows[:, 6:9].copy().view(np.float32) / np.float32(space.scale) ** 2).view(np.uint32)
-        return rows
+    def _flux(self) -> float:
+        """b, the luminance of the flux at all ends, as it is known now."""
+        paths, total, direct, steps, direct_steps = self._known
+        if self.settings.scale == "traced" or not direct_steps:
+            return float(total / paths)
+        return float(direct / paths * steps / direct_steps)
 
     def develop(self, measurement: Measurement, state: State) -> Result:
         """No picture: the flux of a step with its relative standard error, and the diagnosis of the chains."""
-        flux, error = self.flux_per_step(measurement)
-        steps = measurement.counters["steps"]
+        flux, error = self.flux(measurement)
+        steps = measurement.counters[PATHS]
         diagnosis = self.diagnosis(measurement)
-        return Result(
-            {},
-            {
-                "method": self.name,
-                "settings": self.settings.to_dict(),
-                "particles": len(measurement.records[_ROWS]),
-                "flux": flux * steps / self.problem.space.scale**2,
-                "flux_error": error * steps / self.problem.space.scale**2,
-                "acceptance": measurement.counters["accepted"] / steps,
-                "rays_per_step": measurement.counters["step_rays"] / steps,
-                "autocorrelation_time": {name: d.autocorrelation_time for name, d in diagnosis.items()},
-                "effective_samples": self.settings.chains
-                / min(_TRACED, self.settings.chains)
-                * min(d.effective_samples for d in diagnosis.values()),
-                "r_hat": max(d.r_hat for d in diagnosis.values()),
-            },
-        )
+        effective = min(d.effective_samples for d in diagnosis.values())
+        metadata = {
+            "method": self.name,
+            "settings": self.settings.to_dict(),
+            "particles": len(measurement.records[RECORD]),
+            "flux": flux,
+            "flux_error": error,
+            "acceptance": measurement.counters["accepted"] / steps,
+            "rays_per_step": measurement.counters["step_rays"] / steps,
+            "autocorrelation_time": {name: d.autocorrelation_time for name, d in diagnosis.items()},
+            "effective_samples": effective * self.settings.chains / min(_TRACED, self.settings.chains),
+            "r_hat": max(d.r_hat for d in diagnosis.values()),
+        }
+        return Result({}, metadata)
 
     def noise(self, measurement: Measurement) -> float | None:
         """Squared relative standard error of the flux at all ends; ``None`` if it is not known yet."""
-        flux, error = self.flux_per_step(measurement)
+        flux, error = self.flux(measurement)
         return None if math.isnan(error) else (error / flux) ** 2
 
     # ------------------------------------------------------------------ what was traced
 
-    def flux_per_step(self, measurement: Measurement) -> tuple[float, float]:
-        """(b / N, its standard error): the luminance of the flux that a step stands for. The error is NaN for fewer
-        than two passes."""
-        steps = measurement.counters["steps"]
-        (total, direct), variance = measurement.mean(_SCALE), measurement.variance_of_mean(_SCALE)
+    def flux(self, measurement: Measurement) -> tuple[float, float]:
+        """(luminance of the flux at all ends, in the scene's units; its standard error as the power of particles has
+        it). The error is NaN for fewer than two passes.
+
+        Particles of a pass have the power by all that is known up to this pass, whose mean over many passes has twice
+        the variance of what is known in the end."""
+        (total, direct), variance = measurement.mean(_SCALE), 2.0 * measurement.variance_of_mean(_SCALE)
+        scale = self.problem.space.scale**2
         if self.settings.scale == "traced":
-            return float(total) / steps, math.sqrt(variance[0]) / steps
-        share = measurement.counters["direct_steps"] / steps
-        of_share = self._all_chains(diagnose(self.traces(measurement)[:, :, 0] == 1.0))
-        relative = math.hypot(math.sqrt(variance[1]) / direct, of_share / share)
-        flux = float(direct) / (share * steps)
-        return flux, relative * flux
+            return float(total) / scale, math.sqrt(variance[0]) / scale
+        share = measurement.counters["direct_steps"] / measurement.counters[PATHS]
+        spent = diagnose(self.traces(measurement)[:, :, 0] == 1.0)
+        # Only some of the chains were diagnosed.
+        of_share = spent.standard_error * math.sqrt(2.0 * min(_TRACED, self.settings.chains) / self.settings.chains)
+        flux = float(direct) / share / scale
+        return flux, flux * math.hypot(math.sqrt(variance[1]) / direct, of_share / share)
 
-    def particles(self, measurement: Measurement) -> Iterator[Particles]:
-        """The particles of each pass. ``path`` is the number of the chain."""
-        flux, _ = self.flux_per_step(measurement)
-        for rows in measurement.records[_ROWS]:
-            yield unpacked(rows, flux)
+    def particles(self, measurement: Measurement) -> Particles:
+        """The particles of a measurement. ``path`` is the number of the chain."""
+        scale = 1.0 / measurement.counters[PATHS]
+        return Particles.joined([Particles.of_rows(rows, scale) for rows in measurement.records[RECORD]])
 
-    def repeats(self, measurement: Measurement) -> Iterator[NDArray[np.uint32]]:
-        """Steps for which the chains stayed at each of the particles of each pass."""
-        return iter(measurement.records[_REPEATS])
+    def repeats(self, measurement: Measurement) -> NDArray[np.uint32]:
+        """Steps for which the chains stayed at each of the particles."""
+        return np.concatenate(list(measurement.records[_REPEATS]))
 
     def traces(self, measurement: Measurement) -> Array:
         """(chains, steps, 4): number of edges and end of the path of the first chains after every step."""
@@ -248,15 +254,11 @@ class MetropolisParticles(Carrying):
         traces = self.traces(measurement)
         return {name: diagnose(traces[:, :, i]) for i, name in enumerate(QUANTITIES)}
 
-    def _all_chains(self, diagnosis: ChainDiagnosis) -> float:
-        """The standard error of a mean over all chains, of which only the first were diagnosed."""
-        return diagnosis.standard_error * math.sqrt(min(_TRACED, self.settings.chains) / self.settings.chains)
-
     # ------------------------------------------------------------------ states
 
     def _left(self) -> State:
         s = self._state
-        return {"length": s.length, "first": s.first, "later": s.later}
+        return {"length": s.length, "first": s.first, "later": s.later, "known": self._known}
 
     def _take(self, state: State) -> None:
         o = self.settings
@@ -270,73 +272,60 @@ class MetropolisParticles(Carrying):
         self._state = PathNumbers(
             copied_to_device(mi.UInt32, length), copied_to_device(mi.Float, first), copied_to_device(mi.Float, later)
         )
+        self._known = np.asarray(state["known"], np.float64)
 
 
 # ---------------------------------------------------------------------- rows of a record
 
-#: Columns of a row of :class:`Particles`, 32 bits each, and that of the shape.
-_COLUMNS, _SHAPE = 15, 9
 
+class _RowMaker:
+    """Makes rows of particles of the states that chains have left."""
 
-class ShapeNumbers:
-    """Numbers of the shapes of a scene, by their number in Dr.Jit's registry."""
-
-    def __init__(self, scene: mi.Scene) -> None:
-        ids = np.array(dr.reinterpret_array(mi.UInt32, scene.shapes_dr()))
-        self._number = np.zeros(int(ids.max()) + 1, np.uint32)
-        self._number[ids] = np.arange(len(ids))
-        self._is_mesh = np.array([shape.is_mesh() for shape in scene.shapes()])
+    def __init__(self, problem: Problem) -> None:
+        self._space = problem.space
+        table = SurfaceTable(problem)
+        self._number = table.number_of_pointer
+        self._is_mesh = on_device(mi.UInt32, table.is_mesh_pointer.astype(np.uint32))
+        self._all_meshes = all(table.is_mesh_pointer[1:])
+        shapes = problem.scene.shapes()
         #: Whether the shapes have a diffuse or glossy part.
-        self.is_smooth = np.array([mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth) for shape in scene.shapes()])
+        self.is_smooth = np.array([mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth) for shape in shapes])
 
-    def rows(self, walked: Walked, chains: int) -> tuple[NDArray[np.uint32], NDArray[np.uint32], float]:
-        """(rows of the states that chains have left, in the order of the steps, with the power of a step of luminance 1
-        times the repeats; repeats; steps at the end of first edges)."""
+    def rows(self, walked: Walked, chains: int) -> tuple[Rows, NDArray[np.uint32], float]:
+        """(rows in the order of the steps, whose power has the luminance of the repeats; repeats; steps spent at the
+        end of first edges)."""
         slot = dr.compress(walked.counts > 0)
         position, direction, flux = (
             dr.gather(mi.Vector4f, array, slot) for array in (walked.position, walked.direction, walked.flux)
         )
         shape, instance, primitive, edges = dr.gather(mi.Vector4u, walked.what, slot)
-        # The parameters of shapes other than meshes are not those of the preliminary intersection.
-        hit = dr.zeros(mi.PreliminaryIntersection3f, dr.width(slot))
-        hit.valid = dr.full(mi.Bool, True, dr.width(slot))
-        hit.shape = dr.reinterpret_array(mi.ShapePtr, shape)
-        hit.prim_uv, hit.prim_index = mi.Point2f(position.w, direction.w), primitive
         ray = mi.Ray3f(
             mi.Point3f(position.x, position.y, position.z), mi.Vector3f(direction.x, direction.y, direction.z)
         )
         uv = mi.Point2f(position.w, direction.w)
-        if not self._is_mesh.all():
-            other = ~hit.shape.is_mesh()
+        if not self._all_meshes:
+            # The parameters of other shapes are not those of the preliminary intersection.
+            hit = dr.zeros(mi.PreliminaryIntersection3f, dr.width(slot))
+            hit.valid = dr.full(mi.Bool, True, dr.width(slot))
+            hit.shape = dr.reinterpret_array(mi.ShapePtr, shape)
+            hit.prim_uv, hit.prim_index = uv, primitive
+            other = dr.gather(mi.UInt32, self._is_mesh, shape) == 0
             uv = dr.select(other, hit.compute_surface_interaction(ray, mi.RayFlags.UV, active=other).uv, uv)
         repeats = dr.gather(mi.UInt32, walked.counts, slot)
         colour = mi.Color3f(flux.x, flux.y, flux.z)
         colour *= mi.Float(repeats) / mi.luminance(colour)
         shape = dr.select(instance != 0, instance, shape)
-        whole = {9: shape, 10: primitive, 13: slot % chains, 14: edges}
-        real = dict(enumerate([*ray.o, *ray.d, *colour])) | {11: uv.x, 12: uv.y}
+        whole = {"shape": shape, "primitive": primitive, "path": slot % chains, "bounce": edges}
+        real = {"position": ray.o, "direction": ray.d, "power": colour, "uv": uv}
         dr.eval(repeats, whole, real)
-        rows = np.empty((dr.width(slot), _COLUMNS), np.uint32)
-        for i, column in real.items():
-            rows[:, i] = np.array(column, np.float32).view(np.uint32)
-        for i, column in whole.items():
-            rows[:, i] = np.array(column)
-        rows[:, _SHAPE] = self._number[rows[:, _SHAPE]]
+        result = np.empty((dr.width(slot), columns_of("bounce").stop), np.uint32)
+        for name, values in real.items():
+            numbers = np.array(dr.ravel(values), np.float32).reshape(len(result), -1)
+            if name == "position" and not self._space.is_own:
+                numbers = self._space.to_scene(numbers).astype(np.float32)
+            result[:, columns_of(name)] = numbers.view(np.uint32)
+        for name, values in whole.items():
+            result[:, columns_of(name).start] = np.array(values)
+        result[:, columns_of("shape").start] = self._number[result[:, columns_of("shape").start]]
         counts = np.array(repeats)
-        return rows, counts, float(counts[rows[:, -1] == 1].sum(dtype=np.float64))
-
-
-def unpacked(rows: NDArray[np.uint32], scale: float) -> Particles:
-    """Particles of rows, with their power times ``scale``."""
-    real = rows[:, :9].copy().view(np.float32)
-    shape, primitive, u, v, path, bounce = rows[:, 9:].T
-    return Particles(
-        position=real[:, 0:3],
-        direction=real[:, 3:6],
-        power=(real[:, 6:9] * np.float64(scale)).astype(np.float32),
-        shape=shape,
-        primitive=primitive,
-        uv=np.stack([u, v], axis=1).view(np.float32),
-        path=path,
-        bounce=bounce,
-    )
+        return result, counts, float(counts[result[:, columns_of("bounce").start] == 1].sum(dtype=np.float64))

@@ -20,7 +20,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, IndependentSource, copied_to_device
+from etendue.core import Array, IndependentSource, SampleSource, copied_to_device
 from etendue.scene import LightTable
 
 from .. import dimensions as dim
@@ -83,7 +83,7 @@ class CellEmission:
         self._sums = copied_to_device(mi.Float, rounded.astype(np.float32))
         self._density = copied_to_device(mi.Float, density.astype(np.float32))
 
-    def __call__(self, lights: LightTable, source: IndependentSource, active: mi.Bool) -> EmittedRay:
+    def __call__(self, lights: LightTable, source: SampleSource, active: mi.Bool) -> EmittedRay:
         """See :class:`~.numbers.Emission`."""
         u = source.next_1d(0, dim.LIGHT_PICK)
         cell = dr.binary_search(0, len(self.probability) - 1, lambda i: dr.gather(mi.Float, self._sums, i, active) <= u)

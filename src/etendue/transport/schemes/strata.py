@@ -49,21 +49,24 @@ class StratifiedSource:
         dimensions: Sequence[tuple[int, int]] = EMISSION + FIRST_BOUNCE,
     ) -> None:
         self._base = base
-        self._segments: dict[tuple[int, int], tuple[mi.UInt32, int]] = {}
+        #: (segment, number of segments) of each dimension.
+        self._segments: dict[tuple[int, int], tuple[mi.UInt32, mi.UInt32]] = {}
         counts = strata(paths, len(dimensions))
         total = math.prod(counts)
-        self._even = index < paths // total * total
-        code = index % total
+        # Opaque, so that other numbers of paths share the kernel.
+        self._even = index < dr.opaque(mi.UInt32, paths // total * total)
+        code = mi.UInt32(index)
         for place, count in zip(dimensions, counts, strict=True):
-            self._segments[place] = code % count, count
-            code = code // count
+            segments = dr.opaque(mi.UInt32, count)
+            self._segments[place] = code % segments, segments
+            code = code // segments
 
     def _one(self, vertex: mi.UInt32 | int, component: int, u: mi.Float) -> mi.Float:
         for (own_vertex, own_component), (segment, count) in self._segments.items():
             if component != own_component or (isinstance(vertex, int) and vertex != own_vertex):
                 continue
             here = self._even & (mi.UInt32(vertex) == own_vertex)
-            inside = dr.minimum((mi.Float(segment) + u) * (1.0 / count), 1.0 - 2.0**-24)
+            inside = dr.minimum((mi.Float(segment) + u) / mi.Float(count), 1.0 - 2.0**-24)
             u = dr.select(here, inside, u)
         return u
 
