@@ -26,6 +26,7 @@ from .base import ImageMethod, ImageSettings
 from .bidirectional import Bpm, Bpt, Vcm
 from .guided import Guided
 from .light import LightTracing
+from .metropolis.filmchains import FilmMetropolis
 from .metropolis.pssmlt import Pssmlt
 from .path import Path
 from .photon.map import Pm
@@ -48,6 +49,7 @@ _OWN: tuple[type[ImageMethod], ...] = (
     Bpm,
     Vcm,
     Pssmlt,
+    FilmMetropolis,
     AmbientPath,
     AmbientLight,
 )
