@@ -189,6 +189,10 @@ class FilmMetropolis(MetropolisMethod):
             "image": 0.5 * samples * (pictures[0] + pictures[1]),
             "image" + CONTRAST: 0.5 * samples * (pictures[0] - pictures[1]),
         }
+        if self.settings.aovs:
+            first, bad = self._first_hits(iteration, seed, self.samples_per_iteration)
+            layers |= {name: layer.astype(np.float64) for name, layer in first.items()}
+            made.counters["nonfinite"] += bad
         return Measurement(
             sums=layers,
             weights=dict.fromkeys(layers, samples),
