@@ -43,6 +43,7 @@ COST_SETTINGS: dict[str, dict[str, Any]] = {
     "bpt": _BIDIRECTIONAL,
     "bpm": _BIDIRECTIONAL | {"radius": 0.003, "radius_unit": "scene", "alpha": 1.0},
     "vcm": _BIDIRECTIONAL | {"radius": 0.003, "radius_unit": "scene", "alpha": 1.0},
+    "film_metropolis": _PASS,
     "ambient_path": _PASS,
     "ambient_light": _PASS | {"light_paths": 1.0},
 }

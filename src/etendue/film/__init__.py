@@ -1,6 +1,7 @@
 """Film: reconstruction filters, error measures, multi-layer OpenEXR."""
 
 from .cells import CellGrid
+from .developing import ESTIMATORS, FILM_COLUMNS, Development
 from .errors import (
     LUMINANCE,
     block_average,
@@ -16,9 +17,12 @@ from .output import check_writable, replacing, write_bytes
 from .pyramid import LONGER, Technique
 
 __all__ = [
+    "ESTIMATORS",
+    "FILM_COLUMNS",
     "LONGER",
     "LUMINANCE",
     "CellGrid",
+    "Development",
     "PixelFilter",
     "Technique",
     "block_average",

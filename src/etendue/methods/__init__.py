@@ -9,6 +9,8 @@ from .base import CameraSettings, ImageMethod, ImageSettings, Layer, total
 from .bidirectional import Bidirectional, Bpm, Bpt, Vcm
 from .guided import Guided
 from .light import LightTracing
+from .metropolis.filmchains import FilmMetropolis
+from .metropolis.particles import MetropolisParticles
 from .particles import ParticleTracing
 from .path import Path
 from .photon.hits import photon_hits, trace_photons
@@ -22,11 +24,13 @@ __all__ = [
     "Bpm",
     "Bpt",
     "CameraSettings",
+    "FilmMetropolis",
     "Guided",
     "ImageMethod",
     "ImageSettings",
     "Layer",
     "LightTracing",
+    "MetropolisParticles",
     "ParticleTracing",
     "Path",
     "Pm",

@@ -25,11 +25,23 @@ from etendue.core import (
     SceneError,
     Settings,
     State,
+    UnsupportedError,
     setting,
 )
 from etendue.particles import Keep, Particles, ParticleStore, ParticleWalk, Rows, Surfaces, SurfaceTable, columns_of
 from etendue.scene import LightTable, Problem
-from etendue.transport import Visibility
+from etendue.transport import (
+    EMISSION,
+    FIRST_BOUNCE,
+    BlindEmission,
+    CameraSampler,
+    EmissionScheme,
+    ImportancePilot,
+    StratifiedSource,
+    UniformLights,
+    Visibility,
+    emit,
+)
 
 from .base import MOST_LIGHT_LANES, PILOT_PATHS, Lanes, light_numbers, total
 
@@ -62,8 +74,19 @@ class ParticleSettings(Settings):
     rr_depth: int = setting(5, "path length, in edges, from which on Russian roulette may end a path", minimum=1)
     sampler: str = setting(
         "owen",
-        "random numbers of the paths: Owen-scrambled Sobol' points (owen), or independent numbers (independent)",
-        choices=("owen", "independent"),
+        "random numbers of the paths: Owen-scrambled Sobol' points (owen), independent numbers (independent), or these "
+        "with one path in each stratum of light, point, direction and first bounce (strata)",
+        choices=("owen", "independent", "strata"),
+    )
+    emission: str = setting(
+        "power",
+        "how lights are sampled: by power (power), all equally often (uniform), these with rays spread evenly over the "
+        "hemisphere (blind), or by what reaches the surfaces that the camera sees, as a pilot finds (importance)",
+        choices=("power", "uniform", "blind", "importance"),
+    )
+    pilot: int = setting(1 << 16, "with importance: light paths of the pilot", minimum=64, maximum=1 << 24)
+    defence: float = setting(
+        0.25, "with importance: share of the rays that are sampled by power", above=0.0, maximum=1.0
     )
     samples_per_pass: int = setting(
         0, "light paths of a pass; 0: chosen so that a pass has about a million particles", minimum=0
@@ -105,6 +128,7 @@ class ParticleTracing:
             keep=keep,
             after=dr.opaque(mi.UInt32, settings.after),
             specular=settings.specular,
+            scheme=self._emission(seed),
         )
         paths, found = PILOT_PATHS, 0
         for attempt in range(_PILOTS):
@@ -118,6 +142,26 @@ class ParticleTracing:
                 "surfaces that are asked for; look at the lights, and at keep, after, specular and max_bounces"
             )
         self.per_path = found / paths
+
+    def _emission(self, seed: int) -> EmissionScheme:
+        settings = self.settings
+        if settings.emission != "importance":
+            schemes: dict[str, EmissionScheme] = {"power": emit, "uniform": UniformLights(), "blind": BlindEmission()}
+            return schemes[settings.emission]
+        camera = CameraSampler(self.problem)
+        if not camera.can_splat:
+            raise UnsupportedError(
+                "points cannot be connected to this sensor, so that nobody knows what it sees: use another emission "
+                "than importance"
+            )
+        pilot = ImportancePilot(
+            visibility=Visibility(self.problem.scene),
+            lights=self.lights,
+            max_edges=dr.opaque(mi.UInt32, settings.max_bounces if settings.max_bounces >= 0 else 1 << 30),
+            rr_depth=settings.rr_depth,
+            camera=camera,
+        )
+        return pilot.learn(settings.pilot, seed, settings.defence)
 
     @property
     def surfaces(self) -> Surfaces:
@@ -176,8 +220,14 @@ class ParticleTracing:
     ) -> tuple[ParticleStore, float, float]:
         """(store, rays, non-finite particles) of the paths of a pass."""
         store = ParticleStore(capacity, self._table)
-        source = light_numbers(self.settings.sampler, Lanes(0, paths), paths, seed, iteration, role + "light")
-        rays, bad = self._walk.trace(paths, source, dr.arange(mi.UInt32, paths), store)
+        number = dr.arange(mi.UInt32, paths)
+        sampler = self.settings.sampler
+        kind = "independent" if sampler == "strata" else sampler
+        source = light_numbers(kind, Lanes(0, paths), paths, seed, iteration, role + "light")
+        if sampler == "strata":
+            one_light = self.lights.count == 1
+            source = StratifiedSource(source, number, paths, EMISSION[one_light:] + FIRST_BOUNCE)
+        rays, bad = self._walk.trace(paths, source, number, store)
         dr.schedule(rays, bad)
         store.launch()
         return store, total(rays), total(bad)

@@ -26,6 +26,7 @@ from .base import ImageMethod, ImageSettings
 from .bidirectional import Bpm, Bpt, Vcm
 from .guided import Guided
 from .light import LightTracing
+from .metropolis.filmchains import FilmMetropolis
 from .metropolis.mmlt import Mmlt
 from .metropolis.pssmlt import Pssmlt
 from .path import Path
@@ -50,6 +51,7 @@ _OWN: tuple[type[ImageMethod], ...] = (
     Vcm,
     Pssmlt,
     Mmlt,
+    FilmMetropolis,
     AmbientPath,
     AmbientLight,
 )

@@ -11,6 +11,7 @@ import numpy as np
 
 from etendue.core import SampleSource, on_device
 from etendue.transport import (
+    EmissionScheme,
     Proposal,
     Scattered,
     SubPath,
@@ -107,13 +108,14 @@ class ParticleWalk(Walker):
     keep: Keep = Keep.ALL
     after: mi.UInt32  #: opaque; hits with this number of bounces or fewer are left out
     specular: bool = False  #: also keep hits on surfaces without a diffuse or glossy part
+    scheme: EmissionScheme = emit  #: samples the rays of the lights
 
     def trace(
         self, paths: int, source: SampleSource, number: mi.UInt32, store: ParticleStore
     ) -> tuple[mi.UInt32, mi.UInt32]:
         """Trace ``paths`` light paths, with the numbers ``number``, into ``store``. Returns (rays, non-finite
         particles, which are left out), one lane a path, not yet evaluated."""
-        emitted = emit(self.lights, source, mi.Bool(True))
+        emitted = self.scheme(self.lights, source, dr.full(mi.Bool, True, paths))
         state = _State(
             active=emitted.active & (self.max_edges > 0),
             ray=emitted.ray,

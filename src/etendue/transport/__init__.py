@@ -35,12 +35,18 @@ from .scattering import (
     scatter_uniform,
     shadow_roulette,
 )
+from .schemes.cells import CellEmission, ImportancePilot
+from .schemes.numbers import BlindEmission, GivenNumbers, UniformLights
+from .schemes.numbers import Emission as EmissionScheme
+from .schemes.strata import EMISSION, FIRST_BOUNCE, StratifiedSource
 from .vertex import Joined, Vertex, WalkVertex
 from .visibility import Visibility
 from .walk import CameraPath, Emission, MapEnd, SubPath, Walker, ones
 
 __all__ = [
     "AMBIENT_WALKS",
+    "EMISSION",
+    "FIRST_BOUNCE",
     "FOUND_UNITS",
     "GRAZING",
     "MOST_LIGHTS",
@@ -49,24 +55,29 @@ __all__ = [
     "PYRAMID_MAX",
     "AmbientScene",
     "AmbientTable",
+    "BlindEmission",
     "CameraConnection",
     "CameraPath",
     "CameraSampler",
     "CameraSink",
     "CameraWalk",
+    "CellEmission",
     "Contribution",
     "DirectSample",
     "DirectWeights",
     "Emission",
+    "EmissionScheme",
     "EmittedRay",
     "EndingGuidedWalk",
     "EndingWalker",
     "Evaluated",
     "Gather",
+    "GivenNumbers",
     "Guide",
     "GuidedPath",
     "GuidedScattered",
     "GuidedWalk",
+    "ImportancePilot",
     "IrradianceCache",
     "Joined",
     "Kind",
@@ -89,10 +100,12 @@ __all__ = [
     "SplatPlace",
     "SplatSink",
     "Splats",
+    "StratifiedSource",
     "SubPath",
     "Techniques",
     "TrainingSamples",
     "TransportFunctions",
+    "UniformLights",
     "Vertex",
     "Visibility",
     "WalkVertex",

@@ -84,6 +84,8 @@ class PassResult:
 
     pictures: NDArray[np.float64]
     counters: dict[str, float]
+    #: For each half, the factor on what chains have splatted, as it is known after the pass.
+    factors: Array
 
 
 @dataclass
@@ -103,6 +105,8 @@ class Runner:
     bootstrap: int
     sampler: str
     equalise: bool
+    #: Called with all that is splatted: whether by large steps as independent samples, contributions, weight.
+    record: Callable[[bool, Sequence[Contribution], mi.Float], None] | None = None
     _numbers: mi.UInt32 = field(init=False)
 
     def __post_init__(self) -> None:
@@ -268,6 +272,8 @@ class _Walk:
         return dr.rcp(target * (self._inverse_unit * CORRELATED) + self._share)
 
     def _splat(self, image: int, contributions: Sequence[Contribution], weight: mi.Float, number: SampleSource) -> None:
+        if self.runner.record is not None:
+            self.runner.record(image > 0, contributions, weight)
         for index, one in enumerate(contributions):
             place = self.splats.at(one.position, number.next_2d(index, 0))
             value = one.value * (weight * place.weight)
@@ -337,7 +343,8 @@ class _Walk:
         images = self.splats.sums().astype(np.float64)
         pixels = runner.size[0] * runner.size[1]
         scale = pixels / (steps * runner.chains / 2)
-        pictures = scale * (images[:2] * (CORRELATED * mean / carried.unit)[:, None, None, None] + images[2:])
+        factors = CORRELATED * mean / carried.unit
+        pictures = scale * (images[:2] * factors[:, None, None, None] + images[2:])
         counters = {
             "rays": total(self._rays),
             "paths": float(steps * runner.chains),
@@ -348,4 +355,4 @@ class _Walk:
             "small steps accepted": total(self._accepted[False]),
         }
         longest = max(carried.longest, int(np.array(self._longest).max()))
-        return replace(carried, found=found, longest=longest), PassResult(pictures, counters)
+        return replace(carried, found=found, longest=longest), PassResult(pictures, counters, factors)

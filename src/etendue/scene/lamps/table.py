@@ -116,6 +116,7 @@ class LightTable:
         #: Point sampling on area lights whose radiance varies; None if the scene has no such light.
         self.points = LightPoints([r.cells for r in rows]) if any(r.cells for r in rows) else None
         self._cdf = mi.DiscreteDistribution(on_device(mi.Float, pick))
+        self._middle = on_device(mi.Float, np.cumsum(pick) - 0.5 * pick)
         # A hit has only a pointer to its emitter: registry numbers map it to rows.
         ids = np.asarray(dr.reinterpret_array(mi.UInt32, self._emitters))
         row_of = np.zeros(int(ids.max()) + 1, np.uint32)
@@ -133,6 +134,10 @@ class LightTable:
         if self.count == 1:
             return u
         return dr.clip(self._cdf.sample_reuse(u)[1], 0.0, 1.0 - 2.0**-24)
+
+    def number_of(self, row: mi.UInt32, active: mi.Bool | bool = True) -> mi.Float:
+        """A number with which :meth:`pick` picks the light ``row``; for one that is never picked, that of another."""
+        return dr.gather(mi.Float, self._middle, row, active)
 
     def of(self, emitter: mi.EmitterPtr, active: mi.Bool | bool = True) -> Light:
         """The entries of the emitter that a ray has hit. Lanes without emitter must not be active."""

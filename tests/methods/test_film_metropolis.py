@@ -1,0 +1,117 @@
+"""Samples on the film: pictures of any resolution, borders, lights that are painted later, and the mean."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from support import scenes
+from support.running import Run, go, prepared, run
+
+from etendue.film import Development, block_average
+from etendue.scene import Problem, load
+
+SMALL = {"samples_per_pass": 64, "bootstrap": 1 << 13}
+XYZ = np.array([[0.412453, 0.357580, 0.180423], [0.212671, 0.715160, 0.072169], [0.019334, 0.119193, 0.950227]])
+
+
+def rendered(problem: Problem, passes: int = 4, seed: int = 1, **settings: Any) -> tuple[Any, Run]:
+    method = prepared(problem, "film_metropolis", seed, **(SMALL | settings))
+    return method, go(method, passes, seed)
+
+
+def developed(method: Any, made: Run, size: tuple[int, int], **how: Any) -> np.ndarray:
+    return np.asarray(method.picture(made.measurement, Development(size, **how)))
+
+
+def test_one_run_renders_at_two_resolutions():
+    """A histogram of twice the resolution has the same samples; so has a kernel's, but for its width in the film."""
+    method, made = rendered(scenes.room("rectangle", scenes.FEW))
+    width, height = scenes.SIZE
+    coarse = developed(method, made, (width, height))
+    fine = developed(method, made, (2 * width, 2 * height))
+    np.testing.assert_allclose(block_average(fine, 2), coarse, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(made.mean, coarse, rtol=1e-4, atol=1e-6)
+    smooth = [developed(method, made, (n * width, n * height), estimator="kernel", bandwidth=0.7 * n) for n in (1, 2)]
+    np.testing.assert_allclose(smooth[1].mean(), smooth[0].mean(), rtol=0.01)
+
+
+@pytest.mark.parametrize("estimator", ["kernel", "variable", "nearest"])
+def test_estimators_keep_the_light(estimator):
+    method, made = rendered(scenes.room("rectangle", scenes.FEW))
+    picture = developed(method, made, scenes.SIZE, estimator=estimator)
+    assert picture.min() >= 0.0
+    np.testing.assert_allclose(picture.mean(), made.mean.mean(), rtol=0.05)
+
+
+def test_the_mean_of_each_channel_is_that_of_path():
+    """CIE XYZ, with lights in every way; runs of 16 seeds against passes."""
+    problem = scenes.room("rectangle", scenes.FEW)
+    path = run(problem, "path", passes=8, samples=256).images.mean(axis=(1, 2)) @ XYZ.T
+    for lights in ("later", "split", "chain"):
+        means = [rendered(problem, 1, seed, lights=lights)[1].mean.mean(axis=(0, 1)) for seed in range(1, 17)]
+        found = np.array(means) @ XYZ.T
+        error = np.hypot(found.std(0, ddof=1) / 4.0, path.std(0, ddof=1) / np.sqrt(8))
+        assert (error < 0.02 * path.mean(0)).all()
+        np.testing.assert_array_less(np.abs(found.mean(0) - path.mean(0)), 4.5 * error)
+
+
+def test_going_on_lowers_the_error():
+    problem = scenes.room("rectangle", scenes.FEW)
+    reference = run(problem, "path", passes=8, samples=512).mean
+    errors = {1: [], 9: []}
+    for seed in range(1, 5):
+        method = prepared(problem, "film_metropolis", seed, **(SMALL | {"samples_per_pass": 16}))
+        total = None
+        for iteration in range(9):
+            measurement = method.step(iteration, seed)
+            total = measurement if total is None else total + measurement
+            if iteration + 1 in errors:
+                errors[iteration + 1].append(np.mean((total.mean() - reference) ** 2))
+    # Nine times the samples have a ninth of the variance.
+    assert np.mean(errors[9]) < 0.3 * np.mean(errors[1])
+
+
+@pytest.mark.parametrize("estimator", ["kernel", "variable"])
+def test_the_border_is_dark_without_samples_around_it(estimator):
+    """Inside a uniform closed surface every pixel has the same radiance."""
+    problem = scenes.furnace("sphere", 1.0, 0.5, size=(16, 16))
+    how = {"estimator": estimator, "bandwidth": 1.0}
+    rim = np.ones((16, 16), bool)
+    rim[1:-1, 1:-1] = False
+
+    def border(margin: float, inset: float) -> float:
+        method, made = rendered(problem, 8, margin=margin, lights="chain", samples_per_pass=256)
+        picture = developed(method, made, (16, 16), inset=inset, **how)
+        return float(picture[rim].mean() / picture[~rim].mean())
+
+    assert border(0.0, 0.0) < 0.85
+    assert border(0.4, 0.0) == pytest.approx(1.0, abs=0.03)
+    assert border(0.0, 0.25) == pytest.approx(1.0, abs=0.03)
+
+
+def test_lights_painted_later_lower_the_error_of_the_rest():
+    """A lamp in the picture has most of the luminance, and so most of the samples of chains that see it."""
+    problem = load(
+        {
+            "type": "scene",
+            "sensor": scenes.camera((0.0, 1.0, 4.0), (0.0, 0.7, 0.0), 45.0),
+            "floor": scenes.plate((0, 0, 0), 2.0, True),
+            "lamp": {
+                "type": "rectangle",
+                "to_world": scenes.transform().translate([0, 1.2, -1]).scale(0.5),
+                "emitter": {"type": "area", "radiance": 20.0},
+            },
+        }
+    )
+    reference = run(problem, "path", passes=8, samples=512).mean
+    assert reference[:7].max() > 19.0
+    dark = np.s_[9:]  # rows of floor only: a pixel that the lamp touches has the noise of the paint
+    assert 0.0 < reference[dark].max() < 2.0
+    errors = {}
+    for lights in ("chain", "later", "split"):
+        runs = [rendered(problem, 2, seed, lights=lights)[1].mean for seed in range(1, 5)]
+        errors[lights] = np.mean([np.mean((picture - reference)[dark] ** 2) for picture in runs])
+    assert errors["later"] < 0.5 * errors["chain"], errors
+    assert errors["split"] < 0.5 * errors["chain"], errors

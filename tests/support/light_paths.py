@@ -1,0 +1,39 @@
+"""Light paths traced without the library's walks, as something to compare with."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.core import IndependentSource
+from etendue.scene import LightTable, Problem
+from etendue.transport import emit, scatter_light
+
+
+def independent(
+    problem: Problem, paths: int, seed: int, longest: int, emission: Any = emit, source: Any = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Light paths without roulette, a kernel an edge: (shape, flux in colour, position) of every end, (longest, paths,
+    ...); flux zero where there is none. Fluxes are divided by the number of paths."""
+    lights, scene = LightTable(problem.scene), problem.scene
+    numbers = {shape: i for i, shape in enumerate(np.array(dr.reinterpret_array(mi.UInt32, scene.shapes_dr())))}
+    source = source or IndependentSource(dr.arange(mi.UInt32, paths), seed, "test", 0)
+    emitted = emission(lights, source, dr.full(mi.Bool, True, paths))
+    ray, flux, active = emitted.ray, emitted.throughput / paths, emitted.active
+    shapes, fluxes, places = [], [], []
+    for edge in range(1, longest + 1):
+        si = scene.ray_intersect(ray, active)
+        active &= si.is_valid()
+        dr.eval(si, flux, active)
+        ids = np.array(dr.reinterpret_array(mi.UInt32, si.shape))
+        shapes.append([numbers.get(i, 0) for i in ids])
+        fluxes.append(np.array(dr.select(active, flux, 0.0)).T)
+        places.append(np.array(si.p).T)
+        scattered, _ = scatter_light(si.bsdf(ray), si, source, mi.UInt32(edge), active)
+        active &= scattered.active
+        flux *= scattered.weight
+        ray = si.spawn_ray(scattered.direction)
+    return np.array(shapes), np.array(fluxes), np.array(places)
