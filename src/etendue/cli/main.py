@@ -20,7 +20,7 @@ from etendue.core import EtendueError, OptionError, describe, logger
 from . import options as opt
 from .boxes import HIERARCHY, resume_hierarchy
 from .console import ConsoleHandler, error_console, note, print_error, say
-from .developing import develop
+from .film_picture import film_picture
 from .particle_maps import app as particles
 from .particles import resume_particles
 from .pictures import compare, demo, render, run
@@ -183,7 +183,7 @@ def resume(
     return render_to_files(lambda: Job.resume(saved, kind, budget=budget or rest(), scene=scene), outputs, saved.method)
 
 
-app.command()(develop)
+app.command()(film_picture)
 app.command()(run)
 app.command()(compare)
 app.command()(demo)
