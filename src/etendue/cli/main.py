@@ -22,6 +22,7 @@ from .boxes import HIERARCHY, resume_hierarchy
 from .console import ConsoleHandler, error_console, note, print_error, say
 from .pictures import compare, demo, render, run
 from .radiosity import LINES, form_factors, radiosity, resume_lines
+from .radiosity_options import OptionalName
 
 app = typer.Typer(
     name="etendue",
@@ -218,8 +219,8 @@ def points(
     )
 
 
-app.command()(form_factors)
-app.command()(radiosity)
+app.command(cls=OptionalName)(form_factors)
+app.command(cls=OptionalName)(radiosity)
 
 
 @app.command()
