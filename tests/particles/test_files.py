@@ -9,9 +9,11 @@ from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from support.particles import POWER, box, sorted_rows
+from support.scenes import diffuse
 
 import etendue
 from etendue.core import CheckpointError, EtendueError, OptionError
@@ -94,6 +96,41 @@ def test_only_chunks_with_the_surface_are_read(monkeypatch, tmp_path):
     count = len(known.read(["back"]))
     assert count == known.counts[known.shape("back")] > 0
     assert len(read) <= 2 * (count / 2 / 500 + 3) < len(known.chunks) / 2
+
+
+def test_curved_shapes_and_instances(tmp_path):
+    """Their particles are within the bounds, too, and an instance is one shape."""
+    place, half = mi.ScalarTransform4f, diffuse(0.5, 0.5, 0.5)
+    group = {
+        "type": "shapegroup",
+        "cube": {"type": "cube", "to_world": place().scale(0.1), "bsdf": half},
+        "ball": {"type": "sphere", "radius": 0.1, "center": [0.3, 0, 0], "bsdf": half},
+    }
+    instance = {"type": "instance", "of": {"type": "ref", "id": "group"}}
+    source = box(
+        group=group,
+        one=instance | {"to_world": place().translate([0, -0.6, 0])},
+        two=instance | {"to_world": place().translate([0, 0.6, 0.3])},
+        ball={"type": "sphere", "center": [0.5, 0, 0.5], "radius": 0.15, "bsdf": half},
+        disk={"type": "disk", "to_world": place().translate([-0.5, 0, 0]).scale(0.2), "bsdf": half},
+        tube={"type": "cylinder", "p0": [-0.5, 0.5, 0.5], "p1": [0.2, 0.5, 0.5], "radius": 0.05, "bsdf": half},
+    )
+    found = {}
+    for codec in ("exact", "packed"):
+        path = tmp_path / f"{codec}.particles"
+        etendue.trace_particles(source, paths=20_000, save=path, codec=codec)
+        particles = etendue.read_particles(path)
+        found[codec] = particles[np.lexsort((particles.bounce, particles.path))]
+    known, exact, packed = ParticleFile(path), found["exact"], found["packed"]
+    for name in ("one", "two", "ball", "disk", "tube"):
+        assert known.counts[known.shape(name)] > 200
+        assert len(known.read([name])) == known.counts[known.shape(name)]
+    away = np.linalg.norm(packed.position.astype(float) - exact.position, axis=1)
+    assert away.max() <= known.bounds["position"] < 1e-4
+    on_ball = packed.position[packed.shape == known.shape("ball")]
+    np.testing.assert_allclose(np.linalg.norm(on_ball - [0.5, 0, 0.5], axis=1), 0.15, atol=1e-4)
+    np.testing.assert_array_equal(packed.primitive, exact.primitive)
+    np.testing.assert_allclose(packed.uv, exact.uv, atol=1e-4)
 
 
 def test_shapes_and_regions_that_do_not_exist():
