@@ -11,7 +11,7 @@ from .guided import Guided
 from .light import LightTracing
 from .particles import ParticleTracing
 from .path import Path
-from .photon.hits import photon_hits, trace_photons
+from .photon.hits import photon_hits
 from .photon.map import Pm
 from .photon.progressive import Ppm, Sppm
 from .registry import by_plugin, get, register, table
@@ -41,5 +41,4 @@ __all__ = [
     "register",
     "table",
     "total",
-    "trace_photons",
 ]
