@@ -26,7 +26,6 @@ from .lightmaps.atlases import (
 from .lightmaps.colours import shown_exposure, vertex_colours
 from .lightmaps.textures import Lightmap, check_coordinates, lightmap_from, lightmap_of, save_lightmap
 from .maps.cells import HistogramBuilder, PatchMap
-from .maps.compact import COMPACT_LAYOUTS, CompactMap
 from .maps.files import read_map, save_map, solution_map
 from .maps.kernels import KernelBuilder, variable_bandwidths
 from .maps.nearest import PARTICLE_BYTES, NearestMap
@@ -50,13 +49,11 @@ __all__ = [
     "AMBIENT_TERMS",
     "BATCH",
     "CLASS_NORMALS",
-    "COMPACT_LAYOUTS",
     "LIGHTMAP_MESHES",
     "PARTICLE_BYTES",
     "STEFAN_BOLTZMANN",
     "STEP",
     "AmbientTerm",
-    "CompactMap",
     "HistogramBuilder",
     "Hits",
     "Irradiance",
