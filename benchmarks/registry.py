@@ -114,6 +114,15 @@ PROGRAMS = {
             ),
         ),
         Program(
+            "benchmarks.particles",
+            "Files of particles, and the experiments of a thesis on their compression.",
+            (
+                Benchmark("codecs", "codecs.measure", 3, "Bytes and speed of every codec of particles."),
+                Benchmark("maps", "maps.measure", 3, "What bounded loss adds to maps, beside their noise."),
+                Benchmark("thesis", "thesis.measure", 1, "Rows and strips by zlib, bzip2 and runs; saving, loading."),
+            ),
+        ),
+        Program(
             "benchmarks.radiosity",
             "The experiments of the thesis on global lines.",
             (
