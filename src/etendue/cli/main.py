@@ -24,6 +24,7 @@ from .particle_maps import app as particles
 from .particles import resume_particles
 from .pictures import compare, demo, render, run
 from .radiosity import LINES, form_factors, radiosity, resume_lines
+from .radiosity_options import OptionalName
 
 app = typer.Typer(
     name="etendue",
@@ -233,8 +234,8 @@ def points(
     )
 
 
-app.command()(form_factors)
-app.command()(radiosity)
+app.command(cls=OptionalName)(form_factors)
+app.command(cls=OptionalName)(radiosity)
 app.add_typer(particles, name="particles")
 
 

@@ -7,12 +7,13 @@ from .files import PathLike, Writing, check_files, listed
 from .particles import DEFAULT_PATHS, ParticleRequest, ParticleResult, ParticleWork, repack
 from .pictures import Image, Outputs, PictureWork, Rendering, Update, Writer, save_result
 from .results import DEFAULT_BUNDLES, DEFAULT_POINTS, FormFactorResult, LinesResult, RadiosityResult
-from .running import Watch, Work, run_work, start_work
+from .running import Passes, Watch, Work, run_work, start_work
 from .wording import PYTHON, Wording
 
 if TYPE_CHECKING:
-    from .boxes import DEFAULT_PASSES, HierarchyRequest, HierarchyResult, HierarchyWork, Passes
+    from .boxes import DEFAULT_PASSES, HierarchyRequest, HierarchyResult, HierarchyWork
     from .gathering import PICTURE_FILES, picture
+    from .hierarchies import split_settings
     from .lines import LinesJob, LinesTask
     from .linesrequest import LinesRequest
     from .maps.making import MadeMap, MapOptions, make_map
@@ -21,13 +22,23 @@ if TYPE_CHECKING:
     from .multipath import MultipathWork
     from .requests import FormFactorRequest, RadiosityRequest, asked_before
     from .solutions import ERROR_SCALE, SolutionOutputs
-    from .solving import FormFactorWork, LinesWork, PatchWork, RadiosityWork, about, radiosity_work, solve_ambient
+    from .solving import (
+        FormFactorWork,
+        LinesWork,
+        PatchWork,
+        RadiosityWork,
+        RequestedWork,
+        about,
+        radiosity_work,
+        solve_ambient,
+    )
 else:
     #: Modules that import radiosity. They are imported when one of their names is used, since rendering does not need
     #: them.
     _LATER = {
         "gathering": ("PICTURE_FILES", "picture"),
-        "boxes": ("DEFAULT_PASSES", "HierarchyRequest", "HierarchyResult", "HierarchyWork", "Passes"),
+        "boxes": ("DEFAULT_PASSES", "HierarchyRequest", "HierarchyResult", "HierarchyWork"),
+        "hierarchies": ("split_settings",),
         "lines": ("LinesJob", "LinesTask"),
         "maps.making": ("MadeMap", "MapOptions", "make_map"),
         "maps.sources": ("FileSource",),
@@ -44,6 +55,7 @@ else:
             "ParticleWork",
             "PatchWork",
             "RadiosityWork",
+            "RequestedWork",
             "about",
             "radiosity_work",
             "repack",
@@ -96,6 +108,7 @@ __all__ = [
     "RadiosityResult",
     "RadiosityWork",
     "Rendering",
+    "RequestedWork",
     "SolutionOutputs",
     "Update",
     "Watch",
@@ -116,6 +129,7 @@ __all__ = [
     "run_work",
     "save_result",
     "solve_ambient",
+    "split_settings",
     "start_work",
     "write_map",
 ]
