@@ -106,6 +106,14 @@ PROGRAMS = {
             ),
         ),
         Program(
+            "benchmarks.maps",
+            "Maps of irradiance from particles.",
+            (
+                Benchmark("errors", "errors.measure", 12, "Error of each kind of map, in the dark and in caustics."),
+                Benchmark("cost", "errors.cost", 3, "CPU time to build maps and to ask them."),
+            ),
+        ),
+        Program(
             "benchmarks.particles",
             "Files of particles, and the experiments of a thesis on their compression.",
             (
