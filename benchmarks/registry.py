@@ -123,6 +123,11 @@ PROGRAMS = {
             ),
         ),
         Program(
+            "benchmarks.metropolis",
+            "Pictures by Metropolis sampling beside independent paths.",
+            (Benchmark("pictures", "pictures.measure", 200, "Error after equal time of chains, path and bpt."),),
+        ),
+        Program(
             "benchmarks.radiosity",
             "The experiments of the thesis on global lines.",
             (
