@@ -29,9 +29,11 @@ def compute_form_factors(
     seconds: float | None = None,
     bundles: int | None = None,
     error: float | None = None,
+    max_area: float | None = None,
     seed: int = 0,
     lines: float = 0.0,
     local_rays: bool = True,
+    parameters: Mapping[str, Any] | None = None,
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] | None = None,
     checkpoint: PathLike | None = None,
@@ -40,11 +42,14 @@ def compute_form_factors(
 ) -> FormFactorResult:
     """Form factors of patches, by lines through the whole scene.
 
-    mesh: :class:`etendue.radiosity.Patches`, or the path of a mesh file, each face of which is a patch.
+    mesh: :class:`etendue.radiosity.Patches`, the path of a mesh file, or a Mitsuba scene in any form that
+        :func:`etendue.render` takes. Each face is a patch; faces larger than ``max_area`` are subdivided.
+        ``parameters`` are the values of ``$variables`` of an XML file.
     estimator: ``F1``, ``F2``, ``F3``, ``F4``, ``reciprocal`` or ``pooled``, see :func:`etendue.radiosity.estimate`; by
         default F1, or F4 with a hierarchy.
     hierarchy: cast lines in a hierarchy of spheres around objects: ``components``, ``shapes``, ``labels`` or an array,
-        see :func:`etendue.radiosity.find_objects`, or the name of an array of the mesh file. ``walls`` are its walls.
+        see :func:`etendue.radiosity.find_objects`, or the name of an array of the mesh file; ``True`` for shapes of
+        scenes, components of others. ``walls`` are its walls.
     engine, point_set, main_share: ``engine``, ``points`` and ``main_share`` of
         :class:`etendue.radiosity.HierarchicalCastingSettings`.
     seconds, bundles, error: the first limit that is reached ends the casting; ``error`` is the standard error of a row
@@ -78,9 +83,11 @@ def start_form_factors(
     seconds: float | None = None,
     bundles: int | None = None,
     error: float | None = None,
+    max_area: float | None = None,
     seed: int = 0,
     lines: float = 0.0,
     local_rays: bool = True,
+    parameters: Mapping[str, Any] | None = None,
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] | None = None,
     checkpoint: PathLike | None = None,
@@ -93,7 +100,7 @@ def start_form_factors(
 
 def solve_radiosity(
     scene: Any,
-    solver: str = "conjugate-gradient",
+    solver: str | None = None,
     *,
     seconds: float | None = None,
     bundles: int | None = None,
@@ -105,8 +112,9 @@ def solve_radiosity(
     shot: bool = True,
     ambient: str | None = None,
     bounces: int | None = None,
+    sub_scenes: str | Mapping[str, Any] | None = None,
     local_rays: bool = True,
-    hierarchy: bool | Mapping[str, Any] = False,
+    hierarchy: bool | str | Mapping[str, Any] = False,
     parameters: Mapping[str, Any] | None = None,
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
@@ -129,7 +137,7 @@ def solve_radiosity(
         face of a scene is a patch; faces larger than ``max_area`` are subdivided. ``parameters`` are the values of
         ``$variables`` of an XML file.
     solver: ``conjugate-gradient``, ``jacobi``, ``gauss-seidel``, ``southwell`` or ``direct``; or ``multipath``, which
-        exchanges light along single lines and stores none.
+        exchanges light along single lines and stores none. By default conjugate-gradient, or jacobi with ``bounces``.
     seconds, bundles, error: the first limit that is reached ends the casting; ``error`` is the standard error of the
         irradiance, averaged over the surface and divided by the mean irradiance. Without limits, 1024 bundles.
     points: number of lines of multipath, in place of ``bundles``; 4,194,304 without limits.
@@ -137,7 +145,12 @@ def solve_radiosity(
     ambient: ``classic``, ``crisp`` or ``fuzzy``, see :func:`etendue.radiosity.ambient_solution`: all light by an
         ambient term, at once and without lines. With ``bounces``, a solution by lines of which the solver makes so many
         iterations, and only what is left is ambient.
-    hierarchy: solve by hierarchical multipath, with boxes around objects, or a dictionary of its settings:
+    sub_scenes: with an ambient solution at once, parts of the scene in which light spreads first: ``shapes``,
+        ``components``, ``labels`` or an array of the mesh file, whose objects are the parts; or ``boxes`` around groups
+        of objects, or a dictionary of settings of these boxes (``objects``, ``threshold``, ``least``, ``levels``). See
+        :func:`etendue.radiosity.hierarchical_ambient`.
+    hierarchy: solve by hierarchical multipath, with boxes around objects: ``True``, what makes objects (``shapes``,
+        ``components``, ``labels`` or an array of the mesh file), or a dictionary of settings:
         ``objects``, ``threshold``, ``least``, ``levels``, and those of
         :class:`etendue.radiosity.HierarchicalMultipathSettings`. ``bundles`` are then passes of lines (16 by
         default), and the result is an
@@ -165,7 +178,7 @@ def solve_radiosity(
 
 def start_radiosity(
     scene: Any,
-    solver: str = "conjugate-gradient",
+    solver: str | None = None,
     *,
     seconds: float | None = None,
     bundles: int | None = None,
@@ -177,8 +190,9 @@ def start_radiosity(
     shot: bool = True,
     ambient: str | None = None,
     bounces: int | None = None,
+    sub_scenes: str | Mapping[str, Any] | None = None,
     local_rays: bool = True,
-    hierarchy: bool | Mapping[str, Any] = False,
+    hierarchy: bool | str | Mapping[str, Any] = False,
     parameters: Mapping[str, Any] | None = None,
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
@@ -234,11 +248,11 @@ def _radiosity(
     checkpoint: PathLike | None,
     resume: PathLike | None,
     callback: Callback | None,
-    hierarchy: bool | Mapping[str, Any],
+    hierarchy: bool | str | Mapping[str, Any],
     **asked: Any,
 ) -> tuple[Any, Callable[[], Any], Callable[[Progress, Runner], object]]:
     """As :func:`_form_factors`, with the arguments of :func:`solve_radiosity`; and the request."""
-    from etendue.jobs import RadiosityRequest, SolutionOutputs, radiosity_work
+    from etendue.jobs import RadiosityRequest, SolutionOutputs, radiosity_work, split_settings
 
     names = ("size", "sensor", "gather", "samples", "smooth", "error_picture", "lightmap_size")
     outputs = SolutionOutputs(
@@ -248,24 +262,23 @@ def _radiosity(
         **{name: asked.pop(name) for name in names},
     )
     saved = None if resume is None else Checkpoint.read(resume)
-    if not isinstance(hierarchy, (bool, Mapping)):
-        raise OptionError(f"hierarchy= is True, or a dictionary of settings, not {hierarchy!r}")
+    if not isinstance(hierarchy, (bool, str, Mapping)):
+        raise OptionError(f"hierarchy= is True, what makes objects, or a dictionary of settings, not {hierarchy!r}")
     if hierarchy is not False:
         from etendue.jobs import HierarchyRequest, HierarchyWork
 
-        given = {} if hierarchy is True else dict(hierarchy)
-        groups: dict[str, Any] = {name: given.pop(name) for name in ("threshold", "least", "levels") if name in given}
+        named = {"objects": hierarchy} if isinstance(hierarchy, str) else {}
+        groups, settings = split_settings(hierarchy if isinstance(hierarchy, Mapping) else named)
         boxes = HierarchyRequest(
-            source=scene,
-            outputs=outputs,
-            checkpoint=_path(checkpoint),
-            objects=given.pop("objects", None),
-            groups=groups,
-            hierarchy=given,
-            **asked,
+            source=scene, outputs=outputs, checkpoint=_path(checkpoint), hierarchy=settings, **groups, **asked
         )
         use_variant()
         return boxes, lambda: HierarchyWork(boxes, saved), _watch(callback)
+    if isinstance(asked["sub_scenes"], Mapping):
+        groups, others = split_settings(asked["sub_scenes"])
+        if others:
+            raise OptionError(f"sub_scenes= has objects, threshold, least and levels, no {', '.join(others)}")
+        asked |= {"sub_scenes": "boxes", **groups}
     request = RadiosityRequest(source=scene, outputs=outputs, checkpoint=_path(checkpoint), **asked)
     use_variant()
     return request, lambda: radiosity_work(request, saved), _watch(callback)

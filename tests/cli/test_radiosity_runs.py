@@ -193,10 +193,10 @@ def test_the_words_of_progress():
     request = FormFactorRequest(source=Patches(*lit_room()[:2]), bundles=20)
     work = FormFactorWork(request)
     progress = Progress(passes=3, samples=24, rays=1.5e6, elapsed=2.0, eta=61.0, relative_error=1e-4)
-    words = ["1.5e+06 segments", "2.0s", "ETA 1:01", "error 0.01"]
-    assert _words(work)(progress) == ["24 bundles", *words]
+    words = ["2.0s", "ETA 1:01", "error 0.01"]
+    assert _words(work)(progress) == ["24 bundles, 1.5e+06 segments", *words]
     work.lines.casting.most = 20  # as in the end
-    assert _words(work)(progress) == ["20 bundles", *words]
+    assert _words(work)(progress) == ["20 bundles, 1.5e+06 segments", *words]
 
 
 def test_budgets_in_time_and_error(capsys):

@@ -117,7 +117,9 @@ def test_examples_run(page, number, tmp_path, monkeypatch, variant):
     monkeypatch.setattr(mi, "set_variant", lambda name: None)  # that of the session stays
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scene.xml").write_text(SCENE)
-    code = _EXAMPLE.findall(page.read_text("utf-8"))[number].replace("samples=1 << 21", "samples=1 << 17")
+    code = _EXAMPLE.findall(page.read_text("utf-8"))[number]
+    code = code.replace("samples=1 << 21", "samples=1 << 17")
+    code = code.replace("session.wait(5)", "while not session.progress.samples:\n    session.wait(0.1)")
     if "picture.exr" in code:
         made = api.render("scene.xml", "path", samples=2, save="picture.exr")
         made.save("reference.exr")

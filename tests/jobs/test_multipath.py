@@ -15,7 +15,7 @@ from support.patches import box, cube, joined, square
 
 import etendue
 from etendue.cli.main import main
-from etendue.core import CheckpointError, OptionError
+from etendue.core import CheckpointError, OptionError, Progress
 from etendue.jobs.multipath import MultipathWork
 from etendue.radiosity import MultipathPasses, Patches, RadiosityError, read_solution
 
@@ -219,4 +219,5 @@ def test_progress_in_words():
     from etendue.jobs import RadiosityRequest
 
     work = MultipathWork(RadiosityRequest(source=cube(2, **LIT), solver="multipath"))
-    assert (work.progress_text(1), work.progress_text(64)) == ("1 line", "64 lines")
+    told = [work.progress_text(Progress(passes=1, samples=n, rays=5.0, elapsed=1.0)) for n in (1, 64)]
+    assert told == ["1 line, 5 segments", "64 lines, 5 segments"]

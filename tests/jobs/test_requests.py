@@ -52,7 +52,6 @@ def radiosity(outputs=None, **asked):
         (factors, {"outputs": (Path("a.csv"),)}, "take .npz, .vf, .nc", "take .npz"),
         (factors, {"outputs": (Path("a.nc"),), "checkpoint": Path("a.nc")}, "'a.nc' is named for two", "'a.nc' is"),
         (factors, {"max_area": 1.0}, "max_area= is for scenes and mesh files", "--max-area is for"),
-        (factors, {"source": {"type": "scene"}}, "form factors need a mesh", "form factors need"),
         (factors, {"source": "a.ply", "parameters": {"a": 1}}, "parameters= is for scenes in XML", "-P is for scenes"),
         (radiosity, {"solver": "gauss"}, "there is no solver 'gauss'", "there is no solver"),
         (radiosity, {"outputs": {"files": (Path("a.tiff"),)}}, "take .npz, .vtu, .ply", "take .npz"),

@@ -99,7 +99,7 @@ def test_options_are_checked_before_it_starts(tmp_path):
         (lambda: etendue.start_radiosity(cube(1, emission=1.0), "jacoby"), "did you mean 'jacobi'"),
         (lambda: etendue.start_radiosity("cornell-box", bundles=0), "in bundles must be a whole number"),
         (lambda: etendue.start_form_factors(cube(1), save=tmp_path / "a.csv"), "not known"),
-        (lambda: etendue.start_form_factors({"type": "scene"}), "form factors need a mesh"),
+        (lambda: etendue.start_form_factors({"type": "scene"}, hierarchy="thing"), "or by an array of a mesh file"),
     ):
         with pytest.raises(OptionError, match=text):
             call()

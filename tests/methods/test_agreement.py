@@ -4,7 +4,7 @@ A scene shows six materials at once, so four scenes an emitter cross it with all
 that trace paths of the camera share one, methods that trace paths of the lights as well the other. The fast table has
 every emitter and every method, and with each walk every material, every sensor and every filter. Of the slow ones the
 first adds the pairs (method, material), (method, sensor), (method, filter), (emitter, material), (emitter, sensor) and
-(sensor, filter); the second is the full cross of emitters, materials, sensors and methods, the filters in turn.
+(sensor, filter); the second is the full cross of emitters, materials and methods, the sensors and filters in turn.
 """
 
 from __future__ import annotations
@@ -92,11 +92,16 @@ def fast() -> list[tuple[str, str, str, str, str]]:
 
 
 def everything() -> list[tuple[str, str, str, str, str]]:
-    rows = []
-    for i, (emitter, group, sensor) in enumerate(itertools.product(scenes.EMITTERS, scenes.GROUPS, scenes.SENSORS)):
-        methods = [m for m in METHODS | MORE if possible(emitter, group, m, sensor)]
-        rows += [(emitter, group, m, sensor, scenes.FILTERS[(i + i // 6) % 4]) for m in methods]
-    return rows
+    """One row for each possible (emitter, group, method): sensors in turn, and filters by scene and sensor."""
+    rows, sensors = [], list(scenes.SENSORS)
+    columns = (enumerate(column) for column in (scenes.EMITTERS, scenes.GROUPS, METHODS | MORE))
+    for (e, emitter), (g, group), (m, method) in itertools.product(*columns):
+        turn = [(e + g + m + k) % len(sensors) for k in range(len(sensors))]
+        allowed = [k for k in turn if possible(emitter, group, method, sensors[k])]
+        if allowed:
+            rfilter = scenes.FILTERS[(e + allowed[0]) % len(scenes.FILTERS)]
+            rows.append((emitter, group, method, sensors[allowed[0]], rfilter))
+    return sorted(rows, key=lambda row: (row[0], row[1], row[3]))  # rows of a scene share its reference
 
 
 @lru_cache(maxsize=1)
@@ -144,6 +149,20 @@ def test_the_full_cross(row):
         compare(*row, samples=256)
     except TooNoisy:
         compare(*row, samples=2048)
+
+
+def test_the_cross_has_every_triple_and_all_pairs_with_sensors_and_filters():
+    rows = everything()
+    assert len(rows) == len({row[:3] for row in rows})
+    for wanted, columns in (
+        (itertools.product(scenes.EMITTERS, scenes.SENSORS), (0, 3)),
+        (itertools.product(scenes.GROUPS, scenes.SENSORS), (1, 3)),
+        (itertools.product(METHODS | MORE, scenes.SENSORS), (2, 3)),
+        (itertools.product(METHODS | MORE, scenes.FILTERS), (2, 4)),
+        (itertools.product(scenes.SENSORS, scenes.FILTERS), (3, 4)),
+    ):
+        missing = set(wanted) - {tuple(row[c] for c in columns) for row in rows}
+        assert missing <= {("light", "orthographic")}, missing
 
 
 def test_the_covering_set_covers():

@@ -42,7 +42,7 @@ def diffuse_room():
 def picture(problem, max_area, grid=24):
     """Radiances (height, width, 3) of a solution: means of grid x grid rays in every pixel."""
     patches = scene_patches(problem.scene, max_area=max_area)
-    solution = solve(patches, ABuffer(patches, OwenSobol(4, seed=1)).cast(2048), "conjugate-gradient")
+    solution = solve(patches, ABuffer(patches, OwenSobol(4, seed=1)).cast(1024), "conjugate-gradient")
     y, x = ((np.arange(n * grid) + 0.5) / (n * grid) for n in (HEIGHT, WIDTH))
     x, y = (np.ascontiguousarray(a.ravel(), np.float32) for a in np.meshgrid(x, y))
     rays, _ = problem.sensor.sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
@@ -57,7 +57,7 @@ def test_the_picture_of_a_solution_is_that_of_path():
     """Pixel by pixel. What patches blur is known from patches of four times the area, as it falls with the area."""
     problem = diffuse_room()
     traced = run(problem, "path", passes=12, samples=512).images
-    fine, coarse = picture(problem, 0.008), picture(problem, 0.032)
+    fine, coarse = picture(problem, 0.012), picture(problem, 0.048)
     blur = np.abs(fine - coarse) / 3
     scatter = traced.std(axis=0, ddof=1) / np.sqrt(len(traced))
     assert scatter.mean() < 0.01 * traced.mean() and blur.mean() < 0.005 * traced.mean()

@@ -12,6 +12,7 @@ from etendue.points import Independent, OwenSobol
 from etendue.radiosity import (
     ABuffer,
     ChainedRays,
+    Part,
     Patches,
     RadiosityError,
     RayScene,
@@ -21,8 +22,10 @@ from etendue.radiosity import (
     ambient_solution,
     box,
     exact_form_factors,
+    find_objects,
     finished,
     form_factors,
+    grouped,
     hierarchical_ambient,
     joined,
     multipath,
@@ -32,6 +35,7 @@ from etendue.radiosity import (
     solve,
     spread,
     sub_scenes,
+    sub_scenes_of,
 )
 from etendue.surfaces import AMBIENT_TERMS, class_factors, class_light, class_weights, equal_factors
 
@@ -363,10 +367,63 @@ def test_at_once(tmp_path):
 def test_after_some_bounces():
     patches = room(2, reflectance=0.6, emission=np.arange(48)[:, None] < 8)
     asked = {"bundles": 32, "shot": False, "local_rays": False}
-    early = etendue.solve_radiosity(patches, "jacobi", ambient="fuzzy", bounces=2, **asked)
+    early = etendue.solve_radiosity(patches, ambient="fuzzy", bounces=2, **asked)
+    jacobi = etendue.solve_radiosity(patches, "jacobi", ambient="fuzzy", bounces=2, **asked)
+    np.testing.assert_array_equal(early.solution.radiosity, jacobi.solution.radiosity)
     assert len(early.solution.residuals) == 2 and early.bundles == 32
     whole = etendue.solve_radiosity(patches, "jacobi", **asked).solution
     np.testing.assert_allclose(mean(patches, early.solution.radiosity), mean(patches, whole.radiosity), rtol=0.01)
+
+
+def test_an_iteration_of_conjugate_gradient_is_no_bounce(caplog):
+    asked = {"ambient": "fuzzy", "bundles": 4, "shot": False, "local_rays": False}
+    patches = room(2, reflectance=0.6, emission=np.arange(48)[:, None] < 8)
+    for bounces, warns in ((1, False), (2, True)):
+        etendue.solve_radiosity(patches, "conjugate-gradient", bounces=bounces, **asked)
+        assert ("leave out solver= for jacobi" in caplog.text) == warns
+
+
+def test_sub_scenes_by_name_and_by_boxes(tmp_path, monkeypatch, capsys):
+    """From Python and the command line: booths by an array of a file, and by the boxes of the hierarchy."""
+    meshio = pytest.importorskip("meshio")
+    patches, parts = three_rooms()
+    asked = {"ambient": "fuzzy"}
+    exact = ambient_solution(patches, "fuzzy", sub_scenes(patches, parts)).irradiance
+    monkeypatch.chdir(tmp_path)
+    glow = patches.emission[:, 0]
+    cells = {"booth": [parts], "glow": [glow]}
+    meshio.write("hall.vtu", meshio.Mesh(patches.vertices, [("quad", patches.faces)], cell_data=cells))
+    words = "radiosity hall.vtu --emission glow --reflectance 0.5 --ambient fuzzy -o a.npz"
+    assert main([*words.split(), "--sub-scenes", "booth"]) == 0
+    np.testing.assert_allclose(read_solution("a.npz")[0].irradiance, exact, rtol=1e-12)
+    boxed = sub_scenes_of(grouped(patches, find_objects(patches).of_patch, 0.5, least=1))
+    assert 1 < len(boxed.parts) < 6
+    exact = ambient_solution(patches, "fuzzy", boxed).irradiance
+    boxes = etendue.solve_radiosity(patches, sub_scenes={"threshold": 0.5, "least": 1}, **asked).solution
+    np.testing.assert_allclose(boxes.irradiance, exact, rtol=1e-12)
+    assert main([*words.split(), "--sub-scenes", "boxes", "--threshold", "0.5", "-D", "least=1"]) == 0
+    np.testing.assert_allclose(read_solution("a.npz")[0].irradiance, exact, rtol=1e-12)
+    slabs = etendue.solve_radiosity(patches, sub_scenes="components", **asked).solution
+    assert slabs.imbalance < 1e-5 and np.abs(slabs.irradiance / exact - 1).max() > 0.01
+    capsys.readouterr()
+    assert main([*words.split(), "--sub-scenes", "boxes", "-D", "least=1000"]) == 0
+    assert "no object or group is worth a box" in capsys.readouterr().err
+
+
+def test_copies_of_a_part_are_sub_scenes_where_they_are():
+    """As if their patches had been grouped in the scene; a turned copy has the box around it along the axes."""
+    booth = Patches(*box((-0.5, -0.5, 0), (0.5, 0.5, 1), 1), reflectance=0.5, emission=1.0)
+    hall = Patches(*box((0, 0, 0), (6, 4, 3), 2, inward=True), reflectance=0.5)
+    places = np.array([np.eye(4)] * 2)
+    places[:, :3, 3] = (1, 1, 0.5), (4, 2, 1)
+    places[1, :2, :2] = [[0, -2], [2, 0]]
+    places[1, 2, 2] = 2
+    root = Part(hall, [(Part(booth), places)])
+    joined_patches, number = root.joined(), np.repeat([-1, 0, 1], [24, 6, 6])
+    found, expected = sub_scenes_of(root, is_joined=True), sub_scenes(joined_patches, number)
+    for one, other in zip(found.parts, expected.parts, strict=True):
+        np.testing.assert_array_equal(one.patches, other.patches)
+        np.testing.assert_allclose([one.low, one.high], [other.low, other.high], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -377,6 +434,12 @@ def test_after_some_bounces():
         ({"ambient": "fuzzy", "solver": "jacobi"}, "leave out solver="),
         ({"ambient": "fuzzy", "solver": "multipath"}, "leave out ambient="),
         ({"bounces": 3}, "say by ambient="),
+        ({"sub_scenes": "labels"}, "sub_scenes= is for an ambient solution at once"),
+        ({"ambient": "fuzzy", "bounces": 2, "sub_scenes": "labels"}, "without bounces="),
+        ({"ambient": "fuzzy", "sub_scenes": "booth"}, "or by an array of a mesh file, not by 'booth'"),
+        ({"ambient": "fuzzy", "sub_scenes": {"grid": 2}}, "sub_scenes= has objects, threshold, least and levels"),
+        ({"ambient": "fuzzy", "sub_scenes": {"levels": 0}}, "option 'levels' must be at least 1"),
+        ({"ambient": "fuzzy", "sub_scenes": 3}, "sub_scenes= is a name, not 3"),
         ({"ambient": "fuzzy", "bounces": 0}, "bounces= is a whole number of at least 1"),
     ],
 )

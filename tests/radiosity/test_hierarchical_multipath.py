@@ -23,11 +23,13 @@ from etendue.radiosity import (
     joined,
     solve,
 )
+from etendue.radiosity.hierarchical_multipath import method
 from etendue.radiosity.hierarchical_multipath.casting import region
 from etendue.radiosity.hierarchical_multipath.exchange import Exchange
 from etendue.radiosity.hierarchical_multipath.firstshot import FirstShots
+from etendue.radiosity.hierarchical_multipath.grouping import _Item, _merged, _Pairs
 from etendue.radiosity.hierarchical_multipath.lists import PartRays, preprocess
-from etendue.radiosity.hierarchical_multipath.parts import Tree
+from etendue.radiosity.hierarchical_multipath.parts import Tree, box_area
 from etendue.radiosity.hierarchical_multipath.reference import PlainCaster
 from etendue.radiosity.hierarchical_multipath.regions import Regions
 from etendue.radiosity.lines.generators import box_lines
@@ -118,6 +120,53 @@ def test_groups_follow_the_threshold():
     assert sorted(part.objects for part, _ in root.children) == [1, 3]
     levels = grouped(patches, of, 0.2, least=1, levels=2)
     assert levels.total == sum(map(len, levels.distinct)) == len(patches)
+
+
+def boxes_at_random(count, seed):
+    """Boxes of different shapes, some of which overlap."""
+    rng = np.random.default_rng(seed)
+    low = rng.random((count, 3)) * 6
+    return [
+        _Item(a, b, box_area(a, b), (k,))
+        for k, (a, b) in enumerate(zip(low, low + rng.random((count, 3)), strict=True))
+    ]
+
+
+def greedy(items, threshold):
+    """The rule of :func:`grouped` word by word: all pairs anew for every merge."""
+    groups = [(item.low, item.high, item.areas, item.objects) for item in items]
+
+    def quotient(one, other):
+        slack = 1e-6 * np.linalg.norm(np.maximum(one[1], other[1]) - np.minimum(one[0], other[0]))
+        if (np.minimum(one[1], other[1]) - np.maximum(one[0], other[0]) > slack).all():
+            return np.inf
+        return (one[2] + other[2]) / box_area(np.minimum(one[0], other[0]), np.maximum(one[1], other[1]))
+
+    while True:
+        found = [(quotient(a, b), i, j) for i, a in enumerate(groups) for j, b in enumerate(groups) if i < j]
+        best = max(found, default=(0,))
+        if best[0] <= threshold:
+            return {frozenset(group[3]) for group in groups}
+        one, other = (groups.pop(k) for k in sorted(best[1:], reverse=True))
+        low, high = np.minimum(one[0], other[0]), np.maximum(one[1], other[1])
+        groups.append((low, high, one[2] + other[2], one[3] + other[3]))
+
+
+@pytest.mark.parametrize("threshold", [0.3, 0.7, 1e9])
+def test_groups_are_those_of_the_rule(threshold):
+    items = boxes_at_random(40, 3)
+    assert {frozenset(item.objects) for item in _merged(items, threshold)} == greedy(items, threshold)
+
+
+def test_a_thousand_objects_take_a_million_pairs():
+    """And not a thousand times as many."""
+    pairs = _Pairs(boxes_at_random(1000, 5))
+    merges = 0
+    while (best := pairs.best()) is not None and best[0] > 0.05:
+        pairs.merge(*best[1:])
+        merges += 1
+    assert merges > 900 and len(pairs.left()) == 1000 - merges
+    assert pairs.evaluated < 1000**2
 
 
 def test_walls_that_reach_into_a_box_leave_its_objects_without_one():
@@ -323,6 +372,28 @@ def test_a_run_is_resumed_bit_by_bit(tmp_path):
         saved.require_scene(PartProblem(hall(3)).fingerprint)
     rest = runner(budget=Budget(iterations=3), start=saved.measurement, state=saved.state).run()
     np.testing.assert_array_equal(rest.measurement.sums["received"], whole.measurement.sums["received"])
+
+
+def test_light_that_backs_of_faces_take_is_reported(caplog):
+    """One wall of the room is turned outward: what it takes is missing in the balance, and a warning says so."""
+    closed = walls()
+    faces = closed.faces.copy()
+    faces[:9] = faces[:9, ::-1]
+    turned = Part(Patches(closed.vertices, faces, reflectance=0.5, emission=closed.emission))
+    found = solved(turned)
+    lost = (found.lost + found.residual).sum() / found.sent.sum()
+    assert lost > 0.1 and found.imbalance == pytest.approx(lost, rel=1e-9)
+    assert "of the light meets backs of faces" in caplog.text
+    assert found.on(turned.patches).imbalance == pytest.approx(lost, rel=1e-9)
+    caplog.clear()
+    assert solved(Part(closed)).imbalance < 1e-3 and not caplog.text
+
+
+def test_what_waits_at_boxes_counts_as_memory(monkeypatch):
+    monkeypatch.setattr(method, "free_memory", lambda: 50e6)
+    solved(hall(3), lines=1 << 12, shot=0)
+    with pytest.raises(RadiosityError, match="3 boxes of 1200000 regions need"):
+        solved(hall(3), lines=1 << 12, grid=100, sectors=10, rings=2, shot=0)
 
 
 # ---------------------------------------------------------------------- bad input

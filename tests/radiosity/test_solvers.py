@@ -159,7 +159,7 @@ def test_point_sequences_have_less_than_two_thirds_of_the_error_of_independent_l
     than independent ones."""
     patches = lit_room(2, channels=1)
     scene, lines = RayScene(patches), 1 << 12
-    exact = solve(patches, form_factors(ABuffer(patches, OwenSobol(4, seed=1)).cast(4096), "F4")).radiosity
+    exact = solve(patches, form_factors(ABuffer(patches, OwenSobol(4, seed=1)).cast(1024), "F4")).radiosity
 
     def error(points, seed):
         shot = first_shot(scene, points.randomised(100 + seed).block(lines))

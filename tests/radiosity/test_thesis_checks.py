@@ -57,7 +57,7 @@ def test_a_first_shot_pays():
     0.4 of the mean squared error; the means agree."""
     patches = lit(room(2))
     scene, lines, seeds = RayScene(patches), 1 << 13, 10
-    exact = solve(patches, form_factors(ABuffer(patches, OwenSobol(4, seed=1)).cast(2048), "F4")).radiosity
+    exact = solve(patches, form_factors(ABuffer(patches, OwenSobol(4, seed=1)).cast(1024), "F4")).radiosity
     without, after = [], []
     for seed in range(seeds):
         engine = ChainedRays(SpherePairs(patches), scene, Independent(4, seed=seed))

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from etendue.core import OptionError, Progress, format_seconds
-from etendue.jobs import start_work
+from etendue.core import OptionError, format_seconds
 
 from . import radiosity_outputs as out
 from .console import error_console, note, say
+from .options import parse_pairs
 
 if TYPE_CHECKING:
     from etendue.engine import Checkpoint
@@ -22,19 +21,43 @@ if TYPE_CHECKING:
 HIERARCHY = "hierarchical-multipath"
 
 
+def box_settings(
+    objects: str | None,
+    hierarchy: str | None,
+    threshold: float | None,
+    regions: int | None,
+    define: list[str] | None,
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Fields of a request for the grouping, and settings of hierarchical multipath, from the options of both."""
+    from etendue.jobs import split_settings
+
+    if objects is not None and hierarchy not in (None, "", objects):
+        raise OptionError(f"--hierarchy {hierarchy} says what makes an object: leave out --objects")
+    given: dict[str, Any] = dict(parse_pairs(define, "-D"))
+    short = {"objects": objects or hierarchy or None, "threshold": threshold, "grid": regions}
+    for name, value in short.items():
+        if value is None:
+            continue
+        if name in given:
+            raise OptionError(f"-D gives '{name}' a second time; give it once")
+        given[name] = value
+    return split_settings(given)
+
+
 def solve_hierarchy(
     request: HierarchyRequest, saved: Checkpoint | None, variant: str | None, threads: int | None
 ) -> int:
     """From a request to files. Returns the exit status."""
-    from etendue.jobs import HierarchyWork, Passes
+    from etendue.jobs import HierarchyWork
 
-    from .rendering import choose_device, follow
+    from .rendering import choose_device
+    from .solutions import cast
 
     choose_device(variant, threads)
     began, console = time.perf_counter(), error_console()
     work = HierarchyWork(request, saved, tell=lambda text: note(console, text))
     _describe(work)
-    outcome = follow(lambda: start_work(lambda: Passes(work)), console, "radiosity", _words(work))
+    outcome = cast(work)
     if outcome.result is None:
         return outcome.exit_code
     with console.status("writing") as status:
@@ -81,19 +104,8 @@ def _describe_result(result: HierarchyResult) -> None:
 
     left = float((result.parts.residual / result.parts.sent.clip(1e-300)).max())
     words = f"{result.passes} pass{'' if result.passes == 1 else 'es'}, {left:.1g} of the light is on its way"
+    words += f", imbalance of power {result.parts.imbalance:.2g}"
     error = relative_error(result.parts)
     if error is not None:
         words += f", standard error of irradiance {error:.2g} in the mean (noise; light through boxes is binned)"
     note(error_console(), words)
-
-
-def _words(work: HierarchyWork) -> Any:
-    def words(progress: Progress) -> list[str]:
-        parts = [f"{progress.samples:.3g} lines", format_seconds(progress.elapsed)]
-        if progress.eta is not None:
-            parts.append(f"ETA {format_seconds(progress.eta)}")
-        if progress.relative_error is not None:
-            parts.append(f"error {math.sqrt(progress.relative_error):.2g}")
-        return parts
-
-    return words

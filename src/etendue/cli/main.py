@@ -20,11 +20,12 @@ from etendue.core import EtendueError, OptionError, describe, logger
 from . import options as opt
 from .boxes import HIERARCHY, resume_hierarchy
 from .console import ConsoleHandler, error_console, note, print_error, say
-from .developing import develop
-from .particles import app as particles
+from .film_picture import film_picture
+from .particle_maps import app as particles
 from .particles import resume_particles
 from .pictures import compare, demo, render, run
 from .radiosity import LINES, form_factors, radiosity, resume_lines
+from .radiosity_options import OptionalName
 
 app = typer.Typer(
     name="etendue",
@@ -182,7 +183,7 @@ def resume(
     return render_to_files(lambda: Job.resume(saved, kind, budget=budget or rest(), scene=scene), outputs, saved.method)
 
 
-app.command()(develop)
+app.command()(film_picture)
 app.command()(run)
 app.command()(compare)
 app.command()(demo)
@@ -235,8 +236,8 @@ def points(
     )
 
 
-app.command()(form_factors)
-app.command()(radiosity)
+app.command(cls=OptionalName)(form_factors)
+app.command(cls=OptionalName)(radiosity)
 app.add_typer(particles, name="particles")
 
 

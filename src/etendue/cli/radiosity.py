@@ -15,12 +15,18 @@ from etendue.jobs import DEFAULT_POINTS
 
 from . import options as opt
 from . import radiosity_outputs as out
+from .boxes import box_settings
 from .console import error_console, note, say
 from .radiosity_options import (
+    Ambient,
+    Bounces,
+    BoxRegions,
+    BoxSettings,
     Bundles,
     CheckpointFile,
     Engine,
     Error,
+    GroupedObjects,
     Hierarchy,
     Ids,
     LineSeed,
@@ -29,6 +35,8 @@ from .radiosity_options import (
     NoLocalRays,
     PointSet,
     Reflectance,
+    SubScenes,
+    Threshold,
     TwoSided,
     Walls,
     quantity,
@@ -39,7 +47,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from etendue.engine import Checkpoint
-    from etendue.jobs import FormFactorRequest, LinesRequest, PatchWork, RadiosityRequest
+    from etendue.jobs import FormFactorRequest, LinesRequest, RadiosityRequest
 
 #: Methods of checkpoints: the names of ``LineCasting``, ``HierarchicalCasting`` and ``MultipathPasses`` of
 #: ``etendue.radiosity``.
@@ -47,7 +55,12 @@ LINES = ("global-lines", "hierarchical-lines", "multipath")
 
 
 def form_factors(
-    mesh: Annotated[Path, typer.Argument(help="PLY, OBJ, STL, VTU, glTF and others.", metavar="MESH")],
+    mesh: Annotated[
+        str,
+        typer.Argument(
+            help="Mesh (PLY, OBJ, STL, VTU, glTF and others), Mitsuba XML file, or bundled scene.", metavar="SCENE"
+        ),
+    ],
     output: Annotated[
         Path, typer.Option("-o", "--output", help=".npz or .nc (arrays), .vf (View3D's text).", metavar="FILE")
     ] = Path("factors.npz"),
@@ -76,10 +89,12 @@ def form_factors(
     no_local_rays: NoLocalRays = False,
     checkpoint: CheckpointFile = None,
     save_every: opt.SaveEvery = 60.0,
+    variant: opt.Variant = None,
+    param: opt.Param = None,
     threads: opt.Threads = None,
     debug: opt.Debug = False,
 ) -> int:
-    """Compute the form factors (view factors) of a mesh, each face a patch, by lines through the whole scene.
+    """Compute the form factors (view factors) of a mesh or scene, each face a patch, by lines through all of it.
 
     The front of a face is the side from which its corners are counterclockwise. Stops at the first of --bundles, --time
     and --error that is reached, or by Ctrl-C, and writes the form factors from the lines so far.
@@ -89,9 +104,9 @@ def form_factors(
     if exact and (bundles, time, error, checkpoint, hierarchy) != (None, None, None, None, None):
         raise OptionError("--exact casts no lines: leave out --bundles, --time, --error, --checkpoint and --hierarchy")
     request = FormFactorRequest(
-        source=str(mesh),
+        source=mesh,
         estimator=estimator,
-        hierarchy=hierarchy,
+        hierarchy=True if hierarchy == "" else hierarchy,
         walls=None if walls is None else tuple(name for name in walls.split(",") if name),
         engine=engine,
         point_set=point_set,
@@ -104,13 +119,14 @@ def form_factors(
         max_area=max_area,
         local_rays=not no_local_rays,
         mesh={"reflectance": quantity(reflectance), "ids": ids, "two_sided": two_sided},
+        parameters=opt.parse_pairs(param, "-P") or None,
         checkpoint=checkpoint,
         save_every=save_every,
         wording=out.Options(),
     )
     if exact:
-        return _run_exact(request, threads)
-    return _run(request, lambda **options: FormFactorWork(request, **options), None, threads)
+        return _run_exact(request, variant, threads)
+    return _run(request, lambda **options: FormFactorWork(request, **options), variant, threads)
 
 
 def radiosity(
@@ -131,13 +147,14 @@ def radiosity(
     error: Error = None,
     max_area: MaxArea = None,
     solver: Annotated[
-        str,
+        str | None,
         typer.Option(
             "--solver",
-            help="conjugate-gradient, jacobi, gauss-seidel, southwell or direct; or multipath, which stores no lines.",
+            help="conjugate-gradient (default), jacobi, gauss-seidel, southwell or direct; or multipath, which stores "
+            "no lines.",
             metavar="NAME",
         ),
-    ] = "conjugate-gradient",
+    ] = None,
     points: Annotated[
         int | None,
         typer.Option(
@@ -147,19 +164,9 @@ def radiosity(
             metavar="N",
         ),
     ] = None,
-    ambient: Annotated[
-        str | None,
-        typer.Option(
-            "--ambient",
-            help="All light by an ambient term, at once and without lines: classic, crisp or fuzzy. With --bounces, "
-            "what a solution by lines has left.",
-            metavar="NAME",
-        ),
-    ] = None,
-    bounces: Annotated[
-        int | None,
-        typer.Option("--bounces", help="Iterations of the solver; light of more is ambient.", min=1, metavar="N"),
-    ] = None,
+    ambient: Ambient = None,
+    bounces: Bounces = None,
+    sub_scenes: SubScenes = None,
     reflectance: Reflectance = None,
     emission: Annotated[
         str | None,
@@ -179,27 +186,11 @@ def radiosity(
         bool, typer.Option("--no-shot", help="No local rays for the light of small emitters: lines transport it, too.")
     ] = False,
     no_local_rays: NoLocalRays = False,
-    hierarchy: Annotated[
-        bool,
-        typer.Option(
-            "--hierarchy",
-            help="Hierarchical multipath, with boxes around objects or instances; --bundles are then passes of lines.",
-        ),
-    ] = False,
-    objects: Annotated[
-        str | None,
-        typer.Option("--objects", help="With --hierarchy: objects are shapes, components or labels.", metavar="NAME"),
-    ] = None,
-    threshold: Annotated[
-        float | None,
-        typer.Option(
-            "--threshold", help="With --hierarchy: objects get a box if they fill it so well (0.8).", metavar="X"
-        ),
-    ] = None,
-    regions: Annotated[
-        int | None,
-        typer.Option("--regions", help="With --hierarchy: places along an edge of a box (4).", min=1, metavar="N"),
-    ] = None,
+    hierarchy: Hierarchy = None,
+    objects: GroupedObjects = None,
+    threshold: Threshold = None,
+    regions: BoxRegions = None,
+    define: BoxSettings = None,
     sensor: opt.Sensor = 0,
     size: opt.PictureSize = None,
     gather: out.Gather = 0,
@@ -247,6 +238,7 @@ def radiosity(
         shot=not no_shot,
         ambient=ambient,
         bounces=bounces,
+        sub_scenes=sub_scenes,
         local_rays=not no_local_rays,
         mesh={
             "reflectance": quantity(reflectance),
@@ -261,20 +253,19 @@ def radiosity(
         save_every=save_every,
         wording=out.Options(),
     )
-    if hierarchy:
+    groups, boxes = box_settings(objects, hierarchy, threshold, regions, define)
+    if hierarchy is not None:
         from etendue.jobs import HierarchyRequest
 
         from .boxes import solve_hierarchy
 
         if solution is not None:
             raise OptionError("--solution is there already: leave out --hierarchy")
-        groups = {} if threshold is None else {"threshold": threshold}
-        boxes = {"grid": regions} if regions is not None else {}
-        boxed = HierarchyRequest(**asked, objects=objects, groups=groups, hierarchy=boxes)
-        return solve_hierarchy(boxed, None, variant, threads)
-    for name, value in (("--objects", objects), ("--threshold", threshold), ("--regions", regions)):
-        if value is not None:
-            raise OptionError(f"{name} is for --hierarchy")
+        return solve_hierarchy(HierarchyRequest(**asked, **groups, hierarchy=boxes), None, variant, threads)
+    if boxes:
+        name = "--regions" if regions is not None else f"-D {next(iter(boxes))}"
+        raise OptionError(f"{name} is for --hierarchy")
+    asked |= groups
     request = RadiosityRequest(**asked)
     if solution is not None:
         return _write_again(request, solution, variant, threads)
@@ -314,9 +305,7 @@ def resume_lines(
     return _run(request, lambda **options: work(request, saved, **options), variant, threads)
 
 
-def _run(
-    request: LinesRequest, open_work: Callable[..., PatchWork[Any, Any]], variant: str | None, threads: int | None
-) -> int:
+def _run(request: LinesRequest, open_work: Callable[..., Any], variant: str | None, threads: int | None) -> int:
     """Execute a request and write its files. Returns the exit status."""
     from .rendering import choose_device
     from .solutions import cast, describe_patches, finish
@@ -334,12 +323,12 @@ def _run(
     return outcome.exit_code
 
 
-def _run_exact(request: FormFactorRequest, threads: int | None) -> int:
+def _run_exact(request: FormFactorRequest, variant: str | None, threads: int | None) -> int:
     """Execute a request for exact form factors. Returns the exit status."""
     from .rendering import choose_device
     from .solutions import describe_patches, exact_to_files
 
-    choose_device(None, threads)
+    choose_device(variant, threads)
     began = time.perf_counter()
     with _ended_by_ctrl_c(None):
         _, patches = request.load()

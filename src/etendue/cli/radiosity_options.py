@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from etendue.core import OptionError
 from etendue.jobs import DEFAULT_BUNDLES
@@ -50,9 +51,11 @@ Hierarchy = Annotated[
     str | None,
     typer.Option(
         "--hierarchy",
-        help="Cast lines in spheres around objects: components (connected surfaces), labels (those of --ids), or an "
-        "array of the file that numbers objects, negative for walls.",
-        metavar="NAME",
+        help="Cast lines in spheres around objects (form-factors), or in boxes around groups of objects or around "
+        "instances, by hierarchical multipath; --bundles are then passes of lines (radiosity). NAME says what an "
+        "object is: shapes (of a scene), components (connected surfaces), labels (those of --ids), or an array of the "
+        "mesh file that numbers objects, negative for walls. Without it: shapes, or components of a mesh.",
+        metavar="[NAME]",
     ),
 ]
 Walls = Annotated[
@@ -75,6 +78,78 @@ MainShare = Annotated[
         metavar="X",
     ),
 ]
+
+Ambient = Annotated[
+    str | None,
+    typer.Option(
+        "--ambient",
+        help="All light by an ambient term, at once and without lines: classic, crisp or fuzzy. With --bounces, "
+        "what a solution by lines has left.",
+        metavar="NAME",
+    ),
+]
+Bounces = Annotated[
+    int | None,
+    typer.Option(
+        "--bounces",
+        help="Iterations of the solver, jacobi if none is named; light of more is ambient.",
+        min=1,
+        metavar="N",
+    ),
+]
+SubScenes = Annotated[
+    str | None,
+    typer.Option(
+        "--sub-scenes",
+        help="With --ambient: light spreads in parts of the scene first. Objects, named as by --hierarchy, or boxes, "
+        "around groups of objects.",
+        metavar="NAME",
+    ),
+]
+GroupedObjects = Annotated[
+    str | None,
+    typer.Option("--objects", help="What makes an object for boxes; the NAME of --hierarchy.", metavar="NAME"),
+]
+Threshold = Annotated[
+    float | None,
+    typer.Option("--threshold", help="With boxes: objects get one if they fill it so well (0.8).", metavar="X"),
+]
+BoxRegions = Annotated[
+    int | None,
+    typer.Option("--regions", help="With --hierarchy: places along an edge of a box (4).", min=1, metavar="N"),
+]
+BoxSettings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "-D",
+        "--set",
+        help="With --hierarchy or boxes: a setting, repeatable, such as lines (of a pass), iterations, sectors, rings, "
+        "levels or least.",
+        metavar="NAME=VALUE",
+    ),
+]
+
+
+class OptionalName(TyperCommand):
+    """A command whose ``--hierarchy`` may have a name behind it or not: what is a source is none."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """See ``click.Command``."""
+        given: list[str] = []
+        for k, word in enumerate(args):
+            given.append(word)
+            if word == "--hierarchy" and (k + 1 == len(args) or args[k + 1].startswith("-") or _is_source(args[k + 1])):
+                given.append("")
+        parsed: list[str] = super().parse_args(ctx, given)
+        return parsed
+
+
+def _is_source(word: str) -> bool:
+    """Whether a word is a file, a folder or a bundled scene."""
+    from etendue.scene import bundled
+
+    path = Path(word)
+    return bool(path.suffix) or path.exists() or len(path.parts) > 1 or word in bundled()
 
 
 def quantity(text: str | None) -> float | str | list[list[float]] | None:

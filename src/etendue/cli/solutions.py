@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
-from etendue.core import EtendueError, Progress, format_seconds, logger
-from etendue.jobs import FormFactorResult, RadiosityResult, start_work
+from etendue.core import Progress, format_seconds, logger
+from etendue.jobs import FormFactorResult, Passes, RadiosityResult, start_work
 
 from .console import error_console, note
 from .rendering import Outcome, follow
 
 if TYPE_CHECKING:
-    from etendue.engine import Runner, RunResult
-    from etendue.jobs import FormFactorRequest, LinesRequest, PatchWork, RadiosityRequest
+    from etendue.engine import RunResult
+    from etendue.jobs import FormFactorRequest, LinesRequest, PatchWork, RadiosityRequest, RequestedWork
     from etendue.radiosity import FirstShot, FormFactors, Lightmap, Patches, Segments
     from etendue.scene import Problem
 
@@ -31,29 +29,9 @@ _ALL_SKY = 0.999
 _NO_SKY = 1e-6
 
 
-@dataclass
-class _Casting:
-    """The line casting of some work; the result is made in the main thread, where Ctrl-C ends it."""
-
-    work: PatchWork[Any, Any]
-
-    def runner(self, **options: Any) -> Runner:
-        return self.work.runner(**options)
-
-    def keep(self, run: RunResult) -> None:
-        self.work.keep(run)
-
-    def finish(self, run: RunResult) -> RunResult:
-        # Here a signal does not end the process. If it fails, `PatchWork.finish` tries again and reports the error.
-        with suppress(EtendueError, OSError):
-            self.work.keep(run)
-        return run
-
-
-def cast(work: PatchWork[Any, Any]) -> Outcome[RunResult]:
+def cast(work: RequestedWork[Any, Any]) -> Outcome[RunResult]:
     """Cast lines until the budget is used up or a signal comes."""
-    session = _Casting(work)
-    return follow(lambda: start_work(lambda: session), error_console(), work.request.work, _words(work))
+    return follow(lambda: start_work(lambda: Passes(work)), error_console(), work.request.work, _words(work))
 
 
 def finish(work: PatchWork[Any, Any], run: RunResult) -> None:
@@ -138,9 +116,9 @@ def _describe_solution(request: RadiosityRequest, result: RadiosityResult) -> No
     if result.shot is not None:
         _say(_of_shot(result.shot))
     steps = len(solution.residuals)
-    parts = [f"{request.solver}: {steps} iteration{'' if steps == 1 else 's'}, residual {solution.residual:.1g}"]
+    parts = [f"{request.chosen_solver}: {steps} iteration{'' if steps == 1 else 's'}, residual {solution.residual:.1g}"]
     if result.points:
-        parts = [f"{request.solver}: {result.points} lines, {solution.residual:.1%} of the power unshot"]
+        parts = [f"{request.chosen_solver}: {result.points} lines, {solution.residual:.1%} of the power unshot"]
     if request.ambient is not None:
         parts.append(f"the rest by the {request.ambient} ambient term")
     parts.append(f"imbalance of power {solution.imbalance:.2g}")
@@ -178,10 +156,10 @@ def _describe_segments(console: Console, bundles: int, segments: Segments) -> No
         logger.warning("patches see only the sky: if the mesh is a room, its faces are turned outward; flip them")
 
 
-def _words(work: PatchWork[Any, Any]) -> Callable[[Progress], list[str]]:
+def _words(work: RequestedWork[Any, Any]) -> Callable[[Progress], list[str]]:
     def words(progress: Progress) -> list[str]:
         seconds = format_seconds(progress.elapsed)
-        parts = [work.progress_text(progress.samples), f"{progress.rays:.3g} segments", seconds]
+        parts = [work.progress_text(progress), seconds]
         if progress.eta is not None:
             parts.append(f"ETA {format_seconds(progress.eta)}")
         if progress.relative_error is not None:

@@ -9,7 +9,7 @@ from .errors import DensityError
 from .estimator import Estimator
 from .fixed import FixedKernel, Naive
 from .histogram import BinnedKernel, Histogram
-from .kernels import KERNELS, Kernel
+from .kernels import KERNELS, Kernel, kernel_of
 from .nearest import NearestNeighbours
 from .quadtrees import Quadtrees, QuadtreeSampler
 from .samples import Samples, Surface
@@ -47,6 +47,7 @@ __all__ = [
     "by_quadrature",
     "by_repetition",
     "cross_validation",
+    "kernel_of",
     "normal_reference",
     "silverman",
 ]

@@ -7,25 +7,42 @@ from .files import PathLike, Writing, check_files, listed
 from .particles import DEFAULT_PATHS, ParticleRequest, ParticleResult, ParticleWork, repack
 from .pictures import Image, Outputs, PictureWork, Rendering, Update, Writer, save_result
 from .results import DEFAULT_BUNDLES, DEFAULT_POINTS, FormFactorResult, LinesResult, RadiosityResult
-from .running import Watch, Work, run_work, start_work
+from .running import Passes, Watch, Work, run_work, start_work
 from .wording import PYTHON, Wording
 
 if TYPE_CHECKING:
-    from .boxes import DEFAULT_PASSES, HierarchyRequest, HierarchyResult, HierarchyWork, Passes
+    from .boxes import DEFAULT_PASSES, HierarchyRequest, HierarchyResult, HierarchyWork
     from .gathering import PICTURE_FILES, picture
+    from .hierarchies import split_settings
     from .lines import LinesJob, LinesTask
     from .linesrequest import LinesRequest
+    from .maps.making import MadeMap, MapOptions, make_map
+    from .maps.sources import FileSource
+    from .maps.writing import MAP_FILES, check_map_file, map_lightmap, write_map
     from .multipath import MultipathWork
     from .requests import FormFactorRequest, RadiosityRequest, asked_before
     from .solutions import ERROR_SCALE, SolutionOutputs
-    from .solving import FormFactorWork, LinesWork, PatchWork, RadiosityWork, about, radiosity_work, solve_ambient
+    from .solving import (
+        FormFactorWork,
+        LinesWork,
+        PatchWork,
+        RadiosityWork,
+        RequestedWork,
+        about,
+        radiosity_work,
+        solve_ambient,
+    )
 else:
     #: Modules that import radiosity. They are imported when one of their names is used, since rendering does not need
     #: them.
     _LATER = {
         "gathering": ("PICTURE_FILES", "picture"),
-        "boxes": ("DEFAULT_PASSES", "HierarchyRequest", "HierarchyResult", "HierarchyWork", "Passes"),
+        "boxes": ("DEFAULT_PASSES", "HierarchyRequest", "HierarchyResult", "HierarchyWork"),
+        "hierarchies": ("split_settings",),
         "lines": ("LinesJob", "LinesTask"),
+        "maps.making": ("MadeMap", "MapOptions", "make_map"),
+        "maps.sources": ("FileSource",),
+        "maps.writing": ("MAP_FILES", "check_map_file", "map_lightmap", "write_map"),
         "multipath": ("MultipathWork",),
         "linesrequest": ("LinesRequest",),
         "requests": ("FormFactorRequest", "RadiosityRequest", "asked_before"),
@@ -38,6 +55,7 @@ else:
             "ParticleWork",
             "PatchWork",
             "RadiosityWork",
+            "RequestedWork",
             "about",
             "radiosity_work",
             "repack",
@@ -59,8 +77,10 @@ __all__ = [
     "DEFAULT_PATHS",
     "DEFAULT_POINTS",
     "ERROR_SCALE",
+    "MAP_FILES",
     "PICTURE_FILES",
     "PYTHON",
+    "FileSource",
     "FormFactorRequest",
     "FormFactorResult",
     "FormFactorWork",
@@ -73,6 +93,8 @@ __all__ = [
     "LinesResult",
     "LinesTask",
     "LinesWork",
+    "MadeMap",
+    "MapOptions",
     "MultipathWork",
     "Outputs",
     "ParticleRequest",
@@ -86,6 +108,7 @@ __all__ = [
     "RadiosityResult",
     "RadiosityWork",
     "Rendering",
+    "RequestedWork",
     "SolutionOutputs",
     "Update",
     "Watch",
@@ -96,12 +119,17 @@ __all__ = [
     "about",
     "asked_before",
     "check_files",
+    "check_map_file",
     "listed",
+    "make_map",
+    "map_lightmap",
     "picture",
     "radiosity_work",
     "repack",
     "run_work",
     "save_result",
     "solve_ambient",
+    "split_settings",
     "start_work",
+    "write_map",
 ]

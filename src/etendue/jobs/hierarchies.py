@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from etendue.core import OptionError
-from etendue.radiosity import HierarchicalCastingSettings, find_objects
+from etendue.radiosity import GroupSettings, HierarchicalCastingSettings, find_objects
 
 if TYPE_CHECKING:
     from etendue.radiosity import Objects, Patches
@@ -25,8 +26,9 @@ HIERARCHY_OPTIONS = ("walls", "engine", "point_set", "main_share")
 class HierarchyOptions:
     """A part of :class:`FormFactorRequest`."""
 
-    #: Cast lines in a hierarchy of spheres: what makes objects, see :func:`etendue.radiosity.find_objects`. Any other
-    #: name is that of an array of the mesh file, with the number of an object for each face, negative for walls.
+    #: Cast lines in a hierarchy of spheres: what makes objects, see :func:`etendue.radiosity.find_objects`, or ``True``
+    #: for shapes of scenes and components of other patches. Any other name is that of an array of the mesh file, with
+    #: the number of an object for each face, negative for walls.
     hierarchy: Any = None
     walls: tuple[str, ...] | None = None
     engine: str | None = None
@@ -48,13 +50,12 @@ class HierarchyOptions:
         """The objects of the hierarchy, ``None`` without one."""
         if self.hierarchy is None:
             return None
-        if not self.names_an_array:
-            return find_objects(patches, self.hierarchy, walls=self.walls)
-        # The array says itself what walls are.
-        return find_objects(patches, "shapes", walls=() if self.walls is None else self.walls)
+        return objects_by(patches, None if self.hierarchy is True else self.hierarchy, self.walls)
 
     def _check_hierarchy(self, wording: Wording, is_mesh: bool) -> None:
         """Raise :class:`OptionError` for options that do not fit."""
+        if self.hierarchy is False:
+            object.__setattr__(self, "hierarchy", None)
         if self.hierarchy is None:
             for name in HIERARCHY_OPTIONS:
                 if getattr(self, name) is not None:
@@ -62,7 +63,35 @@ class HierarchyOptions:
                     raise OptionError(f"{option} is for lines in a hierarchy: give {needed}, too")
             return
         HierarchicalCastingSettings.from_mapping(self.hierarchy_settings, owner="a hierarchy")
-        if not isinstance(self.hierarchy, str):
+        if not isinstance(self.hierarchy, (str, bool)):
             object.__setattr__(self, "hierarchy", np.asarray(self.hierarchy).tolist())  # plain, for checkpoints
-        elif self.names_an_array and not is_mesh:
-            raise OptionError(f"objects are found by {', '.join(GROUPINGS)} or an array, not by '{self.hierarchy}'")
+        elif isinstance(self.hierarchy, str) and self.names_an_array:
+            check_array(self.hierarchy, is_mesh)
+
+
+def objects_by(patches: Patches, by: Any = None, walls: Sequence[str | int] | None = None) -> Objects:
+    """Objects of patches, see :func:`etendue.radiosity.find_objects`: by one of :data:`GROUPINGS`, by an array, or by
+    the name of an array with which the patches were read, which says itself what walls are; by default the shapes of
+    scenes, else connected surfaces."""
+    if by is None:
+        by = "components" if patches.shapes is None else "shapes"
+    elif isinstance(by, str) and by not in GROUPINGS:
+        by, walls = "shapes", () if walls is None else walls
+    return find_objects(patches, by, walls=walls)
+
+
+def check_array(name: str, is_mesh: bool) -> None:
+    """Raise :class:`OptionError` for what can be neither one of :data:`GROUPINGS` nor an array of a file."""
+    if not is_mesh:
+        raise OptionError(
+            f"objects are found by {', '.join(GROUPINGS)}, or by an array of a mesh file, not by '{name}'"
+        )
+
+
+def split_settings(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Settings of boxes by name: the fields ``objects`` and ``groups`` of a request, and the settings of hierarchical
+    multipath."""
+    rest = dict(given)
+    fields: dict[str, Any] = {"objects": rest.pop("objects", None)}
+    fields["groups"] = {name: rest.pop(name) for name in GroupSettings.names() if name in rest}
+    return fields, rest

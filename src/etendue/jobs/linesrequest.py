@@ -22,10 +22,10 @@ from etendue.engine import Budget, Checkpoint, check_period, check_records, rema
 from etendue.radiosity import (
     CastingSettings,
     Patches,
+    instanced_patches,
     read_patches,
-    scene_patches,
 )
-from etendue.scene import Problem, locate
+from etendue.scene import Problem, load, locate
 
 from .files import check_files
 from .results import DEFAULT_BUNDLES
@@ -62,8 +62,6 @@ class LinesRequest(ABC):
     wording: Wording = PYTHON
 
     work: ClassVar[str]
-    #: Whether the source may be a scene.
-    takes_scenes: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         missing = [name for name in _LIBRARIES if find_spec(name) is None]
@@ -125,8 +123,6 @@ class LinesRequest(ABC):
         elif self.is_mesh:
             if self.parameters:
                 raise OptionError(f"{option('parameters')} is for scenes in XML; a mesh file has no parameters")
-        elif not self.takes_scenes:
-            raise OptionError("form factors need a mesh: give a mesh file, or patches")
         else:
             given = [name for name, value in self.mesh.items() if value is not None and value is not False]
             for name in given:
@@ -140,7 +136,7 @@ class LinesRequest(ABC):
         if not isinstance(self.source, (str, os.PathLike)):
             return False
         path = Path(self.source)
-        return not self.takes_scenes or not (path.suffix.lower() in _SCENES or path.is_dir())
+        return not (path.suffix.lower() in _SCENES or path.is_dir())
 
     @property
     def name(self) -> str:
@@ -178,16 +174,28 @@ class LinesRequest(ABC):
         if isinstance(self.source, Patches):
             patches = self.source
         elif problem is not None:
-            patches = scene_patches(problem, max_area=self.max_area)
+            patches = instanced_patches(problem, max_area=self.max_area)
         else:
             patches = read_patches(self.source, **{k: v for k, v in self.mesh.items() if v is not None})
             patches = patches if self.max_area is None else patches.subdivided(self.max_area)
         self.check_patches(patches, problem)
         return patches
 
+    @abstractmethod
     def problem(self, tell: Callable[[str], object] = logger.info) -> Problem | None:
         """The scene; ``None`` if the source is not a scene."""
-        return None
+
+    def _loaded(self, tell: Callable[[str], object], **options: Any) -> Problem | None:
+        """The same, with further options of :func:`etendue.scene.load`."""
+        if isinstance(self.source, Patches) or self.is_mesh:
+            return None
+        found = locate(self.source, tell) if isinstance(self.source, (str, os.PathLike)) else self.source
+        return load(found, parameters=self.parameters, **options)
+
+    @property
+    def _plain_parameters(self) -> dict[str, str] | None:
+        """``parameters`` for a checkpoint."""
+        return None if self.parameters is None else {name: str(value) for name, value in self.parameters.items()}
 
     def notes(self) -> dict[str, Any]:
         """The request as plain values for a checkpoint, with absolute paths; empty if the source is in memory, so that

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from etendue.core import CheckpointError, logger
-from etendue.engine import Job, Runner, RunResult
 from etendue.radiosity import MultipathPasses, MultipathSettings, PatchProblem, RadiosityError
 
 from .requests import RadiosityRequest
@@ -15,7 +14,8 @@ from .results import RadiosityResult
 from .solving import PatchWork, Tell
 
 if TYPE_CHECKING:
-    from etendue.engine import Checkpoint
+    from etendue.core import Progress
+    from etendue.engine import Checkpoint, Runner, RunResult
     from etendue.radiosity import FirstShot
 
     from .files import Writing
@@ -47,7 +47,6 @@ class MultipathWork(PatchWork[RadiosityRequest, RadiosityResult]):
         super().__init__(request, saved, tell)
         self.method = MultipathPasses(self._settings())
         self._watched = is_watched
-        self._job: Job | None = None
 
     def runner(self, **options: Any) -> Runner:
         """Prepare the method; ``options`` are those of :class:`Runner`.
@@ -57,30 +56,21 @@ class MultipathWork(PatchWork[RadiosityRequest, RadiosityResult]):
         """
         request, saved = self.request, self.saved
         problem, seed = PatchProblem(self.patches, request.name), int(request.seed)
-        begin, earlier = time.perf_counter(), 0.0
+        begin = time.perf_counter()
         if saved is not None:
             self.method = self._of_checkpoint(saved, problem.fingerprint)
-            earlier = saved.earlier + saved.elapsed
-            options |= {"start": saved.measurement, "state": saved.state}
         self.method.prepare(problem, seed)
         if saved is None:
             self._refine_shot(problem, seed)
         else:
             self._check_shot()
-        known: Any = {"seed": seed, "budget": self.budget, "place": {}, "earlier": earlier, "notes": self.notes}
-        self._job = Job(problem, self.method, **known)  # type: ignore[arg-type]
-        spent = time.perf_counter() - begin
-        options = self._with_saves(options) | {"watched": self._watched, "spent": spent}
-        return Runner(self.method, seed=seed, budget=self.budget, **options)
+        options |= {"watched": self._watched, "spent": time.perf_counter() - begin}
+        return self._run(problem, self.method, **options)
 
-    def checkpoint(self, run: RunResult) -> Checkpoint:
-        """See :class:`PatchWork`."""
-        assert self._job is not None, "there is no run without a runner"
-        return self._job.checkpoint(run)
-
-    def progress_text(self, samples: int) -> str:
-        """See :class:`PatchWork`."""
-        return f"{samples} line{'' if samples == 1 else 's'}"
+    def progress_text(self, progress: Progress) -> str:
+        """See :class:`RequestedWork`."""
+        count = progress.samples
+        return f"{count} line{'' if count == 1 else 's'}, {progress.rays:.3g} segments"
 
     def _make(self, run: RunResult, writing: Writing, tell: Tell, counted: Counted) -> RadiosityResult:
         tell("solving")
@@ -94,7 +84,7 @@ class MultipathWork(PatchWork[RadiosityRequest, RadiosityResult]):
         solution, error = self.method.solved(run.measurement), self.method.irradiance_error(run.measurement)
         unshot = solution.residual
         known = self._metadata(
-            points=run.samples, solver=self.request.solver, imbalance=solution.imbalance, unshot=unshot
+            points=run.samples, solver=self.request.chosen_solver, imbalance=solution.imbalance, unshot=unshot
         )
         shown = self.request.outputs.write(writing, self.problem, solution, error, known, self.request.wording, tell)
         return RadiosityResult(

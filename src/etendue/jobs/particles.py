@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -19,7 +18,6 @@ from etendue.core import (
     State,
     is_number,
     logger,
-    warn_of_nonfinite,
 )
 from etendue.engine import Budget, Checkpoint, InTurn, Job, Runner, RunResult, fit_samples, remaining, settle_samples
 from etendue.methods import ParticleTracing
@@ -159,7 +157,8 @@ class ParticleWork:
     def finish(self, run: RunResult) -> ParticleResult:
         """See :class:`Work`."""
         self.keep(run)
-        warn_of_nonfinite(run.measurement)
+        if bad := int(run.measurement.counters["nonfinite"]):
+            logger.warning("%d particles had a power that is not finite, and were left out", bad)
         tracing: Any = self._job.method
         return ParticleResult(
             tracing.particles(run.measurement) if self._writer is None else None,
@@ -238,9 +237,3 @@ def repack(source: Path, output: Path, codec: str, tell: Callable[[int, int], ob
         writer.discard()
         raise
     return output
-
-
-def described(header: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings in the header of a file."""
-    found: dict[str, Any] = json.loads(header["settings"])
-    return found

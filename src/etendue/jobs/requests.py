@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar
@@ -23,20 +22,28 @@ from etendue.radiosity import (
     ESTIMATORS,
     FORM_FACTOR_FILES,
     SOLVERS,
+    GroupSettings,
+    Part,
     Patches,
+    SubScene,
     check_direct,
     check_file,
     check_text_size,
+    grouped,
+    sub_scenes,
+    sub_scenes_of,
 )
-from etendue.scene import Problem, load, locate
+from etendue.scene import Problem
 
-from .hierarchies import HIERARCHY_OPTIONS, HierarchyOptions
+from .hierarchies import GROUPINGS, HIERARCHY_OPTIONS, HierarchyOptions, check_array, objects_by
 from .linesrequest import NOTE, LinesRequest
 from .results import DEFAULT_POINTS
 from .solutions import SolutionOutputs
 
 #: The solver that needs neither stored segments nor a matrix.
 MULTIPATH = "multipath"
+#: Sub-scenes that are boxes around groups of objects.
+BOXES = "boxes"
 #: Solvers that work on segments; the others, except multipath, need the matrix.
 ON_SEGMENTS = ("jacobi", "conjugate-gradient")
 
@@ -50,6 +57,10 @@ class FormFactorRequest(HierarchyOptions, LinesRequest):
     outputs: tuple[Path, ...] = ()
 
     work: ClassVar[str] = "form-factors"
+
+    def problem(self, tell: Callable[[str], object] = logger.info) -> Problem | None:
+        """See :class:`LinesRequest`."""
+        return self._loaded(tell)
 
     @property
     def chosen_estimator(self) -> str:
@@ -88,23 +99,37 @@ class FormFactorRequest(HierarchyOptions, LinesRequest):
         return (*super()._noted(), *(name for name in own if getattr(self, name) is not None))
 
     def _noted_outputs(self) -> dict[str, Any]:
-        return {"outputs": [str(path.absolute()) for path in self.outputs]}
+        return {"parameters": self._plain_parameters, "outputs": [str(path.absolute()) for path in self.outputs]}
 
 
 @dataclass(frozen=True, kw_only=True)
 class RadiosityRequest(LinesRequest):
     """A solution, and the files made from it. ``points`` limits multipath as ``bundles`` limits other solvers."""
 
-    solver: str = "conjugate-gradient"
+    #: ``None`` for conjugate-gradient, or jacobi with ``bounces``: one of its iterations is a bounce.
+    solver: str | None = None
     points: int | None = None
     shot: bool = True  #: send the light of small emitters by local rays first
     #: Ambient term for all light, without lines; or for what is left after so many ``bounces`` (iterations).
     ambient: str | None = None
     bounces: int | None = None
+    #: With an ambient term for all light: parts of the scene in which light stays for longer, objects by what makes
+    #: them (see :func:`etendue.radiosity.find_objects`), or ``"boxes"`` around groups of objects.
+    sub_scenes: str | None = None
+    #: Of the grouping to boxes: what makes objects, by default shapes of scenes, else components; and options of
+    #: :func:`etendue.radiosity.grouped`, such as the threshold.
+    objects: str | None = None
+    groups: Mapping[str, Any] = field(default_factory=dict)
     outputs: SolutionOutputs = field(default_factory=SolutionOutputs)
 
     work: ClassVar[str] = "radiosity"
-    takes_scenes: ClassVar[bool] = True
+    #: Whether the work groups objects to boxes in any case.
+    is_grouping: ClassVar[bool] = False
+
+    @property
+    def chosen_solver(self) -> str:
+        """The requested solver, or the default."""
+        return self.solver or ("conjugate-gradient" if self.bounces is None else "jacobi")
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -114,7 +139,7 @@ class RadiosityRequest(LinesRequest):
     @property
     def needs_matrix(self) -> bool:
         """See :class:`LinesRequest`."""
-        return self.solver not in (*ON_SEGMENTS, MULTIPATH)
+        return self.chosen_solver not in (*ON_SEGMENTS, MULTIPATH)
 
     @property
     def stores_lines(self) -> bool:
@@ -129,8 +154,9 @@ class RadiosityRequest(LinesRequest):
         return ("points", self.points, DEFAULT_POINTS) if self.solver == MULTIPATH else super()._samples()
 
     def _check_outputs(self) -> None:
-        _check_name("solver", self.solver, (*SOLVERS, MULTIPATH))
+        _check_name("solver", self.chosen_solver, (*SOLVERS, MULTIPATH))
         self._check_ambient()
+        self._check_groups()
         self._check_limits()
         self.outputs.check(self.wording)
         if 1 in (self.bundles, self.points):
@@ -141,7 +167,9 @@ class RadiosityRequest(LinesRequest):
         option = self.wording.option
         if self.solver != MULTIPATH:
             if self.points is not None:
-                raise OptionError(f"{option('points')} is for multipath; limit {self.solver} by {option('bundles')}")
+                raise OptionError(
+                    f"{option('points')} is for multipath; limit {self.chosen_solver} by {option('bundles')}"
+                )
             return
         if self.bundles is not None:
             raise OptionError(f"multipath casts single lines, not bundles: give {option('points')}")
@@ -165,6 +193,12 @@ class RadiosityRequest(LinesRequest):
                 raise OptionError(f"{option('bounces')} is a whole number of at least 1, not {self.bounces!r}")
             if self.ambient is None:
                 raise OptionError(f"{option('bounces')} leaves light over: say by {option('ambient')} how to spread it")
+            if self.solver == "conjugate-gradient" and self.bounces > 1:
+                logger.warning(
+                    "an iteration of conjugate-gradient is no bounce, and after two an ambient term gains nothing: "
+                    "leave out %s for jacobi, whose iterations are bounces",
+                    option("solver"),
+                )
         if self.ambient is not None:
             _check_name("ambient term", self.ambient, AMBIENT_TERMS)
         if not self.is_instant:
@@ -173,13 +207,67 @@ class RadiosityRequest(LinesRequest):
             name: getattr(self, name) for name in ("seconds", "bundles", "points", "error", "checkpoint")
         }
         asked |= {name: None if getattr(self, name) else False for name in ("shot", "local_rays")}
-        asked["solver"] = None if self.solver == RadiosityRequest.solver else self.solver
+        asked["solver"] = None if self.solver == "conjugate-gradient" else self.solver
         for name in (name for name, value in asked.items() if value is not None):
             raise OptionError(
                 f"an ambient solution needs no lines: leave out {option(name)}, or give {option('bounces')} for a "
                 "solution by lines that ends in an ambient term"
             )
         self.outputs.check_errors(None, self.wording)
+
+    @property
+    def _is_grouped(self) -> bool:
+        """Whether options of the grouping to boxes are given."""
+        return self.objects is not None or bool(self.groups)
+
+    def _grouping_options(self) -> str:
+        """The given ones, for messages."""
+        given = [] if self.objects is None else [f"what makes objects ('{self.objects}')"]
+        return ", ".join([*given, *map(self.wording.option, self.groups)])
+
+    def _check_groups(self) -> None:
+        """Raise :class:`OptionError` for sub-scenes and groups that cannot be."""
+        option = self.wording.option
+        if self.sub_scenes is not None and not self.is_instant:
+            raise OptionError(
+                f"{option('sub_scenes')} is for an ambient solution at once: give {option('ambient')}, without "
+                f"{option('bounces')}"
+            )
+        if self._is_grouped and not (self.is_grouping or self.sub_scenes == BOXES):
+            raise OptionError(
+                f"{option('objects' if self.objects else next(iter(self.groups)))} is for boxes around groups of "
+                f"objects: give {option('hierarchy')}, or {option('sub_scenes')} boxes"
+            )
+        for name in ("objects", "sub_scenes"):
+            if (value := getattr(self, name)) is not None and not isinstance(value, str):
+                raise OptionError(f"{option(name)} is a name, not {value!r}; give numbers of patches to part_of")
+        self._group_settings  # noqa: B018 (checked)
+
+    @property
+    def _group_settings(self) -> GroupSettings:
+        return GroupSettings.from_mapping(self.groups, owner="the grouping to boxes")
+
+    def _check_options(self) -> None:
+        super()._check_options()
+        by = self.objects if self.sub_scenes in (None, BOXES) else self.sub_scenes
+        if by is not None and by not in GROUPINGS:
+            check_array(by, self.is_mesh)
+            object.__setattr__(self, "mesh", {**self.mesh, "objects": by})
+
+    def boxes(self, patches: Patches) -> Part:
+        """The patches as a scene of boxes."""
+        return grouped(patches, objects_by(patches, self.objects).of_patch, **self._group_settings.to_dict())
+
+    def scene_in_parts(self, patches: Patches) -> SubScene | None:
+        """Sub-scenes of an ambient solution, ``None`` without."""
+        if self.sub_scenes is None:
+            return None
+        if self.sub_scenes == BOXES:
+            scene = sub_scenes_of(self.boxes(patches))
+            if not scene.parts:
+                logger.warning("no object or group is worth a box: light spreads in the whole scene at once")
+            return scene
+        return sub_scenes(patches, objects_by(patches, self.sub_scenes).of_patch)
 
     def check_patches(self, patches: Patches, problem: Problem | None) -> None:
         """See :class:`LinesRequest`; raises :class:`SceneError` if there is no light."""
@@ -191,10 +279,7 @@ class RadiosityRequest(LinesRequest):
 
     def problem(self, tell: Callable[[str], object] = logger.info) -> Problem | None:
         """See :class:`LinesRequest`; loaded with the sensor and the size of the pictures."""
-        if isinstance(self.source, Patches) or self.is_mesh:
-            return None
-        found = locate(self.source, tell) if isinstance(self.source, (str, os.PathLike)) else self.source
-        return load(found, parameters=self.parameters, size=self.outputs.size, sensor=self.outputs.sensor)
+        return self._loaded(tell, size=self.outputs.size, sensor=self.outputs.sensor)
 
     def _without_light(self, problem: Problem | None) -> str:
         if problem is not None:
@@ -203,11 +288,10 @@ class RadiosityRequest(LinesRequest):
         return f"'{self.name}' has no light; {how}"
 
     def _noted(self) -> tuple[str, ...]:
-        return (*super()._noted(), "solver", "shot", "ambient", "bounces")
+        return (*super()._noted(), "solver", "shot", "ambient", "bounces", "objects", "groups")
 
     def _noted_outputs(self) -> dict[str, Any]:
-        given = None if self.parameters is None else {name: str(value) for name, value in self.parameters.items()}
-        return {"parameters": given, "outputs": self.outputs.to_dict()}
+        return {"parameters": self._plain_parameters, "outputs": self.outputs.to_dict()}
 
 
 def asked_before(

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
-from etendue.core import Progress, describe, logger
+from etendue.core import EtendueError, Progress, describe, logger
 from etendue.engine import RunError, Runner, RunResult, Session
 
 T = TypeVar("T")
@@ -29,6 +31,28 @@ class Work(Protocol[T_co]):
     def finish(self, run: RunResult) -> T_co:
         """Make the result and write its files."""
         ...
+
+
+@dataclass(frozen=True)
+class Passes:
+    """The passes of some work alone; its result is made and written afterwards, in the main thread, where Ctrl-C ends
+    it."""
+
+    work: Work[Any]
+
+    def runner(self, **options: Any) -> Runner:
+        """See :class:`Work`."""
+        return self.work.runner(**options)
+
+    def keep(self, run: RunResult) -> None:
+        """See :class:`Work`."""
+        self.work.keep(run)
+
+    def finish(self, run: RunResult) -> RunResult:
+        """Save. Here a signal does not end the process; if it fails, ``work.finish`` tries again and reports it."""
+        with suppress(EtendueError, OSError):
+            self.work.keep(run)
+        return run
 
 
 def run_work(work: Work[T], watch: Watch | None = None) -> T:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
 from etendue.core import EtendueError, OutputError, describe, logger
+from etendue.engine import Job, Runner
 from etendue.radiosity import (
     PartialSegments,
     ambient_solution,
@@ -28,8 +29,10 @@ from .requests import MULTIPATH, FormFactorRequest, RadiosityRequest
 from .results import FormFactorResult, RadiosityResult
 
 if TYPE_CHECKING:
-    from etendue.engine import Checkpoint, Runner, RunResult
+    from etendue.core import Progress
+    from etendue.engine import Checkpoint, RunResult
     from etendue.radiosity import CastLines, Objects, Patches, Segments
+    from etendue.scene import Problem
 
 Q = TypeVar("Q", bound=LinesRequest)
 R = TypeVar("R")
@@ -42,27 +45,37 @@ Counted = Callable[[int, "Segments"], object]
 def _silent(*_: object) -> None: ...
 
 
-class PatchWork(ABC, Generic[Q, R]):
-    """A request whose source has been read and checked; see :class:`Work`. ``saved`` is the checkpoint to resume."""
+class RequestedWork(ABC, Generic[Q, R]):
+    """A request whose source has been read and checked; see :class:`Work`. ``saved`` is the checkpoint to resume.
 
-    def __init__(self, request: Q, saved: Checkpoint | None, tell: Tell) -> None:
+    Attributes
+    ----------
+    problem: the scene, if the source is one.
+    kept: what a checkpoint keeps, in the plural: a word of messages.
+    """
+
+    problem: Problem | None
+    kept: ClassVar[str] = "lines"
+
+    def __init__(self, request: Q, saved: Checkpoint | None) -> None:
         self.request, self.saved = request, saved
-        self._kept: Path | None = None  # the checkpoint with the lines
+        self._checkpoint: Path | None = None  # written, with all that was cast
+        self._job: Job | None = None
         self.budget = request.budget(saved)
-        self.problem, self.patches = request.load(tell)
         self.notes = request.notes() or ({} if saved is None else dict(saved.notes))
 
     @abstractmethod
     def runner(self, **options: Any) -> Runner:
         """See :class:`Work`."""
 
-    @abstractmethod
     def checkpoint(self, run: RunResult) -> Checkpoint:
         """All that is needed to resume ``run`` later."""
+        assert self._job is not None, "there is no run without a runner"
+        return self._job.checkpoint(run)
 
     @abstractmethod
-    def progress_text(self, samples: int) -> str:
-        """A number of samples in words, as "3 bundles"."""
+    def progress_text(self, progress: Progress) -> str:
+        """What has been cast in words, as "3 bundles, 1.2e+06 segments"."""
 
     def keep(self, run: RunResult) -> None:
         """Write the checkpoint, if one is requested; in the system's temporary folder if that fails. The error then
@@ -73,22 +86,22 @@ class PatchWork(ABC, Generic[Q, R]):
             self._save(run, path)
         except EtendueError as error:
             if (kept := self._rescued(run)) is not None:
-                add_to_message(error, f"; the lines are kept: {self._how_to_resume(run, kept)}")
+                add_to_message(error, f"; the {self.kept} are kept: {self._how_to_resume(run, kept)}")
             raise
 
     def finish(self, run: RunResult, tell: Tell = _silent, counted: Counted = _silent) -> R:
         """Write the checkpoint, make the result and write its files. ``counted`` receives the number of bundles and
         their segments, if segments are stored.
 
-        If something fails, the error says where the lines are kept: in the requested checkpoint, or in one in the
+        If something fails, the error says where what was cast is kept: in the requested checkpoint, or in one in the
         system's temporary folder.
         """
         writing = Writing()
-        with self._lines_kept(run):
+        with self._all_kept(run):
             if (path := self.request.checkpoint) is not None:
                 with writing.attempt(f"write '{path}'"):
                     self._save(run, path)
-                    self._kept = path
+                    self._checkpoint = path
             result = self._make(run, writing, tell, counted)
             writing.finish()
         return result
@@ -101,6 +114,15 @@ class PatchWork(ABC, Generic[Q, R]):
     def _how_to_resume(self, run: RunResult, checkpoint: Path) -> str:
         """How to resume ``run`` from a checkpoint."""
 
+    def _run(self, problem: Any, method: Any, **options: Any) -> Runner:
+        """The runner of a prepared method, which goes on with the checkpoint if there is one."""
+        saved, seed, earlier = self.saved, int(self.request.seed), 0.0
+        if saved is not None:
+            earlier = saved.earlier + saved.elapsed
+            options |= {"start": saved.measurement, "state": saved.state}
+        self._job = Job(problem, method, seed=seed, budget=self.budget, place={}, earlier=earlier, notes=self.notes)
+        return Runner(method, seed=seed, budget=self.budget, **self._with_saves(options))
+
     def _with_saves(self, options: dict[str, Any]) -> dict[str, Any]:
         """Options of the runner, and those of intermediate checkpoints."""
         if (path := self.request.checkpoint) is not None and self.request.save_every is not None:
@@ -112,23 +134,31 @@ class PatchWork(ABC, Generic[Q, R]):
 
     def _rescued(self, run: RunResult) -> Path | None:
         """A checkpoint in the system's temporary folder; ``None`` if it cannot be written."""
-        return rescued("lines.checkpoint", ("", lambda path: self._save(run, path)))
+        return rescued(f"{self.kept}.checkpoint", ("", lambda path: self._save(run, path)))
 
     @contextmanager
-    def _lines_kept(self, run: RunResult) -> Iterator[None]:
+    def _all_kept(self, run: RunResult) -> Iterator[None]:
         try:
             yield
         except Exception as error:
             known = error if isinstance(error, EtendueError) else None
-            failure = known or OutputError(f"the lines could not be evaluated: {describe(error)}")
-            if (path := self._kept or self._rescued(run)) is not None:
-                add_to_message(failure, f"; the lines are kept: {self._how_to_resume(run, path)}")
+            failure = known or OutputError(f"the {self.kept} could not be evaluated: {describe(error)}")
+            if (path := self._checkpoint or self._rescued(run)) is not None:
+                add_to_message(failure, f"; the {self.kept} are kept: {self._how_to_resume(run, path)}")
             raise failure from (error.__cause__ if known else error)
 
     def _metadata(self, **more: Any) -> dict[str, Any]:
         """For the files."""
         source = self.request.name if self.problem is None else self.problem.source
         return about(source, seed=self.request.seed, **more)
+
+
+class PatchWork(RequestedWork[Q, R]):
+    """Work on patches in one mesh."""
+
+    def __init__(self, request: Q, saved: Checkpoint | None, tell: Tell) -> None:
+        super().__init__(request, saved)
+        self.problem, self.patches = request.load(tell)
 
 
 class LinesWork(PatchWork[Q, R]):
@@ -188,21 +218,21 @@ class LinesWork(PatchWork[Q, R]):
         return self.lines.runner(**self._with_saves(options))
 
     def checkpoint(self, run: RunResult) -> Checkpoint:
-        """See :class:`PatchWork`."""
+        """See :class:`RequestedWork`."""
         return self.lines.checkpoint(run)
 
-    def progress_text(self, samples: int) -> str:
-        """See :class:`PatchWork`."""
-        count = min(samples, self.lines.casting.most or samples)
-        return f"{count} bundle{'' if count == 1 else 's'}"
+    def progress_text(self, progress: Progress) -> str:
+        """See :class:`RequestedWork`."""
+        count = min(progress.samples, self.lines.casting.most or progress.samples)
+        return f"{count} bundle{'' if count == 1 else 's'}, {progress.rays:.3g} segments"
 
     def keep(self, run: RunResult) -> None:
-        """See :class:`PatchWork`."""
+        """See :class:`RequestedWork`."""
         self.lines.cast(run)
         super().keep(run)
 
     def finish(self, run: RunResult, tell: Tell = _silent, counted: Counted = _silent) -> R:
-        """See :class:`PatchWork`."""
+        """See :class:`RequestedWork`."""
         self.lines.cast(run)
         return super().finish(run, tell, counted)
 
@@ -270,7 +300,7 @@ class RadiosityWork(LinesWork[RadiosityRequest, RadiosityResult]):
     def _evaluate(
         self, run: RunResult, lines: CastLines, segments: Segments, writing: Writing, tell: Tell
     ) -> RadiosityResult:
-        request, solver = self.request, self.request.solver
+        request, solver = self.request, self.request.chosen_solver
         tell("solving")
         shot = lines.shot()
         transport = form_factors(segments) if request.needs_matrix else segments
@@ -291,9 +321,9 @@ class RadiosityWork(LinesWork[RadiosityRequest, RadiosityResult]):
 
 def radiosity_work(
     request: RadiosityRequest, saved: Checkpoint | None = None, **options: Any
-) -> PatchWork[RadiosityRequest, RadiosityResult]:
+) -> RequestedWork[RadiosityRequest, RadiosityResult]:
     """The work for the solver of a request; ``options`` are those of :class:`LinesWork`."""
-    if request.solver == MULTIPATH:
+    if request.chosen_solver == MULTIPATH:
         from .multipath import MultipathWork
 
         return MultipathWork(request, saved, **options)
@@ -307,8 +337,9 @@ def solve_ambient(
     assert request.ambient is not None
     problem, patches = request.load(tell)
     patches_read(patches)
+    parts = request.scene_in_parts(patches)
     begin = time.perf_counter()
-    solution = ambient_solution(patches, request.ambient)  # type: ignore[arg-type]
+    solution = ambient_solution(patches, request.ambient, parts)  # type: ignore[arg-type]
     elapsed = time.perf_counter() - begin
     source = request.name if problem is None else problem.source
     known, writing = about(source, solver=f"ambient, {request.ambient}", imbalance=solution.imbalance), Writing()

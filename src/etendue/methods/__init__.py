@@ -13,6 +13,7 @@ from .metropolis.filmchains import FilmMetropolis
 from .metropolis.particles import MetropolisParticles
 from .particles import ParticleTracing
 from .path import Path
+from .photon.hits import photon_hits, trace_photons
 from .photon.map import Pm
 from .photon.progressive import Ppm, Sppm
 from .registry import by_plugin, get, register, table
@@ -40,7 +41,9 @@ __all__ = [
     "VegasPath",
     "by_plugin",
     "get",
+    "photon_hits",
     "register",
     "table",
     "total",
+    "trace_photons",
 ]

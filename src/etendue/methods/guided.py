@@ -27,7 +27,8 @@ from etendue.core import Carrying, CheckpointError, Measurement, Result, State, 
 from etendue.scene import Problem
 from etendue.transport import FOUND_UNITS, Guide, GuidedWalk, TrainingSamples
 
-from .base import STEP_LANES, ImageMethod, ImageSettings, Layer, total
+from .base import STEP_LANES, ImageSettings, Layer, total
+from .ending import EndsInMap
 from .path import Path, PathSettings
 from .store import STORE_SHARE
 
@@ -71,7 +72,7 @@ class GuidedSettings(PathSettings):
     )
 
 
-class Guided(Carrying, ImageMethod):
+class Guided(Carrying, EndsInMap):
     """Path tracing with directions sampled from a learned density for each cell of the scene."""
 
     name: ClassVar[str] = "guided"
@@ -122,7 +123,9 @@ class Guided(Carrying, ImageMethod):
         walk = self.walker(
             GuidedWalk, proposal=o.proposal, guide=self._guide, weights=o.direct_weights, training=collected
         )
-        path = walk.trace(ray, source)
+        path = walk.trace(ray, source, **self.ending_state())
+        if (light := self.light_of_map(path)) is not None:
+            walk.add(path, light, mi.Bool(True))
         radiance, bad = self.kept(path.radiance * importance)
         found = dr.select(dr.isfinite(path.found), path.found, 0.0)
         dr.eval(radiance, path.rays, bad, found)

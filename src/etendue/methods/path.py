@@ -22,11 +22,12 @@ import mitsuba as mi
 from etendue.core import SampleSource, setting
 from etendue.transport import CameraPath, DirectWeights, Proposal, Walker, scatter_camera, scatter_uniform
 
-from .base import CameraSettings, ImageMethod, ImageSettings, Layer, total
+from .base import ImageSettings, Layer, total
+from .ending import EndingSettings, EndsInMap
 
 
 @dataclass(frozen=True)
-class PathSettings(CameraSettings):
+class PathSettings(EndingSettings):
     """Settings of ``path``."""
 
     mode: str = setting(
@@ -55,7 +56,7 @@ class PathSettings(CameraSettings):
         return scatter_camera if self.bsdf_sampling else scatter_uniform
 
 
-class Path(ImageMethod):
+class Path(EndsInMap):
     """Path tracing with next event estimation and multiple importance sampling."""
 
     name: ClassVar[str] = "path"
@@ -70,8 +71,10 @@ class Path(ImageMethod):
         source = self.camera_numbers(lanes, samples, seed, iteration)
         ray, importance, _ = self.camera.primary(lanes // samples, source)
         walker, weights = self.walker(Walker, proposal=self.settings.proposal), self.settings.direct_weights
-        path = CameraPath.start(ray, walker.max_edges)
+        path = CameraPath.start(ray, walker.max_edges, **self.ending_state())
         path = walker.walk(path, lambda s: edge(s, walker, weights, source), "path")
+        if (light := self.light_of_map(path)) is not None:
+            path.radiance += light
         radiance, bad = self.kept(path.radiance * importance)
         dr.eval(radiance, path.rays, bad)  # in one kernel; the sums below would launch it several times
         counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}

@@ -27,6 +27,7 @@ from .bidirectional import Bpm, Bpt, Vcm
 from .guided import Guided
 from .light import LightTracing
 from .metropolis.filmchains import FilmMetropolis
+from .metropolis.mmlt import Mmlt
 from .metropolis.pssmlt import Pssmlt
 from .path import Path
 from .photon.map import Pm
@@ -49,6 +50,7 @@ _OWN: tuple[type[ImageMethod], ...] = (
     Bpm,
     Vcm,
     Pssmlt,
+    Mmlt,
     FilmMetropolis,
     AmbientPath,
     AmbientLight,

@@ -16,7 +16,9 @@ from etendue.core import library, suggest
 from .errors import ParticleError
 
 #: Share of eight bits from which on the bytes of a strip are not worth coding.
-_WORTH = 0.97
+_WORTH = 0.85
+#: Shortest strip of which only every so-and-so-many-th byte is looked at.
+_LONG, _EVERY = 1 << 14, 4
 
 
 @dataclass(frozen=True)
@@ -134,6 +136,6 @@ def _entropy(array: NDArray[np.uint8]) -> float:
     from . import kernels
 
     counts = np.empty(256, np.int64)
-    kernels.entropy_counts(array, counts)
-    shares = counts[counts > 0] / len(array)
+    kernels.entropy_counts(array, counts, _EVERY if len(array) >= _LONG else 1)
+    shares = counts[counts > 0] / counts.sum()
     return float(-(shares * np.log2(shares)).sum())

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from .grid import Grid
 from .particles import WORDS, Rows, columns_of
-from .strips import Chunk, Packing, Strips, differences, summed
+from .strips import Chunk, Packing, Strips, differences, kernels, summed
 
 
 def encode_raw(rows: Rows, coder_name: str) -> Chunk:
@@ -26,7 +26,8 @@ def decode_raw(head: dict[str, Any], strips: Strips, grid: Grid) -> Rows:
 
 def encode_exact(rows: Rows, order: NDArray[np.uint32], coder_name: str) -> Chunk:
     """The rows in ``order``, each column in planes of bytes, as differences of neighbours where these are smaller."""
-    part, packing, chosen = rows[order], Packing(coder_name), []
+    part, packing, chosen = np.empty((len(order), WORDS), np.uint32), Packing(coder_name), []
+    kernels().gathered(rows, order, part)
     for column in range(WORDS):
         values = np.ascontiguousarray(part[:, column])
         steps = differences(values)

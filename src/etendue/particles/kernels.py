@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -55,11 +57,9 @@ def _flux_code(red: float, green: float, blue: float) -> int:
     if not (red >= 0.0 and green >= 0.0 and blue >= 0.0 and largest < np.inf):
         return -1
     if largest < 2.0**-120:
-        return 0
-    exponent = int(np.floor(np.log2(largest))) + 1
-    while largest >= 2.0**exponent:
-        exponent += 1
-    scale = 2.0 ** (POWER_BITS - exponent)
+        return 0 if largest == 0.0 else -1
+    _, exponent = math.frexp(largest)  # largest < 2^exponent
+    scale = math.ldexp(1.0, POWER_BITS - exponent)
     if int(largest * scale + 0.5) >> POWER_BITS:  # rounded up to the next power of two
         exponent += 1
         scale *= 0.5
@@ -70,36 +70,43 @@ def _flux_code(red: float, green: float, blue: float) -> int:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def gathered(rows: Rows, order: Words, part: Rows) -> None:
+    """Copy the rows in ``order``. Done before they are packed, the waits for memory overlap."""
+    for i in range(len(order)):
+        r = order[i]
+        for c in range(rows.shape[1]):
+            part[i, c] = rows[r, c]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def pack(
-    rows: Rows, floats: Floats, order: Words, keys: Codes, frames: Floats, bits: Bytes, bound: float,
+    rows: Rows, floats: Floats, keys: Codes, frames: Floats, bits: Bytes, bound: float,
     directions: Words, powers: Codes, paths: Words, bounces: Words, box: Doubles, flux: Doubles,
 ) -> tuple[bool, bool]:  # fmt: skip
-    """Direction and power codes, paths and bounces of the rows in ``order``, their bounding box (6,) and the sum of
-    their power (3,).
+    """Direction and power codes, paths and bounces of rows, their bounding box (6,) and the sum of their power (3,).
 
     Returns (whether their positions follow from frames within ``bound``, whether their powers have codes)."""
     framed, coded = True, True
     box[:3], box[3:], flux[:] = np.inf, -np.inf, 0.0
-    for i in range(len(order)):
-        row = floats[order[i]]
-        paths[i], bounces[i] = rows[order[i], PATH], rows[order[i], BOUNCE]
-        directions[i] = _octahedral(row[DIRECTION], row[DIRECTION + 1], row[DIRECTION + 2])
-        code = _flux_code(row[POWER], row[POWER + 1], row[POWER + 2])
+    for r in range(len(rows)):  # rows and frames are read by two indices, because views of rows cost time
+        paths[r], bounces[r] = rows[r, PATH], rows[r, BOUNCE]
+        directions[r] = _octahedral(floats[r, DIRECTION], floats[r, DIRECTION + 1], floats[r, DIRECTION + 2])
+        code = _flux_code(floats[r, POWER], floats[r, POWER + 1], floats[r, POWER + 2])
         coded &= code >= 0
-        powers[i] = code
+        powers[r] = code
         for c in range(3):
-            x = np.float64(row[c])
+            x = np.float64(floats[r, c])
             box[c], box[3 + c] = min(box[c], x), max(box[3 + c], x)
-            flux[c] += row[POWER + c]
-        number = np.int64(keys[i] >> np.uint64(32))
+            flux[c] += floats[r, POWER + c]
+        number = np.int64(keys[r] >> np.uint64(32))
         if framed and number < len(frames):
             step = 1.0 / (1 << np.int64(bits[number]))
-            low = np.int64(keys[i] & np.uint64(0xFFFFFFFF))
+            low = np.int64(keys[r] & np.uint64(0xFFFFFFFF))
             u, v = (_gathered(low) + 0.5) * step, (_gathered(low >> 1) + 0.5) * step
-            f = frames[number]
             error = 0.0
             for c in range(3):
-                error += (f[c] + u * f[3 + c] + v * f[6 + c] - row[c]) ** 2
+                x = frames[number, c] + u * frames[number, 3 + c] + v * frames[number, 6 + c] - floats[r, c]
+                error += x * x
             framed &= error <= bound * bound
         else:
             framed = False
@@ -123,9 +130,8 @@ def place(
             rows[i, SHAPE], rows[i, PRIMITIVE] = shapes[run], primitives[run]
             floats[i, UV], floats[i, UV + 1] = u, v
             if with_frames:
-                f = frames[number]
                 for c in range(3):
-                    floats[i, c] = f[c] + u * f[3 + c] + v * f[6 + c]
+                    floats[i, c] = frames[number, c] + u * frames[number, 3 + c] + v * frames[number, 6 + c]
             i += 1
 
 
@@ -162,7 +168,7 @@ def unpack_powers(codes: Codes, floats: Floats) -> None:
     for i in range(len(codes)):
         code = codes[i]
         exponent = np.int64(code >> np.uint64(3 * POWER_BITS)) - 126
-        scale = 2.0 ** (exponent - POWER_BITS) if code else 0.0
+        scale = math.ldexp(1.0, exponent - POWER_BITS) if code else 0.0
         floats[i, POWER] = np.float64((code >> np.uint64(2 * POWER_BITS)) & mask) * scale
         floats[i, POWER + 1] = np.float64((code >> np.uint64(POWER_BITS)) & mask) * scale
         floats[i, POWER + 2] = np.float64(code & mask) * scale
@@ -193,8 +199,8 @@ def palette(codes: Codes, index: Words, table: Codes, slots: NDArray[np.int32]) 
 
 
 @njit(nogil=True, cache=True)
-def entropy_counts(data: Bytes, counts: Index) -> None:
-    """Count the values of bytes."""
+def entropy_counts(data: Bytes, counts: Index, every: int) -> None:
+    """Count the values of every n-th byte."""
     counts[:] = 0
-    for i in range(len(data)):
+    for i in range(0, len(data), every):
         counts[data[i]] += 1

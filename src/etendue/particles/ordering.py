@@ -22,7 +22,7 @@ Index = NDArray[np.int64]
 SHAPE, PRIMITIVE, UV = 9, 10, 11
 #: Gaps share the parameter of their Rice code in blocks of so many; quotients from ``_ESCAPE`` on are written plain.
 BLOCK, _ESCAPE = 64, 20
-_DIGIT = 11
+_DIGIT = 8
 
 
 @njit(nogil=True, cache=True)
@@ -62,36 +62,31 @@ def keys_of(rows: Rows, floats: Floats, first: Index, primitives: Index, bits: B
 def sorted_by(keys: Codes, order: Words) -> None:
     """Sort ``keys``, and write the stable order; a radix sort that skips digits which all keys share."""
     n = len(keys)
-    size = 1 << _DIGIT
+    digits, size = -(-64 // _DIGIT), 1 << _DIGIT
     mask = np.uint64(size - 1)
-    same, any_ = keys[0], keys[0]
+    counts = np.zeros((digits, size), np.int64)
     for i in range(n):
-        same &= keys[i]
-        any_ |= keys[i]
-    differs = same ^ any_
-    other, other_order = np.empty(n, np.uint64), np.empty(n, np.uint32)
-    a, oa, b, ob = keys, order, other, other_order
-    for i in range(n):
-        oa[i] = i
-    counts = np.empty(size, np.int64)
+        key = keys[i]
+        order[i] = i
+        for d in range(digits):
+            counts[d, key & mask] += 1
+            key >>= np.uint64(_DIGIT)
+    a, oa, b, ob = keys, order, np.empty(n, np.uint64), np.empty(n, np.uint32)
     swapped = False
-    for digit in range(0, 64, _DIGIT):
-        shift = np.uint64(digit)
-        if (differs >> shift) & mask == 0:
+    for d in range(digits):
+        shift = np.uint64(d * _DIGIT)
+        if counts[d, (keys[0] >> shift) & mask] == n:
             continue
-        counts[:] = 0
-        for i in range(n):
-            counts[(a[i] >> shift) & mask] += 1
         total = 0
-        for d in range(size):
-            count = counts[d]
-            counts[d] = total
+        for value in range(size):
+            count = counts[d, value]
+            counts[d, value] = total
             total += count
         for i in range(n):
             key = a[i]
-            d = (key >> shift) & mask
-            place = counts[d]
-            counts[d] = place + 1
+            value = (key >> shift) & mask
+            place = counts[d, value]
+            counts[d, value] = place + 1
             b[place] = key
             ob[place] = oa[i]
         a, oa, b, ob = b, ob, a, oa

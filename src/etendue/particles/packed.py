@@ -24,9 +24,10 @@ def encode_packed(
     loops, places, surfaces, n = kernels(), ordering(), grid.surfaces, len(order)
     directions, powers = np.empty(n, np.uint32), np.empty(n, np.uint64)
     paths, bounces = np.empty(n, np.uint32), np.empty(n, np.uint32)
-    box, flux = np.empty(6), np.empty(3)
+    box, flux, part = np.empty(6), np.empty(3), np.empty((n, WORDS), np.uint32)
+    loops.gathered(rows, order, part)
     has_frames, has_codes = loops.pack(
-        *(rows, rows.view(np.float32), order, keys, surfaces.frames, grid.bits, grid.position_bound),
+        *(part, part.view(np.float32), keys, surfaces.frames, grid.bits, grid.position_bound),
         *(directions, powers, paths, bounces, box, flux),
     )
     packing = Packing(coder_name)
@@ -39,7 +40,7 @@ def encode_packed(
     packing.add_planes(counts.astype(np.uint64))
     packing.add(codes[: places.rice(gaps, codes)])
     if not has_frames:
-        position = rows[order, columns_of("position")].view(np.float32)
+        position = part[:, columns_of("position")].view(np.float32)
         for steps in np.rint((position - box[:3]) / grid.position_step).astype(np.uint32).T:
             packing.add_planes(differences(np.ascontiguousarray(steps)))
     planes = np.empty((3, n), np.uint8)
@@ -49,7 +50,7 @@ def encode_packed(
     if has_codes:
         _add_powers(packing, powers)
     else:
-        for column in rows[order, columns_of("power")].T:
+        for column in part[:, columns_of("power")].T:
             packing.add_planes(np.ascontiguousarray(column))
     packing.add_planes(bounces)
     if with_paths:

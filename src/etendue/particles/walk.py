@@ -143,7 +143,9 @@ class ParticleWalk(Walker):
 
         s.active &= s.depth < self.max_edges
         scattered, _ = vertex.sample(source, s.active)
-        relative = s.throughput * scattered.weight / self.lights.total_power
+        # Roulette keeps the largest channel of an absorbed path as it is, so that paths end with about equal power.
+        whole = dr.max(incident) if self.keep is Keep.ABSORBED else mi.Float(self.lights.total_power)
+        relative = s.throughput * scattered.weight / whole
         self.advance(s, vertex, scattered, source, roulette_by=(relative, 1.0))
         s.bounce = self.keep_if_null(scattered, bounce, bounce + 1)
         s.met = self.keep_if_null(scattered, s.met, s.met | (arrived & smooth))

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import mitsuba as mi
 
 from etendue.core import Method
 from etendue.engine import fit_samples, settle_samples
 from etendue.methods import ImageMethod, ImageSettings
 from etendue.scene import Parameters, Problem, check, parameters, view, warn_of_offsets
-
-if TYPE_CHECKING:
-    import mitsuba as mi
 
 #: Largest number of cached sensors and sample counts.
 _MOST = 16

@@ -41,7 +41,7 @@ from etendue.surfaces import (
 
 from .ambient.solutions import ambient_solution, finished
 from .ambient.spreading import spread
-from .ambient.subscenes import HierarchicalAmbient, SubScene, hierarchical_ambient, sub_scenes
+from .ambient.subscenes import HierarchicalAmbient, SubScene, hierarchical_ambient, sub_scenes, sub_scenes_of
 from .casting import REPLICATES, CastingSettings, CastLines, LineCasting
 from .errors import RadiosityError
 from .factors.exact import exact_form_factors
@@ -65,10 +65,10 @@ from .hierarchical_factors.casting import HierarchicalCasting, HierarchicalCasti
 from .hierarchical_factors.lines import TreeBundles, TreeRays
 from .hierarchical_factors.segments import PartialSegments, partial_form_factors
 from .hierarchical_factors.tree import SphereTree, sphere_tree
-from .hierarchical_multipath.grouping import grouped
+from .hierarchical_multipath.grouping import GroupSettings, grouped
 from .hierarchical_multipath.method import HierarchicalMultipath, HierarchicalMultipathSettings, PartProblem
 from .hierarchical_multipath.parts import Part
-from .hierarchical_multipath.reading import part_of, scene_part
+from .hierarchical_multipath.reading import instanced_patches, part_of, scene_part
 from .hierarchical_multipath.solution import HierarchicalSolution, relative_error
 from .lightmaps import lightmap
 from .lines.abuffer import ABuffer, Backend
@@ -112,6 +112,7 @@ __all__ = [
     "FormatError",
     "GltfMesh",
     "GreatCircle",
+    "GroupSettings",
     "HierarchicalAmbient",
     "HierarchicalCasting",
     "HierarchicalCastingSettings",
@@ -178,6 +179,7 @@ __all__ = [
     "gltf_mesh",
     "grouped",
     "hierarchical_ambient",
+    "instanced_patches",
     "joined",
     "least_error_shares",
     "lightmap",
@@ -207,6 +209,7 @@ __all__ = [
     "sphere_tree",
     "spread",
     "sub_scenes",
+    "sub_scenes_of",
     "thermal",
     "vertex_radiosity",
     "with_local_rays",

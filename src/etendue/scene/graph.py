@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    import mitsuba as mi
 
 #: C++ class names whose plugin name is not the lower-case name.
 _PLUGIN_NAMES = {
@@ -66,8 +64,6 @@ class Contents:
 @lru_cache(maxsize=8)
 def _collector(variant: str) -> type:
     # A class per variant, as Mitsuba's types exist only once a variant is set.
-    import mitsuba as mi
-
     class Collector(mi.TraversalCallback):
         def __init__(self, owner: mi.Object) -> None:
             super().__init__()
@@ -87,8 +83,6 @@ def _collector(variant: str) -> type:
 
 def contents(item: mi.Object) -> Contents:
     """The direct contents of a Mitsuba object."""
-    import mitsuba as mi
-
     collector = _collector(mi.variant())(item)
     item.traverse(collector)
     return collector.contents
@@ -118,8 +112,6 @@ def below(item: mi.Object) -> Iterator[mi.Object]:
 
 def shapes(scene: mi.Scene) -> list[mi.Shape]:
     """Every shape of a scene, those inside shape groups included."""
-    import mitsuba as mi
-
     found = list(scene.shapes())
     for _, child in contents(scene).objects:
         if isinstance(child, mi.Shape) and child not in found:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import mitsuba as mi
 
 from .fingerprint import fingerprint
 from .space import RenderSpace
-
-if TYPE_CHECKING:
-    import mitsuba as mi
 
 
 @dataclass(eq=False)

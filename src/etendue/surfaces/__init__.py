@@ -23,7 +23,15 @@ from .lightmaps.atlases import (
     save_textured_mesh,
     scene_mesh,
 )
-from .lightmaps.textures import Lightmap, check_coordinates, lightmap_of, save_lightmap
+from .lightmaps.colours import shown_exposure, vertex_colours
+from .lightmaps.textures import Lightmap, check_coordinates, lightmap_from, lightmap_of, save_lightmap
+from .maps.cells import HistogramBuilder, PatchMap
+from .maps.files import read_map, save_map, solution_map
+from .maps.kernels import KernelBuilder, variable_bandwidths
+from .maps.nearest import PARTICLE_BYTES, NearestMap
+from .maps.places import MapSurfaces
+from .maps.protocol import Irradiance, SurfaceMap, SurfaceParticles, irradiance_at
+from .maps.widths import rule_bandwidths
 from .objects import Objects, find_objects
 from .patches import Patches
 from .places import PatchSurfaces, Place, SurfaceValues
@@ -42,14 +50,21 @@ __all__ = [
     "BATCH",
     "CLASS_NORMALS",
     "LIGHTMAP_MESHES",
+    "PARTICLE_BYTES",
     "STEFAN_BOLTZMANN",
     "STEP",
     "AmbientTerm",
+    "HistogramBuilder",
     "Hits",
+    "Irradiance",
+    "KernelBuilder",
     "Lightmap",
+    "MapSurfaces",
     "MeshDiagnosis",
+    "NearestMap",
     "Objects",
     "PatchError",
+    "PatchMap",
     "PatchSurfaces",
     "Patches",
     "Place",
@@ -57,6 +72,8 @@ __all__ = [
     "RaySource",
     "Sides",
     "SurfaceError",
+    "SurfaceMap",
+    "SurfaceParticles",
     "SurfaceValues",
     "TexturedMesh",
     "VertexRadiosity",
@@ -82,18 +99,27 @@ __all__ = [
     "gltf_mesh",
     "has_instances",
     "incoming",
+    "irradiance_at",
     "joined",
     "joint_sphere",
+    "lightmap_from",
     "lightmap_of",
     "mesh_normals",
     "pairs_of",
+    "read_map",
     "read_patches",
+    "rule_bandwidths",
     "save_lightmap",
+    "save_map",
     "save_textured_mesh",
     "scene_mesh",
     "scene_parts",
     "scene_patches",
+    "shown_exposure",
+    "solution_map",
     "thermal",
     "triangles",
+    "variable_bandwidths",
+    "vertex_colours",
     "vertex_radiosity",
 ]

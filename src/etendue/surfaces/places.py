@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import drjit as dr
+import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -15,9 +15,6 @@ from etendue.scene import RenderSpace
 from .faces import triangles
 from .patches import Patches
 from .smoothing import face_sides, vertex_radiosity
-
-if TYPE_CHECKING:
-    import mitsuba as mi
 
 Index = NDArray[np.int64]
 
@@ -49,8 +46,6 @@ class PatchSurfaces:
 
     def __init__(self, patches: Patches) -> None:
         use_variant()
-        import mitsuba as mi
-
         self.patches = patches
         self.corners, self.patch = face_sides(patches)
         self._centre, self._radius = patches.sphere
@@ -74,8 +69,6 @@ class PatchSurfaces:
         """Places of the points ``p`` of surfaces with normals ``n`` on the visible side. Both are in ``space``, by
         default that of the patches. Casts rays in separate kernels, so it must not be used in device loops.
         """
-        import mitsuba as mi
-
         count = max(dr.width(p), dr.width(active))
         place = Place(dr.zeros(mi.UInt32, count), dr.zeros(mi.Vector4f, count), dr.full(mi.Bool, False, count))
         space = space or RenderSpace()
@@ -105,8 +98,6 @@ class PatchSurfaces:
 
     def _weights(self, side: mi.UInt32, met: mi.PreliminaryIntersection3f, active: mi.Bool) -> mi.Vector4f:
         """Linear on triangles, bilinear on quadrilaterals, whose triangles are 0 1 2 and 0 2 3."""
-        import mitsuba as mi
-
         u, v = met.prim_uv.x, met.prim_uv.y
         is_second = met.prim_index >= len(self.corners)
         s, t = dr.select(is_second, u, u + v), dr.select(is_second, u + v, v)
@@ -131,8 +122,6 @@ class SurfaceValues:
         between: ArrayLike | None = None,
         angle: float = 30.0,
     ) -> None:
-        import mitsuba as mi
-
         self._constant = _colours(constant)
         self._patch = copied_to_device(mi.UInt32, surfaces.patch.astype(np.uint32))
         self._factor = None
@@ -143,8 +132,6 @@ class SurfaceValues:
 
     def at(self, place: Place) -> mi.Color3f:
         """Colours at places; black where there is no patch."""
-        import mitsuba as mi
-
         patch = dr.gather(mi.UInt32, self._patch, place.side, place.found)
         value = dr.gather(mi.Color3f, self._constant, patch, place.found)
         if self._factor is not None:
@@ -158,8 +145,6 @@ class SurfaceValues:
 
 def _colours(values: ArrayLike) -> mi.Float:
     """(n, c) numbers as colours on the device."""
-    import mitsuba as mi
-
     rows: Array = np.asarray(values, dtype=np.float64)
     rows = np.broadcast_to(rows.reshape(len(rows), -1), (len(rows), 3))
     return copied_to_device(mi.Float, rows.astype(np.float32))

@@ -7,11 +7,13 @@ from .bidirectional.light_walk import LightWalk
 from .bidirectional.mis import GRAZING, Mis, Techniques
 from .bidirectional.photons import Photon, Photons, unfolded
 from .bidirectional.pyramid import PYRAMID_MAX, Pyramid
+from .bidirectional.single import SingleContribution, SingleTechnique
 from .bidirectional.sinks import CameraSink, Contribution, Sink, SplatSink
 from .bidirectional.vertices import Kind, LightVertex, LightVertices, needs_interaction
-from .camera import CameraConnection, CameraSampler, Splats
+from .camera import CameraConnection, CameraSampler, SplatPlace, Splats
 from .direct import DirectWeights
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
+from .ending import EndingGuidedWalk, EndingWalker, light_of_map
 from .functions import TransportFunctions, film_picture
 from .guiding.guide import NOWHERE, Guide, GuidedScattered, direction_of, square_of
 from .guiding.lights import MOST_LIGHTS, LightChoice, LocalLights
@@ -39,7 +41,7 @@ from .schemes.numbers import Emission as EmissionScheme
 from .schemes.strata import EMISSION, FIRST_BOUNCE, StratifiedSource
 from .vertex import Joined, Vertex, WalkVertex
 from .visibility import Visibility
-from .walk import CameraPath, Emission, SubPath, Walker, ones
+from .walk import CameraPath, Emission, MapEnd, SubPath, Walker, ones
 
 __all__ = [
     "AMBIENT_WALKS",
@@ -66,6 +68,8 @@ __all__ = [
     "Emission",
     "EmissionScheme",
     "EmittedRay",
+    "EndingGuidedWalk",
+    "EndingWalker",
     "Evaluated",
     "Gather",
     "GivenNumbers",
@@ -83,13 +87,17 @@ __all__ = [
     "LightVertices",
     "LightWalk",
     "LocalLights",
+    "MapEnd",
     "Mis",
     "Photon",
     "Photons",
     "Proposal",
     "Pyramid",
     "Scattered",
+    "SingleContribution",
+    "SingleTechnique",
     "Sink",
+    "SplatPlace",
     "SplatSink",
     "Splats",
     "StratifiedSource",
@@ -116,6 +124,7 @@ __all__ = [
     "irradiance_gradients",
     "is_emissive",
     "is_smooth",
+    "light_of_map",
     "needs_interaction",
     "ones",
     "point_on",

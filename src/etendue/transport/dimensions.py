@@ -9,6 +9,7 @@ from __future__ import annotations
 FILM = 0  #: 2 numbers: point on the film
 APERTURE = 2  #: 2 numbers: point on the aperture
 LENGTH = 4  #: 1 number: edges of the path, for methods that sample this number
+TECHNIQUE = 5  #: 1 number: technique of a path of these edges, for methods that sample it
 
 # Vertex 0 of a light sub-path.
 LIGHT_PICK = 0  #: 1 number: the light

@@ -43,12 +43,29 @@ class SubPath:
     rays: mi.UInt32  #: rays cast so far, including shadow rays
 
 
+@dataclass
+class MapEnd:
+    """Where a path ends in a map, one lane each."""
+
+    reached: mi.Bool
+    position: mi.Point3f
+    normal: mi.Normal3f  #: geometric, on the side of the path
+    throughput: mi.Color3f  #: including the albedo
+    depth: mi.UInt32  #: edges of the path up to there, one more if the end depends on a choice at the last vertex
+
+    @classmethod
+    def none(cls) -> MapEnd:
+        """Before the first edge."""
+        return cls(mi.Bool(False), mi.Point3f(0.0), mi.Normal3f(0.0), mi.Color3f(0.0), mi.UInt32(0))
+
+
 @dataclass(kw_only=True)
 class CameraPath(SubPath):
     """State of a camera path that finds lights by hits and light points."""
 
     radiance: mi.Color3f  #: sum of the contributions
     pdf: mi.Float  #: solid-angle density of the next edge's direction; 0 where only a hit can find a light
+    end: MapEnd | None = None  #: where the path ends in a map, if paths do
 
     @classmethod
     def start(cls, ray: mi.Ray3f, max_edges: mi.UInt32, **own: Any) -> Self:
@@ -113,6 +130,10 @@ class Walker:
             valid=valid,
             proposal=self.proposal,
         )
+
+    def ends(self, vertex: WalkVertex) -> mi.Bool:
+        """Whether paths end in a map at a vertex, unless they go on through its mirror or glass."""
+        return mi.Bool(False)
 
     def emission(self, s: SubPath, vertex: WalkVertex, lights: LightTable | LocalLights | None = None) -> Emission:
         """Emission at the end of the edge, including the environment's. ``lights``: those of :meth:`light_point` at the

@@ -16,13 +16,14 @@ from typing import ClassVar
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import setting
+from etendue.core import OptionError, setting
 from etendue.scene import Problem
 from etendue.transport import CameraPath, CameraSampler, Walker, WalkVertex
 from etendue.transport import dimensions as dim
 
 from .. import radius as radii
-from ..base import STEP_LANES, ImageMethod, ImageSettings, corners
+from ..base import STEP_LANES, ImageSettings, corners
+from ..ending import EndsInMap
 from ..path import PathSettings
 from ..photon.photons import PhotonGrid, PhotonTracer
 from .dimensions import Draw, Group, NumberedSource
@@ -61,7 +62,7 @@ class NumberedPath(CameraPath):
     parts: list[mi.Float]  #: luminance of the contributions that depend on each ``Drawn``; empty without learning
 
 
-class AdaptivePath(ImageMethod):
+class AdaptivePath(EndsInMap):
     """Path tracing with the random numbers of a :class:`NumberedSource`."""
 
     Settings: ClassVar[type[ImageSettings]] = AdaptiveSettings
@@ -71,6 +72,8 @@ class AdaptivePath(ImageMethod):
         """See :class:`ImageMethod`. With ``maps``, a pilot measures the number of photons of a light path."""
         super().prepare(problem, seed)
         o = self.settings
+        if o.maps and self.map is not None:
+            raise OptionError("paths end in photons (maps) or in a map (map), not in both; leave out one of them")
         self._maps: PhotonGrid | None = None
         if not o.maps:
             return
@@ -122,8 +125,11 @@ class AdaptivePath(ImageMethod):
         ray, importance, _ = self.camera.primary(pixel, source)
         walker = self.walker(Walker, proposal=self.settings.proposal)
         parts = [mi.Float(0.0) for _ in source.drawn] if learning else []
-        path = NumberedPath.start(ray, walker.max_edges, parts=parts)
+        path = NumberedPath.start(ray, walker.max_edges, parts=parts, **self.ending_state())
         path = walker.walk(path, lambda s: self._edge(s, walker, source), "path of given numbers")
+        if (light := self.light_of_map(path)) is not None and path.end is not None:
+            path.depth = path.end.depth
+            _count(path, source, light, path.end.reached, by_light_point=False)
         path.radiance *= importance
         return path
 

@@ -105,8 +105,10 @@ class VegasPath(Carrying, AdaptivePath):
         o = self.settings  # checked here, so that errors are raised before the scene is loaded
         groups(o.groups, o.bounces)
         check_merge(o.groups, o.merge)
-        if o.maps and o.one_path:
-            raise OptionError("one_path=true cannot be combined with maps, because photons have any length; set maps=0")
+        if o.one_path and (o.maps or o.map):
+            raise OptionError(
+                "one_path=true cannot be combined with maps, because the light of a map has any length; leave it out"
+            )
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`AdaptivePath`; the densities are uniform."""

@@ -15,6 +15,7 @@ from typing import ClassVar
 from etendue.core import setting
 
 from ..base import ImageSettings
+from .bidirectional import PairTarget
 from .method import MetropolisMethod, MetropolisSettings
 from .targets import PathTarget, Target
 
@@ -23,7 +24,12 @@ from .targets import PathTarget, Target
 class PssmltSettings(MetropolisSettings):
     """Settings of ``pssmlt``."""
 
-    estimator: str = setting("path", "paths that the chains mutate: those of path", choices=("path",))
+    estimator: str = setting(
+        "path",
+        "paths that the chains mutate: camera paths as of path (path), or pairs of a light path and a camera path, all "
+        "of whose vertices are connected with each other (bidirectional)",
+        choices=("path", "bidirectional"),
+    )
 
 
 class Pssmlt(MetropolisMethod):
@@ -36,4 +42,5 @@ class Pssmlt(MetropolisMethod):
 
     def make_target(self, seed: int) -> Target:
         """See :class:`MetropolisMethod`."""
-        return PathTarget(self, self.settings.vertices)
+        vertices = self.settings.vertices
+        return PairTarget(self, vertices) if self.settings.estimator == "bidirectional" else PathTarget(self, vertices)

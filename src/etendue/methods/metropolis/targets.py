@@ -62,6 +62,14 @@ def camera_slots(method: ImageMethod) -> tuple[list[Slot], list[Slot]]:
     return [Slot(dim.FILM, 2), *lens], inner
 
 
+def light_slots(method: ImageMethod) -> tuple[list[Slot], list[Slot]]:
+    """As :func:`camera_slots`, of a light sub-path; the aperture sample of a splat is that of vertex 1."""
+    pick = [Slot(dim.LIGHT_PICK)] if method.lights.count > 1 else []
+    lens = [Slot(dim.SPLAT_APERTURE, 2)] if method.camera.sensor.needs_aperture_sample() else []
+    end = [*pick, Slot(dim.LIGHT_POINT, 2), Slot(dim.LIGHT_DIRECTION, 2)]
+    return end, [Slot(dim.LOBE, decided=True), Slot(dim.DIRECTION, 2), *lens]
+
+
 ROULETTE = Slot(dim.ROULETTE, decided=True)
 
 

@@ -12,6 +12,7 @@ from etendue.core import Array
 from etendue.surfaces import AmbientTerm, Patches, class_factors, class_weights, incoming
 
 from ..errors import RadiosityError
+from ..hierarchical_multipath.parts import Part, Tree
 
 Index = NDArray[np.int64]
 #: Classes of the opposite normals.
@@ -66,6 +67,24 @@ def sub_scenes(patches: Patches, parts: ArrayLike) -> SubScene:
         corners = patches.vertices[patches.faces[(number[sides] == part).any(axis=1)]].reshape(-1, 3)
         made.append(SubScene(np.flatnonzero(number == part), (), corners.min(axis=0), corners.max(axis=0)))
     return SubScene(np.flatnonzero(number < 0), tuple(made))
+
+
+def sub_scenes_of(root: Part, *, is_joined: bool = False) -> SubScene:
+    """A scene of parts as sub-scenes, each with the box along the axes around that of its part. Patches are those that
+    parts were made of, or ``is_joined`` those of ``root.joined()``."""
+    tree = Tree(root)
+    numbers = tree.numbers_in_joined if is_joined else np.concatenate([tree.parts[k].numbers for k in tree.part])
+
+    def of(node: int) -> SubScene:
+        part, world = tree.parts[tree.part[node]], tree.world[node]
+        inner = tuple(of(int(tree.first[node]) + k) for k in range(len(part.children)))
+        low, high = part.bounds
+        corners = np.array([np.where([k & 1, k & 2, k & 4], high, low) for k in range(8)])
+        placed = corners @ world[:3, :3].T + world[:3, 3]
+        own = numbers[tree.offsets[node] : tree.offsets[node + 1]]
+        return SubScene(own, inner, placed.min(axis=0), placed.max(axis=0))
+
+    return of(0)
 
 
 def hierarchical_ambient(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import Array, logger
+from etendue.core import Array, Settings, logger, setting
 from etendue.surfaces import Patches
 
 from ..errors import RadiosityError
@@ -19,6 +19,15 @@ Index = NDArray[np.int64]
 THRESHOLD = 0.8
 #: Patches that a box is worth.
 LEAST = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroupSettings(Settings):
+    """How objects are grouped to boxes, see :func:`grouped`."""
+
+    threshold: float = setting(THRESHOLD, "quotient of areas above which objects become a group", above=0)
+    least: int = setting(LEAST, "patches that a box is worth", minimum=1)
+    levels: int = setting(1, "levels of groups", minimum=1)
 
 
 @dataclass(frozen=True)
@@ -40,10 +49,6 @@ class _Item:
             *(np.minimum(self.low, other.low), np.maximum(self.high, other.high), self.areas + other.areas),
             *(self.objects + other.objects, members, True),
         )
-
-    def overlaps(self, other: _Item) -> bool:
-        slack = 1e-6 * np.linalg.norm(np.maximum(self.high, other.high) - np.minimum(self.low, other.low))
-        return bool((np.minimum(self.high, other.high) - np.maximum(self.low, other.low) > slack).all())
 
 
 def grouped(
@@ -133,33 +138,83 @@ class _Builder:
 
 def _items(patches: Patches, of: Index) -> list[_Item]:
     front = of[patches.front]
-    corners = patches.vertices[patches.faces]
-    found = []
-    for k in np.unique(front[front >= 0]):
-        points = corners[front == k].reshape(-1, 3)
-        low, high = points.min(axis=0), points.max(axis=0)
-        found.append(_Item(low, high, box_area(low, high), (int(k),)))
-    return found
+    order = np.argsort(front, kind="stable")
+    order = order[np.searchsorted(front[order], 0) :]
+    if len(order) == 0:
+        return []
+    begins = np.flatnonzero(np.diff(front[order], prepend=-1))
+    corners = patches.vertices[patches.faces[order]]
+    low = np.minimum.reduceat(corners.min(axis=1), begins)
+    high = np.maximum.reduceat(corners.max(axis=1), begins)
+    return [
+        _Item(*box, box_area(*box), (int(front[order[k]]),))
+        for k, box in zip(begins, zip(low, high, strict=True), strict=True)
+    ]
 
 
 def _merged(items: list[_Item], threshold: float) -> list[_Item]:
     """One level of groups: pairs that overlap first, then the best quotient first."""
-    alive: dict[int, _Item] = dict(enumerate(items))
-    quotients = {(i, j): _quotient(alive[i], alive[j]) for i in alive for j in alive if i < j}
-    while quotients:
-        (i, j), best = max(quotients.items(), key=lambda entry: entry[1])
-        if best <= threshold:
-            break
-        new = max(alive) + 1
-        both = alive.pop(i).with_(alive.pop(j))
-        quotients = {pair: q for pair, q in quotients.items() if not {i, j} & set(pair)}
-        quotients |= {(k, new): _quotient(item, both) for k, item in alive.items()}
-        alive[new] = both
-    return list(alive.values())
+    pairs = _Pairs(items)
+    while (best := pairs.best()) is not None and best[0] > threshold:
+        pairs.merge(*best[1:])
+    return pairs.left()
 
 
-def _quotient(one: _Item, other: _Item) -> float:
-    if one.overlaps(other):
-        return np.inf
-    whole = box_area(np.minimum(one.low, other.low), np.maximum(one.high, other.high))
-    return (one.areas + other.areas) / whole
+class _Pairs:
+    """Quotients of all pairs of items: the sum of the areas of their boxes over that of the box around both, infinite
+    if these overlap. A pair is evaluated once: k items take k^2 evaluations at most, whatever is merged.
+
+    A merged item takes the place of the second one. ``evaluated``: pairs so far.
+    """
+
+    def __init__(self, items: list[_Item]) -> None:
+        self._items: list[_Item | None] = list(items)
+        self._born = np.arange(len(items))
+        self._low, self._high = (np.array([getattr(i, name) for i in items]).reshape(-1, 3) for name in ("low", "high"))
+        self._areas = np.array([item.areas for item in items])
+        self._quotients = np.full((len(items), len(items)), -np.inf)
+        self.evaluated = 0
+        for k in range(len(items)):
+            self._evaluate(k, np.arange(k))
+        self._partner = self._quotients.argmax(axis=1) if items else np.zeros(0, np.int64)
+
+    def best(self) -> tuple[float, int, int] | None:
+        """The largest quotient and its pair, ``None`` for less than two items."""
+        if len(self._born) < 2:
+            return None
+        rows = self._quotients[np.arange(len(self._born)), self._partner]
+        first = int(rows.argmax())
+        one, other = sorted((first, int(self._partner[first])))
+        return float(rows[first]), one, other
+
+    def merge(self, one: int, other: int) -> None:
+        """Make two items one."""
+        first, second = self._items[one], self._items[other]
+        assert first is not None and second is not None, "only what is left is merged"
+        both = self._items[other] = first.with_(second)
+        self._items[one] = None
+        self._born[other] = self._born.max() + 1
+        self._low[other], self._high[other], self._areas[other] = both.low, both.high, both.areas
+        self._quotients[[one, other]] = self._quotients[:, [one, other]] = -np.inf
+        others = [k for k, item in enumerate(self._items) if item is not None and k != other]
+        self._evaluate(other, np.array(others, dtype=np.int64))
+        stale = np.isin(self._partner, [one, other])
+        stale[[one, other]] = True
+        self._partner[stale] = self._quotients[stale].argmax(axis=1)
+        better = self._quotients[:, other] > self._quotients[np.arange(len(self._born)), self._partner]
+        self._partner[better] = other
+
+    def left(self) -> list[_Item]:
+        """What there is, the oldest first."""
+        return [item for k in np.argsort(self._born) if (item := self._items[k]) is not None]
+
+    def _evaluate(self, one: int, others: Index) -> None:
+        low, high = self._low, self._high
+        around = np.maximum(high[one], high[others]) - np.minimum(low[one], low[others])
+        common = np.minimum(high[one], high[others]) - np.maximum(low[one], low[others])
+        overlap = (common > 1e-6 * np.linalg.norm(around, axis=1)[:, None]).all(axis=1)
+        whole = 2 * (around * np.roll(around, 1, axis=1)).sum(axis=1)
+        with np.errstate(divide="ignore"):
+            found = np.where(overlap, np.inf, (self._areas[one] + self._areas[others]) / whole)
+        self._quotients[one, others] = self._quotients[others, one] = found
+        self.evaluated += len(others)

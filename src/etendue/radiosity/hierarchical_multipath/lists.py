@@ -157,7 +157,7 @@ def _lists_of(
     child_lines = np.bincount(crossings.ravel(), minlength=len(part.children) * len(regions))
     for k, row in enumerate(child_lines.reshape(-1, len(regions))):
         if not row.any():
-            raise RadiosityError(f"no line crosses the box of copy {k} of {len(part.children)}: cast more lines")
+            raise RadiosityError(f"no line crosses the box of copy {k} of {len(part.children)}: set more lines")
     share = np.divide(passed, through, out=np.zeros(len(regions)), where=through > 0)
     return Lists(
         part=part,

@@ -25,6 +25,7 @@ from etendue.core import Settings as AnySettings
 from etendue.points import OwenSobol, PointSet
 
 from ..errors import RadiosityError
+from ..lines.engine import warn_of_backs
 from ..problem import PatchProblem
 from .exchange import Exchange
 from .firstshot import FirstShots
@@ -163,7 +164,7 @@ class HierarchicalMultipath:
         left = exchange.iterate_until(options.residual, options.iterations)
         if left > _MUCH:
             logger.warning(
-                "%.0f %% of the light is still on its way after %d iterations: allow more, or cast more lines",
+                "%.0f %% of the light is still on its way after %d iterations: set more of these, or more lines",
                 *(100 * left, options.iterations),
             )
         sums = {"received": exchange.received.by_node(self.tree)}
@@ -190,8 +191,11 @@ class HierarchicalMultipath:
         )
 
     def solution(self, measurement: Measurement) -> HierarchicalSolution:
-        """The mean of the passes."""
+        """The mean of the passes. Warns if much light is lost to backs of faces."""
         means = {name: measurement.mean(name) for name in measurement.sums}
+        warn_of_backs(
+            float((means["lost"] / np.where(means["sent"] > 0, means["sent"], 1)).max()), "of the light meets"
+        )
         error = None
         if len(measurement.iterations) > 1:
             error = np.sqrt(np.maximum(measurement.variance_of_mean("received"), 0))
@@ -235,11 +239,14 @@ class HierarchicalMultipath:
 
     def _check_memory(self) -> None:
         lists = sum((BYTES_OUTSIDE if part.children else BYTES_INSIDE) * n for part, n in self.lines.items())
-        # Received and unshot power; their sum, squares, and the same again where passes are added up.
-        power = 8 * 6 * self.root.total * self.root.channels
+        # Received and unshot power; their sum, squares, and the same again where passes are added up. What waits at
+        # boxes, on the way in and on the way out.
+        regions = len(self._options.regions) * len(self.tree)
+        power = 8 * (6 * self.root.total + 2 * regions) * self.root.channels
         free = free_memory()
         if free is not None and lists + power > free:
             raise RadiosityError(
-                f"{self._options.lines} lines and {self.root.total} patches need {(lists + power) / 1e9:.1f} GB, "
-                f"{free / 1e9:.1f} GB are free: cast fewer lines, or make patches larger"
+                f"{self._options.lines} lines a pass, {self.root.total} patches and {len(self.tree) - 1} boxes of "
+                f"{len(self._options.regions)} regions need {(lists + power) / 1e9:.1f} GB, {free / 1e9:.1f} GB are "
+                "free: set fewer lines, a smaller grid of boxes, or larger patches"
             )

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from etendue.surfaces import Patches, find_objects, has_instances, scene_parts
+import numpy as np
+
+from etendue.surfaces import Patches, find_objects, has_instances, scene_parts, scene_patches
 
 from .grouping import LEAST, THRESHOLD, grouped
-from .parts import Part
+from .parts import Part, Tree
 
 
 def part_of(
@@ -26,3 +28,26 @@ def scene_part(scene: Any, *, max_area: float | None = None) -> Part | None:
         return None
     around, groups = scene_parts(scene, max_area=max_area)
     return Part(around, [(Part(patches), transforms) for patches, transforms in groups])
+
+
+def instanced_patches(scene: Any, *, max_area: float | None = None) -> Patches:
+    """:func:`scene_patches` of a scene that may have instances: all of them in one mesh, each of them a shape.
+
+    Raises as :func:`scene_patches` and :func:`scene_part` do.
+    """
+    root = scene_part(scene, max_area=max_area)
+    if root is None:
+        return scene_patches(scene, max_area=max_area)
+    tree = Tree(root)
+    patches = tree.joined()
+    around = root.patches
+    own = () if around is None else around.shape_names
+    shapes = np.empty(len(patches), dtype=np.int64)
+    for node in range(len(tree)):
+        numbers = tree.numbers_in_joined[tree.offsets[node] : tree.offsets[node + 1]]
+        shapes[numbers] = len(own) + node - 1
+    if around is not None and around.shapes is not None:
+        shapes[tree.numbers_in_joined[: len(around)]] = around.shapes
+    patches.shapes = shapes
+    patches.shape_names = (*own, *(f"instance {k}" for k in range(len(tree) - 1)))
+    return patches

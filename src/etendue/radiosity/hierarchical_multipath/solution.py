@@ -33,6 +33,13 @@ class HierarchicalSolution:
     lost: Array
     residual: Array
 
+    @property
+    def imbalance(self) -> float:
+        """Difference of input and output power, relative to the input, see :class:`Solution`: what was lost to backs of
+        faces, and what is on its way."""
+        gone = self.absorbed + self.to_sky
+        return float(np.abs(self.sent - gone).sum() / max(self.sent.sum(), 1e-300))
+
     def irradiance(self, node: int) -> Array:
         """(n, c) of a node."""
         return self._rows(self.received, node) / self.tree.areas(node)[:, None]
@@ -93,9 +100,8 @@ class PartSolution(Solution):
 
     @cached_property
     def power(self) -> dict[str, Array]:
-        """See :class:`Solution`; what backs of faces take is absorbed, as is what is on its way."""
+        """See :class:`Solution`. What backs of faces take and what is on its way is missing, as in other solutions."""
         assert self.whole is not None
         emitted = (self.patches.areas[:, None] * self.patches.emission).sum(axis=0)
-        absorbed = self.whole.absorbed + self.whole.lost + self.whole.residual
         from_sky = np.maximum(self.whole.sent - emitted, 0)
-        return {"emitted": emitted, "from_sky": from_sky, "absorbed": absorbed, "to_sky": self.whole.to_sky}
+        return {"emitted": emitted, "from_sky": from_sky, "absorbed": self.whole.absorbed, "to_sky": self.whole.to_sky}

@@ -101,10 +101,14 @@ def warn_of_faults(segments: Segments | Any) -> None:
             "with_local_rays()",
             *(len(segments.unseen), len(segments.patches), segments.unseen[0]),
         )
-    dark = segments.to_dark.sum() / max(segments.counted.sum(), 1)
-    if dark > _DARK:
+    warn_of_backs(float(segments.to_dark.sum() / max(segments.counted.sum(), 1)), "of what patches see is")
+
+
+def warn_of_backs(share: float, what: str) -> None:
+    """Warn if backs of faces have a large share of something."""
+    if share > _DARK:
         logger.warning(
-            "%.2g of what patches see is backs of faces, which absorb everything: faces are turned the wrong way, "
-            "or the mesh is open; see etendue.radiosity.diagnose",
-            dark,
+            "%.2g %s backs of faces, which absorb everything: faces are turned the wrong way or lie on each other, or "
+            "the mesh is open; see etendue.radiosity.diagnose",
+            *(share, what),
         )

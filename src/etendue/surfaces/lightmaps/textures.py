@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,19 +39,31 @@ class Lightmap:
 
 
 def lightmap_of(surfaces: PatchSurfaces, values: SurfaceValues, mesh: TexturedMesh, size: tuple[int, int]) -> Lightmap:
-    """A texture of (width, height) ``size`` with ``values`` on the surfaces of the mesh.
+    """:func:`lightmap_from` of ``values`` on patches. Raises :class:`SurfaceError` also if there are none at the
+    mesh."""
+    return lightmap_from(functools.partial(_evaluate, surfaces, values), mesh, size)
+
+
+def lightmap_from(
+    evaluate: Callable[[Array, Array], tuple[NDArray[np.float32], NDArray[np.bool_]]],
+    mesh: TexturedMesh,
+    size: tuple[int, int],
+) -> Lightmap:
+    """A texture of (width, height) ``size`` with a function on the surfaces of the mesh.
+
+    evaluate: (colours (k, 3), whether there is one (k,)) at points (k, 3) with normals (k, 3).
 
     Every texel whose centre lies in a triangle gets the value at that point of the patches; a triangle without such
     texels uses its centre. All other texels get the value of the nearest of these.
 
-    Raises :class:`SurfaceError` if triangles overlap in the texture or leave the unit square, and if there are no
-    patches at the mesh.
+    Raises :class:`SurfaceError` if triangles overlap in the texture or leave the unit square, and if there is no colour
+    anywhere.
     """
     width, height = size
     if min(size) < 1:
         raise SurfaceError(f"a lightmap has at least one texel, not {width} x {height}")
     texel, points, normals = _texels(mesh, width, height)
-    colours, found = _evaluate(surfaces, values, points, normals)
+    colours, found = evaluate(points, normals)
     if not found.any():
         raise SurfaceError("the mesh with the texture coordinates is not on the patches; give the mesh of the patches")
     row, column = np.divmod(texel[found], width)

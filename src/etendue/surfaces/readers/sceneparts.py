@@ -35,7 +35,10 @@ def scene_parts(
     sky = scene_sky(scene)
     around = None
     if own:
-        around = patches_of(own, segments, space)[0].with_properties(sky=sky)
+        around, shape, _ = patches_of(own, segments, space)
+        around = around.with_properties(sky=sky)
+        around.shapes = shape[around.labels]
+        around.shape_names = tuple(graph.name(item) or f"shape {k}" for k, item in enumerate(own))
         around = around if max_area is None else around.subdivided(max_area)
     elif sky.any():
         raise UnsupportedError("a scene of instances alone has no sky in radiosity; add a shape that is no instance")

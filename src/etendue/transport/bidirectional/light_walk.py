@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -12,18 +13,19 @@ from etendue.core import SampleSource
 from .. import dimensions as dim
 from ..camera import CameraConnection
 from ..emission import emit
-from ..scattering import Evaluated, Proposal, cosine_ratio, geometric_cos, scatter_light
+from ..scattering import Evaluated, Proposal, Scattered, cosine_ratio, geometric_cos, scatter_light
 from ..spheres import seen_density
 from ..vertex import WalkVertex
 from ..walk import ones
+from .mis import RadiusFree
 from .sinks import SplatSink
 from .vertices import Kind, LightVertices
 from .walk import BidirectionalPath, BidirectionalWalk
 
 
 @dataclass(kw_only=True)
-class _State(BidirectionalPath):
-    """Loop state, one lane a light sub-path."""
+class LightPath(BidirectionalPath):
+    """State of a light sub-path."""
 
     stored: mi.UInt32  #: vertices stored so far
     kind: mi.UInt32  #: the :class:`Kind` of the vertex that the edge leads to
@@ -38,6 +40,7 @@ class LightWalk(BidirectionalWalk):
     """Traces light sub-paths; :meth:`trace` is one kernel."""
 
     proposal: Proposal = scatter_light
+    kind: type[LightPath] = LightPath  #: class of the state
     sink: SplatSink | None = None
 
     def trace(
@@ -45,15 +48,24 @@ class LightWalk(BidirectionalWalk):
     ) -> tuple[mi.UInt32, mi.UInt32]:
         """Trace ``paths`` sub-paths; their vertices are added to ``vertices`` and splatted to the sink, if given.
         Returns (rays, non-finite splats), one lane a path, not yet evaluated."""
+        numbered = self.pyramid is not None or (vertices is not None and vertices.numbered)
+        state, path = self.begin(paths, source, numbered), dr.arange(mi.UInt32, paths)
+        state = self.walk(state, lambda s: self._edge(s, path, source, vertices), "light walk")
+        if vertices is not None:
+            vertices.close_paths(path, state.stored)
+        return state.rays, state.nonfinite
+
+    def begin(self, paths: int, source: SampleSource, numbered: bool = False, **own: Any) -> LightPath:
+        """The state before the first edge of ``paths`` sub-paths. ``numbered``: vertices are counted without null
+        surfaces; ``own``: fields of a subclass of the state ``kind``."""
         emitted = emit(self.lights, source, mi.Bool(True))
         d_vcm, d_vc = self.mis.start_light(
             emitted.area_density, emitted.emission_density, emitted.cos_light, emitted.is_delta
         )
-        path = dr.arange(mi.UInt32, paths)
         # Next event samples spherical lights by solid angle, with a density that depends on the end of the first edge.
         waits = self.lights.has_sphere and self.mis.techniques.next_event > 0
-        numbered = self.pyramid is not None or (vertices is not None and vertices.numbered)
-        state = _State(
+        return self.kind(
+            **own,
             active=emitted.active & (self.max_edges > 1),
             ray=emitted.ray,
             throughput=emitted.throughput,
@@ -72,29 +84,12 @@ class LightWalk(BidirectionalWalk):
             rays=dr.zeros(mi.UInt32, paths),
             nonfinite=dr.zeros(mi.UInt32, paths),
         )
-        state = self.walk(state, lambda s: self._edge(s, path, source, vertices), "light walk")
-        if vertices is not None:
-            vertices.close_paths(path, state.stored)
-        return state.rays, state.nonfinite
 
-    def _edge(self, s: _State, path: mi.UInt32, source: SampleSource, vertices: LightVertices | None) -> _State:
+    def _edge(self, s: LightPath, path: mi.UInt32, source: SampleSource, vertices: LightVertices | None) -> LightPath:
         """Trace one edge; splat, store and scatter at its end."""
         vertex = self.arrive(s)
         s.active &= vertex.valid
-
-        # ---- Arrive: solid angle to area
-        on_edge = s.d_vcm, s.d_vc
-        light_cos = geometric_cos(vertex.si, vertex.incoming)
-        distance_squared = dr.square(vertex.distance)
-        if self.lights.has_infinite:
-            distance_squared = dr.select(s.from_infinity, 1.0, distance_squared)
-        d_vcm = s.d_vcm
-        if s.waiting is not None:
-            light = self.lights.row(s.light, s.active & (s.waiting > 0.0))
-            waiting = dr.select(s.waiting > 0.0, s.waiting, 1.0)
-            density = seen_density(light, vertex.position, -vertex.incoming, vertex.distance, waiting)
-            d_vcm = self.mis.lit(d_vcm, dr.select(s.waiting > 0.0, density / waiting, 1.0))
-        s.d_vcm, s.d_vc = self.mis.hit(d_vcm, s.d_vc, distance_squared, light_cos)
+        on_edge, light_cos = self.land(s, vertex)
 
         # ---- Store
         smooth = s.active & vertex.smooth
@@ -113,6 +108,36 @@ class LightWalk(BidirectionalWalk):
             self._splat(s, vertex, joined, light_cos, f, source, self.sink)
 
         # ---- Advance
+        self.go_on(s, vertex, scattered, source, on_edge, light_cos)
+        return s
+
+    def land(self, s: LightPath, vertex: WalkVertex) -> tuple[tuple[mi.Float, mi.Float | RadiusFree], mi.Float]:
+        """Convert ``d_vcm`` and ``d_vc`` to area at the end of an edge: (the two before, cosine at which light
+        arrives)."""
+        on_edge = s.d_vcm, s.d_vc
+        light_cos = geometric_cos(vertex.si, vertex.incoming)
+        distance_squared = dr.square(vertex.distance)
+        if self.lights.has_infinite:
+            distance_squared = dr.select(s.from_infinity, 1.0, distance_squared)
+        d_vcm = s.d_vcm
+        if s.waiting is not None:
+            light = self.lights.row(s.light, s.active & (s.waiting > 0.0))
+            waiting = dr.select(s.waiting > 0.0, s.waiting, 1.0)
+            density = seen_density(light, vertex.position, -vertex.incoming, vertex.distance, waiting)
+            d_vcm = self.mis.lit(d_vcm, dr.select(s.waiting > 0.0, density / waiting, 1.0))
+        s.d_vcm, s.d_vc = self.mis.hit(d_vcm, s.d_vc, distance_squared, light_cos)
+        return on_edge, light_cos
+
+    def go_on(
+        self,
+        s: LightPath,
+        vertex: WalkVertex,
+        scattered: Scattered,
+        source: SampleSource,
+        on_edge: tuple[mi.Float, mi.Float | RadiusFree],
+        light_cos: mi.Float,
+    ) -> None:
+        """Leave a vertex; ``on_edge`` and ``light_cos`` are those of :meth:`land`."""
         sampled = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
         s.d_vcm, s.d_vc = self.mis.scatter_light(s.d_vcm, s.d_vc, light_cos, *sampled)
         after_delta = dr.select(s.kind == mi.UInt32(Kind.INDIRECT), s.kind, mi.UInt32(Kind.CAUSTIC))
@@ -123,11 +148,10 @@ class LightWalk(BidirectionalWalk):
             s.waiting = self.keep_if_null(scattered, s.waiting, mi.Float(0.0))
         relative = s.throughput * scattered.weight / self.lights.total_power
         self.leave(s, vertex, scattered, source, on_edge, roulette_by=(relative, 1.0))
-        return s
 
     def _splat(
         self,
-        s: _State,
+        s: LightPath,
         vertex: WalkVertex,
         joined: CameraConnection,
         light_cos: mi.Float,

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -69,9 +70,9 @@ class TrainingSamples:
         #: (cells * lights) contributions of light points, in units.
         self.brought = dr.zeros(mi.UInt64, guide.cells * max(1, self._lights))
 
-    def record(self, s: GuidedPath, scattered: GuidedScattered) -> None:
+    def record(self, s: GuidedPath, scattered: GuidedScattered, wanted: mi.Bool) -> None:
         """Store the sampled direction at vertex ``s.depth``, and luminance and throughput of the path before it."""
-        active = self._mine & s.active & (scattered.place != NOWHERE) & (s.depth <= _VERTICES)
+        active = self._mine & s.active & wanted & (scattered.place != NOWHERE) & (s.depth <= _VERTICES)
         carried = dr.rcp(dr.maximum(mi.luminance(s.throughput), _FAINT))
         bits = (dr.reinterpret_array(mi.UInt32, value) for value in (s.found, carried))
         packet = mi.Vector4u(scattered.place + 1, *bits, 0)
@@ -116,8 +117,8 @@ class GuidedWalk(Walker):
     weights: DirectWeights
     training: TrainingSamples
 
-    def trace(self, ray: mi.Ray3f, source: SampleSource) -> GuidedPath:
-        """Paths along camera rays, not yet evaluated."""
+    def trace(self, ray: mi.Ray3f, source: SampleSource, **own: Any) -> GuidedPath:
+        """Paths along camera rays, not yet evaluated. ``own``: further fields of the state."""
         path = GuidedPath.start(
             ray,
             self.max_edges,
@@ -125,6 +126,7 @@ class GuidedWalk(Walker):
             expected=mi.Float(0.0),
             expected_at_first=mi.Float(0.0),
             cell=mi.UInt32(0),
+            **own,
         )
         return self.walk(path, lambda s: self._edge(s, source), "guided path")
 
@@ -134,7 +136,7 @@ class GuidedWalk(Walker):
 
         # ---- Emission, weighted by the light choice of the cell where the edge begins
         hit = self.emission(s, vertex, self.guide.lights_at(s.cell, self.lights))
-        self._add(s, s.throughput * hit.radiance * self.weights.hit(s.pdf, hit.direct_pdf), hit.active)
+        self.add(s, s.throughput * hit.radiance * self.weights.hit(s.pdf, hit.direct_pdf), hit.active)
         s.active &= vertex.valid & (s.depth < self.max_edges)
 
         # ---- Light point and direction by the cell of the vertex
@@ -146,12 +148,12 @@ class GuidedWalk(Walker):
         scattered, evaluated = vertex.sample(source, s.active, lights, guided)
         for light, f in zip(lights, evaluated, strict=True):
             contribution, visible = self.next_event(s, vertex, light, f, self.weights.light_point(light, f.pdf))
-            self._add(s, contribution, visible)
+            self.add(s, contribution, visible)
             self.training.record_light(s, cell, light, contribution, visible)
 
         # ---- Advance; roulette by expected light
         assert isinstance(scattered, GuidedScattered)
-        self.training.record(s, scattered)
+        self.training.record(s, scattered, ~self.ends(vertex))
         known = s.active & (scattered.glow > 0.0)
         carried = mi.luminance(s.throughput) * scattered.glow
         s.expected = dr.select(known, carried, s.expected * dr.max(scattered.weight))
@@ -165,7 +167,7 @@ class GuidedWalk(Walker):
         s.expected = s.expected * self.advance(s, vertex, scattered, source, (by, eta))
         return s
 
-    def _add(self, s: GuidedPath, contribution: mi.Color3f, active: mi.Bool) -> None:
+    def add(self, s: GuidedPath, contribution: mi.Color3f, active: mi.Bool) -> None:
         """Add a contribution."""
         s.radiance[active] += contribution
         s.found = s.found + dr.select(active, mi.luminance(contribution), 0.0)

@@ -13,7 +13,7 @@ from . import options as opt
 from .console import error_console, note, say
 
 
-def develop(
+def film_picture(
     checkpoint: Annotated[
         Path, typer.Argument(help="Checkpoint of a picture by film_metropolis.", metavar="CHECKPOINT")
     ],

@@ -1,0 +1,1 @@
+"""Maps of irradiance: made from particles, and written."""

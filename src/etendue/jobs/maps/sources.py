@@ -1,0 +1,67 @@
+"""Particles of files, and the scenes that they are of."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from etendue.core import OptionError, logger
+from etendue.particles import ParticleFile, Particles
+from etendue.scene import Problem, bundled_scene, load, locate
+
+#: Particles that are added at once.
+_BATCH = 1 << 20
+#: Settings by which a file has all hits on surfaces that can have a map.
+_ALL = {"keep": "all", "after": 0, "max_bounces": -1}
+
+
+class FileSource:
+    """The particles of a file in batches, as often as it is called.
+
+    Raises :class:`ParticleError` for a file that cannot be read. Warns if it has a part of the light only.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.file = ParticleFile(path)
+        settings = json.loads(self.file.header["settings"])
+        part = [f"{name}={settings[name]}" for name, all_ in _ALL.items() if settings.get(name, all_) != all_]
+        if part:
+            logger.warning("%s has a part of the light (%s), and so has the map", path, ", ".join(part))
+
+    def __call__(self) -> Iterator[Particles]:
+        """The particles, a million at a time; their power is that of all paths together."""
+        waiting: list[Particles] = []
+        for part in self.file.parts():
+            waiting.append(part)
+            if sum(map(len, waiting)) >= _BATCH:
+                yield Particles.joined(waiting)
+                waiting = []
+        if waiting:
+            yield Particles.joined(waiting)
+
+    def scene(
+        self, scene: Any = None, parameters: Mapping[str, Any] | None = None, memory: int | None = None
+    ) -> Problem:
+        """The loaded scene of the particles: ``scene``, or by default that from which they were traced.
+
+        Raises :class:`OptionError` if it was in memory, and the errors of loading. Warns if the scene has changed: the
+        particles may still lie on its surfaces.
+        """
+        place = self.file.header["place"]
+        parameters = parameters or place.get("parameters")
+        if scene is None:
+            if not {"source", "bundled"} & place.keys():
+                raise OptionError(f"'{self.file.path}' was traced in a scene in memory; give the scene")
+            scene = place.get("source") or bundled_scene(place["bundled"])
+        elif isinstance(scene, (str, os.PathLike)):
+            scene = locate(scene, logger.debug)
+        problem = load(scene, parameters=parameters, memory=memory)
+        if problem.fingerprint != self.file.header["fingerprint"]:
+            logger.warning(
+                "%s: the scene '%s' has changed since its particles were traced, or is another one",
+                self.file.path,
+                problem.source,
+            )
+        return problem

@@ -1,0 +1,139 @@
+"""The bidirectional estimator as a target: a pair of sub-paths a sample, all of whose vertices are connected."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core import SampleSource
+from etendue.integration import Layout
+from etendue.transport import (
+    CameraConnection,
+    CameraSink,
+    CameraWalk,
+    LightCache,
+    LightVertices,
+    LightWalk,
+    Mis,
+    Sink,
+    SplatPlace,
+    Techniques,
+    needs_interaction,
+)
+from etendue.transport import Contribution as Weighted
+from etendue.transport import dimensions as dim
+
+from ..base import ImageMethod, keep_finite
+from .targets import ROULETTE, Contribution, Traced, camera_slots, film_place, light_slots
+
+#: Room for the light vertices of a path at first, and growth where it was too small.
+_VERTICES, _GROWTH = 4.0, 1.5
+
+
+@dataclass(kw_only=True)
+class SplatList(Sink):
+    """The splats of each light path, kept apart: one for each of the first ``count`` vertices, and one for the others.
+
+    Of the further vertices j = 1, 2, … one is kept, J with the probability 2^-J, times 2^J. ``u``: one number a path,
+    which draws J.
+    """
+
+    camera: Any
+    count: int
+    u: mi.Float
+
+    def __post_init__(self) -> None:
+        lanes = dr.width(self.u)
+        self._lane = dr.arange(mi.UInt32, lanes)
+        self._kept = mi.UInt32(dr.maximum(-dr.floor(dr.log2(1.0 - self.u)), 1.0)) - 1  # J - 1
+        self.array = dr.zeros(mi.Float, 5 * lanes * (self.count + 1))
+        self._lanes = lanes
+
+    @property
+    def splats(self) -> SplatList:
+        """See :class:`SplatSink`."""
+        return self
+
+    def place(self, connection: CameraConnection, source: SampleSource, vertex: mi.UInt32 | int) -> SplatPlace:
+        """The film position itself; no pixel is chosen yet."""
+        p = self._position = connection.position
+        on_film = (p.x >= 0.0) & (p.x < float(self.camera.width)) & (p.y >= 0.0) & (p.y < float(self.camera.height))
+        return SplatPlace([], mi.Float(1.0), on_film)
+
+    def add(self, s: mi.UInt32, place: SplatPlace, contribution: Weighted) -> mi.Bool:
+        """Keep the splat of a light sub-path of ``s >= 2`` vertices. Returns the mask of values that are not finite,
+        which are not kept."""
+        value, finite = contribution.weighted[0], dr.all(dr.isfinite(contribution.weighted[0]))
+        slot = s - 2
+        further = slot - dr.minimum(slot, self.count)
+        wanted = (slot < self.count) | (further == self._kept)
+        scale = dr.select(slot < self.count, 1.0, dr.power(2.0, mi.Float(further) + 1.0)) / self.camera.pixels
+        first = dr.minimum(slot, self.count) * 5 * self._lanes + self._lane
+        for row, number in enumerate((self._position.x, self._position.y, *(value * scale))):
+            dr.scatter(self.array, number, first + row * self._lanes, contribution.active & finite & wanted)
+        return contribution.active & ~finite
+
+    def contributions(self) -> list[Contribution]:
+        """What was kept, after the walk."""
+
+        def row(slot: int, index: int) -> mi.Float:
+            return dr.gather(mi.Float, self.array, self._lane + (5 * slot + index) * self._lanes)
+
+        return [
+            Contribution(mi.Point2f(row(i, 0), row(i, 1)), mi.Color3f(row(i, 2), row(i, 3), row(i, 4)))
+            for i in range(self.count + 1)
+        ]
+
+
+class PairTarget:
+    """A light sub-path and a camera sub-path, connected with each other and with lights and sensor in all ways."""
+
+    def __init__(self, method: ImageMethod, vertices: int) -> None:
+        self._method, self._vertices = method, vertices
+        self._techniques = Techniques(splat=method.camera.can_splat, merge=False)
+        self._indexed = needs_interaction(method.scene)
+        self._per_path = _VERTICES
+        camera, light = camera_slots(method), light_slots(method)
+        light[1].append(ROULETTE)
+        camera[1].append(ROULETTE)
+        self.layouts: Mapping[str, Layout] = {
+            "camera": Layout(*camera, vertices),
+            "light": Layout(*light, vertices),
+        }
+
+    def trace(self, sources: Mapping[str, SampleSource], lanes: int) -> Traced:
+        """See :class:`Target`."""
+        method, camera = self._method, self._method.camera
+        mis = Mis(self._techniques, [0.0], dr.opaque(mi.Float, float(camera.pixels)))
+        common = {"camera": camera, "mis": mis, "dark": dr.opaque(mi.Float, 0.0)}
+        while True:
+            splats = None
+            if self._techniques.splat:
+                u = sources["light"].next_1d(0, dim.SPLAT_SHADOW)  # without a place in the layout
+                splats = SplatList(camera=camera, count=self._vertices, u=u)
+            capacity = int(self._per_path * lanes) + 16
+            vertices = LightVertices(capacity, lanes, self._indexed, connected=True)
+            walk: LightWalk = method.walker(LightWalk, **common, sink=splats)
+            light_rays, light_bad = walk.trace(lanes, sources["light"], vertices)
+            dr.schedule(light_rays, light_bad, splats.array if splats else None)
+            vertices.launch()
+            wanted = int(vertices.wanted[0])
+            if wanted <= capacity:
+                break
+            self._per_path = _GROWTH * wanted / lanes
+        vertices.number(by_path=True)
+        one = dr.full(mi.Float, 1.0)
+        cache = LightCache(vertices, mi.UInt32(vertices.count), one, dr.opaque(mi.UInt32, lanes), None)
+        sink = CameraSink(split_layers=False)
+        eye: CameraWalk = method.walker(CameraWalk, **common, sink=sink, cache=cache)
+        place = film_place(method, sources["camera"])
+        primary = camera.through(place, sources["camera"])
+        radiance, rays = eye.follow(primary, dr.zeros(mi.UInt32, lanes), sources["camera"])
+        image, bad = keep_finite(radiance["image"])
+        contributions = [Contribution(place, image), *(splats.contributions() if splats else [])]
+        nonfinite = light_bad + dr.select(bad, mi.UInt32(1), 0)
+        return Traced(contributions, rays + light_rays, nonfinite)

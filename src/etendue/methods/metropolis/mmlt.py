@@ -1,0 +1,145 @@
+r"""Multiplexed Metropolis light transport.
+
+A path of k edges can be made by n_k techniques: s vertices on a light sub-path, the others on a camera sub-path. Two
+of the random numbers of a sample are its length k, drawn with probability P(k), and its technique, drawn uniformly; the
+target is the luminance of
+
+.. math:: c = \frac{n_k}{P(k)} \, w_{s,t} \, \frac{f}{p_{s,t}}
+
+with the weight w of bidirectional path tracing, so that chains spend their time on the techniques that make the most of
+a path [Hachisuka 2014]. Small steps keep the length; large ones draw it anew, in proportion to what a pilot has found.
+
+Limit: as of ``pssmlt``, chains know only what independent samples have found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import IndependentSource, OptionError, SampleSource, UnsupportedError, on_device
+from etendue.integration import Layout, Slot
+from etendue.transport import Mis, SingleContribution, SingleTechnique, Techniques
+from etendue.transport import dimensions as dim
+
+from ..base import ImageMethod, ImageSettings, keep_finite
+from .method import MetropolisMethod, MetropolisSettings
+from .targets import Contribution, Target, Traced, camera_slots, film_place, light_slots
+
+#: Lengths with a probability of their own without a limit of depth. Longer paths share the last one: each further edge
+#: has the probability ``_LONGER``.
+_LENGTHS, _LONGER = 12, 0.7
+#: Share of the probabilities of lengths that the pilot does not change, and its samples.
+_EVEN, _PILOT = 0.2, 1 << 16
+
+
+@dataclass(frozen=True)
+class MmltSettings(MetropolisSettings):
+    """Settings of ``mmlt``."""
+
+
+class SingleTarget:
+    """One technique of bidirectional path tracing a sample."""
+
+    def __init__(self, method: ImageMethod, vertices: int, seed: int) -> None:
+        self._method = method
+        can_splat = method.camera.can_splat
+        techniques = Techniques(splat=can_splat, merge=False)
+        self._single = SingleTechnique(
+            visibility=method.visibility,
+            lights=method.lights,
+            camera=method.camera,
+            mis=Mis(techniques, [0.0], dr.opaque(mi.Float, float(method.camera.pixels))),
+        )
+        self._last = 1 if can_splat else 0  # techniques of k >= 2 edges beyond k
+        self._unlimited = method.settings.max_depth < 0
+        count = _LENGTHS if self._unlimited else method.settings.max_depth
+        if count < 1:
+            raise OptionError("mmlt needs paths of at least one edge; set max_depth to 1 or more, or to -1")
+        end, inner = camera_slots(method)
+        # The only light point of a camera sub-path has the numbers of vertex 0.
+        single = [slot for slot in inner if slot.component >= dim.NEXT_EVENT]
+        end = [*end, Slot(dim.LENGTH, still=True), Slot(dim.TECHNIQUE), *single]
+        inner = [slot for slot in inner if slot.component < dim.NEXT_EVENT]
+        self.layouts: Mapping[str, Layout] = {
+            "camera": Layout(end, inner, vertices),
+            "light": Layout(*light_slots(method), vertices),
+        }
+        self._set_lengths(_LONGER ** np.arange(count) * (1.0 - _LONGER))
+        self._pilot(seed)
+
+    def _set_lengths(self, weights: NDArray[np.float64]) -> None:
+        probabilities = weights / weights.sum()
+        self._lengths = len(probabilities)
+        self._probability = on_device(mi.Float, probabilities)
+        self._reached = on_device(mi.Float, np.cumsum(probabilities))
+
+    def _pilot(self, seed: int) -> None:
+        """Draw lengths in proportion to their luminance in a pilot."""
+        lane = dr.arange(mi.UInt32, _PILOT)
+        sources = {name: IndependentSource(lane, seed, f"pilot {name}", 0) for name in self.layouts}
+        length, _ = self._length(sources["camera"].next_1d(0, dim.LENGTH))
+        found = mi.luminance(self.trace(sources, _PILOT).contributions[0].value)
+        dr.eval(length, found)
+        place = np.minimum(np.array(length) - 1, self._lengths - 1)
+        values = np.array(found, np.float64)
+        values = np.minimum(values, 100.0 * max(values.mean(), 0.0))
+        sums = np.bincount(place, values, self._lengths)
+        if sums.sum() > 0.0:
+            old = np.array(self._probability, np.float64)
+            self._set_lengths((1.0 - _EVEN) * sums / sums.sum() + _EVEN * old)
+
+    def _length(self, u: mi.Float) -> tuple[mi.UInt32, mi.Float]:
+        """(edges of the path that a number draws, probability)."""
+        last = self._lengths - 1
+        index = dr.binary_search(0, last, lambda i: dr.gather(mi.Float, self._reached, i) <= u)
+        index = dr.minimum(mi.UInt32(index), last)
+        probability = dr.gather(mi.Float, self._probability, index)
+        if not self._unlimited:
+            return index + 1, probability
+        below = dr.select(index > 0, dr.gather(mi.Float, self._reached, dr.maximum(index, 1) - 1), 0.0)
+        rest = dr.clip((u - below) / probability, 0.0, 1.0 - 2.0**-24)
+        more = dr.floor(dr.log(1.0 - rest) / float(np.log(_LONGER)))
+        longer = dr.select(index == last, more, 0.0)
+        further = dr.select(index == last, (1.0 - _LONGER) * dr.power(_LONGER, longer), 1.0)
+        return index + 1 + mi.UInt32(longer), probability * further
+
+    def single(
+        self, sources: Mapping[str, SampleSource], length: mi.UInt32, place: mi.Point2f, lanes: int
+    ) -> tuple[SingleContribution, mi.Float]:
+        """(contribution of paths of ``length`` edges, number of their techniques)."""
+        count = dr.select(length == 1, mi.UInt32(1), length + self._last)
+        s = dr.minimum(mi.UInt32(sources["camera"].next_1d(0, dim.TECHNIQUE) * mi.Float(count)), count - 1)
+        return self._single.trace(s, length + 1 - s, place, sources["camera"], sources["light"]), mi.Float(count)
+
+    def trace(self, sources: Mapping[str, SampleSource], lanes: int) -> Traced:
+        """See :class:`Target`."""
+        camera = sources["camera"]
+        length, probability = self._length(camera.next_1d(0, dim.LENGTH))
+        found, count = self.single(sources, length, film_place(self._method, camera), lanes)
+        value, bad = keep_finite(found.value * (count / probability))
+        return Traced([Contribution(found.position, value)], found.rays, dr.select(bad, mi.UInt32(1), 0))
+
+
+class Mmlt(MetropolisMethod):
+    """Chains over the random numbers of camera and light paths, each joined by one technique."""
+
+    name: ClassVar[str] = "mmlt"
+    Settings: ClassVar[type[ImageSettings]] = MmltSettings
+    settings: MmltSettings
+    citations: ClassVar[tuple[str, ...]] = ("Hachisuka2014", "Kelemen2002", "VeachGuibas1997", "Georgiev2012b")
+
+    def make_target(self, seed: int) -> Target:
+        """See :class:`MetropolisMethod`. Raises :class:`UnsupportedError` for scenes with null surfaces."""
+        if self.visibility.transparent:
+            raise UnsupportedError(
+                "mmlt does not support materials that light passes straight through (mask, null, thindielectric); use "
+                "pssmlt or bpt"
+            )
+        return SingleTarget(self, self.settings.vertices, seed)

@@ -1,0 +1,252 @@
+r"""Kernel maps, built in passes at the centres of cells: fixed kernels, and variable ones after a pilot.
+
+With the particles i of power Phi_i at distances d_i along their surface, and kernels of bandwidth h_i,
+
+.. math:: E(y) = \frac{\sum_i \Phi_i K(d_i / h_i) / h_i^2}{\int K(d / h) / h^2 dA}
+
+in which the integral runs over the surface around y: over 1 away from edges, 1/2 at an edge, 1/4 in a corner
+(``renormalise``). ``linear`` fits a plane to the density, so that a slope at the border makes no bias [Jones 1993; its
+equivalent for particles: Walter 1998]; ``reflect`` mirrors particles at the border of flat rectangles.
+
+A particle counts on its own shape only, where normals agree and it lies in the tangent plane: nothing leaks to the
+other side of a sheet or around a corner. A variable kernel has at each cell the bandwidth h (E_p / g)^-1/2, E_p being a
+pilot estimate and g its geometric mean [Abramson 1982; Leeson 2001, sec. 5.7.2].
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, get_args
+
+import drjit as dr
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from etendue.core import Array, copied_to_device
+from etendue.density import KdTree, Kernel, kernel_of
+from etendue.scene import RenderSpace
+
+from ..errors import SurfaceError
+from ..patches import Patches
+from .cells import GROUPS, PatchMap, check_groups, group_of, mean_of_groups
+from .places import Located, MapSurfaces, normals_on_device, points_on_device
+from .protocol import SurfaceParticles
+from .rectangles import Mirror
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+Index = NDArray[np.int64]
+Correction = Literal["none", "renormalise", "linear", "reflect"]
+
+#: Least cosine between the normals of a place and of a particle that counts there, and most height of the particle
+#: above its tangent plane, in bandwidths.
+SAME_SIDE, FLAT = 0.8, 0.3
+#: Least reach of a kernel in cells, below which the integral over the surface is not known well.
+_LEAST_REACH = 2.0
+#: Least and greatest bandwidth of a variable kernel, relative to that of a fixed one.
+_NARROWEST, _WIDEST = 0.1, 4.0
+#: Least determinant of the moments of a kernel, in bandwidths; that of a whole disc is 1/36.
+_SINGULAR = 1e-5
+
+
+class KernelBuilder:
+    """Adds kernels of particles at the centres of cells, pass after pass.
+
+    Parameters
+    ----------
+    surfaces: the cells.
+    bandwidth: h of the kernel, one number or one for each cell, in the scene's units; see :func:`rule_bandwidths` and
+        :func:`variable_bandwidths`. It is raised where the kernel would reach less than two cells.
+    kernel: a :class:`etendue.density.Kernel` or its name.
+    boundary: ``renormalise``, ``linear``, ``reflect`` (on flat rectangles; elsewhere ``renormalise``) or ``none``.
+    groups: groups of light paths whose spread gives the standard error.
+
+    Raises :class:`SurfaceError`.
+    """
+
+    def __init__(
+        self,
+        surfaces: MapSurfaces,
+        bandwidth: ArrayLike,
+        kernel: Kernel | str = "epanechnikov",
+        boundary: Correction = "renormalise",
+        groups: int = GROUPS,
+    ) -> None:
+        if boundary not in get_args(Correction):
+            raise SurfaceError(f"boundary is one of {', '.join(get_args(Correction))}, not {boundary!r}")
+        patches = surfaces.patches
+        h = np.asarray(bandwidth, dtype=np.float64)
+        if h.shape not in ((), (len(patches),)) or not (np.isfinite(h).all() and (h > 0).all()):
+            raise SurfaceError(f"a bandwidth is a number above zero, or one for each of {len(patches)} cells")
+        self.surfaces, self.boundary, self.groups = surfaces, boundary, check_groups(groups)
+        self.kernel = kernel_of(kernel)
+        least = _LEAST_REACH * np.sqrt(patches.areas) / self.kernel.reach
+        #: (n,) h at each cell.
+        self.bandwidths: Array = np.maximum(np.broadcast_to(h, (len(patches),)), least)
+        self._mirror = Mirror(surfaces.whole, surfaces.space) if boundary == "reflect" else None
+        self._frames = _Frames(surfaces)
+        self._moments = 3 if boundary == "linear" else 1
+        #: (groups, n, moments, 3) W/m^2, before the correction.
+        self.sums = np.zeros((groups, len(patches), self._moments, 3))
+        self.particles = 0
+        self._seen: set[int] = set()
+
+    def add(self, hits: SurfaceParticles) -> None:
+        """Add particles; raises as :meth:`MapSurfaces.located`."""
+        located = self.surfaces.located(hits)
+        cell = self.surfaces.cell_of(*self.surfaces.uploaded(located))
+        located, cell = located.only(cell >= 0), cell[cell >= 0]
+        self._seen |= set(np.unique(located.shape).tolist())
+        self.particles += len(located)
+        group = group_of(located.path, self.groups)
+        for number in range(self.groups):
+            part, h = located.only(group == number), self.bandwidths[cell[group == number]]
+            if not len(part):
+                continue
+            if self._mirror is not None:
+                part, h = self._mirror.images(part, h, self.kernel.reach)
+            self.sums[number] += self._frames.sums(part, part.power, h, self.kernel, self._moments)
+
+    def build(self, smooth: bool = True) -> PatchMap:
+        """The map of all particles so far; warns of surfaces without any. Raises :class:`SurfaceError` for none."""
+        if not self.particles:
+            raise SurfaceError("there are no particles, so no map: add some first")
+        self.surfaces.warn_of_dark(np.array(sorted(self._seen)))
+        values, errors = mean_of_groups(np.einsum("nm,gnmc->gnc", self._weights(), self.sums))
+        space = self.surfaces.space
+        return PatchMap(
+            self.surfaces.places, np.maximum(values, 0.0), errors, smooth=smooth, kind="kernel", space=space
+        )
+
+    def _weights(self) -> Array:
+        """(n, moments) factors of the sums, by the same sums over the surface instead of the particles."""
+        n = len(self.bandwidths)
+        if self.boundary == "none":
+            return np.ones((n, 1))
+        points, areas, owner = quadrature(self.surfaces.patches, self.surfaces.space)
+        h = self.bandwidths[owner]
+        if self._mirror is not None:
+            points, h = self._mirror.images(points, h, self.kernel.reach)
+            areas = points.power[:, 0]
+        of_one = np.repeat(areas[:, None], 3, axis=1)
+        found = self._frames.sums(points, of_one, h, self.kernel, 6 if self.boundary == "linear" else 1)[:, :, 0]
+        share = found[:, 0]
+        plain = np.divide(1.0, share, out=np.zeros(n), where=share > 0)
+        if self.boundary != "linear":
+            return plain[:, None]
+        u, v, uu, uv, vv = found[:, 1:].T
+        system = np.moveaxis(np.array([[share, u, v], [u, uu, uv], [v, uv, vv]]), 2, 0) * plain[:, None, None]
+        # In bandwidths of the cell, so that all numbers are about 1.
+        unit = np.ones((n, 3))
+        unit[:, 1:] = 1 / self._frames.local_length(self.bandwidths)[:, None]
+        system *= unit[:, :, None] * unit[:, None, :]
+        # A singular system has no plane: its cell keeps the plain correction.
+        sound = np.linalg.det(system) > _SINGULAR
+        weights = np.zeros((n, 3))
+        weights[:, 0] = plain
+        if sound.any():
+            first = np.broadcast_to([[1.0], [0.0], [0.0]], (int(sound.sum()), 3, 1))
+            solved = np.linalg.solve(system[sound], first)[:, :, 0]
+            weights[sound] = solved * unit[sound] * plain[sound, None]
+        return weights
+
+
+def variable_bandwidths(pilot: PatchMap, bandwidth: ArrayLike) -> Array:
+    """(n,) bandwidths of cells by a pilot estimate on them: ``h (E / g)^-1/2``, within 0.1 and 4 h."""
+    light, areas = pilot.values.mean(axis=1), pilot.surfaces.patches.areas
+    lit = light > 0
+    if not lit.any():
+        raise SurfaceError("the pilot of a variable kernel is black everywhere: add particles")
+    flux = light[lit] * areas[lit]
+    mean = np.exp(np.sum(flux * np.log(light[lit])) / flux.sum())
+    factor = np.full(len(light), _WIDEST)
+    factor[lit] = np.clip((light[lit] / mean) ** -0.5, _NARROWEST, _WIDEST)
+    return np.broadcast_to(np.asarray(bandwidth, dtype=np.float64), (len(light),)) * factor
+
+
+class _Frames:
+    """Centres of the cells with tangents, at which kernels are added; lengths are in radii of the scene."""
+
+    def __init__(self, surfaces: MapSurfaces) -> None:
+        import mitsuba as mi
+
+        patches = surfaces.patches
+        self._surfaces = surfaces
+        centre, self._unit = patches.sphere
+        self._origin, self._unit = surfaces.space.from_scene(centre), self._unit * surfaces.space.scale
+        # Neighbouring lanes visit the same nodes of a tree if they are neighbours in space; cells of a face are.
+        self._p = points_on_device(self._local(surfaces.space.from_scene(patches.centres)))
+        self._n = normals_on_device(patches.normals)
+        self._s, self._t = mi.coordinate_system(self._n)
+        self._shape = copied_to_device(mi.Float, surfaces.shapes.astype(np.float32))
+        dr.eval(self._s, self._t)
+
+    def _local(self, rows: Array) -> Array:
+        return (rows - self._origin) / self._unit
+
+    def local_length(self, lengths: Array) -> Array:
+        """Lengths of the scene's coordinates in radii of the scene."""
+        return lengths * (self._surfaces.space.scale / self._unit)
+
+    def sums(self, at: Located, values: Array, bandwidths: Array, kernel: Kernel, moments: int) -> Array:
+        """(n, moments, 3) sums of ``values`` (m, 3) times kernels of ``bandwidths`` (m,), per area of the scene, times
+        1, u, v, u u, u v, v v: tangential offsets in radii of the scene."""
+        import mitsuba as mi
+
+        h = self.local_length(bandwidths)
+        tree = KdTree(points_on_device(self._local(at.position)), reach=_floats(h * kernel.reach))
+        scaled = values * (kernel.normalisation(2) / bandwidths**2)[:, None]
+        order = np.array(tree.order)
+        rows = np.zeros((len(order), 12), np.float32)
+        rows[:, :3], rows[:, 3] = self._local(at.position)[order], h[order] ** -2.0
+        rows[:, 4:7], rows[:, 7] = at.normal[order], at.shape[order]
+        rows[:, 8:11] = scaled[order]
+        packed = copied_to_device(mi.Float, rows)
+        limit = kernel.reach**2
+
+        def add(place: mi.UInt32, distance: mi.Float, state: tuple[mi.Color3f, ...]) -> tuple[mi.Color3f, ...]:
+            x, n, c = (dr.gather(mi.Vector4f, packed, 3 * place + k) for k in range(3))
+            offset = mi.Vector3f(x.x, x.y, x.z) - self._p
+            height = dr.dot(self._n, offset)
+            counts = (dr.dot(self._n, mi.Vector3f(n.x, n.y, n.z)) > SAME_SIDE) & (n.w == self._shape)
+            counts &= dr.square(height) * x.w <= FLAT * FLAT
+            weight = dr.select(counts, kernel.profile(dr.minimum(distance * x.w, limit)), 0.0)
+            value = mi.Color3f(c.x, c.y, c.z) * weight
+            u, v = dr.dot(self._s, offset), dr.dot(self._t, offset)
+            factors = (1.0, u, v, u * u, u * v, v * v)[:moments]
+            return tuple(total + value * factor for total, factor in zip(state, factors, strict=True))
+
+        start = tuple(dr.zeros(mi.Color3f, dr.width(self._p)) for _ in range(moments))
+        found = tree.covering(self._p, start, add)
+        dr.eval(found)
+        return np.stack([np.array(part, dtype=np.float64).T for part in found], axis=1)
+
+
+#: Weights (4 points, 4 corners) of the centres of the four equal parts of a face.
+_OF_TRIANGLES = np.array([[4, 1, 1, 0], [1, 4, 1, 0], [1, 1, 4, 0], [2, 2, 2, 0]]) / 6
+_OF_QUADRILATERALS = np.array([[9, 3, 1, 3], [3, 9, 3, 1], [1, 3, 9, 3], [3, 1, 3, 9]]) / 16
+
+
+def quadrature(patches: Patches, space: RenderSpace) -> tuple[Located, Array, Index]:
+    """Four points of each face of patches, with their areas and patches."""
+    corners = patches.vertices[patches.faces]
+    is_triangle = patches.faces[:, 2] == patches.faces[:, 3]
+    weights = np.where(is_triangle[:, None, None], _OF_TRIANGLES, _OF_QUADRILATERALS)
+    points = np.einsum("fpk,fkx->fpx", weights, corners)
+    two = np.flatnonzero(patches.back >= 0)
+    owner = np.concatenate([patches.front, patches.back[two]])
+    points = np.concatenate([points, points[two]]).reshape(-1, 3)
+    normals = np.concatenate([patches.face_normals, -patches.face_normals[two]])
+    areas = np.repeat(np.concatenate([patches.face_areas, patches.face_areas[two]]) / 4, 4)
+    owner, normals = np.repeat(owner, 4), np.repeat(normals, 4, axis=0)
+    assert patches.shapes is not None
+    position = space.from_scene(points)
+    power = np.repeat(areas[:, None], 3, axis=1)
+    at = Located(position, normals, patches.shapes[owner], power, np.zeros(len(owner), np.uint32))
+    return at, areas, owner
+
+
+def _floats(values: Array) -> mi.Float:
+    import mitsuba as mi
+
+    return copied_to_device(mi.Float, values.astype(np.float32))

@@ -1,0 +1,160 @@
+r"""Maps by the k nearest particles, which are all in memory.
+
+.. math:: E(x) = \frac{\sum_i \Phi_i K(d_i^2 / r^2)}{\int K(d^2 / r^2) dA}
+
+over the particles within the distance r of the k-th one [Jensen 1996; Leeson 2001, sec. 3.5, 5.7.2]. The particle at
+the rim defines the disc and is not counted. As in kernel maps, particles count only on their own shape, side and
+tangent plane, and the integral runs over the surface within the disc, so that edges are not dark. It is a sum over
+points of the surfaces, as many as a mean disc needs; in the much smaller discs of a caustic it is the whole disc.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import numpy as np
+
+from etendue.core import copied_to_device, free_memory, is_whole
+from etendue.density import KdTree, Kernel, kernel_of
+
+from ..errors import SurfaceError
+from .kernels import FLAT, SAME_SIDE, quadrature
+from .places import Located, MapSurfaces, points_on_device
+from .protocol import Irradiance, SurfaceParticles
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+#: Bytes of a particle in memory: arrays of the host, the tree and its payload, and what building them takes.
+PARTICLE_BYTES = 350
+#: Least number of quadrature points in a disc for the integral over the surface: four a cell.
+_LEAST_POINTS = 24.0
+#: Cells for this integral in the mean disc, and least and most of the scene.
+_CELLS, _LEAST_CELLS, _MOST_CELLS = 12, 1000, 400_000
+#: Factor on the squared distance of the farthest particle, so that it is not inside.
+_INSIDE = 1.0 - 1e-6
+
+
+class NearestMap:
+    """Irradiance from the ``k`` nearest particles.
+
+    Parameters
+    ----------
+    surfaces: the surfaces; the number of their cells does not matter.
+    hits: the particles, all in memory.
+    k: 2 to the number of particles.
+    kernel: weight of a particle in the disc, a :class:`etendue.density.Kernel` or its name.
+    correct: whether the disc is the part of it that is on the surface.
+    memory: bytes that the map may take; by default the free memory.
+
+    The standard error is that of independent particles; hits of one path near each other are rare on fine maps.
+    Raises :class:`SurfaceError`, also if the particles do not fit into memory.
+    """
+
+    kind = "knn"
+
+    def __init__(
+        self,
+        surfaces: MapSurfaces,
+        hits: SurfaceParticles,
+        k: int = 50,
+        kernel: Kernel | str = "epanechnikov",
+        correct: bool = True,
+        memory: int | None = None,
+    ) -> None:
+        import mitsuba as mi
+
+        if not is_whole(k) or not 2 <= k <= max(len(hits), 2):
+            raise SurfaceError(f"k is a whole number from 2 to the number of particles, {len(hits)}, not {k!r}")
+        room = memory if memory is not None else free_memory()
+        if room is not None and len(hits) * PARTICLE_BYTES > room:
+            raise SurfaceError(
+                f"the nearest of {len(hits)} particles need {len(hits) * PARTICLE_BYTES / 1e9:.2g} GB, there are "
+                f"{room / 1e9:.2g}: make a histogram or a kernel map, which are built in passes"
+            )
+        self.surfaces, self.space, self.k, self.kernel = surfaces, surfaces.space, int(k), kernel_of(kernel)
+        located = surfaces.located(hits)
+        surfaces.warn_of_dark(np.unique(located.shape))
+        centre, unit = surfaces.patches.sphere
+        self._origin, self._unit = self.space.from_scene(centre), unit * self.space.scale
+        self._particles = _Tree(located, self._origin, self._unit)
+        self._area = None
+        if correct:
+            count = min(max(_CELLS * len(hits) / self.k, _LEAST_CELLS), _MOST_CELLS)
+            fine = surfaces.whole.subdivided(float(surfaces.whole.areas.sum()) / count)
+            points, areas, _ = quadrature(fine, self.space)
+            # In units of the local frame, as the area of the disc.
+            values = np.repeat(areas[:, None] / unit**2, 3, axis=1)
+            self._area = _Tree(Located(points.position, points.normal, points.shape, values, points.path), *self._frame)
+        self.particles, self.correct = hits, correct
+        self._k = dr.opaque(mi.UInt32, min(self.k, self._particles.tree.count))
+        self._per_area = 1 / unit**2
+
+    @property
+    def _frame(self) -> tuple[Any, float]:
+        return self._origin, self._unit
+
+    def irradiance(self, p: mi.Point3f, n: mi.Normal3f, active: mi.Bool | bool = True) -> Irradiance:
+        """See :class:`SurfaceMap`."""
+        import mitsuba as mi
+
+        count = max(dr.width(p), dr.width(n), dr.width(active))
+        active = mi.Bool(active) & dr.full(mi.Bool, True, count)
+        place = self.surfaces.places.find(p, n, active, self.space)
+        of_side = self.surfaces.shapes[self.surfaces.places.patch].astype(np.float32)
+        shape = dr.gather(mi.Float, copied_to_device(mi.Float, of_side), place.side, place.found)
+        local = (mi.Point3f(p) - mi.Point3f(*map(float, self._origin))) * float(1 / self._unit)
+        dr.eval(local, n, shape, place.found)
+        squared = self._particles.tree.kth_distance_squared(local, self._k, dr.inf, place.found)
+        dr.eval(squared)
+        lanes = place.found & (squared > 0) & dr.isfinite(squared)
+        flux, squares, _ = self._particles.total(local, n, shape, squared, self.kernel, lanes)
+        area = dr.pi * squared
+        if self._area is not None:
+            on_surface, _, points = self._area.total(local, n, shape, squared, self.kernel, lanes)
+            area = dr.select(points >= _LEAST_POINTS, on_surface.x, area)
+        scale = dr.select(lanes & (area > 0), self._per_area / area, 0.0)
+        return Irradiance(flux * scale, dr.sqrt(squares) * scale, place.found)
+
+
+class _Tree:
+    """Points with normals, shapes and values in a kd-tree."""
+
+    def __init__(self, at: Located, origin: Any, unit: float) -> None:
+        import mitsuba as mi
+
+        self.tree = KdTree(points_on_device((at.position - origin) / unit))
+        order = np.array(self.tree.order)
+        rows = np.zeros((len(order), 12), np.float32)
+        rows[:, :3] = ((at.position - origin) / unit)[order]
+        rows[:, 4:7], rows[:, 7] = at.normal[order], at.shape[order]
+        rows[:, 8:11] = at.power[order]
+        self._packed = copied_to_device(mi.Float, rows)
+
+    def total(
+        self,
+        point: mi.Point3f,
+        normal: mi.Normal3f,
+        shape: mi.Float,
+        squared: mi.Float,
+        kernel: Kernel,
+        active: mi.Bool,
+    ) -> tuple[mi.Color3f, mi.Color3f, mi.Float]:
+        """(sum of the values times the kernel on the disc of this squared radius, sum of the squares of these terms,
+        number of points), of points on the same surface."""
+        import mitsuba as mi
+
+        State = tuple[mi.Color3f, mi.Color3f, mi.Float]
+
+        def add(place: mi.UInt32, distance: mi.Float, state: State) -> State:
+            x, n, c = (dr.gather(mi.Vector4f, self._packed, 3 * place + k) for k in range(3))
+            height = dr.dot(normal, mi.Vector3f(x.x, x.y, x.z) - point)
+            counts = (dr.dot(normal, mi.Vector3f(n.x, n.y, n.z)) > SAME_SIDE) & (n.w == shape)
+            counts &= dr.square(height) <= FLAT * FLAT * squared
+            term = mi.Color3f(c.x, c.y, c.z) * kernel.on_disc(dr.minimum(distance / squared, 1.0))
+            term = dr.select(counts, term, 0.0)
+            return state[0] + term, state[1] + dr.square(term), state[2] + dr.select(counts, 1.0, 0.0)
+
+        start = (mi.Color3f(0.0), mi.Color3f(0.0), mi.Float(0.0))
+        return self.tree.within(point, squared * _INSIDE, start, add, active)

@@ -1,0 +1,281 @@
+"""One technique a path: a light sub-path of s vertices, a camera sub-path of t, and the connection of their ends.
+
+The estimator of ``bpt`` applies all techniques to all vertices of a pair of sub-paths. Here a lane has its own (s, t)
+and evaluates this technique alone, with the same recursive weight: one edge a vertex, and at most one shadow ray. Null
+surfaces are not supported.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core import SampleSource
+from etendue.scene import LightTable
+
+from ..camera import CameraConnection, CameraSampler
+from ..emission import sample_direct
+from ..scattering import cosine_ratio, evaluate_light_end, geometric_cos, scatter_camera
+from ..vertex import WalkVertex
+from ..visibility import Visibility
+from ..walk import ones
+from .light_walk import LightPath, LightWalk
+from .mis import Mis
+from .walk import BidirectionalPath, BidirectionalWalk
+
+P = TypeVar("P", bound=BidirectionalPath)
+
+
+@dataclass(kw_only=True)
+class _Ending:
+    """Fields of a sub-path that keeps its last vertex."""
+
+    wanted: mi.UInt32  #: edges
+    hit: mi.PreliminaryIntersection3f  #: at the end of the last edge
+    reached: mi.Bool  #: whether the sub-path has as many edges as wanted
+
+
+@dataclass(kw_only=True)
+class _LightEnding(_Ending, LightPath):
+    pass
+
+
+@dataclass(kw_only=True)
+class _CameraEnding(_Ending, BidirectionalPath):
+    pass
+
+
+@dataclass(kw_only=True)
+class _LightSide(LightWalk):
+    """Light sub-paths of given lengths."""
+
+    kind: type[LightPath] = _LightEnding
+
+    def trace_to(self, edges: mi.UInt32, source: SampleSource) -> _LightEnding:
+        """Sub-paths of ``edges`` edges each, 0 for none."""
+        lanes = dr.width(edges)
+        ending = {"wanted": edges, "hit": dr.zeros(mi.PreliminaryIntersection3f, lanes), "reached": _no(lanes)}
+        state: Any = self.begin(lanes, source, **ending)
+        state.active &= edges > 0
+
+        def edge(s: _LightEnding) -> _LightEnding:
+            vertex = self.arrive(s)
+            on_edge, light_cos = self.land(s, vertex)
+            going, before = _arrived(s, vertex)
+            scattered, _ = vertex.sample(source, going)
+            self.go_on(s, vertex, scattered, source, on_edge, light_cos)
+            return _stopped(s, going, before)
+
+        return self.walk(state, edge, "light sub-path")
+
+
+@dataclass(kw_only=True)
+class _CameraSide(BidirectionalWalk):
+    """Camera sub-paths of given lengths."""
+
+    def trace_to(
+        self, edges: mi.UInt32, primary: tuple[mi.Ray3f, mi.Color3f, mi.Point2f], source: SampleSource
+    ) -> _CameraEnding:
+        """Sub-paths of ``edges`` edges each, 0 for none; ``primary``: camera rays, as of ``CameraSampler``. The last
+        edge may have missed the scene, where the environment is seen."""
+        lanes = dr.width(edges)
+        ray, importance, aperture = primary
+        density, lead = self.camera.density(ray, aperture)
+        d_vcm, d_vc = self.mis.start_camera(density)
+        state = _CameraEnding(
+            active=edges > 0,
+            ray=mi.Ray3f(ray),
+            throughput=mi.Color3f(importance),
+            eta=dr.full(mi.Float, 1.0, lanes),
+            d_vcm=d_vcm,
+            d_vc=d_vc,
+            depth=dr.full(mi.UInt32, 1, lanes),
+            vertex=None,
+            travelled=lead,
+            rays=dr.zeros(mi.UInt32, lanes),
+            wanted=edges,
+            hit=dr.zeros(mi.PreliminaryIntersection3f, lanes),
+            reached=_no(lanes),
+        )
+
+        def edge(s: _CameraEnding) -> _CameraEnding:
+            vertex = self.arrive(s)
+            on_edge, cos = (s.d_vcm, s.d_vc), geometric_cos(vertex.si, vertex.incoming)
+            d_vcm, d_vc = self.mis.hit(*on_edge, dr.square(vertex.distance), cos)
+            s.d_vcm, s.d_vc = dr.select(vertex.valid, d_vcm, s.d_vcm), dr.select(vertex.valid, d_vc, s.d_vc)
+            going, before = _arrived(s, vertex)
+            scattered, _ = vertex.sample(source, going)
+            sampled = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
+            s.d_vcm, s.d_vc = self.mis.scatter_camera(s.depth, s.d_vcm, s.d_vc, *sampled)
+            self.leave(s, vertex, scattered, source, on_edge)
+            return _stopped(s, going, before)
+
+        return self.walk(state, edge, "camera sub-path")
+
+
+def _no(lanes: int) -> mi.Bool:
+    return dr.full(mi.Bool, False, lanes)
+
+
+#: What a vertex at which a sub-path ends must keep.
+_KEPT = ("ray", "throughput", "d_vcm", "d_vc", "depth", "travelled")
+
+
+def _arrived(s: Any, vertex: WalkVertex) -> tuple[mi.Bool, dict[str, Any]]:
+    """(lanes that go on, what the others must keep)."""
+    at_end = s.active & (s.depth == s.wanted)
+    s.hit = dr.select(at_end, vertex.hit, s.hit)
+    s.reached |= at_end
+    kinds = {"ray": mi.Ray3f, "throughput": mi.Color3f, "depth": mi.UInt32}
+    kept = {name: kinds.get(name, mi.Float)(getattr(s, name)) for name in _KEPT}
+    return s.active & ~at_end & vertex.valid, kept
+
+
+def _stopped(s: P, going: mi.Bool, before: dict[str, Any]) -> P:
+    """The state after an edge: unchanged where the sub-path has ended."""
+    for name, value in before.items():
+        setattr(s, name, dr.select(going, getattr(s, name), value))
+    s.active &= going
+    return s
+
+
+@dataclass
+class SingleContribution:
+    """One lane each."""
+
+    position: mi.Point2f  #: on the film, in pixels
+    value: mi.Color3f  #: with its weight; times the number of techniques of its length, an estimate of all of them
+    alone: mi.Color3f  #: without the weight
+    rays: mi.UInt32
+
+
+@dataclass(kw_only=True)
+class SingleTechnique:
+    """Evaluates one technique a lane in one scene, in one kernel.
+
+    ``mis``: with one sample of each technique, and as many light sub-paths a pixel's camera path as there are pixels.
+    """
+
+    visibility: Visibility
+    lights: LightTable
+    camera: CameraSampler
+    mis: Mis
+
+    def trace(
+        self, s: mi.UInt32, t: mi.UInt32, place: mi.Point2f, camera: SampleSource, light: SampleSource
+    ) -> SingleContribution:
+        """Paths of ``s + t - 1`` edges, by ``s`` light vertices and ``t >= 1`` camera vertices; ``t = 1`` needs ``s >=
+        2``. ``place``: film position of the camera sub-path in pixels."""
+        common: dict[str, Any] = {
+            "visibility": self.visibility,
+            "lights": self.lights,
+            "max_edges": dr.opaque(mi.UInt32, 1 << 30),
+            "rr_depth": 1 << 30,
+            "camera": self.camera,
+            "mis": self.mis,
+            "dark": mi.Float(0.0),
+            "sink": None,
+        }
+        eye_walk, light_walk = _CameraSide(proposal=scatter_camera, **common), _LightSide(**common)
+        primary = self.camera.through(place, camera)
+        eye = eye_walk.trace_to(t - 1, primary, camera)
+        lit = light_walk.trace_to(dr.select(s >= 2, s - 1, 0), light)
+        eye_end, light_end = self._end(eye), self._end(lit)
+        eye_ok = eye.reached & eye_end.valid & eye_end.smooth
+        light_ok = lit.reached & light_end.valid & light_end.smooth
+
+        # ---- s = 0: a hit on a light
+        eye.active = eye.reached & (s == 0)
+        hit = eye_walk.emission(eye, eye_end)
+        weight = self.mis.emission_weight(eye.depth, eye.d_vcm, eye.d_vc, hit.area_density, hit.emission_density)[0]
+        by_hit = _masked(eye.throughput * hit.radiance, weight, hit.active)
+
+        # ---- The other ends: light points, light vertices, the sensor
+        point = sample_direct(self.lights, eye_end.si, camera, 0, 0, eye_ok & (s == 1))
+        offset = light_end.position - eye_end.position
+        distance_squared = dr.squared_norm(offset)
+        joins = eye_ok & light_ok & (distance_squared > 0.0)
+        between = offset * dr.rsqrt(dr.select(joins, distance_squared, 1.0))
+        sensor = self._connect(light_end, light, light_ok & (t == 1))
+
+        towards = dr.select(s == 1, point.direction, between)
+        f = eye_end.evaluate(towards, dr.select(s == 1, point.active, joins))
+        back = dr.select(t == 1, sensor.direction, -between)
+        g = evaluate_light_end(
+            light_end.bsdf, light_end.si, light_end.si.to_local(back), dr.select(t == 1, sensor.active, joins)
+        )
+        geometric, lit_cos = geometric_cos(eye_end.si, towards), geometric_cos(light_end.si, light_end.incoming)
+        light_cos, ratio = geometric_cos(light_end.si, back), cosine_ratio(light_end.si, back)
+        on_eye, on_light = (eye.d_vcm, eye.d_vc), (lit.d_vcm, lit.d_vc)
+
+        # ---- s = 1: next event
+        hit_pdf = dr.select(point.is_delta, 0.0, f.pdf)
+        weight = self.mis.next_event_weight(
+            eye.depth, *on_eye, geometric, hit_pdf, f.reverse_pdf, point.pdf, point.light_ratio * geometric
+        )[0]
+        by_point = _masked(eye.throughput * f.value * point.radiance, weight, point.active)
+
+        # ---- s, t >= 2: connection
+        inverse = dr.rcp(dr.select(joins, distance_squared, 1.0))
+        weight = self.mis.connection_weight(
+            eye.depth,
+            on_eye,
+            on_light,
+            geometric,
+            lit_cos,
+            f.pdf * light_cos * inverse,
+            g.pdf * geometric * inverse,
+            f.reverse_pdf,
+            g.reverse_pdf,
+        )[0]
+        by_join = _masked(eye.throughput * lit.throughput * f.value * g.value * (inverse * ratio), weight, joins)
+
+        # ---- t = 1: splat
+        weight = self.mis.splat_weight(*on_light, lit_cos, g.reverse_pdf, sensor.area_pdf(light_cos))[0]
+        on_film = (sensor.position.x >= 0.0) & (sensor.position.x < float(self.camera.width))
+        on_film &= (sensor.position.y >= 0.0) & (sensor.position.y < float(self.camera.height))
+        factor = sensor.importance * ratio / self.camera.pixels
+        by_splat = _masked(lit.throughput * g.value * factor, weight, sensor.active & on_film)
+
+        # ---- One shadow ray
+        weighted, alone = (by_point[i] + by_join[i] + by_splat[i] for i in range(2))
+        tested = ~dr.all(alone == 0.0)
+        target = dr.select(t == 1, sensor.target, dr.select(s == 1, point.target, light_end.position))
+        ray = dr.select(t == 1, light_end.ray_to(target), eye_end.ray_to(target))
+        visible, _ = self.visibility.along(ray, mi.UInt32(0), tested)
+        weighted, alone = (dr.select(visible, value, 0.0) for value in (weighted, alone))
+        position = dr.select(t == 1, sensor.position, place)
+        rays = eye.rays + lit.rays + ones(tested)
+        return SingleContribution(position, weighted + by_hit[0], alone + by_hit[1], rays)
+
+    def _connect(self, vertex: WalkVertex, source: SampleSource, active: mi.Bool) -> CameraConnection:
+        """A light vertex connected to the sensor."""
+        if self.camera.can_splat:
+            return self.camera.connect(vertex.si, self.camera.splat_aperture(source, 1), active)
+        nowhere = dr.zeros(mi.Point2f, dr.width(active))
+        return CameraConnection(
+            nowhere, mi.Vector3f(0.0, 0.0, 1.0), mi.Point3f(0.0), mi.Float(1.0), mi.Float(0.0), mi.Bool(False)
+        )
+
+    @staticmethod
+    def _end(s: Any) -> WalkVertex:
+        """The last vertex of a sub-path."""
+        si = s.hit.compute_surface_interaction(s.ray, active=s.reached)
+        valid = s.reached & si.is_valid()
+        return WalkVertex(
+            si=si,
+            bsdf=si.bsdf(s.ray),
+            number=s.depth,
+            hit=s.hit,
+            incoming=s.ray.d,
+            distance=s.travelled + si.t,
+            valid=valid,
+        )
+
+
+def _masked(value: mi.Color3f, weight: mi.Float, active: mi.Bool) -> tuple[mi.Color3f, mi.Color3f]:
+    """(``value`` times ``weight``, ``value``), 0 where not ``active``."""
+    return dr.select(active, value * weight, 0.0), dr.select(active, value, 0.0)

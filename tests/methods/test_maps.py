@@ -1,0 +1,131 @@
+"""Paths that end in maps: exact maps give the pictures of ``path``; final gather; mixed materials; other methods."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from support.running import Run, Stepped, go, run
+from support.scenes import camera, field, furnace, rgb
+
+from etendue import methods
+from etendue.core import OptionError
+from etendue.film import relative_mse
+from etendue.methods import trace_photons
+from etendue.scene import load
+from etendue.surfaces import HistogramBuilder, MapSurfaces, PatchMap, SurfaceError, irradiance_at, save_map
+
+RADIANCE, ALBEDO = 0.8, 0.5
+ENDING = ("path", "vegas", "stratified", "guided")
+
+
+def ended(problem, method, made, seed=1, passes=6, samples=64, **settings) -> Run:
+    """Passes of a method whose paths end in a map that is in memory."""
+    cls = methods.get(method)
+    chosen = cls(cls.Settings.from_mapping({"samples_per_pass": samples, "sampler": "independent"} | settings))
+    chosen.map = made
+    chosen.prepare(problem, seed)
+    return go(Stepped(chosen), passes, seed)
+
+
+def even(problem, value, cells=200):
+    """The same irradiance everywhere."""
+    surfaces = MapSurfaces(problem, cells)
+    n = len(surfaces.patches)
+    return PatchMap(surfaces.places, np.full((n, 1), value), smooth=False, space=problem.space)
+
+
+@pytest.mark.parametrize("method", ENDING)
+def test_the_map_of_a_furnace(method):
+    """L / (1 - rho) in every pixel: without noise where the camera sees the map, within its noise by final gather."""
+    problem = furnace("box", RADIANCE, ALBEDO)
+    exact = RADIANCE / (1 - ALBEDO)
+    made = even(problem, np.pi * exact)
+    np.testing.assert_allclose(ended(problem, method, made, passes=2).mean, exact, rtol=1e-5)
+    pictures = ended(problem, method, made, passes=8, map_after=1).images.mean(axis=(1, 2, 3))
+    assert abs(pictures.mean() - exact) < 4 * pictures.std(ddof=1) / np.sqrt(len(pictures)) + 1e-5
+    assert pictures.std() < 0.02
+
+
+@pytest.mark.parametrize("method", [*ENDING[:1], ENDING[3]])
+def test_materials_that_also_mirror_or_gloss(method):
+    """A ball under an even sky, E = pi L: paths go on through its coat, and along glossy reflections. Z-test."""
+    for bsdf in (
+        {"type": "plastic", "diffuse_reflectance": rgb(0.6, 0.4, 0.2)},
+        {"type": "roughplastic", "diffuse_reflectance": rgb(0.6, 0.4, 0.2), "alpha": 0.2},
+    ):
+        sky = {"type": "constant", "radiance": rgb(1.0, 0.5, 0.25)}
+        view = camera((0, 0, 4), (0, 0, 0), 20.0, size=(8, 8))
+        problem = load({"type": "scene", "sky": sky, "ball": {"type": "sphere", "bsdf": bsdf}, "sensor": view})
+        surfaces = MapSurfaces(problem, 200)
+        light = np.pi * np.array([[1.0, 0.5, 0.25]]) * np.ones((len(surfaces.patches), 1))
+        made = PatchMap(surfaces.places, light, smooth=False, space=problem.space)
+        plain = run(problem, method, passes=6, samples=64, seed=7).images.mean(axis=(1, 2))
+        mapped = ended(problem, method, made, passes=6).images.mean(axis=(1, 2))
+        spread = np.sqrt((plain.var(axis=0, ddof=1) + mapped.var(axis=0, ddof=1)) / 6)
+        assert (np.abs(plain.mean(axis=0) - mapped.mean(axis=0)) < 5 * spread + 1e-4).all(), bsdf["type"]
+
+
+def test_a_first_hit_shows_the_map():
+    """Pixel by pixel what the map says at the centre of each, times albedo over pi."""
+    problem = field(0.5, 1.0, size=(16, 16))
+    surfaces = MapSurfaces(problem, 4)
+    made = PatchMap(surfaces.places, np.arange(1.0, 5.0)[:, None], smooth=False)
+    picture = ended(problem, "path", made, passes=2).mean
+    ray, _ = problem.sensor.sample_ray(0.0, 0.5, mi.Point2f([0.3, 0.7, 0.3, 0.7], [0.3, 0.3, 0.7, 0.7]), 0.5)
+    points = np.array(problem.scene.ray_intersect(ray).p).T
+    seen = irradiance_at(made, points, np.tile([0.0, 1.0, 0.0], (4, 1)))[0]
+    assert len(set(seen[:, 0])) == 4
+    np.testing.assert_allclose(picture[[4, 4, 11, 11], [4, 11, 4, 11]], 0.5 / np.pi * seen, rtol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def box():
+    """The Cornell box, a histogram of its photons, and its picture by ``path``."""
+    problem = load("cornell-box", size=(24, 24))
+    surfaces = MapSurfaces(problem, 3000)
+    builder = HistogramBuilder(surfaces)
+    builder.add(trace_photons(problem, 50_000))
+    return problem, builder.build(), run(problem, "path", passes=2, samples=512).mean
+
+
+def test_final_gather_hides_the_noise_of_a_map(box):
+    problem, made, exact = box
+    direct, gathered = (ended(problem, "path", made, passes=2, samples=256, map_after=n).mean for n in (0, 1))
+    errors = relative_mse(direct, exact), relative_mse(gathered, exact)
+    assert errors[1] < 0.3 * errors[0]
+    for picture in (direct, gathered):
+        assert abs(picture.mean() / exact.mean() - 1) < 0.02
+
+
+def test_other_methods_end_in_the_same_map(box):
+    """The pictures of the four methods with one map are the same within their noise."""
+    problem, made, _ = box
+    means, errors = [], []
+    for method in ENDING:
+        pictures = ended(problem, method, made, passes=6, samples=64, map_after=1).images.mean(axis=(1, 2, 3))
+        means.append(pictures.mean())
+        errors.append(pictures.std(ddof=1) / np.sqrt(len(pictures)))
+    for mean, error in zip(means[1:], errors[1:], strict=True):
+        assert abs(mean - means[0]) < 4 * np.hypot(error, errors[0])
+
+
+def test_a_map_in_a_file(box, tmp_path):
+    problem, made, _ = box
+    save_map(tmp_path / "map.npz", made)
+    inside = ended(problem, "path", made, passes=1, samples=16)
+    loaded = run(problem, "path", passes=1, samples=16, map=str(tmp_path / "map.npz"))
+    np.testing.assert_allclose(loaded.mean, inside.mean, rtol=1e-5)
+
+
+def test_bad_input(box, tmp_path):
+    problem, made, _ = box
+    with pytest.raises(SurfaceError, match="there is no file of a map"):
+        run(problem, "path", passes=1, samples=1, map=str(tmp_path / "none.npz"))
+    other = furnace("sphere", RADIANCE, ALBEDO)
+    with pytest.raises(OptionError, match="has no surface where"):
+        ended(other, "path", made, passes=1, samples=1)
+    with pytest.raises(OptionError, match="not in both"):
+        ended(problem, "stratified", made, passes=1, samples=1, maps=1)
+    with pytest.raises(OptionError, match="one_path=true cannot be combined"):
+        run(problem, "vegas", passes=1, samples=1, one_path=True, map="map.npz")

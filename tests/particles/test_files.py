@@ -1,0 +1,251 @@
+"""Files of particles: parts of them, files that were cut off or damaged, and runs that go on."""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+
+import numpy as np
+import pytest
+from support.particles import POWER, box, sorted_rows
+
+import etendue
+from etendue.core import CheckpointError, EtendueError, OptionError
+from etendue.engine import RunError
+from etendue.jobs import repack
+from etendue.particles import ParticleError, ParticleFile, Particles, blocks
+from etendue.scene import load
+
+PATHS = 4000
+
+
+@cache
+def scene():
+    return load(box()).scene
+
+
+@cache
+def whole() -> Path:
+    """A file of four passes."""
+    path = Path(mkdtemp()) / "whole.particles"
+    etendue.trace_particles(scene(), paths=4 * PATHS, save=path, samples_per_pass=PATHS, seed=2)
+    return path
+
+
+def cut(path: Path, size: int) -> Path:
+    path.write_bytes(whole().read_bytes()[:size])
+    return path
+
+
+def equal(one: Particles, two: Particles) -> None:
+    np.testing.assert_array_equal(sorted_rows(one.rows), sorted_rows(two.rows))
+
+
+def test_a_file_has_what_was_traced():
+    known = ParticleFile(whole())
+    in_memory = etendue.trace_particles(scene(), paths=4 * PATHS, samples_per_pass=PATHS, seed=2).particles
+    particles = known.read()
+    assert known.is_finished and known.paths == 4 * PATHS and len(known.passes) == 4
+    assert len(known) == len(particles) == len(in_memory)
+    np.testing.assert_array_equal(known.counts, np.bincount(in_memory.shape, minlength=6))
+    np.testing.assert_allclose(known.power, in_memory.power.sum(0, dtype=float), rtol=1e-6)
+    np.testing.assert_allclose(particles.power.sum(0, dtype=float), known.power, rtol=1e-3)
+    np.testing.assert_allclose(known.power, POWER / 0.5, rtol=0.05)
+    assert known.header["fingerprint"] == load(scene()).fingerprint
+
+
+@pytest.mark.parametrize("codec", ["raw", "exact", "exact+zlib"])
+def test_codecs_without_loss_return_the_same(codec, tmp_path):
+    path = tmp_path / "a.particles"
+    etendue.trace_particles(scene(), paths=PATHS, save=path, codec=codec, seed=2)
+    equal(etendue.read_particles(path), etendue.trace_particles(scene(), paths=PATHS, seed=2).particles)
+    assert ParticleFile(path).bounds == {}
+
+
+def test_parts_by_surface_and_region(monkeypatch):
+    known, everything = ParticleFile(whole()), etendue.read_particles(whole())
+    read = []
+    payload = blocks.Block.payload
+    monkeypatch.setattr(blocks.Block, "payload", lambda self, file: (read.append(self), payload(self, file))[1])
+    floor = etendue.read_particles(whole(), shapes=["floor"])
+    equal(floor, everything[everything.shape == known.shape("floor")])
+    low, high = np.array([-1.1, -1.1, -1.1]), np.array([0.2, -0.5, 0.1])
+    inside = ((everything.position >= low) & (everything.position <= high)).all(1)
+    equal(known.read(box=[low, high]), everything[inside])
+    equal(
+        known.read([known.shape("left")], [low, high]), everything[inside & (everything.shape == known.shape("left"))]
+    )
+    read.clear()
+    assert len(known.read(box=[[5, 5, 5], [6, 6, 6]])) == 0
+    assert read == []
+
+
+def test_only_chunks_with_the_surface_are_read(monkeypatch, tmp_path):
+    monkeypatch.setattr("etendue.particles.codecs.CHUNK", 500)
+    path = tmp_path / "a.particles"
+    etendue.trace_particles(scene(), paths=2 * PATHS, save=path, samples_per_pass=PATHS)
+    known, read = ParticleFile(path), []
+    payload = blocks.Block.payload
+    monkeypatch.setattr(blocks.Block, "payload", lambda self, file: (read.append(self), payload(self, file))[1])
+    count = len(known.read(["back"]))
+    assert count == known.counts[known.shape("back")] > 0
+    assert len(read) <= 2 * (count / 2 / 500 + 3) < len(known.chunks) / 2
+
+
+def test_shapes_and_regions_that_do_not_exist():
+    known = ParticleFile(whole())
+    with pytest.raises(ParticleError, match=r"there is no shape 'flor' .* did you mean 'floor'"):
+        known.read(["flor"])
+    with pytest.raises(ParticleError, match=r"there is no shape 6: .* has shapes 0 to 5"):
+        known.read([6])
+    with pytest.raises(ParticleError, match="a lower and an upper corner"):
+        known.read(box=[[1, 1, 1], [0, 0, 0]])
+
+
+def test_a_file_that_was_cut_off_has_its_whole_passes(tmp_path):
+    known, size = ParticleFile(whole()), whole().stat().st_size
+    ends = [block.end for block in known.passes]
+    first = known.chunks[0].start
+    for place in (first, first + 10, ends[0] - 1, ends[0], ends[1] + 5, ends[2], ends[3], ends[3] + 40, size - 1):
+        part = ParticleFile(cut(tmp_path / "cut.particles", place))
+        passes = sum(end <= place for end in ends)
+        assert len(part.passes) == passes and not part.is_finished
+        assert part.paths == passes * PATHS
+        scaled = known.chunks[: len(part.chunks)]
+        assert len(part.read()) == len(part) == sum(block.head["count"] for block in scaled)
+
+
+def test_a_run_that_goes_on_gives_the_same_file(tmp_path):
+    """Cut off in the middle of the third pass, as by a kill, and of the index."""
+    known = ParticleFile(whole())
+    inside = (known.passes[1].end + known.passes[2].end) // 2
+    for place in (inside, known.passes[2].end + 3, whole().stat().st_size - 20):
+        path = cut(tmp_path / "cut.particles", place)
+        result = etendue.trace_particles(scene(), resume=path)
+        assert result.passes == 4 and result.counters["paths"] == 4 * PATHS
+        equal(etendue.read_particles(path), etendue.read_particles(whole()))
+        again = path.read_bytes()
+        assert again[: known.end] == whole().read_bytes()[: known.end]
+
+
+def test_a_finished_run_goes_on_with_a_new_budget(tmp_path):
+    path = cut(tmp_path / "a.particles", -1)
+    path.write_bytes(whole().read_bytes())
+    with pytest.raises(CheckpointError, match="the budget of the checkpoint is used up"):
+        etendue.trace_particles(scene(), resume=path)
+    etendue.trace_particles(scene(), resume=path, paths=5 * PATHS)
+    equal(
+        etendue.read_particles(path),
+        _packed(scene(), tmp_path / "b.particles", paths=5 * PATHS, samples_per_pass=PATHS, seed=2),
+    )
+
+
+def _packed(source, path, **options) -> Particles:
+    etendue.trace_particles(source, save=path, **options)
+    return etendue.read_particles(path)
+
+
+def test_a_callback_ends_the_run_and_the_file_is_whole(tmp_path):
+    path = tmp_path / "a.particles"
+    options = {"paths": 4 * PATHS, "samples_per_pass": PATHS}
+    result = etendue.trace_particles(scene(), save=path, callback=lambda progress: progress.passes < 2, **options)
+    assert result.stopped_by == "cancel" and result.particles is None
+    assert len(ParticleFile(path).passes) == 2
+    etendue.trace_particles(scene(), resume=path)
+    assert ParticleFile(path).paths == 4 * PATHS
+
+
+def test_particles_of_another_scene_do_not_go_on(tmp_path):
+    path = cut(tmp_path / "a.particles", ParticleFile(whole()).passes[1].end)
+    other = load(box((0.25, 0.25, 0.25)))
+    with pytest.raises(CheckpointError, match="the scene is not the one"):
+        etendue.trace_particles(other.scene, resume=path)
+    with pytest.raises(ParticleError, match="has particles of another scene"):
+        ParticleFile(path).require_scene(other.fingerprint)
+    ParticleFile(path).require_scene(load(scene()).fingerprint)
+    assert len(ParticleFile(path).passes) == 2
+
+
+def test_a_damaged_chunk_is_one_line(tmp_path):
+    path, block = tmp_path / "a.particles", ParticleFile(whole()).chunks[1]
+    data = bytearray(whole().read_bytes())
+    data[(block.start + block.end) // 2] ^= 4
+    path.write_bytes(data)
+    with pytest.raises(ParticleError, match=rf"is damaged: {block.head['count']} particles of pass 1 cannot be read"):
+        etendue.read_particles(path)
+
+
+def test_files_that_are_not_of_particles(tmp_path):
+    path = tmp_path / "a.particles"
+    with pytest.raises(ParticleError, match="there is no file"):
+        etendue.read_particles(path)
+    for data in (b"", b"something else", whole().read_bytes()[:50]):
+        path.write_bytes(data)
+        with pytest.raises(ParticleError, match="is not a file of particles"):
+            etendue.read_particles(path)
+    path.write_bytes(whole().read_bytes()[: ParticleFile(whole()).chunks[0].start - 40])
+    assert len(etendue.read_particles(path)) == 0
+
+
+def test_a_file_of_another_version(tmp_path, monkeypatch):
+    path = tmp_path / "a.particles"
+    monkeypatch.setattr(blocks, "FORMAT", 99)
+    etendue.trace_particles(scene(), paths=PATHS, save=path)
+    monkeypatch.undo()
+    with pytest.raises(ParticleError, match="has format 99, this étendue reads format 1"):
+        etendue.read_particles(path)
+
+
+@contextmanager
+def room_for(size: int) -> Iterator[None]:
+    """Files may have no more bytes than this, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_a_full_disk_keeps_what_is_written(tmp_path):
+    path, third = tmp_path / "a.particles", ParticleFile(whole()).passes[2].end
+    options = {"paths": 4 * PATHS, "samples_per_pass": PATHS, "seed": 2}
+    with room_for(third - 100), pytest.raises(RunError, match="it has the particles of 2 passes: free some space") as e:
+        etendue.trace_particles(scene(), save=path, **options)
+    assert "\n" not in str(e.value)
+    assert len(ParticleFile(path).passes) == 2
+    etendue.trace_particles(scene(), resume=path)
+    equal(etendue.read_particles(path), etendue.read_particles(whole()))
+
+
+def test_an_existing_file_is_not_overwritten(tmp_path):
+    path = tmp_path / "a.particles"
+    path.write_text("dear diary")
+    with pytest.raises(OptionError, match="exists: choose another name"):
+        etendue.trace_particles(scene(), paths=PATHS, save=path)
+    with pytest.raises(EtendueError, match="exists: choose another name"):
+        repack(whole(), path, "exact")
+    assert path.read_text() == "dear diary"
+    with pytest.raises(EtendueError, match="there is no folder"):
+        etendue.trace_particles(scene(), paths=PATHS, save=tmp_path / "none" / "a.particles")
+
+
+def test_packing_anew(tmp_path):
+    exact = tmp_path / "exact.particles"
+    etendue.trace_particles(scene(), paths=2 * PATHS, save=exact, codec="raw", samples_per_pass=PATHS, seed=2)
+    packed, twice = tmp_path / "packed.particles", tmp_path / "twice.particles"
+    repack(exact, packed, "packed")
+    equal(
+        etendue.read_particles(packed),
+        _packed(scene(), tmp_path / "d", paths=2 * PATHS, samples_per_pass=PATHS, seed=2),
+    )
+    assert packed.stat().st_size < 0.4 * exact.stat().st_size
+    repack(packed, twice, "exact+bz2")
+    equal(etendue.read_particles(packed), etendue.read_particles(twice))
+    assert ParticleFile(twice).bounds == ParticleFile(packed).bounds != {}
+    etendue.trace_particles(scene(), resume=twice, paths=3 * PATHS)
+    assert ParticleFile(twice).paths == 3 * PATHS
