@@ -128,6 +128,15 @@ PROGRAMS = {
             (Benchmark("pictures", "pictures.measure", 200, "Error after equal time of chains, path and bpt."),),
         ),
         Program(
+            "benchmarks.light_chains",
+            "Metropolis particles beside independent light paths, and ways to sample emission.",
+            (
+                Benchmark("against", "against.measure", 8, "Standard and Metropolis particles: who wins where."),
+                Benchmark("steps", "steps.measure", 4, "The size of steps of Metropolis particles."),
+                Benchmark("emission", "emission.measure", 3, "Variance of flux by the way lights are sampled."),
+            ),
+        ),
+        Program(
             "benchmarks.radiosity",
             "The experiments of the thesis on global lines.",
             (

@@ -13,6 +13,7 @@ from support.light_paths import independent
 from etendue.core import CheckpointError, Measurement, Replica, SceneError
 from etendue.integration import autocorrelation_time
 from etendue.methods.metropolis.particles import MetropolisParticles, MetropolisParticlesSettings
+from etendue.methods.particles import ParticleSettings, ParticleTracing
 from etendue.scene import Problem, load
 
 #: A run that agrees is called different with this probability.
@@ -152,3 +153,24 @@ def test_autocorrelation_time_grows_with_the_inverse_square_of_the_step():
         times.append(np.mean([autocorrelation_time(traces[:, :, i]) for i in (2, 3)]))
     slope = np.polyfit(np.log(sizes), np.log(times), 1)[0]
     assert slope == pytest.approx(-2.0, abs=0.2), times
+
+
+def test_particles_are_described_as_those_of_particle_tracing():
+    """Shape, primitive and parameters of a place, on triangles, rectangles and a sphere."""
+    problem = scenes.room("mesh", scenes.FEW)
+    tracing = ParticleTracing(ParticleSettings(samples_per_pass=1 << 12, specular=True))
+    tracing.prepare(problem, 1)
+    other = tracing.particles(tracing.step(0, 1, {}).measurement)
+    own = (method := made(problem)).particles(run(method, 1))
+    for shape in np.unique(other.shape):
+        sides = []
+        for particles in (own, other):
+            chosen = particles[particles.shape == shape]
+            sides.append(np.unique(chosen.primitive))
+            first = chosen[chosen.primitive == sides[-1][0]]
+            columns = np.concatenate([first.uv, np.ones((len(first), 1))], axis=1)
+            sides.append(np.linalg.lstsq(columns, first.position, rcond=None)[0])
+        np.testing.assert_array_equal(sides[0], sides[2])
+        if not problem.scene.shapes()[shape].is_mesh():
+            continue  # positions on a sphere are no linear function of the parameters
+        np.testing.assert_allclose(sides[1], sides[3], atol=1e-3)

@@ -41,6 +41,8 @@ from etendue.transport import (
     UniformLights,
     Visibility,
     emit,
+    scatter_light,
+    scatter_uniform,
 )
 
 from .base import MOST_LIGHT_LANES, PILOT_PATHS, Lanes, light_numbers, total
@@ -72,6 +74,9 @@ class ParticleSettings(Settings):
     specular: bool = setting(False, "also keep hits on surfaces without a diffuse or glossy part")
     max_bounces: int = setting(-1, "edges of the longest light path; -1: no limit", minimum=-1)
     rr_depth: int = setting(5, "path length, in edges, from which on Russian roulette may end a path", minimum=1)
+    bsdf_sampling: bool = setting(
+        True, "sample directions from the material; false: uniformly over sphere or hemisphere, for experiments"
+    )
     sampler: str = setting(
         "owen",
         "random numbers of the paths: Owen-scrambled Sobol' points (owen), independent numbers (independent), or these "
@@ -129,6 +134,7 @@ class ParticleTracing:
             after=dr.opaque(mi.UInt32, settings.after),
             specular=settings.specular,
             scheme=self._emission(seed),
+            proposal=scatter_light if settings.bsdf_sampling else scatter_uniform,
         )
         paths, found = PILOT_PATHS, 0
         for attempt in range(_PILOTS):

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from etendue.core import IndependentSource, SampleSource
 from etendue.scene import LightTable
-from etendue.transport import EmittedRay, GivenNumbers, Vertex, emit, scatter_light
+from etendue.transport import EmittedRay, GivenNumbers, Proposal, Vertex, emit, scatter_light
 from etendue.transport import dimensions as dim
 
 #: Component of the number that picks one of the edges of an independent path.
@@ -70,6 +70,7 @@ class LightPaths:
     scene: mi.Scene
     lights: LightTable
     longest: int
+    proposal: Proposal = scatter_light  #: samples directions
 
     def independent(self, lanes: mi.UInt32, seed: int, role: str, iteration: int) -> Independent:
         """Trace paths without roulette."""
@@ -168,7 +169,7 @@ class LightPaths:
         si = hit.compute_surface_interaction(ray, active=active)
         vertex = Vertex(si=si, bsdf=si.bsdf(ray))
         source: SampleSource = GivenNumbers(dict(zip(LATER, numbers, strict=True)))
-        scattered, _ = scatter_light(vertex.bsdf, si, source, mi.UInt32(0), active)
+        scattered, _ = self.proposal(vertex.bsdf, si, source, mi.UInt32(0), active)
         return vertex.ray(scattered.direction), flux * scattered.weight, scattered.active
 
     def cast(self, ray: mi.Ray3f, flux: mi.Color3f, active: mi.Bool) -> End:

@@ -39,6 +39,7 @@ from etendue.core import (
 from etendue.integration import ChainDiagnosis, diagnose
 from etendue.particles import Particles, Rows, SurfaceTable, columns_of
 from etendue.scene import LightTable, Problem
+from etendue.transport import scatter_light, scatter_uniform
 
 from .lightpaths import Independent, LightPaths, PathNumbers
 from .tails import TailChains, Walked
@@ -74,6 +75,9 @@ class MetropolisParticlesSettings(Settings):
     )
     bootstrap: int = setting(
         1 << 16, "independent light paths from which the chains start", minimum=64, maximum=1 << 24
+    )
+    bsdf_sampling: bool = setting(
+        True, "sample directions from the material; false: uniformly over sphere or hemisphere, for experiments"
     )
     specular: bool = setting(False, "also keep hits on surfaces without a diffuse or glossy part")
     scale: str = setting(
@@ -116,7 +120,8 @@ class MetropolisParticles(Carrying):
         self._forget_states()
         o = self.settings
         self.problem, self.scene = problem, problem.scene
-        self._paths = LightPaths(problem.scene, LightTable(problem.scene), o.max_bounces)
+        proposal = scatter_light if o.bsdf_sampling else scatter_uniform
+        self._paths = LightPaths(problem.scene, LightTable(problem.scene), o.max_bounces, proposal)
         self._chains = TailChains(self._paths, o.step_size, o.anew)
         self._maker = _RowMaker(problem)
         pilot = self._independent(o.bootstrap, seed, "tail bootstrap", 0)
@@ -308,9 +313,10 @@ class _RowMaker:
             hit = dr.zeros(mi.PreliminaryIntersection3f, dr.width(slot))
             hit.valid = dr.full(mi.Bool, True, dr.width(slot))
             hit.shape = dr.reinterpret_array(mi.ShapePtr, shape)
-            hit.prim_uv, hit.prim_index = uv, primitive
+            hit.prim_uv, hit.prim_index, hit.t = uv, primitive, mi.Float(0.0)
             other = dr.gather(mi.UInt32, self._is_mesh, shape) == 0
-            uv = dr.select(other, hit.compute_surface_interaction(ray, mi.RayFlags.UV, active=other).uv, uv)
+            uv = dr.select(other, hit.compute_surface_interaction(ray, active=other).uv, uv)
+            primitive = dr.select(other, mi.UInt32(0), primitive)
         repeats = dr.gather(mi.UInt32, walked.counts, slot)
         colour = mi.Color3f(flux.x, flux.y, flux.z)
         colour *= mi.Float(repeats) / mi.luminance(colour)
