@@ -19,9 +19,8 @@ from etendue.core import Array, suggest
 
 from . import blocks
 from .blocks import Block
-from .codecs import Codec, decode
+from .codecs import Codec, Grid, decode
 from .errors import ParticleError
-from .grid import Grid
 from .particles import WORDS, Particles, Rows, columns_of
 from .surfaces import Surfaces
 

@@ -13,9 +13,8 @@ from etendue.core import OutputError
 
 from . import blocks
 from .blocks import Block
-from .codecs import Codec, encode
+from .codecs import Codec, Grid, encode
 from .files import ParticleFile, PathLike, in_order
-from .grid import Grid
 from .particles import Rows
 from .surfaces import Surfaces
 
