@@ -12,6 +12,7 @@ from etendue.core import BackendError
 from etendue.particles import Codec, Grid, ParticleError, Particles, Rows, Surfaces, coder_names, decode, encode
 from etendue.particles.codecs.coders import CODERS, coder, of_run_lengths, run_lengths
 from etendue.particles.codecs.ordering import rice, sorted_by, unrice
+from etendue.particles.codecs.strips import Chunk
 
 LIBRARIES = {"zstd": "zstandard", "lz4": "lz4", "blosc2": "blosc2"}
 INSTALLED = [name for name in coder_names() if name not in LIBRARIES or find_spec(LIBRARIES[name])]
@@ -28,6 +29,7 @@ def surfaces() -> Surfaces:
         np.array([1, 1, 500]),
         np.array([1, 0, 1], bool),
         frames,
+        np.array([[-5, 0, -5, 5, 0, 5], [0, 0, 0, 1, 1, 1], [-9, -9, -9, 9, 9, 9]], float),
     )
 
 
@@ -47,10 +49,14 @@ def some(count: int = 70_000) -> Rows:
     return rows
 
 
-def there_and_back(rows: Rows, codec: str) -> tuple[Rows, int]:
+def packed(rows: Rows, codec: str, known: Surfaces) -> list[Chunk]:
+    return [make() for make in encode(rows, Codec.parse(codec), Grid(known))]
+
+
+def there_and_back(rows: Rows, codec: str, known: Surfaces | None = None) -> tuple[Rows, int]:
     """(what comes back, bytes)."""
-    grid = Grid(surfaces())
-    chunks = [make() for make in encode(rows, Codec.parse(codec), grid)]
+    grid = Grid(known or surfaces())
+    chunks = packed(rows, codec, grid.surfaces)
     back = [decode(chunk.head, b"".join(chunk.strips), grid) for chunk in chunks]
     return np.concatenate(back), sum(len(strip) for chunk in chunks for strip in chunk.strips)
 
@@ -97,10 +103,117 @@ def test_path_numbers_may_be_left_out():
 def test_powers_without_a_code_come_back_as_they_are():
     rows = some(3000)
     floats = rows.view("f4")
+    floats[:, 6:9] = np.random.default_rng(1).random((3000, 3))
     floats[:4, 6:9] = [[-1.0, 2.0, 0.0], [1e-42, 0.0, 0.0], [3e38, 1.0, 0.0], [0.0, 0.0, 0.0]]
     rows[rows[:, 9] == 1, 9] = 0  # all in one chunk
     back, _ = there_and_back(rows, "packed")
     np.testing.assert_array_equal(by_path(back).power, by_path(rows).power)
+
+
+def meshes(frames, boxes=None, others: int = 0) -> Surfaces:
+    """One mesh of triangles or rectangles, and a shape of ``others`` primitives without frames."""
+    frames = np.array(frames, "f4")
+    if boxes is None:
+        ends = frames[:, :3, None] + np.stack([0 * frames[:, 3:6], frames[:, 3:6], frames[:, 6:]], -1)
+        boxes = [[*ends.min((0, 2)), *ends.max((0, 2))]]
+    names, counts = ["mesh", "tree"][: len(boxes)], [len(frames), others][: len(boxes)]
+    framed = np.array([True, False])[: len(boxes)]
+    return Surfaces(names, np.full(len(boxes), np.nan), np.array(counts), framed, frames, np.array(boxes, float))
+
+
+def on(known: Surfaces, count: int, triangles: bool = True) -> Rows:
+    """Particles on the frames of the first shape."""
+    rng = np.random.default_rng(count)
+    primitives = rng.integers(0, len(known.frames), count)
+    rows = rows_at_random(count, np.zeros(count, int), primitives)
+    floats, frame = rows.view("f4"), known.frames[primitives].astype(float)
+    if triangles:
+        outside = floats[:, 11] + floats[:, 12] > 1
+        floats[outside, 11:13] = 1 - floats[outside, 11:13]
+    floats[:, :3] = frame[:, :3] + floats[:, 11, None] * frame[:, 3:6] + floats[:, 12, None] * frame[:, 6:]
+    return rows
+
+
+def off(rows: Rows, back: Rows) -> np.ndarray:
+    """Distances between the same particles."""
+    return np.linalg.norm(by_path(back).position.astype(float) - by_path(rows).position, axis=1)
+
+
+def equilateral() -> list[list[float]]:
+    rng = np.random.default_rng(8)
+    sides, places = rng.uniform(0.05, 1.0, 300), rng.uniform(-5, 5, (300, 2))
+    return [[x, 0, z, a, 0, 0, a / 2, 0, a * 0.75**0.5] for a, (x, z) in zip(sides, places, strict=True)]
+
+
+FRAMES = {
+    "rectangle": [[-5, 0, -5, 10, 0, 0, 0, 0, 10]],
+    "right corners": [[0, 0, 0, 10, 0, 0, 0, 0, 10], [10, 0, 10, -10, 0, 0, 0, 0, -10]],
+    "acute corners": [[0, 0, 0, 10, 0, 0, 10, 0, 10], [0, 0, 0, 10, 0, 10, 0, 0, 10]],
+    "obtuse corner": [[0, 0, 0, 10, 0, 0, -9, 0, 1]],
+    "equilateral": equilateral(),
+    "far away": [[1e5, 0, -1e5, 10, 0, 0, 0, 0, 10]],
+}
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_positions_follow_from_frames_within_the_bound(name):
+    known = meshes(FRAMES[name])
+    rows = on(known, 20_000, name != "rectangle")
+    (chunk,) = packed(rows, "packed", known)
+    assert chunk.head["positions"] == "frames"
+    back, _ = there_and_back(rows, "packed", known)
+    bound = Grid(known).bounds["position"]
+    assert 0.5 * bound * (name != "far away") < off(rows, back).max() <= bound
+    step = float(np.sqrt((known.frames[:, 3:].astype(float) ** 2).sum(1)).max()) / (1 << 16)
+    assert name == "far away" or bound < 1.7 * step
+
+
+def test_small_primitives_have_parameters_in_large_scenes():
+    poster = meshes([[-5e5, 0, -5e5, 1e6, 0, 0, 0, 0, 1e6], [0, 0, 0, 5, 0, 0, 0, 5, 0]])
+    rows = on(poster, 20_000, False)
+    rows = rows[rows[:, 10] == 1]
+    back, _ = there_and_back(rows, "packed", poster)
+    assert np.abs(by_path(back).uv - by_path(rows).uv).max() <= 0.5001 / (1 << 8)
+    assert off(rows, back).max() <= 5 / (1 << 8)
+
+
+@pytest.mark.parametrize("half", [0.01, 100.0, 1e5, 1e9])
+def test_positions_in_instances_stay_within_the_bound(half):
+    """Instances have no frames; the lamp, which has one, is much smaller, or larger."""
+    known = meshes([[0, 0, 0, 1, 0, 0, 0, 0, 1]], [[0, 0, 0, 1, 0, 1], [-half] * 3 + [half] * 3], 1000)
+    rng = np.random.default_rng(3)
+    rows = rows_at_random(20_000, np.ones(20_000, int), rng.integers(0, 1000, 20_000))
+    rows.view("f4")[:, :3] = rng.uniform(-half, half, (20_000, 3))
+    (chunk,) = packed(rows, "packed-no-paths", known)
+    assert chunk.head["positions"] == "boxes"
+    rows.view("f4")[:, 6:9] = [1.0, 0.5, 0.25]
+    back, size = there_and_back(rows, "packed", known)
+    assert off(rows, back).max() <= Grid(known).bounds["position"] < max(2e-5 * 2 * half, 2e-5)
+    assert size < (12 + 4) * len(rows)
+    outside = rows.copy()
+    outside.view("f4")[7, 0] = 1e20
+    assert off(outside, there_and_back(outside, "packed", known)[0]).max() == 0.0
+
+
+def test_powers_are_right_on_average():
+    """A lamp with saturated colours comes back as it is; powers that are all different, on average."""
+    known = meshes(FRAMES["rectangle"])
+    rows = on(known, 60_000, False)
+    floats = rows.view("f4")
+    floats[:, 6:9] = [1.0, 0.01, 1 / 1100]
+    back, _ = there_and_back(rows, "packed", known)
+    np.testing.assert_array_equal(by_path(back).power, by_path(rows).power)
+    rng = np.random.default_rng(4)
+    floats[:, 6:9] = rng.uniform(0.98, 1.0, (len(rows), 1)) * [1.0, 0.01, 1 / 1100]
+    back, _ = there_and_back(rows, "packed", known)
+    before, after = by_path(rows).power.astype(float), by_path(back).power.astype(float)
+    error = after - before
+    assert np.abs(error).max() <= Grid(known).bounds["power"] * before[:, 0].max()
+    assert (error.std(0) > 0).all()
+    z = error.mean(0) / error.std(0) * np.sqrt(len(rows))
+    assert (np.abs(z) < 4).all()
+    again, _ = there_and_back(rows, "packed", known)
+    np.testing.assert_array_equal(again, back)
 
 
 def test_positions_off_their_frames_stay_within_the_bound():

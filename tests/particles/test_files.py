@@ -242,7 +242,7 @@ def test_a_file_of_another_version(tmp_path, monkeypatch):
     monkeypatch.setattr(blocks, "FORMAT", 99)
     etendue.trace_particles(scene(), paths=PATHS, save=path)
     monkeypatch.undo()
-    with pytest.raises(ParticleError, match="has format 99, this étendue reads format 1"):
+    with pytest.raises(ParticleError, match="has format 99, this étendue reads format 2"):
         etendue.read_particles(path)
 
 

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from typing import Any, BinaryIO
 
 #: Version of the layout of the file.
-FORMAT = 1
+FORMAT = 2
 HEADER, CHUNK, PASS, INDEX = b"ETPF", b"CHNK", b"PASS", b"INDX"
 _PREFIX = struct.Struct("<4sIQI")
 _END = struct.Struct("<Q8s")

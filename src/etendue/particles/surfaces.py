@@ -20,8 +20,8 @@ class Surfaces:
     """The shapes of a scene, on the host.
 
     names: a name for each; ids of the scene, or type and index. areas: in the scene's units squared, NaN for instances.
-    frames: (m, 9) float32, corner and two edges of the primitives of
-    the shapes ``framed``, in their order, in the scene's units: a point is ``corner + u edge_1 + v edge_2``.
+    frames: (m, 9) float32, corner and two edges of the primitives of the shapes ``framed``, in their order, in the
+    scene's units: a point is ``corner + u edge_1 + v edge_2``. boxes: (n, 6), lower and upper corner of each shape.
     """
 
     names: list[str]
@@ -29,6 +29,7 @@ class Surfaces:
     primitives: NDArray[np.int64]  #: of each shape
     framed: NDArray[np.bool_]  #: shapes whose primitives have frames
     frames: NDArray[np.float32]
+    boxes: Array
 
     def __post_init__(self) -> None:
         # Shapes with frames come first, so that the number of a primitive is the row of its frame.
@@ -54,6 +55,7 @@ class Surfaces:
             "areas": [float(area) if np.isfinite(area) else None for area in self.areas],
             "primitives": [int(n) for n in self.primitives],
             "framed": [bool(is_framed) for is_framed in self.framed],
+            "boxes": [[float(x) for x in box] for box in self.boxes],
         }
 
     @classmethod
@@ -65,6 +67,7 @@ class Surfaces:
             np.array(known["primitives"], np.int64),
             np.array(known["framed"], bool),
             frames,
+            np.array(known["boxes"], np.float64).reshape(-1, 6),
         )
 
 
@@ -74,7 +77,7 @@ class SurfaceTable:
     def __init__(self, problem: Problem) -> None:
         shapes = list(problem.scene.shapes())
         scale = problem.space.scale
-        names, areas, primitives, framed, frames = [], [], [], [], []
+        names, areas, primitives, framed, frames, boxes = [], [], [], [], [], []
         for index, shape in enumerate(shapes):
             corners = _frames(shape)
             names.append(graph.name(shape) or f"{graph.plugin_name(shape)} {index}")
@@ -83,6 +86,8 @@ class SurfaceTable:
             count = int(shape.effective_primitive_count()) if graph.plugin_name(shape) == "instance" else 1
             primitives.append(len(corners) if corners is not None else max(1, count))
             framed.append(corners is not None)
+            box = shape.bbox()
+            boxes.append(np.ravel([problem.space.to_scene(np.ravel(corner)) for corner in (box.min, box.max)]))
             if corners is not None:
                 frames.append(np.concatenate([problem.space.to_scene(corners[:, :3]), corners[:, 3:] / scale], axis=1))
         self.surfaces = Surfaces(
@@ -91,6 +96,7 @@ class SurfaceTable:
             np.array(primitives, np.int64),
             np.array(framed, bool),
             np.concatenate([np.zeros((0, 9)), *frames]).astype(np.float32),
+            np.array(boxes).reshape(-1, 6),
         )
         every = graph.shapes(problem.scene)
         most = max(map(_pointer, every)) + 1

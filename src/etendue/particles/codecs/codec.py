@@ -7,7 +7,8 @@
     bytes. Nothing is lost but the order.
 ``packed``
     the same order; a position is its Morton code on its primitive, as a gap in Rice code [Rice 1971]; a direction has
-    24 bits on the octahedron [Meyer 2010]; the distinct powers of a chunk, with a shared exponent, are numbered.
+    24 bits on the octahedron [Meyer 2010]; the distinct powers of a chunk are numbered, or, if they are many, rounded
+    at random to mantissas with a shared exponent, so that sums stay right on average.
 ``packed-no-paths``
     the same without path numbers, which come back as 0.
 """
@@ -77,7 +78,9 @@ def encode(rows: Rows, codec: Codec, grid: Grid) -> list[Callable[[], Chunk]]:
         return [partial(encode_raw, rows[a : a + CHUNK], codec.coder) for a in range(0, len(rows), CHUNK)]
     loops, surfaces = ordering(), grid.surfaces
     keys, order = np.empty(len(rows), np.uint64), np.empty(len(rows), np.uint32)
-    if not loops.keys_of(rows, rows.view(np.float32), surfaces.first, surfaces.primitives, grid.bits, keys):
+    if not loops.keys_of(
+        rows, rows.view(np.float32), surfaces.first, surfaces.primitives, grid.bits, grid.shape_bits, keys
+    ):
         raise ParticleError("particles name a shape or a triangle that the scene does not have")
     loops.sorted_by(keys, order)
     # Chunks have positions by frames or without; primitives with frames come first.

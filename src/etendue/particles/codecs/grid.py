@@ -5,33 +5,54 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from etendue.core import Array
+
 from ..surfaces import Surfaces
 from .strips import kernels
 
-#: Bits of a parameter on the largest primitive; smaller ones get so many that a step is about as long.
-PARAMETER_BITS = 16
+#: Bits of a parameter or coordinate on the largest primitive; smaller ones get so many that a step is about as long,
+#: but never fewer than ``_FEWEST``.
+PARAMETER_BITS, _FEWEST = 16, 8
 
 
 class Grid:
-    """Steps of the parameters on all primitives of a scene."""
+    """Steps of the parameters on all primitives of a scene, and of coordinates on shapes whose primitives have no
+    frames.
+
+    A coordinate is a level in the box of its shape: ``low + level * coordinate_steps``, at most ``MOST`` levels."""
+
+    MOST = (1 << PARAMETER_BITS) - 1
 
     def __init__(self, surfaces: Surfaces) -> None:
         self.surfaces = surfaces
         edges = surfaces.frames.astype(np.float64)
-        longest = np.sqrt(np.maximum((edges[:, 3:6] ** 2).sum(1), (edges[:, 6:] ** 2).sum(1)))
-        # Where a scene has curved shapes only, a step is relative to the root of their area.
-        size = max(longest.max(initial=0.0), np.sqrt(np.nan_to_num(surfaces.areas[~surfaces.framed]).max(initial=0.0)))
-        #: Length of a step on a primitive with frame, at most; in the scene's units.
-        self.step = float(size if size > 0 else 1.0) / (1 << PARAMETER_BITS)
-        bits = np.full(surfaces.total, PARAMETER_BITS, np.uint8)
-        bits[: len(longest)] = np.ceil(np.log2(np.maximum(longest / self.step, 1.0)) - 1e-9)
-        #: Bits of a parameter, for each primitive by number.
-        self.bits: NDArray[np.uint8] = bits
+        one, other = edges[:, 3:6], edges[:, 6:]
+        # The corner of a cell is as far from its middle as half a diagonal is long.
+        diagonals = np.maximum(((one + other) ** 2).sum(1), ((one - other) ** 2).sum(1))
+        longest = _finite(np.sqrt(0.5 * diagonals))
+        boxes = surfaces.boxes
+        extents = _finite((boxes[:, 3:] - boxes[:, :3]).max(1, initial=0.0))
+        # Three coordinates may be wrong by half a step, two parameters alike.
+        coarsest = extents[~surfaces.framed].max(initial=0.0) * np.sqrt(1.5) / self.MOST
+        step = max(longest.max(initial=0.0) / (1 << PARAMETER_BITS), coarsest)
+        #: Largest absolute coordinate.
+        self._size = float(_finite(np.abs(boxes)).max(initial=0.0))
+        #: Largest length of a step on a primitive with frame, in the scene's units; not finer than single precision.
+        self.step = float(max(step, self._size * 2.0**-23)) or 2.0**-PARAMETER_BITS
+        #: Bits of a parameter, for each primitive with frame by number.
+        self.bits = self._bits(longest, self.step)
+        #: The same of the primitives of each shape, where they have no frames.
+        self.shape_bits = self._bits(extents / np.sqrt(np.maximum(surfaces.primitives, 1)), self.step)
+        levels = (1 << self._bits(extents, self.step * np.sqrt(2 / 3), 1).astype(np.int64)) - 1
+        #: Lowest coordinates of each shape, and their step.
+        self.low: Array = boxes[:, :3]
+        self.coordinate_steps: Array = np.where(extents > 0, extents, 1.0) / levels
 
-    @property
-    def position_step(self) -> float:
-        """Step of coordinates of particles on curved shapes."""
-        return float(self.step * np.sqrt(2 / 3))
+    @staticmethod
+    def _bits(lengths: Array, step: float, ends: int = 0) -> NDArray[np.uint8]:
+        """Bits for which a step of each length is at most ``step``; ``ends``: levels more than steps."""
+        bits = np.ceil(np.log2(np.maximum(lengths / step + ends, 1.0)) - 1e-9)
+        return np.clip(bits, _FEWEST, PARAMETER_BITS).astype(np.uint8)
 
     @property
     def bounds(self) -> dict[str, float]:
@@ -41,11 +62,15 @@ class Grid:
         return {
             "position": self.position_bound,
             "direction": 4.5 / loops.DIRECTION_LEVELS,
-            "power": 2.0**-loops.POWER_BITS,
+            "power": 2.0 / loops.POWER_LEVELS,
         }
 
     @property
     def position_bound(self) -> float:
         """Half a step along both parameters, and the rounding of coordinates to single precision."""
-        size = float(np.abs(self.surfaces.frames).max(initial=0.0))
-        return float(self.step * np.sqrt(0.5) * 1.01 + 4e-7 * size)
+        return float(self.step * np.sqrt(0.5) * 1.01 + 4e-7 * self._size)
+
+
+def _finite(values: Array) -> Array:
+    """The same, with 0 for what is not finite."""
+    return np.where(np.isfinite(values), values, 0.0)

@@ -23,7 +23,9 @@ POSITION, DIRECTION, POWER, SHAPE, PRIMITIVE, UV, PATH, BOUNCE = 0, 3, 6, 9, 10,
 DIRECTION_BITS, POWER_BITS = 12, 10
 #: Largest component of the code of a direction.
 DIRECTION_LEVELS = _LARGEST = (1 << DIRECTION_BITS) - 1
-_HASH = 0x9E3779B97F4A7C15
+#: Largest mantissa of a channel.
+POWER_LEVELS = (1 << POWER_BITS) - 1
+_HASH, _MIX_1, _MIX_2 = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 
 
 @njit(nogil=True, cache=True)
@@ -50,9 +52,24 @@ def _octahedral(x: float, y: float, z: float) -> int:
     return a | (b << DIRECTION_BITS)
 
 
+@njit(nogil=True, cache=True)
+def _mixed(x: np.uint64) -> np.uint64:
+    """64 bits that look random."""
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(_MIX_1)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(_MIX_2)
+    return x ^ (x >> np.uint64(31))
+
+
+@njit(nogil=True, cache=True)
+def _share(random: np.uint64, part: int) -> float:
+    """One of three numbers in (0, 1)."""
+    return (np.float64((random >> np.uint64(21 * part)) & np.uint64((1 << 21) - 1)) + 0.5) * 2.0**-21
+
+
 @njit(nogil=True, cache=True, error_model="numpy")
-def _flux_code(red: float, green: float, blue: float) -> int:
-    """Exponent and three mantissas of a flux; -1 if it has none."""
+def _flux_code(red: float, green: float, blue: float, random: np.uint64) -> int:
+    """Exponent and three mantissas of a flux, each rounded up with the probability of its fraction, so that sums are
+    right on average; -1 if it has none."""
     largest = max(red, green, blue)
     if not (red >= 0.0 and green >= 0.0 and blue >= 0.0 and largest < np.inf):
         return -1
@@ -60,13 +77,29 @@ def _flux_code(red: float, green: float, blue: float) -> int:
         return 0 if largest == 0.0 else -1
     _, exponent = math.frexp(largest)  # largest < 2^exponent
     scale = math.ldexp(1.0, POWER_BITS - exponent)
-    if int(largest * scale + 0.5) >> POWER_BITS:  # rounded up to the next power of two
+    if largest * scale > POWER_LEVELS:  # may be rounded up to the next power of two
         exponent += 1
         scale *= 0.5
     code = exponent + 126
-    code = (code << POWER_BITS) | int(red * scale + 0.5)
-    code = (code << POWER_BITS) | int(green * scale + 0.5)
-    return (code << POWER_BITS) | int(blue * scale + 0.5)
+    code = (code << POWER_BITS) | int(red * scale + _share(random, 0))
+    code = (code << POWER_BITS) | int(green * scale + _share(random, 1))
+    return (code << POWER_BITS) | int(blue * scale + _share(random, 2))
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def power_codes(rows: Rows, floats: Floats, keys: Codes, codes: Codes) -> bool:
+    """Write the codes of powers; whether all have one. They are rounded by a hash of place and path, so that the same
+    particles have the same codes."""
+    for r in range(len(rows)):
+        own = (np.uint64(rows[r, PATH]) << np.uint64(32)) | np.uint64(rows[r, BOUNCE])
+        random = _mixed(_mixed(own + np.uint64(_HASH)) + keys[r])
+        code = _flux_code(
+            np.float64(floats[r, POWER]), np.float64(floats[r, POWER + 1]), np.float64(floats[r, POWER + 2]), random
+        )
+        if code < 0:
+            return False
+        codes[r] = code
+    return True
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -81,19 +114,16 @@ def gathered(rows: Rows, order: Words, part: Rows) -> None:
 @njit(nogil=True, cache=True, error_model="numpy")
 def pack(
     rows: Rows, floats: Floats, keys: Codes, frames: Floats, bits: Bytes, bound: float,
-    directions: Words, powers: Codes, paths: Words, bounces: Words, box: Doubles, flux: Doubles,
-) -> tuple[bool, bool]:  # fmt: skip
-    """Direction and power codes, paths and bounces of rows, their bounding box (6,) and the sum of their power (3,).
+    directions: Words, paths: Words, bounces: Words, box: Doubles, flux: Doubles,
+) -> bool:  # fmt: skip
+    """Direction codes, paths and bounces of rows, their bounding box (6,) and the sum of their power (3,).
 
-    Returns (whether their positions follow from frames within ``bound``, whether their powers have codes)."""
-    framed, coded = True, True
+    Returns whether their positions follow from frames within ``bound``."""
+    framed = True
     box[:3], box[3:], flux[:] = np.inf, -np.inf, 0.0
     for r in range(len(rows)):  # rows and frames are read by two indices, because views of rows cost time
         paths[r], bounces[r] = rows[r, PATH], rows[r, BOUNCE]
         directions[r] = _octahedral(floats[r, DIRECTION], floats[r, DIRECTION + 1], floats[r, DIRECTION + 2])
-        code = _flux_code(floats[r, POWER], floats[r, POWER + 1], floats[r, POWER + 2])
-        coded &= code >= 0
-        powers[r] = code
         for c in range(3):
             x = np.float64(floats[r, c])
             box[c], box[3 + c] = min(box[c], x), max(box[3 + c], x)
@@ -105,25 +135,27 @@ def pack(
             u, v = (_gathered(low) + 0.5) * step, (_gathered(low >> 1) + 0.5) * step
             error = 0.0
             for c in range(3):
-                x = frames[number, c] + u * frames[number, 3 + c] + v * frames[number, 6 + c] - floats[r, c]
+                there = np.float32(frames[number, c] + u * frames[number, 3 + c] + v * frames[number, 6 + c])
+                x = np.float64(there) - np.float64(floats[r, c])
                 error += x * x
             framed &= error <= bound * bound
         else:
             framed = False
-    return framed, coded
+    return framed
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def place(
-    numbers: Index, counts: Index, codes: Words, shapes: Words, primitives: Words, bits: Bytes, frames: Floats,
-    with_frames: bool, rows: Rows, floats: Floats,
+    numbers: Index, counts: Index, codes: Words, shapes: Words, primitives: Words, bits: Bytes, shape_bits: Bytes,
+    frames: Floats, with_frames: bool, rows: Rows, floats: Floats,
 ) -> None:  # fmt: skip
     """Write shape, primitive, uv and, with frames, position of the rows of runs; ``shapes``, ``primitives``: of each
     run."""
     i = 0
     for run in range(len(counts)):
         number = numbers[run]
-        step = 1.0 / (1 << np.int64(bits[number]))
+        own = np.int64(bits[number]) if number < len(bits) else np.int64(shape_bits[shapes[run]])
+        step = 1.0 / (1 << own)
         for _ in range(counts[run]):
             low = np.int64(codes[i])
             u, v = (_gathered(low) + 0.5) * step, (_gathered(low >> 1) + 0.5) * step
@@ -175,23 +207,26 @@ def unpack_powers(codes: Codes, floats: Floats) -> None:
 
 
 @njit(nogil=True, cache=True)
-def palette(codes: Codes, index: Words, table: Codes, slots: NDArray[np.int32]) -> int:
-    """Number the distinct codes in the order of their first occurrence: the number of each to ``index``, the codes to
-    ``table``. Returns how many there are; -1 if ``table`` is too short. ``slots``: work space, a power of two."""
+def palette(rows: Rows, index: Words, table: Words, slots: NDArray[np.int32]) -> int:
+    """Number the distinct powers of rows, bit by bit, in the order of their first occurrence: the number of each to
+    ``index``, the powers to ``table`` (m, 3). Returns how many there are; -1 if ``table`` is too short. ``slots``: work
+    space, a power of two."""
     slots[:] = -1
     mask, found = np.uint64(len(slots) - 1), 0
-    for i in range(len(codes)):
-        code = codes[i]
-        slot = np.int64(((code * np.uint64(_HASH)) >> np.uint64(40)) & mask)
+    for i in range(len(rows)):
+        a, b, c = rows[i, POWER], rows[i, POWER + 1], rows[i, POWER + 2]
+        mixed = (((np.uint64(a) * np.uint64(_HASH)) ^ np.uint64(b)) * np.uint64(_MIX_1)) ^ np.uint64(c)
+        slot = np.int64(((mixed * np.uint64(_MIX_2)) >> np.uint64(40)) & mask)
         while True:
             known = slots[slot]
             if known < 0:
                 if found == len(table):
                     return -1
-                slots[slot], table[found], known = found, code, found
+                slots[slot], known = found, found
+                table[found, 0], table[found, 1], table[found, 2] = a, b, c
                 found += 1
                 break
-            if table[known] == code:
+            if table[known, 0] == a and table[known, 1] == b and table[known, 2] == c:
                 break
             slot = np.int64(np.uint64(slot + 1) & mask)
         index[i] = known

@@ -1,7 +1,7 @@
 """Loops that sort particles by surface and code their places, compiled by Numba; they release Python's lock.
 
-A primitive has a number (:class:`Surfaces`); its parameters u and v are quantised to ``bits`` each, and interleaved to
-a Morton code. Sorted particles have the key ``number << 32 | code``.
+A primitive has a number (:class:`Surfaces`); its parameters u and v are quantised to a number of bits each, and
+interleaved to a Morton code. Sorted particles have the key ``number << 32 | code``.
 """
 
 from __future__ import annotations
@@ -43,15 +43,18 @@ def _quantised(x: float, bits: int) -> int:
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def keys_of(rows: Rows, floats: Floats, first: Index, primitives: Index, bits: Bytes, keys: Codes) -> bool:
-    """Write the key of each row; whether all shapes and primitives exist."""
+def keys_of(
+    rows: Rows, floats: Floats, first: Index, primitives: Index, bits: Bytes, shape_bits: Bytes, keys: Codes
+) -> bool:
+    """Write the key of each row; whether all shapes and primitives exist. ``bits``: of the first primitives;
+    ``shape_bits``: of the others, by shape."""
     shapes = len(first)
     for i in range(len(rows)):
         shape, primitive = np.int64(rows[i, SHAPE]), np.int64(rows[i, PRIMITIVE])
         if shape >= shapes or primitive >= primitives[shape]:
             return False
         number = first[shape] + primitive
-        b = np.int64(bits[number])
+        b = np.int64(bits[number]) if number < len(bits) else np.int64(shape_bits[shape])
         u = _quantised(floats[i, UV], b)
         v = _quantised(floats[i, UV + 1], b)
         keys[i] = (np.uint64(number) << np.uint64(32)) | np.uint64(_spread(u) | (_spread(v) << 1))

@@ -13,8 +13,8 @@ from .strips import Chunk, Packing, Strips, differences, kernels, ordering, summ
 
 #: Slots of the table in which distinct powers are found, more than a chunk has particles.
 _SLOTS = 1 << 17
-#: Distinct powers are numbered if there are at most so many, relative to the particles.
-_REPEATED = 0.4
+#: Distinct powers are numbered if there are at most so many, relative to the particles; with more, codes are shorter.
+_REPEATED = 0.25
 
 
 def encode_packed(
@@ -22,13 +22,12 @@ def encode_packed(
 ) -> Chunk:
     """The rows in ``order``, whose ``keys`` ascend."""
     loops, places, surfaces, n = kernels(), ordering(), grid.surfaces, len(order)
-    directions, powers = np.empty(n, np.uint32), np.empty(n, np.uint64)
-    paths, bounces = np.empty(n, np.uint32), np.empty(n, np.uint32)
+    directions, paths, bounces = (np.empty(n, np.uint32) for _ in range(3))
     box, flux, part = np.empty(6), np.empty(3), np.empty((n, WORDS), np.uint32)
     loops.gathered(rows, order, part)
-    has_frames, has_codes = loops.pack(
+    has_frames = loops.pack(
         *(part, part.view(np.float32), keys, surfaces.frames, grid.bits, grid.position_bound),
-        *(directions, powers, paths, bounces, box, flux),
+        *(directions, paths, bounces, box, flux),
     )
     packing = Packing(coder_name)
     numbers, counts = np.empty(n, np.int64), np.empty(n, np.int64)
@@ -39,19 +38,16 @@ def encode_packed(
     packing.add_planes(np.diff(numbers, prepend=0).astype(np.uint64))
     packing.add_planes(counts.astype(np.uint64))
     packing.add(codes[: places.rice(gaps, codes)])
+    positions = "frames"
+    chosen: list[int] = []
     if not has_frames:
-        position = part[:, columns_of("position")].view(np.float32)
-        for steps in np.rint((position - box[:3]) / grid.position_step).astype(np.uint32).T:
-            packing.add_planes(differences(np.ascontiguousarray(steps)))
+        shapes = np.repeat(surfaces.shape_of(numbers), counts)
+        positions, chosen = _add_positions(packing, part[:, columns_of("position")], shapes, grid)
     planes = np.empty((3, n), np.uint8)
     loops.direction_planes(directions, *planes)
     for plane in planes:
         packing.add(plane)
-    if has_codes:
-        _add_powers(packing, powers)
-    else:
-        for column in part[:, columns_of("power")].T:
-            packing.add_planes(np.ascontiguousarray(column))
+    powers = _add_powers(packing, part, keys)
     packing.add_planes(bounces)
     if with_paths:
         packing.add_planes(paths)
@@ -64,8 +60,9 @@ def encode_packed(
             "box": [float(x) for x in box],
             "power": [float(x) for x in flux],
             "shapes": [[int(s), int(per_shape[s])] for s in np.flatnonzero(per_shape)],
-            "frames": int(has_frames),
-            "codes": int(has_codes),
+            "positions": positions,
+            "differences": chosen,
+            "powers": powers,
             "paths": int(with_paths),
         }
     )
@@ -86,40 +83,74 @@ def decode_packed(head: dict[str, Any], strips: Strips, grid: Grid) -> Rows:
         raise ValueError("a primitive that does not exist")
     shapes = surfaces.shape_of(numbers)
     primitives = (numbers - surfaces.first[shapes]).astype(np.uint32)
-    has_frames = bool(head["frames"])
     loops.place(
-        *(numbers, counts, codes, shapes.astype(np.uint32), primitives, grid.bits, surfaces.frames, has_frames),
-        *(rows, floats),
+        *(numbers, counts, codes, shapes.astype(np.uint32), primitives, grid.bits, grid.shape_bits, surfaces.frames),
+        *(head["positions"] == "frames", rows, floats),
     )
-    if not has_frames:
-        for axis in range(3):
-            floats[:, axis] = head["box"][axis] + summed(strips.planes(n)) * grid.position_step
+    if head["positions"] == "boxes":
+        own = np.repeat(shapes, counts)
+        for axis, is_difference in enumerate(head["differences"]):
+            levels = strips.planes(n)
+            levels = summed(levels) if is_difference else levels
+            floats[:, axis] = grid.low[own, axis] + levels * grid.coordinate_steps[own]
+    elif head["positions"] == "plain":
+        _read_columns(strips, rows, "position")
     loops.unpack_directions(strips.next(), strips.next(), strips.next(), floats)
-    if head["codes"]:
-        loops.unpack_powers(_powers(strips, n), floats)
+    if head["powers"] == "palette":
+        found = int(strips.next().view(np.uint32)[0])
+        table = np.stack([strips.planes(found) for _ in range(3)], axis=1)
+        rows[:, columns_of("power")] = table[strips.planes(n)]
+    elif head["powers"] == "codes":
+        loops.unpack_powers(strips.planes(n, np.uint64), floats)
     else:
-        for column in range(*columns_of("power").indices(WORDS)):
-            rows[:, column] = strips.planes(n)
+        _read_columns(strips, rows, "power")
     rows[:, columns_of("bounce")] = strips.planes(n)[:, None]
     rows[:, columns_of("path")] = strips.planes(n)[:, None] if head["paths"] else 0
     return rows
 
 
-def _add_powers(packing: Packing, powers: NDArray[np.uint64]) -> None:
-    """Power codes as numbers of their distinct values, or, if these are many, as they are."""
-    index, table = np.empty(len(powers), np.uint32), np.empty(int(_REPEATED * len(powers)) + 1, np.uint64)
-    found = kernels().palette(powers, index, table, np.empty(_SLOTS, np.int32))
-    packing.add(np.array([max(found, 0)], np.uint32))
+def _add_positions(
+    packing: Packing, position: NDArray[np.uint32], shapes: NDArray[np.int64], grid: Grid
+) -> tuple[str, list[int]]:
+    """Add positions that do not follow from frames: as levels in the boxes of their shapes, or, if they lie outside,
+    as they are. Returns the name of the way, and for each coordinate whether it is a difference to its neighbour."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        levels = np.rint((position.view(np.float32) - grid.low[shapes]) / grid.coordinate_steps[shapes, None])
+    if not ((levels >= 0) & (levels <= grid.MOST)).all():
+        _add_columns(packing, position)
+        return "plain", []
+    chosen = []
+    for values in levels.astype(np.uint32).T:
+        steps = differences(np.ascontiguousarray(values))
+        chosen.append(int(steps.sum(dtype=np.uint64) < values.sum(dtype=np.uint64)))
+        packing.add_planes(steps if chosen[-1] else np.ascontiguousarray(values))
+    return "boxes", chosen
+
+
+def _add_powers(packing: Packing, part: Rows, keys: NDArray[np.uint64]) -> str:
+    """Add powers: as numbers of their distinct values, as they are; if these are many, as codes; and as they are where
+    there is no code. Returns the name of the way."""
+    n = len(part)
+    index, table = np.empty(n, np.uint32), np.empty((int(_REPEATED * n) + 1, 3), np.uint32)
+    found = kernels().palette(part, index, table, np.empty(_SLOTS, np.int32))
     if found > 0:
-        packing.add_planes(table[:found])
+        packing.add(np.array([found], np.uint32))
+        _add_columns(packing, table[:found])
         packing.add_planes(index)
-    else:
-        packing.add_planes(powers)
+        return "palette"
+    codes = np.empty(n, np.uint64)
+    if kernels().power_codes(part, part.view(np.float32), keys, codes):
+        packing.add_planes(codes)
+        return "codes"
+    _add_columns(packing, part[:, columns_of("power")])
+    return "plain"
 
 
-def _powers(strips: Strips, count: int) -> NDArray[np.uint64]:
-    found = int(strips.next().view(np.uint32)[0])
-    if not found:
-        return strips.planes(count, np.uint64)
-    table = strips.planes(found, np.uint64)
-    return np.asarray(table[strips.planes(count)])
+def _add_columns(packing: Packing, columns: NDArray[np.uint32]) -> None:
+    for column in columns.T:
+        packing.add_planes(np.ascontiguousarray(column))
+
+
+def _read_columns(strips: Strips, rows: Rows, name: str) -> None:
+    for column in range(*columns_of(name).indices(WORDS)):
+        rows[:, column] = strips.planes(len(rows))
