@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from etendue.core import Progress, use_variant
+from etendue.core import OptionError, Progress, use_variant
 from etendue.engine import Budget
 from etendue.jobs import ParticleRequest, ParticleResult, ParticleWork, PathLike, run_work
 from etendue.particles import ParticleFile, Particles
@@ -23,13 +23,13 @@ def trace_particles(
     paths: int | None = None,
     particles: int | None = None,
     seconds: float | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     parameters: Mapping[str, Any] | None = None,
     memory: int | None = None,
     variant: str | None = None,
     callback: Callback | None = None,
     save: PathLike | None = None,
-    codec: str = "packed",
+    codec: str | None = None,
     resume: PathLike | None = None,
     **settings: Any,
 ) -> ParticleResult:
@@ -40,8 +40,9 @@ def trace_particles(
     :class:`etendue.methods.ParticleTracing`: ``keep``, ``after``, ``specular``, ``max_bounces`` and others.
 
     The result has the :class:`etendue.particles.Particles` in memory, unless ``save`` names a new file to which they
-    are written pass by pass, by a ``codec`` (see docs/particles.md). ``resume`` names such a file to go on with; limits
-    in paths and particles are those of the whole file, and ``scene`` may be ``None`` if it was a file or a bundled one.
+    are written pass by pass, by a ``codec`` (``packed`` by default, see docs/particles.md). ``resume`` names such a
+    file to go on with; limits in paths and particles are those of the whole file, ``scene`` may be ``None`` if it was a
+    file or a bundled one, and all else is that of the file.
     ``callback`` is called with a :class:`etendue.core.Progress` after each pass; ``False`` ends the run. At Ctrl-C, or
     if a pass fails, the file has the passes before.
 
@@ -50,6 +51,10 @@ def trace_particles(
     """
     use_variant(variant)
     if resume is not None:
+        given = {"seed": seed, "parameters": parameters, "memory": memory, "save": save, "codec": codec} | settings
+        ignored = [f"{name}=" for name, value in given.items() if value is not None]
+        if ignored:
+            raise OptionError(f"a resumed file has {', '.join(ignored)} of its own; leave them out, or trace anew")
         work = ParticleWork.resume(Path(resume), Budget(seconds, paths), particles, scene)
     else:
         request = ParticleRequest(
@@ -58,9 +63,9 @@ def trace_particles(
             paths=paths,
             particles=particles,
             seconds=seconds,
-            codec=codec,
+            codec="packed" if codec is None else codec,
             settings=settings,
-            seed=seed,
+            seed=0 if seed is None else seed,
             parameters=parameters,
             memory=memory,
         )

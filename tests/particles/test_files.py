@@ -16,10 +16,11 @@ from support.particles import POWER, box, sorted_rows
 from support.scenes import diffuse
 
 import etendue
-from etendue.core import CheckpointError, EtendueError, OptionError
-from etendue.engine import RunError
-from etendue.jobs import repack
-from etendue.particles import ParticleError, ParticleFile, Particles, blocks
+from etendue.core import CheckpointError, EtendueError, OptionError, OutputError
+from etendue.engine import Budget, RunError
+from etendue.jobs import ParticleWork, repack
+from etendue.methods import ParticleTracing
+from etendue.particles import ParticleError, ParticleFile, Particles, ParticleWriter, blocks
 from etendue.scene import load
 
 PATHS = 4000
@@ -223,6 +224,121 @@ def test_a_damaged_chunk_is_one_line(tmp_path):
     path.write_bytes(data)
     with pytest.raises(ParticleError, match=rf"is damaged: {block.head['count']} particles of pass 1 cannot be read"):
         etendue.read_particles(path)
+
+
+def without_index(path: Path, flipped: int | None = None) -> Path:
+    """As after a kill behind the last pass; with a flipped bit."""
+    data = bytearray(whole().read_bytes()[: ParticleFile(whole()).passes[-1].end])
+    if flipped is not None:
+        data[flipped] ^= 4
+    path.write_bytes(data)
+    return path
+
+
+def test_passes_behind_a_damage_are_not_removed(tmp_path, caplog):
+    known = ParticleFile(whole())
+    path = without_index(tmp_path / "a.particles", known.chunks[1].start - 30)
+    before = path.read_bytes()
+    with caplog.at_level("WARNING"):
+        damaged = ParticleFile(path)
+    assert "is damaged behind its first 1 passes: 3 more are left out" in caplog.text
+    assert len(damaged.passes) == 1 and damaged.lost == 3
+    with pytest.raises(OutputError, match="to go on would remove 3 whole passes behind the damage"):
+        etendue.trace_particles(scene(), resume=path, paths=9 * PATHS)
+    assert path.read_bytes() == before
+    assert ParticleFile(without_index(path)).lost == 0
+
+
+def test_two_runs_do_not_write_to_one_file(tmp_path):
+    path, errors = tmp_path / "a.particles", []
+
+    def second(_):
+        with pytest.raises(OutputError, match="another run writes to"):
+            etendue.trace_particles(scene(), resume=path, paths=9 * PATHS)
+        errors.append(1)
+
+    etendue.trace_particles(scene(), save=path, callback=second, paths=2 * PATHS, samples_per_pass=PATHS, max_bounces=3)
+    assert errors == [1, 1]
+    assert len(ParticleFile(path).passes) == 2 and ParticleFile(path).paths == 2 * PATHS
+
+
+def test_a_file_that_has_changed_since_it_was_read_is_not_cut(tmp_path):
+    path = without_index(tmp_path / "a.particles")
+    known = ParticleFile(path)
+    path.write_bytes(whole().read_bytes())
+    with pytest.raises(OutputError, match="has changed since it was read"):
+        ParticleWriter.resume(known)
+    assert path.read_bytes() == whole().read_bytes()
+
+
+def test_a_killed_run_goes_on_with_the_rest_of_its_time(tmp_path):
+    path = tmp_path / "a.particles"
+    stop = iter([True, True, False])
+    etendue.trace_particles(scene(), save=path, seconds=1000.0, callback=lambda _: next(stop), samples_per_pass=PATHS)
+    known = ParticleFile(path)
+    path.write_bytes(path.read_bytes()[: known.passes[-1].end])
+    assert not ParticleFile(path).is_finished
+    work = ParticleWork.resume(path, Budget(), scene=scene())
+    spent, seconds = known.passes[-1].head["elapsed"], known.counters["seconds"]
+    assert work._job.budget.seconds == pytest.approx(1000.0 - spent)
+    assert 0 < seconds <= spent
+    assert work._job.start.counters["seconds"] == seconds
+
+
+def test_packing_a_file_that_is_not_finished(tmp_path):
+    path, packed = without_index(tmp_path / "a.particles"), tmp_path / "b.particles"
+    repack(path, packed, "exact")
+    assert len(ParticleFile(packed).passes) == 4 and not ParticleFile(packed).is_finished
+    repack(whole(), tmp_path / "c.particles", "exact")
+    assert ParticleFile(tmp_path / "c.particles").is_finished
+    with pytest.raises(CheckpointError, match="the budget of the checkpoint is used up"):
+        etendue.trace_particles(scene(), resume=tmp_path / "c.particles")
+
+
+def test_a_run_without_a_pass_leaves_no_file(tmp_path, monkeypatch):
+    path = tmp_path / "a.particles"
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ParticleTracing, "step", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        etendue.trace_particles(scene(), save=path, paths=PATHS)
+    assert not path.exists()
+
+
+def test_a_resumed_file_keeps_its_own_settings(tmp_path):
+    for name, value in {"keep": "first", "seed": 3, "codec": "raw", "save": "x", "memory": 1 << 30}.items():
+        with pytest.raises(OptionError, match=f"a resumed file has {name}= of its own"):
+            etendue.trace_particles(scene(), resume=whole(), paths=9 * PATHS, **{name: value})
+
+
+def test_parts_by_pass():
+    known = ParticleFile(whole())
+    found: dict[int, int] = {}
+    for number, part in known.parts_by_pass():
+        found[number] = found.get(number, 0) + len(part)
+    assert found == {int(p.head["pass"]): p.head["counters"]["particles"] for p in known.passes}
+
+
+def test_primitives_of_an_instance_are_different(tmp_path):
+    """Each member of a group has primitives of its own."""
+    place, half = mi.ScalarTransform4f, diffuse(0.5, 0.5, 0.5)
+    group = {
+        "type": "shapegroup",
+        "one": {"type": "cube", "to_world": place().translate([0.5, 0, 0]).scale(0.2), "bsdf": half},
+        "ball": {"type": "sphere", "radius": 0.2, "bsdf": half},
+        "two": {"type": "cube", "to_world": place().translate([-0.5, 0, 0]).scale(0.2), "bsdf": half},
+    }
+    lamp = {"type": "point", "position": [0, 0.7, 0], "intensity": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}
+    source = box(group=group, it={"type": "instance", "of": {"type": "ref", "id": "group"}}, lamp=lamp)
+    particles = etendue.trace_particles(source, paths=20_000).particles
+    names = [shape.id() for shape in load(source).scene.shapes()]
+    on = particles[particles.shape == names.index("it")]
+    x = on.position[:, 0]
+    one, ball, two = (set(on.primitive[side]) for side in (x > 0.25, np.abs(x) < 0.25, x < -0.25))
+    assert len(one) >= 6 and len(two) >= 6 and len(ball) == 1
+    assert not one & two and not ball & (one | two)
 
 
 def test_files_that_are_not_of_particles(tmp_path):

@@ -150,7 +150,7 @@ class ParticleWork:
 
     def keep(self, run: RunResult) -> None:
         """See :class:`Work`: passes are in the file already."""
-        if self._writer is not None:
+        if self._writer is not None and self._writer.passes:
             self._writer.close(**self._ending(run))
 
     def finish(self, run: RunResult) -> ParticleResult:
@@ -187,14 +187,22 @@ class _Written(InTurn):
 
     def next(self) -> Pass:
         """See :class:`Executor`."""
+        begin = time.perf_counter()
         made = super().next()
         ((key, rows),) = ((key, record[key]) for record in made.measurement.records.values() for key in record.passes)
         made.measurement.records = {name: Record() for name in made.measurement.records}
         # A run that is killed goes on with the rest of this budget.
         known = {"budget": self._job.budget.to_dict(), "earlier": self._job.earlier}
         elapsed = round(time.perf_counter() - self._began, 3)
-        self._writer.add(key[1], rows, made.measurement.counters, elapsed=elapsed, **known)
+        counters = made.measurement.counters | {"seconds": time.perf_counter() - begin}
+        self._writer.add(key[1], rows, counters, elapsed=elapsed, **known)
         return made
+
+    def close(self) -> None:
+        """See :class:`Executor`: a run that ends before its first pass leaves no file."""
+        super().close()
+        if not self._writer.passes:
+            self._writer.discard()
 
 
 def _checkpoint(known: ParticleFile) -> Checkpoint:
@@ -237,7 +245,7 @@ def repack(source: Path, output: Path, codec: str, tell: Callable[[int, int], ob
             writer.add(int(end.head["pass"]), rows, end.head["counters"], **more)
             tell(done, len(known.passes))
         ending = {name: value for name, value in known.ending.items() if name != "crc"}
-        writer.close(**ending)
+        writer.close(**ending)  # without an ending it stays a file that is not finished
     except BaseException:
         writer.discard()
         raise

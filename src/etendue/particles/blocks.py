@@ -19,6 +19,7 @@ last 16 bytes of a finished file are its place and ``ETPFINDX``. A file without 
 from __future__ import annotations
 
 import json
+import mmap
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
@@ -94,6 +95,19 @@ def scanned(file: BinaryIO, size: int) -> Iterator[Block]:
     """Whole blocks from the current place on, up to the index or the place where the file was cut off."""
     while (block := read_block(file, size)) is not None and block.kind != INDEX:
         yield block
+
+
+def whole_passes(file: BinaryIO, start: int, size: int) -> int:
+    """Ends of passes anywhere behind ``start``, where no block begins: a file that was cut off has none there, one
+    that is damaged has those of the passes behind the damage."""
+    found = 0
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        place = data.find(PASS, start)
+        while place >= 0:
+            file.seek(place)
+            found += read_block(file, size) is not None
+            place = data.find(PASS, place + 1)
+    return found
 
 
 def write_index(file: BinaryIO, blocks: Sequence[Block], head: dict[str, Any]) -> None:

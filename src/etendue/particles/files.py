@@ -15,7 +15,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import Array, suggest
+from etendue.core import Array, logger, suggest
 
 from . import blocks
 from .blocks import Block
@@ -47,7 +47,8 @@ class ParticleFile:
     ----------
     header: scene, fingerprint, seed, settings, codec and versions.
     surfaces: the shapes of the scene. counters: paths, particles and rays. passes: iterations.
-    is_finished: whether the run that wrote it ended, by its budget or on request.
+    is_finished: whether the run that wrote it ended, by its budget or on request. lost: whole passes behind a damaged
+    place, which cannot be read; there is a warning.
     """
 
     def __init__(self, path: PathLike) -> None:
@@ -97,8 +98,15 @@ class ParticleFile:
                 self.chunks += waiting
                 self.passes.append(block)
                 waiting, self.end = [], block.end
-        self.is_finished = bool(self.ending)
+        self.is_finished = bool(self.ending.get("stopped_by"))
         self.size = size
+        #: Whole passes behind a damaged place, which cannot be read.
+        self.lost = 0 if self.ending else blocks.whole_passes(file, self.end, size)
+        if self.lost:
+            logger.warning(
+                "'%s' is damaged behind its first %d passes: %d more are left out; copy it again, or trace anew",
+                *(self.path, len(self.passes), self.lost),
+            )
         self.counters: dict[str, float] = {}
         for block in self.passes:
             for name, value in block.head["counters"].items():
@@ -153,13 +161,21 @@ class ParticleFile:
         """As :meth:`read`, in parts of at most 65536 particles. Chunks without such particles are not read.
 
         Raises :class:`ParticleError` for a damaged chunk, and for shapes that do not exist."""
+        return (part for _, part in self.parts_by_pass(shapes, box))
+
+    def parts_by_pass(
+        self, shapes: Sequence[str | int] | None = None, box: ArrayLike | None = None
+    ) -> Iterator[tuple[int, Particles]]:
+        """As :meth:`parts`, each with the number of its pass: pass and ``path`` together name a light path of the
+        file."""
         wanted = None if shapes is None else np.array([self.shape(name) for name in shapes], np.uint32)
         corners = _corners(box)
         scale = 1.0 / max(self.paths, 1)
         chosen = [block for block in self.chunks if _may_have(block.head, wanted, corners)]
-        for part in self._unpacked(chosen, lambda rows: Particles.of_rows(_selected(rows, wanted, corners), scale)):
+        parts = self._unpacked(chosen, lambda rows: Particles.of_rows(_selected(rows, wanted, corners), scale))
+        for block, part in zip(chosen, parts, strict=True):
             if len(part):
-                yield part
+                yield int(block.head["pass"]), part
 
     def rows_of_passes(self) -> Iterator[tuple[Block, Rows]]:
         """The end of each pass, and its rows; their power is not divided by the number of paths."""

@@ -52,7 +52,7 @@ class Particles:
     direction: (n, 3) float32, unit vector of flight, towards the surface.
     power: (n, 3) float32, incident flux in W: red, green, blue. It contains the division by the number of paths.
     shape: (n,) uint32, index in ``scene.shapes()``.
-    primitive: (n,) uint32, triangle of a mesh; 0 for other shapes.
+    primitive: (n,) uint32, triangle of a mesh; 0 for other shapes. In an instance, those of all shapes of its group.
     uv: (n, 2) float32, parameters on the primitive: the barycentric coordinates of the second and third vertex on a
         triangle, surface parameters of other shapes in [0, 1]^2.
     path: (n,) uint32, number of the light path within its pass.

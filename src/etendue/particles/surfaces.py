@@ -106,6 +106,12 @@ class SurfaceTable:
         #: Whether hits of a shape, by the same number, report barycentric coordinates.
         self.is_mesh_pointer = np.zeros(most, bool)
         self.is_mesh_pointer[list(map(_pointer, every))] = list(map(_is_mesh, every))
+        #: Number of the first primitive of a shape inside its group, by the same number; else 0.
+        self.first_of_pointer = np.zeros(most, np.uint32)
+        for group in (shape for shape in every if graph.plugin_name(shape) == "shapegroup"):
+            members = [shape for shape in graph.below(group) if shape in every and shape is not group]
+            counts = [int(shape.effective_primitive_count()) for shape in members]
+            self.first_of_pointer[list(map(_pointer, members))] = np.cumsum([0, *counts])[:-1]
 
 
 def _pointer(shape: mi.Shape) -> int:

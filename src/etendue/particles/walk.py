@@ -60,6 +60,7 @@ class ParticleStore:
         self.wanted = dr.zeros(mi.UInt32, 1)
         self._shape_of = on_device(mi.UInt32, surfaces.number_of_pointer)
         self._is_mesh = on_device(mi.UInt32, surfaces.is_mesh_pointer.astype(np.uint32))
+        self._first = on_device(mi.UInt32, surfaces.first_of_pointer)
 
     def append(
         self, path: mi.UInt32, bounce: mi.UInt32, vertex: WalkVertex, power: mi.Color3f, active: mi.Bool
@@ -68,12 +69,13 @@ class ParticleStore:
         slot = dr.scatter_inc(self.wanted, mi.UInt32(0), active)
         active = active & (slot < self._limit)
         si, hit = vertex.si, vertex.hit
-        inner = dr.reinterpret_array(mi.UInt32, hit.shape)
+        # Inside an instance, the preliminary hit does not have the shape.
+        inner = dr.reinterpret_array(mi.UInt32, si.shape)
         instance = dr.reinterpret_array(mi.UInt32, hit.instance)
         shape = dr.gather(mi.UInt32, self._shape_of, dr.select(instance != 0, instance, inner), active)
         is_mesh = dr.gather(mi.UInt32, self._is_mesh, inner, active) != 0
         uv = dr.select(is_mesh, hit.prim_uv, si.uv)
-        primitive = dr.select(is_mesh, hit.prim_index, 0)
+        primitive = dr.gather(mi.UInt32, self._first, inner, active) + dr.select(is_mesh, hit.prim_index, 0)
         p, d, first = si.p, vertex.incoming, slot * (_STORED // 4)
         packets = (
             mi.Vector4f(p.x, p.y, p.z, d.x),

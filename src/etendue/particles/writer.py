@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from etendue.core import OutputError
+from etendue.core import OutputError, logger
 
 from . import blocks
 from .blocks import Block
@@ -37,6 +38,7 @@ class ParticleWriter:
             file = open(path, "x+b", buffering=0)  # noqa: SIM115 (closed by close)
         except OSError as error:
             raise _failure(path, error) from None
+        _lock(path, file)
         head = dict(header) | {"format": blocks.FORMAT, "codec": str(codec), "surfaces": surfaces.describe()}
         try:
             first = blocks.write_block(file, blocks.HEADER, head, [zlib.compress(surfaces.frames.tobytes(), 6)])
@@ -48,9 +50,20 @@ class ParticleWriter:
 
     @classmethod
     def resume(cls, known: ParticleFile) -> ParticleWriter:
-        """Go on behind the last whole pass of a file. Raises :class:`OutputError` if it cannot be written."""
+        """Go on behind the last whole pass of a file, where what an interrupted pass left is removed.
+
+        Raises :class:`OutputError` if it cannot be written, if another process writes to it, or if it is damaged."""
+        if known.lost:
+            raise OutputError(
+                f"'{known.path}' is damaged, and to go on would remove {known.lost} whole passes behind the damage; "
+                f"copy it again, or save what can be read by etendue particles compress {known.path}"
+            )
         try:
             file = open(known.path, "r+b", buffering=0)  # noqa: SIM115 (closed by close)
+            _lock(known.path, file)
+            if os.fstat(file.fileno()).st_size != known.size:
+                file.close()
+                raise OutputError(f"'{known.path}' has changed since it was read; resume it again")
             file.truncate(known.end)
         except OSError as error:
             raise _failure(known.path, error) from None
@@ -71,9 +84,8 @@ class ParticleWriter:
             written.append(blocks.write_block(self._file, blocks.PASS, end))
         except OSError as error:
             self._cut()
-            passes = sum(block.kind == blocks.PASS for block in self._blocks)
             raise OutputError(
-                f"cannot write '{self.path}': {error.strerror or error}; it has the particles of {passes} passes: "
+                f"cannot write '{self.path}': {error.strerror or error}; it has the particles of {self.passes} passes: "
                 f"free some space, and go on by etendue resume {self.path}"
             ) from None
         except BaseException:
@@ -81,6 +93,11 @@ class ParticleWriter:
             raise
         self._blocks += written
         self._end = self._file.tell()
+
+    @property
+    def passes(self) -> int:
+        """Passes in the file."""
+        return sum(block.kind == blocks.PASS for block in self._blocks)
 
     def close(self, **ending: Any) -> None:
         """Write the index, with plain values on how the run ended, and close the file.
@@ -112,6 +129,17 @@ class ParticleWriter:
             self._file.seek(self._end)
         with contextlib.suppress(OSError):
             self._file.truncate(self._end)
+
+
+def _lock(path: Path, file: Any) -> None:
+    """Keep other processes from writing to a file until it is closed. Raises :class:`OutputError` if one does."""
+    try:
+        fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.close()
+        raise OutputError(f"another run writes to '{path}'; wait for its end, or stop it") from None
+    except OSError as error:  # file systems without locks
+        logger.debug("'%s' cannot be locked: %s", path, error)
 
 
 def _failure(path: Path, error: OSError) -> OutputError:
