@@ -216,6 +216,20 @@ def test_powers_are_right_on_average():
     np.testing.assert_array_equal(again, back)
 
 
+def test_powers_that_differ_by_rounding_are_one():
+    known = meshes(FRAMES["rectangle"])
+    rows = on(known, 20_000, False)
+    powers = rows.view("f4")[:, 6:9]
+    few = np.random.default_rng(2).lognormal(size=(50, 3)).astype("f4")
+    powers[:] = few[np.arange(len(rows)) % 50]
+    before, few_bytes = there_and_back(rows, "packed", known)
+    np.testing.assert_array_equal(by_path(before).power, by_path(rows).power)
+    rows[:, 6:9] += np.random.default_rng(3).integers(0, 3, (len(rows), 3)).astype(np.uint32)
+    back, size = there_and_back(rows, "packed", known)
+    np.testing.assert_allclose(by_path(back).power, by_path(rows).power, rtol=2e-6)
+    assert size < 1.1 * few_bytes
+
+
 def test_positions_off_their_frames_stay_within_the_bound():
     rows = some(3000)
     floats = rows.view("f4")

@@ -25,6 +25,8 @@ DIRECTION_BITS, POWER_BITS = 12, 10
 DIRECTION_LEVELS = _LARGEST = (1 << DIRECTION_BITS) - 1
 #: Largest mantissa of a channel.
 POWER_LEVELS = (1 << POWER_BITS) - 1
+#: Lowest bits of a channel in which powers may differ that count as one: the rounding of products in another order.
+_DUST = np.uint32(4)
 _HASH, _MIX_1, _MIX_2 = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 
 
@@ -208,13 +210,13 @@ def unpack_powers(codes: Codes, floats: Floats) -> None:
 
 @njit(nogil=True, cache=True)
 def palette(rows: Rows, index: Words, table: Words, slots: NDArray[np.int32]) -> int:
-    """Number the distinct powers of rows, bit by bit, in the order of their first occurrence: the number of each to
-    ``index``, the powers to ``table`` (m, 3). Returns how many there are; -1 if ``table`` is too short. ``slots``: work
-    space, a power of two."""
+    """Number the distinct powers of rows in the order of their first occurrence: the number of each to ``index``, the
+    first ones as they are to ``table`` (m, 3). Powers that differ by less than 2e-6 of each channel may have one
+    number. Returns how many there are; -1 if ``table`` is too short. ``slots``: work space, a power of two."""
     slots[:] = -1
     mask, found = np.uint64(len(slots) - 1), 0
     for i in range(len(rows)):
-        a, b, c = rows[i, POWER], rows[i, POWER + 1], rows[i, POWER + 2]
+        a, b, c = rows[i, POWER] >> _DUST, rows[i, POWER + 1] >> _DUST, rows[i, POWER + 2] >> _DUST
         mixed = (((np.uint64(a) * np.uint64(_HASH)) ^ np.uint64(b)) * np.uint64(_MIX_1)) ^ np.uint64(c)
         slot = np.int64(((mixed * np.uint64(_MIX_2)) >> np.uint64(40)) & mask)
         while True:
@@ -223,10 +225,11 @@ def palette(rows: Rows, index: Words, table: Words, slots: NDArray[np.int32]) ->
                 if found == len(table):
                     return -1
                 slots[slot], known = found, found
-                table[found, 0], table[found, 1], table[found, 2] = a, b, c
+                for channel in range(3):
+                    table[found, channel] = rows[i, POWER + channel]
                 found += 1
                 break
-            if table[known, 0] == a and table[known, 1] == b and table[known, 2] == c:
+            if table[known, 0] >> _DUST == a and table[known, 1] >> _DUST == b and table[known, 2] >> _DUST == c:
                 break
             slot = np.int64(np.uint64(slot + 1) & mask)
         index[i] = known

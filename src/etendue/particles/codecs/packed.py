@@ -128,7 +128,7 @@ def _add_positions(
 
 
 def _add_powers(packing: Packing, part: Rows, keys: NDArray[np.uint64]) -> str:
-    """Add powers: as numbers of their distinct values, as they are; if these are many, as codes; and as they are where
+    """Add powers: as numbers of their distinct values; if these are many, as codes; and as they are where
     there is no code. Returns the name of the way."""
     n = len(part)
     index, table = np.empty(n, np.uint32), np.empty((int(_REPEATED * n) + 1, 3), np.uint32)
