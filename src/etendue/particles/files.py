@@ -19,8 +19,9 @@ from etendue.core import Array, logger, suggest
 
 from . import blocks
 from .blocks import Block
-from .codecs import Codec, Grid, decode
 from .errors import ParticleError
+from .packing.codecs import Codec, decode
+from .packing.grid import Grid
 from .particles import WORDS, Particles, Rows, columns_of
 from .surfaces import Surfaces
 

@@ -14,8 +14,9 @@ from etendue.core import OutputError, logger
 
 from . import blocks
 from .blocks import Block
-from .codecs import Codec, Grid, encode
 from .files import ParticleFile, PathLike, in_order
+from .packing.codecs import Codec, encode
+from .packing.grid import Grid
 from .particles import Rows
 from .surfaces import Surfaces
 
