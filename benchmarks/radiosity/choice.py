@@ -25,6 +25,7 @@ from etendue.radiosity import (
     Part,
     PartProblem,
     Patches,
+    RadiosityError,
     RayScene,
     grouped,
     shot_at_patches,
@@ -42,6 +43,8 @@ from .references import mean_squared_error
 _PATCHES = {"room": 10122, "office": 6790}
 #: Bundles of the A-buffer to begin with, rays of its shot for a segment, and seeds.
 _BUNDLES, _RAYS, _SEEDS = 2, 1 / 4, 2
+#: Budget of a whole pass of multipath.
+_WHOLE = 16
 #: Address space beside the data: code, and what compilers reserve.
 _BESIDE = 6e9
 
@@ -74,13 +77,18 @@ def _in_tree(patches: Patches, objects: Any, budget: int, seed: int) -> Array:
 
 
 def _multipath(is_boxed: bool, patches: Patches, objects: Any, budget: int, seed: int) -> Array:
-    """Passes of multipath by rays with a BVH."""
+    """Multipath by rays with a BVH: a part of the lines that it takes by itself, or several passes of them."""
     least = max(round(LEAST * len(patches) / _PATCHES["room"]), 1)
-    root = grouped(patches, objects, least=least) if is_boxed else Part(patches)
-    method = HierarchicalMultipath(HierarchicalMultipathSettings(**({} if is_boxed else {"top": 1.0})))
-    method.prepare(PartProblem(root), seed)
+    problem = PartProblem(grouped(patches, objects, least=least) if is_boxed else Part(patches))
+    shares = {} if is_boxed else {"top": 1.0}
+    method = HierarchicalMultipath(HierarchicalMultipathSettings(**shares))
+    method.prepare(problem, seed)
+    if budget < _WHOLE:
+        lines = method.samples_per_iteration * budget // _WHOLE
+        method = HierarchicalMultipath(HierarchicalMultipathSettings(lines=lines, **shares))
+        method.prepare(problem, seed)
     total = method.step(0, seed, {}).measurement
-    for k in range(1, budget):
+    for k in range(1, budget // _WHOLE):
         total += method.step(k, seed, {}).measurement
     return method.solution(total).on(patches).radiosity
 
@@ -138,8 +146,8 @@ def _measure(task: dict[str, Any], out: Path) -> Record:
             f"{found['cpu'] / first:.1f}" if is_there else f"not by {found['spent']:.3g} CPU s",
         )
     record.notes += [
-        f"budget: {_BUNDLES} bundles with a ray of the shot for {1 / _RAYS:.0f} segments, or a pass of multipath; "
-        "doubled until the error is reached, the seconds in between by the power of the last two; after compilation",
+        f"budget: {_BUNDLES} bundles with a ray of the shot for {1 / _RAYS:.0f} segments, or 1 / {_WHOLE} of a pass of "
+        "multipath; doubled until the error is reached, seconds in between by the power of the last two",
         f"reference: mean of A-buffer solutions of {task['times']} times the lines that reach the error, "
         f"{made['spent']:.0f} CPU s; its own error is {made['error']:.2%}",
         f"limits of a run: {task['seconds']:.0f} CPU s, {task['memory'] / 1e9:.0f} GB",
@@ -200,18 +208,24 @@ def _reference(patches: Patches, objects: Any, task: dict[str, Any]) -> dict[str
 
 
 def _to_the_error(patches: Patches, objects: Any, way: Way, task: dict[str, Any], exact: Array) -> dict[str, Any]:
-    budget, before, spent = 1, None, 0.0
+    budget, spent = 1, 0.0
+    before: tuple[float, float, float] | None = None
     while True:
         errors, seconds = np.empty((2, _SEEDS))
         for seed in range(_SEEDS):
             begin = time.process_time()
-            errors[seed] = _relative(patches, way(patches, objects, budget, 10 + seed), exact) ** 2
+            try:
+                errors[seed] = _relative(patches, way(patches, objects, budget, 10 + seed), exact) ** 2
+            except RadiosityError:
+                if budget >= _WHOLE:
+                    raise
+                errors[seed] = np.inf  # too few lines to cross each box
             seconds[seed] = time.process_time() - begin
         error, spent = float(np.sqrt(errors.mean())), float(seconds.mean())
         found = {"error": error, "cpu": spent, "budget": float(budget), "spent": spent}
         if error <= task["error"] or 2 * spent > task["seconds"]:
             break
-        before, budget = (error, spent, float(budget)), 2 * budget
+        before, budget = (error, spent, float(budget)) if np.isfinite(error) else None, 2 * budget
     if before is not None and error <= task["error"]:
         share = np.log(before[0] / task["error"]) / np.log(before[0] / error)
         found |= {"cpu": float(before[1] ** (1 - share) * spent**share), "budget": before[2] * 2**share}

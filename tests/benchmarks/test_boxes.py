@@ -63,3 +63,13 @@ def test_the_command_of_shares(tmp_path, monkeypatch):
     )
     assert len(known.rows) == 6 and all(is_number(row[2]) for row in known.rows)
     assert len(errors.rows) == 8 and all(is_number(row[2]) for row in errors.rows)
+
+
+@pytest.mark.slow
+def test_the_command_of_choice(tmp_path, monkeypatch):
+    """All methods come to the error; none within a limit that allows a single run."""
+    asked = ["box-choice", "--scene", "office", "--patches", "500", "--times", "4", "--out", str(tmp_path)]
+    (table,) = tables_of("radiosity", [*asked, "--error", "0.05"], tmp_path, monkeypatch)
+    assert len(table.rows) == 4 and all(is_number(row[1]) and "more" not in row[1] for row in table.rows)
+    (table,) = tables_of("radiosity", [*asked, "--error", "0.001", "--seconds", "1"], tmp_path, monkeypatch)
+    assert any("not by" in row[-1] for row in table.rows)
