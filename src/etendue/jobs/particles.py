@@ -118,6 +118,7 @@ class ParticleWork:
         header = {
             "scene": problem.source,
             "fingerprint": problem.fingerprint,
+            "light_fingerprint": problem.light_fingerprint,
             "place": job.place,
             "seed": request.seed,
             "settings": tracing.settings.to_json(),
