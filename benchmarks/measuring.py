@@ -43,6 +43,8 @@ COST_SETTINGS: dict[str, dict[str, Any]] = {
     "bpt": _BIDIRECTIONAL,
     "bpm": _BIDIRECTIONAL | {"radius": 0.003, "radius_unit": "scene", "alpha": 1.0},
     "vcm": _BIDIRECTIONAL | {"radius": 0.003, "radius_unit": "scene", "alpha": 1.0},
+    "pssmlt": _PASS,
+    "mmlt": _PASS,
     "film_metropolis": _PASS,
     "ambient_path": _PASS,
     "ambient_light": _PASS | {"light_paths": 1.0},

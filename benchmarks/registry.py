@@ -115,6 +115,28 @@ PROGRAMS = {
             ),
         ),
         Program(
+            "benchmarks.maps",
+            "Maps of irradiance from particles.",
+            (
+                Benchmark("errors", "errors.measure", 12, "Error of each kind of map, in the dark and in caustics."),
+                Benchmark("cost", "errors.cost", 3, "CPU time to build maps and to ask them."),
+            ),
+        ),
+        Program(
+            "benchmarks.particles",
+            "Files of particles, and the experiments of a thesis on their compression.",
+            (
+                Benchmark("codecs", "codecs.measure", 3, "Bytes and speed of every codec of particles."),
+                Benchmark("maps", "maps.measure", 3, "What bounded loss adds to maps, beside their noise."),
+                Benchmark("thesis", "thesis.measure", 1, "Rows and strips by zlib, bzip2 and runs; saving, loading."),
+            ),
+        ),
+        Program(
+            "benchmarks.metropolis",
+            "Pictures by Metropolis sampling beside independent paths.",
+            (Benchmark("pictures", "pictures.measure", 200, "Error after equal time of chains, path and bpt."),),
+        ),
+        Program(
             "benchmarks.radiosity",
             "The experiments of the thesis on global lines.",
             (

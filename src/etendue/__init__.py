@@ -19,6 +19,7 @@ from .core import (
 )
 from .engine import Session
 from .jobs import FormFactorResult, ParticleResult, RadiosityResult, Rendering, Update
+from .mapping import map_particles
 from .plugins import register_method as register
 from .solving import compute_form_factors, solve_radiosity, start_form_factors, start_radiosity
 from .tracing import read_particles, trace_particles
@@ -41,6 +42,7 @@ __all__ = [
     "Update",
     "check",
     "compute_form_factors",
+    "map_particles",
     "read_particles",
     "register",
     "render",

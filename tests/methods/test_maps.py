@@ -5,17 +5,32 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 import pytest
-from support.running import Run, Stepped, go, run
+from support.running import Run, Stepped, go, prepared, run
 from support.scenes import camera, field, furnace, rgb
 
-from etendue import methods
+from etendue import methods, radiosity, trace_particles
 from etendue.core import OptionError
 from etendue.film import relative_mse
-from etendue.methods import trace_photons
+from etendue.integration import Integrand, integral
+from etendue.methods import photon_hits
 from etendue.scene import load
-from etendue.surfaces import HistogramBuilder, MapSurfaces, PatchMap, SurfaceError, irradiance_at, save_map
+from etendue.surfaces import (
+    HistogramBuilder,
+    KernelBuilder,
+    MapSurfaces,
+    NearestMap,
+    PatchMap,
+    SurfaceError,
+    irradiance_at,
+    save_map,
+    scene_patches,
+    solution_map,
+)
+from etendue.transport import CacheMap, IrradianceCache, TransportFunctions
 
 RADIANCE, ALBEDO = 0.8, 0.5
+#: Of the parameters of a ray.
+BOX = [(-10.0, 10.0)] * 6
 ENDING = ("path", "vegas", "stratified", "guided")
 
 
@@ -85,7 +100,7 @@ def box():
     problem = load("cornell-box", size=(24, 24))
     surfaces = MapSurfaces(problem, 3000)
     builder = HistogramBuilder(surfaces)
-    builder.add(trace_photons(problem, 50_000))
+    builder.add(trace_particles("cornell-box", particles=50_000).particles)
     return problem, builder.build(), run(problem, "path", passes=2, samples=512).mean
 
 
@@ -129,3 +144,63 @@ def test_bad_input(box, tmp_path):
         ended(problem, "stratified", made, passes=1, samples=1, maps=1)
     with pytest.raises(OptionError, match="one_path=true cannot be combined"):
         run(problem, "vegas", passes=1, samples=1, one_path=True, map="map.npz")
+
+
+def mean_of(problem, made):
+    """Of the picture that a map shows."""
+    return ended(problem, "path", made, passes=1, samples=512).mean.mean()
+
+
+def test_maps_of_all_kinds_agree(box):
+    """The mean picture of the diffuse Cornell box as maps show it: histogram, kernels, photon map and radiosity, within
+    5 % of path tracing and of each other."""
+    problem, made, exact = box
+    surfaces = MapSurfaces(problem, 1500)
+    builder = KernelBuilder(surfaces, 0.15)
+    builder.add(trace_particles("cornell-box", particles=50_000).particles)
+    photons = photon_hits(prepared(problem, "pm", photons=50_000).shoot(0, 1), problem)
+    patches = scene_patches(problem, max_area=0.05)
+    solution = radiosity.solve(patches, radiosity.ABuffer(patches).cast(200))
+    every = [made, builder.build(), NearestMap(surfaces, photons, 50), solution_map(solution, space=problem.space)]
+    means = np.array([mean_of(problem, each) for each in every])
+    assert np.abs(means / exact.mean() - 1).max() < 0.05
+    assert np.ptp(means) < 0.05 * exact.mean()
+
+
+def test_a_cache_as_a_map():
+    """In even light every record is the same, and where none is valid one is made."""
+    problem = furnace("box", RADIANCE, ALBEDO)
+    even_light = Integrand(lambda x: [0 * x[0] + c for c in (1.0, 2.0, 3.0)], BOX, on="device", values=3)
+    light = TransportFunctions(problem.scene)
+    cache = IrradianceCache((0.3, 2.0), 0.5, strata=(4, 8))
+    made = CacheMap(cache, even_light, light.distance, problem.space)
+    points = np.array([[0.1, 1.0, 0.2], [0.3, -1.0, 0.9], [1.0, 0.0, 0.0]])
+    value, error = irradiance_at(made, points, -np.sign(points) * (np.abs(points) == 1))
+    np.testing.assert_allclose(value, np.pi * np.array([[1.0, 2.0, 3.0]] * 3), rtol=1e-5)
+    assert np.isnan(error).all()
+    records = len(cache)
+    assert 0 < records <= 3
+    irradiance_at(made, points, -np.sign(points) * (np.abs(points) == 1))
+    assert len(cache) == records
+    np.testing.assert_allclose(
+        ended(problem, "path", made, passes=1, samples=1).mean.mean(axis=(0, 1)),
+        [RADIANCE + ALBEDO * c for c in (1.0, 2.0, 3.0)],
+        rtol=1e-4,
+    )
+
+
+@pytest.mark.slow
+def test_a_cache_agrees_with_the_other_maps(box):
+    """Of radiance along paths of up to eight edges: the rest is 1 %."""
+    problem, made, _ = box
+    light = TransportFunctions(problem.scene)
+    direct = integral(light.direct, [6, 7], samples=1, seed=1)
+    reflected = direct
+    for bounce in range(6):
+        onward = light.weight * reflected.compose(light.scatter)
+        reflected = direct + integral(onward, [6, 7, 8], samples=1, seed=2 + bounce)
+    cache = IrradianceCache((0.15, 1.0), 0.5, strata=(12, 36))
+    found = CacheMap(cache, light.emitted + reflected, light.distance, problem.space)
+    # Of the same few points, as each asks all records.
+    means = [ended(problem, "path", each, passes=1, samples=8).mean.mean() for each in (found, made)]
+    assert abs(means[0] / means[1] - 1) < 0.05

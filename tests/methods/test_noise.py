@@ -20,6 +20,8 @@ METHODS: dict[str, dict[str, Any]] = {
     "sppm": {"samples_per_pass": 4, "radius": 0.05},
     "bpm": {"samples_per_pass": 4, "radius": 0.05},
     "vcm": {"samples_per_pass": 4},
+    "pssmlt": {"samples_per_pass": 32, "bootstrap": 1 << 12},
+    "mmlt": {"samples_per_pass": 32, "bootstrap": 1 << 12},
 }
 
 

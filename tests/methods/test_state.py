@@ -182,6 +182,8 @@ CARRYING = {
     "auto": ("auto", {"samples_per_pass": 4, "choice": "path"}, {}),
     "bpt": ("bpt", {"samples_per_pass": 4}, IN_ANY_ORDER),
     "pssmlt": ("pssmlt", PSSMLT, IN_ANY_ORDER),
+    "pssmlt bidirectional": ("pssmlt", PSSMLT | {"estimator": "bidirectional"}, IN_ANY_ORDER),
+    "mmlt": ("mmlt", PSSMLT, IN_ANY_ORDER),
 }
 
 

@@ -4,8 +4,10 @@ for each path of a floor, a wall and a point light, and summed by quadrature."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from support import scenes
 from support.running import prepared
 from support.statistics import assert_agree
 
+from etendue.core import IndependentSource
 from etendue.film import Technique
 
 LIGHT = np.array([0.9, 1.2, 0.3])
@@ -165,3 +168,27 @@ def test_the_share_of_every_technique(name):
             found = np.stack([step.mean(layer) for step in steps])
             true = np.tile(values[None, :, :, None], (2, 1, 1, 3))
             assert_agree(found, true, (name, layer), precision=0.05)
+
+
+@lru_cache(maxsize=1)
+def single() -> Any:
+    return prepared(floor_and_wall(), "mmlt", samples_per_pass=4, bootstrap=1 << 10)
+
+
+@pytest.mark.parametrize("technique", [(1, 2), (2, 1), (1, 3), (2, 2), (3, 1)], ids=str)
+def test_the_share_of_a_technique_alone(technique):
+    """What ``mmlt`` evaluates: one technique a sample, with as many light paths as camera paths."""
+    runner, lanes, batches = single(), 6 << 16, 6
+    target, problem = runner.runner.target, runner.problem
+    lane = dr.arange(mi.UInt32, lanes)
+    sources = {name: IndependentSource(lane, 1, name, 0) for name in ("camera", "light")}
+    place = mi.Point2f(*(u * n for u, n in zip(sources["camera"].next_2d(0, 0), SIZE, strict=True)))
+    s, t = (dr.full(mi.UInt32, n, lanes) for n in technique)
+    found = target._single.trace(s, t, place, sources["camera"], sources["light"])
+    x, y, values = np.array(found.position.x), np.array(found.position.y), np.array(found.value)
+    pixel = np.where(values[0] > 0.0, y.astype(int) * SIZE[0] + x.astype(int), 0)
+    pixel += np.arange(lanes) * batches // lanes * SIZE[0] * SIZE[1]
+    sums = [np.bincount(pixel, channel, batches * SIZE[0] * SIZE[1]) for channel in values]
+    pictures = np.stack(sums, -1).reshape(batches, SIZE[1], SIZE[0], 3) * (SIZE[0] * SIZE[1] * batches / lanes)
+    expected = by_quadrature(problem, Counts(splat=SIZE[0] * SIZE[1], merge=0.0))[Technique(False, *technique).layer()]
+    assert_agree(pictures, np.tile(expected[None, :, :, None], (2, 1, 1, 3)), technique, precision=0.05)

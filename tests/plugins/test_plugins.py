@@ -17,7 +17,21 @@ from etendue.core import UnsupportedError
 from etendue.film import read_exr
 from etendue.scene import load
 
-NAMES = ["auto", "guided", "vegas", "stratified_path", "light", "pm", "ppm", "sppm", "bpt", "bpm", "vcm"]
+NAMES = [
+    "auto",
+    "guided",
+    "vegas",
+    "stratified_path",
+    "light",
+    "pm",
+    "ppm",
+    "sppm",
+    "bpt",
+    "bpm",
+    "vcm",
+    "pssmlt",
+    "mmlt",
+]
 
 
 @pytest.fixture(autouse=True, scope="module")

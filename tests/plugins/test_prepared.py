@@ -12,7 +12,21 @@ from support.tables import thinned
 from etendue import methods, plugins
 from etendue.scene import parameters
 
-NAMES = ["auto", "guided", "vegas", "stratified_path", "light", "pm", "ppm", "sppm", "bpt", "bpm", "vcm"]
+NAMES = [
+    "auto",
+    "guided",
+    "vegas",
+    "stratified_path",
+    "light",
+    "pm",
+    "ppm",
+    "sppm",
+    "bpt",
+    "bpm",
+    "vcm",
+    "pssmlt",
+    "mmlt",
+]
 
 
 @pytest.fixture(autouse=True, scope="module")

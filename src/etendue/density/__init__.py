@@ -15,6 +15,7 @@ from .quadtrees import Quadtrees, QuadtreeSampler
 from .samples import Samples, Surface
 from .search.hashgrid import HashGrid, Query
 from .search.kdtree import KdTree
+from .search.leftbalanced import left_balanced, nearest
 from .variable import AdaptiveKernel, SampleBandwidths, VariableKernel
 
 __all__ = [
@@ -48,6 +49,8 @@ __all__ = [
     "by_repetition",
     "cross_validation",
     "kernel_of",
+    "left_balanced",
+    "nearest",
     "normal_reference",
     "silverman",
 ]

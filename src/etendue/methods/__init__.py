@@ -13,7 +13,7 @@ from .metropolis.filmchains import FilmMetropolis
 from .metropolis.particles import MetropolisParticles
 from .particles import ParticleTracing
 from .path import Path
-from .photon.hits import photon_hits, trace_photons
+from .photon.hits import photon_hits
 from .photon.map import Pm
 from .photon.progressive import Ppm, Sppm
 from .registry import by_plugin, get, register, table
@@ -45,5 +45,4 @@ __all__ = [
     "register",
     "table",
     "total",
-    "trace_photons",
 ]

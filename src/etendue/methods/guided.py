@@ -29,7 +29,7 @@ from etendue.transport import FOUND_UNITS, Guide, GuidedWalk, TrainingSamples
 
 from .base import STEP_LANES, ImageSettings, Layer, total
 from .ending import EndsInMap
-from .path import Path, PathSettings
+from .path import EndingPathSettings, Path
 from .store import STORE_SHARE
 
 #: Most camera paths of a pass that give training samples.
@@ -37,7 +37,7 @@ _PATHS = 1 << 18
 
 
 @dataclass(frozen=True)
-class GuidedSettings(PathSettings):
+class GuidedSettings(EndingPathSettings):
     """Settings of ``guided``."""
 
     generations: int = setting(

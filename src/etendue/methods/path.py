@@ -22,13 +22,13 @@ import mitsuba as mi
 from etendue.core import SampleSource, setting
 from etendue.transport import CameraPath, DirectWeights, Proposal, Walker, scatter_camera, scatter_uniform
 
-from .base import ImageSettings, Layer, total
+from .base import CameraSettings, ImageSettings, Layer, total
 from .ending import EndingSettings, EndsInMap
 
 
 @dataclass(frozen=True)
-class PathSettings(EndingSettings):
-    """Settings of ``path``."""
+class PathSettings(CameraSettings):
+    """Settings of the path tracers."""
 
     mode: str = setting(
         "mis",
@@ -56,12 +56,17 @@ class PathSettings(EndingSettings):
         return scatter_camera if self.bsdf_sampling else scatter_uniform
 
 
+@dataclass(frozen=True)
+class EndingPathSettings(EndingSettings, PathSettings):
+    """Settings of ``path``, and of the path tracers that can end in maps."""
+
+
 class Path(EndsInMap):
     """Path tracing with next event estimation and multiple importance sampling."""
 
     name: ClassVar[str] = "path"
     plugin: ClassVar[str | None] = ""
-    Settings: ClassVar[type[ImageSettings]] = PathSettings
+    Settings: ClassVar[type[ImageSettings]] = EndingPathSettings
     settings: PathSettings
     citations: ClassVar[tuple[str, ...]] = ("Kajiya1986", "Veach1997")
 

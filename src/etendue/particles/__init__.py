@@ -1,10 +1,11 @@
 """Particles on surfaces: records of light paths, their files and codecs."""
 
 from .codecs import LAYOUTS, Codec, decode, encode
-from .coders import coder_names
+from .coders import coder, coder_names
 from .errors import ParticleError
 from .files import ParticleFile, is_particle_file
 from .grid import Grid
+from .layouts import RECORDS, merged, of_strips, records, strips
 from .particles import LAYOUT, RAW_BYTES, WORDS, Particles, Rows, columns_of
 from .surfaces import Surfaces, SurfaceTable
 from .walk import Keep, ParticleStore, ParticleWalk
@@ -14,6 +15,7 @@ __all__ = [
     "LAYOUT",
     "LAYOUTS",
     "RAW_BYTES",
+    "RECORDS",
     "WORDS",
     "Codec",
     "Grid",
@@ -27,9 +29,14 @@ __all__ = [
     "Rows",
     "SurfaceTable",
     "Surfaces",
+    "coder",
     "coder_names",
     "columns_of",
     "decode",
     "encode",
     "is_particle_file",
+    "merged",
+    "of_strips",
+    "records",
+    "strips",
 ]

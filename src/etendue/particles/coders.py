@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from etendue.core import library, suggest
 
 from .errors import ParticleError
+from .particles import RAW_BYTES
 
 #: Share of eight bits from which on the bytes of a strip are not worth coding.
 _WORTH = 0.85
@@ -81,7 +82,14 @@ def _lz4() -> Coder:
 
 def _blosc() -> Coder:
     module = library("blosc2", "the coder 'blosc2'", "particles")
-    return Coder("", lambda data: module.compress2(data), lambda data, n: module.decompress2(data))
+
+    def encode(data: bytes) -> bytes:
+        # Rows are shuffled by their bytes; other strips are planes already.
+        size = RAW_BYTES if len(data) % RAW_BYTES == 0 else 1
+        packed: bytes = module.compress(data, size, 5, module.Filter.SHUFFLE, module.Codec.ZSTD)
+        return packed
+
+    return Coder("", encode, lambda data, n: module.decompress(data))
 
 
 CODERS: dict[str, Coder] = {

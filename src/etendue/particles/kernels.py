@@ -168,7 +168,7 @@ def unpack_powers(codes: Codes, floats: Floats) -> None:
     for i in range(len(codes)):
         code = codes[i]
         exponent = np.int64(code >> np.uint64(3 * POWER_BITS)) - 126
-        scale = math.ldexp(1.0, exponent - POWER_BITS) if code else 0.0
+        scale = math.ldexp(1.0, int(exponent - POWER_BITS)) if code else 0.0
         floats[i, POWER] = np.float64((code >> np.uint64(2 * POWER_BITS)) & mask) * scale
         floats[i, POWER + 1] = np.float64((code >> np.uint64(POWER_BITS)) & mask) * scale
         floats[i, POWER + 2] = np.float64(code & mask) * scale

@@ -18,7 +18,7 @@ from .functions import TransportFunctions, film_picture
 from .guiding.guide import NOWHERE, Guide, GuidedScattered, direction_of, square_of
 from .guiding.lights import MOST_LIGHTS, LightChoice, LocalLights
 from .guiding.walk import FOUND_UNITS, GuidedPath, GuidedWalk, TrainingSamples
-from .irradiance import IrradianceCache, irradiance_gradients, stratified_hemispheres
+from .irradiance import CacheMap, IrradianceCache, irradiance_gradients, stratified_hemispheres
 from .scattering import (
     Evaluated,
     Proposal,
@@ -56,6 +56,7 @@ __all__ = [
     "AmbientScene",
     "AmbientTable",
     "BlindEmission",
+    "CacheMap",
     "CameraConnection",
     "CameraPath",
     "CameraSampler",

@@ -16,6 +16,8 @@ import numpy as np
 
 from etendue.core import Array, OptionError
 from etendue.integration import Integrand
+from etendue.scene import RenderSpace
+from etendue.surfaces import Irradiance
 
 #: Numbers of a record: position, normal, irradiance, two gradients of three channels, radius.
 _WIDTH = 28
@@ -26,6 +28,8 @@ _IN_FRONT = 0.05
 _LIFT, _STEPS = 1e-3, 2.0**-20
 #: Distance that counts for rays that hit nothing, relative to the greatest radius.
 _FAR = 1e12
+#: Least number of records that a map adds at once.
+_FIRST = 64
 
 
 class IrradianceCache:
@@ -124,6 +128,47 @@ class IrradianceCache:
         values = total / dr.maximum(weight, 1e-20)
         dr.eval(values, weight)
         return np.array(values, dtype=np.float64).T, np.array(weight, dtype=np.float64)
+
+
+class CacheMap:
+    """A cache as a map of irradiance, which is filled where paths ask for it.
+
+    Parameters
+    ----------
+    cache: its records may be those of earlier pictures.
+    incident, distance: as for :meth:`IrradianceCache.compute`, of all light that the map is to have.
+    space: that of the loaded scene.
+    """
+
+    kind = "cache"
+
+    def __init__(
+        self, cache: IrradianceCache, incident: Integrand, distance: Integrand, space: RenderSpace | None = None
+    ) -> None:
+        self.cache, self.space = cache, space or RenderSpace()
+        self._light = incident, distance
+
+    def irradiance(self, p: mi.Point3f, n: mi.Normal3f, active: mi.Bool | bool = True) -> Irradiance:
+        """See :class:`etendue.surfaces.SurfaceMap`; the standard error of a record is not known."""
+        count = max(dr.width(p), dr.width(n), dr.width(active))
+        lanes = np.flatnonzero(np.broadcast_to(np.array(active & dr.full(mi.Bool, True, count)), (count,)))
+        position, normal = (
+            np.broadcast_to(np.array(x, dtype=np.float64).reshape(3, -1), (3, count)).T[lanes] for x in (p, n)
+        )
+        found, weight = self.cache(position, normal)
+        while len(missing := np.flatnonzero(weight == 0)):
+            # From coarse to fine: records between the first ones are needed less often.
+            chosen = missing[:: -(-len(missing) // max(_FIRST, len(self.cache) // 2))]
+            self.cache.compute(*self._light, position[chosen], normal[chosen], seed=len(self.cache))
+            found[missing], weight[missing] = self.cache(position[missing], normal[missing])
+            # A record is valid where it was made, unless the surface ends the search for good.
+            weight[chosen] = np.where(weight[chosen] == 0, np.nan, weight[chosen])
+        rows = np.zeros((count, 3), np.float32)
+        rows[lanes] = found
+        value = mi.Color3f(*(_column(column) for column in rows.T))
+        known = np.zeros(count, bool)
+        known[lanes] = np.isfinite(weight)
+        return Irradiance(value, mi.Color3f(dr.nan), mi.Bool(known))
 
 
 def stratified_hemispheres(normal: Array, strata: tuple[int, int], seed: int) -> Array:

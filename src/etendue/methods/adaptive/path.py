@@ -24,13 +24,13 @@ from etendue.transport import dimensions as dim
 from .. import radius as radii
 from ..base import STEP_LANES, ImageSettings, corners
 from ..ending import EndsInMap
-from ..path import PathSettings
+from ..path import EndingPathSettings
 from ..photon.photons import PhotonGrid, PhotonTracer
 from .dimensions import Draw, Group, NumberedSource
 
 
 @dataclass(frozen=True)
-class AdaptiveSettings(PathSettings):
+class AdaptiveSettings(EndingPathSettings):
     """Settings of ``vegas`` and ``stratified``."""
 
     merge: bool = setting(

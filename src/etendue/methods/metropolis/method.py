@@ -28,12 +28,13 @@ from .film import BrightnessMap
 from .targets import Contribution, Target
 
 #: Most chains, and steps of a pass.
-_MOST_CHAINS = 1 << 17
+_MOST_CHAINS = 1 << 16
 _STEPS = 8
 #: Passes in which the steps are tuned.
 TUNING = 16
 #: Acceptance of small steps that tuning aims at, and the range of their size.
 _ACCEPTED, _SIZES = 0.5, (2.0**-12, 0.25)
+_LEAST_LARGE = 1.0 / 16.0
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ class MetropolisMethod(Carrying, ImageMethod):
 
     def full_lanes(self) -> int:
         """See :class:`ImageMethod`."""
-        return max(_MOST_CHAINS * _STEPS, super().full_lanes())
+        return max(_MOST_CHAINS * 2 * _STEPS, super().full_lanes())
 
     # ------------------------------------------------------------------ a pass
 
@@ -140,7 +141,7 @@ class MetropolisMethod(Carrying, ImageMethod):
             size = float(np.clip(size * np.clip(accepted / _ACCEPTED, 0.5, 2.0), *_SIZES))
         if not s.large_steps:
             accepted = counts["large steps accepted"] / counts["large steps"]
-            share = float(np.clip(accepted, 0.125, 0.75))
+            share = float(np.clip(accepted, _LEAST_LARGE, 0.75))
         self._carried = replace(c, size=size, share=share)
 
     def develop(self, measurement: Measurement, state: State) -> Result:

@@ -23,14 +23,14 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import IndependentSource, OptionError, SampleSource, UnsupportedError, on_device
+from etendue.core import IndependentSource, OptionError, SampleSource, on_device
 from etendue.integration import Layout, Slot
 from etendue.transport import Mis, SingleContribution, SingleTechnique, Techniques
 from etendue.transport import dimensions as dim
 
 from ..base import ImageMethod, ImageSettings, keep_finite
 from .method import MetropolisMethod, MetropolisSettings
-from .targets import Contribution, Target, Traced, camera_slots, film_place, light_slots
+from .targets import ROULETTE, Contribution, Target, Traced, camera_slots, film_place, light_slots
 
 #: Lengths with a probability of their own without a limit of depth. Longer paths share the last one: each further edge
 #: has the probability ``_LONGER``.
@@ -56,6 +56,7 @@ class SingleTarget:
             lights=method.lights,
             camera=method.camera,
             mis=Mis(techniques, [0.0], dr.opaque(mi.Float, float(method.camera.pixels))),
+            max_edges=method.edges,
         )
         self._last = 1 if can_splat else 0  # techniques of k >= 2 edges beyond k
         self._unlimited = method.settings.max_depth < 0
@@ -67,9 +68,10 @@ class SingleTarget:
         single = [slot for slot in inner if slot.component >= dim.NEXT_EVENT]
         end = [*end, Slot(dim.LENGTH, still=True), Slot(dim.TECHNIQUE), *single]
         inner = [slot for slot in inner if slot.component < dim.NEXT_EVENT]
+        light, crossing = light_slots(method), [ROULETTE] if method.visibility.transparent else []
         self.layouts: Mapping[str, Layout] = {
-            "camera": Layout(end, inner, vertices),
-            "light": Layout(*light_slots(method), vertices),
+            "camera": Layout(end, [*inner, *crossing], vertices),
+            "light": Layout(light[0], [*light[1], *crossing], vertices),
         }
         self._set_lengths(_LONGER ** np.arange(count) * (1.0 - _LONGER))
         self._pilot(seed)
@@ -136,10 +138,5 @@ class Mmlt(MetropolisMethod):
     citations: ClassVar[tuple[str, ...]] = ("Hachisuka2014", "Kelemen2002", "VeachGuibas1997", "Georgiev2012b")
 
     def make_target(self, seed: int) -> Target:
-        """See :class:`MetropolisMethod`. Raises :class:`UnsupportedError` for scenes with null surfaces."""
-        if self.visibility.transparent:
-            raise UnsupportedError(
-                "mmlt does not support materials that light passes straight through (mask, null, thindielectric); use "
-                "pssmlt or bpt"
-            )
+        """See :class:`MetropolisMethod`."""
         return SingleTarget(self, self.settings.vertices, seed)

@@ -38,7 +38,13 @@ class Pssmlt(MetropolisMethod):
     name: ClassVar[str] = "pssmlt"
     Settings: ClassVar[type[ImageSettings]] = PssmltSettings
     settings: PssmltSettings
-    citations: ClassVar[tuple[str, ...]] = ("Kelemen2002", "VeachGuibas1997")
+    citations: ClassVar[tuple[str, ...]] = (
+        "Kelemen2002",
+        "VeachGuibas1997",
+        "Veach1997",
+        "Hoberock2010",
+        "Andrieu2009",
+    )
 
     def make_target(self, seed: int) -> Target:
         """See :class:`MetropolisMethod`."""

@@ -9,23 +9,16 @@ import numpy as np
 from etendue.particles import Particles
 from etendue.scene import Problem
 
-from .map import Pm, PmSettings
 from .photons import PhotonShot
 
 
-def trace_photons(problem: Problem, photons: int, seed: int = 0) -> Particles:
-    """About so many photons of ``pm``, at each surface with a smooth component that a light path meets.
-
-    Their power is that of all light paths together. Shapes, primitives and parameters of these particles are not known
-    (all 0): maps find them by their positions. The number of a path is unknown too, so that each is a path of its own.
-    """
-    method = Pm(PmSettings(photons=photons))
-    method.prepare(problem, seed)
-    return photon_hits(method.shoot(0, seed), problem)
-
-
 def photon_hits(shot: PhotonShot, problem: Problem) -> Particles:
-    """The photons of a pass as particles, as of :func:`trace_photons`."""
+    """The photons of a pass of a photon mapping method (:meth:`PhotonMapping.shoot`) as particles, with the power of
+    all light paths together.
+
+    Shapes, primitives and parameters are not known (all 0): maps find them by their positions. Nor are the numbers of
+    paths: each photon is a path of its own.
+    """
     _, _, held = shot.vertices.positions()
     dr.eval(held)
     slot = dr.compress(held)

@@ -6,10 +6,9 @@ gap of the door before next event estimation can find the lamp.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    import mitsuba as mi
+from .pieces import box, diffuse, placed, rgb
 
 #: Inner sizes: half the width, the height, and the depths of the room and of the one behind it.
 _HALF, _HEIGHT, _ROOM, _BEHIND = 2.8, 2.6, 5.6, 2.4
@@ -24,7 +23,7 @@ def ajar() -> dict[str, Any]:
 
     far = -_WALL - _BEHIND
     middle, depth = (_ROOM + far) / 2, _ROOM - far
-    paint, floor = _diffuse(0.72, 0.70, 0.66), _diffuse(0.45, 0.32, 0.2)
+    paint, floor = diffuse(0.72, 0.70, 0.66), diffuse(0.45, 0.32, 0.2)
     left, right = _DOOR_X
     wall_z = -_WALL / 2
     lamp = mi.ScalarTransform4f().translate([-_HALF + 0.5, 1.5, far + 1.0]).rotate([0, 1, 0], -90).scale(0.4)
@@ -33,15 +32,15 @@ def ajar() -> dict[str, Any]:
         "type": "scene",
         "integrator": {"type": "guided", "max_depth": 12},
         "sensor": _sensor(),
-        "floor": _box((0.0, -_WALL / 2, middle), (2 * _HALF, _WALL, depth), floor),
-        "ceiling": _box((0.0, _HEIGHT + _WALL / 2, middle), (2 * _HALF, _WALL, depth), paint),
-        "left": _box((-_HALF - _WALL / 2, _HEIGHT / 2, middle), (_WALL, _HEIGHT, depth), _diffuse(0.62, 0.24, 0.18)),
-        "right": _box((_HALF + _WALL / 2, _HEIGHT / 2, middle), (_WALL, _HEIGHT, depth), _diffuse(0.25, 0.42, 0.5)),
-        "front": _box((0.0, _HEIGHT / 2, _ROOM + _WALL / 2), (2 * _HALF, _HEIGHT, _WALL), paint),
-        "far": _box((0.0, _HEIGHT / 2, far - _WALL / 2), (2 * _HALF, _HEIGHT, _WALL), paint),
-        "wall-left": _box(((left - _HALF) / 2, _HEIGHT / 2, wall_z), (left + _HALF, _HEIGHT, _WALL), paint),
-        "wall-right": _box(((right + _HALF) / 2, _HEIGHT / 2, wall_z), (_HALF - right, _HEIGHT, _WALL), paint),
-        "wall-above": _box(
+        "floor": box((0.0, -_WALL / 2, middle), (2 * _HALF, _WALL, depth), floor),
+        "ceiling": box((0.0, _HEIGHT + _WALL / 2, middle), (2 * _HALF, _WALL, depth), paint),
+        "left": box((-_HALF - _WALL / 2, _HEIGHT / 2, middle), (_WALL, _HEIGHT, depth), diffuse(0.62, 0.24, 0.18)),
+        "right": box((_HALF + _WALL / 2, _HEIGHT / 2, middle), (_WALL, _HEIGHT, depth), diffuse(0.25, 0.42, 0.5)),
+        "front": box((0.0, _HEIGHT / 2, _ROOM + _WALL / 2), (2 * _HALF, _HEIGHT, _WALL), paint),
+        "far": box((0.0, _HEIGHT / 2, far - _WALL / 2), (2 * _HALF, _HEIGHT, _WALL), paint),
+        "wall-left": box(((left - _HALF) / 2, _HEIGHT / 2, wall_z), (left + _HALF, _HEIGHT, _WALL), paint),
+        "wall-right": box(((right + _HALF) / 2, _HEIGHT / 2, wall_z), (_HALF - right, _HEIGHT, _WALL), paint),
+        "wall-above": box(
             ((left + right) / 2, (_DOOR_HEIGHT + _HEIGHT) / 2, wall_z),
             (right - left, _HEIGHT - _DOOR_HEIGHT, _WALL),
             paint,
@@ -49,17 +48,17 @@ def ajar() -> dict[str, Any]:
         "door": {
             "type": "cube",
             "to_world": hinge
-            @ _placed(((right - left) / 2, _DOOR_HEIGHT / 2, 0.02), (right - left, _DOOR_HEIGHT, 0.04)),
-            "bsdf": _diffuse(0.5, 0.42, 0.3),
+            @ placed(((right - left) / 2, _DOOR_HEIGHT / 2, 0.02), (right - left, _DOOR_HEIGHT, 0.04)),
+            "bsdf": diffuse(0.5, 0.42, 0.3),
         },
         "lamp": {
             "type": "disk",
             "to_world": lamp,
-            "bsdf": _diffuse(0.2, 0.2, 0.2),
-            "emitter": {"type": "area", "radiance": _rgb(14000.0, 12500.0, 10500.0)},
+            "bsdf": diffuse(0.2, 0.2, 0.2),
+            "emitter": {"type": "area", "radiance": rgb(14000.0, 12500.0, 10500.0)},
         },
-        "table": _box((-0.9, 0.72, 2.0), (1.5, 0.06, 0.9), _diffuse(0.5, 0.45, 0.4)),
-        "foot": _box((-0.9, 0.345, 2.0), (0.5, 0.69, 0.4), _diffuse(0.3, 0.2, 0.12)),
+        "table": box((-0.9, 0.72, 2.0), (1.5, 0.06, 0.9), diffuse(0.5, 0.45, 0.4)),
+        "foot": box((-0.9, 0.345, 2.0), (0.5, 0.69, 0.4), diffuse(0.3, 0.2, 0.12)),
         "ball": {
             "type": "sphere",
             "center": [-1.2, 0.971, 2.0],
@@ -69,13 +68,13 @@ def ajar() -> dict[str, Any]:
         "tin": {
             "type": "cube",
             "to_world": mi.ScalarTransform4f().translate([-0.55, 0.941, 2.05]).rotate([0, 1, 0], 35).scale(0.19),
-            "bsdf": {"type": "roughplastic", "diffuse_reflectance": _rgb(0.12, 0.3, 0.5), "alpha": 0.15},
+            "bsdf": {"type": "roughplastic", "diffuse_reflectance": rgb(0.12, 0.3, 0.5), "alpha": 0.15},
         },
         "stool": {
             "type": "sphere",
             "center": [2.0, 0.352, 1.7],
             "radius": 0.35,
-            "bsdf": _diffuse(0.55, 0.5, 0.2),
+            "bsdf": diffuse(0.55, 0.5, 0.2),
         },
     }
 
@@ -92,21 +91,3 @@ def _sensor() -> dict[str, Any]:
         "sampler": {"type": "independent", "sample_count": 64},
         "film": film,
     }
-
-
-def _placed(centre: tuple[float, ...], size: tuple[float, ...]) -> mi.ScalarTransform4f:
-    import mitsuba as mi
-
-    return mi.ScalarTransform4f().translate(list(centre)).scale([side / 2 for side in size])
-
-
-def _box(centre: tuple[float, ...], size: tuple[float, ...], bsdf: dict[str, Any]) -> dict[str, Any]:
-    return {"type": "cube", "to_world": _placed(centre, size), "bsdf": bsdf}
-
-
-def _rgb(*value: float) -> dict[str, Any]:
-    return {"type": "rgb", "value": list(value)}
-
-
-def _diffuse(*value: float) -> dict[str, Any]:
-    return {"type": "diffuse", "reflectance": _rgb(*value)}

@@ -14,6 +14,7 @@ from etendue.core import SceneError, suggest
 
 from .ajar import ajar
 from .caustics import caustics
+from .gaps import gaps
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -55,6 +56,7 @@ def bundled() -> dict[str, BundledScene]:
         ("cornell-box", "the Cornell box: diffuse walls, two boxes, an area light", cornell_box),
         ("cornell-glass", "the Cornell box with a glass ball and a box of rough gold", cornell_glass),
         ("ajar", "a room lit through a half-open door, by a lamp in the next room that faces a wall", ajar),
+        ("gaps", "a room lit through two small gaps, from a lamp in the second chamber behind its wall", gaps),
         ("skylight", "frosted glass and lacquer under a sky with a low sun, through a thin lens", skylight),
         ("stage", "glass, plastic and steel under two spot lights and a point light", stage),
     )

@@ -5,8 +5,8 @@ With the particles i of power Phi_i at distances d_i along their surface, and ke
 .. math:: E(y) = \frac{\sum_i \Phi_i K(d_i / h_i) / h_i^2}{\int K(d / h) / h^2 dA}
 
 in which the integral runs over the surface around y: over 1 away from edges, 1/2 at an edge, 1/4 in a corner
-(``renormalise``). ``linear`` fits a plane to the density, so that a slope at the border makes no bias [Jones 1993; its
-equivalent for particles: Walter 1998]; ``reflect`` mirrors particles at the border of flat rectangles.
+(``renormalise``). ``linear`` fits a plane to the density, so that a slope at the border makes no bias [Jones 1993;
+Walter 1998]; ``reflect`` mirrors particles at the border of flat rectangles.
 
 A particle counts on its own shape only, where normals agree and it lies in the tangent plane: nothing leaks to the
 other side of a sheet or around a corner. A variable kernel has at each cell the bandwidth h (E_p / g)^-1/2, E_p being a

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 #: Bytes of a particle in memory: arrays of the host, the tree and its payload, and what building them takes.
 PARTICLE_BYTES = 350
-#: Least number of quadrature points in a disc for the integral over the surface: four a cell.
+#: Least number of quadrature points in a whole disc for the integral over the surface: four a cell.
 _LEAST_POINTS = 24.0
 #: Cells for this integral in the mean disc, and least and most of the scene.
 _CELLS, _LEAST_CELLS, _MOST_CELLS = 12, 1000, 400_000
@@ -82,7 +82,9 @@ class NearestMap:
         self._area = None
         if correct:
             count = min(max(_CELLS * len(hits) / self.k, _LEAST_CELLS), _MOST_CELLS)
-            fine = surfaces.whole.subdivided(float(surfaces.whole.areas.sum()) / count)
+            size = float(surfaces.whole.areas.sum()) / count
+            fine = surfaces.whole.subdivided(size)
+            self._least_area = dr.opaque(mi.Float, _LEAST_POINTS / 4 * size / unit**2)
             points, areas, _ = quadrature(fine, self.space)
             # In units of the local frame, as the area of the disc.
             values = np.repeat(areas[:, None] / unit**2, 3, axis=1)
@@ -109,11 +111,11 @@ class NearestMap:
         squared = self._particles.tree.kth_distance_squared(local, self._k, dr.inf, place.found)
         dr.eval(squared)
         lanes = place.found & (squared > 0) & dr.isfinite(squared)
-        flux, squares, _ = self._particles.total(local, n, shape, squared, self.kernel, lanes)
+        flux, squares = self._particles.total(local, n, shape, squared, self.kernel, lanes)
         area = dr.pi * squared
         if self._area is not None:
-            on_surface, _, points = self._area.total(local, n, shape, squared, self.kernel, lanes)
-            area = dr.select(points >= _LEAST_POINTS, on_surface.x, area)
+            on_surface, _ = self._area.total(local, n, shape, squared, self.kernel, lanes)
+            area = dr.select((area >= self._least_area) & (on_surface.x > 0), on_surface.x, area)
         scale = dr.select(lanes & (area > 0), self._per_area / area, 0.0)
         return Irradiance(flux * scale, dr.sqrt(squares) * scale, place.found)
 
@@ -140,21 +142,21 @@ class _Tree:
         squared: mi.Float,
         kernel: Kernel,
         active: mi.Bool,
-    ) -> tuple[mi.Color3f, mi.Color3f, mi.Float]:
-        """(sum of the values times the kernel on the disc of this squared radius, sum of the squares of these terms,
-        number of points), of points on the same surface."""
+    ) -> tuple[mi.Color3f, mi.Color3f]:
+        """(sum of the values times the kernel on the disc of this squared radius, sum of the squares of these terms),
+        of points on the same surface."""
         import mitsuba as mi
 
-        State = tuple[mi.Color3f, mi.Color3f, mi.Float]
-
-        def add(place: mi.UInt32, distance: mi.Float, state: State) -> State:
+        def add(
+            place: mi.UInt32, distance: mi.Float, state: tuple[mi.Color3f, mi.Color3f]
+        ) -> tuple[mi.Color3f, mi.Color3f]:
             x, n, c = (dr.gather(mi.Vector4f, self._packed, 3 * place + k) for k in range(3))
             height = dr.dot(normal, mi.Vector3f(x.x, x.y, x.z) - point)
             counts = (dr.dot(normal, mi.Vector3f(n.x, n.y, n.z)) > SAME_SIDE) & (n.w == shape)
             counts &= dr.square(height) <= FLAT * FLAT * squared
             term = mi.Color3f(c.x, c.y, c.z) * kernel.on_disc(dr.minimum(distance / squared, 1.0))
             term = dr.select(counts, term, 0.0)
-            return state[0] + term, state[1] + dr.square(term), state[2] + dr.select(counts, 1.0, 0.0)
+            return state[0] + term, state[1] + dr.square(term)
 
-        start = (mi.Color3f(0.0), mi.Color3f(0.0), mi.Float(0.0))
+        start = (mi.Color3f(0.0), mi.Color3f(0.0))
         return self.tree.within(point, squared * _INSIDE, start, add, active)

@@ -1,8 +1,10 @@
 """One technique a path: a light sub-path of s vertices, a camera sub-path of t, and the connection of their ends.
 
 The estimator of ``bpt`` applies all techniques to all vertices of a pair of sub-paths. Here a lane has its own (s, t)
-and evaluates this technique alone, with the same recursive weight: one edge a vertex, and at most one shadow ray. Null
-surfaces are not supported.
+and evaluates this technique alone, with the same recursive weight: one edge a vertex, and at most one shadow ray.
+
+Null surfaces are no vertices, so a sub-path of given length may end at each one of several surfaces in a row, of which
+all but the last also let light pass. It ends at each of them with probability 1/2.
 """
 
 from __future__ import annotations
@@ -16,14 +18,15 @@ import mitsuba as mi
 from etendue.core import SampleSource
 from etendue.scene import LightTable
 
+from .. import dimensions as dim
 from ..camera import CameraConnection, CameraSampler
-from ..emission import sample_direct
+from ..emission import is_emissive, sample_direct
 from ..scattering import cosine_ratio, evaluate_light_end, geometric_cos, scatter_camera
 from ..vertex import WalkVertex
 from ..visibility import Visibility
 from ..walk import ones
 from .light_walk import LightPath, LightWalk
-from .mis import Mis
+from .mis import Mis, RadiusFree
 from .walk import BidirectionalPath, BidirectionalWalk
 
 P = TypeVar("P", bound=BidirectionalPath)
@@ -33,7 +36,8 @@ P = TypeVar("P", bound=BidirectionalPath)
 class _Ending:
     """Fields of a sub-path that keeps its last vertex."""
 
-    wanted: mi.UInt32  #: edges
+    wanted: mi.UInt32  #: vertices after the first one
+    emissive: mi.Bool  #: whether it may end at a light
     hit: mi.PreliminaryIntersection3f  #: at the end of the last edge
     reached: mi.Bool  #: whether the sub-path has as many edges as wanted
 
@@ -57,17 +61,22 @@ class _LightSide(LightWalk):
     def trace_to(self, edges: mi.UInt32, source: SampleSource) -> _LightEnding:
         """Sub-paths of ``edges`` edges each, 0 for none."""
         lanes = dr.width(edges)
-        ending = {"wanted": edges, "hit": dr.zeros(mi.PreliminaryIntersection3f, lanes), "reached": _no(lanes)}
-        state: Any = self.begin(lanes, source, **ending)
+        ending = {
+            "wanted": edges,
+            "emissive": _no(lanes),
+            "hit": dr.zeros(mi.PreliminaryIntersection3f, lanes),
+            "reached": _no(lanes),
+        }
+        state: Any = self.begin(lanes, source, numbered=True, **ending)
         state.active &= edges > 0
 
         def edge(s: _LightEnding) -> _LightEnding:
             vertex = self.arrive(s)
             on_edge, light_cos = self.land(s, vertex)
-            going, before = _arrived(s, vertex)
-            scattered, _ = vertex.sample(source, going)
+            stop = _Stop.at(self, s, vertex, source, on_edge)
+            scattered, _ = vertex.sample(source, stop.going)
             self.go_on(s, vertex, scattered, source, on_edge, light_cos)
-            return _stopped(s, going, before)
+            return stop.apply(s)
 
         return self.walk(state, edge, "light sub-path")
 
@@ -77,10 +86,14 @@ class _CameraSide(BidirectionalWalk):
     """Camera sub-paths of given lengths."""
 
     def trace_to(
-        self, edges: mi.UInt32, primary: tuple[mi.Ray3f, mi.Color3f, mi.Point2f], source: SampleSource
+        self,
+        edges: mi.UInt32,
+        emissive: mi.Bool,
+        primary: tuple[mi.Ray3f, mi.Color3f, mi.Point2f],
+        source: SampleSource,
     ) -> _CameraEnding:
-        """Sub-paths of ``edges`` edges each, 0 for none; ``primary``: camera rays, as of ``CameraSampler``. The last
-        edge may have missed the scene, where the environment is seen."""
+        """Sub-paths of ``edges`` edges each, 0 for none, those to lights ``emissive``; ``primary``: camera rays, as of
+        ``CameraSampler``. The last edge may have missed the scene, where the environment is seen."""
         lanes = dr.width(edges)
         ray, importance, aperture = primary
         density, lead = self.camera.density(ray, aperture)
@@ -93,10 +106,11 @@ class _CameraSide(BidirectionalWalk):
             d_vcm=d_vcm,
             d_vc=d_vc,
             depth=dr.full(mi.UInt32, 1, lanes),
-            vertex=None,
+            vertex=mi.UInt32(1),
             travelled=lead,
             rays=dr.zeros(mi.UInt32, lanes),
             wanted=edges,
+            emissive=emissive,
             hit=dr.zeros(mi.PreliminaryIntersection3f, lanes),
             reached=_no(lanes),
         )
@@ -106,12 +120,12 @@ class _CameraSide(BidirectionalWalk):
             on_edge, cos = (s.d_vcm, s.d_vc), geometric_cos(vertex.si, vertex.incoming)
             d_vcm, d_vc = self.mis.hit(*on_edge, dr.square(vertex.distance), cos)
             s.d_vcm, s.d_vc = dr.select(vertex.valid, d_vcm, s.d_vcm), dr.select(vertex.valid, d_vc, s.d_vc)
-            going, before = _arrived(s, vertex)
-            scattered, _ = vertex.sample(source, going)
+            stop = _Stop.at(self, s, vertex, source, on_edge)
+            scattered, _ = vertex.sample(source, stop.going)
             sampled = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
-            s.d_vcm, s.d_vc = self.mis.scatter_camera(s.depth, s.d_vcm, s.d_vc, *sampled)
+            s.d_vcm, s.d_vc = self.mis.scatter_camera(self.number(s), s.d_vcm, s.d_vc, *sampled)
             self.leave(s, vertex, scattered, source, on_edge)
-            return _stopped(s, going, before)
+            return stop.apply(s)
 
         return self.walk(state, edge, "camera sub-path")
 
@@ -120,26 +134,59 @@ def _no(lanes: int) -> mi.Bool:
     return dr.full(mi.Bool, False, lanes)
 
 
-#: What a vertex at which a sub-path ends must keep.
-_KEPT = ("ray", "throughput", "d_vcm", "d_vc", "depth", "travelled")
+#: What a sub-path that does not scatter at a vertex keeps.
+_KEPT = ("ray", "throughput", "d_vcm", "d_vc", "depth", "travelled", "vertex", "eta", "from_infinity", "waiting")
 
 
-def _arrived(s: Any, vertex: WalkVertex) -> tuple[mi.Bool, dict[str, Any]]:
-    """(lanes that go on, what the others must keep)."""
-    at_end = s.active & (s.depth == s.wanted)
-    s.hit = dr.select(at_end, vertex.hit, s.hit)
-    s.reached |= at_end
-    kinds = {"ray": mi.Ray3f, "throughput": mi.Color3f, "depth": mi.UInt32}
-    kept = {name: kinds.get(name, mi.Float)(getattr(s, name)) for name in _KEPT}
-    return s.active & ~at_end & vertex.valid, kept
+@dataclass
+class _Stop:
+    """What happens at a vertex in place of scattering: the sub-path ends, or crosses a null surface on its last
+    edge."""
 
+    going: mi.Bool  #: lanes that scatter
+    crossing: mi.Bool
+    kept: dict[str, Any]
+    crossed: dict[str, Any]  #: what differs from ``kept`` behind a null surface
 
-def _stopped(s: P, going: mi.Bool, before: dict[str, Any]) -> P:
-    """The state after an edge: unchanged where the sub-path has ended."""
-    for name, value in before.items():
-        setattr(s, name, dr.select(going, getattr(s, name), value))
-    s.active &= going
-    return s
+    @classmethod
+    def at(
+        cls,
+        walk: BidirectionalWalk,
+        s: Any,
+        vertex: WalkVertex,
+        source: SampleSource,
+        on_edge: tuple[mi.Float, mi.Float | RadiusFree],
+    ) -> _Stop:
+        """Decide at the end of an edge."""
+        last = s.active & (walk.number(s) == s.wanted)
+        crossing, crossed = mi.Bool(False), {}
+        if walk.visibility.transparent:
+            null = last & vertex.valid & mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Null)
+            both = null & dr.select(s.emissive, is_emissive(walk.visibility.scene, vertex.si), vertex.smooth)
+            crossing = null & (~both | (source.decide(s.depth, dim.ROULETTE) < 0.5))
+            s.throughput = s.throughput * dr.select(both, 2.0, 1.0)
+            crossed = {
+                "ray": vertex.ray(vertex.incoming),
+                "throughput": s.throughput * vertex.bsdf.eval_null_transmission(vertex.si, crossing),
+                "d_vcm": on_edge[0],
+                "d_vc": on_edge[1],
+                "depth": s.depth + 1,
+                "travelled": vertex.distance,
+            }
+        ends = last & ~crossing
+        s.hit = dr.select(ends, vertex.hit, s.hit)
+        s.reached |= ends
+        kept = {name: type(value)(value) for name in _KEPT if (value := getattr(s, name, None)) is not None}
+        return cls(s.active & ~last & vertex.valid, crossing, kept, crossed)
+
+    def apply(self, s: P) -> P:
+        """The state after the edge; ``s``: after scattering."""
+        for name, value in self.kept.items():
+            if name in self.crossed:
+                value = dr.select(self.crossing, self.crossed[name], value)
+            setattr(s, name, dr.select(self.going, getattr(s, name), value))
+        s.active = (s.active & self.going) | self.crossing
+        return s
 
 
 @dataclass
@@ -163,6 +210,7 @@ class SingleTechnique:
     lights: LightTable
     camera: CameraSampler
     mis: Mis
+    max_edges: mi.UInt32  #: opaque; null surfaces that a path crosses count
 
     def trace(
         self, s: mi.UInt32, t: mi.UInt32, place: mi.Point2f, camera: SampleSource, light: SampleSource
@@ -172,7 +220,7 @@ class SingleTechnique:
         common: dict[str, Any] = {
             "visibility": self.visibility,
             "lights": self.lights,
-            "max_edges": dr.opaque(mi.UInt32, 1 << 30),
+            "max_edges": self.max_edges,
             "rr_depth": 1 << 30,
             "camera": self.camera,
             "mis": self.mis,
@@ -181,16 +229,24 @@ class SingleTechnique:
         }
         eye_walk, light_walk = _CameraSide(proposal=scatter_camera, **common), _LightSide(**common)
         primary = self.camera.through(place, camera)
-        eye = eye_walk.trace_to(t - 1, primary, camera)
+        eye = eye_walk.trace_to(t - 1, s == 0, primary, camera)
         lit = light_walk.trace_to(dr.select(s >= 2, s - 1, 0), light)
         eye_end, light_end = self._end(eye), self._end(lit)
+        # Edges of both sub-paths, crossings of null surfaces included, and of the one between their ends.
+        edges = dr.select(t >= 2, eye.depth, 0) + dr.select(s >= 2, lit.depth, 0)
+        edges += dr.select(s == 0, mi.UInt32(0), 1)
+        short = edges <= self.max_edges
+        eye.reached &= short
+        lit.reached &= short
         eye_ok = eye.reached & eye_end.valid & eye_end.smooth
         light_ok = lit.reached & light_end.valid & light_end.smooth
+
+        number = eye_walk.number(eye)
 
         # ---- s = 0: a hit on a light
         eye.active = eye.reached & (s == 0)
         hit = eye_walk.emission(eye, eye_end)
-        weight = self.mis.emission_weight(eye.depth, eye.d_vcm, eye.d_vc, hit.area_density, hit.emission_density)[0]
+        weight = self.mis.emission_weight(number, eye.d_vcm, eye.d_vc, hit.area_density, hit.emission_density)[0]
         by_hit = _masked(eye.throughput * hit.radiance, weight, hit.active)
 
         # ---- The other ends: light points, light vertices, the sensor
@@ -214,14 +270,14 @@ class SingleTechnique:
         # ---- s = 1: next event
         hit_pdf = dr.select(point.is_delta, 0.0, f.pdf)
         weight = self.mis.next_event_weight(
-            eye.depth, *on_eye, geometric, hit_pdf, f.reverse_pdf, point.pdf, point.light_ratio * geometric
+            number, *on_eye, geometric, hit_pdf, f.reverse_pdf, point.pdf, point.light_ratio * geometric
         )[0]
         by_point = _masked(eye.throughput * f.value * point.radiance, weight, point.active)
 
         # ---- s, t >= 2: connection
         inverse = dr.rcp(dr.select(joins, distance_squared, 1.0))
         weight = self.mis.connection_weight(
-            eye.depth,
+            number,
             on_eye,
             on_light,
             geometric,
@@ -245,8 +301,8 @@ class SingleTechnique:
         tested = ~dr.all(alone == 0.0)
         target = dr.select(t == 1, sensor.target, dr.select(s == 1, point.target, light_end.position))
         ray = dr.select(t == 1, light_end.ray_to(target), eye_end.ray_to(target))
-        visible, _ = self.visibility.along(ray, mi.UInt32(0), tested)
-        weighted, alone = (dr.select(visible, value, 0.0) for value in (weighted, alone))
+        visible, transmittance = self.visibility.along(ray, self.max_edges - edges, tested)
+        weighted, alone = (dr.select(visible, value * transmittance, 0.0) for value in (weighted, alone))
         position = dr.select(t == 1, sensor.position, place)
         rays = eye.rays + lit.rays + ones(tested)
         return SingleContribution(position, weighted + by_hit[0], alone + by_hit[1], rays)

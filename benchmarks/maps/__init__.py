@@ -1,0 +1,1 @@
+"""Maps of irradiance: their errors against particles, and what they cost."""

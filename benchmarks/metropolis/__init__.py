@@ -1,0 +1,1 @@
+"""Pictures by Metropolis sampling beside independent paths."""
