@@ -106,6 +106,15 @@ PROGRAMS = {
             ),
         ),
         Program(
+            "benchmarks.light_chains",
+            "Metropolis particles beside independent light paths, and ways to sample emission.",
+            (
+                Benchmark("against", "against.measure", 8, "Standard and Metropolis particles: who wins where."),
+                Benchmark("steps", "steps.measure", 4, "The size of steps of Metropolis particles."),
+                Benchmark("emission", "emission.measure", 3, "Variance of flux by the way lights are sampled."),
+            ),
+        ),
+        Program(
             "benchmarks.maps",
             "Maps of irradiance from particles.",
             (
@@ -126,15 +135,6 @@ PROGRAMS = {
             "benchmarks.metropolis",
             "Pictures by Metropolis sampling beside independent paths.",
             (Benchmark("pictures", "pictures.measure", 200, "Error after equal time of chains, path and bpt."),),
-        ),
-        Program(
-            "benchmarks.light_chains",
-            "Metropolis particles beside independent light paths, and ways to sample emission.",
-            (
-                Benchmark("against", "against.measure", 8, "Standard and Metropolis particles: who wins where."),
-                Benchmark("steps", "steps.measure", 4, "The size of steps of Metropolis particles."),
-                Benchmark("emission", "emission.measure", 3, "Variance of flux by the way lights are sampled."),
-            ),
         ),
         Program(
             "benchmarks.radiosity",

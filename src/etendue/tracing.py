@@ -30,6 +30,7 @@ def trace_particles(
     callback: Callback | None = None,
     save: PathLike | None = None,
     codec: str = "packed",
+    method: str = "particles",
     resume: PathLike | None = None,
     **settings: Any,
 ) -> ParticleResult:
@@ -37,7 +38,8 @@ def trace_particles(
 
     ``scene``: as for :func:`etendue.render`. ``paths``, ``particles`` (about so many) and ``seconds`` limit the run;
     the first limit that is reached ends it. Without limits, a million paths. ``settings`` are those of
-    :class:`etendue.methods.ParticleTracing`: ``keep``, ``after``, ``specular``, ``max_bounces`` and others.
+    :class:`etendue.methods.ParticleTracing`: ``keep``, ``after``, ``specular``, ``max_bounces`` and others. ``method``:
+    ``metropolis_particles`` traces by :class:`etendue.methods.MetropolisParticles`, whose paths are steps of chains.
 
     The result has the :class:`etendue.particles.Particles` in memory, unless ``save`` names a new file to which they
     are written pass by pass, by a ``codec`` (see docs/particles.md). ``resume`` names such a file to go on with; limits
@@ -59,6 +61,7 @@ def trace_particles(
             particles=particles,
             seconds=seconds,
             codec=codec,
+            method=method,
             settings=settings,
             seed=seed,
             parameters=parameters,
