@@ -40,7 +40,7 @@ def gaps() -> dict[str, Any]:
             "type": "disk",
             "to_world": lamp,
             "bsdf": diffuse(0.2, 0.2, 0.2),
-            "emitter": {"type": "area", "radiance": rgb(400000.0, 350000.0, 290000.0)},
+            "emitter": {"type": "area", "radiance": rgb(1.6e7, 1.4e7, 1.16e7)},
         },
         "ball": {
             "type": "sphere",
