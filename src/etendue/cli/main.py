@@ -20,6 +20,7 @@ from etendue.core import EtendueError, OptionError, describe, logger
 from . import options as opt
 from .boxes import HIERARCHY, resume_hierarchy
 from .console import ConsoleHandler, error_console, note, print_error, say
+from .developing import develop
 from .pictures import compare, demo, render, run
 from .radiosity import LINES, form_factors, radiosity, resume_lines
 from .radiosity_options import OptionalName
@@ -116,6 +117,8 @@ def resume(
     variant: opt.Variant = None,
     threads: opt.Threads = None,
     save_every: opt.SaveEvery = 60.0,
+    tone: opt.Tone = "srgb",
+    exposure: opt.Exposure = "auto",
     debug: opt.Debug = False,
 ) -> int:
     """Continue an interrupted or finished render; the checkpoint is updated.
@@ -162,7 +165,9 @@ def resume(
         with recorder:
             return render_to_files(open_job, recorder, saved.method)
     beside = [checkpoint.with_suffix(suffix) for suffix in (".exr", ".png")]
-    outputs = Outputs.of(output or [p for p in beside if p.exists()] or beside[:1], checkpoint, save_every)
+    outputs = Outputs.of(
+        output or [p for p in beside if p.exists()] or beside[:1], checkpoint, save_every, False, tone, exposure
+    )
     choose_device(variant, threads)
     return render_to_files(lambda: Job.resume(saved, kind, budget=budget or rest(), scene=scene), outputs, saved.method)
 
@@ -170,6 +175,7 @@ def resume(
 app.command()(run)
 app.command()(compare)
 app.command()(demo)
+app.command()(develop)
 
 
 @app.command()

@@ -21,6 +21,7 @@ from etendue.core import OptionError
 from etendue.film import relative_bias, relative_mse, relative_squared_error, write_bytes
 
 from .colours import css_gradient, false_colour
+from .curves import CURVES, TABLE_RANGE
 from .figures import Figure
 from .pages import page
 from .plots import Series, convergence_plot
@@ -109,6 +110,7 @@ def render_report(
         pyramids=[p for e in entries for p in pyramids(e.name, e.image, e.layers, exposure, curve)],
         layers=_layers(entries, exposure, curve),
         tables=_tables(entries),
+        curves=list(CURVES),
         script_data=_script_data(pictures, exposure, curve),
     )
 
@@ -235,6 +237,8 @@ def _script_data(pictures: list[tuple[str, Image]], exposure: float, curve: str)
         "right": min(1, len(pictures) - 1),
         "exposure": exposure,
         "curve": curve,
+        "range": TABLE_RANGE,
+        "curves": {name: known.tables() for name, known in CURVES.items()},
         "planes": [base64.b64encode(zlib.compress(shared_exponent(p).tobytes(), 9)).decode() for _, p in pictures],
     }
 

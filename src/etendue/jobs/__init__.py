@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from .files import PathLike, Writing, check_files, listed
-from .pictures import Image, Outputs, PictureWork, Rendering, Update, Writer, save_result
+from .pictures import Image, Outputs, PictureWork, Rendering, Update, Writer, check_picture, save_result
 from .results import DEFAULT_BUNDLES, DEFAULT_POINTS, FormFactorResult, LinesResult, RadiosityResult
 from .running import Passes, Watch, Work, run_work, start_work
 from .wording import PYTHON, Wording
@@ -100,6 +100,7 @@ __all__ = [
     "about",
     "asked_before",
     "check_files",
+    "check_picture",
     "listed",
     "picture",
     "radiosity_work",
