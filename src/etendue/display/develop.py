@@ -50,5 +50,7 @@ def develop(
         missing = [name for name in kind.uses if name not in features.names]
         if missing:
             tell(f"no layer {' and '.join(missing)}: {kind.name} works better on a picture rendered with --aovs")
+        if not kind.by_component:
+            parts = [np.sum(parts, axis=0, dtype=np.float32)]
         parts = [kind.function(part, features, radius, strength) for part in parts]
     return np.sum(parts, axis=0, dtype=np.float32)

@@ -29,7 +29,7 @@ def flip_error(image: ArrayLike, reference: ArrayLike) -> NDArray[np.float32]:
     if x.shape != ref.shape or x.ndim != 3 or x.shape[2] != 3:
         raise OptionError(f"FLIP compares pictures of one size with three channels, not {x.shape} with {ref.shape}")
     evaluator = library(_MODULE, "the measure FLIP", "flip")
-    known = np.isfinite(x).all(axis=2) & np.isfinite(ref).all(axis=2)
+    known = np.asarray((np.isfinite(x) & np.isfinite(ref)).all(axis=2))
     ref = np.where(known[:, :, None], np.maximum(ref, 0.0), 0.0)
     x = np.where(known[:, :, None], np.maximum(x, 0.0), ref)
     if not ref.any():  # no light, from which the library could choose exposures

@@ -49,10 +49,7 @@ def bilateral(component: Picture, features: Features, radius: int, strength: flo
     """
     height, width = component.shape[:2]
     layers = [component, compressed(component) / np.float32(max(_COLOUR * strength, 1e-6))]
-    if features.albedo is not None:
-        layers.append(features.albedo / np.float32(_ALBEDO))
-    if features.normal is not None:
-        layers.append(features.normal / np.float32(_NORMAL))
+    layers += scaled_features(features)
     # The channels of a pixel one after the other. Around the picture the guides are so different that nothing there
     # has a weight: no tap has to look where it is.
     strips = -(-height // _STRIP)
@@ -211,6 +208,12 @@ def packets(layer: Picture) -> mi.Float:
 def unpacked(values: mi.Float, height: int, width: int) -> Picture:
     """Inverse of :func:`packets`."""
     return np.array(np.array(values, np.float32).reshape(height, width, 4)[:, :, :3])
+
+
+def scaled_features(features: Features) -> list[Picture]:
+    """Albedo and normal, as far as they are there, in units of the difference that counts."""
+    pairs = ((features.albedo, _ALBEDO), (features.normal, _NORMAL))
+    return [layer / np.float32(unit) for layer, unit in pairs if layer is not None]
 
 
 def compressed(component: Picture) -> Picture:

@@ -29,6 +29,7 @@ class Denoiser:
     function: Callable[[Picture, Features, int, float], Picture]
     needs: tuple[str, ...] = ()
     uses: tuple[str, ...] = ()
+    by_component: bool = True  #: or the sum of the components, whose variance is the only one known
 
     def check(self, features: Features) -> None:
         """Raise :class:`OptionError` if a feature is missing that it needs."""
@@ -47,7 +48,12 @@ DENOISERS: Final[dict[str, Denoiser]] = {
         Denoiser("guided", "linear regression on albedo and normal in windows", guided, uses=_FIRST_HIT),
         Denoiser("gaussian", "Gaussian blur", gaussian),
         Denoiser(
-            "nlm", "mean of pixels whose surroundings differ by no more than noise", non_local_means, ("variance",)
+            "nlm",
+            "mean of pixels whose surroundings differ by no more than noise",
+            non_local_means,
+            ("variance",),
+            _FIRST_HIT,
+            by_component=False,
         ),
     )
 }
