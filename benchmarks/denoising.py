@@ -14,7 +14,7 @@ import typer
 
 from etendue import display, film
 from etendue.api import render
-from etendue.core import BackendError, Result
+from etendue.core import BackendError, OptionError, Result
 from etendue.display.denoising import Features, Picture
 
 from .measuring import PUBLIC_SCENES, ROOT, Record, console, interleaved, verdict
@@ -26,6 +26,8 @@ BAR_SIZE, BAR_RADIUS, BAR_CORES = (512, 512), 5, 2
 #: Scenes and the method by which each is rendered.
 METHODS = {"cornell-glass": "bpt", "skylight": "path", "grey-white-room": "path"}
 SCENES = ",".join(METHODS)
+#: Camera paths per pixel and pass of the pictures that are denoised: several passes tell the variance.
+_SAMPLES = 4
 #: Seeds of the picture and of the halves of the reference.
 _SEED, _REFERENCE_SEED = 1, 7001
 
@@ -115,16 +117,22 @@ def _scene(
 
     add(f"raw, {long:g} {unit}", raw.image)
     for reconstruction in ("neighbours", "independent"):
-        made = _run(source, method, size, short, cpu, _SEED, {"aovs": True, "reconstruction": reconstruction})
+        own = {"aovs": True, "reconstruction": reconstruction, "samples_per_pass": _SAMPLES}
+        made = _run(source, method, size, short, cpu, _SEED, own)
         film.write_exr(folder / f"{name}-{reconstruction}.exr", Result(made.layers, made.metadata))
         add(f"raw, {short:g} {unit}, {reconstruction}", made.image)
+        row = [made.image]
         for kind in denoisers:
             try:
                 image = display.develop(made.layers, kind)
-            except BackendError as error:
+            except (BackendError, OptionError) as error:
                 console.print(str(error), style="dim")
                 continue
             add(f"{kind}, {reconstruction}", image, barred=True)
+            row.append(image)
+        exposure = display.auto_exposure(truth)
+        pixels = np.concatenate([display.tonemap(image, exposure, "agx") for image in row], axis=1)
+        display.write_png(folder / f"{name}-{reconstruction}.png", pixels)
     record.notes += [
         f"reference: {about}",
         f"bar: FLIP of the raw picture after {long:g} {unit}, {raw.metadata['samples']} samples a pixel; the short "

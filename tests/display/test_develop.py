@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from etendue.api import render
 from etendue.cli.main import main
 from etendue.core import BackendError, OptionError, Result
-from etendue.display import develop
+from etendue.display import develop, tonemap, write_png
 from etendue.display.denoising import component_names, find_features
 from etendue.display.denoising.pictures import colours
 from etendue.film import read_exr, read_image, write_exr
@@ -52,7 +53,7 @@ def test_noise_becomes_less_and_an_edge_stays(name):
     assert step < 0.3 if name == "gaussian" else step > 0.8
 
 
-@pytest.mark.parametrize("name", ["bilateral", "nlm"])
+@pytest.mark.parametrize("name", ["bilateral", "guided", "nlm"])
 def test_an_edge_of_light_stays_without_features(name):
     truth = edge(0.2, 2.0)
     image, variance = noisy(truth, 0.1)
@@ -199,3 +200,15 @@ def test_command_errors(words, message, tmp_path, capsys, monkeypatch):
     text = capsys.readouterr().err.strip()
     assert message in text and len(text.splitlines()) == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.exr", "text.exr"]
+
+
+def test_pictures_of_a_run_take_a_tone_and_an_exposure(tmp_path):
+    made = render("cornell-box", "path", size=(8, 6), samples=2)
+    made.save(tmp_path / "a.png", tone="agx", exposure=1.0)
+    expected = read_back(tmp_path, tonemap(made.image, 1.0, "agx"))
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), expected)
+
+
+def read_back(folder, pixels):
+    write_png(folder / "expected.png", pixels)
+    return read_image(folder / "expected.png")

@@ -64,6 +64,10 @@ def develop(
         choose_device(variant, threads)
     wanted = tuple(name.strip() for name in layers.split(",")) if layers is not None else ()
     console = error_console()
+    settings = read.metadata.get("settings")
+    if denoise == "oidn" and isinstance(settings, dict) and settings.get("reconstruction") == "neighbours":
+        text = "neighbouring pixels share samples, which oidn takes for structure unless the film's filter is a box"
+        note(console, f"{text}: render with -D reconstruction=independent")
     developed = display.develop(
         read.layers,
         denoise,

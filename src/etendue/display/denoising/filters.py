@@ -26,8 +26,8 @@ _COLOUR, _ALBEDO, _NORMAL = 0.6, 0.1, 0.2
 _STRIP = 4
 #: Guide outside the picture.
 _FAR = 1e4
-#: Variance of a guide, relative to which its variance in a window counts, for features and for the picture itself.
-_FEATURE_NOISE, _COLOUR_NOISE = 1e-3, 0.1
+#: Variance of a guide, relative to which its variance in a window counts: of features, and of the luminance.
+_FEATURE_NOISE, _LIGHT_NOISE = 1e-3, 0.05
 
 
 def gaussian(component: Picture, features: Features, radius: int, strength: float) -> Picture:
@@ -49,7 +49,8 @@ def bilateral(component: Picture, features: Features, radius: int, strength: flo
     """
     height, width = component.shape[:2]
     layers = [component, compressed(component) / np.float32(max(_COLOUR * strength, 1e-6))]
-    layers += scaled_features(features)
+    pairs = ((features.albedo, _ALBEDO), (features.normal, _NORMAL))
+    layers += [layer / np.float32(unit) for layer, unit in pairs if layer is not None]
     # The channels of a pixel one after the other. Around the picture the guides are so different that nothing there
     # has a weight: no tap has to look where it is.
     strips = -(-height // _STRIP)
@@ -103,21 +104,29 @@ def bilateral(component: Picture, features: Features, radius: int, strength: flo
 def guided(component: Picture, features: Features, radius: int, strength: float) -> Picture:
     """Linear regression of the picture on a guide in each window, averaged over the windows of a pixel [He 2013].
 
-    The guide is albedo and normal, or the compressed picture itself if it has neither. ``strength`` multiplies the
-    variance of a guide that is taken for noise.
+    The guide is albedo, normal and the luminance of the picture, which is what lamps, caustics and shadows have. It is
+    not compressed: the slope of a picture on itself is at most 1, so noise beside a lamp stays but does not grow.
+    ``strength`` multiplies the variance of a guide that is taken for noise.
     """
     height, width = component.shape[:2]
     frame = Frame(width, height)
+    light = component @ np.array(LUMINANCE, dtype=np.float32)[:, None]
+    light /= max(float(light.mean()), 1e-20)
     layers = [layer for layer in (features.albedo, features.normal) if layer is not None]
-    noise = (_FEATURE_NOISE if layers else _COLOUR_NOISE) * strength
-    layers = layers or [compressed(component)]
+    first = np.concatenate([light, *layers[:1]], axis=2)  # four channels, if there are features
+    layers = [first, *layers[1:]]
+    count = sum(layer.shape[2] for layer in layers)
+    noise = [_FEATURE_NOISE] * count
+    noise[0] = _LIGHT_NOISE
     guides, value = [packets(layer) for layer in layers], packets(component)
     dr.eval(guides, value)
-    count = 3 * len(layers)
+
+    def read(place: mi.UInt32, inside: mi.Bool | bool = True) -> list[mi.Float]:
+        found = [dr.gather(mi.Vector4f, guide, place, inside) for guide in guides]
+        return [packet[c] for packet, layer in zip(found, layers, strict=True) for c in range(layer.shape[2])]
 
     def moments(place: mi.UInt32, inside: mi.Bool) -> list[mi.Vector4f]:
-        g = _channels([dr.gather(mi.Vector4f, guide, place, inside) for guide in guides])
-        v = _channels([dr.gather(mi.Vector4f, value, place, inside)])
+        g, v = read(place, inside), list(dr.gather(mi.Vector4f, value, place, inside))[:3]
         products = [g[i] * g[j] for i in range(count) for j in range(i + 1)]
         return _in_packets([*g, *v, *products, *(a * b for a in g for b in v)])
 
@@ -126,7 +135,7 @@ def guided(component: Picture, features: Features, radius: int, strength: float)
         g, v, rest = m[:count], m[count : count + 3], iter(m[count + 3 :])
         covariance = {(i, j): next(rest) - g[i] * g[j] for i in range(count) for j in range(i + 1)}
         for i in range(count):
-            covariance[i, i] = dr.maximum(covariance[i, i], 0.0) + dr.opaque(mi.Float, noise)
+            covariance[i, i] = dr.maximum(covariance[i, i], 0.0) + dr.opaque(mi.Float, strength * noise[i])
         cross = [[next(rest) - g[i] * v[c] for c in range(3)] for i in range(count)]
         slopes = _solve(covariance, cross)
         level = [v[c] - sum(slopes[i][c] * g[i] for i in range(count)) for c in range(3)]
@@ -138,7 +147,7 @@ def guided(component: Picture, features: Features, radius: int, strength: float)
 
     def apply(lines: list[mi.Vector4f]) -> list[mi.Vector4f]:
         m = [channel for packet in lines for channel in packet]
-        g = _channels([dr.gather(mi.Vector4f, guide, frame.lane) for guide in guides])
+        g = read(frame.lane)
         return _in_packets([m[c] + sum(m[3 + 3 * i + c] * g[i] for i in range(count)) for c in range(3)])
 
     return unpacked(frame.along(True, radius, values, then=apply)[0], height, width)
@@ -199,9 +208,9 @@ class Frame:
 
 
 def packets(layer: Picture) -> mi.Float:
-    """The layer (height, width, 3) on the device, four floats a pixel."""
+    """The layer (height, width, up to 4 channels) on the device, four floats a pixel."""
     padded = np.zeros((*layer.shape[:2], 4), dtype=np.float32)
-    padded[:, :, :3] = layer
+    padded[:, :, : layer.shape[2]] = layer
     return dr.copy(mi.Float(padded.ravel()))
 
 
@@ -210,21 +219,11 @@ def unpacked(values: mi.Float, height: int, width: int) -> Picture:
     return np.array(np.array(values, np.float32).reshape(height, width, 4)[:, :, :3])
 
 
-def scaled_features(features: Features) -> list[Picture]:
-    """Albedo and normal, as far as they are there, in units of the difference that counts."""
-    pairs = ((features.albedo, _ALBEDO), (features.normal, _NORMAL))
-    return [layer / np.float32(unit) for layer, unit in pairs if layer is not None]
-
-
 def compressed(component: Picture) -> Picture:
     """``log(1 + x / level)``, the level being the mean luminance; negative values are 0."""
     x = np.maximum(component, 0.0)
     level = float((x @ np.array(LUMINANCE, dtype=np.float32)).mean())
     return np.log1p(x / np.float32(level)) if level > 0.0 else x
-
-
-def _channels(found: list[mi.Vector4f]) -> list[mi.Float]:
-    return [packet[c] for packet in found for c in range(3)]
 
 
 def _in_packets(values: list[mi.Float]) -> list[mi.Vector4f]:

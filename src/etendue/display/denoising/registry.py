@@ -45,14 +45,13 @@ DENOISERS: Final[dict[str, Denoiser]] = {
     for d in (
         Denoiser("oidn", "Intel Open Image Denoise, a trained network", open_image_denoise, uses=_FIRST_HIT),
         Denoiser("bilateral", "mean of pixels that are near and alike", bilateral, uses=_FIRST_HIT),
-        Denoiser("guided", "linear regression on albedo and normal in windows", guided, uses=_FIRST_HIT),
+        Denoiser("guided", "linear regression on albedo, normal and luminance in windows", guided, uses=_FIRST_HIT),
         Denoiser("gaussian", "Gaussian blur", gaussian),
         Denoiser(
             "nlm",
             "mean of pixels whose surroundings differ by no more than noise",
             non_local_means,
             ("variance",),
-            _FIRST_HIT,
             by_component=False,
         ),
     )
