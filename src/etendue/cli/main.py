@@ -20,6 +20,7 @@ from etendue.core import EtendueError, OptionError, describe, logger
 from . import options as opt
 from .boxes import HIERARCHY, resume_hierarchy
 from .console import ConsoleHandler, error_console, note, print_error, say
+from .developing import develop
 from .film_picture import film_picture
 from .particle_maps import app as particles
 from .particles import resume_particles
@@ -125,6 +126,8 @@ def resume(
     variant: opt.Variant = None,
     threads: opt.Threads = None,
     save_every: opt.SaveEvery = 60.0,
+    tone: opt.Tone = "srgb",
+    exposure: opt.Exposure = "auto",
     debug: opt.Debug = False,
 ) -> int:
     """Continue an interrupted or finished render; the checkpoint is updated.
@@ -178,7 +181,9 @@ def resume(
         with recorder:
             return render_to_files(open_job, recorder, saved.method)
     beside = [checkpoint.with_suffix(suffix) for suffix in (".exr", ".png")]
-    outputs = Outputs.of(output or [p for p in beside if p.exists()] or beside[:1], checkpoint, save_every)
+    outputs = Outputs.of(
+        output or [p for p in beside if p.exists()] or beside[:1], checkpoint, save_every, False, tone, exposure
+    )
     choose_device(variant, threads)
     return render_to_files(lambda: Job.resume(saved, kind, budget=budget or rest(), scene=scene), outputs, saved.method)
 
@@ -187,6 +192,7 @@ app.command()(film_picture)
 app.command()(run)
 app.command()(compare)
 app.command()(demo)
+app.command()(develop)
 
 
 @app.command()

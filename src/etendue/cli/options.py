@@ -65,6 +65,15 @@ def budget(time: float | None, spp: int | None, error: float | None) -> Budget:
     return Budget(time, spp, None, error)
 
 
+def parse_exposure(text: str | float) -> float | str:
+    """Stops, or ``auto``. Raises :class:`OptionError`."""
+    text = str(text).strip()
+    try:
+        return text if text == "auto" else float(text)
+    except ValueError:
+        raise OptionError(f"--exposure needs a number of stops or 'auto', not '{text}'") from None
+
+
 def parse_memory(text: str) -> int:
     """Bytes from ``2G`` (2³⁰ each), ``512M``, ``100000000``. Raises :class:`OptionError`."""
     match = _MEMORY.match(text.strip())
@@ -204,10 +213,24 @@ Output = Annotated[
     list[Path] | None,
     typer.Option("-o", "--output", help="Picture: .exr (all layers, metadata) or .png; repeatable.", metavar="FILE"),
 ]
+Tone = Annotated[
+    str,
+    typer.Option(
+        "--tone",
+        help="Tone curve of a .png: srgb, gamma, logarithmic, exponential, s-curve, reinhard, filmic, aces or agx.",
+        metavar="NAME",
+    ),
+]
+Exposure = Annotated[
+    Any,
+    typer.Option(
+        "--exposure", help="Exposure of a .png in stops (1 doubles), or auto.", parser=parse_exposure, metavar="EV"
+    ),
+]
 Folder = Annotated[
     Path, typer.Option("-o", "--output", help="Folder for pictures and page; created if needed.", metavar="DIR")
 ]
-Aovs = Annotated[bool, typer.Option("--aovs", help="Add first-hit layers: albedo, normal, depth.")]
+Aovs = Annotated[bool, typer.Option("--aovs", help="Add layers for denoisers: albedo, normal, depth; variance.")]
 Pyramid = Annotated[
     bool, typer.Option("--pyramid", help="Add a layer for each technique (s, t), weighted and unweighted.")
 ]

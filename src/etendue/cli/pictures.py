@@ -50,6 +50,8 @@ def render(
         typer.Option(help="Checkpoint for `etendue resume`; by default beside the first picture.", metavar="FILE"),
     ] = None,
     no_checkpoint: Annotated[bool, typer.Option("--no-checkpoint", help="Write no checkpoint.")] = False,
+    tone: opt.Tone = "srgb",
+    exposure: opt.Exposure = "auto",
     debug: opt.Debug = False,
 ) -> int:
     """Render a scene.
@@ -76,7 +78,7 @@ def render(
     task = Task(found, chosen, settings, seed, budget, size, sensor, parameters, memory)
     pictures = output or [Path(f"{default_name(found)}-{chosen.name}.exr")]
     beside = pictures[0].parent / f"{pictures[0].stem}.checkpoint"
-    outputs = Outputs.of(pictures, None if no_checkpoint else checkpoint or beside, save_every)
+    outputs = Outputs.of(pictures, None if no_checkpoint else checkpoint or beside, save_every, False, tone, exposure)
 
     def open_job() -> Job:
         job = Job.open(task)
