@@ -90,7 +90,7 @@ def _mean_width(surfaces: MapSurfaces, hits: Particles) -> Array:
     found = KernelBuilder(surfaces, _variable(surfaces, hits)).bandwidths
     weights = np.bincount(cell, minlength=len(found)).astype(float) + 1e-9
     total, count = (np.bincount(surfaces.shapes, x) for x in (weights * found, weights))
-    return (total / count)[surfaces.shapes]
+    return (total / np.maximum(count, 1e-30))[surfaces.shapes]
 
 
 def measure(
@@ -184,6 +184,6 @@ def cost(
         base = statistics.median(build for build, _ in times["histogram"][1:])
         for kind, found in times.items():
             build, query = ([pair[k] for pair in found[1:]] for k in (0, 1))
-            record.add(kind, spread(build), spread(query), f"{statistics.median(build) / base:.2f}")
+            record.add(kind, spread(build, ".3f"), spread(query, ".3f"), f"{statistics.median(build) / base:.2f}")
         record.notes.append(f"{rounds} rounds after one; {cells} cells; the surfaces and their cells are made anew")
         yield record

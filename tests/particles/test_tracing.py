@@ -150,3 +150,44 @@ def test_a_scene_in_which_no_light_arrives():
     }
     with pytest.raises(SceneError, match=r"none of \d+ light paths .* left a particle"):
         etendue.trace_particles(load(scene).scene)
+
+
+def masked() -> Problem:
+    """A half opaque sheet around the lamp: half of the light crosses it, at each crossing."""
+    sheet = {"type": "mask", "opacity": 0.5, "bsdf": {"type": "twosided", "bsdf": diffuse(0.5, 0.5, 0.5)}}
+    return load(box(sheet={"type": "sphere", "radius": 0.5, "bsdf": sheet}))
+
+
+def test_hits_before_and_behind_null_surfaces_are_in_order():
+    """They have the same bounce; the sheet is hit first."""
+    source = masked()
+    one, two = (traced(source, passes=1)[0] for _ in range(2))
+    np.testing.assert_array_equal(one.rows, two.rows)
+    sheet = one.shape == one.shape[0]
+    assert np.allclose(np.linalg.norm(one.position[sheet], axis=1), 0.5, atol=1e-4)
+    same = (np.diff(one.path.astype(np.int64)) == 0) & (np.diff(one.bounce.astype(np.int64)) == 0)
+    assert same.sum() > PATHS / 4
+    direct = same & (one.bounce[:-1] == 1)
+    assert sheet[:-1][direct].all() and not sheet[1:][direct].any()
+
+
+def test_a_path_has_one_first_particle_behind_null_surfaces_too():
+    first = traced(masked(), passes=1, keep="first")[0]
+    assert len(first) == PATHS == len(np.unique(first.path))
+    np.testing.assert_allclose(first.power.sum(0, dtype=float), POWER, rtol=1e-4)
+
+
+def test_light_absorbed_at_the_last_edge_is_a_share_of_what_arrives():
+    """Of the sheet, half opaque and of albedo one half, a quarter."""
+    passes = traced(masked(), keep="absorbed", max_bounces=1)
+    assert np.abs(z_scores(passes, POWER / 4)).max() < 4
+
+
+def test_a_pass_that_does_not_fit_at_first_leaves_the_passes_as_they_are():
+    tracing = ParticleTracing(ParticleTracing.Settings(sampler="independent"))
+    tracing.prepare(problem(), 1)
+    paths, expected = tracing.samples_per_iteration, tracing.step(1, 1, {}).measurement
+    tracing._room *= 0.5
+    again = tracing.step(1, 1, {}).measurement
+    assert tracing.samples_per_iteration == paths == again.counters["paths"]
+    assert again.counters["particles"] == expected.counters["particles"]

@@ -11,6 +11,7 @@ import pytest
 from scipy import stats
 from support import scenes
 from support.light_paths import independent
+from support.particles import box
 
 from etendue.core import IndependentSource
 from etendue.methods.particles import ParticleSettings, ParticleTracing
@@ -169,3 +170,24 @@ def test_particles_of_every_scheme_have_the_same_flux(emission, sampler):
     a, b = power(sampler="independent"), power(emission=emission, sampler=sampler)
     error = np.sqrt((a.var(0, ddof=1) + b.var(0, ddof=1)) / 8) + 1e-6
     assert (np.abs(a.mean(0) - b.mean(0)) < 5.0 * error).all()
+
+
+def test_a_cell_of_hardly_any_probability_is_reached():
+    """Rounding to random numbers of 23 bits leaves each cell a step."""
+    problem = scenes.room("two", ())
+    learned = pilot(problem)
+    wanted = np.full(len(learned.probability), 1e-12)
+    wanted[0] = 1.0
+    scheme = CellEmission(LightTable(problem.scene), learned.resolution, wanted)
+    steps = np.diff(np.array(scheme._sums, np.float64), prepend=0.0) * 2**23
+    assert steps[-1] == 1.0 == steps[1:].min() and steps.sum() == 2**23
+
+
+def test_black_lights_start_no_paths():
+    problem = load(box(dark={"type": "point", "position": [0.5, 0.5, 0.5], "intensity": scenes.rgb(0.0, 0.0, 0.0)}))
+    lights, count = LightTable(problem.scene), 1 << 12
+    source = IndependentSource(dr.arange(mi.UInt32, count), 1, "black", 0)
+    for scheme in (UniformLights(), BlindEmission()):
+        emitted = scheme(lights, source, dr.full(mi.Bool, True, count))
+        lit = dr.any(emitted.throughput > 0.0) & dr.all(dr.isfinite(emitted.throughput))
+        assert dr.all(~emitted.active | lit) and dr.any(emitted.active)

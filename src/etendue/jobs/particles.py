@@ -128,6 +128,7 @@ class ParticleWork:
         header = {
             "scene": problem.source,
             "fingerprint": problem.fingerprint,
+            "light_fingerprint": problem.light_fingerprint,
             "place": job.place,
             "seed": request.seed,
             "method": request.method,

@@ -49,13 +49,17 @@ from .base import MOST_LIGHT_LANES, PILOT_PATHS, Lanes, light_numbers, total
 
 #: Particles of a pass, if the number of paths is not given; they take 64 bytes on the device, and as many when sorted.
 _PASS_PARTICLES = 1 << 20
+#: Most paths of a pass, if their number is not given.
+_PASS_PATHS = 1 << 22
 _BYTES = 192
 #: Share of a memory limit that the particles of a pass may take.
 _MEMORY_SHARE = 0.4
 #: Capacity beyond the expected number of particles: a factor, and particles.
 _MARGIN, _PAD = 1.05, 1024
-#: Pilots of growing size before a scene counts as one in which no light arrives.
-_PILOTS = 3
+#: Pilots grow until one has so many particles, or until there were so many pilots.
+_ENOUGH, _PILOTS = 1024, 3
+#: A store has 16 numbers for a particle, and fewer than 2^32.
+_MOST_STORED = 1 << 28
 #: Names in a measurement.
 RECORD, PATHS = "particles", "paths"
 
@@ -114,8 +118,10 @@ class ParticleTracing:
 
     def __init__(self, settings: ParticleSettings | None = None) -> None:
         self.settings = settings if settings is not None else ParticleSettings()
-        #: Particles of a light path, measured by a pilot.
+        #: Particles of a light path, measured by a pilot; it determines the paths of a pass.
         self.per_path = 0.0
+        #: Most particles of a light path, in the mean of a pass so far, for which there is room.
+        self._room = 0.0
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """Build the tables, and trace pilots. Raises :class:`SceneError` if they have no particle."""
@@ -139,15 +145,15 @@ class ParticleTracing:
         paths, found = PILOT_PATHS, 0
         for attempt in range(_PILOTS):
             found = self._trace("pilot ", attempt, seed, paths, 64 * PILOT_PATHS)[0].count
-            if found:
+            if found >= _ENOUGH:
                 break
-            paths *= 8
+            paths *= 8 if attempt + 1 < _PILOTS else 1
         if not found:
             raise SceneError(
-                f"none of {paths // 8} light paths of '{problem.source}' left a particle: no light arrives at the "
+                f"none of {paths} light paths of '{problem.source}' left a particle: no light arrives at the "
                 "surfaces that are asked for; look at the lights, and at keep, after, specular and max_bounces"
             )
-        self.per_path = found / paths
+        self.per_path = self._room = found / paths
 
     def _emission(self, seed: int) -> EmissionScheme:
         settings = self.settings
@@ -182,7 +188,7 @@ class ParticleTracing:
         particles = float(_PASS_PARTICLES)
         if self.problem.memory:
             particles = min(particles, _MEMORY_SHARE * self.problem.memory / _BYTES)
-        return max(1, min(int(particles / self.per_path), MOST_LIGHT_LANES))
+        return max(1, min(int(particles / self.per_path), _PASS_PATHS))
 
     def paths_for(self, particles: int) -> int:
         """Light paths that leave about this number of particles."""
@@ -199,11 +205,16 @@ class ParticleTracing:
         """Trace the paths of a pass."""
         paths = self.samples_per_iteration
         while True:
-            capacity = math.ceil(self.per_path * paths * _MARGIN) + _PAD
+            capacity = math.ceil(self._room * paths * _MARGIN) + _PAD
+            if capacity >= _MOST_STORED:
+                raise OptionError(
+                    f"a pass of {paths} light paths has {self._room * paths:.3g} particles, more than {_MOST_STORED}; "
+                    "lower samples_per_pass"
+                )
             store, rays, bad = self._trace("", iteration, seed, paths, capacity)
             if (count := store.count) <= capacity:
                 break
-            self.per_path = count / paths
+            self._room = count / paths
             if self.problem.memory and _BYTES * count > self.problem.memory:
                 raise OptionError(f"a pass of {paths} light paths has {count} particles, too many for the memory limit")
         rows = self._in_scene(store.rows())
@@ -231,7 +242,8 @@ class ParticleTracing:
         kind = "independent" if sampler == "strata" else sampler
         source = light_numbers(kind, Lanes(0, paths), paths, seed, iteration, role + "light")
         if sampler == "strata":
-            one_light = self.lights.count == 1
+            # Emission by importance draws more than the light from the number of the light.
+            one_light = self.lights.count == 1 and self.settings.emission != "importance"
             source = StratifiedSource(source, number, paths, EMISSION[one_light:] + FIRST_BOUNCE)
         rays, bad = self._walk.trace(paths, source, number, store)
         dr.schedule(rays, bad)

@@ -79,7 +79,7 @@ class ParticleStore:
             mi.Vector4f(p.x, p.y, p.z, d.x),
             mi.Vector4f(d.y, d.z, power.x, power.y),
             mi.Vector4f(power.z, _bits(shape), _bits(primitive), uv.x),
-            mi.Vector4f(uv.y, _bits(path), _bits(bounce), 0.0),
+            mi.Vector4f(uv.y, _bits(path), _bits(bounce), _bits(vertex.number)),
         )
         for k, packet in enumerate(packets):
             dr.scatter(self._data, packet, first + k, active)
@@ -96,7 +96,8 @@ class ParticleStore:
     def rows(self) -> Rows:
         """The particles in the order of their paths, in the units of the render space."""
         rows = np.asarray(self._data).view(np.uint32).reshape(-1, _STORED)[: self.count]
-        order = np.argsort((rows[:, WORDS - 2].astype(np.uint64) << np.uint64(32)) | rows[:, WORDS - 1])
+        # By path and vertex: before and behind a null surface the bounce is the same.
+        order = np.argsort((rows[:, WORDS - 2].astype(np.uint64) << np.uint64(32)) | rows[:, WORDS])
         return np.ascontiguousarray(rows[order, :WORDS])
 
 
@@ -136,24 +137,27 @@ class ParticleWalk(Walker):
         vertex = self.arrive(s)
         s.active &= vertex.valid
         arrived, bounce, incident = mi.Bool(s.active), mi.UInt32(s.bounce), mi.Color3f(s.throughput)
+        goes_on = s.depth < self.max_edges
         smooth = mi.Bool(vertex.smooth)
         kept = arrived & (bounce > self.after) & (mi.Bool(True) if self.specular else smooth)
         if self.keep is Keep.FIRST:
             kept &= ~s.met
 
-        s.active &= s.depth < self.max_edges
-        scattered, _ = vertex.sample(source, s.active)
+        scattered, _ = vertex.sample(source, arrived)
         # Roulette keeps the largest channel of an absorbed path as it is, so that paths end with about equal power.
         whole = dr.max(incident) if self.keep is Keep.ABSORBED else mi.Float(self.lights.total_power)
         relative = s.throughput * scattered.weight / whole
         self.advance(s, vertex, scattered, source, roulette_by=(relative, 1.0))
+        s.active &= goes_on
         s.bounce = self.keep_if_null(scattered, bounce, bounce + 1)
         s.met = self.keep_if_null(scattered, s.met, s.met | (arrived & smooth))
 
         power = incident
+        if self.keep is Keep.FIRST:
+            kept &= ~scattered.is_null
         if self.keep is Keep.ABSORBED:
             kept &= ~s.active
-            power = _absorbed(incident, scattered, relative)
+            power = _absorbed(incident, scattered, relative, goes_on)
             kept &= ~dr.all(power == 0.0)
         finite = dr.all(dr.isfinite(power))
         store.append(number, bounce, vertex, power, kept & finite)
@@ -161,11 +165,11 @@ class ParticleWalk(Walker):
         return s
 
 
-def _absorbed(incident: mi.Color3f, scattered: Scattered, relative: mi.Color3f) -> mi.Color3f:
-    """Flux that a path leaves where it ends: what scattering takes away, over the probability of the end. With
-    roulette from the first hit on, its expected value is the flux that the surface absorbs."""
-    taken = incident * (1.0 - scattered.weight) / (1.0 - dr.minimum(dr.max(relative), _LIVES))
-    return dr.select(scattered.active, taken, incident)
+def _absorbed(incident: mi.Color3f, scattered: Scattered, relative: mi.Color3f, goes_on: mi.Bool) -> mi.Color3f:
+    """Flux that a path leaves where it ends: what scattering takes away, over the probability of the end, which is 1 at
+    the last edge. With roulette from the first hit on, its expected value is the flux that the surface absorbs."""
+    ends = dr.select(goes_on, 1.0 - dr.minimum(dr.max(relative), _LIVES), 1.0)
+    return dr.select(scattered.active, incident * (1.0 - scattered.weight) / ends, incident)
 
 
 def _bits(value: mi.UInt32) -> mi.Float:

@@ -75,10 +75,12 @@ class CellEmission:
         #: Probability of each cell.
         self.probability = probability
         plain = np.repeat(lights.probabilities / resolution.cells, resolution.cells)
-        cumulative = np.cumsum(probability) / probability.sum()
-        # Random numbers are multiples of 2^-23, so the probabilities are, too.
-        rounded = np.round(cumulative * 2.0**23) / 2.0**23
-        exact = np.diff(rounded, prepend=0.0)
+        # Random numbers are multiples of 2^-23, so the probabilities are, too; none is rounded to zero.
+        steps = np.where(probability > 0.0, 1.0, 0.0)
+        steps += np.floor(probability / probability.sum() * (2.0**23 - steps.sum()))
+        steps[np.argmax(steps)] += 2.0**23 - steps.sum()
+        exact = steps / 2.0**23
+        rounded = np.cumsum(exact)
         density = np.divide(exact, plain, out=np.ones_like(exact), where=plain > 0.0)
         self._sums = copied_to_device(mi.Float, rounded.astype(np.float32))
         self._density = copied_to_device(mi.Float, density.astype(np.float32))

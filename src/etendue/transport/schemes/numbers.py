@@ -61,6 +61,7 @@ def emit_from(
     }
     emitted = emit(lights, GivenNumbers(numbers), active)
     emitted.throughput /= density
+    emitted.active &= dr.any(emitted.throughput > 0.0)  # of a black light there is nothing to trace
     return emitted
 
 
