@@ -128,7 +128,7 @@ PROGRAMS = {
             (
                 Benchmark("codecs", "codecs.measure", 3, "Bytes and speed of every codec of particles."),
                 Benchmark("maps", "maps.measure", 3, "What bounded loss adds to maps, beside their noise."),
-                Benchmark("thesis", "thesis.measure", 1, "Rows and strips by zlib, bzip2 and runs; saving, loading."),
+                Benchmark("thesis", "thesis.measure", 2, "Rows and strips by zlib, bzip2 and runs; saving, loading."),
             ),
         ),
         Program(

@@ -10,8 +10,8 @@ from support.particles import rows_at_random, sorted_rows
 
 from etendue.core import BackendError
 from etendue.particles import Codec, Grid, ParticleError, Particles, Rows, Surfaces, coder_names, decode, encode
-from etendue.particles.coders import CODERS, coder, of_run_lengths, run_lengths
-from etendue.particles.ordering import rice, sorted_by, unrice
+from etendue.particles.packing.coders import CODERS, coder, of_run_lengths, run_lengths
+from etendue.particles.packing.ordering import rice, sorted_by, unrice
 
 LIBRARIES = {"zstd": "zstandard", "lz4": "lz4", "blosc2": "blosc2"}
 INSTALLED = [name for name in coder_names() if name not in LIBRARIES or find_spec(LIBRARIES[name])]

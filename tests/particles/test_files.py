@@ -87,7 +87,7 @@ def test_parts_by_surface_and_region(monkeypatch):
 
 
 def test_only_chunks_with_the_surface_are_read(monkeypatch, tmp_path):
-    monkeypatch.setattr("etendue.particles.codecs.CHUNK", 500)
+    monkeypatch.setattr("etendue.particles.packing.codecs.CHUNK", 500)
     path = tmp_path / "a.particles"
     etendue.trace_particles(scene(), paths=2 * PATHS, save=path, samples_per_pass=PATHS)
     known, read = ParticleFile(path), []

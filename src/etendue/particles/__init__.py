@@ -1,11 +1,11 @@
 """Particles on surfaces: records of light paths, their files and codecs."""
 
-from .codecs import LAYOUTS, Codec, decode, encode
-from .coders import coder, coder_names
 from .errors import ParticleError
 from .files import ParticleFile, is_particle_file
-from .grid import Grid
 from .layouts import RECORDS, merged, of_strips, records, strips
+from .packing.codecs import LAYOUTS, Codec, decode, encode
+from .packing.coders import coder, coder_names
+from .packing.grid import Grid
 from .particles import LAYOUT, RAW_BYTES, WORDS, Particles, Rows, columns_of
 from .surfaces import Surfaces, SurfaceTable
 from .walk import Keep, ParticleStore, ParticleWalk

@@ -20,9 +20,9 @@ from etendue.scene import Problem
 
 from . import blocks
 from .blocks import Block
-from .codecs import Codec, decode
 from .errors import ParticleError
-from .grid import Grid
+from .packing.codecs import Codec, decode
+from .packing.grid import Grid
 from .particles import WORDS, Particles, Rows, columns_of
 from .surfaces import Surfaces
 

@@ -13,9 +13,9 @@ from etendue.core import OutputError
 
 from . import blocks
 from .blocks import Block
-from .codecs import Codec, encode
 from .files import ParticleFile, PathLike, in_order
-from .grid import Grid
+from .packing.codecs import Codec, encode
+from .packing.grid import Grid
 from .particles import Rows
 from .surfaces import Surfaces
 

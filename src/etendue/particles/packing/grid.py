@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ..surfaces import Surfaces
 from .strips import kernels
-from .surfaces import Surfaces
 
 #: Bits of a parameter on the largest primitive; smaller ones get so many that a step is about as long.
 PARAMETER_BITS = 16

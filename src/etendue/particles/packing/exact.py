@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..particles import WORDS, Rows, columns_of
 from .grid import Grid
-from .particles import WORDS, Rows, columns_of
 from .strips import Chunk, Packing, Strips, differences, kernels, summed
 
 

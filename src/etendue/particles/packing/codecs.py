@@ -26,12 +26,12 @@ import numpy as np
 
 from etendue.core import describe, suggest
 
+from ..errors import ParticleError
+from ..particles import Rows
 from .coders import coder
-from .errors import ParticleError
 from .exact import decode_exact, decode_raw, encode_exact, encode_raw
 from .grid import Grid
 from .packed import decode_packed, encode_packed
-from .particles import Rows
 from .strips import Chunk, Strips, kernels, ordering
 
 LAYOUTS = ("raw", "exact", "packed", "packed-no-paths")

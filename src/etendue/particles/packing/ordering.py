@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from .particles import Rows
+from ..particles import Rows
 
 Bytes = NDArray[np.uint8]
 Words = NDArray[np.uint32]

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from etendue.core import library, suggest
 
-from .errors import ParticleError
-from .particles import RAW_BYTES
+from ..errors import ParticleError
+from ..particles import RAW_BYTES
 
 #: Share of eight bits from which on the bytes of a strip are not worth coding.
 _WORTH = 0.85

@@ -1,0 +1,1 @@
+"""Codecs of particles: chunks of bytes, with and without loss."""
