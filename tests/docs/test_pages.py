@@ -136,6 +136,8 @@ def folder(tmp_path_factory, variant):
     path = tmp_path_factory.mktemp("shell")
     (path / "scene.xml").write_text(SCENE)
     api.render(path / "scene.xml", "path", save=path / "converged.exr", checkpoint=path / "picture.checkpoint")
+    film = {"samples": 2, "size": (8, 6), "bootstrap": 1024}
+    api.render(path / "scene.xml", "film_metropolis", checkpoint=path / "caustics.checkpoint", **film)
     (path / "experiment.toml").write_text(example((24, 18), "20, 60"))
     for copy in ("reference.exr", "picture.exr", "mitsuba.exr"):
         shutil.copy(path / "converged.exr", path / copy)
