@@ -9,9 +9,11 @@ from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from support.particles import POWER, box, sorted_rows
+from support.scenes import camera, diffuse
 
 import etendue
 from etendue.core import CheckpointError, EtendueError, OptionError
@@ -96,6 +98,41 @@ def test_only_chunks_with_the_surface_are_read(monkeypatch, tmp_path):
     assert len(read) <= 2 * (count / 2 / 500 + 3) < len(known.chunks) / 2
 
 
+def test_curved_shapes_and_instances(tmp_path):
+    """Their particles are within the bounds, too, and an instance is one shape."""
+    place, half = mi.ScalarTransform4f, diffuse(0.5, 0.5, 0.5)
+    group = {
+        "type": "shapegroup",
+        "cube": {"type": "cube", "to_world": place().scale(0.1), "bsdf": half},
+        "ball": {"type": "sphere", "radius": 0.1, "center": [0.3, 0, 0], "bsdf": half},
+    }
+    instance = {"type": "instance", "of": {"type": "ref", "id": "group"}}
+    source = box(
+        group=group,
+        one=instance | {"to_world": place().translate([0, -0.6, 0])},
+        two=instance | {"to_world": place().translate([0, 0.6, 0.3])},
+        ball={"type": "sphere", "center": [0.5, 0, 0.5], "radius": 0.15, "bsdf": half},
+        disk={"type": "disk", "to_world": place().translate([-0.5, 0, 0]).scale(0.2), "bsdf": half},
+        tube={"type": "cylinder", "p0": [-0.5, 0.5, 0.5], "p1": [0.2, 0.5, 0.5], "radius": 0.05, "bsdf": half},
+    )
+    found = {}
+    for codec in ("exact", "packed"):
+        path = tmp_path / f"{codec}.particles"
+        etendue.trace_particles(source, paths=20_000, save=path, codec=codec)
+        particles = etendue.read_particles(path)
+        found[codec] = particles[np.lexsort((particles.bounce, particles.path))]
+    known, exact, packed = ParticleFile(path), found["exact"], found["packed"]
+    for name in ("one", "two", "ball", "disk", "tube"):
+        assert known.counts[known.shape(name)] > 200
+        assert len(known.read([name])) == known.counts[known.shape(name)]
+    away = np.linalg.norm(packed.position.astype(float) - exact.position, axis=1)
+    assert away.max() <= known.bounds["position"] < 1e-4
+    on_ball = packed.position[packed.shape == known.shape("ball")]
+    np.testing.assert_allclose(np.linalg.norm(on_ball - [0.5, 0, 0.5], axis=1), 0.15, atol=1e-4)
+    np.testing.assert_array_equal(packed.primitive, exact.primitive)
+    np.testing.assert_allclose(packed.uv, exact.uv, atol=1e-4)
+
+
 def test_shapes_and_regions_that_do_not_exist():
     known = ParticleFile(whole())
     with pytest.raises(ParticleError, match=r"there is no shape 'flor' .* did you mean 'floor'"):
@@ -128,8 +165,17 @@ def test_a_run_that_goes_on_gives_the_same_file(tmp_path):
         result = etendue.trace_particles(scene(), resume=path)
         assert result.passes == 4 and result.counters["paths"] == 4 * PATHS
         equal(etendue.read_particles(path), etendue.read_particles(whole()))
-        again = path.read_bytes()
-        assert again[: known.end] == whole().read_bytes()[: known.end]
+        assert [block.head["crc"] for block in ParticleFile(path).chunks] == [b.head["crc"] for b in known.chunks]
+
+
+def test_a_killed_run_goes_on_with_its_last_budget(tmp_path):
+    """That of the run that was killed, not of the first one."""
+    path = tmp_path / "a.particles"
+    path.write_bytes(whole().read_bytes())
+    etendue.trace_particles(scene(), resume=path, paths=7 * PATHS)
+    cut_off = path.read_bytes()[: ParticleFile(path).passes[4].end + 100]
+    path.write_bytes(cut_off)
+    assert etendue.trace_particles(scene(), resume=path).passes == 7
 
 
 def test_a_finished_run_goes_on_with_a_new_budget(tmp_path):
@@ -165,8 +211,10 @@ def test_particles_of_another_scene_do_not_go_on(tmp_path):
     with pytest.raises(CheckpointError, match="the scene is not the one"):
         etendue.trace_particles(other.scene, resume=path)
     with pytest.raises(ParticleError, match="has particles of another scene"):
-        ParticleFile(path).require_scene(other.fingerprint)
-    ParticleFile(path).require_scene(load(scene()).fingerprint)
+        ParticleFile(path).require_scene(other)
+    from_elsewhere = load(box() | {"sensor": camera(size=(40, 30), origin=(0.5, 0.0, 0.5), target=(0.0, 0.0, 0.0))})
+    ParticleFile(path).require_scene(from_elsewhere)
+    assert from_elsewhere.fingerprint != ParticleFile(path).header["fingerprint"]
     assert len(ParticleFile(path).passes) == 2
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -117,11 +118,11 @@ class ParticleWork:
         header = {
             "scene": problem.source,
             "fingerprint": problem.fingerprint,
+            "light_fingerprint": problem.light_fingerprint,
             "place": job.place,
             "seed": request.seed,
             "settings": tracing.settings.to_json(),
             "paths_per_pass": tracing.samples_per_iteration,
-            "budget": budget.to_dict(),
             "versions": versions(),
         }
         codec = Codec.parse(request.codec)
@@ -145,8 +146,7 @@ class ParticleWork:
     def runner(self, **options: Any) -> Runner:
         """See :class:`Work`."""
         if self._writer is not None:
-            writer = self._writer
-            options["executor"] = lambda *run: _Written(writer, *run)
+            options["executor"] = partial(_Written, self._writer, self._job)
         return self._job.runner(**options)
 
     def keep(self, run: RunResult) -> None:
@@ -181,25 +181,30 @@ class ParticleWork:
 class _Written(InTurn):
     """Makes passes and writes their particles, which then leave the measurement."""
 
-    def __init__(self, writer: ParticleWriter, method: Any, seed: int, state: State, first: int) -> None:
+    def __init__(self, writer: ParticleWriter, job: Job, method: Any, seed: int, state: State, first: int) -> None:
         super().__init__(method, seed, state, first)
-        self._writer = writer
+        self._writer, self._job = writer, job
+        self._began = time.perf_counter() - job.preparation
 
     def next(self) -> Pass:
         """See :class:`Executor`."""
         made = super().next()
         ((key, rows),) = ((key, record[key]) for record in made.measurement.records.values() for key in record.passes)
         made.measurement.records = {name: Record() for name in made.measurement.records}
-        self._writer.add(key[1], rows, made.measurement.counters)
+        # A run that is killed goes on with the rest of this budget.
+        known = {"budget": self._job.budget.to_dict(), "earlier": self._job.earlier}
+        elapsed = round(time.perf_counter() - self._began, 3)
+        self._writer.add(key[1], rows, made.measurement.counters, elapsed=elapsed, **known)
         return made
 
 
 def _checkpoint(known: ParticleFile) -> Checkpoint:
     """The state of a run from its file, as if it were saved."""
-    header, ending = known.header, known.ending
+    header = known.header
     passes = [[0, int(block.head["pass"]), int(block.head["pass"]) + 1] for block in known.passes]
     if not passes:
         raise CheckpointError(f"'{known.path}' has no whole pass; remove it, and trace the particles anew")
+    ending = {"stopped_by": "running"} | known.passes[-1].head | known.ending
     names = {"particles": Record()}
     return Checkpoint(
         measurement=Measurement({}, {}, Iterations.from_json(passes), counters=dict(known.counters), records=names),
@@ -208,11 +213,11 @@ def _checkpoint(known: ParticleFile) -> Checkpoint:
         seed=int(header["seed"]),
         fingerprint=header["fingerprint"],
         scene=dict(header["place"]),
-        budget=dict(ending.get("budget", header["budget"])),
-        stopped_by=str(ending.get("stopped_by", "running")),
+        budget=dict(ending["budget"]),
+        stopped_by=str(ending["stopped_by"]),
         versions=dict(header["versions"]),
-        elapsed=float(ending.get("elapsed", known.counters.get("seconds", 0.0))),
-        earlier=float(ending.get("earlier", 0.0)),
+        elapsed=float(ending["elapsed"]),
+        earlier=float(ending["earlier"]),
     )
 
 
@@ -229,7 +234,8 @@ def repack(source: Path, output: Path, codec: str, tell: Callable[[int, int], ob
     writer = ParticleWriter.create(output, header, known.surfaces, chosen)
     try:
         for done, (end, rows) in enumerate(known.rows_of_passes(), start=1):
-            writer.add(int(end.head["pass"]), rows, end.head["counters"])
+            more = {name: value for name, value in end.head.items() if name not in ("pass", "counters", "crc")}
+            writer.add(int(end.head["pass"]), rows, end.head["counters"], **more)
             tell(done, len(known.passes))
         ending = {name: value for name, value in known.ending.items() if name != "crc"}
         writer.close(**ending)

@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import Array, suggest
+from etendue.scene import Problem
 
 from . import blocks
 from .blocks import Block
 from .codecs import Codec, decode
 from .errors import ParticleError
 from .grid import Grid
-from .particles import Particles, Rows, columns_of
+from .particles import WORDS, Particles, Rows, columns_of
 from .surfaces import Surfaces
 
 PathLike = str | os.PathLike[str]
@@ -46,7 +47,7 @@ class ParticleFile:
 
     Attributes
     ----------
-    header: scene, fingerprint, seed, settings, codec and versions.
+    header: scene, fingerprints, seed, settings, codec and versions.
     surfaces: the shapes of the scene. counters: paths, particles and rays. passes: iterations.
     is_finished: whether the run that wrote it ended, by its budget or on request.
     """
@@ -158,9 +159,9 @@ class ParticleFile:
         corners = _corners(box)
         scale = 1.0 / max(self.paths, 1)
         chosen = [block for block in self.chunks if _may_have(block.head, wanted, corners)]
-        for rows in self._unpacked(chosen, lambda rows: _selected(rows, wanted, corners)):
-            if len(rows):
-                yield Particles.of_rows(rows, scale)
+        for part in self._unpacked(chosen, lambda rows: Particles.of_rows(_selected(rows, wanted, corners), scale)):
+            if len(part):
+                yield part
 
     def rows_of_passes(self) -> Iterator[tuple[Block, Rows]]:
         """The end of each pass, and its rows; their power is not divided by the number of paths."""
@@ -170,10 +171,10 @@ class ParticleFile:
             while end < len(self.chunks) and self.chunks[end].start < block.start:
                 end += 1
             rows = list(self._unpacked(self.chunks[begin:end], lambda rows: rows))
-            yield block, np.concatenate([np.zeros((0, 15), np.uint32), *rows])
+            yield block, np.concatenate([np.zeros((0, WORDS), np.uint32), *rows])
             begin = end
 
-    def _unpacked(self, chosen: Iterable[Block], then: Callable[[Rows], Rows]) -> Iterator[Rows]:
+    def _unpacked(self, chosen: Iterable[Block], then: Callable[[Rows], T]) -> Iterator[T]:
         with open(self.path, "rb") as file:
             # Chunks are read here, one after the other, and unpacked in threads.
             yield from in_order(partial(self._decoded, block, self._payload(file, block), then) for block in chosen)
@@ -187,15 +188,19 @@ class ParticleFile:
                 "read; copy it again, or trace anew"
             ) from None
 
-    def _decoded(self, block: Block, payload: bytes, then: Callable[[Rows], Rows]) -> Rows:
+    def _decoded(self, block: Block, payload: bytes, then: Callable[[Rows], T]) -> T:
         return then(decode(block.head, payload, self.grid))
 
-    def require_scene(self, fingerprint: str) -> None:
-        """Raise :class:`ParticleError` unless the particles are of the scene with this fingerprint."""
-        if fingerprint != self.header["fingerprint"]:
+    def is_of(self, problem: Problem) -> bool:
+        """Whether the particles are of this scene; its sensors do not matter."""
+        return bool(problem.light_fingerprint == self.header["light_fingerprint"])
+
+    def require_scene(self, problem: Problem) -> None:
+        """Raise :class:`ParticleError` unless the particles are of this scene."""
+        if not self.is_of(problem):
             raise ParticleError(
-                f"'{self.path}' has particles of another scene ('{self.header['scene']}'), or its parameters, sensor "
-                "or size have changed since; trace the particles of this scene"
+                f"'{self.path}' has particles of another scene ('{self.header['scene']}'), or that has changed since; "
+                "trace the particles of this scene"
             )
 
 

@@ -31,7 +31,7 @@ class Grid:
     @property
     def position_step(self) -> float:
         """Step of coordinates of particles on curved shapes."""
-        return self.step * np.sqrt(2 / 3)
+        return float(self.step * np.sqrt(2 / 3))
 
     @property
     def bounds(self) -> dict[str, float]:
@@ -48,4 +48,4 @@ class Grid:
     def position_bound(self) -> float:
         """Half a step along both parameters, and the rounding of coordinates to single precision."""
         size = float(np.abs(self.surfaces.frames).max(initial=0.0))
-        return self.step * np.sqrt(0.5) * 1.01 + 4e-7 * size
+        return float(self.step * np.sqrt(0.5) * 1.01 + 4e-7 * size)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 class Surfaces:
     """The shapes of a scene, on the host.
 
-    names: a name for each; ids of the scene, or type and index. areas: in the scene's units squared. first: number of
-    the first primitive of each, (shapes + 1,) int64. frames: (m, 9) float32, corner and two edges of the primitives of
+    names: a name for each; ids of the scene, or type and index. areas: in the scene's units squared, NaN for instances.
+    frames: (m, 9) float32, corner and two edges of the primitives of
     the shapes ``framed``, in their order, in the scene's units: a point is ``corner + u edge_1 + v edge_2``.
     """
 
@@ -51,7 +51,7 @@ class Surfaces:
         """All but the frames as plain values, for JSON."""
         return {
             "names": self.names,
-            "areas": [float(area) for area in self.areas],
+            "areas": [float(area) if np.isfinite(area) else None for area in self.areas],
             "primitives": [int(n) for n in self.primitives],
             "framed": [bool(is_framed) for is_framed in self.framed],
         }
@@ -61,7 +61,7 @@ class Surfaces:
         """Inverse of :meth:`describe`."""
         return cls(
             [str(name) for name in known["names"]],
-            np.array(known["areas"], np.float64),
+            np.array([np.nan if area is None else area for area in known["areas"]]),
             np.array(known["primitives"], np.int64),
             np.array(known["framed"], bool),
             frames,
