@@ -114,7 +114,8 @@ def measure(
         reference = builder.build()
         light = reference.values.mean(axis=1)
         wanted = [k for k, shape in enumerate(patches.shape_names) if not shapes or shape in shapes.split(",")]
-        everywhere = np.isin(surfaces.shapes, wanted)
+        # Backs of walls get no light at all; they would be the dark half.
+        everywhere = np.isin(surfaces.shapes, wanted) & (light > 0)
         order = np.argsort(light)
         order = order[everywhere[order]]
         below = np.cumsum(patches.areas[order]) / patches.areas[order].sum()
@@ -146,7 +147,7 @@ def measure(
         noise = error_of_reference(reference, patches.areas * everywhere)
         record.notes.append(
             f"{seeds} seeds, median and range; reference: a histogram of {count} particles in {len(patches)} cells, "
-            f"whose own noise of {noise:.4f} is subtracted; dark: the half of the area with least light, bright: the "
+            f"whose own noise of {noise:.4f} is subtracted; dark: the half of the lit area with least light, bright: the "
             f"{_BRIGHT:.0%} with most"
         )
         yield record
