@@ -147,8 +147,8 @@ def measure(
         noise = error_of_reference(reference, patches.areas * everywhere)
         record.notes.append(
             f"{seeds} seeds, median and range; reference: a histogram of {count} particles in {len(patches)} cells, "
-            f"whose own noise of {noise:.4f} is subtracted; dark: the half of the lit area with least light, bright: the "
-            f"{_BRIGHT:.0%} with most"
+            f"whose own noise of {noise:.4f} is subtracted; dark: the half of the lit area with least light, bright: "
+            f"the {_BRIGHT:.0%} with most"
         )
         yield record
 
