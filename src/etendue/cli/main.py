@@ -128,6 +128,8 @@ def resume(
     save_every: opt.SaveEvery = 60.0,
     tone: opt.Tone = "srgb",
     exposure: opt.Exposure = "auto",
+    cluster: opt.Cluster = None,
+    workers: opt.Workers = None,
     debug: opt.Debug = False,
 ) -> int:
     """Continue an interrupted or finished render; the checkpoint is updated.
@@ -137,6 +139,7 @@ def resume(
     (if there are none, an .exr is written); for a run file, the remaining saves, log and table continue.
     """
     from etendue import methods
+    from etendue.distributed import opened_cluster
     from etendue.engine import Checkpoint, Job, remaining
     from etendue.jobs import Outputs
     from etendue.particles import is_particle_file
@@ -178,14 +181,17 @@ def resume(
             recorder.check(job)
             return job
 
-        with recorder:
-            return render_to_files(open_job, recorder, saved.method)
+        with recorder, opened_cluster(cluster, workers, threads or file.threads) as opened:
+            return render_to_files(open_job, recorder, saved.method, opened)
     beside = [checkpoint.with_suffix(suffix) for suffix in (".exr", ".png")]
     outputs = Outputs.of(
         output or [p for p in beside if p.exists()] or beside[:1], checkpoint, save_every, False, tone, exposure
     )
     choose_device(variant, threads)
-    return render_to_files(lambda: Job.resume(saved, kind, budget=budget or rest(), scene=scene), outputs, saved.method)
+    with opened_cluster(cluster, workers, threads) as opened:
+        return render_to_files(
+            lambda: Job.resume(saved, kind, budget=budget or rest(), scene=scene), outputs, saved.method, opened
+        )
 
 
 app.command()(film_picture)

@@ -194,6 +194,18 @@ MaxDepth = Annotated[
     typer.Option("--max-depth", help="Longest path in edges, -1 for unlimited; by default the scene's.", metavar="N"),
 ]
 Threads = Annotated[int | None, typer.Option("--threads", help="CPU threads to use.", metavar="N")]
+Cluster = Annotated[
+    str | None,
+    typer.Option(
+        "--cluster", help="Make the passes on a Dask cluster: its address, as tcp://host:8786.", metavar="ADDRESS"
+    ),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        "--workers", help="Make the passes in so many processes, which share the threads.", min=1, metavar="N"
+    ),
+]
 SaveEvery = Annotated[
     float | None,
     typer.Option(

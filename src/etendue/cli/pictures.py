@@ -52,6 +52,8 @@ def render(
     no_checkpoint: Annotated[bool, typer.Option("--no-checkpoint", help="Write no checkpoint.")] = False,
     tone: opt.Tone = "srgb",
     exposure: opt.Exposure = "auto",
+    cluster: opt.Cluster = None,
+    workers: opt.Workers = None,
     debug: opt.Debug = False,
 ) -> int:
     """Render a scene.
@@ -60,6 +62,7 @@ def render(
     Ctrl-C stops after the current pass and writes the picture and the checkpoint.
     """
     from etendue.api import choose_method
+    from etendue.distributed import opened_cluster
     from etendue.engine import Job, Task
     from etendue.jobs import Outputs
     from etendue.scene import locate
@@ -86,12 +89,15 @@ def render(
             note(error_console(), text)
         return job
 
-    return render_to_files(open_job, outputs, chosen.name)
+    with opened_cluster(cluster, workers, threads) as opened:
+        return render_to_files(open_job, outputs, chosen.name, opened)
 
 
 def run(
     file: Annotated[Path, typer.Argument(help="Run file in TOML, see docs/run-files.md.", metavar="FILE")],
     check: Annotated[bool, typer.Option("--check", help="Only check the file and the files that it names.")] = False,
+    cluster: opt.Cluster = None,
+    workers: opt.Workers = None,
     debug: opt.Debug = False,
 ) -> int:
     """Render the experiment of a run file: scene, camera, method, budget, saves at given times, error against a
@@ -99,6 +105,7 @@ def run(
 
     Ctrl-C stops after the current pass and writes the pictures and the checkpoint.
     """
+    from etendue.distributed import opened_cluster
     from etendue.engine import Job
 
     from .experiments.records import Recorder
@@ -122,8 +129,8 @@ def run(
     if check:
         say(f"{file} is in order: {wanted.describe(open_job())}")
         return 0
-    with recorder:
-        return render_to_files(open_job, recorder, task.method.name)
+    with recorder, opened_cluster(cluster, workers, wanted.threads) as opened:
+        return render_to_files(open_job, recorder, task.method.name, opened)
 
 
 def compare(
@@ -150,12 +157,15 @@ def compare(
     pyramid: opt.Pyramid = False,
     pyramid_depth: opt.PyramidDepth = None,
     no_bsdf_sampling: opt.NoBsdfSampling = False,
+    cluster: opt.Cluster = None,
+    workers: opt.Workers = None,
     debug: opt.Debug = False,
 ) -> int:
     """Render a scene by several methods for the same time, and write a page that compares them.
 
     By default `path` and `vcm`, 60 seconds each.
     """
+    from etendue.distributed import opened_cluster
     from etendue.engine import Budget
     from etendue.scene import locate
 
@@ -179,7 +189,8 @@ def compare(
     console = error_console()
     for text in notes:
         note(console, text)
-    return Comparison(wanted, output, reference).run(console)
+    with opened_cluster(cluster, workers, threads) as opened:
+        return Comparison(wanted, output, reference, cluster=opened).run(console)
 
 
 def demo(

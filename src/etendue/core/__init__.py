@@ -6,6 +6,7 @@ from .citations import bibliography, bibtex
 from .errors import (
     BackendError,
     CheckpointError,
+    ClusterError,
     EtendueError,
     OptionError,
     OutputError,
@@ -40,6 +41,7 @@ __all__ = [
     "BackendError",
     "Carrying",
     "CheckpointError",
+    "ClusterError",
     "EtendueError",
     "IndependentSource",
     "Iterations",

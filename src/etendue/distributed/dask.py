@@ -1,0 +1,229 @@
+"""Workers of a Dask cluster, local or at an address."""
+
+from __future__ import annotations
+
+import logging
+import queue
+import signal
+import time
+from typing import Any
+
+from etendue.core import ClusterError, OptionError, describe, is_whole, library, logger
+
+from .content import Offered
+from .pool import Arrival, Lost
+from .worker import Chunk, end_run, introduce, make_passes, receive
+
+#: Seconds to wait for a scheduler, for the first worker, and for an answer of a worker.
+_CONNECT, _FIRST_WORKER, _ANSWER = "10s", 30.0, 30.0
+_LIST_EVERY = 0.5
+
+
+def dask() -> Any:
+    """The library ``distributed``; raises :class:`BackendError` if it is not installed."""
+    return library("distributed", "a cluster", "cluster")
+
+
+class DaskPool:
+    """Workers of Dask; implements :class:`Pool`.
+
+    cluster: the address of a scheduler, or a ``distributed.Client``, which stays open. workers: number of processes of
+    a local cluster instead, which share the threads of this process (or ``threads``), and which :meth:`close` ends.
+
+    Raises :class:`ClusterError` if nothing answers, or if no worker comes.
+    """
+
+    def __init__(self, cluster: Any = None, *, workers: int | None = None, threads: int | None = None) -> None:
+        self._distributed = dask()
+        self._local: Any = None
+        self._owns_client = True
+        if (cluster is None) == (workers is None):
+            raise OptionError("a cluster is given by its address or client, or by a number of workers of its own")
+        if workers is not None:
+            self._client, self.name = self._start(workers, threads), f"{workers} local workers"
+        elif isinstance(cluster, str):
+            self._client, self.name = self._connect(cluster), cluster
+        elif isinstance(cluster, self._distributed.Client):
+            self._client, self._owns_client = cluster, False
+            self.name = str(cluster.scheduler.address)
+        else:
+            raise OptionError(
+                f"cluster= is an address such as tcp://host:8786, or a distributed.Client, not {cluster!r}"
+            )
+        self._futures: dict[int, Any] = {}
+        self._done: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self._known: dict[str, int | None] = {}
+        self._bad: dict[str, str] = {}
+        self._listed = -1.0
+        self._wait_for_workers()
+
+    # ------------------------------------------------------------------ a pool
+
+    def workers(self) -> dict[str, int | None]:
+        """See :class:`Pool`."""
+        now = time.monotonic()
+        if now - self._listed < _LIST_EVERY:
+            return dict(self._known)
+        self._listed = now
+        try:
+            there: dict[str, int] = self._client.nthreads()
+        except Exception as error:
+            raise ClusterError(f"the scheduler of {self.name} no longer answers ({describe(error)})") from error
+        new = [name for name in there if name not in self._known and name not in self._bad]
+        if new:
+            self._greet(new)
+        self._known = {name: threads for name, threads in there.items() if name in self._greeted}
+        return dict(self._known)
+
+    def send(self, worker: str, ticket: int, chunk: Chunk) -> None:
+        """See :class:`Pool`."""
+        future = self._client.submit(
+            make_passes, chunk, key=f"etendue-{chunk.run}-{ticket}", workers=[worker], pure=False
+        )
+        self._futures[ticket] = future
+        future.add_done_callback(lambda _: self._done.put(ticket))
+
+    def wait(self, seconds: float) -> Arrival | None:
+        """See :class:`Pool`."""
+        try:
+            ticket = self._done.get(timeout=seconds)
+        except queue.Empty:
+            return None
+        future = self._futures.pop(ticket, None)
+        if future is None:
+            return None
+        begin = time.perf_counter()
+        try:
+            outcome = future.result(timeout=600)
+        except Exception as error:
+            if self._client.status != "running":
+                raise ClusterError(f"the scheduler of {self.name} no longer answers") from error
+            return Arrival(ticket, Lost(_short(error)))
+        return Arrival(ticket, outcome, time.perf_counter() - begin)
+
+    def deliver(self, worker: str, offered: Offered, digest: str) -> str | None:
+        """See :class:`Pool`."""
+        for offset, piece, is_last in offered.pieces(digest):
+            problem = self._ask(receive, digest, offset, piece, is_last, workers=[worker]).get(worker)
+            if problem is not None:
+                return str(problem)
+        return None
+
+    def end_run(self, run: str) -> None:
+        """See :class:`Pool`."""
+        self._ask(end_run, run, workers=list(self._known))
+
+    def forget(self, tickets: list[int]) -> None:
+        """See :class:`Pool`."""
+        futures = [self._futures.pop(ticket) for ticket in tickets if ticket in self._futures]
+        if futures and self._client.status == "running":
+            self._client.cancel(futures, force=True)
+
+    def close(self) -> None:
+        """End the workers that were started here."""
+        self._futures.clear()
+        if self._owns_client:
+            self._client.close(timeout=5)
+        if self._local is not None:
+            self._local.close(timeout=10)
+
+    # ------------------------------------------------------------------ inside
+
+    def _start(self, workers: int, threads: int | None) -> Any:
+        """A local cluster, reachable from this machine only."""
+        if not is_whole(workers) or not 1 <= workers <= 1024:
+            raise OptionError(f"the number of workers is a whole number from 1 to 1024, not {workers!r}")
+        import dask as settings
+        import drjit as dr
+
+        each = max(1, (threads or dr.thread_count()) // workers)
+        # A killed worker is no fault of its chunk: the executor counts how often that happens.
+        settings.config.set({"distributed.scheduler.allowed-failures": 1000})
+        try:
+            self._local = self._distributed.LocalCluster(
+                n_workers=workers,
+                threads_per_worker=each,
+                processes=True,
+                host="127.0.0.1",
+                scheduler_port=0,
+                dashboard_address=None,
+                memory_limit=0,
+                silence_logs=logging.CRITICAL,
+            )
+        except Exception as error:
+            raise ClusterError(
+                f"local workers cannot be started ({_short(error)}); in a script, call étendue below "
+                "`if __name__ == '__main__':`"
+            ) from error
+        return self._distributed.Client(self._local, set_as_default=False, direct_to_workers=True)
+
+    def _connect(self, address: str) -> Any:
+        try:
+            return self._distributed.Client(address, timeout=_CONNECT, set_as_default=False)
+        except Exception as error:
+            raise ClusterError(
+                f"no scheduler answers at '{address}' ({_short(error)}); start one by: dask scheduler"
+            ) from error
+
+    def _wait_for_workers(self) -> None:
+        end = time.monotonic() + _FIRST_WORKER
+        self._greeted: set[str] = set()
+        while True:
+            self._listed = -1.0
+            if self.workers():
+                return
+            if self._bad:
+                name, why = next(iter(self._bad.items()))
+                raise ClusterError(f"no worker of {self.name} can be used; {name}: {why}")
+            if time.monotonic() > end:
+                raise ClusterError(
+                    f"{self.name} has no worker; start one by: dask worker {self._client.scheduler.address}"
+                )
+            time.sleep(0.1)
+
+    def _greet(self, names: list[str]) -> None:
+        """Look whether new workers can be used."""
+        here = introduce()["python"]
+        for name, answer in self._ask(introduce, workers=names).items():
+            if isinstance(answer, dict) and answer["python"] == here:
+                self._greeted.add(name)
+                if self._local is not None:
+                    self._ask(_ignore_interrupts, workers=[name])
+                continue
+            if isinstance(answer, dict):
+                why = f"it runs Python {answer['python']}, the client {here}; use the same version"
+            elif isinstance(answer, OSError):
+                continue  # it has ended meanwhile
+            elif isinstance(answer, ModuleNotFoundError):
+                why = f"it has no module '{answer.name}'; install étendue there"
+            else:
+                why = f"{describe(answer)}; install the same version of étendue there"
+            self._bad[name] = why
+            if self._greeted:
+                logger.warning("worker %s is left out: %s", name, why)
+
+    def _ask(self, function: Any, *arguments: Any, workers: list[str]) -> dict[str, Any]:
+        """The answers of workers, or the errors."""
+        if not workers:
+            return {}
+        try:
+            answers: dict[str, Any] = self._client.run(function, *arguments, workers=workers, on_error="return")
+        except Exception as error:
+            if self._client.status != "running":
+                raise ClusterError(f"the scheduler of {self.name} no longer answers") from error
+            return {}
+        return answers
+
+
+def _ignore_interrupts() -> None:
+    """Ctrl-C in a terminal reaches all processes; the client ends the workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _short(error: BaseException) -> str:
+    """The cause of an error of Dask as one line."""
+    cause = error
+    while cause.__cause__ is not None:
+        cause = cause.__cause__
+    text = describe(cause)
+    return text if len(text) < 200 else f"{text[:200]}..."
