@@ -139,7 +139,6 @@ def resume(
     (if there are none, an .exr is written); for a run file, the remaining saves, log and table continue.
     """
     from etendue import methods
-    from etendue.distributed import opened_cluster
     from etendue.engine import Checkpoint, Job, remaining
     from etendue.jobs import Outputs
     from etendue.particles import is_particle_file
@@ -154,17 +153,18 @@ def resume(
         return resume_particles(checkpoint, scene, paths, particles, time, variant, threads)
     if (paths, particles) != (None, None):
         raise OptionError(f"{checkpoint} is no file of particles: --paths and --particles do not apply")
+    device = opt.Device(variant, threads, cluster, workers)
     saved = Checkpoint.read(checkpoint)
     if saved.method in LINES:
         if (spp, method, define) != (None, None, None):
             raise OptionError(f"{checkpoint} is a checkpoint of radiosity: --spp, -m and -D do not apply")
         limits = {"bundles": bundles, "points": points, "seconds": time, "error": error}
-        return resume_lines(saved, checkpoint, output or [], scene, limits, save_every, variant, threads)
+        return resume_lines(saved, checkpoint, output or [], scene, limits, save_every, device)
     if saved.method == HIERARCHY:
         if (spp, points, method, define) != (None, None, None, None):
             raise OptionError(f"{checkpoint} has passes of lines: --spp, --points, -m and -D do not apply")
         asked = {"source": scene, "bundles": bundles, "seconds": time, "error": error, "save_every": save_every}
-        return resume_hierarchy(saved, checkpoint, output or [], variant, threads, **asked)
+        return resume_hierarchy(saved, checkpoint, output or [], device, **asked)
     if (bundles, points) != (None, None):
         raise OptionError(f"{checkpoint} is a checkpoint of a picture: --bundles and --points do not apply")
     kind = methods.get(saved.method if method is None else method)
@@ -181,14 +181,14 @@ def resume(
             recorder.check(job)
             return job
 
-        with recorder, opened_cluster(cluster, workers, threads or file.threads) as opened:
+        with recorder, device.opened() as opened:
             return render_to_files(open_job, recorder, saved.method, opened)
     beside = [checkpoint.with_suffix(suffix) for suffix in (".exr", ".png")]
     outputs = Outputs.of(
         output or [p for p in beside if p.exists()] or beside[:1], checkpoint, save_every, False, tone, exposure
     )
     choose_device(variant, threads)
-    with opened_cluster(cluster, workers, threads) as opened:
+    with device.opened() as opened:
         return render_to_files(
             lambda: Job.resume(saved, kind, budget=budget or rest(), scene=scene), outputs, saved.method, opened
         )

@@ -62,7 +62,6 @@ def render(
     Ctrl-C stops after the current pass and writes the picture and the checkpoint.
     """
     from etendue.api import choose_method
-    from etendue.distributed import opened_cluster
     from etendue.engine import Job, Task
     from etendue.jobs import Outputs
     from etendue.scene import locate
@@ -89,7 +88,7 @@ def render(
             note(error_console(), text)
         return job
 
-    with opened_cluster(cluster, workers, threads) as opened:
+    with opt.Device(variant, threads, cluster, workers).opened() as opened:
         return render_to_files(open_job, outputs, chosen.name, opened)
 
 
@@ -105,7 +104,6 @@ def run(
 
     Ctrl-C stops after the current pass and writes the pictures and the checkpoint.
     """
-    from etendue.distributed import opened_cluster
     from etendue.engine import Job
 
     from .experiments.records import Recorder
@@ -129,7 +127,7 @@ def run(
     if check:
         say(f"{file} is in order: {wanted.describe(open_job())}")
         return 0
-    with recorder, opened_cluster(cluster, workers, wanted.threads) as opened:
+    with recorder, opt.Device(wanted.variant, wanted.threads, cluster, workers).opened() as opened:
         return render_to_files(open_job, recorder, task.method.name, opened)
 
 
@@ -165,7 +163,6 @@ def compare(
 
     By default `path` and `vcm`, 60 seconds each.
     """
-    from etendue.distributed import opened_cluster
     from etendue.engine import Budget
     from etendue.scene import locate
 
@@ -189,7 +186,7 @@ def compare(
     console = error_console()
     for text in notes:
         note(console, text)
-    with opened_cluster(cluster, workers, threads) as opened:
+    with opt.Device(variant, threads, cluster, workers).opened() as opened:
         return Comparison(wanted, output, reference, cluster=opened).run(console)
 
 

@@ -19,6 +19,9 @@ from etendue.scene import Camera, PortableScene, load, portable, restored
 
 from .content import Entry, Offered, Store
 
+#: Prefix of the arrays that are arguments of the method.
+_ARGUMENT = "argument/"
+
 
 @dataclass
 class Ingredients:
@@ -42,20 +45,16 @@ class Recipe:
 
 
 def recipe(
-    ingredients: Ingredients, method: Method, fingerprint: str, arguments: Mapping[str, Any] | None = None
+    ingredients: Ingredients,
+    method: Method,
+    fingerprint: str,
+    arguments: Mapping[str, NDArray[Any]] | None = None,
+    make: str | None = None,
 ) -> Recipe:
-    """The recipe of a prepared method; ``arguments`` are further ones of its class.
-
-    ``arguments`` may contain arrays.
-    """
+    """The recipe of a prepared method. Workers make it from its settings; if its class takes more than these, ``make``
+    names a function ``module:name`` of (settings, problem, **arguments) that makes it."""
     offered, kind = Offered(), type(method)
-    arrays = dict(ingredients.arrays)
-    plain: dict[str, Any] = {}
-    for name, value in (arguments or {}).items():
-        if isinstance(value, np.ndarray):
-            arrays[f"argument/{name}"] = value
-        else:
-            plain[name] = value
+    arrays = ingredients.arrays | {f"{_ARGUMENT}{name}": array for name, array in (arguments or {}).items()}
     manifest: dict[str, Any] = {
         "versions": versions(),
         "fingerprint": fingerprint,
@@ -64,8 +63,8 @@ def recipe(
         "arrays": None,
         "files": {place: asdict(offered.add(path)) for place, path in ingredients.files.items()},
         "method": f"{kind.__module__}:{kind.__qualname__}",
+        "make": make,
         "settings": method.settings.to_json(),
-        "arguments": plain,
     }
     if arrays:
         file = io.BytesIO()
@@ -111,8 +110,12 @@ class OpenRecipe:
         """A prepared method."""
         manifest = self._manifest
         kind = _named(manifest["method"])
-        given = {k.removeprefix("argument/"): v for k, v in self._arrays.items() if k.startswith("argument/")}
-        method: Method = kind(kind.Settings.from_json(manifest["settings"]), **manifest["arguments"], **given)
+        settings = kind.Settings.from_json(manifest["settings"])
+        given = {k.removeprefix(_ARGUMENT): v for k, v in self._arrays.items() if k.startswith(_ARGUMENT)}
+        method: Method
+        method = (
+            kind(settings) if manifest["make"] is None else _named(manifest["make"])(settings, self.problem, **given)
+        )
         method.prepare(self.problem, seed)
         return method
 

@@ -24,8 +24,11 @@ from etendue.radiosity import (
     RadiosityError,
 )
 
+from .sending import patch_recipe
+
 if TYPE_CHECKING:
     from etendue.core import Measurement, RecordFile
+    from etendue.distributed import Cluster
 
 #: Share of the memory or of the disk that a run without a number of bundles may fill.
 _SHARE = 0.6
@@ -77,8 +80,8 @@ class LinesJob:
         self._is_limited_by_disk = False
         self.casting = self._casting()
 
-    def runner(self, **options: Any) -> Runner:
-        """Prepare the casting; ``options`` are those of :class:`Runner`.
+    def runner(self, cluster: Cluster | None = None, **options: Any) -> Runner:
+        """Prepare the casting, in the workers of ``cluster`` if it is given; ``options`` are those of :class:`Runner`.
 
         Raises :class:`RadiosityError` if memory or disk has no room for the requested bundles, and
         :class:`CheckpointError` for a checkpoint of other patches.
@@ -101,6 +104,9 @@ class LinesJob:
             options |= {"start": saved.measurement, "state": saved.state}
         known: Any = {"seed": task.seed, "budget": task.budget, "place": {}, "earlier": earlier, "notes": task.notes}
         self._job = Job(problem, casting, **known)  # type: ignore[arg-type]
+        if cluster is not None:
+            of_run = {"most": casting.most, "owed": casting.owed}
+            options["executor"] = cluster.executor(patch_recipe(problem, casting), of_run)
         return Runner(casting, seed=task.seed, budget=limited, spent=time.perf_counter() - begin, **options)
 
     def checkpoint(self, run: RunResult) -> Checkpoint:

@@ -11,6 +11,7 @@ from etendue.radiosity import MultipathPasses, MultipathSettings, PatchProblem, 
 
 from .requests import RadiosityRequest
 from .results import RadiosityResult
+from .sending import patch_recipe
 from .solving import PatchWork, Tell
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ class MultipathWork(PatchWork[RadiosityRequest, RadiosityResult]):
         else:
             self._check_shot()
         options |= {"watched": self._watched, "spent": time.perf_counter() - begin}
-        return self._run(problem, self.method, **options)
+        return self._run(problem, self.method, patch_recipe, **options)
 
     def progress_text(self, progress: Progress) -> str:
         """See :class:`RequestedWork`."""
