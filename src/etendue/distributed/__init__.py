@@ -4,6 +4,7 @@ from .cluster import Cluster, opened_cluster
 from .content import Entry, Offered, Store
 from .dask import DaskPool
 from .pool import Arrival, Lost, Pool
+from .processes import ProcessPool
 from .recipe import Ingredients, Recipe, recipe, scene_ingredients
 from .spread import Spread
 from .worker import Chunk
@@ -18,6 +19,7 @@ __all__ = [
     "Lost",
     "Offered",
     "Pool",
+    "ProcessPool",
     "Recipe",
     "Spread",
     "Store",

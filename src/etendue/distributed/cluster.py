@@ -56,9 +56,7 @@ class Cluster:
 
     def close(self) -> None:
         """End workers that were started for this cluster."""
-        close = getattr(self.pool, "close", None)
-        if close is not None:
-            close()
+        self.pool.close()
 
     def __enter__(self) -> Self:
         return self

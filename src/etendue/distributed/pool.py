@@ -52,3 +52,7 @@ class Pool(Protocol):
     def forget(self, tickets: list[int]) -> None:
         """Cancel chunks that did not begin; their arrivals, if any, are ignored."""
         ...
+
+    def close(self) -> None:
+        """End workers that were started for this pool."""
+        ...

@@ -31,8 +31,9 @@ _SHARE_OF_REST = 0.5
 _LOOK, _PATIENCE = 0.5, 60.0
 #: Chunks that are lost one after the other without a pass from any worker before the run fails.
 _MOST_LOST = 12
-#: Seconds that the end of a run waits for passes which have begun: a multiple of the longest pass, and at least.
-_GRACE, _LEAST_GRACE = 3.0, 10.0
+#: What the end of a run waits for passes that have begun: seconds; multiples of the transfer of a sum, and of a pass.
+#: At the end of the time, passes have ended by themselves.
+_GRACE, _GRACE_TRANSFERS, _GRACE_PASSES, _GRACE_PASSES_IN_TIME = 1.0, 2.0, 3.0, 0.5
 _TICK = 0.1
 
 
@@ -90,7 +91,9 @@ class Spread:
         if not self._flights:
             return
         self._pool.end_run(self._run)
-        end = time.monotonic() + max(_LEAST_GRACE, _GRACE * self._longest + self._transfer)
+        left = self._order.left()
+        passes = _GRACE_PASSES if left is None or left > 0 else _GRACE_PASSES_IN_TIME
+        end = time.monotonic() + _GRACE + _GRACE_TRANSFERS * self._transfer + passes * self._longest
         while self._flights and time.monotonic() < end:
             self._look()
             if (arrival := self._pool.wait(_TICK)) is not None and (made := self._take(arrival)) is not None:

@@ -73,7 +73,7 @@ def _of_file(path: Path, parameters: Mapping[str, Any]) -> PortableScene:
 
     values = {str(k): str(v) for k, v in parameters.items()}
     *_, state = _parse(path, values)
-    texts = [Path(file).absolute() for file in state.files if Path(file).is_file()]
+    texts = [file for file in (Path(str(name)).absolute() for name in state.files) if file.is_file()]
     texts += [path.absolute()] if path.absolute() not in texts else []
     names = set(_names_in(state)) | {name for text in texts for name in _names_in_text(text, values)}
     named: dict[str, Path] = {}
@@ -171,12 +171,13 @@ def _encoded(value: Any, result: PortableScene, where: str) -> Any:
     if isinstance(value, mi.Bitmap):
         kept = {"pixel_format": value.pixel_format().name, "srgb_gamma": bool(value.srgb_gamma())}
         return {_KIND: "Bitmap", "array": array(value), **kept}
-    if match := re.match(r"(?:Affine|Projective)?Transform([34])[fd]", name):
-        return {_KIND: f"ScalarTransform{match[1]}f", "array": array(np.array(value.matrix, np.float64))}
+    if "Transform" in name and hasattr(value, "matrix"):
+        kind = name if name.startswith("Scalar") else f"Scalar{name}"
+        both = np.stack([np.array(value.matrix), np.array(value.inverse_transpose)])  # each has its own rounding
+        return {_KIND: kind, "array": array(both)}
     if dr.is_array_v(value):
-        if dr.is_tensor_v(value) or dr.is_jit_v(value):
-            return {_KIND: name, "array": array(value)}
-        return {_KIND: f"Scalar{name}", "array": array(np.array(value, np.float64))}
+        is_plain = dr.is_tensor_v(value) or dr.is_jit_v(value) or name.startswith("Scalar")
+        return {_KIND: name if is_plain else f"Scalar{name}", "array": array(value)}
     if isinstance(value, (list, tuple)):
         return [_encoded(v, result, f"{where}[{k}]") for k, v in enumerate(value)]
     raise SceneError(
@@ -204,4 +205,7 @@ def _decoded(value: Any, arrays: Mapping[str, NDArray[Any]], moved: Mapping[str,
         bitmap.set_srgb_gamma(value["srgb_gamma"])
         return bitmap
     make: Any = getattr(mi, kind)
-    return make(array.tolist() if kind.startswith("Scalar") and "Transform" not in kind else array)
+    if "Transform" in kind:
+        matrix = type(make().matrix)
+        return make(matrix(array[0].tolist()), matrix(array[1].tolist()))
+    return make(array.tolist() if kind.startswith("Scalar") else array)
