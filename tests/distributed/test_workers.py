@@ -111,7 +111,7 @@ def test_time_holds_for_the_sum(processes):
 def test_nothing_answers_at_an_address(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("etendue.distributed.dask._CONNECT", "1s")
-    with pytest.raises(ClusterError, match="no scheduler answers at 'tcp://127.0.0.1:9'"):
+    with pytest.raises(ClusterError, match=r"no scheduler answers at 'tcp://127\.0\.0\.1:9'"):
         etendue.render("caustics", "path", samples=1, cluster="tcp://127.0.0.1:9")
 
 

@@ -39,10 +39,10 @@ XML = """<scene version="3.0.0"><default name="shade" value="0.5"/>
 <include filename="parts/light.xml"/>
 <shape type="sphere"><bsdf type="diffuse"><texture name="reflectance" type="bitmap">
 <string name="filename" value="{beside}"/></texture></bsdf></shape>
-<shape type="sphere"><point name="center" x="3" y="0" z="0"/><bsdf type="diffuse"><texture name="reflectance" type="bitmap">
-<string name="filename" value="{absolute}"/></texture></bsdf></shape>
-<shape type="sphere"><point name="center" x="6" y="0" z="0"/><bsdf type="diffuse"><texture name="reflectance" type="bitmap">
-<string name="filename" value="$image"/></texture></bsdf></shape>
+<shape type="sphere"><point name="center" x="3" y="0" z="0"/><bsdf type="diffuse">
+<texture name="reflectance" type="bitmap"><string name="filename" value="{absolute}"/></texture></bsdf></shape>
+<shape type="sphere"><point name="center" x="6" y="0" z="0"/><bsdf type="diffuse">
+<texture name="reflectance" type="bitmap"><string name="filename" value="$image"/></texture></bsdf></shape>
 </scene>"""
 LIGHT = """<scene version="3.0.0"><shape type="sphere"><point name="center" x="0" y="5" z="0"/><emitter type="area">
 <rgb name="radiance" value="$shade"/></emitter></shape></scene>"""

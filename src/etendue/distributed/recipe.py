@@ -52,8 +52,13 @@ def recipe(
     make: str | None = None,
 ) -> Recipe:
     """The recipe of a prepared method. Workers make it from its settings; if its class takes more than these, ``make``
-    names a function ``module:name`` of (settings, problem, **arguments) that makes it."""
+    names a function ``module:name`` of (settings, problem, **arguments) that makes it. Raises :class:`ClusterError` for
+    a method that workers cannot import."""
     offered, kind = Offered(), type(method)
+    if kind.__module__ == "__main__":
+        raise ClusterError(
+            f"'{method.name}' is defined in the script that runs: put it into a module that workers can import"
+        )
     arrays = ingredients.arrays | {f"{_ARGUMENT}{name}": array for name, array in (arguments or {}).items()}
     manifest: dict[str, Any] = {
         "versions": versions(),
