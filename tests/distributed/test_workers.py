@@ -120,7 +120,7 @@ def test_fifty_kills_lose_nothing(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("etendue.distributed.spread._SHORTEST", 0.1)
     source, kills, last = random.Random(7), [0], [0.0]
-    passes = 3000
+    passes = 1200
     expected = rendered(Job.open(task(passes=passes)))
 
     def watch(progress, runner):

@@ -50,6 +50,9 @@ class DaskPool:
             raise OptionError(
                 f"cluster= is an address such as tcp://host:8786, or a distributed.Client, not {cluster!r}"
             )
+        if self._owns_client:  # its losses are told by the executor
+            for name in ("distributed", "distributed.client"):
+                logging.getLogger(name).setLevel(logging.CRITICAL)
         self._futures: dict[int, Any] = {}
         self._done: queue.SimpleQueue[int] = queue.SimpleQueue()
         self._known: dict[str, int | None] = {}
@@ -68,7 +71,7 @@ class DaskPool:
         try:
             there: dict[str, int] = self._client.nthreads()
         except Exception as error:
-            raise ClusterError(f"the scheduler of {self.name} no longer answers ({describe(error)})") from error
+            raise ClusterError(f"the scheduler of {self.name} no longer answers") from error
         new = [name for name in there if name not in self._known and name not in self._bad]
         if new:
             self._greet(new)

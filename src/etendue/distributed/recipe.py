@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from importlib import import_module
@@ -105,8 +106,12 @@ class OpenRecipe:
             with np.load(path, allow_pickle=False) as archive:
                 self._arrays = {name: archive[name] for name in archive.files}
         ingredients = Ingredients(manifest["open"], manifest["values"], self._arrays, files)
-        self._folder = store.tree(digest, files) if files else store.folder
-        self.problem = _named(manifest["open"])(ingredients, self._folder)
+        folder = store.tree(digest, files) if files else store.folder
+        try:
+            self.problem = _named(manifest["open"])(ingredients, folder)
+        finally:
+            if files:  # all is read
+                shutil.rmtree(folder, ignore_errors=True)
         if self.problem.fingerprint != manifest["fingerprint"]:
             raise ClusterError("the scene is another one there: its files or plugins differ")
         store.tidy()

@@ -7,6 +7,7 @@ import itertools
 import time
 import uuid
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
@@ -103,8 +104,9 @@ class Spread:
         """See :class:`Executor`."""
         self._ending = True
         if self._flights:
-            self._pool.end_run(self._run)
-            self._pool.forget(list(self._flights))
+            with suppress(EtendueError):  # the cluster may be gone, and the run has an error of its own
+                self._pool.end_run(self._run)
+                self._pool.forget(list(self._flights))
             self._flights.clear()
 
     def shares(self) -> dict[str, int]:
