@@ -6,17 +6,21 @@ import logging
 import queue
 import signal
 import time
+from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import wait as wait_for
 from typing import Any
 
 from etendue.core import ClusterError, OptionError, describe, is_whole, library, logger
 
 from .content import Offered
 from .pool import Arrival, Lost
-from .worker import Chunk, end_run, introduce, make_passes, receive
+from .worker import Chunk, Outcome, end_run, introduce, make_passes, receive
 
 #: Seconds to wait for a scheduler, for the first worker, and for an answer of a worker.
-_CONNECT, _FIRST_WORKER, _ANSWER = "10s", 30.0, 30.0
+_CONNECT, _FIRST_WORKER, _ANSWER = "10s", 60.0, 60.0
 _LIST_EVERY = 0.5
+#: Threads for transfers and questions.
+_HELPERS = 16
 
 
 def dask() -> Any:
@@ -54,7 +58,8 @@ class DaskPool:
             for name in ("distributed", "distributed.client"):
                 logging.getLogger(name).setLevel(logging.CRITICAL)
         self._futures: dict[int, Any] = {}
-        self._done: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self._arrived: queue.SimpleQueue[Arrival] = queue.SimpleQueue()
+        self._helpers = ThreadPoolExecutor(_HELPERS, thread_name_prefix="etendue-cluster")
         self._known: dict[str, int | None] = {}
         self._bad: dict[str, str] = {}
         self._listed = -1.0
@@ -84,32 +89,35 @@ class DaskPool:
             make_passes, chunk, key=f"etendue-{chunk.run}-{ticket}", workers=[worker], pure=False
         )
         self._futures[ticket] = future
-        future.add_done_callback(lambda _: self._done.put(ticket))
+        # In a thread, since the transfer takes time, and does not end if the worker dies before: `forget` ends it.
+        future.add_done_callback(lambda future: self._helpers.submit(self._fetch, ticket, future))
+
+    def _fetch(self, ticket: int, future: Any) -> None:
+        begin = time.perf_counter()
+        try:
+            outcome: Outcome | Lost = future.result()
+        except BaseException as error:
+            outcome = Lost(_short(error))
+        self._arrived.put(Arrival(ticket, outcome, time.perf_counter() - begin))
 
     def wait(self, seconds: float) -> Arrival | None:
         """See :class:`Pool`."""
         try:
-            ticket = self._done.get(timeout=seconds)
+            arrival = self._arrived.get(timeout=seconds)
         except queue.Empty:
             return None
-        future = self._futures.pop(ticket, None)
-        if future is None:
+        if self._futures.pop(arrival.ticket, None) is None:
             return None
-        begin = time.perf_counter()
-        try:
-            outcome = future.result(timeout=600)
-        except Exception as error:
-            if self._client.status != "running":
-                raise ClusterError(f"the scheduler of {self.name} no longer answers") from error
-            return Arrival(ticket, Lost(_short(error)))
-        return Arrival(ticket, outcome, time.perf_counter() - begin)
+        if isinstance(arrival.outcome, Lost) and self._client.status != "running":
+            raise ClusterError(f"the scheduler of {self.name} no longer answers")
+        return arrival
 
     def deliver(self, worker: str, offered: Offered, digest: str) -> str | None:
         """See :class:`Pool`."""
         for offset, piece, is_last in offered.pieces(digest):
-            problem = self._ask(receive, digest, offset, piece, is_last, workers=[worker]).get(worker)
-            if problem is not None:
-                return str(problem)
+            answers = self._ask(receive, digest, offset, piece, is_last, workers=[worker])
+            if (problem := answers.get(worker, "it does not answer")) is not None:
+                return describe(problem) if isinstance(problem, Exception) else str(problem)
         return None
 
     def end_run(self, run: str) -> None:
@@ -125,6 +133,7 @@ class DaskPool:
     def close(self) -> None:
         """End the workers that were started here."""
         self._futures.clear()
+        self._helpers.shutdown(wait=False, cancel_futures=True)
         if self._owns_client:
             self._client.close(timeout=5)
         if self._local is not None:
@@ -206,15 +215,18 @@ class DaskPool:
                 logger.warning("worker %s is left out: %s", name, why)
 
     def _ask(self, function: Any, *arguments: Any, workers: list[str]) -> dict[str, Any]:
-        """The answers of workers, or the errors."""
-        if not workers:
-            return {}
-        try:
-            answers: dict[str, Any] = self._client.run(function, *arguments, workers=workers, on_error="return")
-        except Exception as error:
-            if self._client.status != "running":
-                raise ClusterError(f"the scheduler of {self.name} no longer answers") from error
-            return {}
+        """The answers of workers, or the errors. Workers that do not answer are left out."""
+        asked = {
+            name: self._helpers.submit(self._client.run, function, *arguments, workers=[name], on_error="return")
+            for name in workers
+        }
+        done, _ = wait_for(asked.values(), timeout=_ANSWER)
+        if self._client.status != "running":
+            raise ClusterError(f"the scheduler of {self.name} no longer answers")
+        answers: dict[str, Any] = {}
+        for future in asked.values():
+            if future in done and future.exception() is None:
+                answers |= future.result()
         return answers
 
 

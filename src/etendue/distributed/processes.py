@@ -36,10 +36,10 @@ class ProcessPool:
 
     def send(self, worker: str, ticket: int, chunk: Chunk) -> None:
         """See :class:`Pool`."""
+        future: Future[Any] = Future()
         try:
             future = self._processes[worker].submit(make_passes, chunk)
-        except BrokenProcessPool as error:
-            future = Future()
+        except (BrokenProcessPool, KeyError) as error:  # it has ended, and may have been replaced
             future.set_exception(error)
         self._futures[ticket] = future
         future.add_done_callback(lambda _: self._done.put((ticket, worker)))

@@ -32,6 +32,8 @@ _SHARE_OF_REST = 0.5
 _LOOK, _PATIENCE = 0.5, 60.0
 #: Chunks that are lost one after the other without a pass from any worker before the run fails.
 _MOST_LOST = 12
+#: How often a file is sent to a worker.
+_MOST_SENT = 4
 #: What the end of a run waits for passes that have begun: seconds; multiples of the transfer of a sum, and of a pass.
 #: At the end of the time, passes have ended by themselves.
 _GRACE, _GRACE_TRANSFERS, _GRACE_PASSES, _GRACE_PASSES_IN_TIME = 1.0, 2.0, 3.0, 0.5
@@ -71,6 +73,7 @@ class Spread:
         self._looked = self._alive = time.monotonic()
         self._ending = False
         self._shares: dict[str, int] = {}
+        self._sent: dict[tuple[str, str], int] = {}  # how often, by worker and digest
         self._work: _Independent | _Replicas = (
             _Replicas(order) if self._recipe.carries_on else _Independent(order.done.missing())
         )
@@ -124,9 +127,7 @@ class Spread:
         there = {name: n for name, n in self._pool.workers().items() if name not in self._refused}
         for name in self._workers.keys() - there.keys():
             logger.info("worker %s is gone; what it had is made again", name)
-            for ticket in list(self._workers.pop(name).flights):
-                self._pool.forget([ticket])
-                self._give_back(ticket)
+            self._drop(name)
         for name in there.keys() - self._workers.keys():
             self._workers[name] = _Worker(there[name])
         if there:
@@ -136,6 +137,13 @@ class Spread:
             raise ClusterError(f"no worker can be used; {name}: {why}")
         elif time_ - self._alive > _PATIENCE:
             raise ClusterError(f"the cluster has had no worker for {_PATIENCE:.0f} seconds; start one")
+
+    def _drop(self, name: str) -> None:
+        """Send no more to a worker, and take back what it had."""
+        worker = self._workers.pop(name, None)
+        for ticket in [] if worker is None else list(worker.flights):
+            self._pool.forget([ticket])
+            self._give_back(ticket)
 
     def _give_back(self, ticket: int) -> None:
         """The passes of a chunk were not made."""
@@ -213,6 +221,7 @@ class Spread:
         self._give_back(arrival.ticket)
         if isinstance(outcome, Lost):
             self._lost += 1
+            self._drop(name)  # the next look tells whether it is still there
             if self._lost > _MOST_LOST:
                 raise ClusterError(
                     f"workers have ended {self._lost} times without finishing a pass; the last was {name}"
@@ -244,6 +253,10 @@ class Spread:
 
     def _deliver(self, name: str, needs: Needs) -> None:
         for digest in needs.digests:
+            times = self._sent[name, digest] = self._sent.get((name, digest), 0) + 1
+            if times > _MOST_SENT:
+                self._refuse(name, "it does not keep the files that it is sent")
+                return
             if (problem := self._pool.deliver(name, self._recipe.offered, digest)) is not None:
                 self._refuse(name, problem)
                 return
@@ -251,10 +264,7 @@ class Spread:
     def _refuse(self, name: str, why: str) -> None:
         """Leave a worker out."""
         self._refused[name] = why
-        worker = self._workers.pop(name, None)
-        for ticket in [] if worker is None else list(worker.flights):
-            self._pool.forget([ticket])
-            self._give_back(ticket)
+        self._drop(name)
         if self._workers:
             logger.warning("worker %s is left out: %s", name, why)
         else:
