@@ -121,7 +121,8 @@ class RequestedWork(ABC, Generic[Q, R]):
         """The runner of a prepared method, which goes on with the checkpoint if there is one. Workers of a cluster make
         the method by ``recipe_of`` the problem and the method."""
         saved, seed, earlier, done = self.saved, int(self.request.seed), 0.0, Iterations()
-        made, state = method, None
+        made = method
+        state: Any = None
         if saved is not None:
             earlier, state, done = saved.earlier + saved.elapsed, saved.state, saved.measurement.iterations
             method = replicated(method, saved.state, problem, seed)
