@@ -45,13 +45,14 @@ def processes():
 def kill_one(pool, source):
     """Kill a worker of Dask or of processes by SIGKILL, if one is there."""
     if isinstance(pool, DaskPool):
-        answers = pool._client.run(os.getpid, on_error="ignore")
-        pids = list(answers.values())
+        pids = [pool.pids[name] for name in pool.workers()]
     else:
         pids = [pid for process in pool._processes.values() for pid in process._processes or ()]
-    if pids:
+    try:
         os.kill(source.choice(sorted(pids)), signal.SIGKILL)
-    return bool(pids)
+    except (IndexError, ProcessLookupError):  # none is there, or it died a moment ago
+        return False
+    return True
 
 
 def close(a, b):

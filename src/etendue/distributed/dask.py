@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 import queue
-import signal
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import wait as wait_for
+from functools import partial
 from typing import Any
 
 from etendue.core import ClusterError, OptionError, describe, is_whole, library, logger
@@ -61,6 +61,9 @@ class DaskPool:
         self._arrived: queue.SimpleQueue[Arrival] = queue.SimpleQueue()
         self._helpers = ThreadPoolExecutor(_HELPERS, thread_name_prefix="etendue-cluster")
         self._known: dict[str, int | None] = {}
+        self._greetings: dict[str, Future[Any]] = {}
+        #: Process ids of the workers that can be used, by address.
+        self.pids: dict[str, int] = {}
         self._bad: dict[str, str] = {}
         self._listed = -1.0
         self._wait_for_workers()
@@ -77,10 +80,8 @@ class DaskPool:
             there: dict[str, int] = self._client.nthreads()
         except Exception as error:
             raise ClusterError(f"the scheduler of {self.name} no longer answers") from error
-        new = [name for name in there if name not in self._known and name not in self._bad]
-        if new:
-            self._greet(new)
-        self._known = {name: threads for name, threads in there.items() if name in self._greeted}
+        self._greet(there)
+        self._known = {name: threads for name, threads in there.items() if name in self.pids}
         return dict(self._known)
 
     def send(self, worker: str, ticket: int, chunk: Chunk) -> None:
@@ -122,7 +123,8 @@ class DaskPool:
 
     def end_run(self, run: str) -> None:
         """See :class:`Pool`."""
-        self._ask(end_run, run, workers=list(self._known))
+        for name in self._known:  # without waiting: their sums tell that they have ended
+            self._helpers.submit(self._client.run, end_run, run, workers=[name], on_error="return")
 
     def forget(self, tickets: list[int]) -> None:
         """See :class:`Pool`."""
@@ -179,7 +181,6 @@ class DaskPool:
 
     def _wait_for_workers(self) -> None:
         end = time.monotonic() + _FIRST_WORKER
-        self._greeted: set[str] = set()
         while True:
             self._listed = -1.0
             if self.workers():
@@ -193,26 +194,34 @@ class DaskPool:
                 )
             time.sleep(0.1)
 
-    def _greet(self, names: list[str]) -> None:
-        """Look whether new workers can be used."""
+    def _greet(self, there: dict[str, int]) -> None:
+        """Find out whether new workers can be used, without waiting: one that has just ended answers late or never."""
+        for name in there:
+            if name not in self.pids and name not in self._bad and name not in self._greetings:
+                ask = partial(self._client.run, introduce, self._local is not None, workers=[name], on_error="return")
+                self._greetings[name] = self._helpers.submit(ask)
+        for name in [name for name, answer in self._greetings.items() if answer.done()]:
+            asked = self._greetings.pop(name)
+            answer = asked.exception() or asked.result().get(name)
+            if (why := self._unfit(answer)) is not None:
+                self._bad[name] = why
+                if self.pids:
+                    logger.warning("worker %s is left out: %s", name, why)
+            elif isinstance(answer, dict):
+                self.pids[name] = answer["pid"]
+
+    @staticmethod
+    def _unfit(answer: Any) -> str | None:
+        """Why a worker that answers so cannot be used."""
         here = introduce()["python"]
-        for name, answer in self._ask(introduce, workers=names).items():
-            if isinstance(answer, dict) and answer["python"] == here:
-                self._greeted.add(name)
-                if self._local is not None:
-                    self._ask(_ignore_interrupts, workers=[name])
-                continue
-            if isinstance(answer, dict):
-                why = f"it runs Python {answer['python']}, the client {here}; use the same version"
-            elif isinstance(answer, OSError):
-                continue  # it has ended meanwhile
-            elif isinstance(answer, ModuleNotFoundError):
-                why = f"it has no module '{answer.name}'; install étendue there"
-            else:
-                why = f"{describe(answer)}; install the same version of étendue there"
-            self._bad[name] = why
-            if self._greeted:
-                logger.warning("worker %s is left out: %s", name, why)
+        if isinstance(answer, dict):
+            wrong = answer["python"] != here
+            return f"it runs Python {answer['python']}, the client {here}; use the same version" if wrong else None
+        if isinstance(answer, ModuleNotFoundError):
+            return f"it has no module '{answer.name}'; install étendue there"
+        if isinstance(answer, (ImportError, AttributeError, TypeError)):
+            return f"{describe(answer)}; install the same version of étendue there"
+        return None  # it has ended meanwhile
 
     def _ask(self, function: Any, *arguments: Any, workers: list[str]) -> dict[str, Any]:
         """The answers of workers, or the errors. Workers that do not answer are left out."""
@@ -228,11 +237,6 @@ class DaskPool:
             if future in done and future.exception() is None:
                 answers |= future.result()
         return answers
-
-
-def _ignore_interrupts() -> None:
-    """Ctrl-C in a terminal reaches all processes; the client ends the workers."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _short(error: BaseException) -> str:

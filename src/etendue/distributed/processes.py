@@ -88,5 +88,5 @@ class ProcessPool:
 
     def _start(self) -> None:
         process = ProcessPoolExecutor(1, self._context, initializer=ends_by, initargs=(self._ended,))
-        process.submit(introduce)  # starts it
+        process.submit(introduce, True)  # starts it
         self._processes[f"process {next(self._numbers)}"] = process

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import os
+import signal
 import sys
 import threading
 import time
@@ -103,10 +105,11 @@ def ends_by(ended: Any) -> None:
     _desk().ended = ended
 
 
-def introduce() -> dict[str, Any]:
-    """Process id and Python's version of this process."""
-    import os
-
+def introduce(is_local: bool = False) -> dict[str, Any]:
+    """Process id and Python's version of this process. ``is_local``: ignore Ctrl-C, which in a terminal reaches all
+    processes; the client ends the workers."""
+    if is_local and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     return {"pid": os.getpid(), "python": "{}.{}".format(*sys.version_info[:2])}
 
 
