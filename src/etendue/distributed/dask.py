@@ -152,7 +152,13 @@ class DaskPool:
 
         each = max(1, (threads or dr.thread_count()) // workers)
         # A killed worker is no fault of its chunk: the executor counts how often that happens.
-        settings.config.set({"distributed.scheduler.allowed-failures": 1000})
+        settings.config.set(
+            {
+                "distributed.scheduler.allowed-failures": 1000,
+                # A worker that takes longer to come back, on a loaded machine, would be given up.
+                "distributed.deploy.lost-worker-timeout": "1 day",
+            }
+        )
         try:
             self._local = self._distributed.LocalCluster(
                 n_workers=workers,
