@@ -16,8 +16,6 @@ from support.run_files import SCENE, example
 
 import etendue
 from etendue import api, display, methods
-from etendue.cli import rendering, solutions
-from etendue import api, methods
 from etendue.cli import options, rendering, solutions
 from etendue.cli.experiments import compare
 from etendue.cli.inspection import doctor
