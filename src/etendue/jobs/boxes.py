@@ -19,8 +19,8 @@ from etendue.radiosity import (
     scene_part,
 )
 
+from .lines import part_recipe
 from .requests import RadiosityRequest
-from .sending import part_recipe
 from .solving import RequestedWork
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from etendue.core import CheckpointError, logger
 from etendue.radiosity import MultipathPasses, MultipathSettings, PatchProblem, RadiosityError
 
+from .lines import patch_recipe
 from .requests import RadiosityRequest
 from .results import RadiosityResult
-from .sending import patch_recipe
 from .solving import PatchWork, Tell
 
 if TYPE_CHECKING:
