@@ -74,6 +74,7 @@ PROGRAMS = {
                 ),
                 Benchmark("guided", "guided.measure", 13, "Error times time of guided, beside path."),
                 Benchmark("ambient", "ambient.measure", 12, "Paths that end in an ambient term, beside whole paths."),
+                Benchmark("workers", "workers.measure", 15, "Worker processes beside unconnected ones.", in_all=False),
                 Benchmark("knn", "neighbours.measure", 1, "A kd-tree and nearest neighbours, beside scipy's cKDTree."),
                 Benchmark("points", "sequences.measure", 1, "Points of sequences a second, beside scipy's qmc."),
                 Benchmark("integration", "integrals.measure", 1, "Vegas beside the vegas package: errors and speed."),

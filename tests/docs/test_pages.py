@@ -6,6 +6,7 @@ import importlib.util
 import re
 import shlex
 import shutil
+from contextlib import nullcontext
 from pathlib import Path
 
 import mitsuba as mi
@@ -15,7 +16,7 @@ from support.run_files import SCENE, example
 
 import etendue
 from etendue import api, display, methods
-from etendue.cli import rendering, solutions
+from etendue.cli import options, rendering, solutions
 from etendue.cli.experiments import compare
 from etendue.cli.inspection import doctor
 from etendue.cli.main import main
@@ -157,6 +158,7 @@ def test_commands_are_understood(command, folder, monkeypatch, capsys):
     begun = []
     monkeypatch.chdir(folder)
     monkeypatch.setattr(rendering, "choose_device", lambda variant, threads: None)
+    monkeypatch.setattr(options.Device, "opened", lambda device: nullcontext())
     monkeypatch.setattr(rendering, "render_to_files", lambda *arguments: begun.append(arguments) or 0)
     monkeypatch.setattr(compare.Comparison, "run", lambda *arguments: begun.append(arguments) or 0)
     monkeypatch.setattr(solutions, "cast", lambda *arguments: begun.append(arguments) or rendering.Outcome(None, 0))

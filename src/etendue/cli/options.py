@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -13,6 +15,7 @@ import typer
 from etendue.core import OptionError
 
 if TYPE_CHECKING:
+    from etendue.distributed import Cluster as OpenedCluster
     from etendue.engine import Budget
 
 _TIME = re.compile(r"^(?:(?P<h>[\d.]+)h)?(?:(?P<m>[\d.]+)m(?:in)?)?(?:(?P<s>-?[\d.]+(?:e[+-]?\d+)?)s?)?$")
@@ -24,6 +27,33 @@ class Size(NamedTuple):
 
     width: int
     height: int
+
+
+@dataclass(frozen=True)
+class Device:
+    """Where passes are made: the Mitsuba variant and threads, and a cluster or local worker processes."""
+
+    variant: str | None
+    threads: int | None
+    cluster: str | None = None
+    workers: int | None = None
+
+    def choose(self) -> None:
+        """Set the variant and the number of threads of this process."""
+        from .rendering import choose_device
+
+        choose_device(self.variant, self.threads)
+
+    def opened(self) -> AbstractContextManager[OpenedCluster | None]:
+        """The cluster, if one is asked for; local workers end with the block."""
+        from etendue.distributed import opened_cluster
+
+        return opened_cluster(self.cluster, self.workers, self.threads)
+
+    def check_alone(self, option: str) -> None:
+        """Raise :class:`OptionError` if workers are asked for together with an option that makes no passes."""
+        if (self.cluster, self.workers) != (None, None):
+            raise OptionError(f"with {option} there are no passes for workers: leave out --cluster and --workers")
 
 
 def parse_time(text: str | float, option: str = "--time") -> float:
@@ -194,6 +224,18 @@ MaxDepth = Annotated[
     typer.Option("--max-depth", help="Longest path in edges, -1 for unlimited; by default the scene's.", metavar="N"),
 ]
 Threads = Annotated[int | None, typer.Option("--threads", help="CPU threads to use.", metavar="N")]
+Cluster = Annotated[
+    str | None,
+    typer.Option(
+        "--cluster", help="Make the passes on a Dask cluster: its address, as tcp://host:8786.", metavar="ADDRESS"
+    ),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        "--workers", help="Make the passes in so many processes, which share the threads.", min=1, metavar="N"
+    ),
+]
 SaveEvery = Annotated[
     float | None,
     typer.Option(

@@ -25,7 +25,18 @@ from etendue.core import (
     logger,
     suggest,
 )
-from etendue.engine import Budget, Checkpoint, InTurn, Job, Runner, RunResult, fit_samples, remaining, settle_samples
+from etendue.engine import (
+    Budget,
+    Checkpoint,
+    InTurn,
+    Job,
+    Order,
+    Runner,
+    RunResult,
+    fit_samples,
+    remaining,
+    settle_samples,
+)
 from etendue.film import replacing
 from etendue.methods import MetropolisParticles, ParticleTracing
 from etendue.particles import Codec, ParticleFile, Particles, ParticleWriter
@@ -192,8 +203,8 @@ class ParticleWork:
 class _Written(InTurn):
     """Makes passes and writes their particles, which then leave the measurement."""
 
-    def __init__(self, writer: ParticleWriter, job: Job, method: Any, seed: int, state: State, first: int) -> None:
-        super().__init__(method, seed, state, first)
+    def __init__(self, writer: ParticleWriter, job: Job, order: Order) -> None:
+        super().__init__(order)
         self._writer, self._job = writer, job
         self._began = time.perf_counter() - job.preparation
 

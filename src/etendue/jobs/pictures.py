@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from etendue import film
 from etendue.core import OptionError, Progress, Result, warn_of_nonfinite
+from etendue.distributed import Cluster
 from etendue.engine import Checkpoint, Job, Runner, RunResult, check_period
 
 from .files import PathLike, Write, Writing, check_files, listed, rescued
@@ -174,9 +175,12 @@ class PictureWork:
 
     job: Job
     outputs: Writer
+    cluster: Cluster | None = None  #: makes the passes; without it this process does
 
     def runner(self, **options: Any) -> Runner:
         """See :class:`Work`."""
+        if self.cluster is not None:
+            options["executor"] = self.cluster.rendering(self.job)
         return self.job.runner(**self.outputs.saving(self.job), **options)
 
     def keep(self, run: RunResult) -> Rendering:
