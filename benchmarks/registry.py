@@ -68,8 +68,13 @@ PROGRAMS = {
                 Benchmark("choice", "choice.measure", 60, "Error of auto beside its candidates, warm and cold."),
                 Benchmark("mitsuba-path", "mitsuba_path.measure", 90, "path beside Mitsuba's path.", in_all=False),
                 Benchmark("filters", "filters.measure", 3, "Cost of a pass by filter, and edges after few samples."),
+                Benchmark("filters-display", "denoising.filters", 1, "Time of the filters of pictures."),
+                Benchmark(
+                    "denoise", "denoising.measure", 45, "Denoised after 5 s against raw after 40 s.", in_all=False
+                ),
                 Benchmark("guided", "guided.measure", 13, "Error times time of guided, beside path."),
                 Benchmark("ambient", "ambient.measure", 12, "Paths that end in an ambient term, beside whole paths."),
+                Benchmark("workers", "workers.measure", 15, "Worker processes beside unconnected ones.", in_all=False),
                 Benchmark("knn", "neighbours.measure", 1, "A kd-tree and nearest neighbours, beside scipy's cKDTree."),
                 Benchmark("points", "sequences.measure", 1, "Points of sequences a second, beside scipy's qmc."),
                 Benchmark("integration", "integrals.measure", 1, "Vegas beside the vegas package: errors and speed."),
@@ -106,6 +111,15 @@ PROGRAMS = {
             ),
         ),
         Program(
+            "benchmarks.light_chains",
+            "Metropolis particles beside independent light paths, and ways to sample emission.",
+            (
+                Benchmark("against", "against.measure", 8, "Standard and Metropolis particles: who wins where."),
+                Benchmark("steps", "steps.measure", 4, "The size of steps of Metropolis particles."),
+                Benchmark("emission", "emission.measure", 3, "Variance of flux by the way lights are sampled."),
+            ),
+        ),
+        Program(
             "benchmarks.maps",
             "Maps of irradiance from particles.",
             (
@@ -119,22 +133,13 @@ PROGRAMS = {
             (
                 Benchmark("codecs", "codecs.measure", 3, "Bytes and speed of every codec of particles."),
                 Benchmark("maps", "maps.measure", 3, "What bounded loss adds to maps, beside their noise."),
-                Benchmark("thesis", "thesis.measure", 1, "Rows and strips by zlib, bzip2 and runs; saving, loading."),
+                Benchmark("thesis", "thesis.measure", 2, "Rows and strips by zlib, bzip2 and runs; saving, loading."),
             ),
         ),
         Program(
             "benchmarks.metropolis",
             "Pictures by Metropolis sampling beside independent paths.",
             (Benchmark("pictures", "pictures.measure", 200, "Error after equal time of chains, path and bpt."),),
-        ),
-        Program(
-            "benchmarks.light_chains",
-            "Metropolis particles beside independent light paths, and ways to sample emission.",
-            (
-                Benchmark("against", "against.measure", 8, "Standard and Metropolis particles: who wins where."),
-                Benchmark("steps", "steps.measure", 4, "The size of steps of Metropolis particles."),
-                Benchmark("emission", "emission.measure", 3, "Variance of flux by the way lights are sampled."),
-            ),
         ),
         Program(
             "benchmarks.radiosity",
@@ -151,10 +156,11 @@ PROGRAMS = {
                 Benchmark("box-tests", "boxes.tests", 1, "Ray-polygon tests of multipath with and without boxes."),
                 Benchmark("box-errors", "boxes.errors", 10, "Error of multipath with boxes, by point sequence."),
                 Benchmark("box-bias", "boxes.bias", 3, "The bias of boxes, by distance and resolution."),
+                Benchmark("box-shares", "shares.measure", 4, "Lines of boxes by fixed shares, area and information."),
                 Benchmark("hall", "halls.against_flat", 2, "Copies of a desk against a flat solution."),
                 Benchmark("hall-inside", "halls.inside", 3, "Desks inside a large hall against flat blocks."),
                 Benchmark("hall-1000", "halls.thousand", 3, "A thousand desks of 10,000 patches: time and memory."),
-                Benchmark("box-choice", "boxes.choice", 2, "A-buffer, flat multipath and boxes at equal error."),
+                Benchmark("box-choice", "choice.measure", 20, "A-buffer, rays, hierarchy and boxes to one error."),
             ),
         ),
     )

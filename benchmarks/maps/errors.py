@@ -90,7 +90,7 @@ def _mean_width(surfaces: MapSurfaces, hits: Particles) -> Array:
     found = KernelBuilder(surfaces, _variable(surfaces, hits)).bandwidths
     weights = np.bincount(cell, minlength=len(found)).astype(float) + 1e-9
     total, count = (np.bincount(surfaces.shapes, x) for x in (weights * found, weights))
-    return (total / count)[surfaces.shapes]
+    return (total / np.maximum(count, 1e-30))[surfaces.shapes]
 
 
 def measure(
@@ -98,6 +98,9 @@ def measure(
     particles: Particle = 100_000,
     cells: Cell = 20_000,
     seeds: Seeds = 3,
+    shapes: Annotated[
+        str, typer.Option(help="Shapes on which errors count, separated by commas; all by default.", metavar="NAMES")
+    ] = "",
 ) -> Iterator[Record]:
     """Root mean square errors of all maps, on all surfaces, the darker half and the brightest twentieth of the area."""
     for name in scenes:
@@ -110,9 +113,12 @@ def measure(
         builder.power /= _PASSES
         reference = builder.build()
         light = reference.values.mean(axis=1)
+        wanted = [k for k, shape in enumerate(patches.shape_names) if not shapes or shape in shapes.split(",")]
+        # Backs of walls get no light at all; they would be the dark half.
+        everywhere = np.isin(surfaces.shapes, wanted) & (light > 0)
         order = np.argsort(light)
-        below = np.cumsum(patches.areas[order]) / patches.areas.sum()
-        everywhere = np.ones(len(light), bool)
+        order = order[everywhere[order]]
+        below = np.cumsum(patches.areas[order]) / patches.areas[order].sum()
         dark, bright = np.zeros_like(everywhere), np.zeros_like(everywhere)
         dark[order[below < _DARK]], bright[order[below > 1 - _BRIGHT]] = True, True
         regions = {"all": everywhere, "dark": dark, "bright": bright}
@@ -132,16 +138,17 @@ def measure(
                 of_kind = errors.setdefault(kind, {region: [] for region in regions})
                 for region, mask in regions.items():
                     of_kind[region].append(error(np.nan_to_num(values), mask))
-        title = f"Maps of {particles} particles of {name}: relative RMS error of the irradiance"
+        where = f" on {shapes}" if shapes else ""
+        title = f"Maps of {particles} particles of {name}: relative RMS error of the irradiance{where}"
         record = Record(title, ("map", *regions))
         for kind, of_kind in errors.items():
             record.add(kind, *(spread(of_kind[r], ".4f") for r in regions))
         count = builder.particles
-        noise = error_of_reference(reference, patches.areas)
+        noise = error_of_reference(reference, patches.areas * everywhere)
         record.notes.append(
             f"{seeds} seeds, median and range; reference: a histogram of {count} particles in {len(patches)} cells, "
-            f"whose own noise of {noise:.4f} is subtracted; dark: the half of the area with least light, bright: the "
-            f"{_BRIGHT:.0%} with most"
+            f"whose own noise of {noise:.4f} is subtracted; dark: the half of the lit area with least light, bright: "
+            f"the {_BRIGHT:.0%} with most"
         )
         yield record
 
@@ -184,6 +191,6 @@ def cost(
         base = statistics.median(build for build, _ in times["histogram"][1:])
         for kind, found in times.items():
             build, query = ([pair[k] for pair in found[1:]] for k in (0, 1))
-            record.add(kind, spread(build), spread(query), f"{statistics.median(build) / base:.2f}")
+            record.add(kind, spread(build, ".3f"), spread(query, ".3f"), f"{statistics.median(build) / base:.2f}")
         record.notes.append(f"{rounds} rounds after one; {cells} cells; the surfaces and their cells are made anew")
         yield record

@@ -17,7 +17,6 @@ from etendue.core import Array, seed_key
 from etendue.display import false_colour, write_png
 from etendue.points import OwenSobol, PointSet
 from etendue.radiosity import (
-    ABuffer,
     HierarchicalMultipath,
     HierarchicalMultipathSettings,
     Part,
@@ -25,8 +24,6 @@ from etendue.radiosity import (
     Patches,
     RayScene,
     grouped,
-    shot_at_patches,
-    solve,
 )
 from etendue.radiosity.hierarchical_multipath.lists import PartRays
 from etendue.radiosity.hierarchical_multipath.parts import Tree
@@ -347,54 +344,3 @@ def _picture(room: Room, values: Array, path: Path) -> None:
     shown = np.append(values, [np.nan, np.nan])[seen].reshape(x.shape)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_png(path, false_colour(shown, 0.002, 0.2))
-
-
-def choice(
-    scenes: Rooms = BOTH,
-    bundles: Annotated[int, typer.Option(min=1, help="Of the A-buffer.")] = 128,
-    lines: Annotated[int, typer.Option(min=1, help="N of multipath.")] = 1 << 17,
-    seeds: Seeds = 4,
-    out: Out = OUT,
-) -> Iterator[Record]:
-    """A table of each scene: error and time of flat A-buffer and system, flat multipath, and multipath with boxes, all
-    from the same reference: boxes keep their bias here."""
-    for name in scenes:
-        yield _choice(Room.of(name), bundles, lines, seeds)
-
-
-def _choice(room: Room, bundles: int, lines: int, seeds: int) -> Record:
-    patches, exact = room.patches, np.mean(room.references[False], axis=0)
-
-    def buffered(seed: int) -> Array:
-        shot = shot_at_patches(RayScene(patches), lines, OwenSobol(4, seed=seed))
-        segments = ABuffer(patches, OwenSobol(4, seed=500 + seed)).cast(bundles)
-        return solve(patches, segments, "conjugate-gradient", shot=shot, tolerance=1e-4).radiosity
-
-    ways = {
-        f"A-buffer, {bundles} bundles, and system": buffered,
-        f"flat multipath, {lines} lines": lambda seed: room.solved(room.method(False, lines, seed=seed)),
-        f"boxes, N = {lines}": lambda seed: room.solved(room.method(True, lines, seed=seed)),
-    }
-    squares, spent = ({name: np.empty(seeds) for name in ways} for _ in range(2))
-    for seed in range(-1, seeds):
-        for name, way in ways.items():
-            begin = time.process_time()
-            found = way(seed + 1)
-            spent[name][seed], squares[name][seed] = (
-                time.process_time() - begin,
-                mean_squared_error(patches, found, exact),
-            )
-    scale = float((patches.areas[:, None] * exact**2).sum() / patches.areas.sum() / exact.shape[1])
-    first = next(iter(ways))
-    record = Record(
-        f"Which method, {room.title}, {seeds} seeds",
-        ("", "relative error", "CPU s", "CPU s to the error of the first"),
-    )
-    for name in ways:
-        error, seconds = np.sqrt(squares[name].mean() / scale), float(np.median(spent[name]))
-        equal = seconds * squares[name].mean() / squares[first].mean()
-        record.add(name, f"{error:.2%}", f"{seconds:.2f}", f"{equal:.2f}")
-    record.notes.append(
-        "time to an equal error as if errors fell as noise does; the bias of boxes does not fall at all"
-    )
-    return record

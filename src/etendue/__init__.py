@@ -11,6 +11,7 @@ from .conformance import check
 from .core import (
     BackendError,
     CheckpointError,
+    ClusterError,
     EtendueError,
     OptionError,
     OutputError,
@@ -29,6 +30,7 @@ plugins.register()  # in every Mitsuba variant that is set, now or later
 __all__ = [
     "BackendError",
     "CheckpointError",
+    "ClusterError",
     "EtendueError",
     "FormFactorResult",
     "OptionError",

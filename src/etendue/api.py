@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from etendue.core import OptionError, Progress, logger, use_variant
+from etendue.distributed import Cluster, opened_cluster
 from etendue.engine import Budget, Checkpoint, Job, Runner, Session, Task
 from etendue.jobs import Outputs, PathLike, PictureWork, Rendering, Update, Writer, run_work, start_work
 
@@ -30,6 +31,8 @@ def render(
     save: PathLike | Sequence[PathLike] = (),
     checkpoint: PathLike | None = None,
     save_every: float | None = None,
+    cluster: Any = None,
+    workers: int | None = None,
     **settings: Any,
 ) -> Rendering:
     """Render ``scene`` by ``method`` and return the picture with its layers and metadata.
@@ -47,14 +50,17 @@ def render(
     intervals of so many seconds. If a pass fails, or at Ctrl-C, the passes so far are written before the error is
     raised.
 
-    Raises :class:`OptionError`, :class:`SceneError`, :class:`OutputError` or :class:`BackendError`, where possible
-    before the first pass, and :class:`engine.RunError` if a later pass fails.
+    ``cluster`` is the address of a Dask scheduler or a ``distributed.Client``, whose workers make the passes; with
+    ``workers``, so many processes of this machine do, which end with the run. See docs/cluster.md.
+
+    Raises :class:`OptionError`, :class:`SceneError`, :class:`OutputError`, :class:`BackendError` or
+    :class:`ClusterError`, where possible before the first pass, and :class:`engine.RunError` if a later pass fails.
     """
     budget, outputs = Budget(seconds, samples, None, error), Outputs.of(save, checkpoint, save_every)
     use_variant(variant)
     chosen = choose_method(method, scene, parameters)
     task = Task(scene, chosen, _named(settings), seed, budget, size, sensor, parameters, memory)
-    return _run(Job.open(task), outputs, callback)
+    return _run(lambda: Job.open(task), outputs, callback, cluster, workers)
 
 
 def start(
@@ -101,6 +107,8 @@ def resume(
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
     save_every: float | None = None,
+    cluster: Any = None,
+    workers: int | None = None,
     **settings: Any,
 ) -> Rendering:
     """Continue the run of a checkpoint, and update the file.
@@ -118,8 +126,9 @@ def resume(
     use_variant(variant)
     kind = methods.get(method if method is not None else saved.method)
     saved.settings_of(kind, _named(settings))
-    job = Job.resume(saved, kind, budget=budget or None, scene=scene)
-    return _run(job, outputs, callback)
+    return _run(
+        lambda: Job.resume(saved, kind, budget=budget or None, scene=scene), outputs, callback, cluster, workers
+    )
 
 
 def choose_method(
@@ -151,16 +160,21 @@ def _named(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     return settings
 
 
-def start_job(open_job: Callable[[], Job], outputs: Writer, callback: Callback | None = None) -> Session[Rendering]:
+def start_job(
+    open_job: Callable[[], Job], outputs: Writer, callback: Callback | None = None, cluster: Cluster | None = None
+) -> Session[Rendering]:
     """A session that opens a job in its thread, runs it and writes ``outputs``, also if a pass fails.
 
-    ``callback`` is called in that thread after each pass.
+    ``callback`` is called in that thread after each pass. ``cluster`` makes the passes, and stays open.
     """
-    return start_work(lambda: PictureWork(open_job(), outputs), _watch(callback))
+    return start_work(lambda: PictureWork(open_job(), outputs, cluster), _watch(callback))
 
 
-def _run(job: Job, outputs: Outputs, callback: Callback | None) -> Rendering:
-    return run_work(PictureWork(job, outputs), _watch(callback))
+def _run(
+    open_job: Callable[[], Job], outputs: Outputs, callback: Callback | None, cluster: Any, workers: int | None
+) -> Rendering:
+    with opened_cluster(cluster, workers) as opened:
+        return run_work(PictureWork(open_job(), outputs, opened), _watch(callback))
 
 
 def _watch(callback: Callback | None) -> Callable[[Progress, Runner], object] | None:

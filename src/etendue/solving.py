@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from etendue.core import OptionError, Progress, use_variant
+from etendue.distributed import opened_cluster
 from etendue.engine import Checkpoint, Runner, Session
 from etendue.jobs import FormFactorResult, PathLike, RadiosityResult, listed, run_work, start_work
 
@@ -39,6 +40,8 @@ def compute_form_factors(
     checkpoint: PathLike | None = None,
     save_every: float | None = None,
     resume: PathLike | None = None,
+    cluster: Any = None,
+    workers: int | None = None,
 ) -> FormFactorResult:
     """Form factors of patches, by lines through the whole scene.
 
@@ -62,13 +65,15 @@ def compute_form_factors(
         are stored in a folder beside it instead of memory.
     resume: a checkpoint of the same patches, seed and options to continue; ``bundles`` and ``error`` are limits of the
         whole, ``seconds`` are those of this run.
+    cluster, workers: what casts the lines, see :func:`etendue.render`.
 
     Raises :class:`OptionError`, :class:`SceneError`, :class:`OutputError` or :class:`CheckpointError`, where possible
     before lines are cast, and :class:`etendue.engine.RunError` if a later pass fails. In this case, and at Ctrl-C, the
     checkpoint is written first, if one is named. If the lines cannot be evaluated, the error says where they are kept.
     """
-    open_work, watch = _form_factors(**locals())
-    return run_work(open_work(), watch)
+    asked = locals()
+    device = asked.pop("cluster"), asked.pop("workers")
+    return _run(*_form_factors(**asked), *device)
 
 
 def start_form_factors(
@@ -130,6 +135,8 @@ def solve_radiosity(
     checkpoint: PathLike | None = None,
     save_every: float | None = None,
     resume: PathLike | None = None,
+    cluster: Any = None,
+    workers: int | None = None,
 ) -> RadiosityResult:
     """Radiosities of the surfaces of a scene; all materials are treated as diffuse.
 
@@ -166,14 +173,18 @@ def solve_radiosity(
 
     The other arguments and the errors are those of :func:`compute_form_factors`.
     """
-    request, open_work, watch = _radiosity(**locals())
+    asked = locals()
+    device = asked.pop("cluster"), asked.pop("workers")
+    request, open_work, watch = _radiosity(**asked)
     if request.is_instant:
         from etendue.jobs import solve_ambient
 
+        if device != (None, None):
+            raise OptionError("an ambient solution has no passes for workers: leave out cluster= and workers=")
         if resume is not None:
             raise OptionError("an ambient solution needs no lines: leave out resume=, or give bounces=")
         return solve_ambient(request)
-    return run_work(open_work(), watch)
+    return _run(open_work, watch, *device)
 
 
 def start_radiosity(
@@ -220,6 +231,13 @@ def start_radiosity(
     if request.is_instant:
         raise OptionError("an ambient solution is there at once: take solve_radiosity, or give bounces=")
     return start_work(open_work, watch)
+
+
+def _run(open_work: Callable[[], Any], watch: Any, cluster: Any, workers: int | None) -> Any:
+    with opened_cluster(cluster, workers) as opened:
+        work = open_work()
+        work.cluster = opened
+        return run_work(work, watch)
 
 
 def _form_factors(

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from etendue.core import OptionError, Progress, use_variant
 from etendue.engine import Budget
 from etendue.jobs import ParticleRequest, ParticleResult, ParticleWork, PathLike, run_work
+from etendue.methods import ParticleTracing
 from etendue.particles import ParticleFile, Particles
 
 #: Called after each pass; ``False`` ends the tracing.
@@ -30,6 +31,7 @@ def trace_particles(
     callback: Callback | None = None,
     save: PathLike | None = None,
     codec: str | None = None,
+    method: str | None = None,
     resume: PathLike | None = None,
     **settings: Any,
 ) -> ParticleResult:
@@ -37,7 +39,8 @@ def trace_particles(
 
     ``scene``: as for :func:`etendue.render`. ``paths``, ``particles`` (about so many) and ``seconds`` limit the run;
     the first limit that is reached ends it. Without limits, a million paths. ``settings`` are those of
-    :class:`etendue.methods.ParticleTracing`: ``keep``, ``after``, ``specular``, ``max_bounces`` and others.
+    :class:`etendue.methods.ParticleTracing`: ``keep``, ``after``, ``specular``, ``max_bounces`` and others. ``method``:
+    ``metropolis_particles`` traces by :class:`etendue.methods.MetropolisParticles`, whose paths are steps of chains.
 
     The result has the :class:`etendue.particles.Particles` in memory, unless ``save`` names a new file to which they
     are written pass by pass, by a ``codec`` (``packed`` by default, see docs/particles.md). ``resume`` names such a
@@ -51,7 +54,14 @@ def trace_particles(
     """
     use_variant(variant)
     if resume is not None:
-        given = {"seed": seed, "parameters": parameters, "memory": memory, "save": save, "codec": codec} | settings
+        given = {
+            "seed": seed,
+            "parameters": parameters,
+            "memory": memory,
+            "save": save,
+            "codec": codec,
+            "method": method,
+        } | settings
         ignored = [f"{name}=" for name, value in given.items() if value is not None]
         if ignored:
             raise OptionError(f"a resumed file has {', '.join(ignored)} of its own; leave them out, or trace anew")
@@ -63,7 +73,8 @@ def trace_particles(
             paths=paths,
             particles=particles,
             seconds=seconds,
-            codec="packed" if codec is None else codec,
+            codec=codec or "packed",
+            method=method or ParticleTracing.name,
             settings=settings,
             seed=0 if seed is None else seed,
             parameters=parameters,

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from etendue.core import RELATIVE_EPSILON, EtendueError, Iterations, Measurement
+from etendue.core import CONTRAST, RELATIVE_EPSILON, EtendueError, Iterations, Measurement
 
 
 def one_pass(iteration, value, weight=1.0, replica=0):
@@ -148,6 +148,24 @@ def test_variance_of_a_weighted_mean_over_many_runs(power):
     error = estimates.std() / np.sqrt(runs)
     assert error < 0.01 * truth
     assert abs(estimates.mean() - truth) < 4.0 * error + (0.0 if power == 1.0 else 0.05) * truth
+
+
+def test_the_contrast_of_two_halves_tells_the_error_of_dependent_passes():
+    """All passes of a half have the same error, which their scatter does not show."""
+    rng, found, reported = np.random.default_rng(5), [], []
+    for _ in range(200):
+        halves = 2.0 + rng.normal(0.0, 0.3, (2, 8))
+        total = None
+        for iteration in range(4):
+            sums = {"image": halves.sum(0), "image" + CONTRAST: halves[0] - halves[1]}
+            one = Measurement(sums, dict.fromkeys(sums, 2.0), Iterations.single(iteration))
+            total = one if total is None else total + one
+        assert total.has_error()
+        total.scale(0.5)
+        found.append(total.mean())
+        reported.append(total.variance_of_mean())
+    assert np.mean(reported) == pytest.approx(0.3**2 / 2.0, rel=0.1)
+    assert np.var(found) == pytest.approx(0.3**2 / 2.0, rel=0.1)
 
 
 def test_relative_error_of_one_pass_is_unknown():

@@ -224,8 +224,10 @@ def test_script_runs_in_a_browser(comparison, tmp_path):
         "<script>const wait = setInterval(() => { if (document.documentElement.dataset.ready !== 'true') return;"
         "clearInterval(wait); const set = (id, v) => { const e = document.getElementById(id); e.value = v;"
         "e.dispatchEvent(new Event('input')); }; set('position', 20); set('exposure', 2);"
-        "const c = document.querySelector('figure canvas');"
-        "document.body.dataset.pixel = c.getContext('2d').getImageData(9, 7, 1, 1).data.join(' ');"
+        "const c = document.querySelector('figure canvas'), curve = document.getElementById('curve');"
+        "for (const name of ['srgb', 'exponential', 'agx']) { curve.value = name;"
+        "curve.dispatchEvent(new Event('change'));"
+        "document.body.dataset[name] = c.getContext('2d').getImageData(9, 7, 1, 1).data.join(' '); }"
         "}, 20)</script></body>"
     )
     page = (tmp_path / "page.html").read_text().replace("</body>", act)
@@ -238,9 +240,10 @@ def test_script_runs_in_a_browser(comparison, tmp_path):
     assert re.search(r"clip-path: inset\(0(px)? 80% 0(px)? 0(px)?\)", dom)
     from etendue.display import auto_exposure, tonemap
 
-    expected = tonemap(entries[0].image, auto_exposure(reference) + 2.0)[7, 9].astype(int)
-    shown = np.array([int(v) for v in re.search(r'data-pixel="([\d ]+)"', dom).group(1).split()])
-    assert np.abs(shown[:3] - expected).max() <= 3 and shown[3] == 255
+    for curve in ("srgb", "exponential", "agx"):
+        expected = tonemap(entries[0].image, auto_exposure(reference) + 2.0, curve)[7, 9].astype(int)
+        shown = np.array([int(v) for v in re.search(rf'data-{curve}="([\d ]+)"', dom).group(1).split()])
+        assert np.abs(shown[:3] - expected).max() <= 3 and shown[3] == 255
 
 
 def test_a_pyramid_is_a_triangle_of_its_own(comparison):

@@ -6,6 +6,7 @@ import importlib.util
 import re
 import shlex
 import shutil
+from contextlib import nullcontext
 from pathlib import Path
 
 import mitsuba as mi
@@ -14,8 +15,8 @@ import pytest
 from support.run_files import SCENE, example
 
 import etendue
-from etendue import api, methods
-from etendue.cli import rendering, solutions
+from etendue import api, display, methods
+from etendue.cli import options, rendering, solutions
 from etendue.cli.experiments import compare
 from etendue.cli.inspection import doctor
 from etendue.cli.main import main
@@ -136,8 +137,11 @@ def folder(tmp_path_factory, variant):
     path = tmp_path_factory.mktemp("shell")
     (path / "scene.xml").write_text(SCENE)
     api.render(path / "scene.xml", "path", save=path / "converged.exr", checkpoint=path / "picture.checkpoint")
+    film = {"samples": 2, "size": (8, 6), "bootstrap": 1024}
+    api.render(path / "scene.xml", "film_metropolis", checkpoint=path / "caustics.checkpoint", **film)
     (path / "experiment.toml").write_text(example((24, 18), "20, 60"))
-    shutil.copy(path / "converged.exr", path / "reference.exr")
+    for copy in ("reference.exr", "picture.exr", "mitsuba.exr"):
+        shutil.copy(path / "converged.exr", path / copy)
     (path / "hall.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     triangle = np.eye(3), [("triangle", np.array([[0, 1, 2]]))]
     for name, arrays in (("hall", {"rho": [[0.5]], "exitance": [[1.0]], "wall": [[0]]}), ("oven", {"T": [[500.0]]})):
@@ -154,12 +158,14 @@ def test_commands_are_understood(command, folder, monkeypatch, capsys):
     begun = []
     monkeypatch.chdir(folder)
     monkeypatch.setattr(rendering, "choose_device", lambda variant, threads: None)
+    monkeypatch.setattr(options.Device, "opened", lambda device: nullcontext())
     monkeypatch.setattr(rendering, "render_to_files", lambda *arguments: begun.append(arguments) or 0)
     monkeypatch.setattr(compare.Comparison, "run", lambda *arguments: begun.append(arguments) or 0)
     monkeypatch.setattr(solutions, "cast", lambda *arguments: begun.append(arguments) or rendering.Outcome(None, 0))
     monkeypatch.setattr(rendering, "follow", lambda *arguments: begun.append(arguments) or rendering.Outcome(None, 0))
     for name in ("solution_to_files", "exact_to_files"):
         monkeypatch.setattr(solutions, name, lambda *arguments: begun.append(arguments))
+    monkeypatch.setattr(display, "develop", lambda layers, *_, **__: begun.append(layers) or layers["image"])
     monkeypatch.setattr(doctor, "run_doctor", lambda *arguments: begun.append(arguments) or 0)
     words = shlex.split(command, comments=True)[1:]
     if words[:2] == ["particles", "trace"]:  # refuses to overwrite the file that the others read
@@ -169,6 +175,15 @@ def test_commands_are_understood(command, folder, monkeypatch, capsys):
 
 
 def test_there_are_commands_of_every_kind():
-    assert {"render", "resume", "run", "compare", "methods", "doctor", "radiosity", "form-factors", "particles"} <= {
-        command.split()[1] for command in COMMANDS
-    }
+    assert {
+        "render",
+        "resume",
+        "run",
+        "compare",
+        "develop",
+        "methods",
+        "doctor",
+        "radiosity",
+        "form-factors",
+        "particles",
+    } <= {command.split()[1] for command in COMMANDS}

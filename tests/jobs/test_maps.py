@@ -9,8 +9,9 @@ from etendue import trace_particles
 from etendue.core import OptionError
 from etendue.film import read_exr
 from etendue.jobs import FileSource, MapOptions, make_map, write_map
+from etendue.jobs.maps import making
 from etendue.scene import load
-from etendue.surfaces import SurfaceError, irradiance_at, read_map
+from etendue.surfaces import MapSurfaces, SurfaceError, irradiance_at, read_map
 
 PATHS = 20_000
 
@@ -47,6 +48,17 @@ def test_passes_are_one_map(traced, monkeypatch):
     np.testing.assert_allclose(by_parts.map.values, at_once.map.values, rtol=1e-4)
     np.testing.assert_allclose(by_parts.map.errors, at_once.map.errors, rtol=1e-2, atol=1e-5)
     assert len(told) > 2
+
+
+def test_bandwidths_are_of_all_particles(traced, monkeypatch):
+    """Files are sorted by surface: a rule must not see the first batch alone. A part of all is nearly as good."""
+    path, problem = traced
+    surfaces = MapSurfaces(problem, 100)
+    whole = making._widths(surfaces, FileSource(path).file.read(), MapOptions("kernel"))
+    monkeypatch.setattr("etendue.jobs.maps.sources._BATCH", 3000)
+    np.testing.assert_allclose(making._widths(surfaces, FileSource(path), MapOptions("kernel")), whole)
+    monkeypatch.setattr(making, "_SAMPLE", 20_000)
+    np.testing.assert_allclose(making._widths(surfaces, FileSource(path), MapOptions("kernel")), whole, rtol=0.05)
 
 
 def test_files(traced, tmp_path):

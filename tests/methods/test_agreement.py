@@ -30,17 +30,17 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "vegas": ("vegas", {}),
     "stratified": ("stratified", {}),
     "pssmlt": ("pssmlt", {"bootstrap": 1 << 14}),
-    "mmlt": ("mmlt", {"bootstrap": 1 << 14}),
 }
 #: Methods whose passes depend on each other: independent runs have the variance.
 DEPENDENT = ("guided", "vegas", "pssmlt", "mmlt")
 #: Those that trace paths of the lights as well.
-BOTH_WAYS = ("bpt cache", "bpt path", "light", "mmlt", "pssmlt bidirectional")
+BOTH_WAYS = ("bpt cache", "bpt path", "light")
 #: What only the slow table runs.
 MORE = {
     "path power": ("path", {"heuristic": "power"}),
     "bpt counts": ("bpt", {"connections": 3, "next_events": 2, "light_paths": 0.5}),
     "vegas one path": ("vegas", {"one_path": True, "groups": "film; light; bounce", "learning": "stratified"}),
+    "mmlt": ("mmlt", {"bootstrap": 1 << 14}),
     "pssmlt bidirectional": ("pssmlt", {"bootstrap": 1 << 14, "estimator": "bidirectional"}),
     "stratified joint": ("stratified", {"parameters": "light1 bounce1", "bsdf_sampling": False}),
 }

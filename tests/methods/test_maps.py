@@ -22,6 +22,7 @@ from etendue.surfaces import (
     PatchMap,
     SurfaceError,
     irradiance_at,
+    read_map,
     save_map,
     scene_patches,
     solution_map,
@@ -151,7 +152,7 @@ def mean_of(problem, made):
     return ended(problem, "path", made, passes=1, samples=512).mean.mean()
 
 
-def test_maps_of_all_kinds_agree(box):
+def test_maps_of_all_kinds_agree(box, tmp_path):
     """The mean picture of the diffuse Cornell box as maps show it: histogram, kernels, photon map and radiosity, within
     5 % of path tracing and of each other."""
     problem, made, exact = box
@@ -161,6 +162,10 @@ def test_maps_of_all_kinds_agree(box):
     photons = photon_hits(prepared(problem, "pm", photons=50_000).shoot(0, 1), problem)
     patches = scene_patches(problem, max_area=0.05)
     solution = radiosity.solve(patches, radiosity.ABuffer(patches).cast(200))
+    radiosity.save_solution(tmp_path / "solution.npz", solution)
+    read = read_map(tmp_path / "solution.npz", problem)
+    np.testing.assert_array_equal(read.values, solution.irradiance)
+    assert read.kind == "radiosity"
     every = [made, builder.build(), NearestMap(surfaces, photons, 50), solution_map(solution, space=problem.space)]
     means = np.array([mean_of(problem, each) for each in every])
     assert np.abs(means / exact.mean() - 1).max() < 0.05

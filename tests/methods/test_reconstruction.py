@@ -85,6 +85,18 @@ def test_layers_are_filtered_as_the_picture_is(method):
     np.testing.assert_allclose(split.mean("albedo").mean(), hits.mean("albedo").mean(), rtol=0.02)
 
 
+def test_the_variance_of_the_mean_is_a_layer():
+    """With first hits, from the second pass on: the scatter of the passes over their number."""
+    problem = scenes.room("sphere", scenes.FEW, rfilter="gaussian")
+    runner = prepared(problem, "path", aovs=True, samples_per_pass=4)
+    passes = [runner.step(i, 1) for i in range(4)]
+    assert "variance" not in runner.develop(passes[0]).layers
+    layers = runner.develop(sum(passes[1:], passes[0])).layers
+    expected = np.var([p.mean() for p in passes], axis=0, ddof=1) / 4
+    np.testing.assert_allclose(layers["variance"], expected, rtol=1e-4, atol=1e-9)
+    assert "variance" not in prepared(problem, "path").develop(sum(passes[1:], passes[0])).layers
+
+
 def test_passes_in_any_order_give_the_same_bits():
     """No sum of a pass depends on an order: nothing is scattered."""
     problem = scenes.room("sphere", scenes.FEW, rfilter="mitchell")

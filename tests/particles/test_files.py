@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from support.particles import POWER, box, sorted_rows
-from support.scenes import diffuse
+from support.scenes import camera, diffuse
 
 import etendue
 from etendue.core import CheckpointError, EtendueError, OptionError, OutputError
@@ -212,8 +212,10 @@ def test_particles_of_another_scene_do_not_go_on(tmp_path):
     with pytest.raises(CheckpointError, match="the scene is not the one"):
         etendue.trace_particles(other.scene, resume=path)
     with pytest.raises(ParticleError, match="has particles of another scene"):
-        ParticleFile(path).require_scene(other.fingerprint)
-    ParticleFile(path).require_scene(load(scene()).fingerprint)
+        ParticleFile(path).require_scene(other)
+    from_elsewhere = load(box() | {"sensor": camera(size=(40, 30), origin=(0.5, 0.0, 0.5), target=(0.0, 0.0, 0.0))})
+    ParticleFile(path).require_scene(from_elsewhere)
+    assert from_elsewhere.fingerprint != ParticleFile(path).header["fingerprint"]
     assert len(ParticleFile(path).passes) == 2
 
 

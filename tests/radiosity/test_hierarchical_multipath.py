@@ -392,7 +392,7 @@ def test_light_that_backs_of_faces_take_is_reported(caplog):
 def test_what_waits_at_boxes_counts_as_memory(monkeypatch):
     monkeypatch.setattr(method, "free_memory", lambda: 50e6)
     solved(hall(3), lines=1 << 12, shot=0)
-    with pytest.raises(RadiosityError, match="3 boxes of 1200000 regions need"):
+    with pytest.raises(RadiosityError, match="4800000 regions of boxes need"):
         solved(hall(3), lines=1 << 12, grid=100, sectors=10, rings=2, shot=0)
 
 

@@ -273,3 +273,28 @@ def test_surfaces_without_a_map():
     scene |= {"group": group, "copy": {"type": "instance", "shapegroup": {"type": "ref", "id": "group"}}}
     with pytest.raises(UnsupportedError, match="is not tessellated"):
         MapSurfaces(load(scene))
+
+
+def test_a_small_scene_far_from_the_origin():
+    """In render space: lengths, areas and irradiance are the scene's own."""
+    side, centre = 0.05, np.array([64.0, 0.0, 0.0])
+    place = mi.ScalarTransform4f().translate(list(centre)).rotate([1, 0, 0], -90).scale(side)
+    scene = {
+        "type": "scene",
+        "light": {"type": "constant"},
+        "plane": {"type": "rectangle", "to_world": place, "bsdf": diffuse(0.5, 0.5, 0.5)},
+        "sensor": camera([*centre, 0, 0.2, 0], centre),
+    }
+    problem = load(scene)
+    assert not problem.space.is_own
+    surfaces = MapSurfaces(problem, 100)
+    x = np.random.default_rng(2).uniform(-side, side, (30_000, 2))
+    hits = particles(np.column_stack([x[:, 0], 0 * x[:, 0], x[:, 1]]) + centre, COLOUR * (4 * side**2 / len(x)))
+    builders = HistogramBuilder(surfaces), KernelBuilder(surfaces, 0.02, boundary="reflect")
+    for builder in builders:
+        builder.add(hits)
+    points = centre + np.array([[0, 0, 0], [0.03, 0, 0.03], [-side, 0, side]]) * 0.999
+    for made in (*(builder.build() for builder in builders), NearestMap(surfaces, hits, 500)):
+        value, error = irradiance_at(made, points, np.tile(UP, (3, 1)))
+        assert (np.abs(value - COLOUR) < 5 * error).all(), made.kind
+        assert (error < 0.15 * COLOUR).all()

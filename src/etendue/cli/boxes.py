@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from etendue.core import OptionError, format_seconds
 
+from . import options as opt
 from . import radiosity_outputs as out
 from .console import error_console, note, say
 from .options import parse_pairs
@@ -44,20 +45,18 @@ def box_settings(
     return split_settings(given)
 
 
-def solve_hierarchy(
-    request: HierarchyRequest, saved: Checkpoint | None, variant: str | None, threads: int | None
-) -> int:
+def solve_hierarchy(request: HierarchyRequest, saved: Checkpoint | None, device: opt.Device) -> int:
     """From a request to files. Returns the exit status."""
     from etendue.jobs import HierarchyWork
 
-    from .rendering import choose_device
     from .solutions import cast
 
-    choose_device(variant, threads)
+    device.choose()
     began, console = time.perf_counter(), error_console()
     work = HierarchyWork(request, saved, tell=lambda text: note(console, text))
     _describe(work)
-    outcome = cast(work)
+    with device.opened() as work.cluster:
+        outcome = cast(work)
     if outcome.result is None:
         return outcome.exit_code
     with console.status("writing") as status:
@@ -69,7 +68,7 @@ def solve_hierarchy(
 
 
 def resume_hierarchy(
-    saved: Checkpoint, checkpoint: Path, output: Sequence[Path], variant: str | None, threads: int | None, **asked: Any
+    saved: Checkpoint, checkpoint: Path, output: Sequence[Path], device: opt.Device, **asked: Any
 ) -> int:
     """Go on with a checkpoint, and write its file anew."""
     from etendue.jobs import HierarchyRequest, asked_before
@@ -84,7 +83,7 @@ def resume_hierarchy(
         wording=out.Options(),
         **asked,
     )
-    return solve_hierarchy(request, saved, variant, threads)
+    return solve_hierarchy(request, saved, device)
 
 
 def _describe(work: HierarchyWork) -> None:

@@ -20,6 +20,7 @@ from etendue.core import EtendueError, OptionError, describe, logger
 from . import options as opt
 from .boxes import HIERARCHY, resume_hierarchy
 from .console import ConsoleHandler, error_console, note, print_error, say
+from .developing import develop
 from .film_picture import film_picture
 from .particle_maps import app as particles
 from .particles import resume_particles
@@ -125,6 +126,10 @@ def resume(
     variant: opt.Variant = None,
     threads: opt.Threads = None,
     save_every: opt.SaveEvery = 60.0,
+    tone: opt.Tone = "srgb",
+    exposure: opt.Exposure = "auto",
+    cluster: opt.Cluster = None,
+    workers: opt.Workers = None,
     debug: opt.Debug = False,
 ) -> int:
     """Continue an interrupted or finished render; the checkpoint is updated.
@@ -148,17 +153,18 @@ def resume(
         return resume_particles(checkpoint, scene, paths, particles, time, variant, threads)
     if (paths, particles) != (None, None):
         raise OptionError(f"{checkpoint} is no file of particles: --paths and --particles do not apply")
+    device = opt.Device(variant, threads, cluster, workers)
     saved = Checkpoint.read(checkpoint)
     if saved.method in LINES:
         if (spp, method, define) != (None, None, None):
             raise OptionError(f"{checkpoint} is a checkpoint of radiosity: --spp, -m and -D do not apply")
         limits = {"bundles": bundles, "points": points, "seconds": time, "error": error}
-        return resume_lines(saved, checkpoint, output or [], scene, limits, save_every, variant, threads)
+        return resume_lines(saved, checkpoint, output or [], scene, limits, save_every, device)
     if saved.method == HIERARCHY:
         if (spp, points, method, define) != (None, None, None, None):
             raise OptionError(f"{checkpoint} has passes of lines: --spp, --points, -m and -D do not apply")
         asked = {"source": scene, "bundles": bundles, "seconds": time, "error": error, "save_every": save_every}
-        return resume_hierarchy(saved, checkpoint, output or [], variant, threads, **asked)
+        return resume_hierarchy(saved, checkpoint, output or [], device, **asked)
     if (bundles, points) != (None, None):
         raise OptionError(f"{checkpoint} is a checkpoint of a picture: --bundles and --points do not apply")
     kind = methods.get(saved.method if method is None else method)
@@ -175,18 +181,24 @@ def resume(
             recorder.check(job)
             return job
 
-        with recorder:
-            return render_to_files(open_job, recorder, saved.method)
+        with recorder, device.opened() as opened:
+            return render_to_files(open_job, recorder, saved.method, opened)
     beside = [checkpoint.with_suffix(suffix) for suffix in (".exr", ".png")]
-    outputs = Outputs.of(output or [p for p in beside if p.exists()] or beside[:1], checkpoint, save_every)
+    outputs = Outputs.of(
+        output or [p for p in beside if p.exists()] or beside[:1], checkpoint, save_every, False, tone, exposure
+    )
     choose_device(variant, threads)
-    return render_to_files(lambda: Job.resume(saved, kind, budget=budget or rest(), scene=scene), outputs, saved.method)
+    with device.opened() as opened:
+        return render_to_files(
+            lambda: Job.resume(saved, kind, budget=budget or rest(), scene=scene), outputs, saved.method, opened
+        )
 
 
 app.command()(film_picture)
 app.command()(run)
 app.command()(compare)
 app.command()(demo)
+app.command()(develop)
 
 
 @app.command()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -13,6 +15,7 @@ import typer
 from etendue.core import OptionError
 
 if TYPE_CHECKING:
+    from etendue.distributed import Cluster as OpenedCluster
     from etendue.engine import Budget
 
 _TIME = re.compile(r"^(?:(?P<h>[\d.]+)h)?(?:(?P<m>[\d.]+)m(?:in)?)?(?:(?P<s>-?[\d.]+(?:e[+-]?\d+)?)s?)?$")
@@ -24,6 +27,33 @@ class Size(NamedTuple):
 
     width: int
     height: int
+
+
+@dataclass(frozen=True)
+class Device:
+    """Where passes are made: the Mitsuba variant and threads, and a cluster or local worker processes."""
+
+    variant: str | None
+    threads: int | None
+    cluster: str | None = None
+    workers: int | None = None
+
+    def choose(self) -> None:
+        """Set the variant and the number of threads of this process."""
+        from .rendering import choose_device
+
+        choose_device(self.variant, self.threads)
+
+    def opened(self) -> AbstractContextManager[OpenedCluster | None]:
+        """The cluster, if one is asked for; local workers end with the block."""
+        from etendue.distributed import opened_cluster
+
+        return opened_cluster(self.cluster, self.workers, self.threads)
+
+    def check_alone(self, option: str) -> None:
+        """Raise :class:`OptionError` if workers are asked for together with an option that makes no passes."""
+        if (self.cluster, self.workers) != (None, None):
+            raise OptionError(f"with {option} there are no passes for workers: leave out --cluster and --workers")
 
 
 def parse_time(text: str | float, option: str = "--time") -> float:
@@ -63,6 +93,15 @@ def budget(time: float | None, spp: int | None, error: float | None) -> Budget:
         if value is not None and not 0 < value < math.inf:
             raise OptionError(f"{option} must be above 0, not {value:g}")
     return Budget(time, spp, None, error)
+
+
+def parse_exposure(text: str | float) -> float | str:
+    """Stops, or ``auto``. Raises :class:`OptionError`."""
+    text = str(text).strip()
+    try:
+        return text if text == "auto" else float(text)
+    except ValueError:
+        raise OptionError(f"--exposure needs a number of stops or 'auto', not '{text}'") from None
 
 
 def parse_memory(text: str) -> int:
@@ -185,6 +224,18 @@ MaxDepth = Annotated[
     typer.Option("--max-depth", help="Longest path in edges, -1 for unlimited; by default the scene's.", metavar="N"),
 ]
 Threads = Annotated[int | None, typer.Option("--threads", help="CPU threads to use.", metavar="N")]
+Cluster = Annotated[
+    str | None,
+    typer.Option(
+        "--cluster", help="Make the passes on a Dask cluster: its address, as tcp://host:8786.", metavar="ADDRESS"
+    ),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        "--workers", help="Make the passes in so many processes, which share the threads.", min=1, metavar="N"
+    ),
+]
 SaveEvery = Annotated[
     float | None,
     typer.Option(
@@ -204,10 +255,24 @@ Output = Annotated[
     list[Path] | None,
     typer.Option("-o", "--output", help="Picture: .exr (all layers, metadata) or .png; repeatable.", metavar="FILE"),
 ]
+Tone = Annotated[
+    str,
+    typer.Option(
+        "--tone",
+        help="Tone curve of a .png: srgb, gamma, logarithmic, exponential, s-curve, reinhard, filmic, aces or agx.",
+        metavar="NAME",
+    ),
+]
+Exposure = Annotated[
+    Any,
+    typer.Option(
+        "--exposure", help="Exposure of a .png in stops (1 doubles), or auto.", parser=parse_exposure, metavar="EV"
+    ),
+]
 Folder = Annotated[
     Path, typer.Option("-o", "--output", help="Folder for pictures and page; created if needed.", metavar="DIR")
 ]
-Aovs = Annotated[bool, typer.Option("--aovs", help="Add first-hit layers: albedo, normal, depth.")]
+Aovs = Annotated[bool, typer.Option("--aovs", help="Add layers for denoisers: albedo, normal, depth; variance.")]
 Pyramid = Annotated[
     bool, typer.Option("--pyramid", help="Add a layer for each technique (s, t), weighted and unweighted.")
 ]

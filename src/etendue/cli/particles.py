@@ -63,6 +63,10 @@ def trace(
         bool, typer.Option("--specular", help="Also keep hits on surfaces without a diffuse or glossy part.")
     ] = False,
     codec: CodecName = "packed",
+    method: Annotated[
+        str,
+        typer.Option("--method", "-m", help="particles (independent paths) or metropolis_particles.", metavar="NAME"),
+    ] = "particles",
     define: opt.Define = None,
     param: opt.Param = None,
     seed: opt.Seed = 0,
@@ -94,6 +98,7 @@ def trace(
         particles=particles,
         seconds=time,
         codec=codec,
+        method=method,
         settings=settings,
         seed=seed,
         parameters=opt.parse_pairs(param, "-P"),

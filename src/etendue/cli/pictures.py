@@ -50,6 +50,10 @@ def render(
         typer.Option(help="Checkpoint for `etendue resume`; by default beside the first picture.", metavar="FILE"),
     ] = None,
     no_checkpoint: Annotated[bool, typer.Option("--no-checkpoint", help="Write no checkpoint.")] = False,
+    tone: opt.Tone = "srgb",
+    exposure: opt.Exposure = "auto",
+    cluster: opt.Cluster = None,
+    workers: opt.Workers = None,
     debug: opt.Debug = False,
 ) -> int:
     """Render a scene.
@@ -76,7 +80,7 @@ def render(
     task = Task(found, chosen, settings, seed, budget, size, sensor, parameters, memory)
     pictures = output or [Path(f"{default_name(found)}-{chosen.name}.exr")]
     beside = pictures[0].parent / f"{pictures[0].stem}.checkpoint"
-    outputs = Outputs.of(pictures, None if no_checkpoint else checkpoint or beside, save_every)
+    outputs = Outputs.of(pictures, None if no_checkpoint else checkpoint or beside, save_every, False, tone, exposure)
 
     def open_job() -> Job:
         job = Job.open(task)
@@ -84,12 +88,15 @@ def render(
             note(error_console(), text)
         return job
 
-    return render_to_files(open_job, outputs, chosen.name)
+    with opt.Device(variant, threads, cluster, workers).opened() as opened:
+        return render_to_files(open_job, outputs, chosen.name, opened)
 
 
 def run(
     file: Annotated[Path, typer.Argument(help="Run file in TOML, see docs/run-files.md.", metavar="FILE")],
     check: Annotated[bool, typer.Option("--check", help="Only check the file and the files that it names.")] = False,
+    cluster: opt.Cluster = None,
+    workers: opt.Workers = None,
     debug: opt.Debug = False,
 ) -> int:
     """Render the experiment of a run file: scene, camera, method, budget, saves at given times, error against a
@@ -120,8 +127,8 @@ def run(
     if check:
         say(f"{file} is in order: {wanted.describe(open_job())}")
         return 0
-    with recorder:
-        return render_to_files(open_job, recorder, task.method.name)
+    with recorder, opt.Device(wanted.variant, wanted.threads, cluster, workers).opened() as opened:
+        return render_to_files(open_job, recorder, task.method.name, opened)
 
 
 def compare(
@@ -148,6 +155,8 @@ def compare(
     pyramid: opt.Pyramid = False,
     pyramid_depth: opt.PyramidDepth = None,
     no_bsdf_sampling: opt.NoBsdfSampling = False,
+    cluster: opt.Cluster = None,
+    workers: opt.Workers = None,
     debug: opt.Debug = False,
 ) -> int:
     """Render a scene by several methods for the same time, and write a page that compares them.
@@ -177,7 +186,8 @@ def compare(
     console = error_console()
     for text in notes:
         note(console, text)
-    return Comparison(wanted, output, reference).run(console)
+    with opt.Device(variant, threads, cluster, workers).opened() as opened:
+        return Comparison(wanted, output, reference, cluster=opened).run(console)
 
 
 def demo(

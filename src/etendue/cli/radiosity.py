@@ -92,6 +92,8 @@ def form_factors(
     variant: opt.Variant = None,
     param: opt.Param = None,
     threads: opt.Threads = None,
+    cluster: opt.Cluster = None,
+    workers: opt.Workers = None,
     debug: opt.Debug = False,
 ) -> int:
     """Compute the form factors (view factors) of a mesh or scene, each face a patch, by lines through all of it.
@@ -101,6 +103,7 @@ def form_factors(
     """
     from etendue.jobs import FormFactorRequest, FormFactorWork
 
+    device = opt.Device(variant, threads, cluster, workers)
     if exact and (bundles, time, error, checkpoint, hierarchy) != (None, None, None, None, None):
         raise OptionError("--exact casts no lines: leave out --bundles, --time, --error, --checkpoint and --hierarchy")
     request = FormFactorRequest(
@@ -125,8 +128,9 @@ def form_factors(
         wording=out.Options(),
     )
     if exact:
-        return _run_exact(request, variant, threads)
-    return _run(request, lambda **options: FormFactorWork(request, **options), variant, threads)
+        device.check_alone("--exact")
+        return _run_exact(request, device)
+    return _run(request, lambda **options: FormFactorWork(request, **options), device)
 
 
 def radiosity(
@@ -205,6 +209,8 @@ def radiosity(
     variant: opt.Variant = None,
     param: opt.Param = None,
     threads: opt.Threads = None,
+    cluster: opt.Cluster = None,
+    workers: opt.Workers = None,
     debug: opt.Debug = False,
 ) -> int:
     """Compute the radiosities of a scene's or mesh's surfaces, each face a patch; all materials are treated as diffuse.
@@ -214,6 +220,7 @@ def radiosity(
     """
     from etendue.jobs import RadiosityRequest, SolutionOutputs, radiosity_work
 
+    device = opt.Device(variant, threads, cluster, workers)
     asked: dict[str, Any] = dict(
         source=scene,
         solver=solver,
@@ -261,17 +268,19 @@ def radiosity(
 
         if solution is not None:
             raise OptionError("--solution is there already: leave out --hierarchy")
-        return solve_hierarchy(HierarchyRequest(**asked, **groups, hierarchy=boxes), None, variant, threads)
+        return solve_hierarchy(HierarchyRequest(**asked, **groups, hierarchy=boxes), None, device)
     if boxes:
         name = "--regions" if regions is not None else f"-D {next(iter(boxes))}"
         raise OptionError(f"{name} is for --hierarchy")
     asked |= groups
     request = RadiosityRequest(**asked)
     if solution is not None:
-        return _write_again(request, solution, variant, threads)
+        device.check_alone("--solution")
+        return _write_again(request, solution, device)
     if request.is_instant:
-        return _run_ambient(request, variant, threads)
-    return _run(request, lambda **options: radiosity_work(request, **options), variant, threads)
+        device.check_alone("--ambient")
+        return _run_ambient(request, device)
+    return _run(request, lambda **options: radiosity_work(request, **options), device)
 
 
 def resume_lines(
@@ -281,8 +290,7 @@ def resume_lines(
     scene: str | None,
     limits: Mapping[str, float | None],
     save_every: float | None,
-    variant: str | None,
-    threads: int | None,
+    device: opt.Device,
 ) -> int:
     """Resume a checkpoint of one of these commands up to new ``limits``, and write its file again."""
     from etendue.jobs import FormFactorRequest, FormFactorWork, asked_before, radiosity_work
@@ -302,20 +310,20 @@ def resume_lines(
     if len(output) > 1:
         raise OptionError(f"etendue {request.work} writes one file, not {len(output)}")
     work: Any = FormFactorWork if isinstance(request, FormFactorRequest) else radiosity_work
-    return _run(request, lambda **options: work(request, saved, **options), variant, threads)
+    return _run(request, lambda **options: work(request, saved, **options), device)
 
 
-def _run(request: LinesRequest, open_work: Callable[..., Any], variant: str | None, threads: int | None) -> int:
+def _run(request: LinesRequest, open_work: Callable[..., Any], device: opt.Device) -> int:
     """Execute a request and write its files. Returns the exit status."""
-    from .rendering import choose_device
     from .solutions import cast, describe_patches, finish
 
-    choose_device(variant, threads)
+    device.choose()
     began, console = time.perf_counter(), error_console()
     with _ended_by_ctrl_c(request.checkpoint):
         work = open_work(is_watched=console.is_terminal, tell=lambda text: note(console, text))
         describe_patches(request, work.patches)
-        outcome = cast(work)
+        with device.opened() as work.cluster:
+            outcome = cast(work)
         if outcome.result is None:
             return outcome.exit_code
         finish(work, outcome.result)
@@ -323,12 +331,11 @@ def _run(request: LinesRequest, open_work: Callable[..., Any], variant: str | No
     return outcome.exit_code
 
 
-def _run_exact(request: FormFactorRequest, variant: str | None, threads: int | None) -> int:
+def _run_exact(request: FormFactorRequest, device: opt.Device) -> int:
     """Execute a request for exact form factors. Returns the exit status."""
-    from .rendering import choose_device
     from .solutions import describe_patches, exact_to_files
 
-    choose_device(variant, threads)
+    device.choose()
     began = time.perf_counter()
     with _ended_by_ctrl_c(None):
         _, patches = request.load()
@@ -338,12 +345,11 @@ def _run_exact(request: FormFactorRequest, variant: str | None, threads: int | N
     return 0
 
 
-def _run_ambient(request: RadiosityRequest, variant: str | None, threads: int | None) -> int:
+def _run_ambient(request: RadiosityRequest, device: opt.Device) -> int:
     """A solution without lines. Returns the exit status."""
-    from .rendering import choose_device
     from .solutions import ambient_to_files
 
-    choose_device(variant, threads)
+    device.choose()
     began = time.perf_counter()
     with _ended_by_ctrl_c(None):
         ambient_to_files(request)
@@ -351,12 +357,11 @@ def _run_ambient(request: RadiosityRequest, variant: str | None, threads: int | 
     return 0
 
 
-def _write_again(request: RadiosityRequest, solution: Path, variant: str | None, threads: int | None) -> int:
+def _write_again(request: RadiosityRequest, solution: Path, device: opt.Device) -> int:
     """Write the outputs of a solution from a file. Returns the exit status."""
-    from .rendering import choose_device
     from .solutions import solution_to_files
 
-    choose_device(variant, threads)
+    device.choose()
     with _ended_by_ctrl_c(None):
         problem = request.problem(lambda text: note(error_console(), text))
         solution_to_files(request, problem, solution)

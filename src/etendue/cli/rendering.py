@@ -13,6 +13,7 @@ from rich.console import Console
 
 from etendue.api import start_job
 from etendue.core import OptionError, OutputError, Progress, format_rate, format_seconds, set_threads, use_variant
+from etendue.distributed import Cluster
 from etendue.engine import Cancelled, Job, RunError, Session
 from etendue.jobs import Rendering, Writer
 from etendue.scene import BundledScene
@@ -74,11 +75,12 @@ def follow(
     return Outcome(session.result, interrupts.exit_code)
 
 
-def render_to_files(open_job: Callable[[], Job], outputs: Writer, label: str) -> int:
-    """Render, write ``outputs`` and print their paths on standard output, one per line. Returns the exit status."""
+def render_to_files(open_job: Callable[[], Job], outputs: Writer, label: str, cluster: Cluster | None = None) -> int:
+    """Render, write ``outputs`` and print their paths on standard output, one per line; ``cluster`` makes the passes.
+    Returns the exit status."""
     console = error_console()
     try:
-        outcome = follow(lambda: start_job(open_job, outputs), console, label)
+        outcome = follow(lambda: start_job(open_job, outputs, cluster=cluster), console, label)
     except RunError:
         _name_files(outputs)  # they contain the passes before the failure
         raise

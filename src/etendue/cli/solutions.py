@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
-from etendue.core import Progress, format_seconds, logger
+from etendue.core import Progress, format_seconds, format_shares, logger
 from etendue.jobs import FormFactorResult, Passes, RadiosityResult, start_work
 
 from .console import error_console, note
@@ -164,6 +164,8 @@ def _words(work: RequestedWork[Any, Any]) -> Callable[[Progress], list[str]]:
             parts.append(f"ETA {format_seconds(progress.eta)}")
         if progress.relative_error is not None:
             parts.append(f"error {math.sqrt(progress.relative_error):.2g}")
+        if progress.shares:
+            parts.append(format_shares(progress.shares))
         return parts
 
     return words

@@ -6,6 +6,7 @@ from .citations import bibliography, bibtex
 from .errors import (
     BackendError,
     CheckpointError,
+    ClusterError,
     EtendueError,
     OptionError,
     OutputError,
@@ -19,7 +20,7 @@ from .log import logger
 from .measurement import CONTRAST, RELATIVE_EPSILON, Array, Iterations, Measurement, warn_of_nonfinite
 from .memory import free_memory
 from .method import Carrying, Method, Pass, Replica, Result, State
-from .progress import Progress, format_rate, format_seconds
+from .progress import Progress, format_rate, format_seconds, format_shares
 from .records import PassKey, Record, RecordFile
 from .samples import (
     COMPONENTS_PER_VERTEX,
@@ -40,6 +41,7 @@ __all__ = [
     "BackendError",
     "Carrying",
     "CheckpointError",
+    "ClusterError",
     "EtendueError",
     "IndependentSource",
     "Iterations",
@@ -68,6 +70,7 @@ __all__ = [
     "describe",
     "format_rate",
     "format_seconds",
+    "format_shares",
     "free_memory",
     "hash_mix",
     "is_number",

@@ -50,6 +50,12 @@ class BackendError(EtendueError):
     exit_code = 6
 
 
+class ClusterError(EtendueError):
+    """A cluster cannot be reached, has no worker that can be used, or loses its workers."""
+
+    exit_code = 7
+
+
 def describe(error: BaseException) -> str:
     """An exception as one line: the text of an :class:`EtendueError`; type and text of others."""
     text = " ".join(str(error).split())

@@ -6,6 +6,7 @@ A :class:`Measurement` has named sums, each with its own weight. It contains no 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -56,6 +57,14 @@ class Iterations:
         """The largest iteration of a replica plus 1, with which an interrupted run continues; 0 if there is none."""
         spans = self._intervals.get(replica)
         return spans[-1][1] if spans else 0
+
+    def missing(self, replica: int = 0) -> Iterator[int]:
+        """The iterations of a replica that are not in the set, in order, without end."""
+        iteration = 0
+        for a, b in self._intervals.get(replica, ()):
+            yield from range(iteration, a)
+            iteration = b
+        yield from itertools.count(iteration)
 
     def union(self, other: Iterations) -> Iterations:
         """Disjoint union. Raises :class:`EtendueError` if an iteration is in both."""
@@ -128,6 +137,13 @@ class Measurement:
                 values *= factor**2
         for name in self.squared_weights:
             self.squared_weights[name] *= factor**2
+
+    def assign(self, replica: int) -> None:
+        """Make these passes, which are of replica 0, those of another replica."""
+        self.iterations = Iterations({replica: self.iterations._intervals.get(0, [])})
+        for name, record in self.records.items():
+            parts = {(replica, iteration): record[zero, iteration] for zero, iteration in record.passes}
+            self.records[name] = Record(parts)
 
     def mean(self, name: str = "image") -> Array:
         """``sums[name] / weights[name]``."""

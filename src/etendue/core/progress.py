@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,8 @@ class Progress:
     relative_error: float | None = None
     #: Share of the budget that is spent, 0 to 1.
     fraction: float | None = None
+    #: Passes of each worker of a cluster in this run, by name.
+    shares: dict[str, int] = field(default_factory=dict)
 
     def __str__(self) -> str:
         return ", ".join([f"pass {self.passes}", f"{self.samples} spp", *self.pace])
@@ -39,6 +42,8 @@ class Progress:
             parts.append(format_rate(self.rays_per_second))
         if self.relative_error is not None:
             parts.append(f"noise {self.relative_error:.2g}")
+        if self.shares:
+            parts.append(format_shares(self.shares))
         return parts
 
 
@@ -57,3 +62,12 @@ def format_rate(rays_per_second: float) -> str:
         if rays_per_second >= scale:
             return f"{rays_per_second / scale:.3g} {prefix}rays/s"
     return f"{rays_per_second:.3g} rays/s"
+
+
+def format_shares(passes: Mapping[str, int]) -> str:
+    """``2 workers (51, 49 %)``; of many workers the least and the largest share."""
+    total = max(sum(passes.values()), 1)
+    shares = sorted((100 * count / total for count in passes.values()), reverse=True)
+    texts = [f"{share:.0f}" for share in shares]
+    listed = ", ".join(texts) if len(texts) <= 4 else f"{texts[-1]} to {texts[0]}"
+    return f"{len(texts)} worker{'' if len(texts) == 1 else 's'} ({listed} %)"

@@ -1,18 +1,28 @@
-"""Display: tone mapping, PNG, convergence plots, projections of points, the comparison page."""
+"""Display: denoising, tone curves, PNG, convergence plots, projections of points, the comparison page."""
 
 from .colours import false_colour
+from .curves import CURVES, ToneCurve
+from .denoising import DENOISERS, Denoiser, denoiser
+from .develop import develop
 from .plots import Series, convergence_plot
 from .png import encode_png, write_png
 from .report import Entry, render_report, write_report
 from .scatter import Projection, projection_plot
-from .tonemap import auto_exposure, tonemap
+from .tonemap import auto_exposure, check_tone, tonemap
 
 __all__ = [
+    "CURVES",
+    "DENOISERS",
+    "Denoiser",
     "Entry",
     "Projection",
     "Series",
+    "ToneCurve",
     "auto_exposure",
+    "check_tone",
     "convergence_plot",
+    "denoiser",
+    "develop",
     "encode_png",
     "false_colour",
     "projection_plot",

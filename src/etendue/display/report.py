@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import OptionError
-from etendue.film import relative_bias, relative_mse, relative_squared_error, write_bytes
+from etendue.film import flip, flip_is_installed, relative_bias, relative_mse, relative_squared_error, write_bytes
 
 from .colours import css_gradient, false_colour
+from .curves import CURVES, TABLE_RANGE
 from .figures import Figure
 from .pages import page
 from .plots import Series, convergence_plot
@@ -109,6 +110,7 @@ def render_report(
         pyramids=[p for e in entries for p in pyramids(e.name, e.image, e.layers, exposure, curve)],
         layers=_layers(entries, exposure, curve),
         tables=_tables(entries),
+        curves=list(CURVES),
         script_data=_script_data(pictures, exposure, curve),
     )
 
@@ -165,9 +167,11 @@ def _errors(entries: Sequence[Entry], reference: Image | None) -> dict[str, Any]
     """Measures of error, one map for each picture, and the scale of the maps."""
     if reference is None:
         return None
+    with_flip = flip_is_installed()
     columns = [
         Column("relMSE", [relative_mse(e.image, reference) for e in entries]),
         Column("without the worst 0.1 %", [relative_mse(e.image, reference, trim=_TRIM) for e in entries]),
+        *([Column("FLIP", [flip(e.image, reference) for e in entries])] if with_flip else []),
         Column("bias of the mean", [relative_bias(e.image, reference) for e in entries], percent=True),
     ]
     seconds = [e.metadata.get("seconds") for e in entries]
@@ -179,7 +183,7 @@ def _errors(entries: Sequence[Entry], reference: Image | None) -> dict[str, Any]
         caption = f"relMSE {number_text(relative_mse(entry.image, reference))}"
         maps.append(Figure(pixels, f"error map of {entry.name}", entry.name, caption))
     ticks = [f"{value:g}" for value in np.geomspace(*_ERROR_RANGE, 4)]
-    return {"columns": columns, "maps": maps, "ticks": ticks, "gradient": css_gradient()}
+    return {"columns": columns, "maps": maps, "ticks": ticks, "gradient": css_gradient(), "flip": with_flip}
 
 
 def _plots(entries: Sequence[Entry]) -> dict[str, str] | None:
@@ -235,6 +239,8 @@ def _script_data(pictures: list[tuple[str, Image]], exposure: float, curve: str)
         "right": min(1, len(pictures) - 1),
         "exposure": exposure,
         "curve": curve,
+        "range": TABLE_RANGE,
+        "curves": {name: known.tables() for name, known in CURVES.items()},
         "planes": [base64.b64encode(zlib.compress(shared_exponent(p).tobytes(), 9)).decode() for _, p in pictures],
     }
 

@@ -1,45 +1,25 @@
-"""From linear radiance to eight bits: exposure, a curve, the sRGB encoding."""
+"""From linear radiance to eight bits: exposure, a tone curve, the encoding of the display."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import OptionError, suggest
+from etendue.core import OptionError
 from etendue.film import LUMINANCE
 
-Array = NDArray[np.float64]
+from .curves import MIDDLE_GREY, tone_curve
 
-#: The grey to which the log-average luminance is scaled [Reinhard 2002, eq. 2].
-MIDDLE_GREY: Final = 0.18
-
-
-def _linear(x: Array) -> Array:
-    return x
-
-
-def _filmic(x: Array) -> Array:
-    """Rational fit to the ACES reference curve, applied per channel [Narkowicz 2015]."""
-    return (x * (2.51 * x + 0.03)) / (x * (2.43 * x + 0.59) + 0.14)
-
-
-#: Curves from exposed linear values to display-linear values, clipped to [0, 1] afterwards.
-CURVES: Final[dict[str, Callable[[Array], Array]]] = {"srgb": _linear, "filmic": _filmic}
-
-
-def srgb_encode(linear: ArrayLike) -> Array:
-    """The sRGB transfer curve (IEC 61966-2-1) of values in [0, 1]; anything outside is clipped, NaN becomes 0."""
-    x = np.clip(np.nan_to_num(np.asarray(linear, dtype=np.float64), nan=0.0), 0.0, 1.0)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1.0 / 2.4) - 0.055)
+#: Bound of exposed values, which keeps the rational curves finite; it is white at every practical exposure.
+_BRIGHTEST: Final = 1e30
 
 
 def auto_exposure(image: ArrayLike, method: str = "log-average") -> float:
     """Exposure in stops that suits ``image``, (height, width, 3) linear RGB.
 
-    ``log-average`` brings the log-average luminance to middle grey [Reinhard 2002, eq. 1], but never pushes the
+    ``log-average`` brings the log-average luminance to middle grey [Reinhard 2002, eq. 1, 2], but never pushes the
     brightest tenth of the picture beyond white; ``percentile`` brings the 99th percentile to white. Non-finite and
     black pixels do not count; an image without any other has exposure 0.
     """
@@ -56,22 +36,25 @@ def auto_exposure(image: ArrayLike, method: str = "log-average") -> float:
     return min(key, float(-np.log2(np.percentile(luminance, 90.0))))
 
 
-def tonemap(image: ArrayLike, exposure: float | str = 0.0, curve: str = "srgb") -> NDArray[np.uint8]:
-    """``image``, (height, width, 3) linear RGB, as eight-bit sRGB of the same shape.
-
-    ``exposure`` is in stops (+1 doubles), or ``"auto"`` for :func:`auto_exposure`; ``curve`` is ``"srgb"`` (clip) or
-    ``"filmic"``. NaN and negative values become black, infinite ones white. Raises :class:`OptionError` on an unknown
-    curve or exposure.
-    """
-    if curve not in CURVES:
-        raise OptionError(f"no tone curve '{curve}'; {suggest(curve, CURVES)}")
+def check_tone(exposure: float | str, curve: str) -> None:
+    """Raise :class:`OptionError` for an exposure or a curve that :func:`tonemap` does not know."""
+    tone_curve(curve)
     if isinstance(exposure, str):
         if exposure != "auto":
             raise OptionError(f"exposure is a number of stops or 'auto', not '{exposure}'")
-        exposure = auto_exposure(image)
-    if not np.isfinite(exposure):
+    elif not np.isfinite(exposure):
         raise OptionError(f"exposure must be a finite number of stops, not {exposure}")
-    # The bound keeps the rational curve finite; it is white at every practical exposure.
-    x = np.nan_to_num(np.asarray(image, dtype=np.float64), nan=0.0, posinf=1e30, neginf=0.0)
-    x = np.clip(x * 2.0**exposure, 0.0, 1e30)
-    return np.round(srgb_encode(CURVES[curve](x)) * 255.0).astype(np.uint8)
+
+
+def tonemap(image: ArrayLike, exposure: float | str = 0.0, curve: str = "srgb") -> NDArray[np.uint8]:
+    """``image``, (height, width, 3) linear RGB, as eight-bit sRGB of the same shape.
+
+    ``exposure`` is in stops (+1 doubles), or ``"auto"`` for :func:`auto_exposure`; ``curve`` is a name of
+    :data:`CURVES`. NaN and negative values become black, infinite ones white. Raises :class:`OptionError` on an unknown
+    curve or exposure.
+    """
+    check_tone(exposure, curve)
+    stops = auto_exposure(image) if isinstance(exposure, str) else exposure
+    x = np.nan_to_num(np.asarray(image, dtype=np.float64), nan=0.0, posinf=_BRIGHTEST, neginf=0.0)
+    x = np.clip(x * 2.0**stops, 0.0, _BRIGHTEST)
+    return np.round(tone_curve(curve)(x) * 255.0).astype(np.uint8)

@@ -3,10 +3,11 @@ concrete method."""
 
 from .budget import Budget
 from .checkpoint import Checkpoint
-from .executor import Executor, InTurn
+from .executor import Executor, InTurn, MakeExecutor, Order
 from .fitting import fit_samples, settle_samples
 from .job import Job, Task, remaining, versions
 from .recordfiles import check_records
+from .replicas import Replicated, replica_seed, replicated
 from .runner import Cancelled, RunError, Runner, RunResult
 from .saving import check_period, check_save_times
 from .session import Session
@@ -20,6 +21,9 @@ __all__ = [
     "Executor",
     "InTurn",
     "Job",
+    "MakeExecutor",
+    "Order",
+    "Replicated",
     "RunError",
     "RunResult",
     "Runner",
@@ -30,6 +34,8 @@ __all__ = [
     "check_save_times",
     "fit_samples",
     "remaining",
+    "replica_seed",
+    "replicated",
     "settle_samples",
     "versions",
 ]

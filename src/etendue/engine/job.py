@@ -31,6 +31,7 @@ from etendue.scene import BundledScene, Camera, Problem, bundled_scene, load, lo
 from .budget import Budget
 from .checkpoint import Checkpoint
 from .fitting import fit_samples, settle_samples
+from .replicas import replicated
 from .runner import Runner, RunResult
 
 #: Smallest memory bound in bytes: 16 MB.
@@ -103,6 +104,7 @@ class Job:
         earlier: float = 0.0,
         preparation: float = 0.0,
         notes: Mapping[str, Any] | None = None,
+        task: Task | None = None,
     ) -> None:
         self.problem = problem
         self.method = method
@@ -116,6 +118,8 @@ class Job:
         self.preparation = preparation
         #: Plain values of the caller, for the checkpoint.
         self.notes: dict[str, Any] = dict(notes or {})
+        #: What was asked for, for executors that load the scene again.
+        self.task = task
 
     @classmethod
     def open(cls, task: Task) -> Job:
@@ -136,7 +140,9 @@ class Job:
             method = fit_samples(method, budget.samples, problem, task.seed)
         settle_samples(method)
         preparation = time.perf_counter() - begin
-        return cls(problem, method, seed=task.seed, budget=budget, place=task.place(), preparation=preparation)
+        return cls(
+            problem, method, seed=task.seed, budget=budget, place=task.place(), preparation=preparation, task=task
+        )
 
     @classmethod
     def resume(
@@ -172,6 +178,7 @@ class Job:
         begin = time.perf_counter()
         instance = method(settings)
         instance.prepare(problem, checkpoint.seed)
+        instance = replicated(instance, checkpoint.state, problem, checkpoint.seed)
         instance.enter(checkpoint.state)
         preparation = time.perf_counter() - begin
         task = Task(source, method, seed=checkpoint.seed, **wanted)
@@ -186,6 +193,7 @@ class Job:
             earlier=checkpoint.earlier + checkpoint.elapsed,
             preparation=preparation,
             notes=checkpoint.notes,
+            task=task,
         )
 
     def runner(self, **options: Any) -> Runner:

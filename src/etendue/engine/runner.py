@@ -6,12 +6,24 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
-from etendue.core import EtendueError, Measurement, Method, OptionError, Pass, Progress, Result, State, describe
+from etendue.core import (
+    EtendueError,
+    Iterations,
+    Measurement,
+    Method,
+    OptionError,
+    Pass,
+    Progress,
+    Result,
+    State,
+    describe,
+)
 
 from .budget import Budget
-from .executor import InTurn, MakeExecutor
+from .executor import Executor, InTurn, MakeExecutor, Order
 from .saving import Saving
 from .stopping import CancelEvent, StoppedBy, Stopping
 
@@ -114,6 +126,7 @@ class Runner:
         self._clock = clock
         self._lock = threading.Lock()
         self._begin = 0.0
+        self._since = 0.0  # when the time of the next passes began
         self._adding = False  # sums and state are being changed
         method.enter(self._state)  # the samples of a pass and the noise may depend on the state
         if start is not None:
@@ -143,25 +156,14 @@ class Runner:
         :class:`Cancelled` if the run was cancelled before its first pass.
         """
         self._saving.begin()
-        self._begin = self._clock() - self._spent
-        self._plan()
-        first = self._measurement.iterations.next_iteration() if self._measurement is not None else 0
-        executor = self._make_executor(self.method, self.seed, self._state, first)
+        self._since = self._clock()
+        self._begin = self._since - self._spent
+        executor = self._make_executor(self._order())
+        predicts = not executor.keeps_time
         try:
-            while (reason := self._stopping.reason(self._measurement, self._elapsed())) is None:
-                try:
-                    self._pass(executor.next)
-                    if self.on_progress is not None:
-                        self.on_progress(self.progress)
-                    if self._on_save is not None:
-                        assert self._measurement is not None
-                        must_save = self._save_if is not None and self._save_if(self._measurement)
-                        self._saving.after_pass(self._elapsed(), self._save, must_save)
-                except Exception as error:
-                    if self._measurement is None:
-                        raise
-                    run = self._result("failure")
-                    raise RunError(f"{describe(error)} (after {run.passes} passes, which are kept)", run) from error
+            while (reason := self._stopping.reason(self._measurement, self._elapsed(), predicts)) is None:
+                self._kept_if_it_fails(partial(self._pass, executor))
+            self._kept_if_it_fails(partial(self._rest, executor))
         finally:
             executor.close()
         if self._measurement is None:
@@ -170,30 +172,71 @@ class Runner:
         seconds = self.budget.seconds if reason == "seconds" else None
         return self._result(reason, self._saving.passed(seconds) if seconds is not None else ())
 
-    def _plan(self) -> None:
-        """Call ``plan`` of a method that has it with the limits of the run."""
-        plan = getattr(self.method, "plan", None)
-        if plan is None:
-            return
-        done = len(self._measurement.iterations) if self._measurement is not None else 0
-        passes = self.budget.passes(self.method.samples_per_iteration)
+    def _order(self) -> Order:
+        """What is to be made. Calls ``plan`` of a method that has it."""
+        done = self._measurement.iterations if self._measurement is not None else Iterations()
+        most = self.budget.passes(self.method.samples_per_iteration)
         seconds = self.budget.seconds
-        plan(
+        plan = (
             None if seconds is None else max(0.0, seconds - self._spent),
-            None if passes is None else max(0, passes - done),
+            None if most is None else max(0, most - len(done)),
             self.budget.error,
         )
+        if (hook := getattr(self.method, "plan", None)) is not None:
+            hook(*plan)
+        return Order(self.method, self.seed, self._state, done, most, self._left, plan)
 
-    def _pass(self, make: Callable[[], Pass]) -> None:
-        begin = self._clock()
-        made = make()
-        duration = self._clock() - begin
+    def _left(self) -> float | None:
+        """Seconds that are left for passes."""
+        seconds = self.budget.seconds
+        return None if seconds is None else seconds - self._elapsed() - self._stopping.finish(self._measurement)
+
+    def _kept_if_it_fails(self, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except Exception as error:
+            if self._measurement is None:
+                raise
+            run = self._result("failure")
+            raise RunError(f"{describe(error)} (after {run.passes} passes, which are kept)", run) from error
+
+    def _pass(self, executor: Executor) -> None:
+        """Take the next passes, report and save."""
+        begin = self._since
+        made = executor.next()
+        if made is None:
+            return
+        self._since = self._clock()
+        self._count(made, self._since - begin)
+        self._report(executor)
+        if self._on_save is not None:
+            assert self._measurement is not None
+            must_save = self._save_if is not None and self._save_if(self._measurement)
+            self._saving.after_pass(self._elapsed(), self._save, must_save)
+        self._since = self._clock()
+
+    def _rest(self, executor: Executor) -> None:
+        """Take the passes that are finished at the end of the run."""
+        for made in executor.rest():
+            begin, self._since = self._since, self._clock()
+            self._count(made, self._since - begin)
+            self._report(executor)
+
+    def _report(self, executor: Executor) -> None:
+        shares = getattr(executor, "shares", None)
+        if shares is not None:
+            self.progress = replace(self.progress, shares=shares())
+        if self.on_progress is not None:
+            self.on_progress(self.progress)
+
+    def _count(self, made: Pass, duration: float) -> None:
+        """Add passes that took ``duration`` seconds together."""
         counters = made.measurement.counters
         seconds = duration if self._stopping.has_begun else self._spent + duration
         counters["seconds"] = counters.get("seconds", 0.0) + seconds
-        rays = counters.get("rays", 0.0)
+        rays, passes = counters.get("rays", 0.0), len(made.measurement.iterations)
         measurement = self._add(made)
-        self._stopping.count(duration, rays)
+        self._stopping.count(duration, rays, passes)
         self._stopping.look(measurement)
         self.progress = self._stopping.progress(measurement, self._elapsed())
 

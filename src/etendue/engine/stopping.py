@@ -39,8 +39,8 @@ class Stopping:
         self.method, self.budget = method, budget
         self._cancel = cancel
         self._watched = watched or budget.error is not None
-        self._durations: deque[tuple[float, float]] = deque(maxlen=8)  # (seconds, rays) of the latest passes
-        self._done = 0  # passes of this run
+        self._durations: deque[tuple[float, float, int]] = deque(maxlen=8)  # seconds, rays, passes of the latest steps
+        self._done = 0  # steps of this run, of one pass or of several that were made at the same time
         self._error: float | None = None
         self._next_error = 2
         self._finish_seconds: float | None = None  # after the latest pass, once it is estimated
@@ -50,14 +50,15 @@ class Stopping:
         """Whether this run has made a pass."""
         return self._done > 0
 
-    def count(self, seconds: float, rays: float) -> None:
-        """Count a pass."""
-        self._durations.append((seconds, rays))
+    def count(self, seconds: float, rays: float, passes: int = 1) -> None:
+        """Count passes that took ``seconds`` together."""
+        self._durations.append((seconds, rays, passes))
         self._done += 1
         self._finish_seconds = None
 
-    def reason(self, measurement: Measurement | None, elapsed: float) -> StoppedBy | None:
-        """The reason to end the run; ``None`` to make another pass. The time of the first pass is not predicted."""
+    def reason(self, measurement: Measurement | None, elapsed: float, predicts: bool = True) -> StoppedBy | None:
+        """The reason to end the run; ``None`` to make another pass. The time of the first pass is not predicted, nor is
+        that of others without ``predicts``."""
         if self._cancel is not None and self._cancel.is_set():
             return "cancel"
         passes = len(measurement.iterations) if measurement is not None else 0
@@ -69,7 +70,7 @@ class Stopping:
             return "error"
         if self.budget.seconds is not None and self.has_begun:
             assert measurement is not None
-            if elapsed + self._predict() + self._finish(measurement) > self.budget.seconds:
+            if elapsed + (self._predict() if predicts else 0.0) + self.finish(measurement) > self.budget.seconds:
                 return "seconds"
         return None
 
@@ -93,14 +94,14 @@ class Stopping:
         """The progress after a pass."""
         passes = len(measurement.iterations)
         timed = list(self._durations)[1:] if self._done == len(self._durations) > 1 else list(self._durations)
-        seconds = sum(s for s, _ in timed)
-        rays = sum(r for _, r in timed)
-        per_pass = seconds / len(timed)
+        seconds = sum(s for s, _, _ in timed)
+        rays = sum(r for _, r, _ in timed)
+        per_pass = seconds / sum(n for _, _, n in timed)
         left: list[float] = []
         shares: list[float] = []
         if self.budget.seconds is not None:
             left.append(max(0.0, self.budget.seconds - elapsed))
-            shares.append((elapsed + self._finish(measurement)) / self.budget.seconds)
+            shares.append((elapsed + self.finish(measurement)) / self.budget.seconds)
         if (allowed := self.budget.passes(self.method.samples_per_iteration)) is not None:
             left.append(max(0, allowed - passes) * per_pass)
             shares.append(passes / allowed)
@@ -119,8 +120,10 @@ class Stopping:
             fraction=min(1.0, max(shares)) if shares else None,
         )
 
-    def _finish(self, measurement: Measurement) -> float:
+    def finish(self, measurement: Measurement | None) -> float:
         """Seconds that the method needs after its last pass; estimated once for each pass."""
+        if measurement is None:
+            return 0.0
         if self._finish_seconds is None:
             finish = getattr(self.method, "finish_seconds", None)
             self._finish_seconds = 0.0 if finish is None else float(finish(measurement))
@@ -130,5 +133,5 @@ class Stopping:
         """Predicted seconds of the next pass, an upper estimate."""
         if self._done == 1:  # the first pass includes compilation
             return 0.5 * max(0.0, self._durations[0][0] - getattr(self.method, "setup_seconds", 0.0))
-        recent = [seconds for seconds, _ in self._durations][-min(len(self._durations), self._done - 1) :]
+        recent = [seconds for seconds, _, _ in self._durations][-min(len(self._durations), self._done - 1) :]
         return max(recent)

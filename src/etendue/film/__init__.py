@@ -13,6 +13,7 @@ from .errors import (
 )
 from .exr import layer_path, read_exr, read_image, write_exr, write_layers
 from .filters import PixelFilter
+from .flip import flip, flip_error, flip_is_installed
 from .output import check_writable, replacing, write_bytes
 from .pyramid import LONGER, Technique
 
@@ -27,6 +28,9 @@ __all__ = [
     "Technique",
     "block_average",
     "check_writable",
+    "flip",
+    "flip_error",
+    "flip_is_installed",
     "layer_path",
     "luminance_rmse",
     "read_exr",

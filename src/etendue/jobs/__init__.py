@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from .files import PathLike, Writing, check_files, listed
 from .particles import DEFAULT_PATHS, ParticleRequest, ParticleResult, ParticleWork, repack
-from .pictures import Image, Outputs, PictureWork, Rendering, Update, Writer, save_result
+from .pictures import Image, Outputs, PictureWork, Rendering, Update, Writer, check_picture, save_result
 from .results import DEFAULT_BUNDLES, DEFAULT_POINTS, FormFactorResult, LinesResult, RadiosityResult
 from .running import Passes, Watch, Work, run_work, start_work
 from .wording import PYTHON, Wording
@@ -120,6 +120,7 @@ __all__ = [
     "asked_before",
     "check_files",
     "check_map_file",
+    "check_picture",
     "listed",
     "make_map",
     "map_lightmap",

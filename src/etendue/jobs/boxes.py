@@ -19,6 +19,7 @@ from etendue.radiosity import (
     scene_part,
 )
 
+from .lines import part_recipe
 from .requests import RadiosityRequest
 from .solving import RequestedWork
 
@@ -159,7 +160,7 @@ class HierarchyWork(RequestedWork[HierarchyRequest, HierarchyResult]):
             saved.require_scene(self.parts.fingerprint)
             self.method = HierarchicalMultipath(settings)
         self.method.prepare(self.parts, int(request.seed))
-        return self._run(self.parts, self.method, spent=time.perf_counter() - begin, **options)
+        return self._run(self.parts, self.method, part_recipe, spent=time.perf_counter() - begin, **options)
 
     def progress_text(self, progress: Progress) -> str:
         """See :class:`RequestedWork`."""

@@ -9,7 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from etendue.core import free_memory
+from etendue.distributed import Ingredients, Recipe, recipe
 from etendue.engine import Budget, Checkpoint, Job, Runner, RunResult
 from etendue.radiosity import (
     REPLICATES,
@@ -17,8 +21,12 @@ from etendue.radiosity import (
     CastLines,
     HierarchicalCasting,
     HierarchicalCastingSettings,
+    HierarchicalMultipath,
     LineCasting,
+    MultipathPasses,
     Objects,
+    Part,
+    PartProblem,
     Patches,
     PatchProblem,
     RadiosityError,
@@ -26,6 +34,7 @@ from etendue.radiosity import (
 
 if TYPE_CHECKING:
     from etendue.core import Measurement, RecordFile
+    from etendue.distributed import Cluster
 
 #: Share of the memory or of the disk that a run without a number of bundles may fill.
 _SHARE = 0.6
@@ -77,8 +86,8 @@ class LinesJob:
         self._is_limited_by_disk = False
         self.casting = self._casting()
 
-    def runner(self, **options: Any) -> Runner:
-        """Prepare the casting; ``options`` are those of :class:`Runner`.
+    def runner(self, cluster: Cluster | None = None, **options: Any) -> Runner:
+        """Prepare the casting, in the workers of ``cluster`` if it is given; ``options`` are those of :class:`Runner`.
 
         Raises :class:`RadiosityError` if memory or disk has no room for the requested bundles, and
         :class:`CheckpointError` for a checkpoint of other patches.
@@ -101,6 +110,9 @@ class LinesJob:
             options |= {"start": saved.measurement, "state": saved.state}
         known: Any = {"seed": task.seed, "budget": task.budget, "place": {}, "earlier": earlier, "notes": task.notes}
         self._job = Job(problem, casting, **known)  # type: ignore[arg-type]
+        if cluster is not None:
+            of_run = {"most": casting.most, "owed": casting.owed}
+            options["executor"] = cluster.executor(patch_recipe(problem, casting), of_run)
         return Runner(casting, seed=task.seed, budget=limited, spent=time.perf_counter() - begin, **options)
 
     def checkpoint(self, run: RunResult) -> Checkpoint:
@@ -172,3 +184,62 @@ class LinesJob:
         # A further pass casts what the last one has left out, even if no bundle of its own is within the limit.
         whole = casting.samples_per_iteration * (passes + 1) if most > before else most
         return most, Budget(budget.seconds, max(most, whole), None, budget.error)
+
+
+# -- on a cluster ----------------------------------------------------------------------------------------------------
+
+
+def patch_recipe(problem: PatchProblem, method: LineCasting | MultipathPasses) -> Recipe:
+    """Of a method that works on patches."""
+    arrays = problem.patches.arrays()
+    make: str | None = None
+    given: dict[str, NDArray[Any]] = {}
+    if isinstance(method, HierarchicalCasting):
+        make = f"{__name__}:casting_in_hierarchy"
+        found = method.objects
+        given = {name: getattr(found, name) for name in ("of_patch", "areas", "lower", "upper")}
+        given["names"] = np.array(found.names, dtype=str)
+    ingredients = Ingredients(f"{__name__}:open_patches", {}, arrays)
+    return recipe(ingredients, method, problem.fingerprint, given, make)
+
+
+def part_recipe(problem: PartProblem, method: HierarchicalMultipath) -> Recipe:
+    """Of a method that works on parts."""
+    parts = problem.root.distinct
+    number = {id(part): k for k, part in enumerate(parts)}
+    arrays: dict[str, NDArray[Any]] = {}
+    rows = []
+    for k, part in enumerate(parts):
+        if part.patches is not None:
+            arrays |= {f"{k}/{name}": array for name, array in part.patches.arrays().items()}
+        arrays[f"{k}:numbers"] = part.numbers
+        for c, copy in enumerate(part.copies):
+            arrays[f"{k}:copies{c}"] = copy.transforms
+        copies = [number[id(copy.part)] for copy in part.copies]
+        rows.append({"has_patches": part.patches is not None, "objects": part.objects, "copies": copies})
+    ingredients = Ingredients(f"{__name__}:open_parts", {"parts": rows}, arrays)
+    return recipe(ingredients, method, problem.fingerprint)
+
+
+def open_patches(ingredients: Ingredients, folder: Path) -> PatchProblem:
+    """The problem of :func:`patch_recipe`."""
+    return PatchProblem(Patches.of_arrays(ingredients.arrays))
+
+
+def open_parts(ingredients: Ingredients, folder: Path) -> PartProblem:
+    """The problem of :func:`part_recipe`."""
+    arrays = ingredients.arrays
+    parts: list[Part] = []
+    for k, row in enumerate(ingredients.values["parts"]):
+        own = {name.removeprefix(f"{k}/"): array for name, array in arrays.items() if name.startswith(f"{k}/")}
+        copies = [(parts[inner], arrays[f"{k}:copies{c}"]) for c, inner in enumerate(row["copies"])]
+        patches = Patches.of_arrays(own) if row["has_patches"] else None
+        parts.append(Part(patches, copies, numbers=arrays[f"{k}:numbers"], objects=row["objects"]))
+    return PartProblem(parts[-1])
+
+
+def casting_in_hierarchy(
+    settings: HierarchicalCastingSettings, problem: PatchProblem, names: NDArray[Any], **objects: Any
+) -> HierarchicalCasting:
+    """The method of :func:`patch_recipe` in a hierarchy."""
+    return HierarchicalCasting(Objects(problem.patches, names=tuple(map(str, names)), **objects), settings)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from etendue.core import CheckpointError, logger
 from etendue.radiosity import MultipathPasses, MultipathSettings, PatchProblem, RadiosityError
 
+from .lines import patch_recipe
 from .requests import RadiosityRequest
 from .results import RadiosityResult
 from .solving import PatchWork, Tell
@@ -65,7 +66,7 @@ class MultipathWork(PatchWork[RadiosityRequest, RadiosityResult]):
         else:
             self._check_shot()
         options |= {"watched": self._watched, "spent": time.perf_counter() - begin}
-        return self._run(problem, self.method, **options)
+        return self._run(problem, self.method, patch_recipe, **options)
 
     def progress_text(self, progress: Progress) -> str:
         """See :class:`RequestedWork`."""

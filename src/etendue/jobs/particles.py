@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import time
+import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from etendue.core import (
     CheckpointError,
@@ -17,11 +20,25 @@ from etendue.core import (
     Pass,
     Record,
     State,
+    describe,
     is_number,
     logger,
+    suggest,
 )
-from etendue.engine import Budget, Checkpoint, InTurn, Job, Runner, RunResult, fit_samples, remaining, settle_samples
-from etendue.methods import ParticleTracing
+from etendue.engine import (
+    Budget,
+    Checkpoint,
+    InTurn,
+    Job,
+    Order,
+    Runner,
+    RunResult,
+    fit_samples,
+    remaining,
+    settle_samples,
+)
+from etendue.film import replacing
+from etendue.methods import MetropolisParticles, ParticleTracing
 from etendue.particles import Codec, ParticleFile, Particles, ParticleWriter
 from etendue.scene import load
 
@@ -29,6 +46,9 @@ from .wording import PYTHON, Wording
 
 #: Light paths, if no budget is given.
 DEFAULT_PATHS = 1_000_000
+_ROWS = "particles"  #: the record of them
+#: Ways to trace particles, by name.
+TRACINGS: dict[str, Any] = {kind.name: kind for kind in (ParticleTracing, MetropolisParticles)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +62,7 @@ class ParticleRequest:
     particles: int | None = None  #: about so many: a pilot says how many paths that takes
     seconds: float | None = None
     codec: str = "packed"
+    method: str = ParticleTracing.name  #: one of :data:`TRACINGS`
     settings: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
     parameters: Mapping[str, Any] | None = None
@@ -60,7 +81,9 @@ class ParticleRequest:
             raise OptionError(f"{paths} and {particles} limit the same; give one of them")
         Budget(self.seconds)
         Codec.parse(self.codec)
-        ParticleTracing.Settings.from_mapping(self.settings, owner="particle tracing")
+        if self.method not in TRACINGS:
+            raise OptionError(f"no way '{self.method}' to trace particles; {suggest(self.method, TRACINGS)}")
+        TRACINGS[self.method].Settings.from_mapping(self.settings, owner=f"tracing by {self.method}")
         if self.output is not None and self.output.exists():
             raise OptionError(
                 f"'{self.output}' exists: choose another name, remove it, or go on with its particles by "
@@ -96,8 +119,8 @@ class ParticleWork:
 
         problem = load(request.scene, parameters=request.parameters, memory=request.memory)
         begin = time.perf_counter()
-        settings: Any = ParticleTracing.Settings.from_mapping(request.settings, owner="particle tracing")
-        tracing = ParticleTracing(settings)
+        kind = TRACINGS[request.method]
+        tracing: Any = kind(kind.Settings.from_mapping(request.settings))
         tracing.prepare(problem, request.seed)
         paths = request.paths
         if request.particles is not None:
@@ -106,11 +129,9 @@ class ParticleWork:
             paths = DEFAULT_PATHS
         budget = Budget(request.seconds, paths)
         if budget.samples is not None:
-            tracing = fit_samples(tracing, budget.samples, problem, request.seed)  # type: ignore[assignment]
+            tracing = fit_samples(tracing, budget.samples, problem, request.seed)
         settle_samples(tracing)
-        task = Task(
-            request.scene, ParticleTracing, seed=request.seed, parameters=request.parameters, memory=request.memory
-        )
+        task = Task(request.scene, kind, seed=request.seed, parameters=request.parameters, memory=request.memory)
         spent = time.perf_counter() - begin
         job = Job(problem, tracing, seed=request.seed, budget=budget, place=task.place(), preparation=spent)
         if request.output is None:
@@ -118,8 +139,10 @@ class ParticleWork:
         header = {
             "scene": problem.source,
             "fingerprint": problem.fingerprint,
+            "light_fingerprint": problem.light_fingerprint,
             "place": job.place,
             "seed": request.seed,
+            "method": request.method,
             "settings": tracing.settings.to_json(),
             "paths_per_pass": tracing.samples_per_iteration,
             "versions": versions(),
@@ -139,7 +162,7 @@ class ParticleWork:
             per_path = len(known) / max(known.paths, 1) or 1.0
             budget = Budget(budget.seconds, max(1, round(particles / per_path)))
         budget = budget or remaining(saved, "--paths, --particles or --time")
-        job = Job.resume(saved, ParticleTracing, budget=budget, scene=scene)
+        job = Job.resume(saved, TRACINGS[saved.method], budget=budget, scene=scene)
         return cls(job, ParticleWriter.resume(known))
 
     def runner(self, **options: Any) -> Runner:
@@ -180,8 +203,8 @@ class ParticleWork:
 class _Written(InTurn):
     """Makes passes and writes their particles, which then leave the measurement."""
 
-    def __init__(self, writer: ParticleWriter, job: Job, method: Any, seed: int, state: State, first: int) -> None:
-        super().__init__(method, seed, state, first)
+    def __init__(self, writer: ParticleWriter, job: Job, order: Order) -> None:
+        super().__init__(order)
         self._writer, self._job = writer, job
         self._began = time.perf_counter() - job.preparation
 
@@ -189,20 +212,47 @@ class _Written(InTurn):
         """See :class:`Executor`."""
         begin = time.perf_counter()
         made = super().next()
-        ((key, rows),) = ((key, record[key]) for record in made.measurement.records.values() for key in record.passes)
-        made.measurement.records = {name: Record() for name in made.measurement.records}
+        measurement = made.measurement
+        ((key, rows),) = ((key, measurement.records[_ROWS][key]) for key in measurement.records[_ROWS].passes)
         # A run that is killed goes on with the rest of this budget.
         known = {"budget": self._job.budget.to_dict(), "earlier": self._job.earlier}
         elapsed = round(time.perf_counter() - self._began, 3)
-        counters = made.measurement.counters | {"seconds": time.perf_counter() - begin}
+        counters = measurement.counters | {"seconds": time.perf_counter() - begin}
         self._writer.add(key[1], rows, counters, elapsed=elapsed, **known)
-        return made
+        if made.state:
+            _save_state(self._writer.path, made.state)
+        # A file has no more than particles and counters.
+        kept = Measurement({}, {}, measurement.iterations, counters=measurement.counters, records={_ROWS: Record()})
+        return Pass(kept, made.state)
 
     def close(self) -> None:
         """See :class:`Executor`: a run that ends before its first pass leaves no file."""
         super().close()
         if not self._writer.passes:
             self._writer.discard()
+
+
+def state_file(path: Path) -> Path:
+    """The file beside a file of particles with the state after its last pass, of tracings that have one."""
+    return path.with_name(path.name + ".state")
+
+
+def _save_state(path: Path, state: State) -> None:
+    arrays: dict[str, Any] = {name: np.asarray(values) for name, values in state.items()}
+    with replacing(state_file(path)) as part, open(part, "wb") as file:
+        np.savez(file, **arrays)
+
+
+def _load_state(path: Path) -> State:
+    place = state_file(path)
+    try:
+        with np.load(place, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
+        raise CheckpointError(
+            f"the chains of '{path}' cannot go on without '{place}', which cannot be read ({describe(error)}): put it "
+            "back, or trace a new file"
+        ) from error
 
 
 def _checkpoint(known: ParticleFile) -> Checkpoint:
@@ -212,10 +262,14 @@ def _checkpoint(known: ParticleFile) -> Checkpoint:
     if not passes:
         raise CheckpointError(f"'{known.path}' has no whole pass; remove it, and trace the particles anew")
     ending = {"stopped_by": "running"} | known.passes[-1].head | known.ending
-    names = {"particles": Record()}
+    names = {_ROWS: Record()}
+    method = str(header.get("method", ParticleTracing.name))
+    if method not in TRACINGS:
+        raise CheckpointError(f"'{known.path}' was traced by '{method}', which this étendue does not have")
     return Checkpoint(
         measurement=Measurement({}, {}, Iterations.from_json(passes), counters=dict(known.counters), records=names),
-        method=ParticleTracing.name,
+        method=method,
+        state=dict(_load_state(Path(known.path))) if TRACINGS[method].carries_on else {},
         settings=header["settings"],
         seed=int(header["seed"]),
         fingerprint=header["fingerprint"],

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from etendue import film
 from etendue.core import OptionError, Progress, Result, warn_of_nonfinite
+from etendue.distributed import Cluster
 from etendue.engine import Checkpoint, Job, Runner, RunResult, check_period
 
 from .files import PathLike, Write, Writing, check_files, listed, rescued
@@ -39,12 +40,14 @@ class Rendering:
         """The picture, (height, width, 3), linear RGB radiance."""
         return self.layers["image"]
 
-    def save(self, path: PathLike) -> None:
-        """Write ``.exr`` (all layers and the metadata) or ``.png`` (tone-mapped), depending on the suffix.
+    def save(self, path: PathLike, tone: str = "srgb", exposure: float | str = "auto") -> None:
+        """Write ``.exr`` (all layers and the metadata) or ``.png`` (with a tone curve and an exposure in stops),
+        depending on the suffix.
 
-        Raises :class:`OptionError` for another suffix, :class:`OutputError` if the file cannot be written.
+        Raises :class:`OptionError` for another suffix or an unknown curve, :class:`OutputError` if the file cannot be
+        written.
         """
-        save_result(path, Result(self.layers, self.metadata))
+        save_result(path, Result(self.layers, self.metadata), tone=tone, exposure=exposure)
 
     def save_checkpoint(self, path: PathLike) -> None:
         """Write all that :func:`resume` needs. Raises :class:`OutputError` if it cannot be written."""
@@ -95,6 +98,8 @@ class Outputs:
     checkpoint: Path | None = None
     save_every: float | None = None  #: seconds between intermediate saves, ``None`` for none
     separate: bool = False  #: each layer of an ``.exr`` in a file of its own
+    tone: str = "srgb"  #: tone curve of ``.png``
+    exposure: float | str = "auto"  #: of ``.png``, in stops
 
     @classmethod
     def of(
@@ -103,13 +108,20 @@ class Outputs:
         checkpoint: PathLike | None = None,
         save_every: float | None = None,
         separate: bool = False,
+        tone: str = "srgb",
+        exposure: float | str = "auto",
     ) -> Outputs:
-        """Check and make. Raises :class:`OptionError` for an unknown suffix, a file that is named twice or a time that
-        is not above 0, :class:`OutputError` for a file that cannot be written."""
+        """Check and make. Raises :class:`OptionError` for an unknown suffix, tone curve or exposure, a file that is
+        named twice or a time that is not above 0, :class:`OutputError` for a file that cannot be written."""
         check_period(save_every)
-        outputs = cls(listed(pictures), Path(checkpoint) if checkpoint is not None else None, save_every, separate)
+        kept = Path(checkpoint) if checkpoint is not None else None
+        outputs = cls(listed(pictures), kept, save_every, separate, tone, exposure)
         for path in outputs.pictures:
-            _check_suffix(path)
+            check_picture(path)
+        if (tone, exposure) != (cls.tone, cls.exposure):
+            from etendue import display  # imported late: most of it is for pages and plots
+
+            display.check_tone(exposure, tone)
         check_files(outputs.files)
         return outputs
 
@@ -148,7 +160,7 @@ class Outputs:
         with writing.attempt("develop the picture", last):
             result = job.result(run)
         for picture in self.pictures if result is not None else ():
-            write = partial(save_result, result=result, separate=self.separate)
+            write = partial(save_result, result=result, separate=self.separate, tone=self.tone, exposure=self.exposure)
             ways = ("", write), (".npz", partial(_write_arrays, layers=result.layers))
             with writing.attempt(f"write '{picture}'", partial(rescue, picture.name, "picture", *ways)):
                 write(picture)
@@ -163,9 +175,12 @@ class PictureWork:
 
     job: Job
     outputs: Writer
+    cluster: Cluster | None = None  #: makes the passes; without it this process does
 
     def runner(self, **options: Any) -> Runner:
         """See :class:`Work`."""
+        if self.cluster is not None:
+            options["executor"] = self.cluster.rendering(self.job)
         return self.job.runner(**self.outputs.saving(self.job), **options)
 
     def keep(self, run: RunResult) -> Rendering:
@@ -183,20 +198,23 @@ def _write_arrays(path: Path, layers: Mapping[str, Image]) -> None:
         np.savez(file, **layers)  # type: ignore[arg-type]
 
 
-def save_result(path: PathLike, result: Result, separate: bool = False) -> None:
-    """Write a result as ``.exr`` (layers and metadata; ``separate``: a file each) or ``.png`` (tone-mapped)."""
+def save_result(
+    path: PathLike, result: Result, separate: bool = False, tone: str = "srgb", exposure: float | str = "auto"
+) -> None:
+    """Write a result as ``.exr`` (layers and metadata; ``separate``: a file each) or ``.png`` (with the tone curve)."""
     from etendue import display  # imported late: most of it is for pages and plots
 
     path = Path(path)
-    if _check_suffix(path) == ".exr" and separate:
+    if check_picture(path) == ".exr" and separate:
         film.write_layers(path, result)
     elif path.suffix.lower() == ".exr":
         film.write_exr(path, result)
     else:
-        display.write_png(path, display.tonemap(result.image, "auto"))
+        display.write_png(path, display.tonemap(result.image, exposure, tone))
 
 
-def _check_suffix(path: Path) -> str:
+def check_picture(path: Path) -> str:
+    """The suffix, in small letters. Raises :class:`OptionError` if no picture is written with it."""
     suffix = path.suffix.lower()
     if suffix not in (".exr", ".png"):
         raise OptionError(f"a picture is written as .exr or .png, not as '{path.name}'; change the name")

@@ -11,8 +11,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
-from etendue.core import EtendueError, OutputError, describe, logger
-from etendue.engine import Job, Runner
+from etendue.core import EtendueError, Iterations, OutputError, describe, logger
+from etendue.engine import Job, Runner, replicated
 from etendue.radiosity import (
     PartialSegments,
     ambient_solution,
@@ -30,6 +30,7 @@ from .results import FormFactorResult, RadiosityResult
 
 if TYPE_CHECKING:
     from etendue.core import Progress
+    from etendue.distributed import Cluster, Recipe
     from etendue.engine import Checkpoint, RunResult
     from etendue.radiosity import CastLines, Objects, Patches, Segments
     from etendue.scene import Problem
@@ -52,10 +53,12 @@ class RequestedWork(ABC, Generic[Q, R]):
     ----------
     problem: the scene, if the source is one.
     kept: what a checkpoint keeps, in the plural: a word of messages.
+    cluster: makes the passes; without it this process does.
     """
 
     problem: Problem | None
     kept: ClassVar[str] = "lines"
+    cluster: Cluster | None = None
 
     def __init__(self, request: Q, saved: Checkpoint | None) -> None:
         self.request, self.saved = request, saved
@@ -114,12 +117,20 @@ class RequestedWork(ABC, Generic[Q, R]):
     def _how_to_resume(self, run: RunResult, checkpoint: Path) -> str:
         """How to resume ``run`` from a checkpoint."""
 
-    def _run(self, problem: Any, method: Any, **options: Any) -> Runner:
-        """The runner of a prepared method, which goes on with the checkpoint if there is one."""
-        saved, seed, earlier = self.saved, int(self.request.seed), 0.0
+    def _run(self, problem: Any, method: Any, recipe_of: Callable[[Any, Any], Recipe], **options: Any) -> Runner:
+        """The runner of a prepared method, which goes on with the checkpoint if there is one. Workers of a cluster make
+        the method by ``recipe_of`` the problem and the method."""
+        saved, seed, earlier, done = self.saved, int(self.request.seed), 0.0, Iterations()
+        made = method
+        state: Any = None
         if saved is not None:
-            earlier = saved.earlier + saved.elapsed
-            options |= {"start": saved.measurement, "state": saved.state}
+            earlier, state, done = saved.earlier + saved.elapsed, saved.state, saved.measurement.iterations
+            method = replicated(method, saved.state, problem, seed)
+            options |= {"start": saved.measurement}
+        if self.cluster is not None:
+            options["executor"] = self.cluster.executor(recipe_of(problem, made))
+            method, state = self.cluster.replicate(method, problem, seed, state, done)
+        options["state"] = state
         self._job = Job(problem, method, seed=seed, budget=self.budget, place={}, earlier=earlier, notes=self.notes)
         return Runner(method, seed=seed, budget=self.budget, **self._with_saves(options))
 
@@ -215,7 +226,7 @@ class LinesWork(PatchWork[Q, R]):
         if (path := self.request.checkpoint) is not None:
             options["on_save"] = lambda run: self._save(run, path)
             options["save_if"] = self.lines.fills_memory
-        return self.lines.runner(**self._with_saves(options))
+        return self.lines.runner(self.cluster, **self._with_saves(options))
 
     def checkpoint(self, run: RunResult) -> Checkpoint:
         """See :class:`RequestedWork`."""

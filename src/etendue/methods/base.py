@@ -105,7 +105,8 @@ class ImageSettings(Settings):
     )
     aovs: bool = setting(
         False,
-        "add layers of the first surfaces hit by camera rays: albedo, shading normal, depth (distance in scene units)",
+        "add layers of the first surfaces hit by camera rays: albedo, shading normal, depth (distance in scene units); "
+        "and, after two passes, the variance of the picture's pixels, estimated from the passes",
     )
 
 
@@ -219,9 +220,11 @@ class ImageMethod(ABC):
         The layers either include ``image``, or the image is their sum."""
 
     def develop(self, measurement: Measurement, state: State) -> Result:
-        """Mean over the passes, layer by layer."""
+        """Mean over the passes, layer by layer. With ``aovs`` and two passes, the variance of this mean is a layer."""
         names = (name for name in measurement.sums if not name.endswith(CONTRAST))
         layers = {name: measurement.mean(name).astype(np.float32) for name in names}
+        if self.settings.aovs and len(measurement.iterations) > 1:
+            layers["variance"] = measurement.variance_of_mean().astype(np.float32)
         return Result(layers, {"method": self.name, "settings": self.settings.to_dict()})
 
     # ------------------------------------------------------------------ helpers of the subclasses

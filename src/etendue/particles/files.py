@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import Array, logger, suggest
+from etendue.scene import Problem
 
 from . import blocks
 from .blocks import Block
@@ -46,7 +47,7 @@ class ParticleFile:
 
     Attributes
     ----------
-    header: scene, fingerprint, seed, settings, codec and versions.
+    header: scene, fingerprints, seed, settings, codec and versions.
     surfaces: the shapes of the scene. counters: paths, particles and rays. passes: iterations.
     is_finished: whether the run that wrote it ended, by its budget or on request. lost: whole passes behind a damaged
     place, which cannot be read; there is a warning.
@@ -206,12 +207,16 @@ class ParticleFile:
     def _decoded(self, block: Block, payload: bytes, then: Callable[[Rows], T]) -> T:
         return then(decode(block.head, payload, self.grid))
 
-    def require_scene(self, fingerprint: str) -> None:
-        """Raise :class:`ParticleError` unless the particles are of the scene with this fingerprint."""
-        if fingerprint != self.header["fingerprint"]:
+    def is_of(self, problem: Problem) -> bool:
+        """Whether the particles are of this scene; its sensors do not matter."""
+        return bool(problem.light_fingerprint == self.header["light_fingerprint"])
+
+    def require_scene(self, problem: Problem) -> None:
+        """Raise :class:`ParticleError` unless the particles are of this scene."""
+        if not self.is_of(problem):
             raise ParticleError(
-                f"'{self.path}' has particles of another scene ('{self.header['scene']}'), or its parameters, sensor "
-                "or size have changed since; trace the particles of this scene"
+                f"'{self.path}' has particles of another scene ('{self.header['scene']}'), or that has changed since; "
+                "trace the particles of this scene"
             )
 
 

@@ -117,8 +117,8 @@ class LineCasting:
         self.goal, self.most = goal, most
         self._shot: Shot | None = None
         self._stream: _Stream | None = None
-        # First and number of the bundles that an incomplete pass has left out; the pass after it casts them.
-        self._owed = 0, 0
+        #: First and number of the bundles that an incomplete pass has left out; the pass after it casts them.
+        self.owed = 0, 0
         # Seconds and segments of the timed sums, and the number of passes at the last of them.
         self._timing, self._timed = np.zeros(2), 0
 
@@ -138,7 +138,7 @@ class LineCasting:
         """Build the engine and compile its loops. Raises :class:`RadiosityError` if not even one bundle fits into
         memory."""
         self.close()
-        self._shot, self._owed = None, (0, 0)
+        self._shot, self.owed = None, (0, 0)
         patches = self.patches = problem.patches
         self._error = IrradianceError(patches, self._options.replicates)
         self._seed = seed
@@ -172,7 +172,9 @@ class LineCasting:
         done = self.bundles(measurement)
         if self.most is not None and done > self.most:
             raise CheckpointError(f"the checkpoint has {done} bundles, more than {self.most}")
-        self._owed = done, self.samples_per_iteration * len(measurement.iterations) - done
+        passes, size = measurement.iterations, self.samples_per_iteration
+        is_whole = passes.next_iteration() == len(passes)  # else another run, on a cluster, has left passes out
+        self.owed = (done, size * len(passes) - done) if is_whole else (0, 0)
 
     def step(self, iteration: int, seed: int, state: State) -> Pass:
         """Cast the bundles of a pass and its share of the first shot."""
@@ -181,7 +183,7 @@ class LineCasting:
         size = self.samples_per_iteration
         first, end = iteration * size, min((iteration + 1) * size, self.most or _ENDLESS)
         chunks = [self._cast(iteration)] if first < end else []
-        owed, left_out = self._owed
+        owed, left_out = self.owed
         left = min(left_out, (self.most or _ENDLESS) - owed)
         if left > 0 and owed + left_out == first:
             chunks = [*self.engine.stream(left, owed, left), *chunks]

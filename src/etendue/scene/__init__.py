@@ -10,6 +10,7 @@ from .lamps.radiance import sphere_point, surface_point, uniform_point, varies
 from .lamps.table import Light, LightTable
 from .loading import Source, integrator_of, load, locate, resized
 from .plugins import composed_bsdf, register
+from .portable import PortableScene, portable, restored
 from .problem import Problem
 from .space import RenderSpace, warn_of_offsets, warn_of_steps
 from .watching import Parameters, parameters, view
@@ -20,6 +21,7 @@ __all__ = [
     "Light",
     "LightTable",
     "Parameters",
+    "PortableScene",
     "Problem",
     "RenderSpace",
     "Source",
@@ -35,8 +37,10 @@ __all__ = [
     "materials",
     "meshes",
     "parameters",
+    "portable",
     "register",
     "resized",
+    "restored",
     "sphere_point",
     "surface_point",
     "uniform_point",

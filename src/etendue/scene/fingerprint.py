@@ -22,8 +22,9 @@ _VOLATILE = re.compile(r"^\s*(name|filename|mean) = .*$", re.MULTILINE)
 _IGNORED = {"silhouette_sampling_weight", "allow_thread_reordering"}
 
 
-def fingerprint(scene: mi.Scene, sensor: mi.Sensor, extra: str = "") -> str:
-    """Hex digest (32 characters) of every shape, material, texture and emitter of ``scene`` and of ``sensor``.
+def fingerprint(scene: mi.Scene, sensor: mi.Sensor | None, extra: str = "") -> str:
+    """Hex digest (32 characters) of every shape, material, texture and emitter of ``scene`` and of ``sensor``, if it is
+    not ``None``.
 
     ``extra`` is hashed as well: properties that the loader has read and the loaded scene does not report. Sampler and
     sample count are excluded.
@@ -32,7 +33,8 @@ def fingerprint(scene: mi.Scene, sensor: mi.Sensor, extra: str = "") -> str:
     every_shape = shapes(scene)
     parts = sorted(_digest(s, digests) for s in every_shape)
     parts += sorted(_digest(e, digests) for e in scene.emitters())
-    parts.append(_sensor_digest(sensor))
+    if sensor is not None:
+        parts.append(_sensor_digest(sensor))
     parts.append(extra.encode())
     return _hash(parts).hex()
 

@@ -31,5 +31,14 @@ class Problem:
     @cached_property
     def fingerprint(self) -> str:
         """Hex digest of the scene's parameters, the sensor and the film size; the same in every process."""
-        scale = "" if self.space.scale == 1.0 else f"\nscale={self.space.scale!r}"
-        return fingerprint(self.scene, self.sensor, self.details + scale)
+        return fingerprint(self.scene, self.sensor, self.details + self._scale)
+
+    @cached_property
+    def light_fingerprint(self) -> str:
+        """The same without sensor and film: the light on surfaces does not depend on them. (If the render space is not
+        that of the scene, it does depend on the place of the sensor.)"""
+        return fingerprint(self.scene, None, self.details + self._scale)
+
+    @property
+    def _scale(self) -> str:
+        return "" if self.space.scale == 1.0 else f"\nscale={self.space.scale!r}"

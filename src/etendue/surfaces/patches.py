@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +20,11 @@ Index = NDArray[np.int64]
 
 #: Bytes for each patch made by subdivision (measured: 460).
 _BYTES = 500
+#: Attributes that :meth:`Patches.arrays` contains.
+_ARRAYS = (
+    *("vertices", "faces", "face_areas", "face_normals", "labels", "front", "back", "_fronts", "_sheets"),
+    *("reflectance", "emission", "sky"),
+)
 
 
 class Patches:
@@ -141,6 +147,25 @@ class Patches:
             also = f" (or {len(self)} with the backs)" if len(self) > self._fronts else ""
             raise PatchError(f"{name} has {len(x)} rows for {self._fronts} patches{also}")
         return x
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything that defines these patches, as arrays; :meth:`of_arrays` is the inverse."""
+        known = {name: np.asarray(getattr(self, name)) for name in _ARRAYS}
+        if self.shapes is not None:
+            known["shapes"] = self.shapes
+            known["shape_names"] = np.array(self.shape_names, dtype=str)
+        return known
+
+    @classmethod
+    def of_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Patches:
+        """The patches of :meth:`arrays`, bit by bit."""
+        patches = cls.__new__(cls)
+        for name in _ARRAYS:
+            setattr(patches, name, arrays[name])
+        patches._fronts = int(arrays["_fronts"])
+        if "shapes" in arrays:
+            patches.shapes, patches.shape_names = arrays["shapes"], tuple(map(str, arrays["shape_names"]))
+        return patches
 
     def __len__(self) -> int:
         return self._fronts + len(self._sheets)

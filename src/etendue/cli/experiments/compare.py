@@ -14,6 +14,7 @@ from rich.console import Console
 from etendue import display, film, methods
 from etendue.api import start_job
 from etendue.core import OptionError
+from etendue.distributed import Cluster
 from etendue.engine import Budget, Job, Task
 from etendue.jobs import Outputs, Update
 from etendue.scene import bundled
@@ -46,6 +47,7 @@ class Comparison:
     reference_note: str = ""
     title: str = ""
     subtitle: str = ""
+    cluster: Cluster | None = None  #: makes the passes
     _reference: Image | None = field(default=None, init=False)
 
     def run(self, console: Console) -> int:
@@ -80,7 +82,7 @@ class Comparison:
             return job
 
         watch = history.record if self._reference is not None else None
-        outcome = follow(lambda: start_job(open_job, outputs, watch), console, name)
+        outcome = follow(lambda: start_job(open_job, outputs, watch, self.cluster), console, name)
         if outcome.result is not None:
             note(console, summary(outcome.result))
             layers = {k: v for k, v in outcome.result.layers.items() if k != "image"}

@@ -15,29 +15,45 @@
   };
   const pictures = await Promise.all(planes.map(unpack));
 
-  const curves = {
-    srgb: (x) => x,
-    filmic: (x) => (x * (2.51 * x + 0.03)) / (x * (2.43 * x + 0.59) + 0.14),
+  // A tone curve is encode(after f(before x)), f and encode as tables: f at equal steps of log2 x, encode of squares.
+  const at = (table, place) => {
+    const i = Math.min(Math.max(Math.floor(place), 0), table.length - 2);
+    return table[i] + Math.min(Math.max(place - i, 0), 1) * (table[i + 1] - table[i]);
   };
-  const encode = (x) => (x <= 0.0031308 ? 12.92 * x : 1.055 * x ** (1 / 2.4) - 0.055);
-  // One byte for each mantissa under each exponent: a change of exposure is a table and a look-up.
-  const table = new Uint8Array(65536);
+  const [lowest, highest] = data.range;
+  const f = (curve, x) => {
+    if (x < 2 ** lowest) return (x / 2 ** lowest) * curve.f[0];
+    return at(curve.f, (Math.log2(x) - lowest) * ((curve.f.length - 1) / (highest - lowest)));
+  };
+  const encode = (curve, y) => Math.round(255 * at(curve.encode, Math.sqrt(Math.min(Math.max(y, 0), 1)) * (curve.encode.length - 1)));
+  // One entry for each mantissa under each exponent: exposed values, and bytes if the channels do not mix.
+  const exposed = new Float64Array(65536), bytes = new Uint8Array(65536);
+  let chosen = data.curves[data.curve];
   const fillTable = (stops, curve) => {
+    chosen = data.curves[curve];
     for (let e = 0; e < 256; e++) {
       for (let m = 0; m < 256; m++) {
-        const linear = Math.min(m * 2 ** (e - 136 + stops), 1e30);
-        table[(e << 8) | m] = Math.round(255 * encode(Math.min(curves[curve](linear), 1)));
+        const x = Math.min(m * 2 ** (e - 136 + stops), 1e30), i = (e << 8) | m;
+        exposed[i] = x;
+        if (!chosen.before) bytes[i] = encode(chosen, f(chosen, x));
       }
     }
   };
   const developed = names.map(() => new ImageData(width, height));
+  const mix = (row, r, g, b) => row[0] * r + row[1] * g + row[2] * b;
   const develop = (index) => {
-    const source = pictures[index], target = developed[index].data;
+    const source = pictures[index], target = developed[index].data, { before, after } = chosen;
     for (let i = 0; i < count; i++) {
       const e = source[3 * count + i] << 8;
-      target[4 * i] = table[e | source[i]];
-      target[4 * i + 1] = table[e | source[count + i]];
-      target[4 * i + 2] = table[e | source[2 * count + i]];
+      const r = e | source[i], g = e | source[count + i], b = e | source[2 * count + i];
+      if (before) {
+        const [x, y, z] = before.map((row) => f(chosen, mix(row, exposed[r], exposed[g], exposed[b])));
+        for (let k = 0; k < 3; k++) target[4 * i + k] = encode(chosen, mix(after[k], x, y, z));
+      } else {
+        target[4 * i] = bytes[r];
+        target[4 * i + 1] = bytes[g];
+        target[4 * i + 2] = bytes[b];
+      }
       target[4 * i + 3] = 255;
     }
   };

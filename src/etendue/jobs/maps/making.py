@@ -20,6 +20,9 @@ from etendue.surfaces import (
     variable_bandwidths,
 )
 
+#: Most particles by which bandwidths are chosen.
+_SAMPLE = 1 << 20
+
 MapKind = Literal["histogram", "kernel", "variable", "knn"]
 #: Particles in memory, or a function that opens their stream anew: a variable kernel reads it twice.
 Source: TypeAlias = Particles | Callable[[], Iterable[Particles]]
@@ -93,15 +96,18 @@ def make_map(
 
 
 def _widths(surfaces: MapSurfaces, particles: Source, o: MapOptions) -> float | Array:
-    """The bandwidth given, or that of the rule: by the first pass, and the number of all particles."""
+    """The bandwidth given, or that of the rule: by a part of all particles, taken evenly, as those of a file are sorted
+    by surface."""
     if o.bandwidth is not None:
         return o.bandwidth
-    first, total = None, 0
+    kept, stride, total = Particles.empty(), 1, 0
     for part in _passes(particles):
-        first = part if first is None and len(part) else first
+        kept = Particles.joined([kept, part[-total % stride :: stride]])
         total += len(part)
+        while len(kept) > _SAMPLE:
+            kept, stride = kept[::2], 2 * stride
     rule: Any = o.rule
-    return rule_bandwidths(surfaces, Particles.empty() if first is None else first, rule, o.kernel, total)
+    return rule_bandwidths(surfaces, kept, rule, o.kernel, total)
 
 
 def _added(

@@ -58,7 +58,7 @@ class FileSource:
         elif isinstance(scene, (str, os.PathLike)):
             scene = locate(scene, logger.debug)
         problem = load(scene, parameters=parameters, memory=memory)
-        if problem.fingerprint != self.file.header["fingerprint"]:
+        if not self.file.is_of(problem):
             logger.warning(
                 "%s: the scene '%s' has changed since its particles were traced, or is another one",
                 self.file.path,

@@ -42,7 +42,7 @@ CAP = 100.0
 #: Weight of a step of a chain relative to that of an independent sample, because neighbours of a chain are correlated.
 CORRELATED = 0.25
 #: The bootstrap ends with this many samples that find light, or when it has grown by this factor.
-_ENOUGH_LIT, _MOST_GROWTH = 1 << 14, 16
+_ENOUGH_LIT, _MOST_GROWTH = 1 << 12, 8
 #: Most samples of the bootstrap that are traced together.
 _BATCH = 1 << 16
 #: Bit of the number of a sample or a chain that tells its half.

@@ -24,6 +24,8 @@ from etendue.scene import LightTable
 from etendue.transport import EmittedRay, GivenNumbers, Proposal, Vertex, emit, scatter_light
 from etendue.transport import dimensions as dim
 
+#: Component of the number of roulette, edges from which on it plays, and largest probability to survive it.
+_ROULETTE, _ROULETTE_FROM, _LIVES = 62, 4, 0.95
 #: Component of the number that picks one of the edges of an independent path.
 _PICK_EDGE = 63
 #: Random numbers of the first edge and of a later one, by component.
@@ -73,17 +75,17 @@ class LightPaths:
     proposal: Proposal = scatter_light  #: samples directions
 
     def independent(self, lanes: mi.UInt32, seed: int, role: str, iteration: int) -> Independent:
-        """Trace paths without roulette."""
+        """Trace paths. Russian roulette brings the luminance back to that of the first end."""
         source = IndependentSource(lanes, seed, role, iteration)
         n = dr.width(lanes)
         end = self.from_light([source.next_1d(0, c) for c in FIRST], dr.full(mi.Bool, True, n))
-        value = mi.luminance(end.flux)
+        direct = mi.luminance(end.flux)
         start = {
             "number": mi.UInt32(1),
             "ray": end.ray,
             "hit": end.hit,
             "flux": end.flux,
-            "total": mi.Float(value),
+            "total": mi.Float(direct),
             "last": dr.zeros(mi.Float, n),
             "colour": mi.Color3f(end.flux),
             "edges": mi.UInt32(1),
@@ -101,12 +103,16 @@ class LightPaths:
             total = s["total"] + value
             picked = source.next_1d(number, _PICK_EDGE) * total < value
             number = number + 1
+            lives = dr.minimum(value / direct, _LIVES)
+            plays = number >= _ROULETTE_FROM
+            survives = ~plays | (source.next_1d(number, _ROULETTE) < lives)
+            flux = dr.select(plays, end.flux / dr.maximum(lives, 1e-12), end.flux)
             return (
                 {
                     "number": number,
                     "ray": end.ray,
                     "hit": end.hit,
-                    "flux": end.flux,
+                    "flux": dr.select(survives, flux, 0.0),
                     "total": total,
                     "last": dr.select(number == self.longest, value, 0.0),
                     "colour": s["colour"] + end.flux,
@@ -116,10 +122,10 @@ class LightPaths:
             )
 
         (s,) = dr.while_loop((start,), going, edge, label="independent light paths")
-        dr.eval(value, s["total"], s["last"], s["colour"], s["edges"], s["rays"])
-        total, direct, last = (np.array(x, np.float64) for x in (s["total"], value, s["last"]))
+        dr.eval(direct, s["total"], s["last"], s["colour"], s["edges"], s["rays"])
+        total, first, last = (np.array(x, np.float64) for x in (s["total"], direct, s["last"]))
         colour = np.array(dr.ravel(s["colour"]), np.float64).reshape(n, 3)
-        return Independent(total, direct, last, colour, np.array(s["edges"], np.uint32), summed(s["rays"]))
+        return Independent(total, first, last, colour, np.array(s["edges"], np.uint32), summed(s["rays"]))
 
     def from_independent(self, lanes: mi.UInt32, edges: mi.UInt32, seed: int, role: str, iteration: int) -> PathNumbers:
         """The state of the first ``edges`` edges of the independent paths ``lanes``."""

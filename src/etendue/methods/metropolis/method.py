@@ -34,7 +34,8 @@ _STEPS = 8
 TUNING = 16
 #: Acceptance of small steps that tuning aims at, and the range of their size.
 _ACCEPTED, _SIZES = 0.5, (2.0**-12, 0.25)
-_LEAST_LARGE = 1.0 / 16.0
+#: Least share of large steps: they tell the scale of the picture, whose error dominates where light is found rarely.
+_LEAST_LARGE = 0.25
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ from etendue.core import (
     setting,
 )
 from etendue.integration import ChainDiagnosis, diagnose
-from etendue.particles import Particles, Rows, SurfaceTable, columns_of
+from etendue.particles import Particles, Rows, Surfaces, SurfaceTable, columns_of
 from etendue.scene import LightTable, Problem
 from etendue.transport import scatter_light, scatter_uniform
 
@@ -111,6 +111,15 @@ class MetropolisParticles(Carrying):
     def samples_per_iteration(self) -> int:
         """Steps of a pass, of all chains."""
         return int(self.settings.chains * self.settings.steps)
+
+    @property
+    def surfaces(self) -> Surfaces:
+        """The shapes of the scene."""
+        return self._maker.surfaces
+
+    def paths_for(self, particles: int) -> int:
+        """Steps that leave so many particles, repeats included."""
+        return particles
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """Trace independent paths, and start the chains at some of their ends, in proportion to the flux there.
@@ -217,6 +226,8 @@ class MetropolisParticles(Carrying):
 
     def noise(self, measurement: Measurement) -> float | None:
         """Squared relative standard error of the flux at all ends; ``None`` if it is not known yet."""
+        if _SCALE not in measurement.sums:
+            return None
         flux, error = self.flux(measurement)
         return None if math.isnan(error) else (error / flux) ** 2
 
@@ -289,6 +300,7 @@ class _RowMaker:
     def __init__(self, problem: Problem) -> None:
         self._space = problem.space
         table = SurfaceTable(problem)
+        self.surfaces = table.surfaces
         self._number = table.number_of_pointer
         self._is_mesh = on_device(mi.UInt32, table.is_mesh_pointer.astype(np.uint32))
         self._all_meshes = all(table.is_mesh_pointer[1:])

@@ -82,12 +82,14 @@ class _Chain:
     """State of the loop over the steps, one lane a chain."""
 
     step: mi.UInt32
+    missing: mi.UInt32  #: edges of the first state whose ends are to be found again, before the first step
     length: mi.UInt32
     first: list[mi.Float]
     value: mi.Float  #: the target
     place: mi.Point3f  #: end of the path
     repeats: mi.UInt32  #: steps since the state was entered
     rays: mi.UInt32
+    rebuilt: mi.UInt32  #: edges found again
     accepted: mi.UInt32
     bad: mi.UInt32
     trail: _Trail
@@ -147,68 +149,64 @@ class TailChains:
             dr.scatter(counts, c.repeats, slot, active)
 
         def step(c: _Chain) -> tuple[_Chain]:
-            self._step(c, source, leave)
+            stepping = self._step(c, state, lane, source, leave)
             after = mi.Vector4f(mi.Float(c.length), *c.place)
-            dr.scatter(traces, after, c.step * traced + lane, lane < traced)
-            c.step = c.step + 1
+            dr.scatter(traces, after, c.step * traced + lane, stepping & (lane < traced))
+            c.step += ones(stepping)
             return (c,)
 
-        chain, rebuilt = self._rebuilt(state, lane)
         count = dr.opaque(mi.UInt32, steps)
-        (chain,) = dr.while_loop((chain,), lambda c: c.step < count, step, label="tail mutation")
+        (chain,) = dr.while_loop((self._begun(state, lane),), lambda c: c.step < count, step, label="tail mutation")
         leave(chain, chain.repeats > 0)
         left = self._left(chain, lane, n)
         dr.eval(left.length, left.first, left.later, counts, what, traces, *rows)
-        dr.eval(rebuilt, chain.rays, chain.accepted, chain.bad)
-        rays = summed(chain.rays), summed(rebuilt)
+        dr.eval(chain.rebuilt, chain.rays, chain.accepted, chain.bad)
+        rays = summed(chain.rays), summed(chain.rebuilt)
         return Walked(left, counts, *rows, what, traces, *rays, summed(chain.accepted), summed(chain.bad))
 
-    def _rebuilt(self, state: PathNumbers, lane: mi.UInt32) -> tuple[_Chain, mi.UInt32]:
-        """The chains at ``state``, with the hits of their paths; and the number of rays for this."""
+    def _begun(self, state: PathNumbers, lane: mi.UInt32) -> _Chain:
+        """The chains before the paths of ``state`` are found again."""
         n = dr.width(lane)
-        first = [dr.gather(mi.Float, state.first, lane + i * n) for i in range(5)]
-        length = mi.UInt32(state.length)
-        trail = _Trail.of(self.paths.longest)
-        end = self.paths.from_light(first, dr.full(mi.Bool, True, n))
-        trail.write(mi.UInt32(0), end, mi.Point3f(0.0), dr.full(mi.Bool, True, n))
-
-        def edge(number: mi.UInt32, place: mi.Point3f, value: mi.Float, trail: _Trail) -> tuple[Any, ...]:
-            row = 3 * (number - 1)
-            numbers = mi.Point3f(*(dr.gather(mi.Float, state.later, (row + i) * n + lane) for i in range(3)))
-            ray, hit, flux = trail.read(number - 1, mi.Bool(True))
-            end = self.paths.onward(ray, hit, flux, [*numbers], mi.Bool(True))
-            trail.write(number, end, numbers, mi.Bool(True))
-            return number + 1, end.ray(end.hit.t), mi.luminance(end.flux), trail
-
-        begin = mi.UInt32(1), end.ray(end.hit.t), mi.luminance(end.flux), trail
-        _, place, value, trail = dr.while_loop(begin, lambda number, *_: number < length, edge, label="trail")
         none = dr.zeros(mi.UInt32, n)
-        chain = _Chain(
-            step=mi.UInt32(0),
-            length=length,
-            first=first,
-            value=value,
-            place=place,
-            repeats=none,
+        return _Chain(
+            step=mi.UInt32(none),
+            missing=mi.UInt32(state.length),
+            length=mi.UInt32(none),
+            first=[dr.gather(mi.Float, state.first, lane + i * n) for i in range(5)],
+            value=dr.zeros(mi.Float, n),
+            place=dr.zeros(mi.Point3f, n),
+            repeats=mi.UInt32(none),
             rays=mi.UInt32(none),
+            rebuilt=mi.UInt32(none),
             accepted=mi.UInt32(none),
             bad=mi.UInt32(none),
-            trail=trail,
+            trail=_Trail.of(self.paths.longest),
         )
-        return chain, mi.UInt32(state.length)
 
-    def _step(self, c: _Chain, source: SampleSource, leave: Callable[[_Chain, mi.Bool], None]) -> None:
-        """One step of each chain. ``leave`` is called with the chains before those that move have moved."""
+    def _step(
+        self,
+        c: _Chain,
+        state: PathNumbers,
+        lane: mi.UInt32,
+        source: SampleSource,
+        leave: Callable[[_Chain, mi.Bool], None],
+    ) -> mi.Bool:
+        """One step of each chain, or one more edge of the path of ``state`` where edges are missing; both in one body,
+        because materials and lights are compiled where they are called. Returns the chains that have made a step.
+        ``leave`` is called with the chains before those that move have moved."""
+        finds = c.missing > 0
         kind = source.next_1d(c.step, _KIND)
-        drops, adds = kind < 1.0 / 3.0, kind >= 2.0 / 3.0
+        drops, adds = ~finds & (kind < 1.0 / 3.0), (kind >= 2.0 / 3.0) | finds
         keeps = ~drops & ~adds
-        is_first = keeps & (c.length == 1)
+        is_first = (keeps & (c.length == 1)) | (finds & (c.length == 0))
         zeta = [source.next_1d(c.step, _NUMBERS + i) for i in range(5)]
 
         # ---- Numbers of the proposed last edge
         size = dr.opaque(mi.Float, self.step)
         anew = source.next_1d(c.step, _ANEW) < dr.opaque(mi.Float, self.anew)
-        own = c.trail.numbers.read(c.length - 1)
+        own = c.trail.numbers.read(c.length - 1, ~finds)
+        n, row = dr.width(lane), 3 * (c.length - 1)
+        kept = [dr.gather(mi.Float, state.later, (row + i) * n + lane, finds & ~is_first) for i in range(3)]
         first = [dr.select(anew, z, u + (2.0 * z - 1.0) * size) for u, z in zip(c.first, zeta, strict=True)]
         later = [dr.select(anew | adds, z, u + (2.0 * z - 1.0) * size) for u, z in zip(own, zeta[:3], strict=True)]
         inside_first, inside_later = mi.Bool(True), mi.Bool(True)
@@ -216,10 +214,12 @@ class TailChains:
             inside_first &= (u >= 0.0) & (u <= _BELOW_ONE)
         for u in later:
             inside_later &= (u >= 0.0) & (u <= _BELOW_ONE)
+        first = [dr.select(finds, old, u) for old, u in zip(c.first, first, strict=True)]
+        later = [dr.select(finds, old, u) for old, u in zip(kept, later, strict=True)]
 
         # ---- The edge: from the light, or from the vertex before it
-        starts = is_first & inside_first
-        scatters = (keeps & ~is_first & inside_later) | (adds & (c.length < self.paths.longest))
+        starts = is_first & (inside_first | finds)
+        scatters = (keeps & ~is_first & inside_later) | (adds & ~is_first & (c.length < self.paths.longest))
         edge = c.length - dr.select(adds, mi.UInt32(1), mi.UInt32(2))  # the one before; wraps where there is none
         shortens = drops & (c.length > 1)
         before = c.trail.read(edge, scatters | shortens)
@@ -233,18 +233,21 @@ class TailChains:
         # ---- Accept
         value = mi.luminance(dr.select(shortens, before[2], end.flux))
         proposed = shortens | casts
-        accepted = proposed & (source.next_1d(c.step, _ACCEPT) * c.value < value)
+        accepted = finds | (proposed & (source.next_1d(c.step, _ACCEPT) * c.value < value))
         leave(c, accepted & (c.repeats > 0))
-        c.repeats = dr.select(accepted, mi.UInt32(0), c.repeats) + 1
+        c.repeats = dr.select(accepted, mi.UInt32(0), c.repeats) + ones(~finds)
         moved = accepted & ~shortens
         c.place = dr.select(moved, end.ray(end.hit.t), dr.select(accepted, before[0](before[1].t), c.place))
         c.value = dr.select(accepted, value, c.value)
         c.length = dr.select(accepted, c.length + ones(adds) - ones(drops), c.length)
         c.first = [dr.select(accepted & is_first, u, v) for u, v in zip(first, c.first, strict=True)]
         c.trail.write(c.length - 1, end, mi.Point3f(*later), moved)
-        c.rays += ones(casts)
-        c.accepted += ones(accepted)
+        c.missing -= ones(finds)
+        c.rays += ones(casts & ~finds)
+        c.rebuilt += ones(finds)
+        c.accepted += ones(accepted & ~finds)
         c.bad += ones(casts & end.bad)
+        return ~finds
 
     def _left(self, chain: _Chain, lane: mi.UInt32, n: int) -> PathNumbers:
         """The state of chains, as arrays."""

@@ -246,7 +246,7 @@ class HierarchicalMultipath:
         free = free_memory()
         if free is not None and lists + power > free:
             raise RadiosityError(
-                f"{self._options.lines} lines a pass, {self.root.total} patches and {len(self.tree) - 1} boxes of "
-                f"{len(self._options.regions)} regions need {(lists + power) / 1e9:.1f} GB, {free / 1e9:.1f} GB are "
-                "free: set fewer lines, a smaller grid of boxes, or larger patches"
+                f"{self._options.lines} lines a pass, {self.root.total} patches and {regions} regions of boxes need "
+                f"{(lists + power) / 1e9:.1f} GB, {free / 1e9:.1f} GB are free: set fewer lines, a smaller grid of "
+                "boxes, or larger patches"
             )

@@ -14,7 +14,7 @@ from .pieces import box, diffuse, rgb
 _HALF, _HEIGHT, _ROOM, _CHAMBER = 1.6, 2.2, 3.2, 1.4
 _WALL = 0.08
 #: The gaps: (range of x, range of y) in the wall of the room and in the wall behind it.
-_GAPS = (((-1.1, -0.8), (0.7, 1.3)), ((0.75, 1.05), (0.9, 1.5)))
+_GAPS = (((-1.05, -0.9), (0.8, 1.15)), ((0.8, 0.95), (1.0, 1.35)))
 
 
 def gaps() -> dict[str, Any]:
@@ -40,7 +40,7 @@ def gaps() -> dict[str, Any]:
             "type": "disk",
             "to_world": lamp,
             "bsdf": diffuse(0.2, 0.2, 0.2),
-            "emitter": {"type": "area", "radiance": rgb(26000.0, 23000.0, 19000.0)},
+            "emitter": {"type": "area", "radiance": rgb(1.6e7, 1.4e7, 1.16e7)},
         },
         "ball": {
             "type": "sphere",

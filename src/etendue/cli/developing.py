@@ -1,0 +1,87 @@
+"""The command `develop`: a picture for a display from an OpenEXR file, denoised on request."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from etendue.core import OptionError, Result
+
+from . import options as opt
+from .console import error_console, note, say
+
+
+def develop(
+    picture: Annotated[Path, typer.Argument(help="OpenEXR file of étendue or Mitsuba.", metavar="PICTURE.exr")],
+    output: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "-o", "--output", help=".png, or .exr (linear); repeatable. By default PICTURE.png.", metavar="FILE"
+        ),
+    ] = None,
+    denoise: Annotated[
+        str | None, typer.Option(help="oidn, bilateral, guided, gaussian or nlm.", metavar="NAME")
+    ] = None,
+    tone: opt.Tone = "srgb",
+    exposure: opt.Exposure = "auto",
+    layers: Annotated[
+        str | None,
+        typer.Option(
+            help="Layers to denoise one by one and add up; by default those whose sum is the picture.",
+            metavar="NAME,NAME...",
+        ),
+    ] = None,
+    albedo: Annotated[str | None, typer.Option(help="Layer of the albedo.", metavar="LAYER")] = None,
+    normal: Annotated[str | None, typer.Option(help="Layer of the normals.", metavar="LAYER")] = None,
+    radius: Annotated[int, typer.Option(help="Radius of a filter's window, in pixels.", metavar="N")] = 5,
+    strength: Annotated[float, typer.Option(help="How much is smoothed; 1 is usual.", metavar="X")] = 1.0,
+    variant: opt.Variant = None,
+    threads: opt.Threads = None,
+    debug: opt.Debug = False,
+) -> int:
+    """Make a PNG of an OpenEXR picture: denoise it if asked, expose it, apply a tone curve.
+
+    The file itself is not changed.
+    """
+    from etendue import display, film
+    from etendue.jobs import check_files, check_picture, save_result
+
+    display.check_tone(exposure, tone)
+    if denoise is not None:
+        display.denoiser(denoise)
+    outputs = output or [picture.with_suffix(".png")]
+    for path in outputs:
+        check_picture(path)
+        if path.absolute() == picture.absolute() or (path.exists() and picture.exists() and path.samefile(picture)):
+            raise OptionError(f"'{path}' is the input, which is not changed; name another file by -o")
+    check_files(outputs)
+    read = film.read_exr(picture)
+    if denoise is not None:
+        from .rendering import choose_device
+
+        choose_device(variant, threads)
+    wanted = tuple(name.strip() for name in layers.split(",")) if layers is not None else ()
+    console = error_console()
+    settings = read.metadata.get("settings")
+    if denoise == "oidn" and isinstance(settings, dict) and settings.get("reconstruction") == "neighbours":
+        text = "neighbouring pixels share samples, which oidn takes for structure unless the film's filter is a box"
+        note(console, f"{text}: render with -D reconstruction=independent")
+    developed = display.develop(
+        read.layers,
+        denoise,
+        components=wanted,
+        albedo=albedo,
+        normal=normal,
+        radius=radius,
+        strength=strength,
+        tell=lambda text: note(console, text),
+    )
+    how = {"from": str(picture), "denoise": denoise, "layers": layers, "radius": radius, "strength": strength}
+    for path in outputs:
+        save_result(
+            path, Result({"image": developed}, {**read.metadata, "developed": how}), tone=tone, exposure=exposure
+        )
+        say(str(path))
+    return 0

@@ -1,0 +1,250 @@
+"""Gaussian, bilateral and guided filter of a picture, on the device.
+
+Pixels are packets of four floats. Windows end at the border of the picture and weights are normalised there, so that a
+constant picture stays as it is. Colours that decide which pixels are alike are compressed, ``log(1 + x / level)`` with
+the mean luminance as level, because noise of light grows with the light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.film import LUMINANCE
+
+from .pictures import Features, Picture
+
+#: Standard deviation of Gaussian weights in space, relative to the radius of the window.
+_SPACE = 0.5
+#: Differences at which the weight of the bilateral filter is exp(-1/2): compressed colours, albedo, normals.
+_COLOUR, _ALBEDO, _NORMAL = 0.6, 0.1, 0.2
+#: Pixels of a lane of the bilateral filter.
+_STRIP = 4
+#: Guide outside the picture.
+_FAR = 1e4
+#: Variance of a guide, relative to which its variance in a window counts: of features, and of the luminance.
+_FEATURE_NOISE, _LIGHT_NOISE = 1e-3, 0.05
+
+
+def gaussian(component: Picture, features: Features, radius: int, strength: float) -> Picture:
+    """Gaussian blur; the standard deviation is ``strength`` times half the radius."""
+    height, width = component.shape[:2]
+    offsets = np.arange(-radius, radius + 1)
+    weights = np.exp(-0.5 * (offsets / max(_SPACE * radius * strength, 1e-3)) ** 2)
+    frame = Frame(width, height)
+    values = [packets(component)]
+    for down in (False, True):
+        values = frame.along(down, radius, values, weights=weights)
+    return unpacked(values[0], height, width)
+
+
+def bilateral(component: Picture, features: Features, radius: int, strength: float) -> Picture:
+    """Mean of the pixels of the window, with weights by distance, compressed colour, albedo and normal [Tomasi 1998].
+
+    ``strength`` multiplies the accepted difference of colours.
+    """
+    height, width = component.shape[:2]
+    layers = [component, compressed(component) / np.float32(max(_COLOUR * strength, 1e-6))]
+    pairs = ((features.albedo, _ALBEDO), (features.normal, _NORMAL))
+    layers += [layer / np.float32(unit) for layer, unit in pairs if layer is not None]
+    # The channels of a pixel one after the other. Around the picture the guides are so different that nothing there
+    # has a weight: no tap has to look where it is.
+    strips = -(-height // _STRIP)
+    channels = 3 * len(layers)
+    padded = np.full((strips * _STRIP + 2 * radius, width + 2 * radius, -(-channels // 4) * 4), _FAR, dtype=np.float32)
+    inside = padded[radius : radius + height, radius : radius + width]
+    for index, layer in enumerate(layers):
+        inside[:, :, 3 * index : 3 * index + 3] = layer
+    padded[:, :, channels:] = 0.0
+    count, line = padded.shape[2] // 4, dr.opaque(mi.Int32, width + 2 * radius)
+    values = dr.copy(mi.Float(padded.ravel()))
+    far = dr.opaque(mi.Int32, radius)
+    # A lane has the pixels of a strip of a column: a neighbour is read once for all of them.
+    lane = dr.arange(mi.Int32, width * strips)
+    strip = lane // dr.opaque(mi.Int32, width)
+    column = lane - strip * dr.opaque(mi.Int32, width)
+    first = (strip * _STRIP + far) * line + column + far
+
+    def read(place: mi.Int32) -> list[mi.Float]:
+        found = [dr.gather(mi.Vector4f, values, mi.UInt32(place * count + k)) for k in range(count)]
+        return [channel for packet in found for channel in packet]
+
+    own = [read(first + line * k)[3:] for k in range(_STRIP)]
+    space = dr.opaque(mi.Float, -0.5 / (_SPACE * radius) ** 2)
+    last = far + _STRIP
+
+    def tap(down: mi.Int32, across: mi.Int32, *sums: mi.Vector4f) -> tuple[mi.Int32 | mi.Vector4f, ...]:
+        value = read(first + down * line + across)
+        colour = mi.Vector4f(*value[:3], 1.0)
+        result = []
+        for k, total in enumerate(sums):
+            squared = mi.Float(0.0)
+            for channel, mine in zip(value[3:], own[k], strict=True):
+                squared = dr.fma(channel - mine, channel - mine, squared)
+            below = down - k
+            w = dr.exp(mi.Float(across * across + below * below) * space - 0.5 * squared)
+            w = dr.select((below >= -far) & (below <= far), w, 0.0)
+            result.append(dr.fma(colour, w, total))
+        # Counted, since a division of integers takes long.
+        ends = across == far
+        return dr.select(ends, down + 1, down), dr.select(ends, -far, across + 1), *result
+
+    empty = [mi.Vector4f(0.0) for _ in range(_STRIP)]
+    _, _, *sums = dr.while_loop((-far, -far, *empty), lambda down, *_: down < last, tap)
+    means = [dr.ravel(mi.Color3f(s.x, s.y, s.z) / s.w) for s in sums]
+    dr.eval(means)  # together, or the loop runs once for each
+    rows = [np.array(mean).reshape(strips, width, 3) for mean in means]
+    return np.stack(rows, axis=1).reshape(-1, width, 3)[:height]
+
+
+def guided(component: Picture, features: Features, radius: int, strength: float) -> Picture:
+    """Linear regression of the picture on a guide in each window, averaged over the windows of a pixel [He 2013].
+
+    The guide is albedo, normal and the luminance of the picture, which is what lamps, caustics and shadows have. It is
+    not compressed: the slope of a picture on itself is at most 1, so noise beside a lamp stays but does not grow.
+    ``strength`` multiplies the variance of a guide that is taken for noise.
+    """
+    height, width = component.shape[:2]
+    frame = Frame(width, height)
+    light = component @ np.array(LUMINANCE, dtype=np.float32)[:, None]
+    light /= max(float(light.mean()), 1e-20)
+    layers = [layer for layer in (features.albedo, features.normal) if layer is not None]
+    first = np.concatenate([light, *layers[:1]], axis=2)  # four channels, if there are features
+    layers = [first, *layers[1:]]
+    count = sum(layer.shape[2] for layer in layers)
+    noise = [_FEATURE_NOISE] * count
+    noise[0] = _LIGHT_NOISE
+    guides, value = [packets(layer) for layer in layers], packets(component)
+    dr.eval(guides, value)
+
+    def read(place: mi.UInt32, inside: mi.Bool | bool = True) -> list[mi.Float]:
+        found = [dr.gather(mi.Vector4f, guide, place, inside) for guide in guides]
+        return [packet[c] for packet, layer in zip(found, layers, strict=True) for c in range(layer.shape[2])]
+
+    def moments(place: mi.UInt32, inside: mi.Bool) -> list[mi.Vector4f]:
+        g, v = read(place, inside), list(dr.gather(mi.Vector4f, value, place, inside))[:3]
+        products = [g[i] * g[j] for i in range(count) for j in range(i + 1)]
+        return _in_packets([*g, *v, *products, *(a * b for a in g for b in v)])
+
+    def regression(means: list[mi.Vector4f]) -> list[mi.Vector4f]:
+        m = [channel for packet in means for channel in packet]
+        g, v, rest = m[:count], m[count : count + 3], iter(m[count + 3 :])
+        covariance = {(i, j): next(rest) - g[i] * g[j] for i in range(count) for j in range(i + 1)}
+        for i in range(count):
+            covariance[i, i] = dr.maximum(covariance[i, i], 0.0) + dr.opaque(mi.Float, strength * noise[i])
+        cross = [[next(rest) - g[i] * v[c] for c in range(3)] for i in range(count)]
+        slopes = _solve(covariance, cross)
+        level = [v[c] - sum(slopes[i][c] * g[i] for i in range(count)) for c in range(3)]
+        return _in_packets([*level, *(slope for row in slopes for slope in row)])
+
+    values = frame.along(False, radius, moments)
+    values = frame.along(True, radius, values, then=regression)
+    values = frame.along(False, radius, values)
+
+    def apply(lines: list[mi.Vector4f]) -> list[mi.Vector4f]:
+        m = [channel for packet in lines for channel in packet]
+        g = read(frame.lane)
+        return _in_packets([m[c] + sum(m[3 + 3 * i + c] * g[i] for i in range(count)) for c in range(3)])
+
+    return unpacked(frame.along(True, radius, values, then=apply)[0], height, width)
+
+
+class Frame:
+    """The pixels of a picture, one lane each."""
+
+    def __init__(self, width: int, height: int) -> None:
+        self.lane = dr.arange(mi.UInt32, width * height)
+        self._size = mi.Point2i(dr.opaque(mi.Int32, width), dr.opaque(mi.Int32, height))
+        self._y = mi.Int32(self.lane) // self._size.x
+        self._x = mi.Int32(self.lane) - self._y * self._size.x
+
+    def at(self, across: mi.Int32, down: mi.Int32) -> tuple[mi.UInt32, mi.Bool]:
+        """(pixel so far from each, whether it is inside)."""
+        x, y = self._x + across, self._y + down
+        inside = (x >= 0) & (x < self._size.x) & (y >= 0) & (y < self._size.y)
+        return mi.UInt32(y * self._size.x + x), inside
+
+    def along(
+        self,
+        down: bool,
+        radius: int,
+        source: Sequence[mi.Float] | Callable[[mi.UInt32, mi.Bool], list[mi.Vector4f]],
+        *,
+        weights: NDArray[np.float64] | None = None,
+        then: Callable[[list[mi.Vector4f]], list[mi.Vector4f]] | None = None,
+    ) -> list[mi.Float]:
+        """Weighted means of ``source`` along rows or columns, equal weights by default: packets, or a function of
+        pixels. ``then`` is applied to the means. The result is evaluated."""
+        if not callable(source):
+            stored = source
+            dr.eval(stored)
+
+            def source(place: mi.UInt32, inside: mi.Bool) -> list[mi.Vector4f]:
+                return [dr.gather(mi.Vector4f, values, place, inside) for values in stored]
+
+        table = mi.Float([1.0] * (2 * radius + 1) if weights is None else list(weights))
+        width, nothing = mi.Float(0.0), mi.Int32(0)
+
+        def tap(
+            number: mi.Int32, weight: mi.Float, *sums: mi.Vector4f
+        ) -> tuple[mi.Int32 | mi.Float | mi.Vector4f, ...]:
+            away = number - radius
+            place, inside = self.at(*((nothing, away) if down else (away, nothing)))
+            w = dr.select(inside, dr.gather(mi.Float, table, mi.UInt32(number)), 0.0)
+            values = source(place, inside)
+            return number + 1, weight + w, *(dr.fma(v, w, s) for v, s in zip(values, sums, strict=True))
+
+        last = dr.opaque(mi.Int32, 2 * radius + 1)
+        empty = [mi.Vector4f(0.0) for _ in source(self.lane, mi.Bool(True))]
+        _, weight, *sums = dr.while_loop((mi.Int32(0), width, *empty), lambda number, *_: number < last, tap)
+        means = [s / weight for s in sums]
+        result = [dr.ravel(packet) for packet in (means if then is None else then(means))]
+        dr.eval(result)
+        return result
+
+
+def packets(layer: Picture) -> mi.Float:
+    """The layer (height, width, up to 4 channels) on the device, four floats a pixel."""
+    padded = np.zeros((*layer.shape[:2], 4), dtype=np.float32)
+    padded[:, :, : layer.shape[2]] = layer
+    return dr.copy(mi.Float(padded.ravel()))
+
+
+def unpacked(values: mi.Float, height: int, width: int) -> Picture:
+    """Inverse of :func:`packets`."""
+    return np.array(np.array(values, np.float32).reshape(height, width, 4)[:, :, :3])
+
+
+def compressed(component: Picture) -> Picture:
+    """``log(1 + x / level)``, the level being the mean luminance; negative values are 0."""
+    x = np.maximum(component, 0.0)
+    level = float((x @ np.array(LUMINANCE, dtype=np.float32)).mean())
+    return np.log1p(x / np.float32(level)) if level > 0.0 else x
+
+
+def _in_packets(values: list[mi.Float]) -> list[mi.Vector4f]:
+    padded = [*values, *([mi.Float(0.0)] * (-len(values) % 4))]
+    return [mi.Vector4f(*padded[i : i + 4]) for i in range(0, len(padded), 4)]
+
+
+def _solve(a: dict[tuple[int, int], mi.Float], b: list[list[mi.Float]]) -> list[list[mi.Float]]:
+    """``a^-1 b`` by Cholesky's decomposition of the lower triangle ``a``."""
+    n = len(b)
+    lower: dict[tuple[int, int], mi.Float] = {}
+    for i in range(n):
+        for j in range(i + 1):
+            rest = a[i, j] - sum(lower[i, k] * lower[j, k] for k in range(j))
+            lower[i, j] = dr.sqrt(dr.maximum(rest, 1e-12)) if i == j else rest / lower[j, j]
+    forward: list[list[mi.Float]] = []
+    for i in range(n):
+        forward.append([(b[i][c] - sum(lower[i, k] * forward[k][c] for k in range(i))) / lower[i, i] for c in range(3)])
+    result: list[list[mi.Float]] = [[] for _ in range(n)]
+    for i in reversed(range(n)):
+        result[i] = [
+            (forward[i][c] - sum(lower[k, i] * result[k][c] for k in range(i + 1, n))) / lower[i, i] for c in range(3)
+        ]
+    return result

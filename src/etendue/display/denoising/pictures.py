@@ -1,0 +1,110 @@
+"""What denoisers read: components of a picture, features of its first surfaces, and the variance of its pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import OptionError
+from etendue.film import Technique
+
+Picture = NDArray[np.float32]
+
+#: Names of the layers of first surfaces: ours, and those usual in Mitsuba, where the scene names them.
+_ALBEDO: Final = ("albedo", "alb", "albedos")
+_NORMAL: Final = ("normal", "normals", "sh_normal", "nn", "sn")
+_VARIANCE: Final = "variance"
+#: Largest difference between a picture and the sum of its components, relative to the picture's mean.
+_SUM_TOLERANCE: Final = 1e-3
+
+
+@dataclass(frozen=True)
+class Features:
+    """Layers (height, width, 3) that guide a denoiser, without values that are not finite; ``None``: not there.
+
+    ``variance`` is that of the mean that a pixel of the whole picture is.
+    """
+
+    albedo: Picture | None = None
+    normal: Picture | None = None
+    variance: Picture | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Those that are there."""
+        return tuple(name for name in ("albedo", "normal", "variance") if getattr(self, name) is not None)
+
+
+def find_features(layers: Mapping[str, Picture], albedo: str | None = None, normal: str | None = None) -> Features:
+    """The features among ``layers``, by their usual names or those given.
+
+    Raises :class:`OptionError` if a given layer does not exist or has not three channels.
+    """
+    found = {}
+    for what, given, usual in (
+        ("albedo", albedo, _ALBEDO),
+        ("normal", normal, _NORMAL),
+        ("variance", None, (_VARIANCE,)),
+    ):
+        name = next((n for n in usual if n in layers), None) if given is None else given
+        if given is not None and given not in layers:
+            raise OptionError(f"there is no layer '{given}' for --{what}; there are: {', '.join(layers)}")
+        if name is None:
+            continue
+        layer = layers[name]
+        if layer.ndim != 3 or layer.shape[2] < 3:
+            if given is None:
+                continue  # a layer of this name with another meaning
+            raise OptionError(f"layer '{given}' for --{what} has {layer[0, 0].size} channels, not 3")
+        found[what] = np.ascontiguousarray(np.nan_to_num(layer[:, :, :3], posinf=0.0, neginf=0.0), dtype=np.float32)
+    return Features(**found)
+
+
+def component_names(layers: Mapping[str, Picture], chosen: Sequence[str] = ()) -> tuple[str, ...]:
+    """Layers that are filtered each and then summed: those ``chosen``, or those whose sum is the picture (such as
+    ``split_layers`` makes), or the picture alone.
+
+    Raises :class:`OptionError` for a layer that does not exist or is no colour, and if there is no picture.
+    """
+    for name in chosen:
+        if name not in layers or not _is_colour(layers[name]):
+            known = [key for key, layer in layers.items() if _is_colour(layer)]
+            raise OptionError(f"there is no colour layer '{name}'; there are: {', '.join(known)}")
+    if chosen:
+        return tuple(chosen)
+    if "image" not in layers or not layers["image"].size:
+        raise OptionError(f"the file has no R, G, B channels, only layers: {', '.join(layers)}; name some by --layers")
+    parts = tuple(name for name, layer in layers.items() if _is_part(name, layer))
+    whole = layers["image"]
+    if len(parts) > 1 and _is_colour(whole):
+        with np.errstate(invalid="ignore"):
+            difference = np.abs(sum(layers[name][:, :, :3].astype(np.float64) for name in parts) - whole[:, :, :3])
+        finite = np.isfinite(difference)
+        if finite.any() and difference[finite].max() <= _SUM_TOLERANCE * np.abs(whole[:, :, :3][finite]).mean():
+            return parts
+    return ("image",)
+
+
+def _is_part(name: str, layer: Picture) -> bool:
+    features = ("image", _VARIANCE, *_ALBEDO, *_NORMAL)
+    return _is_colour(layer) and name not in features and Technique.of_layer(name) is None
+
+
+def _is_colour(layer: Picture) -> bool:
+    return layer.ndim == 3 and layer.shape[2] in (3, 4)
+
+
+def colours(layer: Picture) -> Picture:
+    """The layer as (height, width, 3), each pixel that is not finite replaced by the mean of those around it."""
+    x = np.repeat(layer[:, :, :1], 3, axis=2) if layer.shape[2] < 3 else layer[:, :, :3]
+    x = np.array(x, dtype=np.float32, order="C")
+    bad = np.asarray(~np.isfinite(x).all(axis=2))
+    for row, column in zip(*np.nonzero(bad), strict=True):
+        around = (slice(max(row - 1, 0), row + 2), slice(max(column - 1, 0), column + 2))
+        good = x[around][~bad[around]]
+        x[row, column] = good.mean(axis=0) if len(good) else 0.0
+    return x

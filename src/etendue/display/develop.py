@@ -1,0 +1,56 @@
+"""From the layers of a picture to what is shown: denoised components, their sum."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from etendue.core import OptionError, logger
+
+from .denoising import Picture, component_names, denoiser, find_features
+from .denoising.pictures import colours
+
+#: Radius of the windows of the filters, in pixels.
+RADIUS = 5
+
+
+def develop(
+    layers: Mapping[str, Picture],
+    denoise: str | None = None,
+    *,
+    components: Sequence[str] = (),
+    albedo: str | None = None,
+    normal: str | None = None,
+    radius: int = RADIUS,
+    strength: float = 1.0,
+    tell: Callable[[str], object] = logger.info,
+) -> Picture:
+    """The picture (height, width, 3), linear, of ``layers`` (height, width, channels) of a result or a file.
+
+    With ``denoise``, a name of :data:`DENOISERS`, each of the ``components`` (by default the layers whose sum is the
+    picture, or the picture) is denoised and their sum is returned. Features are the layers ``albedo`` and ``normal``,
+    or those named. ``radius`` is that of the windows in pixels, ``strength`` (1) how much is smoothed. ``tell``
+    receives a line if features are missing that would help. Nothing in ``layers`` is changed.
+
+    Raises :class:`OptionError` for an unknown name, a layer that is missing and values out of range, and
+    :class:`BackendError` if the library of a denoiser is missing.
+    """
+    if not 1 <= radius <= 64:
+        raise OptionError(f"the radius of a filter is from 1 to 64 pixels, not {radius}")
+    if not 0.0 < strength <= 100.0:
+        raise OptionError(f"the strength of a denoiser is above 0 and at most 100, not {strength:g}")
+    kind = None if denoise is None else denoiser(denoise)
+    if kind is None and not components:
+        components = ("image",)  # the sum of others is the same up to rounding
+    parts = [colours(layers[name]) for name in component_names(layers, components)]
+    if kind is not None:
+        features = find_features(layers, albedo, normal)
+        kind.check(features)
+        missing = [name for name in kind.uses if name not in features.names]
+        if missing:
+            tell(f"no layer {' and '.join(missing)}: {kind.name} works better on a picture rendered with --aovs")
+        if not kind.by_component:
+            parts = [np.sum(parts, axis=0, dtype=np.float32)]
+        parts = [kind.function(part, features, radius, strength) for part in parts]
+    return np.sum(parts, axis=0, dtype=np.float32)

@@ -1,0 +1,83 @@
+"""Clusters: worker processes that make the passes of runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Any, Self
+
+from etendue.core import Iterations, Method, SceneError, State
+from etendue.engine import Executor, Job, MakeExecutor, Order, Replicated
+
+from .dask import DaskPool
+from .pool import Pool
+from .recipe import Recipe, recipe, scene_ingredients
+from .spread import Spread
+
+
+class Cluster:
+    """Makes the passes of runs in the workers of a pool. Several runs may follow each other; the last line of a
+    ``with`` block ends workers that were started for it."""
+
+    def __init__(self, pool: Pool) -> None:
+        self.pool = pool
+
+    def rendering(self, job: Job) -> MakeExecutor:
+        """The executor of a picture. Passes of a method that carries on from each other become those of replicas, one a
+        worker: the method of the job is then that of replicas. Raises :class:`SceneError` for a scene in memory."""
+        if job.task is None:
+            raise SceneError("a scene in memory cannot be sent to workers; give its file or its dictionary")
+        plain: Any = job.method.method if isinstance(job.method, Replicated) else job.method
+        made = recipe(scene_ingredients(job.task), plain, job.problem.fingerprint)
+        done = Iterations() if job.start is None else job.start.iterations
+        job.method, job.state = self.replicate(job.method, job.problem, job.seed, job.state, done)
+        return self.executor(made)
+
+    def replicate(
+        self, method: Method, problem: Any, seed: int, state: State | None, done: Iterations
+    ) -> tuple[Method, State | None]:
+        """The method with a replica for each worker, if its passes carry on from each other. One that goes on from
+        ``state`` after the passes ``done`` has the replicas of the state, or is the only one."""
+        if not method.carries_on or isinstance(method, Replicated):
+            return method, state
+        if state is not None:
+            state = {"replicas": [state], "passes": [done.next_iteration()]}
+        count = len(self.pool.workers()) if state is None else 1
+        return Replicated(method, problem, seed, count), state  # type: ignore[return-value]
+
+    def executor(self, made: Recipe, attributes: Mapping[str, Any] | None = None) -> MakeExecutor:
+        """The executor of a run; ``attributes`` are set on its method in the workers."""
+
+        def make(order: Order) -> Executor:
+            return Spread(self.pool, made, order, attributes)
+
+        return make
+
+    def close(self) -> None:
+        """End workers that were started for this cluster."""
+        self.pool.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+@contextmanager
+def opened_cluster(
+    cluster: Any = None, workers: int | None = None, threads: int | None = None
+) -> Iterator[Cluster | None]:
+    """The cluster at an address, that of a ``distributed.Client``, or one of local ``workers``, which end with the
+    block; ``None`` if neither is given.
+
+    Raises :class:`OptionError`, :class:`BackendError` if Dask is not installed, :class:`ClusterError`.
+    """
+    if cluster is None and workers is None:
+        yield None
+        return
+    with Cluster(DaskPool(cluster, workers=workers, threads=threads)) as opened:
+        yield opened

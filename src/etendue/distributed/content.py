@@ -1,0 +1,160 @@
+"""Files by content: what a client sends, and the folder in which a worker keeps it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
+from etendue.core import ClusterError
+
+#: Size of the pieces in which files are sent.
+PIECE = 16 << 20
+#: Files that no run has used for so long are removed.
+_KEPT_SECONDS = 7 * 24 * 3600.0
+#: Environment variable with the folder of a worker.
+FOLDER_VARIABLE = "ETENDUE_CONTENT"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A file by content. ``origin``: where the client has it; a worker that finds the same content there needs no
+    copy."""
+
+    digest: str
+    size: int
+    origin: str = ""
+
+
+def digest_of(content: bytes | Path) -> str:
+    """BLAKE2b of 16 bytes, hexadecimal."""
+    if isinstance(content, bytes):
+        return hashlib.blake2b(content, digest_size=16).hexdigest()
+    status = content.stat()
+    return _digest_of_file(str(content), status.st_size, status.st_mtime_ns)
+
+
+@lru_cache(maxsize=4096)
+def _digest_of_file(path: str, size: int, changed: int) -> str:
+    digest = hashlib.blake2b(digest_size=16)
+    with open(path, "rb") as file:
+        while piece := file.read(PIECE):
+            digest.update(piece)
+    return digest.hexdigest()
+
+
+@dataclass
+class Offered:
+    """What a client may send, by digest."""
+
+    contents: dict[str, bytes | Path] = field(default_factory=dict)
+
+    def add(self, content: bytes | Path) -> Entry:
+        """Offer a file or bytes."""
+        digest = digest_of(content)
+        self.contents[digest] = content
+        if isinstance(content, bytes):
+            return Entry(digest, len(content))
+        return Entry(digest, content.stat().st_size, str(content.absolute()))
+
+    def pieces(self, digest: str) -> Iterator[tuple[int, bytes, bool]]:
+        """Offset and bytes of each piece, and whether it is the last."""
+        content = self.contents[digest]
+        if isinstance(content, bytes):
+            yield 0, content, True
+            return
+        with content.open("rb") as file:
+            offset, piece = 0, file.read(PIECE)
+            while True:
+                following = file.read(PIECE)
+                yield offset, piece, not following
+                if not following:
+                    return
+                offset, piece = offset + len(piece), following
+
+
+class Store:
+    """The folder of a worker; workers of one user on one machine share it."""
+
+    def __init__(self, folder: Path | None = None) -> None:
+        given = os.environ.get(FOLDER_VARIABLE)
+        self.folder = folder or Path(given or Path(tempfile.gettempdir()) / f"etendue-content-{os.getuid()}")
+        with self._told():
+            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            status = self.folder.stat()
+        if status.st_uid != os.getuid() or status.st_mode & 0o022:
+            raise ClusterError(f"others may write to the folder '{self.folder}'; name one by {FOLDER_VARIABLE}")
+
+    def find(self, entry: Entry) -> Path | None:
+        """A file of this content, ``None`` if it must be sent."""
+        path = self.folder / entry.digest
+        if path.is_file():
+            os.utime(path)
+            return path
+        origin = Path(entry.origin)
+        try:
+            if entry.origin and origin.stat().st_size == entry.size and digest_of(origin) == entry.digest:
+                return origin
+        except OSError:
+            pass
+        return None
+
+    def receive(self, digest: str, offset: int, piece: bytes, is_last: bool) -> None:
+        """Write a piece. Raises :class:`ClusterError` if the disk is full, or if something else has arrived."""
+        part = self.folder / f"{digest}.{os.getpid()}.part"
+        with self._told():
+            with part.open("r+b" if offset else "wb") as file:
+                file.seek(offset)
+                file.write(piece)
+            if not is_last:
+                return
+            if digest_of(part) != digest:
+                part.unlink()
+                raise ClusterError("a file changed while it was sent; start again")
+            os.replace(part, self.folder / digest)
+
+    def tree(self, name: str, places: dict[str, Path]) -> Path:
+        """A folder with links to files at their places. Raises :class:`ClusterError` for a place outside of it."""
+        with self._told():
+            folder = Path(tempfile.mkdtemp(prefix=f"{name[:8]}-", dir=self.folder))
+            for place, path in places.items():
+                link = folder / place
+                if ".." in Path(place).parts or Path(place).is_absolute():
+                    raise ClusterError(f"'{place}' is no place in the folder of a scene")
+                link.parent.mkdir(parents=True, exist_ok=True)
+                link.symlink_to(path)
+        return folder
+
+    def tidy(self) -> None:
+        """Remove files that were not used for long."""
+        for path in self.folder.iterdir():
+            try:
+                if path.is_file() and time.time() - path.stat().st_mtime > _KEPT_SECONDS:
+                    path.unlink()
+            except OSError:
+                continue
+
+    def _told(self) -> _Told:
+        return _Told(self.folder)
+
+
+class _Told:
+    """Converts errors of the disk to one line."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, OSError):
+            reason = error.strerror or str(error)
+            raise ClusterError(
+                f"'{self._folder}' cannot hold the scene ({reason}); free some room, or name another folder by "
+                f"{FOLDER_VARIABLE}"
+            ) from error

@@ -1,0 +1,58 @@
+"""What an executor needs of a set of worker processes, however they are started and reached."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from .content import Offered
+from .worker import Chunk, Outcome
+
+
+@dataclass(frozen=True)
+class Lost:
+    """The end of a chunk whose worker has ended, or cannot be reached."""
+
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """The end of a chunk. ``seconds``: what it took to bring the outcome here."""
+
+    ticket: int
+    outcome: Outcome | Lost
+    seconds: float = 0.0
+
+
+class Pool(Protocol):
+    """Worker processes. A worker makes one chunk at a time, in the order in which they were sent to it."""
+
+    def workers(self) -> dict[str, int | None]:
+        """The workers there are now: name, and threads that Dr.Jit shall use, ``None`` for all. Workers may come and
+        go; the names of new ones are new. Raises :class:`ClusterError` if the cluster is gone."""
+        ...
+
+    def send(self, worker: str, ticket: int, chunk: Chunk) -> None:
+        """Send a chunk; it arrives later, or :class:`Lost` does."""
+        ...
+
+    def wait(self, seconds: float) -> Arrival | None:
+        """The next arrival, waiting at most so long."""
+        ...
+
+    def deliver(self, worker: str, offered: Offered, digest: str) -> str | None:
+        """Send a file; returns what went wrong."""
+        ...
+
+    def end_run(self, run: str) -> None:
+        """Tell all workers to end their chunks of a run after the current pass."""
+        ...
+
+    def forget(self, tickets: list[int]) -> None:
+        """Cancel chunks that did not begin; their arrivals, if any, are ignored."""
+        ...
+
+    def close(self) -> None:
+        """End workers that were started for this pool."""
+        ...

@@ -1,0 +1,259 @@
+"""What runs in the process of a worker: it makes chunks of passes and sends their sum."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import sys
+import threading
+import time
+from collections import OrderedDict, deque
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from etendue.core import ClusterError, EtendueError, Measurement, Method, State, describe, set_threads
+from etendue.engine import replica_seed
+
+from .content import Store
+from .recipe import Lacking, OpenRecipe
+
+#: Runs whose methods a worker keeps, the latest ones.
+_KEPT = 2
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Consecutive passes of a run, which a worker makes and adds up."""
+
+    run: str
+    recipe: str  #: digest
+    seed: int
+    first: int
+    count: int
+    #: Seconds that are left for passes when the chunk is sent.
+    left: float | None = None
+    #: Of methods whose passes depend on each other: which replica, and the state before ``first`` where the worker
+    #: may not have it.
+    replica: int | None = None
+    state: State | None = None
+    #: Arguments of the method's ``plan``.
+    plan: tuple[float | None, int | None, float | None] = (None, None, None)
+    #: Attributes of the method that belong to a run.
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+    #: Threads of Dr.Jit.
+    threads: int | None = None
+
+
+@dataclass
+class Made:
+    """The sum of the passes of a chunk, which may be fewer than requested if time or the run has ended."""
+
+    measurement: Measurement | None
+    state: State | None
+    passes: int
+    seconds: float  #: of the passes
+    is_first: bool  #: whether the seconds include compilation
+
+
+@dataclass(frozen=True)
+class Needs:
+    """What must be sent before the chunk can be made."""
+
+    digests: tuple[str, ...] = ()
+    state: bool = False
+
+
+@dataclass(frozen=True)
+class Failed:
+    """The error of a chunk. ``refused``: this worker cannot make any; ``kind`` is the name of a class of errors."""
+
+    message: str
+    kind: str
+    refused: bool = False
+
+
+Outcome = Made | Needs | Failed
+
+
+def make_passes(chunk: Chunk) -> Outcome:
+    """Make a chunk in this process."""
+    return _desk().make(chunk)
+
+
+def receive(digest: str, offset: int, piece: bytes, is_last: bool) -> str | None:
+    """Store a piece of a file in this process's folder; returns what went wrong."""
+    try:
+        _desk().store().receive(digest, offset, piece, is_last)
+    except EtendueError as error:
+        return str(error)
+    return None
+
+
+def end_run(run: str, seconds: float = 0.0) -> None:
+    """Begin no pass of ``run`` in this process that would end later than in so many seconds."""
+    _desk().end(run, seconds)
+
+
+def ends_by(ended: Any) -> None:
+    """End runs in this process also when ``ended``, a number that processes share, is the run's."""
+    _desk().ended = ended
+
+
+def introduce(is_local: bool = False) -> dict[str, Any]:
+    """Process id and Python's version of this process. ``is_local``: ignore Ctrl-C, which in a terminal reaches all
+    processes; the client ends the workers."""
+    if is_local and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return {"pid": os.getpid(), "python": "{}.{}".format(*sys.version_info[:2])}
+
+
+@cache
+def _desk() -> _Desk:
+    return _Desk()
+
+
+class _Run:
+    """The methods of a run in this process."""
+
+    def __init__(self, opened: OpenRecipe) -> None:
+        self.opened = opened
+        #: By replica, -1 if passes are independent: a method, the next iteration of its state, and the state.
+        self.methods: dict[int, tuple[Method, int, State]] = {}
+        self._first = 0.0  # seconds of the first pass of a method
+        self._recent: deque[float] = deque(maxlen=8)  # of later ones
+
+    def predict(self) -> float:
+        """Seconds of the next pass, an upper estimate. The first one of a method includes compilation."""
+        return max(self._recent, default=0.5 * self._first)
+
+    def count(self, seconds: float, is_first: bool) -> None:
+        """Count a pass."""
+        if is_first:
+            self._first = seconds
+        else:
+            self._recent.append(seconds)
+
+
+class _Desk:
+    """Makes chunks, one at a time and in one thread, since Dr.Jit's flags belong to a thread."""
+
+    def __init__(self) -> None:
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="etendue")
+        self._runs: OrderedDict[str, _Run] = OrderedDict()
+        self._ends: dict[str, float] = {}
+        self._lock = threading.Lock()
+        self.ended: Any = None
+
+    @staticmethod
+    @cache
+    def store() -> Store:
+        return Store()
+
+    def make(self, chunk: Chunk) -> Outcome:
+        if chunk.left is not None:
+            self.end(chunk.run, chunk.left)
+        return self._thread.submit(self._make, chunk).result()
+
+    def end(self, run: str, seconds: float) -> None:
+        with self._lock:
+            at = time.monotonic() + seconds
+            self._ends[run] = min(self._ends.get(run, at), at)
+            while len(self._ends) > 64:
+                self._ends.pop(next(iter(self._ends)))
+
+    def _make(self, chunk: Chunk) -> Outcome:
+        try:
+            try:
+                run = self._run(chunk)
+            except Lacking as lacking:
+                return Needs(tuple(lacking.digests))
+            except Exception as error:
+                return _failed(error, refused=True)
+            return self._passes(chunk, run)
+        except Exception as error:
+            return _failed(error)
+
+    def _run(self, chunk: Chunk) -> _Run:
+        set_threads(chunk.threads)
+        if chunk.run in self._runs:
+            self._runs.move_to_end(chunk.run)
+            return self._runs[chunk.run]
+        same = [run.opened for run in self._runs.values() if run.opened.digest == chunk.recipe]
+        while len(self._runs) >= _KEPT:
+            self._runs.popitem(last=False)
+        self._runs[chunk.run] = run = _Run(same[0] if same else OpenRecipe(self.store(), chunk.recipe))
+        return run
+
+    def _passes(self, chunk: Chunk, run: _Run) -> Outcome:
+        replica = -1 if chunk.replica is None else chunk.replica
+        seed = replica_seed(chunk.seed, max(replica, 0))
+        is_new = replica not in run.methods
+        if not is_new:
+            method, at, state = run.methods[replica]
+        else:
+            method = run.opened.method(seed)
+            if (plan := getattr(method, "plan", None)) is not None:
+                plan(*chunk.plan)
+            at, state = 0, method.start()
+        if chunk.state is not None:
+            at, state = chunk.first, chunk.state
+            method.enter(state)
+        for name, value in chunk.attributes.items():
+            setattr(method, name, value)
+        if chunk.replica is not None and at != chunk.first:
+            return Needs(state=True)
+        run.methods.pop(replica, None)  # if a pass raises, the state may be undefined
+        total: Measurement | None = None
+        passes, began = 0, time.monotonic()
+        while passes < chunk.count and self._may_begin(chunk.run, run.predict()):
+            begin = time.monotonic()
+            made = method.step(chunk.first + passes, seed, state)
+            state, total = made.state, _sum(total, made.measurement)
+            run.count(time.monotonic() - begin, is_new and passes == 0)
+            passes += 1
+        run.methods[replica] = method, chunk.first + passes, state
+        if chunk.replica is not None and total is not None:
+            total.assign(chunk.replica)
+        kept = None if chunk.replica is None else on_host(state)
+        return Made(total, kept, passes, time.monotonic() - began, is_new)
+
+    def _may_begin(self, run: str, seconds: float) -> bool:
+        if self.ended is not None and self.ended.value == int(run[:16], 16):
+            return False
+        return time.monotonic() + seconds <= self._ends.get(run, float("inf"))
+
+
+def _sum(total: Measurement | None, other: Measurement) -> Measurement:
+    if total is None:
+        return other
+    total += other
+    return total
+
+
+def on_host(state: Any) -> Any:
+    """A state with arrays of the device as NumPy's."""
+    if isinstance(state, np.generic):
+        return state.item()
+    if hasattr(state, "__array__"):
+        return np.array(state)
+    if isinstance(state, Mapping):
+        return {name: on_host(value) for name, value in state.items()}
+    if isinstance(state, (list, tuple)):
+        return [on_host(value) for value in state]
+    return state
+
+
+def _failed(error: Exception, refused: bool = False) -> Failed:
+    if isinstance(error, MemoryError):
+        error = ClusterError("its memory is full; give the worker more, or make the picture smaller")
+    elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
+        error = ClusterError("its disk is full; free some room")
+    known = next((c.__name__ for c in type(error).__mro__ if c.__module__ == EtendueError.__module__), "EtendueError")
+    # Another worker may have what this one lacks; but a scene or an option that is wrong is so on every worker.
+    return Failed(describe(error), known, refused and known in ("ClusterError", "BackendError", "EtendueError"))

@@ -1,0 +1,92 @@
+"""Replicas: several independent runs of a method whose passes depend on each other, added up as one run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from etendue.core import CheckpointError, Measurement, Method, OptionError, Pass, Result, State, seed_key
+
+
+def replica_seed(seed: int, replica: int) -> int:
+    """The seed of a replica; that of replica 0 is the seed of the run."""
+    if replica == 0:
+        return seed
+    high, low = seed_key(seed, "replica", replica)
+    return (high << 32 | low) & 0x7FFFFFFFFFFFFFFF
+
+
+class Replicated:
+    """``count`` replicas of a prepared method as one method; implements ``core.Method``, other members are those of the
+    method.
+
+    Its state holds the state and the number of passes of each replica. :meth:`step` makes a pass of the replica with
+    the fewest passes; an executor may make passes of all replicas at the same time. The number of replicas is part of
+    the identity of a run: a resumed one has the same.
+    """
+
+    def __init__(self, method: Method, problem: Any, seed: int, count: int) -> None:
+        if count < 1:
+            raise OptionError(f"a run has at least one replica, not {count}")
+        self.method, self.count = method, count
+        self._problem, self._seed = problem, seed
+        self._methods: dict[int, Method] = {0: method}
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "method":  # not set yet
+            raise AttributeError(name)
+        return getattr(self.method, name)
+
+    @classmethod
+    def replicas_of(cls, state: State) -> int | None:
+        """Number of replicas of a saved state; ``None`` if it is the state of a method."""
+        return len(state["replicas"]) if state.keys() == {"replicas", "passes"} else None
+
+    def start(self) -> State:
+        """No replica has begun."""
+        return {"replicas": [None] * self.count, "passes": [0] * self.count}
+
+    def enter(self, state: State) -> None:
+        """See ``core.Method``."""
+        if self.replicas_of(state) != self.count or len(state["passes"]) != self.count:
+            raise CheckpointError("the state of the replicas in the checkpoint is damaged; start a new run")
+        first = state["replicas"][0]
+        self.method.enter(self.method.start() if first is None else first)
+
+    def step(self, iteration: int, seed: int, state: State) -> Pass:
+        """A pass of the replica with the fewest passes."""
+        states, passes = list(state["replicas"]), list(state["passes"])
+        replica = passes.index(min(passes))
+        method = self._of(replica)
+        before = method.start() if states[replica] is None else states[replica]
+        made = method.step(passes[replica], replica_seed(seed, replica), before)
+        made.measurement.assign(replica)
+        states[replica], passes[replica] = made.state, passes[replica] + 1
+        return Pass(made.measurement, {"replicas": states, "passes": passes})
+
+    def develop(self, measurement: Measurement, state: State) -> Result:
+        """The mean of all replicas; the metadata of the method are those of the first."""
+        first = state["replicas"][0]
+        result = self.method.develop(measurement, self.method.start() if first is None else first)
+        result.metadata["replicas"] = self.count
+        return result
+
+    def plan(self, seconds: float | None, passes: int | None, error: float | None) -> None:
+        """See ``core.Method``."""
+        for method in self._methods.values():
+            if (hook := getattr(method, "plan", None)) is not None:
+                hook(seconds, passes, error)
+
+    def _of(self, replica: int) -> Method:
+        if replica not in self._methods:
+            kind: Any = type(self.method)
+            method: Method = kind(self.method.settings)
+            method.prepare(self._problem, replica_seed(self._seed, replica))
+            self._methods[replica] = method
+        return self._methods[replica]
+
+
+def replicated(method: Method, state: Mapping[str, Any], problem: Any, seed: int) -> Method:
+    """The method of a saved state: with replicas, if the state is that of replicas."""
+    count = Replicated.replicas_of(state)
+    return method if count is None else Replicated(method, problem, seed, count)  # type: ignore[return-value]

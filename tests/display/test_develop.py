@@ -1,0 +1,214 @@
+"""Denoisers keep constants and edges, read layers by their names, and change nothing else; errors are one line."""
+
+import numpy as np
+import pytest
+
+from etendue.api import render
+from etendue.cli.main import main
+from etendue.core import BackendError, OptionError, Result
+from etendue.display import develop, tonemap, write_png
+from etendue.display.denoising import component_names, find_features
+from etendue.display.denoising.pictures import colours
+from etendue.film import read_exr, read_image, write_exr
+
+FILTERS = ("gaussian", "bilateral", "guided", "nlm")
+WIDTH, HEIGHT = 37, 29
+
+
+def constant(*values):
+    return np.tile(np.array(values, dtype=np.float32), (HEIGHT, WIDTH, 1))
+
+
+def edge(low, high):
+    """A vertical step in the middle."""
+    x = np.full((HEIGHT, WIDTH, 3), low, dtype=np.float32)
+    x[:, WIDTH // 2 :] = high
+    return x
+
+
+def noisy(picture, deviation, seed=4):
+    noise = np.random.default_rng(seed).standard_normal(picture.shape) * deviation
+    return (picture * (1.0 + noise)).astype(np.float32), np.square(picture * deviation).astype(np.float32)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+@pytest.mark.parametrize("guides", [False, True])
+def test_constant_pictures_stay(name, guides):
+    layers = {"image": constant(0.2, 3.0, 0.7), "variance": constant(0.1, 0.1, 0.1)}
+    if guides:
+        layers |= {"albedo": edge(0.1, 0.9), "normal": edge(-1.0, 1.0)}
+    np.testing.assert_allclose(develop(layers, name), layers["image"], rtol=2e-5)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_noise_becomes_less_and_an_edge_stays(name):
+    truth = edge(0.2, 2.0)
+    image, variance = noisy(truth, 0.2)
+    layers = {"image": image, "variance": variance, "albedo": edge(0.1, 0.8), "normal": constant(0.0, 0.0, 1.0)}
+    out = develop(layers, name)
+    inside = np.s_[:, : WIDTH // 2 - 6]
+    assert np.std(out[inside] - truth[inside]) < 0.45 * np.std(image[inside] - truth[inside])
+    at = WIDTH // 2
+    step = (out[:, at] - out[:, at - 1]).mean() / 1.8
+    assert step < 0.3 if name == "gaussian" else step > 0.8
+
+
+@pytest.mark.parametrize("name", ["bilateral", "guided", "nlm"])
+def test_an_edge_of_light_stays_without_features(name):
+    truth = edge(0.2, 2.0)
+    image, variance = noisy(truth, 0.1)
+    out = develop({"image": image, "variance": variance}, name)
+    at = WIDTH // 2
+    assert (out[:, at] - out[:, at - 1]).mean() > 0.8 * 1.8
+    assert np.std(out[:, :12] - 0.2) < 0.5 * np.std(image[:, :12] - 0.2)
+
+
+def test_guided_filter_reproduces_a_picture_that_is_linear_in_its_guide():
+    rng = np.random.default_rng(1)
+    albedo, normal = rng.random((2, HEIGHT, WIDTH, 3)).astype(np.float32)
+    image = 0.3 + 2.0 * albedo @ rng.random((3, 3)) + normal @ rng.random((3, 3))
+    layers = {"image": image.astype(np.float32), "albedo": albedo, "normal": normal}
+    assert np.abs(develop(layers, "guided") - image).max() < 0.05 * np.std(image)
+    assert np.abs(develop(layers, "gaussian") - image).max() > np.std(image)
+
+
+def test_gaussian_against_a_convolution():
+    image = np.random.default_rng(2).random((HEIGHT, WIDTH, 3)).astype(np.float32)
+    x = np.arange(-4, 5)
+    weights = np.exp(-0.5 * (x / 2.0) ** 2)
+
+    def along(values):
+        total = np.apply_along_axis(lambda line: np.convolve(line, weights, "same"), 1, values)
+        return total / np.convolve(np.ones(values.shape[1]), weights, "same")[None, :, None]
+
+    expected = along(along(image).transpose(1, 0, 2)).transpose(1, 0, 2)
+    np.testing.assert_allclose(develop({"image": image}, "gaussian", radius=4), expected, rtol=1e-5)
+
+
+def test_bilateral_against_its_definition():
+    rng = np.random.default_rng(3)
+    image, albedo, normal = (rng.random((9, 7, 3)).astype(np.float32) for _ in range(3))
+    out = develop({"image": image, "albedo": albedo, "normal": normal}, "bilateral", radius=2)
+    level = (image @ np.array([0.2126, 0.7152, 0.0722])).mean()
+    guide = np.concatenate([np.log1p(image / level) / 0.6, albedo / 0.1, normal / 0.2], axis=2)
+    for y, x in ((0, 0), (4, 3), (8, 6), (5, 1)):
+        total = weight = 0.0
+        for v in range(max(y - 2, 0), min(y + 3, 9)):
+            for u in range(max(x - 2, 0), min(x + 3, 7)):
+                near = ((v - y) ** 2 + (u - x) ** 2) / (2.0 * (0.5 * 2) ** 2)
+                w = np.exp(-near - 0.5 * np.square(guide[v, u] - guide[y, x]).sum())
+                total, weight = total + w * image[v, u], weight + w
+        np.testing.assert_allclose(out[y, x], total / weight, rtol=1e-4)
+
+
+def test_components_are_the_layers_whose_sum_is_the_picture():
+    rng = np.random.default_rng(5)
+    emission, merge = rng.random((2, HEIGHT, WIDTH, 3)).astype(np.float32)
+    layers = {"image": emission + merge, "emission": emission, "merge": merge, "albedo": emission}
+    assert component_names(layers) == ("emission", "merge")
+    assert component_names(layers | {"other": merge}) == ("image",)
+    assert component_names(layers, ["merge"]) == ("merge",)
+    apart = develop(layers, "bilateral")
+    parts = sum(develop({"image": layers[n], "albedo": layers["albedo"]}, "bilateral") for n in ("emission", "merge"))
+    np.testing.assert_allclose(apart, parts, rtol=1e-5)
+    np.testing.assert_array_equal(develop(layers, components=["merge"]), merge)
+
+
+def test_features_by_usual_and_by_given_names():
+    layers = {"image": constant(1, 1, 1), "nn": constant(0, 0, 1), "my": constant(0.5, 0.5, 0.5), "depth": edge(1, 2)}
+    assert find_features(layers).names == ("normal",)
+    assert find_features(layers, albedo="my").names == ("albedo", "normal")
+    with pytest.raises(OptionError, match="no layer 'colour' for --albedo"):
+        find_features(layers, albedo="colour")
+    layers["one"] = constant(1)
+    with pytest.raises(OptionError, match="1 channels, not 3"):
+        find_features(layers, normal="one")
+
+
+def test_pixels_that_are_not_finite_do_not_spread():
+    image = constant(0.5, 0.5, 0.5)
+    image[3, 4] = np.nan
+    image[10, 0, 1] = np.inf
+    kept = image.copy()
+    np.testing.assert_allclose(develop({"image": image}, "gaussian"), 0.5, rtol=1e-5)
+    np.testing.assert_array_equal(image, kept)
+    np.testing.assert_array_equal(colours(np.full((2, 2, 3), np.nan, np.float32)), 0.0)
+
+
+def test_what_cannot_be_done_is_one_error():
+    layers = {"image": constant(1, 1, 1)}
+    for arguments, message in (
+        ({"denoise": "bilatral"}, "did you mean 'bilateral'"),
+        ({"denoise": "nlm"}, "needs the layer 'variance'.*--aovs"),
+        ({"denoise": "gaussian", "radius": 0}, "from 1 to 64"),
+        ({"denoise": "gaussian", "strength": 0.0}, "above 0"),
+        ({"components": ["direct"]}, "no colour layer 'direct'"),
+    ):
+        with pytest.raises(OptionError, match=message):
+            develop(layers, **arguments)
+    with pytest.raises(OptionError, match="name some by --layers"):
+        develop({"direct": constant(1, 1, 1)}, "gaussian")
+
+
+def test_open_image_denoise():
+    truth = edge(0.2, 2.0)
+    image, _ = noisy(np.tile(truth, (3, 3, 1)), 0.3)
+    try:
+        out = develop({"image": image, "albedo": np.clip(np.tile(truth, (3, 3, 1)), 0, 1)}, "oidn")
+    except BackendError as error:
+        assert "pip install 'etendue[denoise]'" in str(error)
+        pytest.skip("mitsuba-oidn is not installed")
+    assert np.std(out[:, :12] - 0.2) < 0.3 * np.std(image[:, :12] - 0.2)
+
+
+def test_command(tmp_path, capsys):
+    image, variance = noisy(edge(0.2, 0.8), 0.3)
+    layers = {"image": image, "albedo": edge(0.2, 0.8), "normal": constant(0, 0, 1), "variance": variance}
+    source = tmp_path / "a.exr"
+    write_exr(source, Result(layers, {"method": "path"}))
+    before = source.read_bytes()
+    assert main(["develop", str(source)]) == 0
+    assert capsys.readouterr().out.split() == [str(tmp_path / "a.png")]
+    out = [str(tmp_path / name) for name in ("b.png", "b.exr")]
+    assert main(["develop", str(source), "--denoise", "guided", "--tone", "agx", "-o", out[0], "-o", out[1]]) == 0
+    smooth = read_exr(out[1])
+    assert smooth.metadata["method"] == "path" and smooth.metadata["developed"]["denoise"] == "guided"
+    np.testing.assert_array_equal(smooth.layers["image"], develop(layers, "guided"))
+    assert read_image(out[0]).std() < read_image(tmp_path / "a.png").std()
+    assert source.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("a.exr -o a.exr", "is the input"),
+        ("a.exr --tone agz", "did you mean 'agx'"),
+        ("a.exr --exposure bright", "number of stops or 'auto'"),
+        ("a.exr --denoise nlm", "needs the layer 'variance'"),
+        ("a.exr --denoise guided --albedo base", "no layer 'base'"),
+        ("a.exr --layers direct,indirect", "no colour layer 'direct'"),
+        ("a.exr -o a.jpg", "not as 'a.jpg'"),
+        ("missing.exr", "there is no picture"),
+        ("text.exr", "is not an OpenEXR file"),
+    ],
+)
+def test_command_errors(words, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_exr("a.exr", Result({"image": constant(1, 1, 1)}, {}))
+    (tmp_path / "text.exr").write_text("no picture")
+    assert main(["develop", *words.split()]) != 0
+    text = capsys.readouterr().err.strip()
+    assert message in text and len(text.splitlines()) == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.exr", "text.exr"]
+
+
+def test_pictures_of_a_run_take_a_tone_and_an_exposure(tmp_path):
+    made = render("cornell-box", "path", size=(8, 6), samples=2)
+    made.save(tmp_path / "a.png", tone="agx", exposure=1.0)
+    expected = read_back(tmp_path, tonemap(made.image, 1.0, "agx"))
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), expected)
+
+
+def read_back(folder, pixels):
+    write_png(folder / "expected.png", pixels)
+    return read_image(folder / "expected.png")

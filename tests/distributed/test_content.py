@@ -1,0 +1,71 @@
+"""Files by content: sent in pieces, found again, refused if damaged or if the disk is full."""
+
+from __future__ import annotations
+
+import errno
+
+import pytest
+
+from etendue.core import ClusterError
+from etendue.distributed import Entry, Offered, Store
+from etendue.distributed import content as content_module
+
+
+def send(offered, digest, store):
+    for piece in offered.pieces(digest):
+        store.receive(digest, *piece)
+
+
+@pytest.mark.parametrize("size", [0, 1, 99, 100, 101, 1000])
+def test_a_file_arrives_whole_whatever_its_pieces(size, tmp_path, monkeypatch):
+    monkeypatch.setattr(content_module, "PIECE", 100)
+    original = tmp_path / "original"
+    original.write_bytes((bytes(range(256)) * 4)[:size])
+    offered, store = Offered(), Store(tmp_path / "store")
+    entry = offered.add(original)
+    assert store.find(entry) == original  # the same machine: nothing to send
+    elsewhere = Entry(entry.digest, entry.size, "/no/such/file")
+    assert store.find(elsewhere) is None
+    send(offered, entry.digest, store)
+    assert store.find(elsewhere).read_bytes() == original.read_bytes()
+
+
+def test_another_content_at_the_place_of_the_client_is_not_taken(tmp_path):
+    original = tmp_path / "original"
+    original.write_bytes(b"abc")
+    entry = Offered().add(original)
+    original.write_bytes(b"abd")
+    assert Store(tmp_path / "store").find(entry) is None
+
+
+def test_a_file_that_changes_on_its_way_is_refused(tmp_path):
+    offered, store = Offered(), Store(tmp_path / "store")
+    digest = offered.add(b"abc").digest
+    offered.contents[digest] = b"abd"
+    with pytest.raises(ClusterError, match="changed while it was sent"):
+        send(offered, digest, store)
+    assert store.find(Entry(digest, 3)) is None
+
+
+def test_a_full_disk_is_one_line_with_the_folder(tmp_path, monkeypatch):
+    store = Store(tmp_path / "store")
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(content_module.os, "replace", full)
+    with pytest.raises(ClusterError, match=r"store' cannot hold the scene \(No space left on device\); free some room"):
+        store.receive(Offered().add(b"a").digest, 0, b"a", True)
+
+
+@pytest.mark.parametrize("place", ["../x", "/etc/x", "a/../../x"])
+def test_links_stay_in_the_folder(place, tmp_path):
+    with pytest.raises(ClusterError, match="no place in the folder"):
+        Store(tmp_path / "store").tree("0123456789", {place: tmp_path})
+
+
+def test_a_folder_of_others_is_refused(tmp_path):
+    (tmp_path / "store").mkdir()
+    (tmp_path / "store").chmod(0o777)
+    with pytest.raises(ClusterError, match="others may write"):
+        Store(tmp_path / "store")

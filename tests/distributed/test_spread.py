@@ -1,0 +1,300 @@
+"""The executor of worker processes, on workers that are simulated: they die, hesitate, lack things and join late."""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+
+from etendue.core import ClusterError, Iterations, Measurement, Pass, SceneError
+from etendue.distributed import Arrival, Lost, Recipe, Spread
+from etendue.distributed import spread as spread_module
+from etendue.distributed.content import Offered
+from etendue.distributed.worker import Failed, Needs, _Desk, _Run
+from etendue.engine import Budget, InTurn, Replicated, RunError, Runner
+
+
+@dataclass
+class Settings:
+    def to_json(self) -> str:
+        return "{}"
+
+
+class Powers:
+    """Pass i adds a whole number of which every pass has another one, so that a sum tells which passes are in it."""
+
+    name: ClassVar[str] = "powers"
+    Settings: ClassVar[Any] = Settings
+    citations: ClassVar[tuple[str, ...]] = ()
+    carries_on: ClassVar[bool] = False
+    samples_per_iteration = 1
+
+    def __init__(self, settings: Any = None) -> None:
+        self.settings = settings or Settings()
+
+    def prepare(self, problem: Any, seed: int) -> None:
+        self.seed = seed
+
+    def start(self):
+        return {}
+
+    def enter(self, state):
+        pass
+
+    def value(self, iteration: int, seed: int, state: Any) -> float:
+        return float(pow(3, iteration + 1, 1_000_003))
+
+    def step(self, iteration: int, seed: int, state: Any) -> Pass:
+        x = np.array([self.value(iteration, seed, state)])
+        return Pass(
+            Measurement({"x": x}, {"x": 1.0}, Iterations.single(iteration), {"x": x * x}, {"rays": 1.0}),
+            self.following(iteration, seed, state),
+        )
+
+    def following(self, iteration, seed, state):
+        return state
+
+    def develop(self, measurement, state):
+        raise NotImplementedError
+
+
+class Chain(Powers):
+    """Each pass depends on the state after the one before, and on the seed of the replica."""
+
+    carries_on: ClassVar[bool] = True
+
+    def start(self):
+        return {"x": self.seed % 1000}
+
+    def value(self, iteration, seed, state):
+        return float(state["x"])
+
+    def following(self, iteration, seed, state):
+        return {"x": (31 * state["x"] + iteration + 1) % 65_537}
+
+
+class Opened:
+    digest = "recipe"
+
+    def __init__(self, kind: type[Powers]) -> None:
+        self.kind = kind
+
+    def method(self, seed: int) -> Powers:
+        made = self.kind()
+        made.prepare(None, seed)
+        return made
+
+
+class Simulated:
+    """A pool of simulated workers. ``faults``: probability that a chunk ends otherwise than by being made."""
+
+    def __init__(self, kind: type[Powers], count: int, seed: int = 0, faults: float = 0.0) -> None:
+        self.kind, self.faults, self.random = kind, faults, random.Random(seed)
+        self.names = iter(f"worker {k}" for k in range(10_000))
+        self.desks: dict[str, _Desk] = {}
+        self.sent: deque[tuple[str, int, Any]] = deque()
+        self.deaths = 0
+        self.delivered: list[tuple[str, str]] = []
+        for _ in range(count):
+            self.join()
+
+    def join(self) -> None:
+        self.desks[next(self.names)] = _Desk()
+
+    def workers(self):
+        return dict.fromkeys(self.desks)
+
+    def send(self, worker, ticket, chunk) -> None:
+        self.sent.append((worker, ticket, chunk))
+
+    def outcome(self, worker, chunk):
+        desk = self.desks[worker]
+        if chunk.run not in desk._runs:
+            desk._runs[chunk.run] = _Run(Opened(self.kind))  # type: ignore[arg-type]
+        return desk._passes(chunk, desk._runs[chunk.run])
+
+    def wait(self, seconds: float):
+        if not self.sent:
+            return None
+        at = self.random.randrange(len(self.sent)) if self.kind is Powers else 0
+        worker, ticket, chunk = self.sent[at]
+        del self.sent[at]
+        if worker not in self.desks:
+            # It died earlier: what it had never arrives, or arrives as lost.
+            return Arrival(ticket, Lost("died")) if self.random.random() < 0.5 else None
+        if self.random.random() < self.faults:
+            what = self.random.randrange(4)
+            if what == 0:  # killed before the sum arrived, another one takes its place
+                del self.desks[worker]
+                self.deaths += 1
+                self.join()
+                return Arrival(ticket, Lost("killed")) if self.random.random() < 0.5 else None
+            if what == 1:
+                return Arrival(ticket, Needs(("a file",)))
+            if what == 2:  # the time ended in the middle
+                made = self.outcome(worker, _shorter(chunk, self.random))
+                return Arrival(ticket, made)
+            self.join()  # one more, late
+        return Arrival(ticket, self.outcome(worker, chunk))
+
+    def deliver(self, worker, offered, digest):
+        self.delivered.append((worker, digest))
+        return None
+
+    def end_run(self, run) -> None: ...
+
+    def forget(self, tickets) -> None:
+        self.sent = deque(entry for entry in self.sent if entry[1] not in tickets)
+
+    def close(self) -> None: ...
+
+
+def _shorter(chunk, source):
+    from dataclasses import replace
+
+    return replace(chunk, count=source.randrange(chunk.count + 1))
+
+
+@pytest.fixture(autouse=True)
+def _at_once(monkeypatch):
+    monkeypatch.setattr(spread_module, "_LOOK", 0.0)
+    monkeypatch.setattr(spread_module, "_TICK", 0.0)
+    monkeypatch.setattr(spread_module, "_SHORTEST", 1e-4)
+
+
+def run(pool, method, passes, start=None, state=None, seed=5):
+    method.prepare(None, seed)
+    runner = Runner(
+        method,
+        seed=seed,
+        budget=Budget(iterations=passes),
+        start=start,
+        state=state,
+        executor=lambda order: Spread(pool, Recipe("recipe", Offered(), method.carries_on), order),
+    )
+    return runner.run()
+
+
+def alone(method, passes, seed=5):
+    method.prepare(None, seed)
+    return Runner(method, seed=seed, budget=Budget(iterations=passes), executor=InTurn).run()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_each_pass_is_in_the_sum_exactly_once_whatever_workers_do(seed):
+    pool = Simulated(Powers, 1 + seed % 5, seed, faults=0.4)
+    made = run(pool, Powers(), 200)
+    assert made.measurement.iterations.to_json() == [[0, 0, 200]]
+    assert made.measurement.sums["x"] == alone(Powers(), 200).measurement.sums["x"]
+    assert made.measurement.counters["rays"] == 200
+    assert pool.deaths > 0
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_replicas_go_on_where_they_were_when_their_worker_dies(seed):
+    pool, count = Simulated(Chain, 1 + seed % 3, seed, faults=0.3), 1 + seed % 4
+    made = run(pool, Replicated(Chain(), None, 5, count), 50)
+    expected = alone(Replicated(Chain(), None, 5, count), 50)
+    assert made.measurement.iterations == expected.measurement.iterations
+    assert made.measurement.sums["x"] == expected.measurement.sums["x"]
+    assert made.state == expected.state
+
+
+def test_a_run_with_gaps_is_resumed_without_making_a_pass_twice():
+    begun = run(Simulated(Powers, 2), Powers(), 10)
+    gaps = Iterations({0: [(0, 2), (5, 7)]})
+    start = sum(
+        (Powers().step(i, 5, {}).measurement for _, i in list(gaps)[1:]), Powers().step(0, 5, {}).measurement.copy()
+    )
+    for continued in (
+        run(Simulated(Powers, 3, faults=0.3), Powers(), 10, start.copy()),
+        Runner(Powers(), seed=5, budget=Budget(iterations=10), start=start.copy()).run(),
+    ):
+        assert continued.measurement.iterations.to_json() == [[0, 0, 10]]
+        assert continued.measurement.sums["x"] == begun.measurement.sums["x"]
+
+
+def test_chunks_are_no_longer_than_the_work_that_is_left_and_shares_add_up():
+    pool = Simulated(Powers, 3)
+    seen = []
+    method = Powers()
+    method.prepare(None, 5)
+    runner = Runner(
+        method,
+        seed=5,
+        budget=Budget(iterations=100),
+        executor=lambda order: Spread(pool, Recipe("recipe", Offered()), order),
+        on_progress=seen.append,
+    )
+    runner.run()
+    assert sum(seen[-1].shares.values()) == 100
+    assert len(seen[-1].shares) == 3
+    assert max(seen[-1].shares.values()) < 60
+
+
+class Refusing(Simulated):
+    def outcome(self, worker, chunk):
+        if worker == "worker 0":
+            return Failed("it has mitsuba 3.8", "ClusterError", refused=True)
+        return super().outcome(worker, chunk)
+
+
+def test_a_worker_that_cannot_be_used_is_left_out_and_named(caplog):
+    made = run(Refusing(Powers, 2), Powers(), 20)
+    assert made.passes == 20
+    assert "worker 0 is left out: it has mitsuba 3.8" in caplog.text
+    with pytest.raises(ClusterError, match=r"no worker can be used; worker 0: it has mitsuba 3\.8"):
+        run(Refusing(Powers, 1), Powers(), 20)
+
+
+def test_the_error_of_a_pass_names_the_worker_and_keeps_what_was_merged():
+    class Failing(Simulated):
+        def outcome(self, worker, chunk):
+            if chunk.first > 5:
+                return Failed("a NaN vertex", "SceneError")
+            return super().outcome(worker, chunk)
+
+    with pytest.raises(
+        RunError, match=r"a NaN vertex \(on worker worker 0\) \(after \d+ passes, which are kept\)"
+    ) as e:
+        run(Failing(Powers, 1), Powers(), 50)
+    assert isinstance(e.value.__cause__, SceneError)
+    kept = e.value.run.measurement
+    assert kept.sums["x"] == sum(Powers().value(i, 5, {}) for _, i in kept.iterations)
+
+
+def test_a_run_whose_workers_always_die_ends():
+    class Deadly(Simulated):
+        def wait(self, seconds):
+            _, ticket, _ = self.sent.popleft()
+            return Arrival(ticket, Lost("memory"))
+
+    with pytest.raises(ClusterError, match=r"without finishing a pass; the last was worker .* its memory may be too"):
+        run(Deadly(Powers, 2), Powers(), 50)
+
+
+def test_an_interrupted_run_keeps_what_has_arrived():
+    pool = Simulated(Powers, 2)
+
+    def stop(progress):
+        if progress.passes > 10:
+            raise KeyboardInterrupt
+
+    method = Powers()
+    method.prepare(None, 5)
+    runner = Runner(
+        method,
+        seed=5,
+        budget=Budget(iterations=100),
+        executor=lambda order: Spread(pool, Recipe("recipe", Offered()), order),
+        on_progress=stop,
+    )
+    with pytest.raises(KeyboardInterrupt):
+        runner.run()
+    kept = runner.interrupted().measurement
+    assert kept.sums["x"] == sum(Powers().value(i, 5, {}) for _, i in kept.iterations)
+    assert run(pool, Powers(), 100, kept).measurement.iterations.to_json() == [[0, 0, 100]]

@@ -1,0 +1,137 @@
+"""Real worker processes: they render the picture of one process, also if they are killed."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import time
+
+import numpy as np
+import pytest
+
+import etendue
+from etendue.core import ClusterError, SceneError
+from etendue.distributed import Cluster, DaskPool, ProcessPool
+from etendue.engine import Budget, Checkpoint, Job, Task
+from etendue.jobs import Outputs, PictureWork, run_work
+from etendue.methods import get
+
+SMALL = {"scene": "caustics", "size": (24, 16)}
+PASSES = 40
+
+
+def task(method="path", passes=PASSES, **options):
+    return Task(
+        SMALL["scene"], get(method), {"samples_per_pass": 1}, 3, Budget(iterations=passes), SMALL["size"], **options
+    )
+
+
+def rendered(job, cluster=None, outputs=None, watch=None):
+    return run_work(PictureWork(job, outputs or Outputs(), cluster), watch)
+
+
+@pytest.fixture(scope="module")
+def alone():
+    return rendered(Job.open(task()))
+
+
+@pytest.fixture(scope="module")
+def processes():
+    with Cluster(ProcessPool(2, threads=1)) as cluster:
+        yield cluster
+
+
+def kill_one(pool, source):
+    """Kill a worker of Dask or of processes by SIGKILL, if one is there."""
+    if isinstance(pool, DaskPool):
+        pids = [pool.pids[name] for name in pool.workers()]
+    else:
+        pids = [pid for process in pool._processes.values() for pid in process._processes or ()]
+    try:
+        os.kill(source.choice(sorted(pids)), signal.SIGKILL)
+    except (IndexError, ProcessLookupError):  # none is there, or it died a moment ago
+        return False
+    return True
+
+
+def close(a, b):
+    np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-7)
+
+
+def test_the_picture_of_two_processes_is_that_of_one_and_a_kill_loses_nothing(alone, processes):
+    source, killed = random.Random(1), []
+
+    def watch(progress, runner):
+        if not killed and progress.passes >= 3:
+            killed.append(kill_one(processes.pool, source))
+
+    made = rendered(Job.open(task()), processes, watch=watch)
+    assert killed == [True]
+    close(made.image, alone.image)
+    assert made.metadata["passes"] == PASSES
+    assert made.metadata["rays"] == alone.metadata["rays"]
+
+
+@pytest.mark.slow
+def test_replicas_in_processes_are_those_in_turn_and_are_resumed(processes, tmp_path):
+    job = Job.open(task("guided", 7))
+    made = rendered(job, processes, Outputs(checkpoint=tmp_path / "half.checkpoint"))
+    assert made.metadata["replicas"] == 2
+    saved = Checkpoint.read(tmp_path / "half.checkpoint")
+    assert saved.measurement.iterations.to_json() == [[0, 0, 4], [1, 0, 3]]
+    more = Budget(iterations=11)
+    here = rendered(Job.resume(saved, get("guided"), budget=more))
+    saved = Checkpoint.read(tmp_path / "half.checkpoint")
+    there = rendered(Job.resume(saved, get("guided"), budget=more), processes)
+    close(here.image, there.image)
+    assert here.metadata["passes"] == there.metadata["passes"] == 11
+
+
+def test_a_scene_in_memory_is_refused(processes):
+    import mitsuba as mi
+
+    scene = mi.load_dict(mi.cornell_box())
+    with pytest.raises(SceneError, match="a scene in memory cannot be sent to workers"):
+        rendered(Job.open(Task(scene, get("path"), budget=Budget(iterations=1))), processes)
+
+
+@pytest.mark.slow
+def test_time_holds_for_the_sum(processes):
+    job = Job.open(Task(SMALL["scene"], get("path"), {"samples_per_pass": 1}, 3, Budget(seconds=4), SMALL["size"]))
+    begin = time.perf_counter()
+    made = rendered(job, processes)
+    assert 3.0 < time.perf_counter() - begin < 6.0
+    assert made.metadata["stopped_by"] == "seconds"
+    assert made.metadata["passes"] > 1
+
+
+# -- Dask ------------------------------------------------------------------------------------------------------------
+
+
+def test_nothing_answers_at_an_address(monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("etendue.distributed.dask._CONNECT", "1s")
+    with pytest.raises(ClusterError, match=r"no scheduler answers at 'tcp://127\.0\.0\.1:9'"):
+        etendue.render("caustics", "path", samples=1, cluster="tcp://127.0.0.1:9")
+
+
+@pytest.mark.slow
+def test_fifty_kills_lose_nothing(monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("etendue.distributed.spread._SHORTEST", 0.1)
+    source, kills, last = random.Random(7), [0], [0.0]
+    passes = 1200
+    expected = rendered(Job.open(task(passes=passes)))
+
+    def watch(progress, runner):
+        if kills[0] < 50 and time.monotonic() - last[0] > 0.3:
+            kills[0] += kill_one(cluster.pool, source)
+            last[0] = time.monotonic()
+
+    with Cluster(DaskPool(workers=2, threads=2)) as cluster:
+        made = rendered(Job.open(task(passes=passes)), cluster, watch=watch)
+    assert kills[0] == 50
+    assert made.metadata["passes"] == passes
+    assert made.metadata["rays"] == expected.metadata["rays"]
+    close(made.image, expected.image)

@@ -1,0 +1,47 @@
+"""Files of Metropolis particles: traced, continued as if they had not ended, and what is missing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support import scenes
+
+from etendue import scene, trace_particles
+from etendue.core import CheckpointError, OptionError
+from etendue.jobs.particles import state_file
+from etendue.particles import LAYOUT, ParticleFile
+
+CHAINS = {"chains": 256, "steps": 16, "bootstrap": 4096}
+STEPS = 256 * 16
+
+
+def traced(path, passes: int, **more):
+    room = scenes.room("rectangle", ()).scene
+    return trace_particles(
+        room, save=path, paths=passes * STEPS, codec="raw", method="metropolis_particles", seed=3, **(CHAINS | more)
+    )
+
+
+def test_a_file_goes_on_as_if_it_had_not_ended(tmp_path):
+    whole = traced(tmp_path / "whole.particles", 3)
+    assert whole.counters["paths"] == 3 * STEPS and whole.passes == 3
+    traced(tmp_path / "part.particles", 2)
+    room = scenes.room("rectangle", ()).scene
+    trace_particles(room, resume=tmp_path / "part.particles", paths=3 * STEPS)
+    a, b = (ParticleFile(tmp_path / f"{name}.particles").read() for name in ("whole", "part"))
+    assert len(a) == len(b) > 3 * STEPS / 10
+    for name in LAYOUT:
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+def test_chains_that_are_missing_are_named(tmp_path):
+    path = tmp_path / "some.particles"
+    traced(path, 1)
+    state_file(path).unlink()
+    with pytest.raises(CheckpointError, match=r"cannot go on without '.*some.particles.state'"):
+        trace_particles(scenes.room("rectangle", ()).scene, resume=path, paths=2 * STEPS)
+
+
+def test_an_unknown_way_to_trace_is_named():
+    with pytest.raises(OptionError, match="no way 'metropolis' to trace particles; did you mean"):
+        trace_particles(scene.load("cornell-box").scene, method="metropolis")
