@@ -32,7 +32,7 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "pssmlt": ("pssmlt", {"bootstrap": 1 << 14}),
 }
 #: Methods whose passes depend on each other: independent runs have the variance.
-DEPENDENT = ("guided", "vegas", "pssmlt", "mmlt")
+DEPENDENT = ("guided", "vegas", "pssmlt", "mmlt", "film_metropolis")
 #: Those that trace paths of the lights as well.
 BOTH_WAYS = ("bpt cache", "bpt path", "light")
 #: What only the slow table runs.
@@ -42,6 +42,7 @@ MORE = {
     "vegas one path": ("vegas", {"one_path": True, "groups": "film; light; bounce", "learning": "stratified"}),
     "mmlt": ("mmlt", {"bootstrap": 1 << 14}),
     "pssmlt bidirectional": ("pssmlt", {"bootstrap": 1 << 14, "estimator": "bidirectional"}),
+    "film_metropolis": ("film_metropolis", {"bootstrap": 1 << 14}),
     "stratified joint": ("stratified", {"parameters": "light1 bounce1", "bsdf_sampling": False}),
 }
 
@@ -101,7 +102,8 @@ def everything() -> list[tuple[str, str, str, str, str]]:
         turn = [(e + g + m + k) % len(sensors) for k in range(len(sensors))]
         allowed = [k for k in turn if possible(emitter, group, method, sensors[k])]
         if allowed:
-            rfilter = scenes.FILTERS[(e + allowed[0]) % len(scenes.FILTERS)]
+            # Pictures of film_metropolis do not have the scene's filter.
+            rfilter = "box" if method == "film_metropolis" else scenes.FILTERS[(e + allowed[0]) % len(scenes.FILTERS)]
             rows.append((emitter, group, method, sensors[allowed[0]], rfilter))
     return sorted(rows, key=lambda row: (row[0], row[1], row[3]))  # rows of a scene share its reference
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -10,8 +14,10 @@ from support import scenes
 from support.running import go, prepared, run
 
 from etendue.core import SceneError
-from etendue.methods.metropolis.chains import CAP
+from etendue.integration import Layout, Slot
+from etendue.methods.metropolis.chains import CAP, Runner, largest_target
 from etendue.methods.metropolis.film import BrightnessMap
+from etendue.methods.metropolis.targets import Contribution, Traced
 
 SMALL = {"samples_per_pass": 32, "bootstrap": 1 << 13}
 
@@ -69,7 +75,8 @@ def test_the_factor_by_brightness():
     rng = np.random.default_rng(1)
     x, y = (rng.random((1, 1 << 16)) * side for side in (32.0, 16.0))
     luminance = np.where(x < 16.0, 0.1, 1.0)
-    factors = BrightnessMap.measured(*(a.astype(np.float32) for a in (x, y, luminance)), (32, 16))
+    parts = np.split(np.stack([x, y, luminance]).astype(np.float32), 4, axis=2)
+    factors = BrightnessMap.measured(parts, (32, 16))
     for place, level in ((4.0, 0.1), (28.0, 1.0)):
         found = factors.on_host(np.array([place]), np.array([8.0]))[0]
         assert found == pytest.approx(1.0 / np.sqrt(level**2 + 0.01), rel=0.1)
@@ -77,9 +84,134 @@ def test_the_factor_by_brightness():
     np.testing.assert_allclose(device, factors.on_host(x, y)[0], rtol=1e-4)
 
 
-def test_no_chain_stays_at_a_bright_path():
-    """A target is at most CAP times its mean, so a large step leaves it with a probability of about 1 / CAP."""
-    runner = prepared(scenes.room("point", scenes.FEW), "pssmlt", **SMALL)
-    carried = runner._carried
-    assert carried.cap == pytest.approx(CAP * carried.unit, rel=0.2)
-    assert dr.max(carried.states.target)[0] <= carried.cap * (1.0 + 1e-6)
+def heavy(lit: float = 1.0) -> SimpleNamespace:
+    """A target without a finite mean, on ``lit`` of its numbers."""
+
+    def trace(sources: Any, lanes: int) -> Traced:
+        u, v = sources["camera"].next_2d(0, 0)
+        value = dr.select(v < lit, dr.rcp(dr.square(u) * u + 1e-20), 0.0)
+        nothing = dr.zeros(mi.UInt32, lanes)
+        return Traced([Contribution(mi.Point2f(u, v), mi.Color3f(value))], nothing, nothing)
+
+    return SimpleNamespace(layouts={"camera": Layout([Slot(0, 2)], [], 0)}, trace=trace)
+
+
+def runner_of(target: Any, chains: int = 1 << 12, bootstrap: int = 1 << 14, **options: Any) -> Runner:
+    return Runner(target, (1, 1), chains, bootstrap, "independent", False, **options)
+
+
+@pytest.mark.parametrize("lit", [1.0, 0.02])
+def test_no_chain_stays_at_a_bright_path(lit):
+    """Chains at the brightest paths of a target with a heavy tail leave them as fast as is said."""
+    scenes.camera()
+    runner, steps = runner_of(heavy(lit)), 64
+    start = runner.start(1)
+    states = replace(start.states, target=dr.full(mi.Float, start.cap, runner.chains))
+    end, _ = runner.run(replace(start, states=states, share=1.0), steps, 1, None)
+    slowest = 1.0 / max(CAP, 10.0 / lit)
+    stay = np.mean(np.array(end.states.rejected) == steps)
+    expected = (1.0 - slowest) ** steps
+    # No faster either, or more of the target were limited than must be.
+    assert abs(stay - expected) < 0.08
+    assert dr.max(start.states.target)[0] <= start.cap * (1.0 + 1e-6)
+
+
+def test_the_largest_target_of_some_values():
+    rng = np.random.default_rng(1)
+    for values in (np.ones(1000), rng.random(1000) ** -2.0, np.where(rng.random(5000) < 0.004, rng.random(5000), 0.0)):
+        cap = largest_target(values)
+        longest = max(CAP, 10.0 * len(values) / np.count_nonzero(values))
+        assert cap == pytest.approx(longest * np.minimum(values, cap).mean())
+
+
+def test_the_share_of_large_steps_is_that_asked_for():
+    """Of a few steps in a pass: none in many passes, one in others, whose weights differ."""
+    scenes.camera()
+    target = SimpleNamespace(layouts=heavy().layouts, trace=lambda s, n: flat(s["camera"].next_2d(0, 0), n))
+    runner = runner_of(target)
+    carried, large, means = replace(runner.start(1), share=0.06, size=0.1), 0.0, []
+    total: list[float] = []
+    runner.record = lambda independent, ones, weight: total.append(
+        dr.mean(ones[0].value.x * weight)[0] * (1.0 if independent else factor)
+    )
+    for _ in range(25):
+        factor = 0.25 * carried.found[:, 1].sum() / carried.found[:, 0].sum() / carried.unit
+        total.clear()
+        carried, made = runner.run(carried, 4, 1, None)
+        means.append(sum(total) / 4)
+        large += made.counters["large steps"] / runner.chains
+    assert large == 6.0
+    assert np.mean(means) == pytest.approx(0.5, rel=0.01)
+
+
+def flat(u: Any, lanes: int) -> Traced:
+    """A target u of mean 1/2."""
+    nothing = dr.zeros(mi.UInt32, lanes)
+    return Traced([Contribution(mi.Point2f(*u), mi.Color3f(u[0]))], nothing, nothing)
+
+
+def test_the_bootstrap_keeps_to_the_memory():
+    """It grows for light that few samples find, to a limit; and both halves must have found some."""
+    scenes.camera()
+    free = runner_of(heavy(1e-3), bootstrap=1 << 12).start(1)
+    assert free.found[:, 0].sum() == 8 << 12
+    assert runner_of(heavy(1e-3), bootstrap=1 << 12, room=4 * 36 << 12).start(1).found[:, 0].sum() == 4 << 12
+    with pytest.raises(SceneError, match="the bootstrap found no light"):
+        runner_of(heavy(0.0), bootstrap=1 << 12).start(1)
+
+
+def test_the_bias_of_the_start_is_of_the_target():
+    """The equalised and limited one, from which starts are drawn."""
+    runner = prepared(scenes.room("rectangle", scenes.FEW), "pssmlt", **SMALL)
+    found = runner._carried.found
+    target = np.minimum(*[np.full(4, v) for v in (1.0, 2.0)])  # of four values, whose mean square is 1
+    state = runner.start() | {"found": np.tile([4.0, target.sum(), 40.0, 1e4, (target**2).sum()], (2, 1))}
+    facts = runner.facts(runner.step(0, 1), state)
+    assert facts["startup_bias"] == pytest.approx(1.0 / found[:, 0].sum())
+
+
+def test_a_filter_does_not_depend_on_what_is_accepted():
+    """The chains of both reconstructions are the same, so their pictures have the same centre."""
+    problem = scenes.room("rectangle", scenes.FEW, rfilter="gaussian")
+    centres = []
+    for reconstruction in ("independent", "neighbours"):
+        runner = prepared(problem, "pssmlt", reconstruction=reconstruction, **SMALL)
+        pictures = go(runner, 8).images.mean(axis=-1)
+        x = np.arange(pictures.shape[2]) + 0.5
+        centres.append((pictures.sum(axis=1) @ x) / pictures.sum(axis=(1, 2)))
+    shift = centres[0] - centres[1]
+    error = shift.std(ddof=1) / np.sqrt(len(shift))
+    assert error < 0.01
+    assert abs(shift.mean()) < 4.5 * error
+
+
+def test_a_camera_at_the_origin():
+    """Light sub-paths that leave the scene have no place on its film."""
+    scene = {"type": "scene", "sensor": scenes.camera((0.0, 0.0, 0.0), (0.0, -0.3, -1.0), 60.0)}
+    scene["floor"], scene["lamp"] = scenes.plate((0.0, -1.0, -2.0), 1.5, True), scenes.lamp((0.0, 1.0, -2.0), 0.3, 9.0)
+    runner = prepared(scenes.load(scene), "mmlt", samples_per_pass=8, bootstrap=1 << 10)
+    place = runner._carried.states.contributions[0].position
+    assert dr.all(dr.isfinite(place.x) & dr.isfinite(place.y))
+    assert np.isfinite(runner.step(0, 1).mean()).all()
+
+
+def test_long_paths_of_a_white_room():
+    """Lengths of paths are drawn as light decreases along them, or the picture has no finite variance."""
+    problem, images = scenes.furnace("box", 1.0, 0.9, size=(4, 4)), []
+    for seed in range(1, 7):
+        runner = prepared(problem, "mmlt", seed, samples_per_pass=2048, bootstrap=1 << 12)
+        assert 0.85 < runner.runner.target.longer < 0.95
+        images.append(go(runner, 1, seed).mean.mean())
+    error = np.std(images, ddof=1) / np.sqrt(6)
+    assert error < 0.1
+    assert abs(np.mean(images) - 10.0) < 4.5 * error
+
+
+@pytest.mark.parametrize("depth", [3, 14])
+def test_the_probabilities_of_lengths(depth):
+    runner = prepared(scenes.furnace("box", 1.0, 0.9, size=(4, 4)), "mmlt", max_depth=depth, bootstrap=1 << 10)
+    u = (dr.arange(mi.Float, 1 << 16) + 0.5) / (1 << 16)
+    length, probability = runner.runner.target._length(u)
+    found = np.bincount(np.array(length), minlength=depth + 1)[1:] / (1 << 16)
+    assert len(found) == depth
+    np.testing.assert_allclose(found[np.array(length) - 1], np.array(probability), atol=1e-3)

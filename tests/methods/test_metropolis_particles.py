@@ -78,9 +78,10 @@ def test_a_closed_box_receives_its_power_over_the_absorbed_share():
 def test_places_and_lengths_as_of_independent_paths(emitter, group):
     """Chi-square over shapes, quarters of them and bounces, with the variance between chains and between paths."""
     problem = scenes.room(emitter, group)
-    shape, flux, position = independent(problem, 1 << 17, 7, LONGEST)
+    bounces: list[np.ndarray] = []
+    shape, flux, position = independent(problem, 1 << 17, 7, LONGEST, bounces=bounces)
     value = flux @ np.array([0.212671, 0.715160, 0.072169])
-    cell = cells(shape, position, np.arange(1, LONGEST + 1)[:, None])
+    cell = cells(shape, position, np.array(bounces))
     count, batches = int(cell.max()) + 1, 64
     batch = np.arange(value.shape[1]) % batches
     expected = np.zeros((batches, count))
@@ -174,3 +175,70 @@ def test_particles_are_described_as_those_of_particle_tracing():
         if not problem.scene.shapes()[shape].is_mesh():
             continue  # positions on a sphere are no linear function of the parameters
         np.testing.assert_allclose(sides[1], sides[3], atol=1e-3)
+
+
+def test_a_null_surface_is_no_bounce():
+    """Light that has crossed a screen arrives at the floor by its first bounce, as of particle tracing."""
+    screen = {"type": "rectangle", "to_world": scenes.transform().rotate([1, 0, 0], -90).scale(2.0)}
+    screen["to_world"] = scenes.transform().translate([0, 1, 0]) @ screen["to_world"]
+    problem = load(
+        {
+            "type": "scene",
+            "sensor": scenes.camera(),
+            "floor": scenes.plate((0.0, 0.0, 0.0), 2.0, True),
+            "lamp": scenes.lamp((0.0, 2.0, 0.0), 0.3, 5.0),
+            "screen": screen | {"bsdf": {"type": "null"}},
+        }
+    )
+    measurement = run(method := made(problem, specular=False, max_bounces=2), 2)
+    particles = method.particles(measurement)
+    floor = method.surfaces.names.index("floor")
+    assert set(particles.shape) == {floor} and set(particles.bounce) == {1}
+    assert measurement.counters["lost_steps"] == 0.0
+
+
+def test_groups_have_surfaces_of_their_own():
+    """A mirror in a group has no particles, and a ball in it the parameters of a ball."""
+    t = scenes.transform()
+    problem = load(
+        {
+            "type": "scene",
+            "sensor": scenes.camera(),
+            "lamp": scenes.lamp((0.0, 3.0, 0.0), 0.5, 5.0),
+            "group": {
+                "type": "shapegroup",
+                "mirror": {
+                    "type": "rectangle",
+                    "to_world": t.translate([1, 0, 0]).rotate([1, 0, 0], -90).scale(0.5),
+                    "bsdf": {"type": "conductor"},
+                },
+                "ball": {"type": "sphere", "center": [-1, 0, 0], "radius": 0.4, "bsdf": scenes.diffuse(0.5, 0.5, 0.5)},
+            },
+            "thing": {"type": "instance", "to_world": t.translate([0, 1, 0]), "group": {"type": "ref", "id": "group"}},
+        }
+    )
+    particles = (method := made(problem, specular=False)).particles(run(method, 1))
+    thing = particles[particles.shape == method.surfaces.names.index("thing")]
+    assert len(thing) > 100 and (thing.position[:, 0] < 0.0).all()
+    offset = (thing.position - [-1.0, 1.0, 0.0]) / 0.4
+    np.testing.assert_allclose(np.arccos(np.clip(offset[:, 2], -1, 1)) / np.pi, thing.uv[:, 1], atol=2e-3)
+
+
+def test_a_path_that_is_lost_leaves_no_particle():
+    """Found again at the start of a pass, some paths miss what they have hit; here many, as their numbers change."""
+    problem = load(
+        {
+            "type": "scene",
+            "sensor": scenes.camera(),
+            "floor": scenes.plate((0.0, 0.0, 0.0), 2.0, True),
+            "lamp": scenes.lamp((0.0, 2.0, 0.0), 0.3, 5.0),
+        }
+    )
+    method = made(problem)
+    first = method.step(0, 1, method.start())
+    state = dict(first.state) | {"first": np.random.default_rng(1).random(5 * method.settings.chains, np.float32)}
+    measurement = method.step(1, 1, state).measurement
+    assert np.isfinite(method.particles(measurement).power).all()
+    lost = measurement.counters["lost_steps"]
+    assert 0.0 < lost < 0.2 * method.settings.chains * method.settings.steps
+    assert method.repeats(measurement).sum() + lost == measurement.counters["paths"]

@@ -22,6 +22,7 @@ METHODS: dict[str, dict[str, Any]] = {
     "vcm": {"samples_per_pass": 4},
     "pssmlt": {"samples_per_pass": 32, "bootstrap": 1 << 12},
     "mmlt": {"samples_per_pass": 32, "bootstrap": 1 << 12},
+    "film_metropolis": {"samples_per_pass": 32, "bootstrap": 1 << 12},
 }
 
 

@@ -184,6 +184,7 @@ CARRYING = {
     "pssmlt": ("pssmlt", PSSMLT, IN_ANY_ORDER),
     "pssmlt bidirectional": ("pssmlt", PSSMLT | {"estimator": "bidirectional"}, IN_ANY_ORDER),
     "mmlt": ("mmlt", PSSMLT, IN_ANY_ORDER),
+    "film_metropolis": ("film_metropolis", PSSMLT, IN_ANY_ORDER),
 }
 
 

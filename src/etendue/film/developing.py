@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, OptionError, is_number, is_whole
+from etendue.core import Array, OptionError, free_memory, is_number, is_whole
 from etendue.density import NearestNeighbours, Samples
 
 from .errors import LUMINANCE
@@ -31,6 +31,11 @@ ESTIMATORS = ("histogram", "kernel", "variable", "nearest")
 _FINE, _REACH = 2, 4.0
 #: Widths of the variable kernel: steps of this factor, and the widest and narrowest relative to ``bandwidth``.
 _STEP, _WIDEST = math.sqrt(2.0), 8.0
+#: The widest margin around a picture in which there are samples, as a share of its side.
+_MARGIN = 0.5
+#: Memory in bytes: of a cell of the fine grid and its transform, more where kernels reach further than the grid; and of
+#: a sample of ``nearest``.
+_CELL_BYTES, _WIDE_CELL_BYTES, _NEAREST_BYTES = 150, 300, 160
 
 
 @dataclass(frozen=True)
@@ -95,19 +100,31 @@ class Development:
         return places
 
     def _pad(self, width: float) -> int:
-        return math.ceil(_REACH * width * _FINE)
+        """Cells around the picture that kernels reach it from, among those where there may be samples."""
+        most = (_MARGIN + self.inset) / (1.0 - 2.0 * self.inset) * max(self.size)
+        pad = math.ceil(_FINE * min(_REACH * width, most))
+        each = _CELL_BYTES if _REACH * width <= most else _WIDE_CELL_BYTES
+        needed = each * math.prod(n * _FINE + 2 * pad for n in self.size)
+        free = free_memory()
+        if free is not None and needed > free:
+            raise OptionError(
+                f"a picture of {self.size[0]} x {self.size[1]} pixels with estimator={self.estimator} and "
+                f"bandwidth={self.bandwidth:g} needs {needed / 1e9:.1f} GB, more than is free; lower its size, or "
+                "bandwidth or inset"
+            )
+        return pad
 
     def _kernel(self, parts: Iterable[NDArray[Any]]) -> Array:
         pad = self._pad(self.bandwidth)
         sums, _ = self._sums(parts, _FINE, pad)
-        return self._pixels(blurred(sums, self.bandwidth * _FINE), pad)
+        return self._pixels(blurred(sums, self.bandwidth * _FINE, pad), pad)
 
     def _variable(self, parts: Iterable[NDArray[Any]]) -> Array:
         """Widths h (f / g)^(-1/2) with the density f of luminance by a fixed kernel, and its geometric mean g over the
         samples [Abramson 1982]."""
         pad = self._pad(self.bandwidth * _WIDEST)
         sums, counts = self._sums(parts, _FINE, pad)
-        density = blurred(sums @ np.array(LUMINANCE), 2.0 * self.bandwidth * _FINE)
+        density = blurred(sums @ np.array(LUMINANCE), 2.0 * self.bandwidth * _FINE, pad)
         lit = (counts > 0) & (density > 0.0)
         if not lit.any():
             return self._pixels(sums, pad)
@@ -117,12 +134,20 @@ class Development:
         total = np.zeros_like(sums)
         for one in np.unique(level[lit]):
             chosen = (level == one)[:, :, None] * sums
-            total += blurred(chosen, self.bandwidth * _STEP**one * _FINE)
+            total += blurred(chosen, self.bandwidth * _STEP**one * _FINE, pad)
         return self._pixels(total, pad)
 
     def _nearest(self, parts: Iterable[NDArray[Any]]) -> Array:
-        kept = [part[(part[:, 2:] > 0.0).any(axis=1)] for part in parts]
-        rows = np.concatenate([np.zeros((0, FILM_COLUMNS)), *kept])
+        kept, count, free = [np.zeros((0, FILM_COLUMNS), np.float32)], 0, free_memory()
+        for part in parts:
+            kept.append(part[(part[:, 2:] > 0.0).any(axis=1)])
+            count += len(kept[-1])
+            if free is not None and _NEAREST_BYTES * count > free:
+                raise OptionError(
+                    f"estimator=nearest holds all samples in memory: {count} and more of them need over "
+                    f"{_NEAREST_BYTES * count / 1e9:.1f} GB, more than is free; use another estimator"
+                )
+        rows = np.concatenate(kept)
         width, height = self.size
         result = np.zeros((height, width, 3))
         if not len(rows):
@@ -147,14 +172,22 @@ class Development:
         return np.maximum(sums, 0.0)
 
 
-def blurred(values: Array, width: float) -> Array:
-    """A grid convolved with a Gaussian of a standard deviation in cells; values are carried around the ends."""
-    rows, columns = values.shape[:2]
-    transform = np.fft.rfft2(values, axes=(0, 1))
-    factor = np.multiply.outer(
-        np.exp(-2.0 * (np.pi * width * np.fft.fftfreq(rows)) ** 2),
-        np.exp(-2.0 * (np.pi * width * np.fft.rfftfreq(columns)) ** 2),
-    )
+def blurred(values: Array, width: float, pad: int) -> Array:
+    """A grid convolved with a Gaussian of a standard deviation in cells. ``pad``: rows and columns at each side of the
+    inner part, of which alone the result is right if the Gaussian reaches further than the pad."""
+    factors, shape = [], []
+    for cells in values.shape[:2]:
+        if pad >= _REACH * width:
+            count = cells  # values carried around the ends do not reach the inner part
+            factors.append(np.exp(-2.0 * (np.pi * width * np.fft.fftfreq(count)) ** 2))
+        else:
+            count = 2 * cells  # a distance of cells of the grid is never one around the ends
+            edges = (np.arange(-cells, cells + 1) - 0.5) / (width * math.sqrt(2.0))
+            shares = 0.5 * np.diff([math.erf(edge) for edge in edges])
+            factors.append(np.fft.fft(np.roll(shares, -cells)).real)
+        shape.append(count)
+    transform = np.fft.rfft2(values, shape, axes=(0, 1))
+    factor = np.multiply.outer(factors[0], factors[1][: shape[1] // 2 + 1])
     transform *= factor.reshape(factor.shape + (1,) * (values.ndim - 2))
-    result: Array = np.fft.irfft2(transform, s=(rows, columns), axes=(0, 1))
+    result: Array = np.fft.irfft2(transform, shape, axes=(0, 1))[: values.shape[0], : values.shape[1]]
     return result

@@ -2,10 +2,10 @@ r"""Many short Markov chains over primary samples, one in each lane, which splat
 
 A step proposes a path x' for the path x of a chain, by a large or a small step (:mod:`etendue.integration.primary`),
 and accepts it with the probability a = min(1, t(x') / t(x)) for a target t > 0, the luminance of the path's
-contributions times a factor by film position, at most ``cap``. Both paths are splatted by their expected weights
-[Veach 1997, sec. 11.3.2]. All chains make a large step at the same time, in a share p of the steps of a pass. The
-proposals of these steps are independent samples as well, of density 1, while the states have the density t / b with
-b the integral of t; the two are combined by the balance heuristic [Kelemen 2002, sec. 6]:
+contributions times a factor by film position, at most ``cap`` (:func:`largest_target`). Both paths are splatted by
+their expected weights [Veach 1997, sec. 11.3.2]. All chains make a large step at the same time, in a share p of the
+steps of a pass. The proposals of these steps are independent samples as well, of density 1, while the states have the
+density t / b with b the integral of t; the two are combined by the balance heuristic [Kelemen 2002, sec. 6]:
 
 .. math:: I = \frac{1}{n} \sum_{steps} \left( \kappa \frac{b}{b_0} \left( (1 - a) \frac{c(x)}{q(x)}
    + a \frac{c(x')}{q(x')} \right) + \ell \, \frac{c(x')}{q(x')} \right), \qquad q = \kappa t / b_0 + p
@@ -20,6 +20,7 @@ their pictures measures the error, whatever the correlation along chains.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -28,7 +29,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, IndependentSource, SampleSource, SceneError, hash_mix, seed_key
+from etendue.core import Array, IndependentSource, SampleSource, SceneError, logger, seed_key
 from etendue.integration import Move
 from etendue.points import OwenSobolSource
 from etendue.transport import Splats
@@ -37,12 +38,16 @@ from ..base import total
 from .film import BrightnessMap
 from .targets import Contribution, Target, Traced
 
-#: Most of the target, in means of it: longest expected stay of a chain at one path, in large steps.
-CAP = 100.0
+#: Longest expected stay of a chain at one path, in large steps; where few samples find light, the second number over
+#: their share.
+CAP, _LIT_CAP = 100.0, 10.0
 #: Weight of a step of a chain relative to that of an independent sample, because neighbours of a chain are correlated.
 CORRELATED = 0.25
-#: The bootstrap ends with this many samples that find light, or when it has grown by this factor.
-_ENOUGH_LIT, _MOST_GROWTH = 1 << 12, 8
+#: The bootstrap ends with this many samples that find light, or when it has grown by this factor; by the second one as
+#: long as only one of the halves has found light.
+_ENOUGH_LIT, _MOST_GROWTH, _ONE_SIDED_GROWTH = 1 << 12, 8, 64
+#: Bytes of a sample of the bootstrap on the host: a contribution, and the target.
+_CONTRIBUTION_BYTES, _TARGET_BYTES = 12, 24
 #: Most samples of the bootstrap that are traced together.
 _BATCH = 1 << 16
 #: Bit of the number of a sample or a chain that tells its half.
@@ -68,21 +73,22 @@ class Progressed:
     factors: BrightnessMap
     unit: float  #: b_0
     cap: float
-    #: For each half: samples, and the sums of the target, the luminance and its square over them.
+    #: For each half: samples, and the sums of the target, the luminance and their squares over them.
     found: Array
     steps: int = 0  #: steps so far
     large: int = 0  #: large ones among them
     longest: int = 0  #: proposals that a chain has rejected in a row, at most
     size: float = 1.0 / 64.0  #: of small steps
     share: float = 0.25  #: of large steps
+    owed: float = 0.0  #: large steps that passes have not made yet, because they make whole ones
 
 
 @dataclass
 class PassResult:
     """A pass of all chains: the pictures of the two halves, (2, height, width, 3), as sums over one sample per pixel,
-    and counts."""
+    and counts; ``None`` without splats."""
 
-    pictures: NDArray[np.float64]
+    pictures: NDArray[np.float64] | None
     counters: dict[str, float]
     #: For each half, the factor on what chains have splatted, as it is known after the pass.
     factors: Array
@@ -97,6 +103,7 @@ class Runner:
     chains: an even number.
     bootstrap: samples that chains start from, at least.
     sampler: of the bootstrap and of large steps, ``owen`` or ``independent``.
+    room: bytes that the bootstrap may take on the host.
     """
 
     target: Target
@@ -105,19 +112,21 @@ class Runner:
     bootstrap: int
     sampler: str
     equalise: bool
+    room: float = math.inf
     #: Called with all that is splatted: whether by large steps as independent samples, contributions, weight.
     record: Callable[[bool, Sequence[Contribution], mi.Float], None] | None = None
     _numbers: mi.UInt32 = field(init=False)
 
     def __post_init__(self) -> None:
-        self._numbers = _numbers(self.chains)
+        self._numbers = numbers_of(self.chains)
         self._half = self._numbers >> _HALF_BIT
         dr.eval(self._half)
 
     # ------------------------------------------------------------------ random numbers
 
-    def _large(self, name: str, seed: int, first: int) -> Callable[[mi.UInt32], SampleSource]:
-        """Numbers of independent samples, from the number ``first`` of each half on."""
+    def independent(self, name: str, seed: int, first: int) -> Callable[[mi.UInt32], SampleSource]:
+        """Numbers of independent samples, from the number ``first`` of each half on, as a function of
+        :func:`numbers_of` samples."""
 
         def fresh(number: mi.UInt32) -> SampleSource:
             half = number >> _HALF_BIT
@@ -135,7 +144,7 @@ class Runner:
         return lambda number: IndependentSource(number, seed, f"small {name}", step)
 
     def _moves(self, seed: int, first: int) -> dict[str, Move]:
-        return {name: Move(self._large(name, seed, first)) for name in self.target.layouts}
+        return {name: Move(self.independent(name, seed, first)) for name in self.target.layouts}
 
     def _trace(self, moves: Mapping[str, Move], numbers: mi.UInt32, states: ChainStates | None) -> Traced:
         sources: dict[str, SampleSource] = {}
@@ -152,51 +161,54 @@ class Runner:
     def start(self, seed: int) -> Progressed:
         """Draw the first states from independent samples in proportion to the target.
 
-        Raises :class:`SceneError` if none of them finds light. The distribution of a first state differs from the
-        target by about (1 + v) / N in total variation, for N samples of relative variance v; the mean picture times
+        Raises :class:`SceneError` if a half finds no light. The distribution of a first state differs from the target
+        by about (1 + v) / N in total variation, for N samples of relative variance v; the mean picture times
         the mean target of the same N samples has no such bias [Veach 1997, sec. 11.3.1].
         """
-        batches, lit = 0, 0
         lanes = min(_BATCH, self.bootstrap + self.bootstrap % 2)
-        wanted, numbers = max(1, -(-self.bootstrap // lanes)), _numbers(lanes)
-        parts: list[NDArray[np.float32]] = []
-        while batches < wanted or (lit < _ENOUGH_LIT and batches < wanted * _MOST_GROWTH):
-            traced = self._trace(self._moves(seed, batches * (lanes // 2)), numbers, None)
+        parts: list[NDArray[np.float32]] = []  # (x y luminance, contribution, sample)
+        lit = np.zeros(2, int)
+        while self._goes_on(len(parts), -(-self.bootstrap // lanes), lit, lanes, parts):
+            traced = self._trace(self._moves(seed, len(parts) * (lanes // 2)), numbers_of(lanes), None)
             parts.append(_on_host(traced.contributions))
-            lit += int((parts[-1][2].sum(axis=0) > 0.0).sum())
-            batches += 1
-        # (x y luminance, contribution, half, sample)
-        found = np.stack(parts, axis=2).reshape(3, parts[0].shape[1], batches, 2, -1)
-        found = np.moveaxis(found, 3, 2).reshape(3, parts[0].shape[1], 2, -1)
-        x, y, luminance = found
-        samples = x.shape[-1]
-        if not lit:
+            lit += (parts[-1][2].sum(axis=0) > 0.0).reshape(2, -1).sum(axis=1)
+        samples = len(parts) * (lanes // 2)
+        if not lit.all():
             raise SceneError(
-                f"the bootstrap found no light: {2 * samples} paths are black; use a method or an estimator "
-                "that finds some, or raise bootstrap"
+                f"the bootstrap found no light: {2 * samples - lit.sum()} of {2 * samples} paths are black; use a "
+                "method or an estimator that finds some, or raise bootstrap"
             )
-        flat = (x.reshape(len(x), -1), y.reshape(len(x), -1), luminance.reshape(len(x), -1))
-        factors = BrightnessMap.measured(*flat, self.size) if self.equalise else BrightnessMap.flat(self.size)
-        targets = (luminance * factors.on_host(x, y)).sum(axis=0)
-        cap = CAP * float(targets.mean())
+        factors = BrightnessMap.measured(parts, self.size) if self.equalise else BrightnessMap.flat(self.size)
+        targets = _by_half([(luminance * factors.on_host(x, y)).sum(axis=0) for x, y, luminance in parts])
+        cap = largest_target(targets)
         targets = np.minimum(targets, cap)
-        bright = luminance.sum(axis=0, dtype=np.float64)
-        sums = np.stack([np.full(2, samples), targets.sum(1), bright.sum(1), np.square(bright).sum(1)], axis=1)
+        bright = _by_half([part[2].sum(axis=0, dtype=np.float64) for part in parts])
+        sums = [targets, bright, np.square(bright), np.square(targets)]
+        found = np.stack([np.full(2, samples), *(v.sum(axis=1) for v in sums)], axis=1)
         states = self._first_states(seed, targets, factors, cap)
-        return Progressed(states, factors, float(targets.mean()), cap, sums, large=samples)
+        return Progressed(states, factors, float(targets.mean()), cap, found, large=samples)
+
+    def _goes_on(self, batches: int, wanted: int, lit: Array, lanes: int, parts: Sequence[NDArray[np.float32]]) -> bool:
+        """Whether the bootstrap needs a further batch."""
+        growth = _ONE_SIDED_GROWTH if lit.any() and not lit.all() else _MOST_GROWTH
+        if batches >= wanted and ((lit.sum() >= _ENOUGH_LIT and lit.all()) or batches >= wanted * growth):
+            return False
+        bytes_each = lanes * (_CONTRIBUTION_BYTES * len(parts[0][0]) + _TARGET_BYTES) if parts else 0.0
+        if (batches + 1) * bytes_each <= self.room:
+            return True
+        if batches < wanted:
+            logger.info("a bootstrap of %d samples: limited by memory", batches * lanes)
+        return False
 
     def _first_states(self, seed: int, targets: Array, factors: BrightnessMap, cap: float) -> ChainStates:
         half = self.chains // 2
         chosen = np.empty((2, half), np.uint32)
         for index, row in enumerate(targets):
-            found = index
-            if not row.any():  # this half has found nothing
-                found, row = 1 - index, targets[1 - index]
             offset = (seed_key(seed, f"start {index}", 0)[0] + 0.5) / 2.0**32
             reached = np.cumsum(row, dtype=np.float64)
             place = np.searchsorted(reached, (np.arange(half) + offset) / half * reached[-1], side="right")
             chosen[index] = np.minimum(place, np.flatnonzero(row)[-1])
-            chosen[index] += np.uint32(found << _HALF_BIT)
+            chosen[index] += np.uint32(index << _HALF_BIT)
         numbers, moves = mi.UInt32(chosen.ravel()), self._moves(seed, 0)
         traced = self._trace(moves, numbers, None)
         target = self._target(traced.contributions, factors, cap)
@@ -216,17 +228,39 @@ class Runner:
 
     # ------------------------------------------------------------------ steps
 
-    def run(self, carried: Progressed, steps: int, seed: int, splats: Splats) -> tuple[Progressed, PassResult]:
-        """``steps`` steps of all chains. ``splats``: four empty images."""
-        large_steps = min(max(round(carried.share * steps), 1), steps - 1)
-        share = large_steps / steps
-        walk = _Walk(self, carried, splats, share, dr.zeros(mi.Float, self.chains))
+    def run(self, carried: Progressed, steps: int, seed: int, splats: Splats | None) -> tuple[Progressed, PassResult]:
+        """``steps`` steps of all chains. ``splats``: four empty images; ``None`` if only :attr:`record` is wanted."""
+        owed = carried.owed + carried.share * steps
+        large_steps = min(int(owed + 1e-9), steps)
+        carried = replace(carried, owed=owed - large_steps)
+        # The weights are exact for the share of this pass, and only on average for that of all passes.
+        walk = _Walk(self, carried, splats, large_steps / steps, dr.zeros(mi.Float, self.chains))
         for index in range(steps):
             walk.step(seed, (index + 1) * large_steps // steps > index * large_steps // steps)
-        return walk.finish(steps)
+        return walk.finish(steps, seed)
 
 
-def _numbers(lanes: int) -> mi.UInt32:
+def largest_target(targets: Array) -> float:
+    """The ``cap`` of a target with given values: the largest one of which a large step is accepted with a probability
+    of at least 1 / ``CAP`` at any path, or a tenth of the share of values above 0 if that is less. It solves ``cap = c
+    mean(min(target, cap))``, c being the inverse of that probability.
+    """
+    values = np.sort(targets, axis=None)
+    count = len(values)
+    longest = max(CAP, _LIT_CAP * count / max(int(np.count_nonzero(values)), 1))
+    below = np.cumsum(values)
+    above = np.arange(count - 1, -1, -1)  # values behind each one
+    # The difference of the two sides is concave in cap, and positive near 0.
+    last = np.flatnonzero(longest * (below + above * values) >= count * values)[-1]
+    return float(longest * below[last] / (count - longest * above[last]))
+
+
+def _by_half(parts: Sequence[Array]) -> Array:
+    """Values of the samples of some batches, (halves, samples)."""
+    return np.concatenate([part.reshape(2, -1) for part in parts], axis=1)
+
+
+def numbers_of(lanes: int) -> mi.UInt32:
     """The numbers by which sources know ``lanes`` chains or samples, half of them in each half: the half in the upper
     bit, and the number in the half."""
     lane, half = dr.arange(mi.UInt32, lanes), dr.opaque(mi.UInt32, lanes // 2)
@@ -254,7 +288,7 @@ class _Walk:
 
     runner: Runner
     carried: Progressed
-    splats: Splats
+    splats: Splats | None
     share: float
     waiting: mi.Float  #: weight of the current paths that is not splatted yet
 
@@ -262,18 +296,21 @@ class _Walk:
         carried, chains = self.carried, self.runner.chains
         self._inverse_unit, self._share = (dr.opaque(mi.Float, v) for v in (1.0 / carried.unit, self.share))
         self._longest = dr.zeros(mi.UInt32, chains)
-        self._sums = [dr.zeros(mi.Float, chains) for _ in range(3)]  # over large steps: target, luminance, its square
+        self._sums = [dr.zeros(mi.Float, chains) for _ in range(4)]  # over large steps: as in Progressed.found
         self._accepted = {large: dr.zeros(mi.UInt32, chains) for large in (True, False)}
         self._tried = {True: 0, False: 0}
         self._rays = self._bad = dr.zeros(mi.UInt32, chains)
 
     def _weight(self, target: mi.Float) -> mi.Float:
-        """1 / q."""
-        return dr.rcp(target * (self._inverse_unit * CORRELATED) + self._share)
+        """1 / q; 0 for a path that no kind of step of this pass samples."""
+        density = target * (self._inverse_unit * CORRELATED) + self._share
+        return dr.select(density > 0.0, dr.rcp(density), 0.0)
 
     def _splat(self, image: int, contributions: Sequence[Contribution], weight: mi.Float, number: SampleSource) -> None:
         if self.runner.record is not None:
             self.runner.record(image > 0, contributions, weight)
+        if self.splats is None:
+            return
         for index, one in enumerate(contributions):
             place = self.splats.at(one.position, number.next_2d(index, 0))
             value = one.value * (weight * place.weight)
@@ -294,20 +331,24 @@ class _Walk:
         decisions = IndependentSource(runner._numbers, seed, "accept", carried.steps)
         chance = dr.select(target < old.target, target / old.target, 1.0)
         accepted = decisions.next_1d(0, 0) < chance
+        # Not those that decide: contributions would move on the film by whether they are accepted.
+        places = IndependentSource(runner._numbers, seed, "filter", carried.steps)
         stay, go = (1.0 - chance) * self._weight(old.target), chance * self._weight(target)
         # One path is splatted now: the old one if it is left for good, or else the proposal.
         left = [
             Contribution(dr.select(accepted, a.position, b.position), dr.select(accepted, a.value, b.value))
             for a, b in zip(old.contributions, traced.contributions, strict=True)
         ]
-        self._splat(0, left, dr.select(accepted, self.waiting + stay, go), decisions)
+        self._splat(0, left, dr.select(accepted, self.waiting + stay, go), places)
         self.waiting = dr.select(accepted, go, self.waiting + stay)
         if is_large:
-            self._splat(2, traced.contributions, self._weight(target), decisions)
+            self._splat(2, traced.contributions, self._weight(target), places)
             bright = mi.Float(0.0)
             for one in traced.contributions:
                 bright = bright + mi.luminance(one.value)
-            self._sums = [a + b for a, b in zip(self._sums, (target, bright, bright * bright), strict=True)]
+            self._sums = [
+                a + b for a, b in zip(self._sums, (target, bright, bright * bright, target * target), strict=True)
+            ]
         self._accepted[is_large] = self._accepted[is_large] + dr.select(accepted, mi.UInt32(1), 0)
         self._tried[is_large] += 1
         rejected = dr.select(accepted, mi.UInt32(0), old.rejected + 1)
@@ -318,7 +359,9 @@ class _Walk:
             for a, b in zip(old.contributions, traced.contributions, strict=True)
         ]
         kept = dr.select(accepted, target, old.target)
-        dr.eval(self.splats.array, self.waiting, new, kept, rejected, accepted, self._longest, self._accepted)
+        if self.splats is not None:
+            dr.schedule(self.splats.array)
+        dr.eval(self.waiting, new, kept, rejected, accepted, self._longest, self._accepted)
         dr.eval(self._sums, self._rays, self._bad)
         numbers = {
             name: moves[name].write(layout, old.numbers[name], accepted, runner._numbers, runner.chains)
@@ -331,20 +374,21 @@ class _Walk:
             large=carried.large + (runner.chains // 2 if is_large else 0),
         )
 
-    def finish(self, steps: int) -> tuple[Progressed, PassResult]:
+    def finish(self, steps: int, seed: int) -> tuple[Progressed, PassResult]:
         """Splat the current paths, and combine the images of the pass."""
         runner, carried = self.runner, self.carried
-        decisions = IndependentSource(hash_mix(runner._numbers), carried.steps, "filter", 0)
-        self._splat(0, carried.states.contributions, self.waiting, decisions)
+        places = IndependentSource(runner._numbers, seed, "last filter", carried.steps)
+        self._splat(0, carried.states.contributions, self.waiting, places)
         new = np.array([[np.array(s).reshape(2, -1).sum(1, dtype=np.float64)] for s in self._sums])[:, 0]
         count = np.full((1, 2), self._tried[True] * (runner.chains // 2))
         found = carried.found + np.concatenate([count, new]).T
         mean = found[:, 1] / found[:, 0]
-        images = self.splats.sums().astype(np.float64)
-        pixels = runner.size[0] * runner.size[1]
-        scale = pixels / (steps * runner.chains / 2)
         factors = CORRELATED * mean / carried.unit
-        pictures = scale * (images[:2] * factors[:, None, None, None] + images[2:])
+        pictures = None
+        if self.splats is not None:
+            images = self.splats.sums().astype(np.float64)
+            scale = runner.size[0] * runner.size[1] / (steps * runner.chains / 2)
+            pictures = scale * (images[:2] * factors[:, None, None, None] + images[2:])
         counters = {
             "rays": total(self._rays),
             "paths": float(steps * runner.chains),

@@ -41,21 +41,21 @@ class BrightnessMap:
         return cls(np.ones((1, 1), np.float32), size)
 
     @classmethod
-    def measured(
-        cls, x: NDArray[np.float32], y: NDArray[np.float32], luminance: NDArray[np.float32], size: tuple[int, int]
-    ) -> BrightnessMap:
-        """The factor for a picture of contributions of luminance ``luminance`` at film positions, (contributions of a
-        sample, samples) each."""
+    def measured(cls, parts: Sequence[NDArray[np.float32]], size: tuple[int, int]) -> BrightnessMap:
+        """The factor for a picture of contributions, (x y luminance, contributions of a sample, samples) in each part,
+        x and y in pixels."""
         width, height = size
-        samples = luminance.shape[1]
+        samples = sum(part.shape[2] for part in parts)
         cells = max(1.0, min(samples / _PER_CELL, width * height / 4))
         columns = min(_MOST_CELLS, max(1, round(math.sqrt(cells * width / height))))
         rows = min(_MOST_CELLS, max(1, round(cells / columns)))
-        column = np.clip(x.ravel() * (columns / width), 0, columns - 1).astype(np.int64)
-        row = np.clip(y.ravel() * (rows / height), 0, rows - 1).astype(np.int64)
-        mean = luminance.sum(axis=0, dtype=np.float64).mean()
-        kept = np.minimum(luminance.ravel(), _MOST_OVER_MEAN * mean)
-        sums = np.bincount(row * columns + column, kept, rows * columns)
+        mean = sum(part[2].sum(dtype=np.float64) for part in parts) / samples
+        sums = np.zeros(rows * columns)
+        for x, y, luminance in parts:
+            column = np.clip(x.ravel() * (columns / width), 0, columns - 1).astype(np.int64)
+            row = np.clip(y.ravel() * (rows / height), 0, rows - 1).astype(np.int64)
+            kept = np.minimum(luminance.ravel(), _MOST_OVER_MEAN * mean)
+            sums += np.bincount(row * columns + column, kept, rows * columns)
         found = np.asarray(sums * (rows * columns / samples), np.float64).reshape(rows, columns)
         return cls((1.0 / np.sqrt(_blurred(found) ** 2 + RELATIVE_EPSILON)).astype(np.float32), size)
 

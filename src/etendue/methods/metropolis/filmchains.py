@@ -21,15 +21,17 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import CONTRAST, Iterations, Measurement, Record, Result, SampleSource, State, setting
+from etendue.core import Array, Measurement, Record, Result, SampleSource, SceneError, State, logger, setting
 from etendue.film import ESTIMATORS, FILM_COLUMNS, Development
 from etendue.integration import Layout
+from etendue.scene import Problem
 from etendue.transport import CameraPath, DirectWeights, Walker
 from etendue.transport import dimensions as dim
 
-from ..base import ImageSettings, Lanes, keep_finite, light_numbers, total
+from ..base import ImageSettings, keep_finite, total
 from ..path import edge
-from .method import MetropolisMethod, MetropolisSettings
+from .chains import PassResult, numbers_of
+from .method import MetropolisMethod, MetropolisSettings, halves_as_layers
 from .targets import ROULETTE, Contribution, Target, Traced, camera_slots
 
 Rows = NDArray[np.float32]
@@ -102,42 +104,63 @@ class FilmTarget:
         """See :class:`Target`."""
         method, source = self._method, sources["camera"]
         place = self.place(source)
-        radiance, rays = self.radiance(place, source, method.settings.lights)
-        radiance, bad = keep_finite(radiance)
+        ray, importance = self._primary(place, source)
+        if method.seen_lights == "later":
+            radiance, rays = self._radiance(ray, source, _LeftOut(), pdf=mi.Float(-1.0))
+        elif method.seen_lights == "split":
+            radiance, rays = self._radiance(ray, source, DirectWeights(), active=~self._sees_light(ray))
+        else:
+            radiance, rays = self._radiance(ray, source, DirectWeights())
+        radiance, bad = keep_finite(radiance * importance)
         return Traced([Contribution(place, radiance)], rays, dr.select(bad, mi.UInt32(1), 0))
-
-    def radiance(self, place: mi.Point2f, source: SampleSource, lights: str) -> tuple[mi.Color3f, mi.UInt32]:
-        """(radiance of a path times the area of the film, rays). ``lights``: ``chain`` counts all light, ``later`` none
-        of lights that are seen directly, ``split`` none where such a light is seen."""
-        method = self._method
-        ray, importance, _ = method.camera.through(place, source)
-        walker = method.walker(Walker)
-        weights = DirectWeights() if lights == "chain" else _LeftOut()
-        start: dict[str, Any] = {} if lights == "chain" else {"pdf": mi.Float(-1.0)}
-        if lights == "split":
-            start["active"] = (walker.max_edges > 0) & ~self.sees_light(ray)
-        path = CameraPath.start(ray, walker.max_edges, **start)
-        path = walker.walk(path, lambda s: edge(s, walker, weights, source), "path to the film")
-        area = (1.0 + 2.0 * method.settings.margin) ** 2
-        return path.radiance * importance * dr.opaque(mi.Float, area), path.rays
-
-    def sees_light(self, ray: mi.Ray3f) -> mi.Bool:
-        """Whether the first surface on a ray emits towards it, or the environment is seen."""
-        return dr.any(self._emitted(ray) > 0.0)
-
-    def _emitted(self, ray: mi.Ray3f) -> mi.Color3f:
-        si = self._method.scene.ray_intersect(ray)
-        return si.emitter(self._method.scene).eval(si)
 
     def painted(self, source: SampleSource) -> tuple[mi.Point2f, mi.Color3f, mi.UInt32]:
         """(place, light that the chains leave out times the area of the film, rays)."""
-        method, place = self._method, self.place(source)
-        whole, rays = self.radiance(place, source, "chain")
-        if method.settings.lights == "split":
-            ray, _, _ = method.camera.through(place, source)
-            return place, whole & self.sees_light(ray), rays
-        rest, more = self.radiance(place, source, "later")
-        return place, whole - rest, rays + more
+        place = self.place(source)
+        ray, importance = self._primary(place, source)
+        if self._method.seen_lights == "split":
+            radiance, rays = self._radiance(ray, source, DirectWeights(), active=self._sees_light(ray))
+        else:
+            radiance, rays = self._seen(ray)
+        return place, radiance * importance, rays
+
+    def _primary(self, place: mi.Point2f, source: SampleSource) -> tuple[mi.Ray3f, mi.Color3f]:
+        """(camera ray, factor on its radiance, with the area of the film)."""
+        ray, importance, _ = self._method.camera.through(place, source)
+        return ray, importance * dr.opaque(mi.Float, (1.0 + 2.0 * self._method.settings.margin) ** 2)
+
+    def _radiance(
+        self, ray: mi.Ray3f, source: SampleSource, weights: DirectWeights, active: mi.Bool | bool = True, **own: Any
+    ) -> tuple[mi.Color3f, mi.UInt32]:
+        """(radiance of a path, rays). ``own``: other initial values."""
+        walker = self._method.walker(Walker)
+        path = CameraPath.start(ray, walker.max_edges, active=(walker.max_edges > 0) & active, **own)
+        path = walker.walk(path, lambda s: edge(s, walker, weights, source), "path to the film")
+        return path.radiance, path.rays
+
+    def _seen(self, ray: mi.Ray3f) -> tuple[mi.Color3f, mi.UInt32]:
+        """(light that is seen directly, through null surfaces as well, rays)."""
+        walker = self._method.walker(Walker)
+
+        def cross(s: CameraPath) -> CameraPath:
+            vertex = walker.arrive(s)
+            hit = walker.emission(s, vertex)
+            s.radiance[hit.active] += s.throughput * hit.radiance
+            s.active &= vertex.valid & (s.depth < walker.max_edges)
+            s.active &= mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Null)
+            s.throughput = s.throughput * vertex.bsdf.eval_null_transmission(vertex.si, s.active)
+            s.active &= dr.max(s.throughput) > 0.0
+            s.ray, s.travelled, s.depth = vertex.ray(vertex.incoming), vertex.distance, s.depth + 1
+            return s
+
+        path = CameraPath.start(ray, walker.max_edges)
+        path = walker.walk(path, cross, "lights that are seen")
+        return path.radiance, path.rays
+
+    def _sees_light(self, ray: mi.Ray3f) -> mi.Bool:
+        """Whether the first surface on a ray emits towards it, or the environment is seen."""
+        si = self._method.scene.ray_intersect(ray)
+        return dr.any(si.emitter(self._method.scene).eval(si) > 0.0)
 
 
 class FilmMetropolis(MetropolisMethod):
@@ -154,57 +177,61 @@ class FilmMetropolis(MetropolisMethod):
         self._film = FilmTarget(self)
         return self._film
 
-    def _step(self, iteration: int, seed: int) -> Measurement:
-        found: list[tuple[bool, mi.Point2f, mi.Color3f]] = []
+    def prepare(self, problem: Problem, seed: int) -> None:
+        """See :class:`MetropolisMethod`. Where all light comes straight from lights that are seen, chains sample it."""
+        #: How lights that are seen are sampled.
+        self.seen_lights = self.settings.lights
+        try:
+            super().prepare(problem, seed)
+        except SceneError:
+            if self.seen_lights == "chain":
+                raise
+            self.seen_lights = "chain"
+            super().prepare(problem, seed)
+            logger.info("no light but that of lights that are seen: lights=chain instead of %s", self.settings.lights)
+
+    def _run(self, iteration: int, seed: int) -> PassResult:
+        """See :class:`MetropolisMethod`. Samples are kept, and nothing is splatted."""
+        self._found: list[tuple[bool, mi.Point2f, mi.Color3f]] = []
 
         def record(independent: bool, contributions: Sequence[Contribution], weight: mi.Float) -> None:
             for one in contributions:
                 place, value = mi.Point2f(one.position), one.value * weight
                 dr.schedule(place, value)
-                found.append((independent, place, value))
+                self._found.append((independent, place, value))
 
         self.runner.record = record
         try:
-            self._carried, made = self.runner.run(self._carried, self._steps, seed, self.splats(seed, iteration, 4))
+            self._carried, made = self.runner.run(self._carried, self._steps, seed, None)
         finally:
             self.runner.record = None
-        self._tune(made)
-        self._passes += 1
+        return made
+
+    def _layers(self, iteration: int, seed: int, made: PassResult) -> tuple[dict[str, Array], dict[str, Record]]:
+        """See :class:`MetropolisMethod`."""
         count = float(self._steps * self.runner.chains)
+        made.counters["film samples"] = count
         halves: tuple[list[Rows], list[Rows]] = ([], [])
-        for independent, place, value in found:
+        for independent, place, value in self._found:
             rows = self._rows(place, value)
             for half, part in enumerate(np.split(rows, 2)):
                 part[:, 2:] *= 1.0 if independent else made.factors[half]
                 halves[half].append(part)
-        if self.settings.lights != "chain":
+        del self._found
+        if self.seen_lights != "chain":
             for half, part in enumerate(np.split(self._painted(iteration, seed, count, made.counters), 2)):
                 halves[half].append(part)
         joined = [np.concatenate(parts) for parts in halves]
         kept = np.concatenate([rows[(rows[:, 2:] != 0.0).any(axis=1)] for rows in joined])
         size = Development((self.camera.width, self.camera.height))
-        pictures = [size.picture([rows], 0.5 * count).astype(np.float64) for rows in joined]
-        samples = float(self.samples_per_iteration)
-        layers = {
-            "image": 0.5 * samples * (pictures[0] + pictures[1]),
-            "image" + CONTRAST: 0.5 * samples * (pictures[0] - pictures[1]),
-        }
-        if self.settings.aovs:
-            first, bad = self._first_hits(iteration, seed, self.samples_per_iteration)
-            layers |= {name: layer.astype(np.float64) for name, layer in first.items()}
-            made.counters["nonfinite"] += bad
-        return Measurement(
-            sums=layers,
-            weights=dict.fromkeys(layers, samples),
-            iterations=Iterations.single(iteration),
-            counters=made.counters | {"samples": samples, "film samples": count},
-            records={FILM: Record.single(kept, iteration)},
-        )
+        pictures = np.stack([size.picture([rows], 0.5 * count).astype(np.float64) for rows in joined])
+        return halves_as_layers(pictures), {FILM: Record.single(kept, iteration)}
 
     def _painted(self, iteration: int, seed: int, count: float, counters: dict[str, float]) -> Rows:
-        """Rows of independent samples of the light that chains leave out, weighted as samples of chains."""
+        """Rows of independent samples of the light that chains leave out, weighted as samples of chains; those of each
+        half evenly spread by numbers of their own."""
         lanes = 2 * max(1, round(0.5 * _PAINTED * count))
-        source = light_numbers(self.settings.sampler, Lanes(0, lanes), lanes, seed, iteration, "painted light")
+        source = self.runner.independent("painted", seed, iteration * (lanes // 2))(numbers_of(lanes))
         place, value, rays = self._film.painted(source)
         value, bad = keep_finite(value)
         dr.eval(place, value, rays, bad)
@@ -212,8 +239,7 @@ class FilmMetropolis(MetropolisMethod):
         counters["nonfinite"] += total(bad)
         rows = self._rows(place, value)
         rows[:, 2:] *= count / lanes
-        # Both halves are evenly spread.
-        return np.concatenate([rows[0::2], rows[1::2]])
+        return rows
 
     def _rows(self, place: mi.Point2f, value: mi.Color3f) -> Rows:
         rows = np.empty((dr.width(place), FILM_COLUMNS), np.float32)

@@ -161,7 +161,7 @@ class LightPaths:
         active: mi.Bool,
     ) -> End:
         """The edge after the hit of a ray."""
-        return self.cast(*self.scattered_ray(ray, hit, flux, numbers, active))
+        return self.cast(*self.scattered_ray(ray, hit, flux, numbers, active)[:3])
 
     def scattered_ray(
         self,
@@ -170,13 +170,13 @@ class LightPaths:
         flux: mi.Color3f,
         numbers: Sequence[mi.Float],
         active: mi.Bool,
-    ) -> tuple[mi.Ray3f, mi.Color3f, mi.Bool]:
-        """(ray, flux, whether there is one) after the hit of a ray."""
+    ) -> tuple[mi.Ray3f, mi.Color3f, mi.Bool, mi.Bool]:
+        """(ray, flux, whether there is one, whether it has crossed a null surface) after the hit of a ray."""
         si = hit.compute_surface_interaction(ray, active=active)
         vertex = Vertex(si=si, bsdf=si.bsdf(ray))
         source: SampleSource = GivenNumbers(dict(zip(LATER, numbers, strict=True)))
         scattered, _ = self.proposal(vertex.bsdf, si, source, mi.UInt32(0), active)
-        return vertex.ray(scattered.direction), flux * scattered.weight, scattered.active
+        return vertex.ray(scattered.direction), flux * scattered.weight, scattered.active, scattered.is_null
 
     def cast(self, ray: mi.Ray3f, flux: mi.Color3f, active: mi.Bool) -> End:
         """The end of an edge."""

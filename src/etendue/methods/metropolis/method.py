@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -11,13 +12,16 @@ import numpy as np
 
 from etendue.core import (
     CONTRAST,
+    Array,
     Carrying,
     CheckpointError,
     Iterations,
     Measurement,
+    Record,
     Result,
     State,
     copied_to_device,
+    free_memory,
     setting,
 )
 from etendue.scene import Problem
@@ -30,12 +34,21 @@ from .targets import Contribution, Target
 #: Most chains, and steps of a pass.
 _MOST_CHAINS = 1 << 16
 _STEPS = 8
+#: Share of the memory that the bootstrap may take.
+_BOOTSTRAP_SHARE = 0.25
 #: Passes in which the steps are tuned.
 TUNING = 16
 #: Acceptance of small steps that tuning aims at, and the range of their size.
 _ACCEPTED, _SIZES = 0.5, (2.0**-12, 0.25)
+#: Numbers that chains carry on, beside arrays.
+_PLAIN = ("unit", "cap", "steps", "large", "longest", "size", "share", "owed")
 #: Least share of large steps: they tell the scale of the picture, whose error dominates where light is found rarely.
 _LEAST_LARGE = 0.25
+
+
+def halves_as_layers(pictures: Array) -> dict[str, Array]:
+    """Layers of the mean pictures of two halves, (2, height, width, 3)."""
+    return {"image": 0.5 * (pictures[0] + pictures[1]), "image" + CONTRAST: 0.5 * (pictures[0] - pictures[1])}
 
 
 @dataclass(frozen=True)
@@ -43,7 +56,10 @@ class MetropolisSettings(ImageSettings):
     """Settings of the methods that make pictures by Markov chains."""
 
     chains: int = setting(
-        0, "number of chains, rounded up to an even one; 0: chosen by the samples of a pass", minimum=0
+        0,
+        "number of chains, rounded up to an even one; 0: chosen by the samples of a pass",
+        minimum=0,
+        maximum=1 << 20,
     )
     bootstrap: int = setting(
         1 << 18, "independent samples from which the first states of the chains are drawn, at least", minimum=2
@@ -87,12 +103,18 @@ class MetropolisMethod(Carrying, ImageMethod):
         self._forget_states()
         super().prepare(problem, seed)
         s = self.settings
-        paths = self.camera.pixels * self.samples_per_iteration
+        paths = self.camera.pixels * self._samples(problem)
         chains = s.chains or min(_MOST_CHAINS, max(paths // _STEPS, 1))
         chains += chains % 2
-        self._steps = max(2, -(-paths // chains))
+        self._steps, self._chains = max(2, -(-paths // chains)), chains
         self.runner = Runner(
-            self.make_target(seed), (self.camera.width, self.camera.height), chains, s.bootstrap, s.sampler, s.equalise
+            self.make_target(seed),
+            (self.camera.width, self.camera.height),
+            chains,
+            s.bootstrap,
+            s.sampler,
+            s.equalise,
+            _BOOTSTRAP_SHARE * (problem.memory or free_memory() or math.inf),
         )
         self._carried = self.runner.start(seed)
         self._bootstrapped = float(self._carried.found[:, 0].sum())
@@ -101,6 +123,11 @@ class MetropolisMethod(Carrying, ImageMethod):
         )
         self._passes = 0
 
+    @property
+    def samples_per_iteration(self) -> int:
+        """Paths per pixel of one pass: more than asked for where a step of all chains has more."""
+        return max(1, round(self._steps * self._chains / self.camera.pixels))
+
     def full_lanes(self) -> int:
         """See :class:`ImageMethod`."""
         return max(_MOST_CHAINS * 2 * _STEPS, super().full_lanes())
@@ -108,23 +135,35 @@ class MetropolisMethod(Carrying, ImageMethod):
     # ------------------------------------------------------------------ a pass
 
     def _step(self, iteration: int, seed: int) -> Measurement:
-        splats = self.splats(seed, iteration, 4)
-        self._carried, made = self.runner.run(self._carried, self._steps, seed, splats)
+        made = self._run(iteration, seed)
         self._tune(made)
         self._passes += 1
-        samples = float(self.samples_per_iteration)
-        picture, contrast = 0.5 * made.pictures.sum(0), 0.5 * (made.pictures[0] - made.pictures[1])
-        layers = {"image": picture * samples, "image" + CONTRAST: contrast * samples}
+        layers, records = self._layers(iteration, seed, made)
+        samples = self._steps * self._chains / self.camera.pixels
+        sums = {name: layer * samples for name, layer in layers.items()}
+        weights = dict.fromkeys(sums, samples)
         if self.settings.aovs:
             first, bad = self._first_hits(iteration, seed, self.samples_per_iteration)
-            layers |= {name: layer.astype(np.float64) for name, layer in first.items()}
+            sums |= {name: layer.astype(np.float64) for name, layer in first.items()}
+            weights |= dict.fromkeys(first, float(self.samples_per_iteration))
             made.counters["nonfinite"] += bad
         return Measurement(
-            sums=layers,
-            weights=dict.fromkeys(layers, samples),
+            sums=sums,
+            weights=weights,
             iterations=Iterations.single(iteration),
             counters=made.counters | {"samples": samples},
+            records=records,
         )
+
+    def _run(self, iteration: int, seed: int) -> PassResult:
+        """Move the chains."""
+        self._carried, made = self.runner.run(self._carried, self._steps, seed, self.splats(seed, iteration, 4))
+        return made
+
+    def _layers(self, iteration: int, seed: int, made: PassResult) -> tuple[dict[str, Array], dict[str, Record]]:
+        """(mean picture of a pass and its contrast, records) of what the chains have splatted."""
+        assert made.pictures is not None
+        return halves_as_layers(made.pictures), {}
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """Not used: a pass is :meth:`_step`."""
@@ -137,10 +176,10 @@ class MetropolisMethod(Carrying, ImageMethod):
         if self._passes >= TUNING:
             return
         size, share = c.size, c.share
-        if not s.step_size:
+        if not s.step_size and counts["small steps"]:
             accepted = counts["small steps accepted"] / counts["small steps"]
             size = float(np.clip(size * np.clip(accepted / _ACCEPTED, 0.5, 2.0), *_SIZES))
-        if not s.large_steps:
+        if not s.large_steps and counts["large steps"]:
             accepted = counts["large steps accepted"] / counts["large steps"]
             share = float(np.clip(accepted, _LEAST_LARGE, 0.75))
         self._carried = replace(c, size=size, share=share)
@@ -154,20 +193,21 @@ class MetropolisMethod(Carrying, ImageMethod):
 
     def facts(self, measurement: Measurement, state: State) -> dict[str, Any]:
         """Plain facts about the chains of a measurement."""
-        count, _, bright, squares = np.asarray(state["found"]).sum(0)
+        count, target, bright, squares, target_squares = np.asarray(state["found"]).sum(0)
         variance = max(squares / count - (bright / count) ** 2, 0.0)
+        spread = max(target_squares * count / target**2 - 1.0, 0.0)
         c = measurement.counters
         return {
             "number": self.runner.chains,
             "steps": int(state["steps"]),
             "longest_stay": int(state["longest"]),
             "step_size": float(state["size"]),
-            "large_steps": float(state["share"]),
-            "accepted_small": c["small steps accepted"] / c["small steps"],
-            "accepted_large": c["large steps accepted"] / c["large steps"],
+            "large_steps": c["large steps"] / (c["large steps"] + c["small steps"]),
+            "accepted_small": c["small steps accepted"] / max(c["small steps"], 1.0),
+            "accepted_large": c["large steps accepted"] / max(c["large steps"], 1.0),
             "mean_luminance": float(bright / count),
             "mean_luminance_error": float(np.sqrt(variance / count)),
-            "startup_bias": float((1.0 + variance * (count / bright) ** 2) / self._bootstrapped),
+            "startup_bias": float((1.0 + spread) / self._bootstrapped),
         }
 
     # ------------------------------------------------------------------ state
@@ -183,7 +223,7 @@ class MetropolisMethod(Carrying, ImageMethod):
             "factors": c.factors.values,
             "found": c.found,
             "passes": self._passes,
-            **{name: getattr(c, name) for name in ("unit", "cap", "steps", "large", "longest", "size", "share")},
+            **{name: getattr(c, name) for name in _PLAIN},
         }
 
     def _take(self, state: State) -> None:
@@ -191,7 +231,9 @@ class MetropolisMethod(Carrying, ImageMethod):
         rows = {name: layout.size * chains for name, layout in target.layouts.items()}
         numbers = {name: np.asarray(values) for name, values in state["numbers"].items()}
         contributions = len(self._carried.states.contributions)
-        if {k: v.size for k, v in numbers.items()} != rows or len(state["values"]) != contributions:
+        found = np.asarray(state["found"], np.float64)
+        fits = {k: v.size for k, v in numbers.items()} == rows and len(state["values"]) == contributions
+        if not fits or found.shape != self._carried.found.shape:
             raise CheckpointError("the chains in the checkpoint do not fit this picture and these settings; start anew")
 
         def floats(values: Any) -> list[mi.Float]:
@@ -210,11 +252,12 @@ class MetropolisMethod(Carrying, ImageMethod):
         self._carried = Progressed(
             states,
             BrightnessMap(np.asarray(state["factors"], np.float32), (self.camera.width, self.camera.height)),
-            found=np.asarray(state["found"], np.float64),
+            found=found,
             unit=float(state["unit"]),
             cap=float(state["cap"]),
             size=float(state["size"]),
             share=float(state["share"]),
+            owed=float(state["owed"]),
             steps=int(state["steps"]),
             large=int(state["large"]),
             longest=int(state["longest"]),

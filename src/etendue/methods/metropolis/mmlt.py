@@ -14,6 +14,7 @@ Limit: as of ``pssmlt``, chains know only what independent samples have found.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
@@ -32,9 +33,10 @@ from ..base import ImageMethod, ImageSettings, keep_finite
 from .method import MetropolisMethod, MetropolisSettings
 from .targets import ROULETTE, Contribution, Target, Traced, camera_slots, film_place, light_slots
 
-#: Lengths with a probability of their own without a limit of depth. Longer paths share the last one: each further edge
-#: has the probability ``_LONGER``.
-_LENGTHS, _LONGER = 12, 0.7
+#: Lengths with a probability of their own. Longer paths share the last one: each further edge has the same probability,
+#: by which light decreases in the pilot from one half of the last lengths to the other, within limits. The square of a
+#: contribution over its probability has a finite mean while this probability is above the square of that ratio.
+_LENGTHS, _LAST, _LONGER = 12, 8, (0.5, 0.98)
 #: Share of the probabilities of lengths that the pilot does not change, and its samples.
 _EVEN, _PILOT = 0.2, 1 << 16
 
@@ -59,9 +61,8 @@ class SingleTarget:
             max_edges=method.edges,
         )
         self._last = 1 if can_splat else 0  # techniques of k >= 2 edges beyond k
-        self._unlimited = method.settings.max_depth < 0
-        count = _LENGTHS if self._unlimited else method.settings.max_depth
-        if count < 1:
+        depth = method.settings.max_depth
+        if depth == 0:
             raise OptionError("mmlt needs paths of at least one edge; set max_depth to 1 or more, or to -1")
         end, inner = camera_slots(method)
         # The only light point of a camera sub-path has the numbers of vertex 0.
@@ -73,29 +74,41 @@ class SingleTarget:
             "camera": Layout(end, [*inner, *crossing], vertices),
             "light": Layout(light[0], [*light[1], *crossing], vertices),
         }
-        self._set_lengths(_LONGER ** np.arange(count) * (1.0 - _LONGER))
+        #: Lengths beyond the last one of the table.
+        self._beyond = math.inf if depth < 0 else max(depth - _LENGTHS, 0)
+        self._even = np.ones(_LENGTHS if depth < 0 else min(depth, _LENGTHS))
+        self._set_lengths(self._even, None)
         self._pilot(seed)
 
-    def _set_lengths(self, weights: NDArray[np.float64]) -> None:
+    def _set_lengths(self, weights: NDArray[np.float64], longer: float | None) -> None:
+        """Probabilities of the lengths of the table, and of each further edge; ``None``: no further ones."""
         probabilities = weights / weights.sum()
         self._lengths = len(probabilities)
         self._probability = on_device(mi.Float, probabilities)
         self._reached = on_device(mi.Float, np.cumsum(probabilities))
+        #: q of the geometric distribution of further edges, and the share of it that is not longer than the limit.
+        self.longer = longer
+        self._kept = 1.0 if longer is None else 1.0 - longer ** (self._beyond + 1.0)
 
     def _pilot(self, seed: int) -> None:
-        """Draw lengths in proportion to their luminance in a pilot."""
+        """Draw lengths in proportion to their luminance in a pilot that draws them evenly."""
         lane = dr.arange(mi.UInt32, _PILOT)
         sources = {name: IndependentSource(lane, seed, f"pilot {name}", 0) for name in self.layouts}
         length, _ = self._length(sources["camera"].next_1d(0, dim.LENGTH))
         found = mi.luminance(self.trace(sources, _PILOT).contributions[0].value)
         dr.eval(length, found)
-        place = np.minimum(np.array(length) - 1, self._lengths - 1)
         values = np.array(found, np.float64)
         values = np.minimum(values, 100.0 * max(values.mean(), 0.0))
-        sums = np.bincount(place, values, self._lengths)
-        if sums.sum() > 0.0:
-            old = np.array(self._probability, np.float64)
-            self._set_lengths((1.0 - _EVEN) * sums / sums.sum() + _EVEN * old)
+        sums = np.bincount(np.array(length) - 1, values, self._lengths)
+        longer = None
+        if self._beyond:
+            early, late = sums[-_LAST:].reshape(2, -1).sum(axis=1)
+            ratio = (late / early) ** (2.0 / _LAST) if early > 0.0 else 1.0
+            longer = float(np.clip(ratio, *_LONGER))
+            sums[-1] *= (1.0 - longer ** (self._beyond + 1.0)) / (1.0 - longer)
+        if not sums.any():
+            sums = self._even
+        self._set_lengths((1.0 - _EVEN) * sums / sums.sum() + _EVEN * self._even / self._even.sum(), longer)
 
     def _length(self, u: mi.Float) -> tuple[mi.UInt32, mi.Float]:
         """(edges of the path that a number draws, probability)."""
@@ -103,13 +116,14 @@ class SingleTarget:
         index = dr.binary_search(0, last, lambda i: dr.gather(mi.Float, self._reached, i) <= u)
         index = dr.minimum(mi.UInt32(index), last)
         probability = dr.gather(mi.Float, self._probability, index)
-        if not self._unlimited:
+        if self.longer is None:
             return index + 1, probability
         below = dr.select(index > 0, dr.gather(mi.Float, self._reached, dr.maximum(index, 1) - 1), 0.0)
         rest = dr.clip((u - below) / probability, 0.0, 1.0 - 2.0**-24)
-        more = dr.floor(dr.log(1.0 - rest) / float(np.log(_LONGER)))
-        longer = dr.select(index == last, more, 0.0)
-        further = dr.select(index == last, (1.0 - _LONGER) * dr.power(_LONGER, longer), 1.0)
+        q, kept = dr.opaque(mi.Float, self.longer), dr.opaque(mi.Float, self._kept)
+        more = dr.floor(dr.log(1.0 - rest * kept) / dr.log(q))
+        longer = dr.select(index == last, dr.minimum(more, dr.opaque(mi.Float, min(self._beyond, 1e6))), 0.0)
+        further = dr.select(index == last, (1.0 - q) / kept * dr.power(q, longer), 1.0)
         return index + 1 + mi.UInt32(longer), probability * further
 
     def single(

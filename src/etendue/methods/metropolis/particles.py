@@ -42,7 +42,7 @@ from etendue.scene import LightTable, Problem
 from etendue.transport import scatter_light, scatter_uniform
 
 from .lightpaths import Independent, LightPaths, PathNumbers
-from .tails import TailChains, Walked
+from .tails import TailChains, Walked, unpacked
 
 #: Names in a measurement: rows of particles, the number of steps by which their power is to be divided, the repeats of
 #: each, the states of some chains after every step, and the sums over independent paths.
@@ -166,12 +166,12 @@ class MetropolisParticles(Carrying):
         self._state = walked.state
         paths = max(1, o.chains * o.steps // 8)
         beside = self._independent(paths, seed, "tail scale", iteration)
-        rows, repeats, direct = self._maker.rows(walked, o.chains)
+        rows, repeats, smooth, direct = self._maker.rows(walked, o.chains)
         steps = float(o.chains * o.steps)
         of_paths = np.array([beside.total.sum(), beside.direct.sum()])
         self._known = self._known + np.array([paths, *of_paths, steps, direct])
+        lost = steps - float(repeats.sum(dtype=np.float64))
         if not o.specular:
-            smooth = self._maker.is_smooth[rows[:, columns_of("shape").start]]
             rows, repeats = rows[smooth], repeats[smooth]
         power = rows[:, columns_of("power")]
         scale = self._flux() / self.problem.space.scale**2
@@ -189,6 +189,7 @@ class MetropolisParticles(Carrying):
                 "rays": walked.rays + walked.rebuilt + beside.rays,
                 "step_rays": walked.rays,
                 "nonfinite": walked.bad,
+                "lost_steps": lost,
             },
             records={
                 RECORD: Record.single(rows, iteration),
@@ -305,37 +306,45 @@ class _RowMaker:
         self._is_mesh = on_device(mi.UInt32, table.is_mesh_pointer.astype(np.uint32))
         self._all_meshes = all(table.is_mesh_pointer[1:])
         shapes = problem.scene.shapes()
-        #: Whether the shapes have a diffuse or glossy part.
-        self.is_smooth = np.array([mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth) for shape in shapes])
+        #: Whether the shapes have a diffuse or glossy part, but for those inside groups.
+        self._is_smooth = np.array([mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Smooth) for shape in shapes])
 
-    def rows(self, walked: Walked, chains: int) -> tuple[Rows, NDArray[np.uint32], float]:
-        """(rows in the order of the steps, whose power has the luminance of the repeats; repeats; steps spent at the
-        end of first edges)."""
+    def rows(self, walked: Walked, chains: int) -> tuple[Rows, NDArray[np.uint32], NDArray[np.bool_], float]:
+        """(rows in the order of the steps, whose power has the luminance of the repeats; repeats; whether the surface
+        has a diffuse or glossy part; steps spent at the end of first edges)."""
         slot = dr.compress(walked.counts > 0)
         position, direction, flux = (
             dr.gather(mi.Vector4f, array, slot) for array in (walked.position, walked.direction, walked.flux)
         )
-        shape, instance, primitive, edges = dr.gather(mi.Vector4u, walked.what, slot)
+        shape, instance, primitive, both = dr.gather(mi.Vector4u, walked.what, slot)
+        edges, bounce = unpacked(both)
         ray = mi.Ray3f(
             mi.Point3f(position.x, position.y, position.z), mi.Vector3f(direction.x, direction.y, direction.z)
         )
-        uv = mi.Point2f(position.w, direction.w)
+        uv, smooth_inside = mi.Point2f(position.w, direction.w), dr.full(mi.Bool, False, dr.width(slot))
         if not self._all_meshes:
             # The parameters of other shapes are not those of the preliminary intersection.
             hit = dr.zeros(mi.PreliminaryIntersection3f, dr.width(slot))
             hit.valid = dr.full(mi.Bool, True, dr.width(slot))
-            hit.shape = dr.reinterpret_array(mi.ShapePtr, shape)
+            hit.shape, hit.instance = (dr.reinterpret_array(mi.ShapePtr, number) for number in (shape, instance))
+            hit.shape_index = dr.reinterpret_array(mi.UInt32, flux.w)
             hit.prim_uv, hit.prim_index, hit.t = uv, primitive, mi.Float(0.0)
             other = dr.gather(mi.UInt32, self._is_mesh, shape) == 0
-            uv = dr.select(other, hit.compute_surface_interaction(ray, active=other).uv, uv)
+            si = hit.compute_surface_interaction(ray, active=other)
+            uv = dr.select(other, si.uv, uv)
+            smooth_inside = mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Smooth)
             primitive = dr.select(other, mi.UInt32(0), primitive)
         repeats = dr.gather(mi.UInt32, walked.counts, slot)
         colour = mi.Color3f(flux.x, flux.y, flux.z)
         colour *= mi.Float(repeats) / mi.luminance(colour)
-        shape = dr.select(instance != 0, instance, shape)
-        whole = {"shape": shape, "primitive": primitive, "path": slot % chains, "bounce": edges}
+        whole = {
+            "shape": dr.select(instance != 0, instance, shape),
+            "primitive": primitive,
+            "path": slot % chains,
+            "bounce": bounce,
+        }
         real = {"position": ray.o, "direction": ray.d, "power": colour, "uv": uv}
-        dr.eval(repeats, whole, real)
+        dr.eval(repeats, whole, real, edges, smooth_inside)
         result = np.empty((dr.width(slot), columns_of("bounce").stop), np.uint32)
         for name, values in real.items():
             numbers = np.array(dr.ravel(values), np.float32).reshape(len(result), -1)
@@ -344,6 +353,8 @@ class _RowMaker:
             result[:, columns_of(name)] = numbers.view(np.uint32)
         for name, values in whole.items():
             result[:, columns_of(name).start] = np.array(values)
-        result[:, columns_of("shape").start] = self._number[result[:, columns_of("shape").start]]
+        number = self._number[result[:, columns_of("shape").start]]
+        result[:, columns_of("shape").start] = number
+        smooth = np.where(np.array(instance) != 0, np.array(smooth_inside), self._is_smooth[number])
         counts = np.array(repeats)
-        return result, counts, float(counts[result[:, columns_of("bounce").start] == 1].sum(dtype=np.float64))
+        return result, counts, smooth, float(counts[np.array(edges) == 1].sum(dtype=np.float64))

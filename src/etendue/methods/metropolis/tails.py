@@ -38,6 +38,16 @@ _KIND, _ANEW, _NUMBERS, _ACCEPT = 0, 1, 2, 7
 _BELOW_ONE = 1.0 - 2.0**-24
 
 
+def packed(edges: mi.UInt32, bounces: mi.UInt32) -> mi.UInt32:
+    """Two numbers below 2^16 as one."""
+    return edges | (bounces << 16)
+
+
+def unpacked(both: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32]:
+    """The numbers of :func:`packed`."""
+    return both & 0xFFFF, both >> 16
+
+
 @dataclass
 class _Trail:
     """The edges of a path in local memory, one lane a path: their rays, their ends and their numbers."""
@@ -47,12 +57,13 @@ class _Trail:
     place: Any  #: distance, and the two parameters on the primitive
     what: Any  #: shape and instance by their registry numbers, primitive, and index of the shape in its group
     flux: Any
+    bounce: Any  #: edges up to this one, those that end at a null surface they cross left out
     numbers: Any
 
     @classmethod
     def of(cls, edges: int) -> _Trail:
         """Empty."""
-        kinds = (mi.Point3f, mi.Vector3f, mi.Vector3f, mi.Vector4u, mi.Color3f, mi.Point3f)
+        kinds = (mi.Point3f, mi.Vector3f, mi.Vector3f, mi.Vector4u, mi.Color3f, mi.UInt32, mi.Point3f)
         return cls(*(dr.alloc_local(kind, edges, value=dr.zeros(kind)) for kind in kinds))
 
     def read(self, edge: mi.UInt32, active: mi.Bool) -> tuple[mi.Ray3f, mi.PreliminaryIntersection3f, mi.Color3f]:
@@ -66,7 +77,7 @@ class _Trail:
         hit.prim_index, hit.shape_index = what.z, what.w
         return ray, hit, self.flux.read(edge, active)
 
-    def write(self, edge: mi.UInt32, end: End, numbers: mi.Point3f, active: mi.Bool) -> None:
+    def write(self, edge: mi.UInt32, end: End, bounce: mi.UInt32, numbers: mi.Point3f, active: mi.Bool) -> None:
         """Replace an edge."""
         self.origin.write(end.ray.o, edge, active)
         self.direction.write(end.ray.d, edge, active)
@@ -74,6 +85,7 @@ class _Trail:
         shape, instance = (dr.reinterpret_array(mi.UInt32, pointer) for pointer in (end.hit.shape, end.hit.instance))
         self.what.write(mi.Vector4u(shape, instance, end.hit.prim_index, end.hit.shape_index), edge, active)
         self.flux.write(end.flux, edge, active)
+        self.bounce.write(bounce, edge, active)
         self.numbers.write(numbers, edge, active)
 
 
@@ -103,8 +115,8 @@ class Walked:
     counts: mi.UInt32  #: repeats of the state that a chain left at a step; 0: none was left
     position: mi.Float  #: x, y, z, and the first parameter on the primitive
     direction: mi.Float  #: x, y, z, and the second one
-    flux: mi.Float  #: red, green, blue, and nothing
-    what: mi.UInt32  #: number of the shape in Dr.Jit's registry, that of its instance, primitive, edges
+    flux: mi.Float  #: red, green, blue, and the bits of the index of the shape in its group
+    what: mi.UInt32  #: number of the shape in Dr.Jit's registry, that of its instance, primitive, :func:`packed` edges
     traces: mi.Float  #: edges, x, y, z of the first chains after every step
     rays: float  #: of the steps
     rebuilt: float  #: rays that found the hits of the first state again
@@ -139,13 +151,17 @@ class TailChains:
         def leave(c: _Chain, active: mi.Bool) -> None:
             """Write the state of a chain, with its repeats."""
             ray, hit, flux = c.trail.read(c.length - 1, active)
+            # A path found again may miss by rounding what it has hit: without light, its state is no particle.
+            active = active & (c.value > 0.0)
             slot = c.step * n + lane
             u, v = hit.prim_uv
+            index = dr.reinterpret_array(mi.Float, hit.shape_index)
             dr.scatter(rows[0], mi.Vector4f(c.place.x, c.place.y, c.place.z, u), slot, active)
             dr.scatter(rows[1], mi.Vector4f(ray.d.x, ray.d.y, ray.d.z, v), slot, active)
-            dr.scatter(rows[2], mi.Vector4f(flux.x, flux.y, flux.z, 0.0), slot, active)
+            dr.scatter(rows[2], mi.Vector4f(flux.x, flux.y, flux.z, index), slot, active)
             shape, instance = (dr.reinterpret_array(mi.UInt32, p) for p in (hit.shape, hit.instance))
-            dr.scatter(what, mi.Vector4u(shape, instance, hit.prim_index, c.length), slot, active)
+            edges = packed(c.length, c.trail.bounce.read(c.length - 1, active))
+            dr.scatter(what, mi.Vector4u(shape, instance, hit.prim_index, edges), slot, active)
             dr.scatter(counts, c.repeats, slot, active)
 
         def step(c: _Chain) -> tuple[_Chain]:
@@ -224,7 +240,9 @@ class TailChains:
         shortens = drops & (c.length > 1)
         before = c.trail.read(edge, scatters | shortens)
         light_ray = self.paths.emitted(first, starts)
-        ray, flux, goes = self.paths.scattered_ray(*before, later, scatters)
+        ray, flux, goes, is_null = self.paths.scattered_ray(*before, later, scatters)
+        bounce = c.trail.bounce.read(edge, scatters) + dr.select(is_null, mi.UInt32(0), 1)
+        bounce = dr.select(starts, mi.UInt32(1), bounce)
         ray = dr.select(starts, light_ray.ray, ray)
         flux = dr.select(starts, light_ray.throughput, flux)
         casts = (starts & light_ray.active) | (scatters & goes)
@@ -241,7 +259,7 @@ class TailChains:
         c.value = dr.select(accepted, value, c.value)
         c.length = dr.select(accepted, c.length + ones(adds) - ones(drops), c.length)
         c.first = [dr.select(accepted & is_first, u, v) for u, v in zip(first, c.first, strict=True)]
-        c.trail.write(c.length - 1, end, mi.Point3f(*later), moved)
+        c.trail.write(c.length - 1, end, bounce, mi.Point3f(*later), moved)
         c.missing -= ones(finds)
         c.rays += ones(casts & ~finds)
         c.rebuilt += ones(finds)

@@ -303,7 +303,8 @@ class SingleTechnique:
         ray = dr.select(t == 1, light_end.ray_to(target), eye_end.ray_to(target))
         visible, transmittance = self.visibility.along(ray, self.max_edges - edges, tested)
         weighted, alone = (dr.select(visible, value * transmittance, 0.0) for value in (weighted, alone))
-        position = dr.select(t == 1, sensor.position, place)
+        # A sub-path without an end is connected from the origin, where the projection may be undefined.
+        position = dr.select((t == 1) & sensor.active, sensor.position, place)
         rays = eye.rays + lit.rays + ones(tested)
         return SingleContribution(position, weighted + by_hit[0], alone + by_hit[1], rays)
 
