@@ -17,8 +17,8 @@ def independent(
     problem: Problem, paths: int, seed: int, longest: int, emission: Any = emit, source: Any = None, bounces: Any = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Light paths without roulette, a kernel an edge: (shape, flux in colour, position) of every end, (longest, paths,
-    ...); flux zero where there is none. Fluxes are divided by the number of paths. ``bounces``: a list, to which the number
-    of each end is appended, null surfaces before it left out."""
+    ...); flux zero where there is none. Fluxes are divided by the number of paths. ``bounces``: a list, to which the
+    number of each end is appended, null surfaces before it left out."""
     lights, scene = LightTable(problem.scene), problem.scene
     numbers = {shape: i for i, shape in enumerate(np.array(dr.reinterpret_array(mi.UInt32, scene.shapes_dr())))}
     source = source or IndependentSource(dr.arange(mi.UInt32, paths), seed, "test", 0)

@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import drjit as dr
 import mitsuba as mi
@@ -151,8 +152,7 @@ class Runner:
         lanes = dr.width(numbers)
         lane = dr.arange(mi.UInt32, lanes)
         for name, layout in self.target.layouts.items():
-            fresh = moves[name].fresh
-            known = replace_fresh(moves[name], fresh, numbers)
+            known = replace(moves[name], fresh=partial(_in_order, moves[name].fresh, numbers))
             sources[name] = known.source(layout, None if states is None else states.numbers[name], lane, lanes)
         return self.target.trace(sources, lanes)
 
@@ -270,9 +270,9 @@ def numbers_of(lanes: int) -> mi.UInt32:
     return numbers
 
 
-def replace_fresh(move: Move, fresh: Callable[[mi.UInt32], SampleSource], numbers: mi.UInt32) -> Move:
-    """``move`` for lanes in order, whose chains its fresh numbers know by ``numbers``."""
-    return replace(move, fresh=lambda lane: fresh(dr.gather(mi.UInt32, numbers, lane)))
+def _in_order(fresh: Callable[[mi.UInt32], SampleSource], numbers: mi.UInt32, lane: mi.UInt32) -> SampleSource:
+    """Fresh numbers of lanes in order, which ``fresh`` knows by ``numbers``."""
+    return fresh(dr.gather(mi.UInt32, numbers, lane))
 
 
 def _on_host(contributions: Sequence[Contribution]) -> NDArray[np.float32]:
