@@ -283,7 +283,7 @@ def test_a_small_scene_far_from_the_origin():
         "type": "scene",
         "light": {"type": "constant"},
         "plane": {"type": "rectangle", "to_world": place, "bsdf": diffuse(0.5, 0.5, 0.5)},
-        "sensor": camera([*centre, 0, 0.2, 0], centre),
+        "sensor": camera((64.0, 0.2, 0.0), (64.0, 0.0, 0.0)),
     }
     problem = load(scene)
     assert not problem.space.is_own
