@@ -6,7 +6,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from support.running import Run, Stepped, go, prepared, run
-from support.scenes import camera, field, furnace, rgb
+from support.scenes import camera, diffuse, field, furnace, rgb
 
 from etendue import methods, radiosity, trace_particles
 from etendue.core import OptionError
@@ -209,3 +209,51 @@ def test_a_cache_agrees_with_the_other_maps(box):
     # Of the same few points, as each asks all records.
     means = [ended(problem, "path", each, passes=1, samples=8).mean.mean() for each in (found, made)]
     assert abs(means[0] / means[1] - 1) < 0.05
+
+
+@pytest.fixture(scope="module")
+def jewel():
+    """A small board far from the origin below a lamp, which is rendered in larger coordinates."""
+    side, centre = 0.05, [64.0, 0.0, 0.0]
+    place = mi.ScalarTransform4f().translate(centre)
+    turn = mi.ScalarTransform4f().rotate([1, 0, 0], -90).scale(side)
+    over = mi.ScalarTransform4f().translate([0, side, 0]).rotate([1, 0, 0], 90).scale(side)
+    board = {"type": "rectangle", "bsdf": diffuse(0.5, 0.5, 0.5)}
+    lamp = board | {"emitter": {"type": "area", "radiance": rgb(3.0, 2.0, 1.0)}, "bsdf": diffuse(0.0, 0.0, 0.0)}
+    scene = {
+        "type": "scene",
+        "board": board | {"to_world": place @ turn},
+        "lamp": lamp | {"to_world": place @ over},
+        "sensor": camera([64.0, 0.02, 0.2], centre, size=(8, 8)),
+    }
+    problem = load(scene)
+    assert problem.space.scale > 1
+    return scene, problem
+
+
+def test_photons_have_the_power_of_the_scene(jewel):
+    """In a scene that is scaled for rendering: the board's light, as particles have it."""
+    scene, problem = jewel
+    photons = photon_hits(prepared(problem, "pm", photons=20_000).shoot(0, 1), problem)
+    particles = trace_particles(scene, particles=20_000).particles
+    on_board = photons.position[:, 1] < 0.01
+    traced = particles.power[particles.position[:, 1] < 0.01].sum(axis=0)
+    np.testing.assert_allclose(photons.power[on_board].sum(axis=0), traced, rtol=0.03)
+
+
+def test_a_cache_has_the_lengths_of_the_scene(jewel):
+    """Two points a hundredth apart share a record of reach 0.02, but have one each of reach 0.002."""
+    _, problem = jewel
+    points = np.array([[64.0, 0.0, 0.0], [64.01, 0.0, 0.0]])
+    up = np.tile([0.0, 1.0, 0.0], (2, 1))
+    light = TransportFunctions(problem.scene)
+    for reach, records in ((0.02, 1), (0.002, 2)):
+        cache = IrradianceCache((reach, reach), 1.0, strata=(24, 72))
+        made = CacheMap(cache, light.emitted, light.distance, problem.space)
+        irradiance_at(made, points[:1], up[:1])
+        value = irradiance_at(made, points, up)[0]
+        assert len(cache) == records
+        # Of the form factor of a square, seen from below its centre at half its width.
+        expected = 4 * np.sqrt(0.5) * np.arctan(np.sqrt(0.5)) * np.array([3.0, 2.0, 1.0])
+        np.testing.assert_allclose(value[0], expected, rtol=0.03)
+        np.testing.assert_allclose(cache.records[:, :3], points[:records], atol=1e-7)
