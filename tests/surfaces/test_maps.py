@@ -172,6 +172,25 @@ def test_nothing_leaks(shelves):
         np.testing.assert_array_equal(value[1:], 0.0, err_msg=made.kind)
 
 
+def test_neighbours_of_a_dark_side(shelves):
+    """The lower side of a board, lit a hundred times less than the upper side, has k neighbours of its own; what is lit
+    by nothing has no error."""
+    surfaces = MapSurfaces(shelves, 600)
+    above, below = on_plane(100_000), on_plane(1000, seed=2)
+    above = dataclasses.replace(above, power=above.power * 100, direction=np.broadcast_to(-UP, (len(above), 3)))
+    below = dataclasses.replace(below, direction=np.broadcast_to(UP, (len(below), 3)))
+    made = NearestMap(surfaces, Particles.joined([above, below]), 100)
+    points = np.random.default_rng(5).uniform(-1, 1, (500, 3)) * [1, 0, 1]
+    value, error = irradiance_at(made, points, -np.tile(UP, (500, 1)))
+    assert abs(value.mean(axis=0) / COLOUR - 1).max() < 0.05
+    assert 0.8 < np.sqrt((((value - COLOUR) / error) ** 2).mean()) < 1.3
+    unlit, unknown = irradiance_at(made, [[0.0, 0.02, 0.0]], [UP])
+    assert (unlit == 0).all() and np.isnan(unknown).all()
+    # Fewer particles than neighbours: all of them.
+    few = NearestMap(surfaces, Particles.joined([above, below[:50]]), 100)
+    assert abs(irradiance_at(few, points, -np.tile(UP, (500, 1)))[0].mean() / COLOUR.mean() / 0.05 - 1) < 0.2
+
+
 def test_passes_add_up(plane):
     hits = on_plane(20_000)
     parts = [hits[:7000], hits[7000:]]
@@ -283,7 +302,7 @@ def test_a_small_scene_far_from_the_origin():
         "type": "scene",
         "light": {"type": "constant"},
         "plane": {"type": "rectangle", "to_world": place, "bsdf": diffuse(0.5, 0.5, 0.5)},
-        "sensor": camera([*centre, 0, 0.2, 0], centre),
+        "sensor": camera(centre + np.array([0, 0.2, 0]), centre),
     }
     problem = load(scene)
     assert not problem.space.is_own
