@@ -134,6 +134,48 @@ def test_a_map_in_a_file(box, tmp_path):
     np.testing.assert_allclose(loaded.mean, inside.mean, rtol=1e-5)
 
 
+@pytest.mark.parametrize("method", [*ENDING[:1], ENDING[3]])
+def test_mirrors_and_null_surfaces_do_not_count(method):
+    """Final gather at a floor that is seen through a mask and in a mirror is that of the floor seen directly: its light
+    by the lamp, not by the map, which has none."""
+    lamp = {"type": "point", "position": [1.5, 1.0, 0.0], "intensity": rgb(1.0, 1.0, 1.0)}
+    turn = mi.ScalarTransform4f().rotate([1, 0, 0], -90)
+    floor = {"type": "rectangle", "to_world": turn, "bsdf": diffuse(0.5, 0.5, 0.5)}
+    null = {"type": "mask", "opacity": 0.0, "bsdf": diffuse(0.5, 0.5, 0.5)}
+    above = mi.ScalarTransform4f().translate([0, 0.5, 0]) @ turn
+    mirror = {"type": "rectangle", "bsdf": {"type": "twosided", "bsdf": {"type": "conductor"}}}
+    mirror |= {"to_world": mi.ScalarTransform4f().translate([0, 0.5, 0]) @ turn.scale(0.2)}
+    scene = {"type": "scene", "lamp": lamp, "floor": floor}
+    through = {"above": {"type": "rectangle", "bsdf": null, "to_world": above}}
+    down, up = (camera((0, y, 0.001), (0, aim, 0), 20.0, size=(4, 4)) for y, aim in ((1, 0), (0.2, 0.5)))
+    # The mirror lights the floor, too, but on longer paths.
+    for view, more, longest in ((down, through, -1), (up, {"mirror": mirror}, 3)):
+        problem = load(scene | {"sensor": view} | more)
+        plain = run(problem, method, passes=1, samples=64, max_depth=longest).mean
+        gathered = ended(problem, method, even(problem, 0.0, 4), passes=1, map_after=1).mean
+        assert plain.max() > 0.01
+        np.testing.assert_allclose(gathered, plain, rtol=1e-3)
+        assert ended(problem, method, even(problem, 0.0, 4), passes=1).mean.max() == 0.0
+
+
+def test_a_map_that_lacks_a_surface_says_so(caplog):
+    """Once: the ball at the side is black."""
+    scene = {
+        "type": "scene",
+        "sky": {"type": "constant", "radiance": rgb(1.0, 1.0, 1.0)},
+        "floor": {"type": "rectangle", "bsdf": diffuse(0.5, 0.5, 0.5)},
+        "sensor": camera((0, 0.1, 4), (0, 0, 0), 30.0, size=(16, 16)),
+    }
+    made = even(load(scene), np.pi)
+    ball = {"type": "sphere", "center": [0.5, 0.0, 0.5], "radius": 0.3, "bsdf": diffuse(0.5, 0.5, 0.5)}
+    problem = load(scene | {"ball": ball})
+    ended(problem, "path", made, passes=3, samples=4)
+    assert caplog.text.count("% of the paths end; they are black there") == 1
+    caplog.clear()
+    ended(load(scene), "path", made, passes=1, samples=4)
+    assert not caplog.text
+
+
 def test_bad_input(box, tmp_path):
     problem, made, _ = box
     with pytest.raises(SurfaceError, match="there is no file of a map"):
