@@ -9,7 +9,7 @@ from support.running import Run, Stepped, go, prepared, run
 from support.scenes import camera, diffuse, field, furnace, rgb
 
 from etendue import methods, radiosity, trace_particles
-from etendue.core import OptionError
+from etendue.core import CheckpointError, OptionError
 from etendue.film import relative_mse
 from etendue.integration import Integrand, integral
 from etendue.methods import photon_hits
@@ -187,6 +187,19 @@ def test_bad_input(box, tmp_path):
         ended(problem, "stratified", made, passes=1, samples=1, maps=1)
     with pytest.raises(OptionError, match="one_path=true cannot be combined"):
         run(problem, "vegas", passes=1, samples=1, one_path=True, map="map.npz")
+
+
+@pytest.mark.parametrize("method", ENDING)
+def test_a_run_is_resumed_with_its_map_only(method, tmp_path):
+    problem = furnace("box", RADIANCE, ALBEDO)
+    path = tmp_path / "map.npz"
+    save_map(path, even(problem, 1.0))
+    first = prepared(problem, method, map=str(path), samples_per_pass=1)
+    first.step(0, 1)
+    prepared(problem, method, map=str(path), samples_per_pass=1).restore(first.state())
+    save_map(path, even(problem, 2.0))
+    with pytest.raises(CheckpointError, match="is not the one the checkpoint was made with: restore the file"):
+        prepared(problem, method, map=str(path), samples_per_pass=1).restore(first.state())
 
 
 def mean_of(problem, made):

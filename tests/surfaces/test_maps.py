@@ -278,6 +278,20 @@ def test_bad_input(plane, tmp_path, caplog):
     (tmp_path / "map.npz").write_bytes(b"PK nothing")
     with pytest.raises(SurfaceError, match="is no map"):
         read_map(tmp_path / "map.npz", problem)
+    save_map(tmp_path / "sound.npz", builder.build())
+    save_map(tmp_path / "near.npz", NearestMap(plane, hits, 10))
+    for name, changed in (
+        ("sound", {"front": np.zeros(0, int)}),
+        ("sound", {"smooth": np.ones(3)}),
+        ("sound", {"back": np.zeros((2, 2))}),
+        ("near", {"k": np.ones(2)}),
+        ("near", {"position": hits.position[:, :2]}),
+        ("near", {"path": np.zeros(3)}),
+    ):
+        with np.load(tmp_path / f"{name}.npz") as file:
+            np.savez(tmp_path / "changed.npz", **(dict(file) | changed))
+        with pytest.raises(SurfaceError, match="is no map"):
+            read_map(tmp_path / "changed.npz", problem)
     with pytest.raises(SurfaceError, match=r"written as \.npz"):
         save_map(tmp_path / "map.txt", builder.build())
 

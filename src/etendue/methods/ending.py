@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import OptionError, logger, setting
+from etendue.core import CheckpointError, OptionError, State, logger, setting
 from etendue.scene import Problem
 from etendue.surfaces import SurfaceMap, read_map
 from etendue.transport import CameraPath, EndingGuidedWalk, EndingWalker, GuidedWalk, MapEnd, Walker, light_of_map
@@ -17,6 +18,8 @@ from .base import CameraSettings, ImageMethod, W, total
 
 #: The walks that end in a map, for those that do not.
 _ENDING: dict[type[Walker], type[Walker]] = {Walker: EndingWalker, GuidedWalk: EndingGuidedWalk}
+#: Name of the digest in states.
+_DIGEST = "map"
 #: Largest share of the paths that may end where a map has no surface, before it is of another scene; and without a
 #: warning: rounding at edges and curved surfaces that are flat in the map.
 _UNMAPPED, _FEW = 0.5, 0.01
@@ -45,6 +48,8 @@ class EndsInMap(ImageMethod):
     settings: Any
     #: The map; set it before :meth:`prepare` to use one that is in no file.
     map: SurfaceMap | None = None
+    #: Digest of the file of the map; "" without a file.
+    _digest = ""
     _warned = False
 
     def prepare(self, problem: Problem, seed: int) -> None:
@@ -53,9 +58,23 @@ class EndsInMap(ImageMethod):
         name = getattr(self.settings, "map", "")
         if name:
             self.map = read_map(name, problem)
+            with open(name, "rb") as file:
+                self._digest = hashlib.file_digest(file, "sha256").hexdigest()
         elif self.map is not None and self.map.space != problem.space:
             raise OptionError("the map was made for this scene in other coordinates: make it with the loaded scene")
         self._after = dr.opaque(mi.UInt32, getattr(self.settings, "map_after", 0))
+
+    def start(self) -> State:
+        """The digest of the map's file."""
+        return {_DIGEST: self._digest}
+
+    def enter(self, state: State) -> None:
+        """Raises :class:`CheckpointError` for a state with another map."""
+        if state.get(_DIGEST, "") != self._digest:
+            raise CheckpointError(
+                f"the map '{self.settings.map}' is not the one the checkpoint was made with: restore the file, or "
+                "start a new render"
+            )
 
     def walker(self, kind: type[W], **own: Any) -> W:
         """See :class:`ImageMethod`; of paths that end in the map."""
