@@ -108,15 +108,16 @@ class KernelBuilder:
             self.sums[number] += self._frames.sums(part, part.power, h, self.kernel, self._moments)
 
     def build(self, smooth: bool = True) -> PatchMap:
-        """The map of all particles so far; warns of surfaces without any. Raises :class:`SurfaceError` for none."""
+        """The map of all particles so far; warns of surfaces without any. Raises :class:`SurfaceError` for none.
+
+        Values of ``linear`` may be below zero in the dark beside light: without them the mean of maps would be too
+        bright there.
+        """
         if not self.particles:
             raise SurfaceError("there are no particles, so no map: add some first")
         self.surfaces.warn_of_dark(np.array(sorted(self._seen)))
         values, errors = mean_of_groups(np.einsum("nm,gnmc->gnc", self._weights(), self.sums))
-        space = self.surfaces.space
-        return PatchMap(
-            self.surfaces.places, np.maximum(values, 0.0), errors, smooth=smooth, kind="kernel", space=space
-        )
+        return PatchMap(self.surfaces.places, values, errors, smooth=smooth, kind="kernel", space=self.surfaces.space)
 
     def _weights(self) -> Array:
         """(n, moments) factors of the sums, by the same sums over the surface instead of the particles."""
