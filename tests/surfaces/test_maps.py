@@ -216,6 +216,27 @@ def test_errors_know_that_particles_of_a_path_belong_together(plane):
     np.testing.assert_allclose(*errors, rtol=1e-4)
 
 
+def test_without_numbers_of_paths_errors_are_not_known(plane):
+    hits = on_plane(4000)
+    builder = HistogramBuilder(plane)
+    builder.add(dataclasses.replace(hits, path=np.zeros(len(hits), np.uint32)))
+    assert np.isnan(builder.build().errors).all()
+
+
+def test_a_linear_map_is_the_sum_of_the_maps_of_its_particles(plane):
+    """Also where one is below zero, at a dark edge beside light: a bound there would make the dark too bright."""
+    hits = on_plane(20_000)
+    x = hits.position[:, 0]
+    strip, rest = hits[(x > -0.75) & (x < -0.65)], hits[x < -0.75]
+    values = []
+    for each in (strip, rest, Particles.joined([strip, rest])):
+        builder = KernelBuilder(plane, 0.4, boundary="linear")
+        builder.add(each)
+        values.append(builder.build().values)
+    assert values[0].min() < -0.01
+    np.testing.assert_allclose(values[0] + values[1], values[2], atol=1e-4)
+
+
 def test_bandwidths(plane):
     """The rule is that of the plane; a variable kernel is wide in the dark and narrow in the light."""
     hits = on_plane(5000)
