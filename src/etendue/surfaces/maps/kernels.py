@@ -22,14 +22,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import Array, copied_to_device
-from etendue.density import KdTree, Kernel, kernel_of
+from etendue.density import KdTree, Kernel, kernel_of, relative_widths
 from etendue.scene import RenderSpace
 
 from ..errors import SurfaceError
 from ..patches import Patches
 from .cells import GROUPS, PatchMap, check_groups, group_of, mean_of_groups
-from .places import Located, MapSurfaces, normals_on_device, points_on_device
-from .protocol import SurfaceParticles
+from .places import Located, MapSurfaces
+from .protocol import SurfaceParticles, normals_on_device, points_on_device
 from .rectangles import Mirror
 
 if TYPE_CHECKING:
@@ -158,10 +158,8 @@ def variable_bandwidths(pilot: PatchMap, bandwidth: ArrayLike) -> Array:
     lit = light > 0
     if not lit.any():
         raise SurfaceError("the pilot of a variable kernel is black everywhere: add particles")
-    flux = light[lit] * areas[lit]
-    mean = np.exp(np.sum(flux * np.log(light[lit])) / flux.sum())
     factor = np.full(len(light), _WIDEST)
-    factor[lit] = np.clip((light[lit] / mean) ** -0.5, _NARROWEST, _WIDEST)
+    factor[lit] = np.clip(relative_widths(light[lit], light[lit] * areas[lit]), _NARROWEST, _WIDEST)
     return np.broadcast_to(np.asarray(bandwidth, dtype=np.float64), (len(light),)) * factor
 
 

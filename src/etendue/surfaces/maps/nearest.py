@@ -24,8 +24,8 @@ from etendue.scene import RenderSpace
 from ..errors import SurfaceError
 from ..patches import Patches
 from .kernels import FLAT, SAME_SIDE, Index, quadrature
-from .places import Located, MapSurfaces, points_on_device
-from .protocol import Irradiance, SurfaceParticles
+from .places import Located, MapSurfaces
+from .protocol import Irradiance, SurfaceParticles, points_on_device
 
 if TYPE_CHECKING:
     import mitsuba as mi
