@@ -10,6 +10,7 @@ from etendue.core import OptionError
 from etendue.film import read_exr
 from etendue.jobs import FileSource, MapOptions, make_map, write_map
 from etendue.jobs.maps import making
+from etendue.jobs.particles import repack
 from etendue.scene import load
 from etendue.surfaces import MapSurfaces, SurfaceError, irradiance_at, read_map
 
@@ -34,7 +35,7 @@ def test_every_kind_has_the_flux_of_the_particles(traced, kind):
     value, error = irradiance_at(made.map, patches.centres, patches.normals)
     flux = (np.nan_to_num(value) * patches.areas[:, None]).sum(axis=0)
     np.testing.assert_allclose(flux, source.file.power, rtol=0.02)
-    assert np.isfinite(error[np.isfinite(value)]).all()
+    assert np.isfinite(error[value > 0]).all()
     assert 0.0 < np.median(error[value > 0] / value[value > 0]) < 0.5
 
 
@@ -59,6 +60,35 @@ def test_bandwidths_are_of_all_particles(traced, monkeypatch):
     np.testing.assert_allclose(making._widths(surfaces, FileSource(path), MapOptions("kernel")), whole)
     monkeypatch.setattr(making, "_SAMPLE", 20_000)
     np.testing.assert_allclose(making._widths(surfaces, FileSource(path), MapOptions("kernel")), whole, rtol=0.05)
+
+
+def test_the_rule_of_bandwidths_reads_few_passes(traced, monkeypatch):
+    path, problem = traced
+    surfaces = MapSurfaces(problem, 100)
+    whole = making._widths(surfaces, FileSource(path).file.read(), MapOptions("kernel"))
+    monkeypatch.setattr(making, "_SAMPLE", 10_000)
+    source, read = FileSource(path), []
+    unpacked = source.file._unpacked
+    monkeypatch.setattr(source.file, "_unpacked", lambda chosen, then: unpacked(read.append(chosen) or chosen, then))
+    np.testing.assert_allclose(making._widths(surfaces, source, MapOptions("kernel")), whole, rtol=0.1)
+    (chunks,) = read
+    assert len({block.head["pass"] for block in chunks}) == 1 and len(source.file.passes) == 4
+
+
+def test_errors_of_a_file_without_numbers_of_paths(traced, tmp_path, caplog):
+    """Those of independent particles: not much smaller here, and not as large as the values."""
+    path, problem = traced
+    packed = tmp_path / "packed.particles"
+    repack(path, packed, "packed-no-paths")
+    repack(packed, tmp_path / "raw.particles", "raw")
+    known = make_map(problem, FileSource(path), MapOptions(cells=200)).map
+    assert not caplog.text
+    for name in ("packed", "raw"):
+        caplog.clear()
+        made = make_map(problem, FileSource(tmp_path / f"{name}.particles"), MapOptions(cells=200)).map
+        assert "has no numbers of paths" in caplog.text
+        lit = known.values.min(axis=1) > 0.1
+        assert 0.5 < np.median(made.errors[lit] / known.errors[lit]) < 1.2
 
 
 def test_files(traced, tmp_path):

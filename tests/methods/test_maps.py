@@ -6,10 +6,10 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from support.running import Run, Stepped, go, prepared, run
-from support.scenes import camera, field, furnace, rgb
+from support.scenes import camera, diffuse, field, furnace, rgb
 
 from etendue import methods, radiosity, trace_particles
-from etendue.core import OptionError
+from etendue.core import CheckpointError, OptionError
 from etendue.film import relative_mse
 from etendue.integration import Integrand, integral
 from etendue.methods import photon_hits
@@ -134,6 +134,48 @@ def test_a_map_in_a_file(box, tmp_path):
     np.testing.assert_allclose(loaded.mean, inside.mean, rtol=1e-5)
 
 
+@pytest.mark.parametrize("method", [*ENDING[:1], ENDING[3]])
+def test_mirrors_and_null_surfaces_do_not_count(method):
+    """Final gather at a floor that is seen through a mask and in a mirror is that of the floor seen directly: its light
+    by the lamp, not by the map, which has none."""
+    lamp = {"type": "point", "position": [1.5, 1.0, 0.0], "intensity": rgb(1.0, 1.0, 1.0)}
+    turn = mi.ScalarTransform4f().rotate([1, 0, 0], -90)
+    floor = {"type": "rectangle", "to_world": turn, "bsdf": diffuse(0.5, 0.5, 0.5)}
+    null = {"type": "mask", "opacity": 0.0, "bsdf": diffuse(0.5, 0.5, 0.5)}
+    above = mi.ScalarTransform4f().translate([0, 0.5, 0]) @ turn
+    mirror = {"type": "rectangle", "bsdf": {"type": "twosided", "bsdf": {"type": "conductor"}}}
+    mirror |= {"to_world": mi.ScalarTransform4f().translate([0, 0.5, 0]) @ turn.scale(0.2)}
+    scene = {"type": "scene", "lamp": lamp, "floor": floor}
+    through = {"above": {"type": "rectangle", "bsdf": null, "to_world": above}}
+    down, up = (camera((0, y, 0.001), (0, aim, 0), 20.0, size=(4, 4)) for y, aim in ((1, 0), (0.2, 0.5)))
+    # The mirror lights the floor, too, but on longer paths.
+    for view, more, longest in ((down, through, -1), (up, {"mirror": mirror}, 3)):
+        problem = load(scene | {"sensor": view} | more)
+        plain = run(problem, method, passes=1, samples=64, max_depth=longest).mean
+        gathered = ended(problem, method, even(problem, 0.0, 4), passes=1, map_after=1).mean
+        assert plain.max() > 0.01
+        np.testing.assert_allclose(gathered, plain, rtol=1e-3)
+        assert ended(problem, method, even(problem, 0.0, 4), passes=1).mean.max() == 0.0
+
+
+def test_a_map_that_lacks_a_surface_says_so(caplog):
+    """Once: the ball at the side is black."""
+    scene = {
+        "type": "scene",
+        "sky": {"type": "constant", "radiance": rgb(1.0, 1.0, 1.0)},
+        "floor": {"type": "rectangle", "bsdf": diffuse(0.5, 0.5, 0.5)},
+        "sensor": camera((0, 0.1, 4), (0, 0, 0), 30.0, size=(16, 16)),
+    }
+    made = even(load(scene), np.pi)
+    ball = {"type": "sphere", "center": [0.5, 0.0, 0.5], "radius": 0.3, "bsdf": diffuse(0.5, 0.5, 0.5)}
+    problem = load(scene | {"ball": ball})
+    ended(problem, "path", made, passes=3, samples=4)
+    assert caplog.text.count("% of the paths end; they are black there") == 1
+    caplog.clear()
+    ended(load(scene), "path", made, passes=1, samples=4)
+    assert not caplog.text
+
+
 def test_bad_input(box, tmp_path):
     problem, made, _ = box
     with pytest.raises(SurfaceError, match="there is no file of a map"):
@@ -145,6 +187,19 @@ def test_bad_input(box, tmp_path):
         ended(problem, "stratified", made, passes=1, samples=1, maps=1)
     with pytest.raises(OptionError, match="one_path=true cannot be combined"):
         run(problem, "vegas", passes=1, samples=1, one_path=True, map="map.npz")
+
+
+@pytest.mark.parametrize("method", ENDING)
+def test_a_run_is_resumed_with_its_map_only(method, tmp_path):
+    problem = furnace("box", RADIANCE, ALBEDO)
+    path = tmp_path / "map.npz"
+    save_map(path, even(problem, 1.0))
+    first = prepared(problem, method, map=str(path), samples_per_pass=1)
+    first.step(0, 1)
+    prepared(problem, method, map=str(path), samples_per_pass=1).restore(first.state())
+    save_map(path, even(problem, 2.0))
+    with pytest.raises(CheckpointError, match="is not the one the checkpoint was made with: restore the file"):
+        prepared(problem, method, map=str(path), samples_per_pass=1).restore(first.state())
 
 
 def mean_of(problem, made):
@@ -209,3 +264,51 @@ def test_a_cache_agrees_with_the_other_maps(box):
     # Of the same few points, as each asks all records.
     means = [ended(problem, "path", each, passes=1, samples=8).mean.mean() for each in (found, made)]
     assert abs(means[0] / means[1] - 1) < 0.05
+
+
+@pytest.fixture(scope="module")
+def jewel():
+    """A small board far from the origin below a lamp, which is rendered in larger coordinates."""
+    side, centre = 0.05, [64.0, 0.0, 0.0]
+    place = mi.ScalarTransform4f().translate(centre)
+    turn = mi.ScalarTransform4f().rotate([1, 0, 0], -90).scale(side)
+    over = mi.ScalarTransform4f().translate([0, side, 0]).rotate([1, 0, 0], 90).scale(side)
+    board = {"type": "rectangle", "bsdf": diffuse(0.5, 0.5, 0.5)}
+    lamp = board | {"emitter": {"type": "area", "radiance": rgb(3.0, 2.0, 1.0)}, "bsdf": diffuse(0.0, 0.0, 0.0)}
+    scene = {
+        "type": "scene",
+        "board": board | {"to_world": place @ turn},
+        "lamp": lamp | {"to_world": place @ over},
+        "sensor": camera([64.0, 0.02, 0.2], centre, size=(8, 8)),
+    }
+    problem = load(scene)
+    assert problem.space.scale > 1
+    return scene, problem
+
+
+def test_photons_have_the_power_of_the_scene(jewel):
+    """In a scene that is scaled for rendering: the board's light, as particles have it."""
+    scene, problem = jewel
+    photons = photon_hits(prepared(problem, "pm", photons=20_000).shoot(0, 1), problem)
+    particles = trace_particles(scene, particles=20_000).particles
+    on_board = photons.position[:, 1] < 0.01
+    traced = particles.power[particles.position[:, 1] < 0.01].sum(axis=0)
+    np.testing.assert_allclose(photons.power[on_board].sum(axis=0), traced, rtol=0.03)
+
+
+def test_a_cache_has_the_lengths_of_the_scene(jewel):
+    """Two points a hundredth apart share a record of reach 0.02, but have one each of reach 0.002."""
+    _, problem = jewel
+    points = np.array([[64.0, 0.0, 0.0], [64.01, 0.0, 0.0]])
+    up = np.tile([0.0, 1.0, 0.0], (2, 1))
+    light = TransportFunctions(problem.scene)
+    for reach, records in ((0.02, 1), (0.002, 2)):
+        cache = IrradianceCache((reach, reach), 1.0, strata=(24, 72))
+        made = CacheMap(cache, light.emitted, light.distance, problem.space)
+        irradiance_at(made, points[:1], up[:1])
+        value = irradiance_at(made, points, up)[0]
+        assert len(cache) == records
+        # Of the form factor of a square, seen from below its centre at half its width.
+        expected = 4 * np.sqrt(0.5) * np.arctan(np.sqrt(0.5)) * np.array([3.0, 2.0, 1.0])
+        np.testing.assert_allclose(value[0], expected, rtol=0.03)
+        np.testing.assert_allclose(cache.records[:, :3], points[:records], atol=1e-7)

@@ -172,6 +172,25 @@ def test_nothing_leaks(shelves):
         np.testing.assert_array_equal(value[1:], 0.0, err_msg=made.kind)
 
 
+def test_neighbours_of_a_dark_side(shelves):
+    """The lower side of a board, lit a hundred times less than the upper side, has k neighbours of its own; what is lit
+    by nothing has no error."""
+    surfaces = MapSurfaces(shelves, 600)
+    above, below = on_plane(100_000), on_plane(1000, seed=2)
+    above = dataclasses.replace(above, power=above.power * 100, direction=np.broadcast_to(-UP, (len(above), 3)))
+    below = dataclasses.replace(below, direction=np.broadcast_to(UP, (len(below), 3)))
+    made = NearestMap(surfaces, Particles.joined([above, below]), 100)
+    points = np.random.default_rng(5).uniform(-1, 1, (500, 3)) * [1, 0, 1]
+    value, error = irradiance_at(made, points, -np.tile(UP, (500, 1)))
+    assert abs(value.mean(axis=0) / COLOUR - 1).max() < 0.05
+    assert 0.8 < np.sqrt((((value - COLOUR) / error) ** 2).mean()) < 1.3
+    unlit, unknown = irradiance_at(made, [[0.0, 0.02, 0.0]], [UP])
+    assert (unlit == 0).all() and np.isnan(unknown).all()
+    # Fewer particles than neighbours: all of them.
+    few = NearestMap(surfaces, Particles.joined([above, below[:50]]), 100)
+    assert abs(irradiance_at(few, points, -np.tile(UP, (500, 1)))[0].mean() / COLOUR.mean() / 0.05 - 1) < 0.2
+
+
 def test_passes_add_up(plane):
     hits = on_plane(20_000)
     parts = [hits[:7000], hits[7000:]]
@@ -195,6 +214,27 @@ def test_errors_know_that_particles_of_a_path_belong_together(plane):
         builder.add(each)
         errors.append(builder.build().errors)
     np.testing.assert_allclose(*errors, rtol=1e-4)
+
+
+def test_without_numbers_of_paths_errors_are_not_known(plane):
+    hits = on_plane(4000)
+    builder = HistogramBuilder(plane)
+    builder.add(dataclasses.replace(hits, path=np.zeros(len(hits), np.uint32)))
+    assert np.isnan(builder.build().errors).all()
+
+
+def test_a_linear_map_is_the_sum_of_the_maps_of_its_particles(plane):
+    """Also where one is below zero, at a dark edge beside light: a bound there would make the dark too bright."""
+    hits = on_plane(20_000)
+    x = hits.position[:, 0]
+    strip, rest = hits[(x > -0.75) & (x < -0.65)], hits[x < -0.75]
+    values = []
+    for each in (strip, rest, Particles.joined([strip, rest])):
+        builder = KernelBuilder(plane, 0.4, boundary="linear")
+        builder.add(each)
+        values.append(builder.build().values)
+    assert values[0].min() < -0.01
+    np.testing.assert_allclose(values[0] + values[1], values[2], atol=1e-4)
 
 
 def test_bandwidths(plane):
@@ -259,6 +299,20 @@ def test_bad_input(plane, tmp_path, caplog):
     (tmp_path / "map.npz").write_bytes(b"PK nothing")
     with pytest.raises(SurfaceError, match="is no map"):
         read_map(tmp_path / "map.npz", problem)
+    save_map(tmp_path / "sound.npz", builder.build())
+    save_map(tmp_path / "near.npz", NearestMap(plane, hits, 10))
+    for name, changed in (
+        ("sound", {"front": np.zeros(0, int)}),
+        ("sound", {"smooth": np.ones(3)}),
+        ("sound", {"back": np.zeros((2, 2))}),
+        ("near", {"k": np.ones(2)}),
+        ("near", {"position": hits.position[:, :2]}),
+        ("near", {"path": np.zeros(3)}),
+    ):
+        with np.load(tmp_path / f"{name}.npz") as file:
+            np.savez(tmp_path / "changed.npz", **(dict(file) | changed))
+        with pytest.raises(SurfaceError, match="is no map"):
+            read_map(tmp_path / "changed.npz", problem)
     with pytest.raises(SurfaceError, match=r"written as \.npz"):
         save_map(tmp_path / "map.txt", builder.build())
 

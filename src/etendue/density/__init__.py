@@ -16,7 +16,7 @@ from .samples import Samples, Surface
 from .search.hashgrid import HashGrid, Query
 from .search.kdtree import KdTree
 from .search.leftbalanced import left_balanced, nearest
-from .variable import AdaptiveKernel, SampleBandwidths, VariableKernel
+from .variable import AdaptiveKernel, SampleBandwidths, VariableKernel, relative_widths
 
 __all__ = [
     "FACINGS",
@@ -52,5 +52,6 @@ __all__ = [
     "left_balanced",
     "nearest",
     "normal_reference",
+    "relative_widths",
     "silverman",
 ]

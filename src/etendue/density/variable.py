@@ -148,9 +148,16 @@ class AdaptiveKernel(SampleBandwidths):
         first = pilot(checked.positions[:, 0] if checked.coordinates == 1 else checked.positions)
         if not (np.isfinite(first) & (first > 0)).all():
             raise DensityError("the first estimate must be finite and above zero at every sample: widen its bandwidth")
-        mean = np.exp(np.sum(checked.weights * np.log(first)))
-        widths = np.minimum((first / mean) ** -float(alpha), positive("widest", widest))
+        widths = np.minimum(relative_widths(first, checked.weights, alpha), positive("widest", widest))
         super().__init__(checked, self.bandwidth * widths, kernel, domain, boundary)
+
+
+def relative_widths(first: Array, weights: Array, alpha: float = 0.5) -> Array:
+    """``(f / g)^-alpha``, (n,), of a first estimate f above zero, with its geometric mean g by weights not below zero
+    [Abramson 1982]."""
+    mean = np.exp(np.sum(weights * np.log(first)) / weights.sum())
+    widths: Array = (first / mean) ** -float(alpha)
+    return widths
 
 
 def neighbour_distances(samples: Samples, k: int, mirror: Box | None = None) -> Array:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import OptionError, setting
+from etendue.core import CheckpointError, OptionError, State, logger, setting
 from etendue.scene import Problem
 from etendue.surfaces import SurfaceMap, read_map
 from etendue.transport import CameraPath, EndingGuidedWalk, EndingWalker, GuidedWalk, MapEnd, Walker, light_of_map
@@ -17,8 +18,11 @@ from .base import CameraSettings, ImageMethod, W, total
 
 #: The walks that end in a map, for those that do not.
 _ENDING: dict[type[Walker], type[Walker]] = {Walker: EndingWalker, GuidedWalk: EndingGuidedWalk}
-#: Largest share of the paths that may end where a map has no surface, before it is of another scene.
-_UNMAPPED = 0.5
+#: Name of the digest in states.
+_DIGEST = "map"
+#: Largest share of the paths that may end where a map has no surface, before it is of another scene; and without a
+#: warning: rounding at edges and curved surfaces that are flat in the map.
+_UNMAPPED, _FEW = 0.5, 0.01
 
 
 @dataclass(frozen=True)
@@ -32,8 +36,8 @@ class EndingSettings(CameraSettings):
     )
     map_after: int = setting(
         0,
-        "with map: surface points of a path before it ends at the next diffuse one; 0: the map as the camera sees it, "
-        "1: final gather from the map",
+        "with map: scatterings of a path before it ends at the next diffuse surface, not counting mirrors, glass and "
+        "null surfaces; 0: the map as the camera sees it, 1: final gather from the map",
         minimum=0,
     )
 
@@ -44,6 +48,9 @@ class EndsInMap(ImageMethod):
     settings: Any
     #: The map; set it before :meth:`prepare` to use one that is in no file.
     map: SurfaceMap | None = None
+    #: Digest of the file of the map; "" without a file.
+    _digest = ""
+    _warned = False
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. Reads the map."""
@@ -51,9 +58,23 @@ class EndsInMap(ImageMethod):
         name = getattr(self.settings, "map", "")
         if name:
             self.map = read_map(name, problem)
+            with open(name, "rb") as file:
+                self._digest = hashlib.file_digest(file, "sha256").hexdigest()
         elif self.map is not None and self.map.space != problem.space:
             raise OptionError("the map was made for this scene in other coordinates: make it with the loaded scene")
         self._after = dr.opaque(mi.UInt32, getattr(self.settings, "map_after", 0))
+
+    def start(self) -> State:
+        """The digest of the map's file."""
+        return {_DIGEST: self._digest}
+
+    def enter(self, state: State) -> None:
+        """Raises :class:`CheckpointError` for a state with another map."""
+        if state.get(_DIGEST, "") != self._digest:
+            raise CheckpointError(
+                f"the map '{self.settings.map}' is not the one the checkpoint was made with: restore the file, or "
+                "start a new render"
+            )
 
     def walker(self, kind: type[W], **own: Any) -> W:
         """See :class:`ImageMethod`; of paths that end in the map."""
@@ -69,7 +90,7 @@ class EndsInMap(ImageMethod):
     def light_of_map(self, path: CameraPath) -> mi.Color3f | None:
         """Light of the map at the ends of paths, whose loop is evaluated first; None without a map.
 
-        Raises :class:`OptionError` if the map has no surface at most ends.
+        Warns once if the map has no surface at some ends; raises :class:`OptionError` if at most.
         """
         end = path.end
         if self.map is None or end is None:
@@ -77,9 +98,18 @@ class EndsInMap(ImageMethod):
         dr.eval(path)
         light, unmapped = light_of_map(self.map, end)
         dr.eval(light, unmapped, end.reached)
-        if total(unmapped) > _UNMAPPED * total(end.reached):
+        missed, ends = total(unmapped), total(end.reached)
+        if missed > _UNMAPPED * ends:
             raise OptionError(
-                f"the map ({self.map.kind}) has no surface where {total(unmapped):.0f} of {total(end.reached):.0f} "
-                "paths end: it is of another scene, or not of these surfaces"
+                f"the map ({self.map.kind}) has no surface where {missed:.0f} of {ends:.0f} paths end: it is of "
+                "another scene, or not of these surfaces"
+            )
+        if missed > _FEW * ends and not self._warned:
+            self._warned = True
+            logger.warning(
+                "the map (%s) has no surface where %.2g %% of the paths end; they are black there: make the map of "
+                "all surfaces of this scene",
+                self.map.kind,
+                100 * missed / ends,
             )
         return light

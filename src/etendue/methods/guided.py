@@ -185,9 +185,10 @@ class Guided(Carrying, EndsInMap):
             "found": self._found,
             "seen": self._seen,
             "brought": self._brought,
-        }
+        } | dict(EndsInMap.start(self))
 
     def _take(self, state: State) -> None:
+        EndsInMap.enter(self, state)
         found, seen = np.asarray(state["found"], np.uint64), np.asarray(state["seen"], np.uint32)
         self._guide.restore(state["guide"])
         if (len(found), len(seen)) != (self._guide.places, self._guide.places):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import zlib
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -130,6 +130,12 @@ class ParticleFile:
         return {name: times * bound for name, bound in self.grid.bounds.items()} if times else {}
 
     @property
+    def has_paths(self) -> bool:
+        """Whether particles have the numbers of their paths: no codec has left them out."""
+        names = (self.header["codec"], *self.header.get("before", []))
+        return all(Codec.parse(name).layout != "packed-no-paths" for name in names)
+
+    @property
     def counts(self) -> NDArray[np.int64]:
         """Particles on each shape, from the heads of chunks."""
         counts = np.zeros(len(self.surfaces), np.int64)
@@ -159,14 +165,23 @@ class ParticleFile:
         """All particles, or those on ``shapes`` (names or indices) and in ``box`` ((2, 3): lower and upper corner)."""
         return Particles.joined(list(self.parts(shapes, box)))
 
-    def parts(self, shapes: Sequence[str | int] | None = None, box: ArrayLike | None = None) -> Iterator[Particles]:
-        """As :meth:`read`, in parts of at most 65536 particles. Chunks without such particles are not read.
+    def parts(
+        self,
+        shapes: Sequence[str | int] | None = None,
+        box: ArrayLike | None = None,
+        passes: Collection[int] | None = None,
+    ) -> Iterator[Particles]:
+        """As :meth:`read`, in parts of at most 65536 particles; ``passes``: only those of these iterations. Chunks
+        without such particles are not read.
 
         Raises :class:`ParticleError` for a damaged chunk, and for shapes that do not exist."""
-        return (part for _, part in self.parts_by_pass(shapes, box))
+        return (part for _, part in self.parts_by_pass(shapes, box, passes))
 
     def parts_by_pass(
-        self, shapes: Sequence[str | int] | None = None, box: ArrayLike | None = None
+        self,
+        shapes: Sequence[str | int] | None = None,
+        box: ArrayLike | None = None,
+        passes: Collection[int] | None = None,
     ) -> Iterator[tuple[int, Particles]]:
         """As :meth:`parts`, each with the number of its pass: pass and ``path`` together name a light path of the
         file."""
@@ -174,6 +189,8 @@ class ParticleFile:
         corners = _corners(box)
         scale = 1.0 / max(self.paths, 1)
         chosen = [block for block in self.chunks if _may_have(block.head, wanted, corners)]
+        if passes is not None:
+            chosen = [block for block in chosen if block.head["pass"] in passes]
         parts = self._unpacked(chosen, lambda rows: Particles.of_rows(_selected(rows, wanted, corners), scale))
         for block, part in zip(chosen, parts, strict=True):
             if len(part):

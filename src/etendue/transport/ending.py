@@ -1,17 +1,18 @@
 r"""Camera paths that end in a map of irradiance.
 
-A path ends at the first diffuse surface after so many vertices, with the light that a map has there,
+A path ends at the first diffuse surface after so many scatterings, with the light that a map has there,
 
 .. math:: alpha \, \rho(z) \, E(z) / \pi
 
-with the throughput alpha and the albedo rho. Diffuse are materials without a glossy component; at others, and where
-their mirror or glass is sampled, the path goes on. No light point is sampled at the end, since the map has the direct
-light, too [Leeson 2001, sec. 5.7.3].
+with the throughput alpha and the albedo rho. Mirrors, glass and null surfaces do not count as scatterings: what they
+show is as far from the map as what the path sees directly. Diffuse are materials without a glossy component; at others,
+and where their mirror or glass is sampled, the path goes on. No light point is sampled at the end, since the map
+has the direct light, too [Leeson 2001, sec. 5.7.3].
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -37,15 +38,22 @@ def light_of_map(surface_map: SurfaceMap, end: MapEnd) -> tuple[mi.Color3f, mi.B
 
 @dataclass(kw_only=True)
 class EndingWalker(Walker):
-    """Paths end in a map after ``after`` vertices; the state of the walk has a :class:`MapEnd`."""
+    """Paths end in a map after ``after`` scatterings; the state of the walk has a :class:`MapEnd`."""
 
     after: mi.UInt32  #: opaque
+
+    def arrive(self, s: SubPath) -> WalkVertex:
+        """See :class:`Walker`."""
+        assert isinstance(s, CameraPath) and s.end is not None
+        vertex = super().arrive(s)
+        vertex.scatterings = mi.UInt32(s.end.scatterings)
+        return vertex
 
     def ends(self, vertex: WalkVertex) -> mi.Bool:
         """See :class:`Walker`."""
         flags = vertex.bsdf.flags()
         is_diffuse = mi.has_flag(flags, mi.BSDFFlags.Diffuse) & ~mi.has_flag(flags, mi.BSDFFlags.Glossy)
-        return is_diffuse & (vertex.number > self.after)
+        return is_diffuse & (vertex.scatterings >= self.after)
 
     def light_point(
         self,
@@ -78,7 +86,9 @@ class EndingWalker(Walker):
         albedo = dr.select(has_choice, scattered.weight, albedo)
         towards = dr.select(dr.dot(si.n, vertex.incoming) > 0.0, -si.n, si.n)
         depth = vertex.number + ones(has_choice)
-        s.end = dr.select(here, MapEnd(here, vertex.position, towards, s.throughput * albedo, depth), s.end)
+        count = s.end.scatterings + ones(chosen)
+        end = MapEnd(here, vertex.position, towards, s.throughput * albedo, depth, count)
+        s.end = dr.select(here, end, replace(s.end, scatterings=count))
         factor = super().advance(s, vertex, scattered, source, roulette_by)
         s.active &= ~here
         return factor

@@ -65,18 +65,29 @@ class IrradianceCache:
         """Rays that were cast for the records."""
         return len(self) * self.strata[0] * self.strata[1]
 
-    def compute(self, incident: Integrand, distance: Integrand, position: Array, normal: Array, seed: int) -> None:
+    def compute(
+        self,
+        incident: Integrand,
+        distance: Integrand,
+        position: Array,
+        normal: Array,
+        seed: int,
+        space: RenderSpace | None = None,
+    ) -> None:
         """Compute and add records at points, all in one launch.
 
         incident, distance: functions of rays (see :class:`TransportFunctions`): radiance along the ray towards its
-        origin, and length of the ray. position, normal: (n, 3).
+        origin, and length of the ray, both in ``space``, by default the scene's own coordinates. position, normal:
+        (n, 3), in the scene's coordinates.
         """
         directions = stratified_hemispheres(normal, self.strata, seed)
         shape = directions.shape[:3]
-        lift = np.maximum(_LIFT * self.reach[0], _STEPS * np.abs(position).max(axis=1, keepdims=True))
-        origins = np.broadcast_to((position + lift * normal)[:, None, None], directions.shape)
+        space = space or RenderSpace()
+        local = space.from_scene(position)
+        lift = np.maximum(_LIFT * self.reach[0] * space.scale, _STEPS * np.abs(local).max(axis=1, keepdims=True))
+        origins = np.broadcast_to((local + lift * normal)[:, None, None], directions.shape)
         rays = [_column(part[..., axis]) for part in (origins, directions) for axis in range(3)]
-        way = np.array(distance.evaluate(rays), dtype=np.float64).reshape(shape)
+        way = np.array(distance.evaluate(rays), dtype=np.float64).reshape(shape) / space.scale
         way = np.where(np.isfinite(way), np.maximum(way, _LIFT * self.reach[0]), _FAR * self.reach[1])
         radiance = np.stack([np.array(v, dtype=np.float64) for v in incident.parts(incident.evaluate(rays))], axis=-1)
         self.add(position, normal, np.broadcast_to(radiance, (len(radiance), 3)).reshape(*shape, 3), way)
@@ -101,8 +112,10 @@ class IrradianceCache:
         """
         if not len(self):
             return np.zeros((len(position), 3)), np.zeros(len(position))
-        table = _column(self.records)
-        p, n = (mi.Vector3f(*(_column(values[:, axis]) for axis in range(3))) for values in (position, normal))
+        # Single precision near the records, which may be few and far from the origin.
+        centre = self.records[:, :3].mean(axis=0)
+        table = _column(np.concatenate([self.records[:, :3] - centre, self.records[:, 3:]], axis=1))
+        p, n = (mi.Vector3f(*(_column(x[:, axis]) for axis in range(3))) for x in (position - centre, normal))
 
         def visit(i: mi.UInt32, total: mi.Vector3f, weight: mi.Float) -> tuple[mi.UInt32, mi.Vector3f, mi.Float]:
             def vector(k: int, active: mi.Bool | bool = True) -> mi.Vector3f:
@@ -135,9 +148,9 @@ class CacheMap:
 
     Parameters
     ----------
-    cache: its records may be those of earlier pictures.
+    cache: its records may be those of earlier pictures; they are in the scene's own coordinates.
     incident, distance: as for :meth:`IrradianceCache.compute`, of all light that the map is to have.
-    space: that of the loaded scene.
+    space: that of the loaded scene, in which ``incident`` and ``distance`` take rays.
     """
 
     kind = "cache"
@@ -155,11 +168,12 @@ class CacheMap:
         position, normal = (
             np.broadcast_to(np.array(x, dtype=np.float64).reshape(3, -1), (3, count)).T[lanes] for x in (p, n)
         )
+        position = self.space.to_scene(position)
         found, weight = self.cache(position, normal)
         while len(missing := np.flatnonzero(weight == 0)):
             # From coarse to fine: records between the first ones are needed less often.
             chosen = missing[:: -(-len(missing) // max(_FIRST, len(self.cache) // 2))]
-            self.cache.compute(*self._light, position[chosen], normal[chosen], seed=len(self.cache))
+            self.cache.compute(*self._light, position[chosen], normal[chosen], len(self.cache), self.space)
             found[missing], weight[missing] = self.cache(position[missing], normal[missing])
             # A record is valid where it was made, unless the surface ends the search for good.
             weight[chosen] = np.where(weight[chosen] == 0, np.nan, weight[chosen])

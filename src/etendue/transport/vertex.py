@@ -73,6 +73,8 @@ class WalkVertex(Vertex):
     distance: mi.Float  #: length of the edge from the last vertex, through null surfaces on the way
     valid: mi.Bool  #: whether the edge ends on a surface
     proposal: Proposal = scatter_camera  #: samples directions
+    #: Scatterings before the vertex, see :class:`etendue.transport.MapEnd`; None unless paths end in maps.
+    scatterings: mi.UInt32 | None = None
 
     def sample(
         self, source: SampleSource, active: mi.Bool, joined: Sequence[Joined] = (), proposal: Proposal | None = None

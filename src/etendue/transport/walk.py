@@ -52,11 +52,12 @@ class MapEnd:
     normal: mi.Normal3f  #: geometric, on the side of the path
     throughput: mi.Color3f  #: including the albedo
     depth: mi.UInt32  #: edges of the path up to there, one more if the end depends on a choice at the last vertex
+    scatterings: mi.UInt32  #: of the path so far, by surfaces other than mirrors, glass and null surfaces
 
     @classmethod
     def none(cls) -> MapEnd:
         """Before the first edge."""
-        return cls(mi.Bool(False), mi.Point3f(0.0), mi.Normal3f(0.0), mi.Color3f(0.0), mi.UInt32(0))
+        return cls(mi.Bool(False), mi.Point3f(0.0), mi.Normal3f(0.0), mi.Color3f(0.0), mi.UInt32(0), mi.UInt32(0))
 
 
 @dataclass(kw_only=True)

@@ -20,6 +20,8 @@ from etendue.surfaces import (
     variable_bandwidths,
 )
 
+from .sources import FileSource
+
 #: Most particles by which bandwidths are chosen.
 _SAMPLE = 1 << 20
 
@@ -97,17 +99,18 @@ def make_map(
 
 def _widths(surfaces: MapSurfaces, particles: Source, o: MapOptions) -> float | Array:
     """The bandwidth given, or that of the rule: by a part of all particles, taken evenly, as those of a file are sorted
-    by surface."""
+    by surface. Of a file only a few passes are read."""
     if o.bandwidth is not None:
         return o.bandwidth
     kept, stride, total = Particles.empty(), 1, 0
-    for part in _passes(particles):
+    for part in particles.sample(_SAMPLE) if isinstance(particles, FileSource) else _passes(particles):
         kept = Particles.joined([kept, part[-total % stride :: stride]])
         total += len(part)
         while len(kept) > _SAMPLE:
             kept, stride = kept[::2], 2 * stride
     rule: Any = o.rule
-    return rule_bandwidths(surfaces, kept, rule, o.kernel, total)
+    every = len(particles) if isinstance(particles, FileSource) else total
+    return rule_bandwidths(surfaces, kept, rule, o.kernel, every)
 
 
 def _added(

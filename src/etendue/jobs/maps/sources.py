@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from etendue.core import OptionError, logger
 from etendue.particles import ParticleFile, Particles
@@ -20,7 +23,8 @@ _ALL = {"keep": "all", "after": 0, "max_bounces": -1}
 class FileSource:
     """The particles of a file in batches, as often as it is called.
 
-    Raises :class:`ParticleError` for a file that cannot be read. Warns if it has a part of the light only.
+    Raises :class:`ParticleError` for a file that cannot be read. Warns if it has a part of the light only, and if it
+    has no numbers of paths: each particle is then a path of its own.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -29,11 +33,37 @@ class FileSource:
         part = [f"{name}={settings[name]}" for name, all_ in _ALL.items() if settings.get(name, all_) != all_]
         if part:
             logger.warning("%s has a part of the light (%s), and so has the map", path, ", ".join(part))
+        if not self.file.has_paths:
+            logger.warning(
+                "%s has no numbers of paths: errors of maps are those of independent particles, which are too small "
+                "where a path has several hits",
+                path,
+            )
+
+    def __len__(self) -> int:
+        """Number of all particles."""
+        return len(self.file)
 
     def __call__(self) -> Iterator[Particles]:
         """The particles, a million at a time; their power is that of all paths together."""
+        yield from self._batches(self.file.parts())
+
+    def sample(self, least: int) -> Iterator[Particles]:
+        """As a call, but of as few passes of the file as have ``least`` particles, evenly spaced. A pass is sorted by
+        surface, so that a part of it would lack surfaces."""
+        numbers = [block.head["pass"] for block in self.file.passes]
+        count = min(-(-least * len(numbers) // max(len(self), 1)), len(numbers))
+        chosen = {numbers[(2 * k + 1) * len(numbers) // (2 * count)] for k in range(count)}
+        return self._batches(self.file.parts(passes=chosen))
+
+    def _batches(self, parts: Iterator[Particles]) -> Iterator[Particles]:
         waiting: list[Particles] = []
-        for part in self.file.parts():
+        first = 0
+        for part in parts:
+            if not self.file.has_paths:
+                path = np.arange(first, first + len(part), dtype=np.uint64).astype(np.uint32)
+                part = replace(part, path=path)
+            first += len(part)
             waiting.append(part)
             if sum(map(len, waiting)) >= _BATCH:
                 yield Particles.joined(waiting)

@@ -203,9 +203,10 @@ class VegasPath(Carrying, AdaptivePath):
                 {name: np.stack([getattr(factor, name) for factor in rows]) for name in _FIELDS[type(rows[0])]}
                 for rows in self._densities
             ]
-        return {"passes": self._passes, "densities": self._saved, "found": list(self._sums)}
+        return {"passes": self._passes, "densities": self._saved, "found": list(self._sums), **AdaptivePath.start(self)}
 
     def _take(self, state: State) -> None:
+        AdaptivePath.enter(self, state)
         found = [np.array(sums, float) for sums in state["found"]]
         fields = [_FIELDS[type(rows[0])] for rows in self._densities]
         saved = [

@@ -28,7 +28,9 @@ def photon_hits(shot: PhotonShot, problem: Problem) -> Particles:
     index = dr.arange(mi.UInt32, len(slot))
     position, depth = photons.position(index, True)
     photon = photons.read(index, True)
-    power = photon.fluence * (dr.abs(dr.dot(photon.normal, photon.direction)) / shot.paths)
+    # Power is radiance times area, here of the render space.
+    to_scene = 1.0 / (shot.paths * problem.space.scale**2)
+    power = photon.fluence * (dr.abs(dr.dot(photon.normal, photon.direction)) * to_scene)
     dr.eval(position, depth, photon.direction, power)
     count = len(slot)
     unknown = np.zeros(count, np.uint32)

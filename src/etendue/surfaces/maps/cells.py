@@ -130,7 +130,9 @@ def group_of(path: NDArray[np.uint32], groups: int) -> Index:
 
 def mean_of_groups(sums: Array) -> tuple[Array, Array]:
     """(estimate, standard error) from estimates (groups, ...) by the particles of each group alone, whose sum is the
-    estimate by all."""
+    estimate by all. The error is NaN where all particles are in one group: of one path, or without numbers of paths."""
     groups = len(sums)
+    if np.count_nonzero(sums.any(axis=tuple(range(1, sums.ndim)))) < 2:
+        return sums.sum(axis=0), np.full(sums.shape[1:], np.nan)
     error = (groups * sums).std(axis=0, ddof=1) / np.sqrt(groups)
     return sums.sum(axis=0), error

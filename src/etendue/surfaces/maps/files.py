@@ -41,6 +41,13 @@ class _Saved:
     def __len__(self) -> int:
         return len(self.position)
 
+    @property
+    def is_sound(self) -> bool:
+        """Whether the arrays have the shapes of particles."""
+        rows = (self.position, self.direction, self.power)
+        is_number = all(np.issubdtype(x.dtype, np.number) for x in (*rows, self.path))
+        return is_number and self.path.ndim == 1 and all(x.shape == (len(self.path), 3) for x in rows)
+
 
 def save_map(
     path: str | os.PathLike[str], made: PatchMap | NearestMap, metadata: Mapping[str, Any] | None = None
@@ -78,17 +85,24 @@ def read_map(path: str | os.PathLike[str], problem: Problem) -> PatchMap | Neare
         raise SurfaceError(f"there is no file of a map '{path}'") from None
     except (OSError, ValueError, EOFError, KeyError, AttributeError, TypeError, BadZipFile) as error:
         raise _foreign(path) from error
+    rows = None
     try:
         if "k" in saved:
             rows = _Saved(*(saved[name] for name in _NEAREST[:4]))
             k, kernel, correct = (saved[name].item() for name in _NEAREST[4:])
-            return NearestMap(MapSurfaces(problem), rows, k, kernel, correct, problem.memory)
+    except (KeyError, ValueError) as error:
+        raise _foreign(path) from error
+    if rows is not None:
+        if not rows.is_sound:
+            raise _foreign(path)
+        return NearestMap(MapSurfaces(problem), rows, k, kernel, correct, problem.memory)
+    try:
         vertices, faces, front, back, irradiance = (saved[name] for name in _PATCHES)
         two_sided = np.zeros(int(front.max()) + 1, dtype=bool)
         two_sided[front[back >= 0]] = True
         patches = Patches(vertices, faces.astype(np.int64), ids=front.astype(np.int64), two_sided=two_sided)
         smooth, kind = (saved[name].item() if name in saved else other for name, other in _OTHERWISE.items())
-    except (KeyError, IndexError, TypeError) as error:
+    except (KeyError, IndexError, TypeError, ValueError) as error:
         raise _foreign(path) from error
     check_place(patches, problem, str(path))
     surfaces = PatchSurfaces(patches)

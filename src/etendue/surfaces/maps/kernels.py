@@ -22,14 +22,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from etendue.core import Array, copied_to_device
-from etendue.density import KdTree, Kernel, kernel_of
+from etendue.density import KdTree, Kernel, kernel_of, relative_widths
 from etendue.scene import RenderSpace
 
 from ..errors import SurfaceError
 from ..patches import Patches
 from .cells import GROUPS, PatchMap, check_groups, group_of, mean_of_groups
-from .places import Located, MapSurfaces, normals_on_device, points_on_device
-from .protocol import SurfaceParticles
+from .places import Located, MapSurfaces
+from .protocol import SurfaceParticles, normals_on_device, points_on_device
 from .rectangles import Mirror
 
 if TYPE_CHECKING:
@@ -108,15 +108,16 @@ class KernelBuilder:
             self.sums[number] += self._frames.sums(part, part.power, h, self.kernel, self._moments)
 
     def build(self, smooth: bool = True) -> PatchMap:
-        """The map of all particles so far; warns of surfaces without any. Raises :class:`SurfaceError` for none."""
+        """The map of all particles so far; warns of surfaces without any. Raises :class:`SurfaceError` for none.
+
+        Values of ``linear`` may be below zero in the dark beside light: without them the mean of maps would be too
+        bright there.
+        """
         if not self.particles:
             raise SurfaceError("there are no particles, so no map: add some first")
         self.surfaces.warn_of_dark(np.array(sorted(self._seen)))
         values, errors = mean_of_groups(np.einsum("nm,gnmc->gnc", self._weights(), self.sums))
-        space = self.surfaces.space
-        return PatchMap(
-            self.surfaces.places, np.maximum(values, 0.0), errors, smooth=smooth, kind="kernel", space=space
-        )
+        return PatchMap(self.surfaces.places, values, errors, smooth=smooth, kind="kernel", space=self.surfaces.space)
 
     def _weights(self) -> Array:
         """(n, moments) factors of the sums, by the same sums over the surface instead of the particles."""
@@ -157,10 +158,8 @@ def variable_bandwidths(pilot: PatchMap, bandwidth: ArrayLike) -> Array:
     lit = light > 0
     if not lit.any():
         raise SurfaceError("the pilot of a variable kernel is black everywhere: add particles")
-    flux = light[lit] * areas[lit]
-    mean = np.exp(np.sum(flux * np.log(light[lit])) / flux.sum())
     factor = np.full(len(light), _WIDEST)
-    factor[lit] = np.clip((light[lit] / mean) ** -0.5, _NARROWEST, _WIDEST)
+    factor[lit] = np.clip(relative_widths(light[lit], light[lit] * areas[lit]), _NARROWEST, _WIDEST)
     return np.broadcast_to(np.asarray(bandwidth, dtype=np.float64), (len(light),)) * factor
 
 

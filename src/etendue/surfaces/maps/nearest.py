@@ -3,25 +3,29 @@ r"""Maps by the k nearest particles, which are all in memory.
 .. math:: E(x) = \frac{\sum_i \Phi_i K(d_i^2 / r^2)}{\int K(d^2 / r^2) dA}
 
 over the particles within the distance r of the k-th one [Jensen 1996; Leeson 2001, sec. 3.5, 5.7.2]. The particle at
-the rim defines the disc and is not counted. As in kernel maps, particles count only on their own shape, side and
-tangent plane, and the integral runs over the surface within the disc, so that edges are not dark. It is a sum over
-points of the surfaces, as many as a mean disc needs; in the much smaller discs of a caustic it is the whole disc.
+the rim defines the disc and is not counted. Neighbours are those on the same side of the same shape. As in kernel maps,
+they count only near the tangent plane, and the integral runs over the surface within the disc, so that edges are not
+dark. It is a sum over points of the surfaces, as many as a mean disc needs; in the much smaller discs of a caustic it
+is the whole disc.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import math
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import numpy as np
 
-from etendue.core import copied_to_device, free_memory, is_whole
+from etendue.core import Array, copied_to_device, free_memory, is_whole
 from etendue.density import KdTree, Kernel, kernel_of
+from etendue.scene import RenderSpace
 
 from ..errors import SurfaceError
-from .kernels import FLAT, SAME_SIDE, quadrature
-from .places import Located, MapSurfaces, points_on_device
-from .protocol import Irradiance, SurfaceParticles
+from ..patches import Patches
+from .kernels import FLAT, SAME_SIDE, Index, quadrature
+from .places import Located, MapSurfaces
+from .protocol import Irradiance, SurfaceParticles, points_on_device
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -32,6 +36,8 @@ PARTICLE_BYTES = 350
 _LEAST_POINTS = 24.0
 #: Cells for this integral in the mean disc, and least and most of the scene.
 _CELLS, _LEAST_CELLS, _MOST_CELLS = 12, 1000, 400_000
+#: Greatest distance of points of one shape, and distance of the places of shapes, in radii of the scene.
+_OWN, _APART = 2.2, 5.0
 #: Factor on the squared distance of the farthest particle, so that it is not inside.
 _INSIDE = 1.0 - 1e-6
 
@@ -48,7 +54,9 @@ class NearestMap:
     correct: whether the disc is the part of it that is on the surface.
     memory: bytes that the map may take; by default the free memory.
 
-    The standard error is that of independent particles; hits of one path near each other are rare on fine maps.
+    The standard error is that of independent particles; hits of one path near each other are rare on fine maps. Where
+    no particle counts, the irradiance is 0 and its error NaN. Where a side of a shape has fewer than ``k`` particles,
+    the disc has all of them.
     Raises :class:`SurfaceError`, also if the particles do not fit into memory.
     """
 
@@ -75,27 +83,32 @@ class NearestMap:
             )
         self.surfaces, self.space, self.k, self.kernel = surfaces, surfaces.space, int(k), kernel_of(kernel)
         located = surfaces.located(hits)
+        cell = surfaces.cell_of(*surfaces.uploaded(located))
+        located, cell = located.only(cell >= 0), cell[cell >= 0]
         surfaces.warn_of_dark(np.unique(located.shape))
-        centre, unit = surfaces.patches.sphere
-        self._origin, self._unit = self.space.from_scene(centre), unit * self.space.scale
-        self._particles = _Tree(located, self._origin, self._unit)
+        unit = surfaces.patches.sphere[1]
+        self._sides = _Sides(surfaces.patches, self.space)
+        side = self._sides.of(surfaces.patches, cell)
+        self._particles = _Tree(located, side, self._sides)
         self._area = None
         if correct:
             count = min(max(_CELLS * len(hits) / self.k, _LEAST_CELLS), _MOST_CELLS)
             size = float(surfaces.whole.areas.sum()) / count
             fine = surfaces.whole.subdivided(size)
             self._least_area = dr.opaque(mi.Float, _LEAST_POINTS / 4 * size / unit**2)
-            points, areas, _ = quadrature(fine, self.space)
+            points, areas, owner = quadrature(fine, self.space)
             # In units of the local frame, as the area of the disc.
             values = np.repeat(areas[:, None] / unit**2, 3, axis=1)
-            self._area = _Tree(Located(points.position, points.normal, points.shape, values, points.path), *self._frame)
+            points = Located(points.position, points.normal, points.shape, values, points.path)
+            self._area = _Tree(points, self._sides.of(fine, owner), self._sides)
         self.particles, self.correct = hits, correct
-        self._k = dr.opaque(mi.UInt32, min(self.k, self._particles.tree.count))
+        #: Of each side: how many particles are neighbours.
+        there = np.bincount(side, minlength=self._sides.count)
+        self._k = copied_to_device(mi.UInt32, np.minimum(there, self.k).astype(np.uint32))
+        #: Of each side of a face: the side of its shape.
+        of_face = self._sides.of(surfaces.patches, surfaces.places.patch)
+        self._of_face = copied_to_device(mi.UInt32, of_face.astype(np.uint32))
         self._per_area = 1 / unit**2
-
-    @property
-    def _frame(self) -> tuple[Any, float]:
-        return self._origin, self._unit
 
     def irradiance(self, p: mi.Point3f, n: mi.Normal3f, active: mi.Bool | bool = True) -> Irradiance:
         """See :class:`SurfaceMap`."""
@@ -104,33 +117,81 @@ class NearestMap:
         count = max(dr.width(p), dr.width(n), dr.width(active))
         active = mi.Bool(active) & dr.full(mi.Bool, True, count)
         place = self.surfaces.places.find(p, n, active, self.space)
-        of_side = self.surfaces.shapes[self.surfaces.places.patch].astype(np.float32)
-        shape = dr.gather(mi.Float, copied_to_device(mi.Float, of_side), place.side, place.found)
-        local = (mi.Point3f(p) - mi.Point3f(*map(float, self._origin))) * float(1 / self._unit)
-        dr.eval(local, n, shape, place.found)
-        squared = self._particles.tree.kth_distance_squared(local, self._k, dr.inf, place.found)
+        side = dr.gather(mi.UInt32, self._of_face, place.side, place.found)
+        k = dr.gather(mi.UInt32, self._k, side, place.found)
+        local = self._sides.placed(p, side)
+        dr.eval(local, n, k, place.found)
+        squared = self._particles.tree.kth_distance_squared(local, k, _OWN**2, place.found & (k > 0))
         dr.eval(squared)
-        lanes = place.found & (squared > 0) & dr.isfinite(squared)
-        flux, squares = self._particles.total(local, n, shape, squared, self.kernel, lanes)
+        lanes = place.found & (k > 0) & (squared > 0)
+        flux, squares = self._particles.total(local, n, squared, self.kernel, lanes)
         area = dr.pi * squared
         if self._area is not None:
-            on_surface, _ = self._area.total(local, n, shape, squared, self.kernel, lanes)
+            on_surface, _ = self._area.total(local, n, squared, self.kernel, lanes)
             area = dr.select((area >= self._least_area) & (on_surface.x > 0), on_surface.x, area)
         scale = dr.select(lanes & (area > 0), self._per_area / area, 0.0)
-        return Irradiance(flux * scale, dr.sqrt(squares) * scale, place.found)
+        counted = lanes & dr.any(squares > 0)
+        return Irradiance(flux * scale, dr.select(counted, dr.sqrt(squares) * scale, dr.nan), place.found)
+
+
+class _Sides:
+    """The sides of shapes, each in a place of its own, farther from the others than it is wide: a search among the
+    points of all sides finds those of one.
+
+    Coordinates are in radii of the scene, times the cubic root of the number of sides: with a thousand of them, single
+    precision rounds places to some millionths of the scene.
+    """
+
+    def __init__(self, patches: Patches, space: RenderSpace) -> None:
+        import mitsuba as mi
+
+        centre, unit = patches.sphere
+        self._origin, self._unit = space.from_scene(centre), unit * space.scale
+        self._keys = np.unique(_side_keys(patches))
+        self.count = len(self._keys)
+        row = math.ceil(self.count ** (1 / 3) - 1e-9)
+        number = np.arange(self.count)
+        grid = np.stack([number % row, number // row % row, number // row**2], axis=1)
+        self._place = _APART * (grid - (row - 1) // 2)
+        self._on_device = copied_to_device(mi.Float, self._place.astype(np.float32))
+
+    def of(self, patches: Patches, patch: Index) -> Index:
+        """The sides of patches with these indices, of a division of the same shapes."""
+        found: Index = np.searchsorted(self._keys, _side_keys(patches))[patch]
+        return found
+
+    def located(self, positions: Array, side: Index) -> Array:
+        """Places of points (m, 3) of the render space."""
+        found: Array = (positions - self._origin) / self._unit + self._place[side]
+        return found
+
+    def placed(self, p: mi.Point3f, side: mi.UInt32) -> mi.Point3f:
+        """As :meth:`located`, on the device."""
+        import mitsuba as mi
+
+        local = (mi.Point3f(p) - mi.Point3f(*map(float, self._origin))) * float(1 / self._unit)
+        return local + dr.gather(mi.Point3f, self._on_device, side)
+
+
+def _side_keys(patches: Patches) -> Index:
+    """Numbers that differ between the sides of shapes, of each patch."""
+    assert patches.shapes is not None
+    is_back = np.zeros(len(patches), np.int64)
+    is_back[patches.back[patches.back >= 0]] = 1
+    return 2 * patches.shapes + is_back
 
 
 class _Tree:
-    """Points with normals, shapes and values in a kd-tree."""
+    """Points with normals and values in a kd-tree."""
 
-    def __init__(self, at: Located, origin: Any, unit: float) -> None:
+    def __init__(self, at: Located, side: Index, sides: _Sides) -> None:
         import mitsuba as mi
 
-        self.tree = KdTree(points_on_device((at.position - origin) / unit))
+        places = sides.located(at.position, side)
+        self.tree = KdTree(points_on_device(places))
         order = np.array(self.tree.order)
         rows = np.zeros((len(order), 12), np.float32)
-        rows[:, :3] = ((at.position - origin) / unit)[order]
-        rows[:, 4:7], rows[:, 7] = at.normal[order], at.shape[order]
+        rows[:, :3], rows[:, 4:7] = places[order], at.normal[order]
         rows[:, 8:11] = at.power[order]
         self._packed = copied_to_device(mi.Float, rows)
 
@@ -138,7 +199,6 @@ class _Tree:
         self,
         point: mi.Point3f,
         normal: mi.Normal3f,
-        shape: mi.Float,
         squared: mi.Float,
         kernel: Kernel,
         active: mi.Bool,
@@ -152,7 +212,7 @@ class _Tree:
         ) -> tuple[mi.Color3f, mi.Color3f]:
             x, n, c = (dr.gather(mi.Vector4f, self._packed, 3 * place + k) for k in range(3))
             height = dr.dot(normal, mi.Vector3f(x.x, x.y, x.z) - point)
-            counts = (dr.dot(normal, mi.Vector3f(n.x, n.y, n.z)) > SAME_SIDE) & (n.w == shape)
+            counts = dr.dot(normal, mi.Vector3f(n.x, n.y, n.z)) > SAME_SIDE
             counts &= dr.square(height) <= FLAT * FLAT * squared
             term = mi.Color3f(c.x, c.y, c.z) * kernel.on_disc(dr.minimum(distance / squared, 1.0))
             term = dr.select(counts, term, 0.0)

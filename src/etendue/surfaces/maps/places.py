@@ -10,7 +10,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, SceneError, copied_to_device, is_whole, logger, use_variant
+from etendue.core import Array, SceneError, is_whole, logger, use_variant
 from etendue.scene import RenderSpace, graph
 
 from ..errors import SurfaceError
@@ -19,7 +19,7 @@ from ..places import PatchSurfaces
 from ..readers.meshfiles import sound_faces
 from ..readers.scenepatches import loaded_scene
 from ..readers.tessellation import tessellate
-from .protocol import SurfaceParticles
+from .protocol import SurfaceParticles, normals_on_device, points_on_device
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -192,17 +192,3 @@ def map_patches(scene: mi.Scene, space: RenderSpace) -> Patches:
     patches.shapes = np.concatenate(shapes)[patches.labels]
     patches.shape_names = tuple(graph.name(item) or f"shape {k}" for k, item in enumerate(scene.shapes()))
     return patches
-
-
-def points_on_device(rows: Array) -> mi.Point3f:
-    """(m, 3) numbers as points with memory of their own."""
-    import mitsuba as mi
-
-    return mi.Point3f(*(copied_to_device(mi.Float, x) for x in np.asarray(rows, np.float32).T))
-
-
-def normals_on_device(rows: Array) -> mi.Normal3f:
-    """(m, 3) numbers as normals with memory of their own."""
-    import mitsuba as mi
-
-    return mi.Normal3f(*(copied_to_device(mi.Float, x) for x in np.asarray(rows, np.float32).T))

@@ -66,15 +66,11 @@ def irradiance_at(surface_map: SurfaceMap, positions: ArrayLike, normals: ArrayL
     """(irradiance (m, 3), its standard error (m, 3)) at positions (m, 3) in the coordinates of the scene, on the side
     of the normals (m, 3). NaN where the map has no surface, and for errors that are not known."""
     use_variant()
-    import mitsuba as mi
-
     points, sides = np.asarray(positions, dtype=np.float64), np.asarray(normals, dtype=np.float64)
     if not len(points):
         return np.zeros((0, 3)), np.zeros((0, 3))
     local = surface_map.space.from_scene(points)
-    p = mi.Point3f(*(copied_to_device(mi.Float, column) for column in local.T.astype(np.float32)))
-    n = mi.Normal3f(*(copied_to_device(mi.Float, column) for column in sides.T.astype(np.float32)))
-    found = surface_map.irradiance(p, n)
+    found = surface_map.irradiance(points_on_device(local), normals_on_device(sides))
     dr.eval(found.value, found.error, found.known)
     unknown = ~np.broadcast_to(np.array(found.known), (len(points),))
     value, error = (
@@ -82,3 +78,17 @@ def irradiance_at(surface_map: SurfaceMap, positions: ArrayLike, normals: ArrayL
     )
     value[unknown], error[unknown] = np.nan, np.nan
     return value, error
+
+
+def points_on_device(rows: Array) -> mi.Point3f:
+    """(m, 3) numbers as points with memory of their own."""
+    import mitsuba as mi
+
+    return mi.Point3f(*(copied_to_device(mi.Float, x) for x in np.asarray(rows, np.float32).T))
+
+
+def normals_on_device(rows: Array) -> mi.Normal3f:
+    """(m, 3) numbers as normals with memory of their own."""
+    import mitsuba as mi
+
+    return mi.Normal3f(*(copied_to_device(mi.Float, x) for x in np.asarray(rows, np.float32).T))

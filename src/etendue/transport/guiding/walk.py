@@ -170,4 +170,5 @@ class GuidedWalk(Walker):
     def add(self, s: GuidedPath, contribution: mi.Color3f, active: mi.Bool) -> None:
         """Add a contribution."""
         s.radiance[active] += contribution
-        s.found = s.found + dr.select(active, mi.luminance(contribution), 0.0)
+        # The light of a map may be negative, by a correction at edges; a guide learns from the rest.
+        s.found = s.found + dr.select(active, dr.maximum(mi.luminance(contribution), 0.0), 0.0)
