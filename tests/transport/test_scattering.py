@@ -66,3 +66,52 @@ def test_walks_are_reflected_by_fresnel(index, material, straight, scatter):
             assert reflected.all()
         else:
             assert reflected.mean() == pytest.approx(exact, abs=4 * np.sqrt(exact * (1 - exact) / len(lane)))
+
+
+def fresnel_real(cosine, index):
+    """The same in real arithmetic for ``index`` eta + j kappa [Leeson 2001, sec. 2.4, with the brackets repaired]."""
+    eta, kappa, sine2 = np.real(index), np.imag(index), 1 - cosine**2
+    rest = eta**2 - kappa**2 - sine2
+    root = np.sqrt(rest**2 + 4 * eta**2 * kappa**2)
+    a2b2, a = root, np.sqrt((root + rest) / 2)
+    across = (a2b2 - 2 * a * cosine + cosine**2) / (a2b2 + 2 * a * cosine + cosine**2)
+    along_sine = np.sqrt(sine2) * np.sqrt(sine2) / cosine
+    along = (a2b2 - 2 * a * along_sine + along_sine**2) / (a2b2 + 2 * a * along_sine + along_sine**2)
+    return across * (1 + along) / 2
+
+
+@pytest.mark.parametrize("index", [1.5, 1 / 1.5, 2.4, 0.2 + 3.4j, 1.1 + 7.0j, 1.3 + 0.01j])
+def test_fresnel_in_real_and_complex_arithmetic_and_on_the_device(index):
+    """The two formulas to 1e-9 (beyond total reflection, too), and Mitsuba's functions in single precision."""
+    cosine = np.linspace(0.01, 1.0, 200)
+    exact = fresnel(cosine, index)
+    np.testing.assert_allclose(fresnel_real(cosine, index), exact, rtol=1e-9, atol=1e-9)
+    cosine = mi.Float(cosine)
+    if isinstance(index, complex):
+        found = mi.fresnel_conductor(cosine, mi.Complex2f(float(np.real(index)), float(np.imag(index))))
+        np.testing.assert_allclose(np.array(found), exact, rtol=2e-4, atol=2e-5)
+    else:
+        found, inside, forth, back = (np.array(v) for v in mi.fresnel(cosine, mi.Float(index)))
+        np.testing.assert_allclose(found, exact, rtol=1e-4, atol=1e-5)
+        assert (found[np.array(cosine) < np.sqrt(max(0.0, 1 - index**2)) - 1e-3] == 1.0).all()
+        np.testing.assert_allclose([forth, back], [np.full(200, index), np.full(200, 1 / index)], rtol=1e-6)
+        sine = np.sqrt(1 - np.array(cosine, dtype=float) ** 2)[found < 1.0]
+        np.testing.assert_allclose(np.abs(inside[found < 1.0]), np.sqrt(1 - (sine / index) ** 2), atol=1e-4)
+
+
+@pytest.mark.parametrize(("scatter", "power"), [(scatter_camera, 2), (scatter_light, 0)])
+@pytest.mark.parametrize("index", [1.5, 1 / 1.5])
+def test_transmitted_radiance_is_scaled_by_the_index(index, power, scatter):
+    """F_t = 1 - F_r. Towards a camera, radiance is divided by the square of the index of the camera's side relative to
+    the other; power, along light paths, is not."""
+    material = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
+    scene = mi.load_dict({"type": "scene", "shape": {"type": "rectangle", "bsdf": material}})
+    cosine = 0.9
+    lane = dr.arange(mi.UInt32, 1 << 12)
+    way = mi.Vector3f(float(np.sqrt(1 - cosine**2)), 0.0, -cosine if index > 1 else cosine)
+    si = scene.ray_intersect(mi.Ray3f(mi.Point3f(-way) + dr.zeros(mi.Point3f, len(lane)), way))
+    found, _ = scatter(si.bsdf(), si, IndependentSource(lane, 1, "test", 0), mi.UInt32(0), mi.Bool(True))
+    through = (np.array(found.direction.z) > 0) == (index < 1)
+    share = np.array(found.weight)[0] * np.array(found.pdf)
+    np.testing.assert_allclose(share[through], (1 - fresnel(cosine, index)) / index**power, rtol=1e-4)
+    assert through.mean() > 0.8

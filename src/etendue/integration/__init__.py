@@ -26,10 +26,12 @@ from .plain import ControlVariate, HitOrMiss, Importance, MeanSample
 from .primary import Layout, Move, PrimarySource, Slot
 from .recursive import RecursiveStratified
 from .regions import Regions
+from .rejection import Accepted, Rejection
 from .stratified import PointSequence, QuasiMonteCarlo, Stratified
 from .vegas import Vegas
 
 __all__ = [
+    "Accepted",
     "AxisBins",
     "Backend",
     "Box",
@@ -62,6 +64,7 @@ __all__ = [
     "QuasiMonteCarlo",
     "RecursiveStratified",
     "Regions",
+    "Rejection",
     "ScaledStep",
     "Slot",
     "Stratified",

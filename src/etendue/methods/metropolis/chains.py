@@ -243,8 +243,7 @@ class Runner:
 def largest_target(targets: Array) -> float:
     """The ``cap`` of a target with given values: the largest one of which a large step is accepted with a probability
     of at least 1 / ``CAP`` at any path, or a tenth of the share of values above 0 if that is less. It solves ``cap = c
-    mean(min(target, cap))``, c being the inverse of that probability.
-    """
+    mean(min(target, cap))``, c being the inverse of that probability."""
     values = np.sort(targets, axis=None)
     count = len(values)
     longest = max(CAP, _LIT_CAP * count / max(int(np.count_nonzero(values)), 1))
@@ -255,8 +254,7 @@ def largest_target(targets: Array) -> float:
     return float(longest * below[last] / (count - longest * above[last]))
 
 
-def _by_half(parts: Sequence[Array]) -> Array:
-    """Values of the samples of some batches, (halves, samples)."""
+def _by_half(parts: Sequence[Array]) -> Array:  # (halves, samples), of some batches
     return np.concatenate([part.reshape(2, -1) for part in parts], axis=1)
 
 
