@@ -23,7 +23,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import drjit as dr
 import mitsuba as mi
@@ -37,11 +36,8 @@ from etendue.transport import Splats
 
 from ..base import total
 from .film import BrightnessMap
-from .targets import Contribution, Target, Traced
+from .targets import Contribution, Target, Traced, largest_target
 
-#: Longest expected stay of a chain at one path, in large steps; where few samples find light, the second number over
-#: their share.
-CAP, _LIT_CAP = 100.0, 10.0
 #: Weight of a step of a chain relative to that of an independent sample, because neighbours of a chain are correlated.
 CORRELATED = 0.25
 #: The bootstrap ends with this many samples that find light, or when it has grown by this factor; by the second one as
@@ -152,7 +148,8 @@ class Runner:
         lanes = dr.width(numbers)
         lane = dr.arange(mi.UInt32, lanes)
         for name, layout in self.target.layouts.items():
-            known = replace(moves[name], fresh=partial(_in_order, moves[name].fresh, numbers))
+            fresh = moves[name].fresh
+            known = replace_fresh(moves[name], fresh, numbers)
             sources[name] = known.source(layout, None if states is None else states.numbers[name], lane, lanes)
         return self.target.trace(sources, lanes)
 
@@ -240,21 +237,8 @@ class Runner:
         return walk.finish(steps, seed)
 
 
-def largest_target(targets: Array) -> float:
-    """The ``cap`` of a target with given values: the largest one of which a large step is accepted with a probability
-    of at least 1 / ``CAP`` at any path, or a tenth of the share of values above 0 if that is less. It solves ``cap = c
-    mean(min(target, cap))``, c being the inverse of that probability."""
-    values = np.sort(targets, axis=None)
-    count = len(values)
-    longest = max(CAP, _LIT_CAP * count / max(int(np.count_nonzero(values)), 1))
-    below = np.cumsum(values)
-    above = np.arange(count - 1, -1, -1)  # values behind each one
-    # The difference of the two sides is concave in cap, and positive near 0.
-    last = np.flatnonzero(longest * (below + above * values) >= count * values)[-1]
-    return float(longest * below[last] / (count - longest * above[last]))
-
-
-def _by_half(parts: Sequence[Array]) -> Array:  # (halves, samples), of some batches
+def _by_half(parts: Sequence[Array]) -> Array:
+    """Values of the samples of some batches, (halves, samples)."""
     return np.concatenate([part.reshape(2, -1) for part in parts], axis=1)
 
 
@@ -268,9 +252,9 @@ def numbers_of(lanes: int) -> mi.UInt32:
     return numbers
 
 
-def _in_order(fresh: Callable[[mi.UInt32], SampleSource], numbers: mi.UInt32, lane: mi.UInt32) -> SampleSource:
-    """Fresh numbers of lanes in order, which ``fresh`` knows by ``numbers``."""
-    return fresh(dr.gather(mi.UInt32, numbers, lane))
+def replace_fresh(move: Move, fresh: Callable[[mi.UInt32], SampleSource], numbers: mi.UInt32) -> Move:
+    """``move`` for lanes in order, whose chains its fresh numbers know by ``numbers``."""
+    return replace(move, fresh=lambda lane: fresh(dr.gather(mi.UInt32, numbers, lane)))
 
 
 def _on_host(contributions: Sequence[Contribution]) -> NDArray[np.float32]:

@@ -8,14 +8,19 @@ from typing import Protocol
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
-from etendue.core import SampleSource
+from etendue.core import Array, SampleSource
 from etendue.integration import Layout, Slot
 from etendue.transport import CameraPath, DirectWeights, Walker
 from etendue.transport import dimensions as dim
 
 from ..base import ImageMethod, keep_finite
 from ..path import edge
+
+#: Longest expected stay of a chain at one path, in large steps; where few samples find light, the second number over
+#: their share.
+CAP, _LIT_CAP = 100.0, 10.0
 
 
 @dataclass
@@ -46,6 +51,21 @@ class Target(Protocol):
         """Trace a path in each lane, with the numbers of ``sources``, one for each of ``layouts``. A function of these
         numbers only: the count of the contributions is always the same, and no other number is used."""
         ...
+
+
+def largest_target(targets: Array) -> float:
+    """The ``cap`` of a target with given values: the largest one of which a large step is accepted with a probability
+    of at least 1 / ``CAP`` at any path, or a tenth of the share of values above 0 if that is less. It solves ``cap = c
+    mean(min(target, cap))``, c being the inverse of that probability.
+    """
+    values = np.sort(targets, axis=None)
+    count = len(values)
+    longest = max(CAP, _LIT_CAP * count / max(int(np.count_nonzero(values)), 1))
+    below = np.cumsum(values)
+    above = np.arange(count - 1, -1, -1)  # values behind each one
+    # The difference of the two sides is concave in cap, and positive near 0.
+    last = np.flatnonzero(longest * (below + above * values) >= count * values)[-1]
+    return float(longest * below[last] / (count - longest * above[last]))
 
 
 def film_place(method: ImageMethod, source: SampleSource) -> mi.Point2f:
