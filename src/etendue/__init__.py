@@ -4,10 +4,12 @@
 render any scene with any method without them.
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING
+
 from . import core as core  # first: it finds Dr.Jit an LLVM before anything imports Dr.Jit
 from . import plugins as plugins
 from .api import render, resume, start
-from .conformance import check
 from .core import (
     BackendError,
     CheckpointError,
@@ -19,11 +21,33 @@ from .core import (
     UnsupportedError,
 )
 from .engine import Session
-from .jobs import FormFactorResult, ParticleResult, RadiosityResult, Rendering, Update
-from .mapping import map_particles
+from .jobs import FormFactorResult, RadiosityResult, Rendering, Update
 from .plugins import register_method as register
-from .solving import compute_form_factors, solve_radiosity, start_form_factors, start_radiosity
-from .tracing import read_particles, trace_particles
+
+if TYPE_CHECKING:
+    from .conformance import check
+    from .jobs import ParticleResult
+    from .mapping import map_particles
+    from .solving import compute_form_factors, solve_radiosity, start_form_factors, start_radiosity
+    from .tracing import read_particles, trace_particles
+else:
+    #: What pictures do not need; imported when it is used.
+    _LATER = {
+        "check": "conformance",
+        "ParticleResult": "jobs",
+        "map_particles": "mapping",
+        **dict.fromkeys(
+            ("compute_form_factors", "solve_radiosity", "start_form_factors", "start_radiosity"), "solving"
+        ),
+        **dict.fromkeys(("read_particles", "trace_particles"), "tracing"),
+    }
+
+    def __getattr__(name):
+        """See :data:`_LATER`."""
+        if name in _LATER:
+            return getattr(import_module(f"{__name__}.{_LATER[name]}"), name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
 
 plugins.register()  # in every Mitsuba variant that is set, now or later
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from etendue.core import OptionError, Progress, logger, use_variant
-from etendue.distributed import Cluster, opened_cluster
 from etendue.engine import Budget, Checkpoint, Job, Runner, Session, Task
 from etendue.jobs import Outputs, PathLike, PictureWork, Rendering, Update, Writer, run_work, start_work
+
+if TYPE_CHECKING:
+    from etendue.distributed import Cluster
 
 #: Called after each pass; rendering stops if it returns ``False``.
 Callback = Callable[[Update], object]
@@ -173,6 +175,8 @@ def start_job(
 def _run(
     open_job: Callable[[], Job], outputs: Outputs, callback: Callback | None, cluster: Any, workers: int | None
 ) -> Rendering:
+    from etendue.distributed import opened_cluster
+
     with opened_cluster(cluster, workers) as opened:
         return run_work(PictureWork(open_job(), outputs, opened), _watch(callback))
 

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from etendue.core import OptionError, use_variant
-from etendue.jobs import FileSource, MadeMap, MapOptions, PathLike, check_map_file, listed, make_map, write_map
+from etendue.jobs import PathLike, listed
 from etendue.particles import Particles
+
+if TYPE_CHECKING:
+    from etendue.jobs import MadeMap
 
 
 def map_particles(
@@ -35,6 +38,8 @@ def map_particles(
     The result has the map, its surfaces and the number of particles; :func:`etendue.surfaces.irradiance_at` asks the
     map. Raises :class:`OptionError`, :class:`etendue.surfaces.SurfaceError`, and the errors of loading and writing.
     """
+    from etendue.jobs import FileSource, MapOptions, check_map_file, make_map, write_map
+
     chosen = MapOptions(kind=kind, **options)  # type: ignore[arg-type]
     files = listed(save)
     for path in files:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,13 +13,15 @@ from rich.console import Console
 
 from etendue.api import start_job
 from etendue.core import OptionError, OutputError, Progress, format_rate, format_seconds, set_threads, use_variant
-from etendue.distributed import Cluster
 from etendue.engine import Cancelled, Job, RunError, Session
 from etendue.jobs import Rendering, Writer
 from etendue.scene import BundledScene
 
 from .console import ProgressView, error_console, note, say
 from .interrupts import Interrupts
+
+if TYPE_CHECKING:
+    from etendue.distributed import Cluster
 
 T = TypeVar("T")
 

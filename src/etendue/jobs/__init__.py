@@ -4,7 +4,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from .files import PathLike, Writing, check_files, listed
-from .particles import DEFAULT_PATHS, ParticleRequest, ParticleResult, ParticleWork, repack
 from .pictures import Image, Outputs, PictureWork, Rendering, Update, Writer, check_picture, save_result
 from .results import DEFAULT_BUNDLES, DEFAULT_POINTS, FormFactorResult, LinesResult, RadiosityResult
 from .running import Passes, Watch, Work, run_work, start_work
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from .maps.sources import FileSource
     from .maps.writing import MAP_FILES, check_map_file, map_lightmap, write_map
     from .multipath import MultipathWork
+    from .particles import DEFAULT_PATHS, ParticleRequest, ParticleResult, ParticleWork, repack
     from .requests import FormFactorRequest, RadiosityRequest, asked_before
     from .solutions import ERROR_SCALE, SolutionOutputs
     from .solving import (
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
         solve_ambient,
     )
 else:
-    #: Modules that import radiosity. They are imported when one of their names is used, since rendering does not need
-    #: them.
+    #: Modules of radiosity and particles. They are imported when one of their names is used, since rendering does not
+    #: need them.
     _LATER = {
         "gathering": ("PICTURE_FILES", "picture"),
         "boxes": ("DEFAULT_PASSES", "HierarchyRequest", "HierarchyResult", "HierarchyWork"),
@@ -45,20 +45,17 @@ else:
         "maps.writing": ("MAP_FILES", "check_map_file", "map_lightmap", "write_map"),
         "multipath": ("MultipathWork",),
         "linesrequest": ("LinesRequest",),
+        "particles": ("DEFAULT_PATHS", "ParticleRequest", "ParticleResult", "ParticleWork", "repack"),
         "requests": ("FormFactorRequest", "RadiosityRequest", "asked_before"),
         "solutions": ("ERROR_SCALE", "SolutionOutputs"),
         "solving": (
             "FormFactorWork",
             "LinesWork",
-            "ParticleRequest",
-            "ParticleResult",
-            "ParticleWork",
             "PatchWork",
             "RadiosityWork",
             "RequestedWork",
             "about",
             "radiosity_work",
-            "repack",
             "solve_ambient",
         ),
     }

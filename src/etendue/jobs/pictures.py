@@ -6,17 +6,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from etendue import film
 from etendue.core import OptionError, Progress, Result, warn_of_nonfinite
-from etendue.distributed import Cluster
 from etendue.engine import Checkpoint, Job, Runner, RunResult, check_period
 
 from .files import PathLike, Write, Writing, check_files, listed, rescued
+
+if TYPE_CHECKING:
+    from etendue.distributed import Cluster
 
 Image = NDArray[np.float32]
 

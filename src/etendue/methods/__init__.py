@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import TYPE_CHECKING
+
 from .adaptive.stratified import StratifiedPath
 from .adaptive.vegas import VegasPath
 from .auto import Auto
@@ -10,13 +13,25 @@ from .bidirectional import Bidirectional, Bpm, Bpt, Vcm
 from .guided import Guided
 from .light import LightTracing
 from .metropolis.filmchains import FilmMetropolis
-from .metropolis.particles import MetropolisParticles
-from .particles import ParticleTracing
 from .path import Path
 from .photon.hits import photon_hits
 from .photon.map import Pm
 from .photon.progressive import Ppm, Sppm
 from .registry import by_plugin, get, register, table
+
+if TYPE_CHECKING:
+    from .metropolis.particles import MetropolisParticles
+    from .particles import ParticleTracing
+else:
+    #: Modules of methods that make no picture; imported when one of their names is used.
+    _LATER = {"MetropolisParticles": "metropolis.particles", "ParticleTracing": "particles"}
+
+    def __getattr__(name):
+        """See :data:`_LATER`."""
+        if name in _LATER:
+            return getattr(import_module(f"{__name__}.{_LATER[name]}"), name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
 
 __all__ = [
     "Auto",

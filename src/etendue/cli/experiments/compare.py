@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from rich.console import Console
 from etendue import display, film, methods
 from etendue.api import start_job
 from etendue.core import OptionError
-from etendue.distributed import Cluster
 from etendue.engine import Budget, Job, Task
 from etendue.jobs import Outputs, Update
 from etendue.scene import bundled
@@ -22,6 +21,9 @@ from etendue.scene import bundled
 from ..console import note, say
 from ..options import settings_by_method
 from ..rendering import check_reference, follow, make_folder, summary
+
+if TYPE_CHECKING:
+    from etendue.distributed import Cluster
 
 Image = NDArray[np.float32]
 

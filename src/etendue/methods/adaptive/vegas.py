@@ -107,7 +107,7 @@ class VegasPath(Carrying, AdaptivePath):
         check_merge(o.groups, o.merge)
         if o.one_path and (o.maps or o.map):
             raise OptionError(
-                "one_path=true cannot be combined with maps, because the light of a map has any length; leave it out"
+                "one_path=true cannot be combined with maps, whose light has any length; set maps=0 and leave out map"
             )
 
     def prepare(self, problem: Problem, seed: int) -> None:
