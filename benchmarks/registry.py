@@ -76,6 +76,7 @@ PROGRAMS = {
                 Benchmark("ambient", "ambient.measure", 12, "Paths that end in an ambient term, beside whole paths."),
                 Benchmark("workers", "workers.measure", 15, "Worker processes beside unconnected ones.", in_all=False),
                 Benchmark("knn", "neighbours.measure", 1, "A kd-tree and nearest neighbours, beside scipy's cKDTree."),
+                Benchmark("samplers", "samplers.measure", 3, "path by each sampler: error at equal samples, patterns."),
                 Benchmark("points", "sequences.measure", 1, "Points of sequences a second, beside scipy's qmc."),
                 Benchmark("integration", "integrals.measure", 1, "Vegas beside the vegas package: errors and speed."),
                 Benchmark("density", "densities.measure", 1, "Density estimates in the plane, beside gaussian_kde."),

@@ -325,6 +325,16 @@ def test_even_points_have_the_same_mean(name):
     assert_agree(np.stack(images), plain.images, name, precision=0.03)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("sampler", "scrambling"), [("halton", "digits"), ("halton", "same"), ("hammersley", "shift")])
+def test_halton_and_hammersley_have_the_same_mean(sampler, scrambling):
+    """Camera and light paths by radical inverses, over seeds, against independent numbers."""
+    scene, method = problem(), "bpt"
+    images = [run(scene, method, 2, 64, seed=seed, sampler=sampler, scrambling=scrambling).mean for seed in range(6)]
+    plain = run(scene, method, 6, 128, seed=50, sampler="independent")
+    assert_agree(np.stack(images), plain.images, f"{sampler} {scrambling}", precision=0.03)
+
+
 def test_even_points_are_less_noisy():
     """Direct light of a big lamp: half the variance, and less."""
     scene = scenes.room("rectangle", ("diffuse",))
@@ -333,7 +343,28 @@ def test_even_points_are_less_noisy():
         images = [run(scene, "path", 1, 16, seed=s, sampler=sampler, max_depth=2).mean for s in range(8)]
         return np.stack(images).var(axis=0, ddof=1).mean()
 
-    assert variance("owen") < 0.5 * variance("independent")
+    plain = variance("independent")
+    assert variance("owen") < 0.5 * plain
+    assert variance("halton") < 0.8 * plain
+    assert variance("hammersley") < 0.8 * plain
+
+
+def test_the_same_points_in_all_pixels_leave_a_pattern():
+    """Errors of near pixels are alike only if all pixels have the same points."""
+    scene = scenes.room("rectangle", ("diffuse",))
+
+    def alike(scrambling):
+        images = np.stack(
+            [
+                run(scene, "path", 1, 4, seed=s, sampler="halton", scrambling=scrambling, max_depth=2).mean
+                for s in range(16)
+            ]
+        )
+        error = (images - images.mean(axis=0)).mean(axis=-1)
+        return (error[:, :, :-3] * error[:, :, 3:]).mean() / (error**2).mean()
+
+    assert alike("same") > 0.3
+    assert abs(alike("digits")) < 0.15 and abs(alike("shift")) < 0.15
 
 
 @pytest.mark.parametrize("name", ["bpt", "vcm", "bpm"])

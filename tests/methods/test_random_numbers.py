@@ -32,7 +32,7 @@ def drawn(source: object) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize("sampler", ["owen", "independent"])
+@pytest.mark.parametrize("sampler", ["owen", "independent", "halton", "hammersley"])
 @pytest.mark.parametrize("paths", [1 << 22, 3 << 20], ids=["aligned", "straddling"])
 def test_light_paths_are_new_after_two_to_the_32(sampler, paths):
     """A pass that crosses 2^32 light paths, and those after it, have other numbers than the first passes."""
@@ -55,7 +55,7 @@ def test_light_paths_are_new_after_two_to_the_32(sampler, paths):
 
 def test_light_paths_of_one_pass_may_be_more_than_two_to_the_32():
     """Lanes of a late group of a pass, which has 2^34 light paths, differ from those 2^32 before."""
-    for sampler in ("owen", "independent"):
+    for sampler in ("owen", "independent", "halton", "hammersley"):
         runner = prepared("bpt", sampler=sampler)
         here, there = (
             drawn(runner.light_numbers(base.Lanes(first, LOOKED_AT), 1 << 34, 3, 0)) for first in (5, (1 << 32) + 5)

@@ -32,6 +32,10 @@ from etendue.scene import LightTable, Problem
 from etendue.transport import CameraSampler, Splats, Visibility, Walker
 from etendue.transport import dimensions as dim
 
+from .numbers import Lanes as Lanes
+from .numbers import SharedFilm, camera_numbers, places
+from .numbers import light_numbers as light_numbers
+
 V = TypeVar("V")
 W = TypeVar("W", bound=Walker)
 
@@ -54,26 +58,8 @@ _CELL_BYTES, _CELL_SHARE = 120, 0.125
 PILOT_PATHS = 1 << 13
 #: Most camera paths of a pass: a device array has fewer than 2^32 numbers, and a path has a colour.
 _MAX_LANES = 1 << 30
-_WORD = 0xFFFFFFFF
 #: Most light paths of one kernel; a pass with more traces them in groups.
 MOST_LIGHT_LANES = 1 << 26
-
-
-@dataclass(frozen=True)
-class Lanes:
-    """A range of the lanes of a pass, whose numbers may exceed 2^32."""
-
-    first: int
-    count: int
-
-    def part(self, index: int, parts: int) -> Lanes:
-        """Part ``index`` of ``parts`` nearly equal ones."""
-        first, end = self.count * index // parts, self.count * (index + 1) // parts
-        return Lanes(self.first + first, end - first)
-
-    def numbers(self, offset: int = 0) -> tuple[mi.UInt32, mi.UInt32]:
-        """(lower words, upper words) of ``offset`` plus the number of each lane."""
-        return _places(dr.arange(mi.UInt32, self.count), offset + self.first)
 
 
 @dataclass(frozen=True)
@@ -93,8 +79,15 @@ class ImageSettings(Settings):
     sampler: str = setting(
         "owen",
         "random numbers of the paths: Owen-scrambled Sobol' points, stratified over the samples of a pixel and over "
-        "the light paths of a pass (owen), or independent numbers (independent)",
-        choices=("owen", "independent"),
+        "the light paths of a pass (owen), Halton's sequence (halton), Hammersley's points, a set for each pass "
+        "(hammersley), or independent numbers (independent); Markov chains have independent numbers unless owen",
+        choices=("owen", "halton", "hammersley", "independent"),
+    )
+    scrambling: str = setting(
+        "digits",
+        "randomisation of sampler=halton and hammersley in each pixel: random maps of the digits (digits), a random "
+        "shift modulo 1 (shift), or the same shift for all pixels (same), whose error is a visible pattern",
+        choices=("digits", "shift", "same"),
     )
     reconstruction: str = setting(
         "neighbours",
@@ -248,8 +241,9 @@ class ImageMethod(ABC):
         if self.settings.sampler == "independent":
             source: SampleSource = IndependentSource(lanes, seed, role, iteration)
         else:
-            index, high = _places(number, iteration * samples)
-            source = OwenSobolSource(pixel, index, seed, role, high)
+            source = camera_numbers(
+                self.settings.sampler, self.settings.scrambling, pixel, number, samples, seed, iteration, role
+            )
         if self.camera.independent:
             return source
         return SharedFilm(source, self._film_numbers(number, samples, seed, iteration, role))
@@ -262,16 +256,24 @@ class ImageMethod(ABC):
             number, samples = mi.UInt32(0), 1
         if self.settings.sampler == "independent":
             return OwenSobolSource(mi.UInt32(0), number, seed, role + " film", dr.opaque(mi.UInt32, iteration))
-        index, high = _places(number, iteration * samples)
-        return OwenSobolSource(mi.UInt32(0), index, seed, role + " film", high)
+        return camera_numbers(
+            self.settings.sampler,
+            self.settings.scrambling,
+            mi.UInt32(0),
+            number,
+            samples,
+            seed,
+            iteration,
+            role + " film",
+        )
 
     def light_numbers(self, lanes: Lanes, paths: int, seed: int, iteration: int, role: str = "light") -> SampleSource:
         """See :func:`light_numbers`."""
-        return light_numbers(self.settings.sampler, lanes, paths, seed, iteration, role)
+        return light_numbers(self.settings.sampler, lanes, paths, seed, iteration, role, self.settings.scrambling)
 
     def splats(self, seed: int, iteration: int, images: int = 1, role: str = "", in_cells: bool = True) -> Splats:
         """Images for the splats of a pass."""
-        index, high = _places(mi.UInt32(0), iteration)  # well spread over the passes
+        index, high = places(mi.UInt32(0), iteration)  # well spread over the passes
         shift = OwenSobolSource(mi.UInt32(0), index, seed, role + "splats", high).next_2d(0, dim.FILM)
         in_cells = in_cells and _CELL_BYTES * self.camera.pixels * images <= self._most_cell_bytes
         return Splats(self.camera, images, shift if in_cells else None)
@@ -317,45 +319,6 @@ class ImageMethod(ABC):
         found = {"albedo": albedo, "normal": normal, "depth": depth}
         layers = {name: self.image(values, seed, iteration) for name, values in found.items()}
         return layers, total(bad_albedo) + total(bad_normal)
-
-
-def light_numbers(
-    sampler: str, lanes: Lanes, paths: int, seed: int, iteration: int, role: str = "light"
-) -> SampleSource:
-    """Random numbers of the light paths ``lanes``; ``paths``: all light paths of a pass."""
-    if sampler == "independent":
-        lane, high = lanes.numbers()
-        return IndependentSource(lane, seed, role, iteration, high)
-    index, high = lanes.numbers(iteration * paths)
-    return OwenSobolSource(dr.zeros(mi.UInt32), index, seed, role, high)
-
-
-class SharedFilm:
-    """Random numbers of camera paths, with a source of its own for the offset in the pixel."""
-
-    def __init__(self, base: SampleSource, film: SampleSource) -> None:
-        self._base, self._film = base, film
-
-    def next_1d(self, vertex: mi.UInt32 | int, component: int) -> mi.Float:
-        """See :class:`SampleSource`."""
-        return self._base.next_1d(vertex, component)
-
-    def next_2d(self, vertex: mi.UInt32 | int, component: int) -> tuple[mi.Float, mi.Float]:
-        """See :class:`SampleSource`."""
-        on_film = isinstance(vertex, int) and vertex == 0 and component == dim.FILM
-        return (self._film if on_film else self._base).next_2d(vertex, component)
-
-    def decide(self, vertex: mi.UInt32 | int, component: int) -> mi.Float:
-        """See :class:`SampleSource`."""
-        return self._base.decide(vertex, component)
-
-
-def _places(number: mi.UInt32, first: int) -> tuple[mi.UInt32, mi.UInt32]:
-    """(lower word, upper word) of ``first`` plus a number."""
-    start = dr.opaque(mi.UInt32, first & _WORD)
-    lower = start + number
-    carry = dr.select(lower < start, mi.UInt32(1), mi.UInt32(0))
-    return lower, dr.opaque(mi.UInt32, (first >> 32) & _WORD) + carry
 
 
 def keep_finite(value: V) -> tuple[V, mi.Bool]:

@@ -7,10 +7,12 @@ from .owen import OwenSobolSource, sobol_2d
 from .pointset import PointSet, PointSetError, RandomShift
 from .radical import FaureBlockHalton, FaureHalton, Halton, Hammersley, faure_permutation, radical_inverse
 from .sobol import OwenSobol, Sobol, direction_numbers
+from .source import Coordinates, RadicalSource
 from .table import has_size, point_set, point_sets
 from .uniformity import consecutive, net_parameter, uniformity_score
 
 __all__ = [
+    "Coordinates",
     "ExactPiPowers",
     "FaureBlockHalton",
     "FaureHalton",
@@ -23,6 +25,7 @@ __all__ = [
     "PiPowers",
     "PointSet",
     "PointSetError",
+    "RadicalSource",
     "RandomShift",
     "Sobol",
     "Weyl",
