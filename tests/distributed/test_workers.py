@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import etendue
+from etendue.cli.main import main
 from etendue.core import ClusterError, SceneError
 from etendue.distributed import Cluster, DaskPool, ProcessPool
 from etendue.engine import Budget, Checkpoint, Job, Task
@@ -135,3 +136,9 @@ def test_fifty_kills_lose_nothing(monkeypatch):
     assert made.metadata["passes"] == passes
     assert made.metadata["rays"] == expected.metadata["rays"]
     close(made.image, expected.image)
+
+
+def test_chains_are_refused_before_they_start(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["render", "cornell-box", "--method", "mmlt", "--workers", "1", "--spp", "1", "-o", "a.png"]) != 0
+    assert "'mmlt' cannot be divided among workers yet" in capsys.readouterr().err

@@ -92,6 +92,8 @@ class MetropolisMethod(Carrying, ImageMethod):
     Settings: ClassVar[type[ImageSettings]] = MetropolisSettings
     settings: MetropolisSettings
     carries_on: ClassVar[bool] = True
+    #: Whether replicas may run in other processes: states of chains do not come back from them yet.
+    divides: ClassVar[bool] = False
 
     @abstractmethod
     def make_target(self, seed: int) -> Target:
