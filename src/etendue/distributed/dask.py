@@ -14,7 +14,7 @@ from etendue.core import ClusterError, OptionError, describe, is_whole, library,
 
 from .content import Offered
 from .pool import Arrival, Lost
-from .worker import Chunk, Outcome, end_run, introduce, make_passes, receive
+from .worker import Outcome, Task, end_run, introduce, make_passes, receive
 
 #: Seconds to wait for a scheduler, for the first worker, and for an answer of a worker.
 _CONNECT, _FIRST_WORKER, _ANSWER = "10s", 60.0, 60.0
@@ -84,10 +84,10 @@ class DaskPool:
         self._known = {name: threads for name, threads in there.items() if name in self.pids}
         return dict(self._known)
 
-    def send(self, worker: str, ticket: int, chunk: Chunk) -> None:
+    def send(self, worker: str, ticket: int, task: Task) -> None:
         """See :class:`Pool`."""
         future = self._client.submit(
-            make_passes, chunk, key=f"etendue-{chunk.run}-{ticket}", workers=[worker], pure=False
+            make_passes, task, key=f"etendue-{task.run}-{ticket}", workers=[worker], pure=False
         )
         self._futures[ticket] = future
         # In a thread, since the transfer takes time, and does not end if the worker dies before: `forget` ends it.

@@ -13,7 +13,7 @@ from etendue.core import EtendueError, describe
 
 from .content import Offered, Store
 from .pool import Arrival, Lost
-from .worker import Chunk, ends_by, introduce, make_passes
+from .worker import Task, ends_by, introduce, make_passes
 
 
 class ProcessPool:
@@ -34,11 +34,11 @@ class ProcessPool:
         """See :class:`Pool`."""
         return dict.fromkeys(self._processes, self._threads)
 
-    def send(self, worker: str, ticket: int, chunk: Chunk) -> None:
+    def send(self, worker: str, ticket: int, task: Task) -> None:
         """See :class:`Pool`."""
         future: Future[Any] = Future()
         try:
-            future = self._processes[worker].submit(make_passes, chunk)
+            future = self._processes[worker].submit(make_passes, task)
         except (BrokenProcessPool, KeyError) as error:  # it has ended, and may have been replaced
             future.set_exception(error)
         self._futures[ticket] = future

@@ -70,8 +70,11 @@ def run_work(work: Work[T], watch: Watch | None = None) -> T:
     return work.finish(run)
 
 
-def start_work(open_work: Callable[[], Work[T]], watch: Watch | None = None) -> Session[T]:
-    """A session that opens, runs and finishes the work in its thread, and saves it if a pass fails."""
+def start_work(
+    open_work: Callable[[], Work[T]], watch: Watch | None = None, at_end: Callable[[], object] = lambda: None
+) -> Session[T]:
+    """A session that opens, runs and finishes the work in its thread, and saves it if a pass fails. ``at_end`` is
+    called last in any case."""
     works: list[Work[T]] = []
 
     def build(stop: threading.Event) -> Runner:
@@ -82,7 +85,7 @@ def start_work(open_work: Callable[[], Work[T]], watch: Watch | None = None) -> 
         # The result of a failed run is not used: the session raises the failure.
         return works[0].keep(run) if run.stopped_by == "failure" else works[0].finish(run)
 
-    return Session(build, finish)
+    return Session(build, finish, at_end)
 
 
 def _watched(work: Work[Any], stop: threading.Event, watch: Watch | None) -> Runner:

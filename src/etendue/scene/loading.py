@@ -57,6 +57,7 @@ def load(
     memory: int | None = None,
     camera: Camera | None = None,
     check: bool = True,
+    merge: bool = True,
 ) -> Problem:
     """Load a scene; returns the :class:`Problem` of rendering it through one of its sensors.
 
@@ -66,7 +67,8 @@ def load(
     with that size (a loaded scene does not know its ``fov_axis``: its horizontal field of view is kept). A loaded scene
     is not changed. ``sensor`` is an index into the scene's sensors; ``camera`` moves it, except in loaded scenes.
     ``parameters`` gives values to ``$variables`` of an XML file. The scene's integrator is reported, not built. Without
-    ``check`` unsupported elements raise no error.
+    ``check`` unsupported elements raise no error. Without ``merge`` meshes of one material keep their names and order,
+    and rays are slightly slower.
 
     Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for a scene that cannot be read or is broken,
     :class:`UnsupportedError` for elements that cannot be rendered, :class:`OptionError` for arguments out of range.
@@ -79,7 +81,7 @@ def load(
         raise OptionError(f"a memory bound must be above zero bytes, not {memory}")
     if not _is_loaded(source):
         found = locate(source) if isinstance(source, (str, os.PathLike)) else source
-        return _from_parser(found, *_parse(found, parameters), size, sensor, memory, camera, check)
+        return _from_parser(found, *_parse(found, parameters), size, sensor, memory, camera, check, merge)
     if parameters:
         raise OptionError(_NO_VARIABLES)
     if camera is not None:
@@ -183,6 +185,8 @@ def _from_parser(
     memory: int | None,
     camera: Camera | None,
     check: bool,
+    merge: bool = True,
+    moves: bool = True,
 ) -> Problem:
     import mitsuba as mi
 
@@ -196,7 +200,8 @@ def _from_parser(
         details = texture_details(state)
         mi.parser.transform_merge_equivalent(config, state)
         unmerged = mi.parser.ParserState(state)
-        merge_meshes(state)
+        if merge:
+            merge_meshes(state)
         scene = mi.parser.instantiate(config, state)
 
     chosen = _sensor(scene, sensor, name)
@@ -211,7 +216,9 @@ def _from_parser(
                 scene = mi.parser.instantiate(config, unmerged)
             check_scene(scene, _sensor(scene, sensor, name))
             raise
-    space = RenderSpace.of(scene, chosen)
+    space = RenderSpace.of(scene, chosen) if moves else RenderSpace()
+    if not space.is_own and not merge:
+        raise UnsupportedError(f"{name} is rendered in other coordinates than its own, which its parts cannot share")
     if not space.is_own:
         with _resolving(path), _mitsuba_errors(name):
             scene, space = moved(scene, chosen, space, source, name, config, unmerged)
