@@ -15,8 +15,8 @@ from etendue import core
 from etendue.core import ClusterError, EtendueError, logger
 
 from .content import Offered
-from .pool import Arrival, Lost, Pool
-from .worker import Failed, Needs, Outcome, Task
+from .pool import Arrival, Delivered, Lost, Pool
+from .worker import Failed, Needs, Task
 
 #: Seconds between looks at the list of workers, and until a cluster without workers is given up.
 _LOOK, _PATIENCE = 0.5, 60.0
@@ -35,6 +35,7 @@ class Member:
     threads: int | None
     flights: set[int] = field(default_factory=set)
     pace: float | None = None  #: seconds of a pass
+    coming: dict[int, str] = field(default_factory=dict)  #: digests of files that are being sent, by ticket
 
 
 class Crew(ABC, Generic[T]):
@@ -50,6 +51,7 @@ class Crew(ABC, Generic[T]):
         self._flights: dict[int, tuple[str, T]] = {}
         self._lost = 0  # tasks, since the last one that was finished
         self._sent: dict[tuple[str, str], int] = {}  # how often, by worker and digest
+        self._deliveries: dict[int, str] = {}  # worker, by ticket
         self._looked = self._alive = clock()
 
     # ------------------------------------------------------------------ for the subclass
@@ -92,10 +94,13 @@ class Crew(ABC, Generic[T]):
     def _drop(self, name: str) -> None:
         """Send no more to a worker, and take back what it had."""
         worker = self._workers.pop(name, None)
-        for ticket in [] if worker is None else list(worker.flights):
-            self._pool.forget([ticket])
-            _, task = self._flights.pop(ticket)
-            self._not_made(task)
+        if worker is not None:
+            tickets = sorted(worker.flights)
+            self._pool.forget([*tickets, *worker.coming])
+            for ticket in tickets:
+                self._not_made(self._flights.pop(ticket)[1])
+            for ticket in worker.coming:
+                self._deliveries.pop(ticket, None)
         self._gone(name)
 
     def _refuse(self, name: str, why: str) -> None:
@@ -117,17 +122,22 @@ class Crew(ABC, Generic[T]):
 
     def _take(self, arrival: Arrival) -> tuple[str, T, Any] | None:
         """(worker, task, outcome) of a task that was made. Others are given back. Raises the error of a task."""
+        if isinstance(arrival.outcome, Delivered):
+            self._delivered(arrival.ticket, arrival.outcome)
         if arrival.ticket not in self._flights:
             return None
         name, task = self._flights.pop(arrival.ticket)
         if (worker := self._workers.get(name)) is not None:
             worker.flights.discard(arrival.ticket)
-            self._joined(name)  # there is room for the next one
-        outcome: Outcome | Lost = arrival.outcome
+            if not worker.coming:
+                self._joined(name)  # there is room for the next one
+        outcome: Any = arrival.outcome
         if not isinstance(outcome, (Lost, Needs, Failed)):
             self._lost = 0
             return name, task, outcome
         self._not_made(task)
+        if isinstance(outcome, Lost) and outcome.worker_is_there:
+            return None
         if isinstance(outcome, Lost):
             self._lost += 1
             self._drop(name)  # the next look tells whether it is still there
@@ -145,14 +155,29 @@ class Crew(ABC, Generic[T]):
         return None
 
     def _deliver(self, name: str, needs: Needs) -> None:
+        """Send files; the worker gets no task until they are there."""
         for digest in needs.digests:
+            worker = self._workers.get(name)
+            if worker is None or digest in worker.coming.values():
+                continue
             times = self._sent[name, digest] = self._sent.get((name, digest), 0) + 1
             if times > _MOST_SENT:
                 self._refuse(name, "it does not keep the files that it is sent")
                 return
-            if (problem := self._pool.deliver(name, self._offered, digest)) is not None:
-                self._refuse(name, problem)
-                return
+            ticket = next(self._tickets)
+            worker.coming[ticket], self._deliveries[ticket] = digest, name
+            self._pool.deliver(name, ticket, self._offered, digest)
+
+    def _delivered(self, ticket: int, outcome: Delivered) -> None:
+        name = self._deliveries.pop(ticket, None)
+        worker = None if name is None else self._workers.get(name)
+        if name is None or worker is None:
+            return
+        worker.coming.pop(ticket, None)
+        if outcome.problem is not None:
+            self._refuse(name, outcome.problem)
+        elif not worker.coming:
+            self._joined(name)
 
     def _cancel(self) -> None:
         """Forget all tasks."""

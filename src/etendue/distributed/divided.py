@@ -170,7 +170,7 @@ class Divided(Crew[Errand]):
     def _feed(self) -> None:
         for level in range(_IN_FLIGHT):
             for name, worker in sorted(self._workers.items()):
-                if len(worker.flights) != level or (box := self._choose(name)) is None:
+                if len(worker.flights) != level or worker.coming or (box := self._choose(name)) is None:
                     continue
                 # Paths of the oldest pass first; those of one pass that wait for the same box go together.
                 queue = self._waiting[box]

@@ -6,14 +6,23 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from .content import Offered
-from .worker import Outcome, Task
+from .worker import Merged, Outcome, Task
 
 
 @dataclass(frozen=True)
 class Lost:
-    """The end of a task whose worker has ended, or cannot be reached."""
+    """The end of a task that was not done, because its worker has ended or cannot be reached. ``worker_is_there``: the
+    outcome is lost, but not the worker."""
 
     reason: str = ""
+    worker_is_there: bool = False
+
+
+@dataclass(frozen=True)
+class Delivered:
+    """A file has arrived, or there was a problem."""
+
+    problem: str | None = None
 
 
 @dataclass(frozen=True)
@@ -21,8 +30,10 @@ class Arrival:
     """The end of a task. ``seconds``: what it took to bring the outcome here."""
 
     ticket: int
-    outcome: Outcome | Lost
+    outcome: Outcome | Lost | Delivered | Merged
     seconds: float = 0.0
+    #: Tickets of further chunks of a :class:`Merged` outcome.
+    others: tuple[int, ...] = ()
 
 
 class Pool(Protocol):
@@ -41,8 +52,8 @@ class Pool(Protocol):
         """The next arrival, waiting at most so long."""
         ...
 
-    def deliver(self, worker: str, offered: Offered, digest: str) -> str | None:
-        """Send a file; returns what went wrong."""
+    def deliver(self, worker: str, ticket: int, offered: Offered, digest: str) -> None:
+        """Send a file; :class:`Delivered` arrives later."""
         ...
 
     def end_run(self, run: str) -> None:

@@ -6,14 +6,14 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, ClassVar
 
-from etendue.core import Measurement, Pass
+from etendue.core import Measurement, Pass, State
 from etendue.engine import Order
 
 from .crew import Crew, Member
-from .pool import Arrival, Pool
+from .pool import Arrival, Lost, Pool
 from .recipe import Recipe
 from .schedules import schedule_of
-from .worker import Chunk, Made
+from .worker import Chunk, Made, Merged
 
 #: Seconds of a chunk: at least, and at most.
 _SHORTEST, _LONGEST = 1.0, 60.0
@@ -125,7 +125,7 @@ class Spread(Crew[Chunk]):
         for level in range(self._work.in_flight):
             for name in sorted(self._hungry):
                 worker = self._workers.get(name)
-                if worker is None or len(worker.flights) >= self._work.in_flight:
+                if worker is None or worker.coming or len(worker.flights) >= self._work.in_flight:
                     self._hungry.discard(name)
                 elif len(worker.flights) <= level:
                     self._give(name, worker, left)
@@ -171,18 +171,41 @@ class Spread(Crew[Chunk]):
     # ------------------------------------------------------------------ outcomes
 
     def _merged(self, arrival: Arrival) -> Pass | None:
+        if isinstance(arrival.outcome, Merged):
+            return self._bundle(arrival, arrival.outcome)
         taken = self._take(arrival)
         if taken is None:
             return None
-        name, chunk, made = taken
-        assert isinstance(made, Made)
+        state, made = self._count(*taken, arrival.seconds), taken[2]
+        if made.measurement is None:
+            return None
+        return Pass(_writable(made.measurement), self._order.state if state is None else state)
+
+    def _bundle(self, arrival: Arrival, merged: Merged) -> Pass | None:
+        """The sum of several chunks. If one of them was given up meanwhile, others make its passes: then the sum cannot
+        be used."""
+        outcomes = dict(zip((arrival.ticket, *arrival.others), merged.outcomes, strict=True))
+        made = {ticket for ticket, outcome in outcomes.items() if isinstance(outcome, Made)}
+        for ticket in outcomes.keys() - made:  # first: a worker may be dropped with what it has made
+            self._take(Arrival(ticket, outcomes[ticket]))
+        usable = made <= self._flights.keys()
+        for ticket in made:
+            outcome = outcomes[ticket] if usable else Lost("merged with a lost one", worker_is_there=True)
+            if (taken := self._take(Arrival(ticket, outcome))) is not None:
+                self._count(*taken, arrival.seconds)
+        if merged.total is None or not usable:
+            return None
+        return Pass(_writable(merged.total), self._order.state)
+
+    def _count(self, name: str, chunk: Chunk, made: Made, transfer: float) -> State | None:
+        """Count the passes of a chunk; returns the state of the run after them."""
         self._planned -= chunk.count - made.passes
         self._work.give_back(chunk, chunk.first + made.passes)
         if made.passes < chunk.count:
             self._feed_all()
-        if made.measurement is None:
+        if not made.passes:
             return None
-        self._transfer = max(arrival.seconds, 0.5 * self._transfer)
+        self._transfer = max(transfer, 0.5 * self._transfer)
         pace = made.seconds / made.passes
         self._longest = max(self._longest, pace)
         if (worker := self._workers.get(name)) is not None and not (made.is_first and made.passes == 1):
@@ -190,8 +213,7 @@ class Spread(Crew[Chunk]):
         elif worker is not None and worker.pace is None:
             worker.pace = pace
         self._shares[name] = self._shares.get(name, 0) + made.passes
-        state = self._work.after(name, chunk, made)
-        return Pass(_writable(made.measurement), self._order.state if state is None else state)
+        return self._work.after(name, chunk, made)
 
 
 def _writable(measurement: Measurement) -> Measurement:

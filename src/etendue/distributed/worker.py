@@ -11,7 +11,7 @@ import time
 from collections import OrderedDict, deque
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
@@ -110,6 +110,33 @@ class Failed:
 
 
 Outcome = Made | Carried | Needs | Failed
+
+
+@dataclass
+class Merged:
+    """Outcomes of several chunks, in the order of their tickets. Those that were made have no measurement: their sum is
+    ``total``."""
+
+    outcomes: list[Outcome]
+    total: Measurement | None = None
+
+
+def merge_outcomes(*outcomes: Outcome | Merged) -> Merged:
+    """Add up sums in a worker, before one of them goes to the client."""
+    result = Merged([])
+    for outcome in outcomes:
+        if isinstance(outcome, Merged):
+            result.outcomes += outcome.outcomes
+            more = outcome.total
+        elif isinstance(outcome, Made):
+            result.outcomes.append(replace(outcome, measurement=None))
+            more = outcome.measurement
+        else:
+            result.outcomes.append(outcome)
+            continue
+        if more is not None:
+            result.total = more.copy() if result.total is None else _sum(result.total, more)
+    return result
 
 
 def make_passes(task: Task) -> Outcome:
