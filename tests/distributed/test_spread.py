@@ -12,8 +12,10 @@ import pytest
 
 from etendue.core import ClusterError, Iterations, Measurement, Pass, SceneError
 from etendue.distributed import Arrival, Lost, Recipe, Spread
+from etendue.distributed import crew as crew_module
 from etendue.distributed import spread as spread_module
 from etendue.distributed.content import Offered
+from etendue.distributed.pool import Delivered
 from etendue.distributed.worker import Failed, Needs, _Desk, _Run
 from etendue.engine import Budget, InTurn, Replicated, RunError, Runner
 
@@ -123,6 +125,8 @@ class Simulated:
         at = self.random.randrange(len(self.sent)) if self.kind is Powers else 0
         worker, ticket, chunk = self.sent[at]
         del self.sent[at]
+        if isinstance(chunk, Delivered):
+            return Arrival(ticket, chunk)
         if worker not in self.desks:
             # It died earlier: what it had never arrives, or arrives as lost.
             return Arrival(ticket, Lost("died")) if self.random.random() < 0.5 else None
@@ -141,9 +145,9 @@ class Simulated:
             self.join()  # one more, late
         return Arrival(ticket, self.outcome(worker, chunk))
 
-    def deliver(self, worker, offered, digest):
+    def deliver(self, worker, ticket, offered, digest):
         self.delivered.append((worker, digest))
-        return None
+        self.sent.append((worker, ticket, Delivered()))
 
     def end_run(self, run) -> None: ...
 
@@ -161,7 +165,7 @@ def _shorter(chunk, source):
 
 @pytest.fixture(autouse=True)
 def _at_once(monkeypatch):
-    monkeypatch.setattr(spread_module, "_LOOK", 0.0)
+    monkeypatch.setattr(crew_module, "_LOOK", 0.0)
     monkeypatch.setattr(spread_module, "_TICK", 0.0)
     monkeypatch.setattr(spread_module, "_SHORTEST", 1e-4)
 

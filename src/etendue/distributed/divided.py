@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -78,7 +78,8 @@ class Divided(Crew[Errand]):
 
     recipes: of the method in each box, whose functions ``emit`` and ``carry`` return (product, records, counters).
     gather: makes the measurement of a pass of its iteration, products and counters. paths: of a pass. kept: boxes that
-    a worker holds at a time, the last used ones. schedule: one of :data:`BOX_SCHEDULES`.
+    a worker holds at a time, the last used ones; by default all boxes are held once. schedule: one of
+    :data:`BOX_SCHEDULES`.
 
     Records go over this process. A lost worker's tasks are sent again, and a product counts once.
     """
@@ -93,7 +94,7 @@ class Divided(Crew[Errand]):
         paths: int,
         gather: Callable[[int, Sequence[NDArray[np.uint32]], dict[str, float]], Measurement],
         *,
-        kept: int = 1,
+        kept: int | None = None,
         schedule: str = "demand",
         traffic: Traffic | None = None,
     ) -> None:
@@ -104,12 +105,13 @@ class Divided(Crew[Errand]):
             contents |= recipe.offered.contents
         super().__init__(pool, Offered(contents))
         self._recipes, self._order, self._paths, self._gather = recipes, order, paths, gather
-        self._kept, self._schedule = max(1, kept), schedule
+        self._most_kept, self._schedule = kept, schedule
         self.traffic = traffic if traffic is not None else Traffic()
         self._missing = order.done.missing()
         self._begun = len(order.done)
         self._open: dict[int, _Open] = {}
         self._ready: list[int] = []
+        self._beginnings: list[Errand] = []  # of paths, in any box
         #: Tasks that wait, by box.
         self._waiting: dict[int, list[Errand]] = {box: [] for box in range(len(recipes))}
         #: What each worker holds, the last used box last.
@@ -152,30 +154,42 @@ class Divided(Crew[Errand]):
         self._holds.pop(name, None)
 
     def _not_made(self, task: Errand) -> None:
-        self._waiting[self._box_of[task.recipe]].append(task)
+        if isinstance(task.paths, tuple):
+            self._beginnings.append(task)
+        else:
+            self._waiting[self._box_of[task.recipe]].append(task)
+
+    @property
+    def _kept(self) -> int:
+        """Boxes that a worker holds."""
+        share = -(-len(self._recipes) // max(1, len(self._workers)))
+        return max(1, share if self._most_kept is None else self._most_kept)
 
     def _begin(self, iteration: int) -> None:
         """Paths of a pass begin: any worker can sample the lights."""
         self._begun += 1
         self._open[iteration] = _Open()
         for first in range(0, self._paths, _BATCH):
-            box = (first // _BATCH) % len(self._recipes)
-            self._add(iteration, box, (first, min(_BATCH, self._paths - first)))
+            self._add(iteration, 0, (first, min(_BATCH, self._paths - first)))
 
     def _add(self, iteration: int, box: int, paths: Records | tuple[int, int]) -> None:
         self._open[iteration].tasks += 1
-        task = Errand(self._run, self._recipes[box].digest, self._order.seed, iteration, paths, self._kept)
-        self._waiting[box].append(task)
+        self._not_made(Errand(self._run, self._recipes[box].digest, self._order.seed, iteration, paths))
 
     def _feed(self) -> None:
         for level in range(_IN_FLIGHT):
             for name, worker in sorted(self._workers.items()):
-                if len(worker.flights) != level or worker.coming or (box := self._choose(name)) is None:
+                if len(worker.flights) != level or worker.coming:
                     continue
-                # Paths of the oldest pass first; those of one pass that wait for the same box go together.
-                queue = self._waiting[box]
-                queue.sort(key=lambda task: task.iteration)
-                task = self._joined_tasks(queue)
+                if (box := self._choose(name)) is not None:
+                    # Paths of the oldest pass first; those of one pass that wait for the same box go together.
+                    queue = self._waiting[box]
+                    queue.sort(key=lambda task: task.iteration)
+                    task = self._joined_tasks(queue)
+                elif self._beginnings and (box := self._home(name)) is not None:
+                    task = replace(self._beginnings.pop(0), recipe=self._recipes[box].digest)
+                else:
+                    continue
                 held = self._holds[name]
                 held[box] = None
                 held.move_to_end(box)
@@ -183,7 +197,7 @@ class Divided(Crew[Errand]):
                     held.popitem(last=False)
                 if not isinstance(task.paths, tuple):
                     self.traffic.sent += task.paths.nbytes
-                self._send(name, _with_threads(task, worker.threads))
+                self._send(name, replace(task, kept=self._kept, threads=worker.threads))
 
     def _choose(self, name: str) -> int | None:
         """The box for a worker: of those that wait, the fullest that it may carry."""
@@ -194,9 +208,22 @@ class Divided(Crew[Errand]):
         elif mine := {box: n for box, n in full.items() if box in self._holds[name]}:
             full = mine
         else:
-            others = set().union(*(held for other, held in self._holds.items() if other != name))
-            full = {box: n for box, n in full.items() if box not in others} or full
+            # What another worker holds is left to it, unless that would take it long.
+            others = self._held_by_others(name)
+            full = {box: n for box, n in full.items() if box not in others or n > 2 * _BATCH}
         return max(full, key=lambda box: full[box], default=None)
+
+    def _held_by_others(self, name: str) -> set[int]:
+        return set().union(*(held for other, held in self._holds.items() if other != name))
+
+    def _home(self, name: str) -> int | None:
+        """The box in which a worker begins paths: the one that it used last, or its first one."""
+        if self._holds[name]:
+            return next(reversed(self._holds[name]))
+        names, boxes = sorted(self._workers), range(len(self._recipes))
+        mine = [box for box in boxes if names[box % len(names)] == name]
+        free = [box for box in boxes if box not in self._held_by_others(name)]
+        return next(iter(mine if self._schedule == "static" else free), None)
 
     def _joined_tasks(self, queue: list[Errand]) -> Errand:
         """The first task of a queue, with the paths of others of the same pass as long as they are not too many."""
@@ -211,7 +238,7 @@ class Divided(Crew[Errand]):
             parts.append(task.paths)
             size += len(task.paths)
             self._open[first.iteration].tasks -= 1
-        return Errand(first.run, first.recipe, first.seed, first.iteration, np.concatenate(parts), first.kept)
+        return Errand(first.run, first.recipe, first.seed, first.iteration, np.concatenate(parts))
 
     # ------------------------------------------------------------------ outcomes
 
@@ -242,10 +269,6 @@ class Divided(Crew[Errand]):
 
 def _size(task: Errand) -> int:
     return task.paths[1] if isinstance(task.paths, tuple) else len(task.paths)
-
-
-def _with_threads(task: Errand, threads: int | None) -> Errand:
-    return Errand(task.run, task.recipe, task.seed, task.iteration, task.paths, task.kept, threads)
 
 
 def _add_counters(total: dict[str, float], more: Mapping[str, float]) -> None:

@@ -58,9 +58,7 @@ class BoxTracing(ParticleTracing):
         """The paths ``first`` to ``first + count`` of a pass before their first edge, as records for their boxes."""
         number = dr.opaque(mi.UInt32, first) + dr.arange(mi.UInt32, count)
         source = self._source(number, self.samples_per_iteration, seed, iteration)
-        store = self._boxes.emitted(count, source, number)
-        store.launch()
-        return _NO_PARTICLES, store.rows(), {PATHS: float(count)}
+        return _NO_PARTICLES, self._boxes.emitted(count, source, number), {PATHS: float(count)}
 
     def carry(self, iteration: int, seed: int, paths: NDArray[np.uint32]) -> Carried:
         """Trace paths until they end or leave the box."""

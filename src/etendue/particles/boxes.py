@@ -9,7 +9,7 @@ other's boxes are the parameterisation of paths by voxels of [Leeson 2001, sec. 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import drjit as dr
 import mitsuba as mi
@@ -107,17 +107,9 @@ class PathStore:
         self._count = dr.zeros(mi.UInt32, 1)
 
     def append(self, s: BoxedPath, box: mi.UInt32, active: mi.Bool) -> None:
-        """Store paths that go on in ``box``. A path leaves a box once, so there is room for all."""
+        """Store paths that go on in ``box``, inside the walk. A path leaves a box once, so there is room for all."""
         slot = dr.scatter_inc(self._count, mi.UInt32(0), active)
-        o, d, w = s.ray.o, s.ray.d, s.throughput
-        met = dr.select(s.met, mi.UInt32(1), mi.UInt32(0))
-        packets = (
-            mi.Vector4f(_bits(s.number), _bits(box), _bits(s.depth), _bits(s.bounce)),
-            mi.Vector4f(o.x, o.y, o.z, d.x),
-            mi.Vector4f(d.y, d.z, w.x, w.y),
-            mi.Vector4f(w.z, s.travelled, _bits(met), 0.0),
-        )
-        for k, packet in enumerate(packets):
+        for k, packet in enumerate(_packets(s, box)):
             dr.scatter(self._data, packet, slot * (RECORD_WORDS // 4) + k, active)
 
     def launch(self) -> None:
@@ -128,6 +120,18 @@ class PathStore:
         """(n, ``RECORD_WORDS``), by path."""
         rows = np.asarray(self._data).view(np.uint32).reshape(-1, RECORD_WORDS)[: int(self._count[0])]
         return np.ascontiguousarray(rows[np.argsort(rows[:, 0], kind="stable")])
+
+
+def _packets(s: BoxedPath, box: mi.UInt32) -> list[mi.Vector4f]:
+    """The words of records, four at a time."""
+    o, d, w = s.ray.o, s.ray.d, s.throughput
+    met = dr.select(s.met, mi.UInt32(1), mi.UInt32(0))
+    return [
+        mi.Vector4f(_bits(s.number), _bits(box), _bits(s.depth), _bits(s.bounce)),
+        mi.Vector4f(o.x, o.y, o.z, d.x),
+        mi.Vector4f(d.y, d.z, w.x, w.y),
+        mi.Vector4f(w.z, s.travelled, _bits(met), 0.0),
+    ]
 
 
 def paths_of(rows: NDArray[np.uint32]) -> BoxedPath:
@@ -168,6 +172,8 @@ class BoxWalk(ParticleWalk):
         self._lower, self._upper = (mi.Point3f(*(dr.opaque(mi.Float, float(x)) for x in row)) for row in bounds)
         self._code = dr.opaque(mi.UInt32, self.box)
         self._leaving: PathStore | None = None
+        # Of the edge that is traced: whether it leaves the box, and for which.
+        self._crossing, self._behind = mi.Bool(False), mi.UInt32(0)
 
     def carry(
         self, rows: NDArray[np.uint32], source: SampleSource, store: ParticleStore
@@ -179,32 +185,39 @@ class BoxWalk(ParticleWalk):
         path = self.follow(path, source, path.number, store)  # type: ignore[assignment]
         return path, leaving
 
-    def emitted(self, paths: int, source: SampleSource, number: mi.UInt32) -> PathStore:
+    def emitted(self, paths: int, source: SampleSource, number: mi.UInt32) -> NDArray[np.uint32]:
         """Records of light paths before their first edge."""
         start = self.start(paths, source)
-        store = PathStore(paths)
         known = {name: getattr(start, name) for name in LightPath.__dataclass_fields__}
-        store.append(BoxedPath(**known, number=number), self.grid.of_points_on_device(start.ray.o), start.active)
-        return store
+        path = BoxedPath(**known, number=number)
+        packets = _packets(path, self.grid.of_points_on_device(start.ray.o))
+        active = mi.Bool(start.active)
+        dr.eval(packets, active)
+        words = [np.broadcast_to(np.asarray(x), (paths,)) for packet in packets for x in packet]
+        rows = np.stack(words, axis=1).astype(np.float32, copy=False).view(np.uint32)
+        return np.ascontiguousarray(rows[np.broadcast_to(np.asarray(active), (paths,))])
 
     def arrive(self, s: SubPath) -> WalkVertex:
-        """Trace the next edge inside the box; a path that leaves it is stored."""
-        assert isinstance(s, BoxedPath) and self._leaving is not None
+        """Trace the next edge as far as it is in the box."""
         vertex = super().arrive(s)
-        end, behind = self._exit(s.ray)
+        end, self._behind = self._exit(s.ray)
         inside = vertex.valid & (vertex.si.t <= end)
-        self._leaving.append(s, behind, s.active & ~inside & (end < dr.inf))
+        self._crossing = s.active & ~inside & (end < dr.inf)
         vertex.valid = inside
         return vertex
 
     def _edge(self, s: LightPath, number: mi.UInt32, source: SampleSource, store: ParticleStore) -> LightPath:
-        s = super()._edge(s, number, source, store)
         assert isinstance(s, BoxedPath) and self._leaving is not None
+        before = replace(s)
+        s = super()._edge(s, number, source, store)
+        assert isinstance(s, BoxedPath)
         # A ray starts off the surface, which may be in the box beside.
         start = self.grid.of_points_on_device(s.ray.o)
         away = s.active & (start != self._code)
-        self._leaving.append(s, start, away)
         s.active &= ~away
+        # One place where both are stored: a loop may count in an array once only.
+        crossing = self._crossing
+        self._leaving.append(dr.select(crossing, before, s), dr.select(crossing, self._behind, start), crossing | away)
         return s
 
     def _exit(self, ray: mi.Ray3f) -> tuple[mi.Float, mi.UInt32]:
