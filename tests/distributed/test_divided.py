@@ -103,6 +103,7 @@ def test_particles_of_boxes_are_those_of_the_whole(scene, boxes, tmp_path):
     assert parts.traffic.loads == np.prod(boxes)  # each box once
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_changes_nothing(tmp_path):
     whole = traced("cornell-box")
     parts = traced("cornell-box", Cluster(InProcess(tmp_path, losses=(2, 5, 9, 10))), boxes=(2, 1, 1))
@@ -139,6 +140,7 @@ def test_boxes_and_their_numbers():
         BoxGrid.even(bounds, (0, 1, 1))
 
 
+@pytest.mark.slow
 def test_what_cannot_be_divided_is_one_line(tmp_path):
     with pytest.raises(UnsupportedError, match="sends rays from around the whole scene"):
         traced("skylight", Cluster(InProcess(tmp_path)), boxes=(2, 1, 1))
