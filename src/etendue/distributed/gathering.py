@@ -53,10 +53,12 @@ class Gathering:
 
     def next(self) -> list[Bundle] | None:
         """One sum to fetch, several to merge, or ``None`` if there is nothing to do now."""
-        if self._waiting and self._fetching < self._fetches:
-            self._fetching += 1
-            return [self._waiting.popleft()]
-        if len(self._waiting) >= self._fan_in and self._seconds >= self._least:
+        if len(self._waiting) >= self._fan_in and self._seconds >= self._least and self._fetching >= self._fetches:
             self.merges += 1
             return [self._waiting.popleft() for _ in range(self._fan_in)]
+        if self._waiting and self._fetching < self._fetches:
+            self._fetching += 1
+            largest = max(self._waiting, key=lambda bundle: len(bundle.tickets))
+            self._waiting.remove(largest)
+            return [largest]
         return None

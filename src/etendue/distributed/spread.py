@@ -159,7 +159,8 @@ class Spread(Crew[Chunk]):
         """Passes of the next chunk of a worker."""
         count = 1
         if worker.pace is not None:
-            seconds = min(max(_SHORTEST, self._transfer / _TRANSFER_SHARE), _LONGEST)
+            # Many workers send more seldom, or the sums would arrive faster than one process can add them.
+            seconds = min(max(_SHORTEST, self._transfer * max(1 / _TRANSFER_SHARE, len(self._workers))), _LONGEST)
             seconds = seconds if left is None else min(seconds, left)
             count = max(1, int(seconds / max(worker.pace, 1e-6)))
             count = count if self._most_passes is None else min(count, self._most_passes)
