@@ -138,6 +138,30 @@ def test_fifty_kills_lose_nothing(monkeypatch):
     close(made.image, expected.image)
 
 
+@pytest.mark.slow
+def test_sums_that_are_merged_among_workers_lose_nothing(monkeypatch):
+    pytest.importorskip("distributed")
+    from etendue.distributed import dask
+    from etendue.distributed.gathering import Gathering
+
+    # As if the client could never keep up.
+    monkeypatch.setattr(dask, "Gathering", lambda: Gathering(fan_in=2, fetches=1, least=-1.0))
+    monkeypatch.setattr("etendue.distributed.spread._SHORTEST", 0.0)
+    source, kills = random.Random(5), [0]
+    expected = rendered(Job.open(task(passes=60)))
+
+    def watch(progress, runner):
+        if kills[0] < 4 and progress.passes > 10 * kills[0]:
+            kills[0] += kill_one(cluster.pool, source)
+
+    with Cluster(DaskPool(workers=3, threads=3)) as cluster:
+        made = rendered(Job.open(task(passes=60)), cluster, watch=watch)
+        assert cluster.pool._gathering.merges > 0
+    assert made.metadata["passes"] == 60
+    assert made.metadata["rays"] == expected.metadata["rays"]
+    close(made.image, expected.image)
+
+
 def test_chains_are_refused_before_they_start(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["render", "cornell-box", "--method", "mmlt", "--workers", "1", "--spp", "1", "-o", "a.png"]) != 0

@@ -139,6 +139,8 @@ class Spread(Crew[Chunk]):
             self._starved.add(name)
             return
         first, count, replica, state = found
+        if replica is not None and (first == 0 or state is not None):
+            self._feed_all()  # a replica has moved, which may leave the next one to others
         self._planned += count
         chunk = Chunk(
             self._run,
