@@ -4,6 +4,7 @@ the shape in the middle of each pixel."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -12,10 +13,11 @@ from numpy.typing import NDArray
 
 from etendue.scene import Problem, graph
 
+from .bidirectional.photons import packed_normal, unpacked_normal
 from .vertex import WalkVertex
 
-#: Packets of four floats of a camera ray: albedo and depth, shading normal, emission.
-_PACKETS = 3
+#: Packets of four floats of a camera ray: albedo and depth; emission and the packed shading normal.
+_PACKETS = 2
 
 
 class FirstHits:
@@ -39,34 +41,35 @@ class FirstHits:
         self._ray, self.iteration = ray, iteration
         return self
 
-    def record(self, vertex: WalkVertex, active: mi.Bool) -> None:
-        """Record the surfaces at the ends of first edges, inside the walk."""
-        active, si = active & vertex.valid, vertex.si
-        albedo = vertex.bsdf.eval_diffuse_reflectance(si, active)
-        self._put(0, mi.Vector4f(albedo.x, albedo.y, albedo.z, si.t), active)
-        n = si.sh_frame.n
-        self._put(1, mi.Vector4f(n.x, n.y, n.z, 0.0), active)
-
-    def record_emission(self, radiance: mi.Color3f, active: mi.Bool) -> None:
-        """Record the emission seen on first edges, inside the walk."""
-        self._put(2, mi.Vector4f(radiance.x, radiance.y, radiance.z, 0.0), active)
-
-    def _put(self, packet: int, value: mi.Vector4f, active: mi.Bool) -> None:
+    def record(self, vertex: WalkVertex, emitted: mi.Color3f, active: mi.Bool) -> None:
+        """Record the ends of first edges and the emission there, inside the walk."""
         assert self._ray is not None
-        dr.scatter(self._packets, value, self._ray * _PACKETS + packet, active)
+        si, n, hit = vertex.si, vertex.si.sh_frame.n, active & vertex.valid
+        albedo = dr.select(hit, vertex.bsdf.eval_diffuse_reflectance(si, hit), 0.0)
+        # A packed normal is always finite; a depth of NaN tells of one that is not.
+        depth = dr.select(hit, dr.select(dr.all(dr.isfinite(n)), si.t, dr.nan), 0.0)
+        first = mi.Vector4f(albedo.x, albedo.y, albedo.z, depth)
+        second = mi.Vector4f(emitted.x, emitted.y, emitted.z, packed_normal(n))
+        for number, packet in enumerate((first, second)):
+            dr.scatter(self._packets, packet, self._ray * _PACKETS + number, active)
 
-    def layers(self, image: Callable[[mi.Vector4f], NDArray[np.float32]]) -> tuple[dict[str, NDArray[np.float32]], int]:
+    def layers(self, image: Callable[[Any], NDArray[np.float32]]) -> tuple[dict[str, NDArray[np.float32]], int]:
         """(pictures by name, depth in units of the render space; number of values that were not finite and count as 0).
         ``image`` makes pictures (height, width, channels) of vectors, one lane a ray."""
         ray = dr.arange(mi.UInt32, self._rays)
-        packets = [dr.gather(mi.Vector4f, self._packets, ray * _PACKETS + number) for number in range(_PACKETS)]
-        good = [dr.all(dr.isfinite(packet)) for packet in packets]
-        packets = [dr.select(finite, packet, 0.0) for finite, packet in zip(good, packets, strict=True)]
-        dr.eval(packets, good)
-        bad = sum(self._rays - int(np.count_nonzero(finite)) for finite in good)
-        surface, normal, emitted = map(image, packets)
-        found = {"albedo": surface[..., :3], "normal": normal[..., :3], "depth": surface[..., 3:]}
-        return found | {"emitted": emitted[..., :3]}, bad
+        first, second = (dr.gather(mi.Vector4f, self._packets, ray * _PACKETS + number) for number in range(_PACKETS))
+        emitted = mi.Color3f(second.x, second.y, second.z)
+        normal = dr.select(first.w > 0.0, unpacked_normal(second.w), 0.0)
+        good = [dr.all(dr.isfinite(values)) for values in (first, emitted)]
+        found = [
+            dr.select(finite, values, 0.0)
+            for finite, values in zip((good[0], good[0], good[1]), (first, normal, emitted), strict=True)
+        ]
+        bad = [dr.select(finite, mi.UInt32(0), 1) for finite in good]
+        dr.eval(found, bad)
+        surface, normals, emission = map(image, found)
+        layers = {"albedo": surface[..., :3], "normal": normals, "depth": surface[..., 3:], "emitted": emission}
+        return layers, sum(int(dr.sum(flags)[0]) for flags in bad)
 
 
 def shapes_seen(problem: Problem) -> tuple[NDArray[np.float32], list[str]]:

@@ -164,7 +164,7 @@ class Walker:
         si = hit.compute_surface_interaction(s.ray, active=s.active)
         s.rays += 1
         valid = si.is_valid()
-        vertex = WalkVertex(
+        return WalkVertex(
             si=si,
             bsdf=si.bsdf(s.ray),
             number=mi.UInt32(s.depth),
@@ -174,9 +174,6 @@ class Walker:
             valid=valid,
             proposal=self.proposal,
         )
-        if self.first is not None:
-            self.first.record(vertex, s.active & (s.depth == 1))
-        return vertex
 
     def ends(self, vertex: WalkVertex) -> mi.Bool:
         """Whether paths end in a map at a vertex, unless they go on through its mirror or glass."""
@@ -191,7 +188,7 @@ class Walker:
         per_area = dr.square(vertex.distance) / dr.abs(dr.dot(si.n, vertex.incoming))
         direct_pdf = found[1] * dr.select(vertex.valid, per_area, 1.0)
         if self.first is not None:
-            self.first.record_emission(found[0], active & (s.depth == 1))
+            self.first.record(vertex, dr.select(active, found[0], 0.0), s.active & (s.depth == 1))
         return Emission(*found, direct_pdf, active)
 
     def light_point(

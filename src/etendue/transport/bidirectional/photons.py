@@ -61,7 +61,8 @@ class Photons:
 
     def component(self, index: mi.UInt32, active: mi.Bool) -> mi.UInt32:
         """The ``film.Component`` of the photon's light to an eye that sees the surface."""
-        return component_of(dr.gather(mi.Float, self._position, 4 * index + 3, active))
+        # As in `position`, so that both are one gather.
+        return component_of(dr.gather(mi.Vector4f, self._position, index, active).w)
 
     def read(self, index: mi.UInt32, active: mi.Bool) -> Photon:
         """All but position and depth."""
