@@ -6,6 +6,7 @@ import functools
 import math
 import operator
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar
 
@@ -324,26 +325,26 @@ class ImageMethod(ABC):
         radiance, bad = self.kept(path.radiance)
         return {"image": radiance}, bad
 
-    def images(self, layers: dict[str, mi.Color3f], seed: int, iteration: int) -> dict[str, Layer]:
-        """:meth:`image` of each layer."""
-        return {name: self.image(values, seed, iteration) for name, values in layers.items()}
-
-    def image(self, values: mi.Color3f | mi.Vector4f, seed: int, iteration: int) -> Layer:
+    def image(self, values: mi.Color3f, seed: int, iteration: int) -> Layer:
         """Image (height, width, channels) of the filtered sums over a pass's camera paths. ``values``: vectors, one
         lane a path, the paths of a pixel consecutive."""
+        return self.images({"": values}, seed, iteration)[""]
+
+    def images(self, layers: Mapping[str, Any], seed: int, iteration: int) -> dict[str, Layer]:
+        """:meth:`image` of each layer, in one kernel."""
         width, height = self.problem.size
-        samples = max(1, dr.width(values) // (height * width))
-        if self.camera.independent:
-            pixels = dr.block_sum(values, samples) if samples > 1 else values
-        else:
-            if self.one_place and samples > 1:
-                values, samples = dr.block_sum(values, samples), 1
+        values = list(layers.values())
+        samples = max(1, dr.width(values[0]) // (height * width))
+        if self.one_place or self.camera.independent:
+            values, samples = [dr.block_sum(layer, samples) if samples > 1 else layer for layer in values], 1
+        if not self.camera.independent:
             number = dr.arange(mi.UInt32, samples)
             places = self._film_numbers(number, samples, seed, iteration, "camera").next_2d(0, dim.FILM)
             dr.eval(values, places)
-            pixels = self.camera.filter.spread(values, *places)
-        # A copy, because the device reuses the memory of the raveled array.
-        return np.array(dr.ravel(pixels), np.float32).reshape(height, width, -1)
+            values = self.camera.filter.spread(values, *places)
+        # Copies, because the device reuses the memory of the raveled arrays.
+        arrays = [np.array(dr.ravel(layer), np.float32).reshape(height, width, -1) for layer in values]
+        return dict(zip(layers, arrays, strict=True))
 
     def first_hits(self, lanes: mi.UInt32, iteration: int) -> FirstHits | None:
         """The recorder for a walk along the camera rays ``lanes`` of a pass; None unless ``aovs`` are wanted.
@@ -364,7 +365,8 @@ class ImageMethod(ABC):
             )
             path = CameraPath.start(ray, mi.UInt32(1))
             walker.emission(path, walker.arrive(path))
-        layers, bad = hits.layers(lambda values: self.image(values, seed, hits.iteration))
+        found, bad = hits.found()
+        layers = self.images(found, seed, hits.iteration)
         layers["depth"] /= np.float32(self.problem.space.scale)
         return layers, bad
 

@@ -3,7 +3,6 @@ the shape in the middle of each pixel."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import drjit as dr
@@ -53,22 +52,21 @@ class FirstHits:
         for number, packet in enumerate((first, second)):
             dr.scatter(self._packets, packet, self._ray * _PACKETS + number, active)
 
-    def layers(self, image: Callable[[Any], NDArray[np.float32]]) -> tuple[dict[str, NDArray[np.float32]], int]:
-        """(pictures by name, depth in units of the render space; number of values that were not finite and count as 0).
-        ``image`` makes pictures (height, width, channels) of vectors, one lane a ray."""
+    def found(self) -> tuple[dict[str, Any], int]:
+        """(layers by name, one lane a ray, depth in units of the render space; number of values that were not finite
+        and are 0)."""
         ray = dr.arange(mi.UInt32, self._rays)
         first, second = (dr.gather(mi.Vector4f, self._packets, ray * _PACKETS + number) for number in range(_PACKETS))
         emitted = mi.Color3f(second.x, second.y, second.z)
-        normal = dr.select(first.w > 0.0, unpacked_normal(second.w), 0.0)
-        good = [dr.all(dr.isfinite(values)) for values in (first, emitted)]
-        found = [
-            dr.select(finite, values, 0.0)
-            for finite, values in zip((good[0], good[0], good[1]), (first, normal, emitted), strict=True)
-        ]
-        bad = [dr.select(finite, mi.UInt32(0), 1) for finite in good]
-        dr.eval(found, bad)
-        surface, normals, emission = map(image, found)
-        layers = {"albedo": surface[..., :3], "normal": normals, "depth": surface[..., 3:], "emitted": emission}
+        finite, shines = dr.all(dr.isfinite(first)), dr.all(dr.isfinite(emitted))
+        layers = {
+            "albedo": dr.select(finite, mi.Color3f(first.x, first.y, first.z), 0.0),
+            "normal": dr.select(first.w > 0.0, unpacked_normal(second.w), 0.0),
+            "depth": dr.select(finite, first.w, 0.0),
+            "emitted": dr.select(shines, emitted, 0.0),
+        }
+        bad = [dr.select(good, mi.UInt32(0), 1) for good in (finite, shines)]
+        dr.eval(layers, bad)
         return layers, sum(int(dr.sum(flags)[0]) for flags in bad)
 
 
