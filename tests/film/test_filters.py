@@ -95,7 +95,7 @@ def spread_image(mi, pixel_filter, width, height, samples):
     u1, u2 = lattice(samples, 2, seed=6)
     pixel = np.arange(width * height)[:, None]
     value = radiance(pixel % width + u1.astype(np.float64), pixel // width + u2.astype(np.float64))
-    pixels = pixel_filter.spread([mi.Float(value.ravel().astype(np.float32))], mi.Float(u1), mi.Float(u2))[0]
+    pixels = pixel_filter.spread(mi.Float(value.ravel().astype(np.float32)), mi.Float(u1), mi.Float(u2))
     return pixels.numpy().reshape(height, width) / samples
 
 

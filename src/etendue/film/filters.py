@@ -264,12 +264,16 @@ class PixelFilter:
         y, weight_y = self._y.camera(py, u2)
         return x, y, weight_x * weight_y
 
-    def spread(self, values: list[V], u1: mi.Float, u2: mi.Float) -> list[V]:
-        """Filtered sums over the samples, one lane a pixel. ``values``: layers, one lane a sample, the samples of a
-        pixel consecutive; sample j of each pixel has the offset (``u1[j]``, ``u2[j]``). Evaluates ``values``.
+    def spread(self, values: V, u1: mi.Float, u2: mi.Float) -> V:
+        """Filtered sums over the samples, one lane a pixel. ``values``: one lane a sample, the samples of a pixel
+        consecutive; sample j of each pixel has the offset (``u1[j]``, ``u2[j]``). Evaluates ``values``.
 
         As in Mitsuba, pixels near the border are divided by the filter weights of their samples, so that a constant
         picture stays constant; the expectation there depends on the number of samples."""
+        return self.spread_together([values], u1, u2)[0]
+
+    def spread_together(self, values: list[V], u1: mi.Float, u2: mi.Float) -> list[V]:
+        """:meth:`spread` of several layers, in less than half the time that they take one by one."""
         samples = dr.width(u1)
         if not (self.is_box or self.has_gaps):
             count, width = dr.opaque(mi.UInt32, samples), dr.opaque(mi.UInt32, self.width)

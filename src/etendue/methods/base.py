@@ -341,7 +341,7 @@ class ImageMethod(ABC):
             number = dr.arange(mi.UInt32, samples)
             places = self._film_numbers(number, samples, seed, iteration, "camera").next_2d(0, dim.FILM)
             dr.eval(values, places)
-            values = self.camera.filter.spread(values, *places)
+            values = self.camera.filter.spread_together(values, *places)
         # Copies, because the device reuses the memory of the raveled arrays.
         arrays = [np.array(dr.ravel(layer), np.float32).reshape(height, width, -1) for layer in values]
         return dict(zip(layers, arrays, strict=True))

@@ -233,7 +233,7 @@ def _coverage(problem: Problem) -> NDArray[np.float32]:
         hit = dr.select(problem.scene.ray_test(ray), mi.Float(1.0), 0.0)
         places = _alpha_places(first + dr.arange(mi.UInt32, count))
         dr.eval(hit, places)
-        covered += reconstruction.spread([hit], places.x, places.y)[0]
+        covered += reconstruction.spread(hit, places.x, places.y)
     return np.array(covered / (_ALPHA_PARTS * _ALPHA_RAYS), np.float32).reshape(height, width, 1)
 
 
