@@ -46,13 +46,16 @@ def test_a_pyramid_in_the_file_and_on_the_page(folder, capsys):
 
 
 def test_render_writes_picture_and_checkpoint_with_metadata(folder, capsys):
-    assert run("render cornell-box -m path --size 16x12 --spp 4 --seed 9 -o a.exr -o a.png --aovs -D rr_depth=3") == 0
+    asked = "--spp 4 --seed 9 -o a.exr -o a.png --aovs --components -D rr_depth=3"
+    assert run(f"render cornell-box -m path --size 16x12 {asked}") == 0
     out, err = capsys.readouterr()
     assert out == "a.exr\na.png\na.checkpoint\n"
     assert "path: 1 pass, 4 spp" in err
     result = film.read_exr("a.exr")
     assert result.image.shape == (12, 16, 3)
-    assert {"albedo", "normal", "depth"} <= result.layers.keys()
+    assert {"albedo", "normal", "depth", "emitted"} <= result.layers.keys()
+    total = sum(result.layers[name] for name in film.COMPONENTS)
+    np.testing.assert_allclose(total, result.image, rtol=1e-5, atol=1e-6)
     m = result.metadata
     assert (m["method"], m["seed"], m["samples"], m["scene"]) == ("path", 9, 4, "cornell-box")
     assert m["settings"]["rr_depth"] == 3

@@ -41,6 +41,7 @@ def render(
     threads: opt.Threads = None,
     memory: opt.Memory = None,
     aovs: opt.Aovs = False,
+    components: opt.Components = False,
     pyramid: opt.Pyramid = False,
     pyramid_depth: opt.PyramidDepth = None,
     no_bsdf_sampling: opt.NoBsdfSampling = False,
@@ -71,7 +72,7 @@ def render(
     if no_checkpoint and checkpoint is not None:
         raise OptionError("--checkpoint and --no-checkpoint exclude each other; give one of them")
     budget = opt.budget(time, spp, error)
-    settings = opt.settings(define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling)
+    settings = opt.settings(define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling, components)
     parameters = opt.parse_pairs(param, "-P")
     choose_device(variant, threads)
     notes: list[str] = []  # shown after all checks
@@ -152,6 +153,7 @@ def compare(
     max_depth: opt.MaxDepth = None,
     threads: opt.Threads = None,
     memory: opt.Memory = None,
+    components: opt.Components = False,
     pyramid: opt.Pyramid = False,
     pyramid_depth: opt.PyramidDepth = None,
     no_bsdf_sampling: opt.NoBsdfSampling = False,
@@ -174,7 +176,7 @@ def compare(
     wanted = tasks(
         locate(scene, notes.append),
         method or ["path", "vcm"],
-        opt.settings(define, max_depth, False, pyramid, pyramid_depth, no_bsdf_sampling),
+        opt.settings(define, max_depth, False, pyramid, pyramid_depth, no_bsdf_sampling, components),
         seed=seed,
         budget=budget,
         size=size,
