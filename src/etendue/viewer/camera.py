@@ -60,7 +60,7 @@ class Pose:
         values = dict(graph.contents(problem.sensor).values)
         fov = float(np.asarray(values["x_fov"]).ravel()[0]) if "x_fov" in values else None
         pose = cls(origin, origin + forward * _seen(problem, size), up, np.eye(3), fov, size)
-        own: Array = np.linalg.solve(pose._frame(), matrix[:3, :3])
+        own = np.asarray(np.linalg.solve(pose._frame(), matrix[:3, :3]), dtype=np.float64)
         return replace(pose, own=own)
 
     # ------------------------------------------------------------------ movements
