@@ -20,7 +20,7 @@ def pose(**changes):
 def test_movements_have_their_closed_form():
     start = pose()
     quarter = start.orbited(math.pi / 2, 0.0)
-    assert np.allclose(quarter.origin, [-4.0, 0.0, 0.0]) and np.allclose(quarter.target, 0.0)
+    assert np.allclose(quarter.origin, [4.0, 0.0, 0.0]) and np.allclose(quarter.target, 0.0)
     above = start.orbited(0.0, 10.0)  # not over the pole
     assert above.distance == pytest.approx(4.0) and above.origin[1] == pytest.approx(4.0 * math.cos(0.02))
     # Mitsuba's picture has the camera's left on the left: seen along -z with y up, x grows to the right.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,6 +11,9 @@ from etendue.core import OptionError, SceneError
 
 from .. import options as opt
 from ..console import error_console, note, say
+
+if TYPE_CHECKING:
+    from etendue.viewer import Asked
 
 
 def view(
@@ -51,7 +54,7 @@ def view(
     """
     from etendue import methods
     from etendue.scene import integrator_of, locate
-    from etendue.viewer import Asked, Viewer
+    from etendue.viewer import Asked
 
     from ..rendering import choose_device
 
@@ -68,10 +71,18 @@ def view(
     if not host.strip():
         raise OptionError("--host is an address of this machine, such as 127.0.0.1 or 0.0.0.0")
     asked = Asked(found, methods.get(method or "path").name, settings, budget, size, sensor, parameters, memory, seed)
-    with Viewer(asked, host.strip(), port) as viewer:
-        note(console, f"{scene}: open this address in a browser; Ctrl-C ends the session")
+    return show(asked, host.strip(), port, not no_browser)
+
+
+def show(asked: Asked, host: str, port: int, in_browser: bool) -> int:
+    """Run a session until a page or Ctrl-C ends it."""
+    from etendue.viewer import Viewer
+
+    console = error_console()
+    with Viewer(asked, host, port) as viewer:
+        note(console, "open this address in a browser; Ctrl-C ends the session:")
         say(viewer.url)
-        if not no_browser and not viewer.show():
+        if in_browser and not viewer.show():
             note(console, "no browser was found on this machine")
         try:
             while not viewer.wait(0.5):

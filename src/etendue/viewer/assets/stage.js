@@ -143,7 +143,7 @@ export class Stage {
     } else if (event.buttons & 4 || event.ctrlKey) {
       this.move({ look: [dx, -dy] });
     } else {
-      this.move({ orbit: [dx * ORBIT, dy * ORBIT] });
+      this.move({ orbit: [-dx * ORBIT, dy * ORBIT] });
     }
     pointer.far += Math.hypot(event.clientX - pointer.x, event.clientY - pointer.y);
     [pointer.x, pointer.y] = [event.clientX, event.clientY];
