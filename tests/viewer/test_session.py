@@ -107,7 +107,7 @@ def test_the_picture_is_that_of_render(viewer, folder):
 
 def test_a_place_in_the_picture(viewer):
     async def conversation(page):
-        page.send("pick", x=0.35, y=0.985)
+        page.send("pick", x=0.3, y=0.96)
         found = await told(page, "picked")
         assert "floor" in found["shape"] and "white" in found["material"] and not found["emits"]
         assert found["position"][1] == pytest.approx(-1.0, abs=1e-4) and found["depth"] > 1
