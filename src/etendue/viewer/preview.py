@@ -130,6 +130,8 @@ def _device_parts(root: object) -> list[Any]:
             return
         if isinstance(value, mi.Object) or dr.is_jit_v(value):
             found.append(value)
+        elif isinstance(value, mi.DiscreteDistribution):
+            found.append(value)
         elif isinstance(value, (list, tuple)):
             for part in value:
                 walk(part, depth + 1)
