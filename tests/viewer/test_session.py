@@ -303,6 +303,32 @@ def test_a_session_that_is_closed_releases_its_scene():
     viewer.close()
 
 
+def test_a_device_without_memory_while_moving_makes_coarser_pictures(viewer, monkeypatch):
+    """The first pass of each resolution fails as Dr.Jit does."""
+    from etendue.viewer import preview
+
+    real, failed = preview._Pass.picture, []
+
+    def fails(own, pose):
+        if not failed:
+            failed.append(own)
+            raise RuntimeError("jit_cuda_malloc(): out of memory! Could not allocate 4 GiB")
+        return real(own, pose)
+
+    async def conversation(page):
+        await page.until("frame")
+        monkeypatch.setattr(preview._Pass, "picture", fails)
+        monkeypatch.setattr(preview, "_LEAST_PIXELS", 1)
+        page.send("camera", orbit=[0.1, 0.0])
+        assert "out of memory" in (await told(page))["text"]
+        moving, _ = await page.until("frame", lambda m: m["moving"])
+        assert moving["width"] < SIZE[0]
+        page.send("camera", reset=True)
+        await finished(page)
+
+    talk(viewer, conversation)
+
+
 def test_in_a_notebook_and_with_wrong_arguments():
     with etendue.view("cornell-box", size=SIZE) as viewer:
         assert isinstance(viewer, Viewer)
