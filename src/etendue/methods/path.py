@@ -21,7 +21,7 @@ import mitsuba as mi
 
 from etendue.core import SampleSource, setting
 from etendue.film import Component
-from etendue.transport import CameraPath, DirectWeights, Proposal, Walker, scatter_camera, scatter_uniform
+from etendue.transport import CameraPath, DirectWeights, FirstHits, Proposal, Walker, scatter_camera, scatter_uniform
 
 from .base import CameraSettings, ImageSettings, Layer, total
 from .ending import EndingSettings, EndsInMap
@@ -76,10 +76,7 @@ class Path(EndsInMap):
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         source = self.camera_numbers(lanes, samples, seed, iteration)
         ray, importance, _ = self.camera.primary(lanes // samples, source)
-        walker = self.walker(Walker, proposal=self.settings.proposal, first=self.first_hits(lanes, iteration))
-        weights = self.settings.direct_weights
-        path = CameraPath.start(ray, walker.max_edges, **self.path_fields())
-        path = walker.walk(path, lambda s: edge(s, walker, weights, source), "path")
+        path = self.trace(ray, source, self.first_hits(lanes, iteration))
         if (light := self.light_of_map(path)) is not None:
             path.add(light, mi.Bool(True), Component.INDIRECT)
         path.weigh(importance)
@@ -87,6 +84,13 @@ class Path(EndsInMap):
         dr.eval(radiance, path.rays, bad)  # in one kernel; the sums below would launch it several times
         counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
         return self.images(radiance, seed, iteration), counters
+
+    def trace(self, ray: mi.Ray3f, source: SampleSource, first: FirstHits | None = None) -> CameraPath:
+        """Camera paths that begin with ``ray``, after their last edge; their first hits are added to ``first``."""
+        walker = self.walker(Walker, proposal=self.settings.proposal, first=first)
+        weights = self.settings.direct_weights
+        path = CameraPath.start(ray, walker.max_edges, **self.path_fields())
+        return walker.walk(path, lambda s: edge(s, walker, weights, source), "path")
 
 
 def edge(s: CameraPath, walker: Walker, weights: DirectWeights, source: SampleSource) -> CameraPath:

@@ -4,6 +4,7 @@ from . import graph, meshes
 from .builtin.table import BundledScene, bundled, bundled_scene
 from .camera import Camera
 from .capability import check
+from .editing import Change, LightEdits, add_plugin, colour, described_lights, scene_xml
 from .fingerprint import fingerprint
 from .graph import materials
 from .lamps.radiance import sphere_point, surface_point, uniform_point, varies
@@ -18,17 +19,22 @@ from .watching import Parameters, parameters, view
 __all__ = [
     "BundledScene",
     "Camera",
+    "Change",
     "Light",
+    "LightEdits",
     "LightTable",
     "Parameters",
     "PortableScene",
     "Problem",
     "RenderSpace",
     "Source",
+    "add_plugin",
     "bundled",
     "bundled_scene",
     "check",
+    "colour",
     "composed_bsdf",
+    "described_lights",
     "fingerprint",
     "graph",
     "integrator_of",
@@ -41,6 +47,7 @@ __all__ = [
     "register",
     "resized",
     "restored",
+    "scene_xml",
     "sphere_point",
     "surface_point",
     "uniform_point",

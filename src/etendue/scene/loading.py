@@ -21,6 +21,7 @@ from etendue.core import OptionError, SceneError, UnsupportedError, logger, sugg
 from .builtin.table import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene
+from .editing import Change
 from .graph import contents, plugin_name
 from .moving import Described, moved
 from .parsing import (
@@ -57,6 +58,7 @@ def load(
     memory: int | None = None,
     camera: Camera | None = None,
     check: bool = True,
+    change: Change | None = None,
 ) -> Problem:
     """Load a scene; returns the :class:`Problem` of rendering it through one of its sensors.
 
@@ -66,7 +68,8 @@ def load(
     with that size (a loaded scene does not know its ``fov_axis``: its horizontal field of view is kept). A loaded scene
     is not changed. ``sensor`` is an index into the scene's sensors; ``camera`` moves it, except in loaded scenes.
     ``parameters`` gives values to ``$variables`` of an XML file. The scene's integrator is reported, not built. Without
-    ``check`` unsupported elements raise no error.
+    ``check`` unsupported elements raise no error. ``change`` changes the parsed scene before its objects are built,
+    such as :class:`LightEdits`.
 
     Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for a scene that cannot be read or is broken,
     :class:`UnsupportedError` for elements that cannot be rendered, :class:`OptionError` for arguments out of range.
@@ -79,9 +82,11 @@ def load(
         raise OptionError(f"a memory bound must be above zero bytes, not {memory}")
     if not _is_loaded(source):
         found = locate(source) if isinstance(source, (str, os.PathLike)) else source
-        return _from_parser(found, *_parse(found, parameters), size, sensor, memory, camera, check)
+        return _from_parser(found, *_parse(found, parameters), size, sensor, memory, camera, check, change)
     if parameters:
         raise OptionError(_NO_VARIABLES)
+    if change is not None:
+        raise OptionError("lights of a loaded scene cannot be added or removed; give its file or its dictionary")
     if camera is not None:
         raise OptionError("the camera of a loaded scene cannot be moved; load the scene with that camera")
     return _from_scene(source, size, sensor, memory, check)
@@ -183,10 +188,13 @@ def _from_parser(
     memory: int | None,
     camera: Camera | None,
     check: bool,
+    change: Change | None,
 ) -> Problem:
     import mitsuba as mi
 
     with _resolving(path), _mitsuba_errors(name):
+        if change is not None:
+            change(state)
         integrator, depth, options = take_integrator(state)
         if size is not None:
             resize(state, size)
