@@ -1,0 +1,1 @@
+"""Viewer: a scene live in the browser."""
