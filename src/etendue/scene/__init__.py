@@ -4,6 +4,9 @@ from . import graph, meshes
 from .builtin.table import BundledScene, bundled, bundled_scene
 from .camera import Camera
 from .capability import check
+from .changes.edits import SceneChanges, change_lines
+from .changes.lights import LIGHTS, example_light
+from .changes.parameters import SceneEditor, SceneParameter
 from .fingerprint import fingerprint
 from .graph import materials
 from .lamps.radiance import sphere_point, surface_point, uniform_point, varies
@@ -16,6 +19,7 @@ from .space import RenderSpace, warn_of_offsets, warn_of_steps
 from .watching import Parameters, parameters, view
 
 __all__ = [
+    "LIGHTS",
     "BundledScene",
     "Camera",
     "Light",
@@ -24,11 +28,16 @@ __all__ = [
     "PortableScene",
     "Problem",
     "RenderSpace",
+    "SceneChanges",
+    "SceneEditor",
+    "SceneParameter",
     "Source",
     "bundled",
     "bundled_scene",
+    "change_lines",
     "check",
     "composed_bsdf",
+    "example_light",
     "fingerprint",
     "graph",
     "integrator_of",
