@@ -39,6 +39,7 @@ from .schemes.cells import CellEmission, ImportancePilot
 from .schemes.numbers import BlindEmission, GivenNumbers, UniformLights
 from .schemes.numbers import Emission as EmissionScheme
 from .schemes.strata import EMISSION, FIRST_BOUNCE, StratifiedSource
+from .tracks import MOST_PATHS, Event, PathRecorder, Tracks
 from .vertex import Joined, Vertex, WalkVertex
 from .visibility import Visibility
 from .walk import CameraPath, Emission, MapEnd, SubPath, Walker, ones
@@ -50,6 +51,7 @@ __all__ = [
     "FOUND_UNITS",
     "GRAZING",
     "MOST_LIGHTS",
+    "MOST_PATHS",
     "NOWHERE",
     "PICK_BLOCK",
     "PYRAMID_MAX",
@@ -72,6 +74,7 @@ __all__ = [
     "EndingGuidedWalk",
     "EndingWalker",
     "Evaluated",
+    "Event",
     "Gather",
     "GivenNumbers",
     "Guide",
@@ -90,6 +93,7 @@ __all__ = [
     "LocalLights",
     "MapEnd",
     "Mis",
+    "PathRecorder",
     "Photon",
     "Photons",
     "Proposal",
@@ -104,6 +108,7 @@ __all__ = [
     "StratifiedSource",
     "SubPath",
     "Techniques",
+    "Tracks",
     "TrainingSamples",
     "TransportFunctions",
     "UniformLights",
