@@ -6,6 +6,7 @@ from .denoising import DENOISERS, Denoiser, denoiser
 from .develop import develop
 from .plots import Series, convergence_plot
 from .png import encode_png, write_png
+from .pyramid import in_pyramid, pyramids
 from .report import Entry, render_report, write_report
 from .scatter import Projection, projection_plot
 from .tev import TevDisplay
@@ -27,7 +28,9 @@ __all__ = [
     "develop",
     "encode_png",
     "false_colour",
+    "in_pyramid",
     "projection_plot",
+    "pyramids",
     "render_report",
     "tonemap",
     "write_png",

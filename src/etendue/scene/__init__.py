@@ -4,9 +4,9 @@ from . import graph, meshes
 from .builtin.table import BundledScene, bundled, bundled_scene
 from .camera import Camera
 from .capability import check
-from .changes.edits import SceneChanges, change_lines
-from .changes.lights import LIGHTS, example_light
+from .changes.edits import ParameterChanges, name_elements
 from .changes.parameters import SceneEditor, SceneParameter
+from .editing import Change, LightEdits, add_plugin, colour, described_lights, is_described, scene_xml
 from .fingerprint import fingerprint
 from .graph import materials
 from .lamps.radiance import sphere_point, surface_point, uniform_point, varies
@@ -19,37 +19,42 @@ from .space import RenderSpace, warn_of_offsets, warn_of_steps
 from .watching import Parameters, parameters, view
 
 __all__ = [
-    "LIGHTS",
     "BundledScene",
     "Camera",
+    "Change",
     "Light",
+    "LightEdits",
     "LightTable",
+    "ParameterChanges",
     "Parameters",
     "PortableScene",
     "Problem",
     "RenderSpace",
-    "SceneChanges",
     "SceneEditor",
     "SceneParameter",
     "Source",
+    "add_plugin",
     "bundled",
     "bundled_scene",
-    "change_lines",
     "check",
+    "colour",
     "composed_bsdf",
-    "example_light",
+    "described_lights",
     "fingerprint",
     "graph",
     "integrator_of",
+    "is_described",
     "load",
     "locate",
     "materials",
     "meshes",
+    "name_elements",
     "parameters",
     "portable",
     "register",
     "resized",
     "restored",
+    "scene_xml",
     "sphere_point",
     "surface_point",
     "uniform_point",

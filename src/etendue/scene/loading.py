@@ -21,6 +21,7 @@ from etendue.core import EtendueError, OptionError, SceneError, UnsupportedError
 from .builtin.table import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene
+from .editing import Change
 from .graph import contents, plugin_name
 from .moving import Described, moved
 from .parsing import (
@@ -42,8 +43,6 @@ if TYPE_CHECKING:
 MOST_PIXELS = 1 << 30  #: a device array has fewer than 2^32 entries, and a film has four channels
 _SCENE_FILE = "scene.xml"  #: of a folder
 
-#: A change of Mitsuba's parsed scene, before its objects are built.
-Change: TypeAlias = "Callable[[mi.parser.ParserState], None]"
 #: What :func:`load` accepts as a scene.
 Source: TypeAlias = "str | os.PathLike[str] | BundledScene | Mapping[str, Any] | mi.Scene"
 
@@ -67,7 +66,7 @@ def load(
     with that size (a loaded scene does not know its ``fov_axis``: its horizontal field of view is kept). A loaded scene
     is not changed. ``sensor`` is an index into the scene's sensors; ``camera`` moves it, except in loaded scenes.
     ``parameters`` gives values to ``$variables`` of an XML file. The scene's integrator is reported, not built. Without
-    ``check`` unsupported elements raise no error. ``change`` (as :class:`SceneChanges`) changes the parsed scene before
+    ``check`` unsupported elements raise no error. ``change`` (as :class:`LightEdits`) changes the parsed scene before
     its objects are built; elements that look alike are then not merged.
 
     Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for a scene that cannot be read or is broken,
@@ -82,10 +81,10 @@ def load(
     if not _is_loaded(source):
         found = locate(source) if isinstance(source, (str, os.PathLike)) else source
         return _from_parser(found, *_parse(found, parameters), size, sensor, memory, camera, check, change)
-    if change is not None:
-        raise OptionError("a loaded scene is changed by mi.traverse; give its file or its dictionary")
     if parameters:
         raise OptionError(_NO_VARIABLES)
+    if change is not None:
+        raise OptionError("lights of a loaded scene cannot be added or removed; give its file or its dictionary")
     if camera is not None:
         raise OptionError("the camera of a loaded scene cannot be moved; load the scene with that camera")
     return _from_scene(source, size, sensor, memory, check)

@@ -14,10 +14,10 @@ Page to session:
                     target; or ``set`` {origin, target, up, fov}; or ``reset``: true
 ``views``           ``save``: true, ``show``: number or "next", ``remove``: number
 ``pick``            ``x``, ``y``: place in the picture, 0 to 1 from its top left corner; answered by ``picked``
-``render``          any of ``method``, ``settings`` {name: value}, ``budget`` {seconds, samples, error}, ``size`` [width,
-                    height], ``paused``, ``again``: true
-``show``            any of ``layer``, ``denoise`` ("" for none), ``radius``, ``strength``, ``curve``, ``exposure`` (stops
-                    or "auto")
+``render``          any of ``method``, ``settings`` {name: value}, ``budget`` {seconds, samples, error}, ``size``
+                    [width, height], ``paused``, ``again``: true
+``show``            any of ``layer``, ``denoise`` ("" for none), ``radius``, ``strength``, ``curve``, ``exposure``
+                    (stops or "auto")
 ``compare``         ``method`` with ``settings``, or ``reference`` (an EXR on the machine of the session), or neither to
                     stop; ``map``: whether to show the error map instead of the second picture
 ``open``            ``scene``: a scene file or the name of a bundled scene
@@ -32,6 +32,7 @@ Session to page:
 ``state``           all that the controls show, see ``Session.state``; sent to all pages after every change
 ``frame``           with data, an encoded picture: ``frame`` (number), ``side`` ("a", or "b" for what is compared),
                     ``width``, ``height``, ``format`` (MIME type), ``moving``
+``camera``          the pose of a moving picture, as in the state
 ``progress``        of the picture: passes, samples, seconds, rays per second, noise, error against the other
 ``picked``          what is seen there: shape, material, position, depth, radiance
 ``saved``           ``path``, and ``file``, the name under which the page can download it (``files/NAME``)

@@ -1,1 +1,1 @@
-"""Changes of scenes: values of their parameters, and lights that are added or removed."""
+"""Changes of scenes: values of their parameters."""

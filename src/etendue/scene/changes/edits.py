@@ -1,16 +1,16 @@
-"""Changes of a scene as plain values, which are made to the parsed scene before its objects are built."""
+"""Changes of a scene's parameters as plain values, made to the parsed scene before its objects are built."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Self
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 from etendue.core import OptionError, SceneError, is_number, suggest
 
 from ..parsing import read_properties
-from .lights import added_nodes, light_dict
 from .values import COLOUR, NUMBER, TEXTURE, TRANSFORM, VECTOR, Value, for_file
 
 if TYPE_CHECKING:
@@ -18,118 +18,57 @@ if TYPE_CHECKING:
 
 #: Names of vectors that are no colours.
 _VECTORS = frozenset({"position", "direction"})
-#: Parameters of shapes that their transform holds, once it is read from a built scene.
-_IN_TRANSFORM = ("center", "radius", "p0", "p1", "flip_normals_by_scale")
+#: Properties of shapes that their transform holds, once it is read from a built scene.
+_IN_TRANSFORM = ("center", "radius", "p0", "p1")
 
 
 @dataclass(frozen=True)
-class SceneChanges:
-    """What differs from the scene of a file or a dictionary.
+class ParameterChanges:
+    """New values of parameters, by the name that ``mi.traverse`` gives them in a scene whose elements all have names
+    (:func:`name_elements`): a number, a list of numbers, or the path of a picture for a texture.
 
-    values: new values of parameters, by the name that ``mi.traverse`` gives them in a scene that was loaded with
-        changes (possibly none): a number, a list of numbers, or the path of a picture for a texture.
-    added: lights by name, see :func:`light_dict`.
-    removed: names of elements of the scene.
+    Called with a parsed scene, it makes the changes. Raises :class:`OptionError` for a value of another form, and for
+    a name that the scene does not have.
     """
 
     values: Mapping[str, Value] = field(default_factory=dict)
-    added: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    removed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "removed", tuple(self.removed))
         for key, value in self.values.items():
             if not (is_number(value) or isinstance(value, str) or _is_numbers(value)):
                 raise OptionError(f"the value of '{key}' is a number, a list of numbers or a file, not {value!r}")
-        for name, light in self.added.items():
-            light_dict(name, light)
-
-    def __bool__(self) -> bool:
-        return bool(self.values or self.added or self.removed)
-
-    @classmethod
-    def from_dict(cls, plain: Mapping[str, Any]) -> Self:
-        """Inverse of :meth:`to_dict`. Raises :class:`OptionError` for another form."""
-        unknown = plain.keys() - {"values", "added", "removed"}
-        if unknown:
-            raise OptionError(f"changes of a scene are values, added and removed, not {', '.join(sorted(unknown))}")
-        values, added = plain.get("values", {}), plain.get("added", {})
-        removed = plain.get("removed", ())
-        if not isinstance(values, Mapping) or not isinstance(added, Mapping) or isinstance(removed, str):
-            raise OptionError("changes of a scene are a table of values, a table of added lights, a list of names")
-        return cls(dict(values), {k: dict(v) for k, v in added.items()}, tuple(map(str, removed)))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON or TOML; empty parts are left out."""
-        parts = {
-            "values": dict(self.values),
-            "added": {name: dict(light) for name, light in self.added.items()},
-            "removed": list(self.removed),
-        }
-        return {name: part for name, part in parts.items() if part}
-
-    def with_value(self, key: str, value: Value | None) -> Self:
-        """With another value of a parameter; ``None``: that of the file."""
-        values = {k: v for k, v in self.values.items() if k != key}
-        return replace(self, values=values if value is None else values | {key: value})
-
-    def with_light(self, name: str, light: Mapping[str, Any]) -> Self:
-        """With a further light."""
-        return replace(self, added={**self.added, name: dict(light)})
-
-    def without(self, name: str) -> Self:
-        """Without an element, and without the changes of its parameters."""
-        values = {k: v for k, v in self.values.items() if not k.startswith(f"{name}.")}
-        if name in self.added:
-            return replace(self, values=values, added={k: v for k, v in self.added.items() if k != name})
-        return replace(self, values=values, removed=(*self.removed, name))
 
     def __call__(self, state: mi.parser.ParserState) -> None:
-        """Name the elements of a parsed scene, and change it. Raises :class:`OptionError` for a name that it does not
-        have."""
+        """Change a parsed scene."""
         name_elements(state)
-        for name in self.removed:
-            _remove(state, name)
-        for name, light in self.added.items():
-            if name in _elements(state):
-                raise OptionError(f"the scene has an element '{name}' already; give the light another name")
-            added_nodes(state, name, light_dict(name, light))
         for key, value in self.values.items():
             _set(state, key, value)
 
 
 def name_elements(state: mi.parser.ParserState) -> None:
-    """Give elements without a name one that is the same whenever the file is read: its type and a number."""
+    """Give the elements of a parsed scene that have no name one that is the same whenever the file is read: the type,
+    and a number among all objects of this type."""
+    import mitsuba as mi
+
+    below = read_properties(state.root.props).values()
+    elements = {value.index() for value in below if isinstance(value, mi.Properties.ResolvedReference)}
     taken = {node.props.id() for node in state.nodes}
-    for node in _elements(state, unnamed=True).values():
-        number, kind = 1, node.props.plugin_name()
-        while f"{kind}-{number}" in taken:
-            number += 1
-        taken.add(name := f"{kind}-{number}")
-        node.props.set_id(name)
+    counts: Counter[str] = Counter()
+    for index, node in enumerate(state.nodes):
+        kind = node.props.plugin_name()
+        counts[kind] += 1
+        if index in elements and not node.props.id():
+            name = f"{kind}-{counts[kind]}"
+            node.props.set_id(f"{name}-unnamed" if name in taken else name)
 
 
-def _elements(state: mi.parser.ParserState, unnamed: bool = False) -> dict[str, mi.parser.SceneNode]:
-    """The nodes directly below the scene, by name; or those without a name, by their property."""
+def _elements(state: mi.parser.ParserState) -> dict[str, mi.parser.SceneNode]:
+    """The nodes directly below the scene, by name."""
     import mitsuba as mi
 
-    found = {}
-    for key, value in read_properties(state.root.props).items():
-        if isinstance(value, mi.Properties.ResolvedReference):
-            node = state.nodes[value.index()]
-            if unnamed == (not node.props.id()):
-                found[key if unnamed else node.props.id()] = node
-    return found
-
-
-def _remove(state: mi.parser.ParserState, name: str) -> None:
-    import mitsuba as mi
-
-    for key, value in read_properties(state.root.props).items():
-        if isinstance(value, mi.Properties.ResolvedReference) and state.nodes[value.index()].props.id() == name:
-            del state.root.props[key]
-            return
-    raise OptionError(f"the scene has no element '{name}' to remove; {suggest(name, _elements(state))}")
+    below = read_properties(state.root.props).values()
+    nodes = [state.nodes[value.index()] for value in below if isinstance(value, mi.Properties.ResolvedReference)]
+    return {node.props.id(): node for node in nodes}
 
 
 def _set(state: mi.parser.ParserState, key: str, value: Value) -> None:
@@ -213,14 +152,3 @@ def _kind_of(name: str, value: Value) -> str:
 
 def _is_numbers(value: Any) -> bool:
     return isinstance(value, (list, tuple)) and len(value) in (3, 9, 16) and all(map(is_number, value))
-
-
-def change_lines(changes: SceneChanges) -> Iterator[str]:
-    """The changes in words, a line each."""
-    for name, light in changes.added.items():
-        yield f"{name} added ({light.get('type')})"
-    for name in changes.removed:
-        yield f"{name} removed"
-    for key, value in changes.values.items():
-        shown = " ".join(f"{v:g}" for v in value) if isinstance(value, list) else value
-        yield f"{key.removesuffix('.value')} = {shown}"

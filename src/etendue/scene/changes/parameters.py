@@ -53,8 +53,8 @@ class SceneParameter:
 class SceneEditor:
     """Parameters of a loaded scene, and changes of their values in place.
 
-    ``scene`` must have been loaded with a change (:class:`SceneChanges`, which may be empty), so that its elements have
-    names and are not merged. The caller prepares methods anew after a change, because their tables of lights are old.
+    ``scene`` must have been loaded with a change (such as :func:`name_elements`), so that its elements have names and
+    are not merged. The caller prepares methods anew after a change, because their tables of lights are old.
     """
 
     scene: mi.Scene

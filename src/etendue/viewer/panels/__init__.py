@@ -1,8 +1,8 @@
 """Panels: parts of the viewer with a handler in Python and a module of the page in JavaScript.
 
 A panel is a subclass of :class:`Panel` in a file of this folder, listed in :data:`PANELS`, and an ES module in
-``assets/panels``. It gets the messages whose type begins with its name (``rays.trace`` is ``handle("trace", ...)`` of the
-panel ``rays``), and sends its own with the same beginning.
+``assets/panels``. It gets the messages whose type begins with its name (``rays.trace`` is ``handle("trace", ...)`` of
+the panel ``rays``), and sends its own with the same beginning.
 
 All methods of a panel run in the session's thread, in which alone Mitsuba and Dr.Jit are used, between two passes.
 
@@ -37,7 +37,11 @@ if TYPE_CHECKING:
     from ..session import Session
 
 #: The panels in the order of the side bar: module in this folder, class.
-PANELS: Final[tuple[tuple[str, str], ...]] = ()
+PANELS: Final[tuple[tuple[str, str], ...]] = (
+    ("lights", "Lights"),
+    ("parameters", "Parameters"),
+    ("pyramid", "Pyramid"),
+)
 
 
 class Panel:
@@ -61,8 +65,7 @@ class Panel:
         return None
 
     def scene_loaded(self) -> None:
-        """Another scene is there, or the same was loaded again (a light was added): edits of its parameters are lost,
-        and must be made again where they still apply. ``session.problem`` is new."""
+        """Another scene is there, or the same was loaded again (a light was added). ``session.problem`` is new."""
 
     def after_pass(self) -> None:
         """A pass was added to the picture, and pages were told."""
@@ -72,8 +75,15 @@ class Panel:
         Called whenever the session is not moving the camera."""
         return False
 
+    def loading(self, state: mi.parser.ParserState, same: bool) -> None:
+        """Change the parsed scene before its objects are built. ``same``: it is the scene of before, loaded again."""
+
     def describe(self, state: mi.parser.ParserState) -> None:
         """Change the parsed scene before it is written to a file, so that it has the panel's edits."""
+
+    def is_edited(self) -> bool:
+        """Whether :meth:`describe` has something to change."""
+        return False
 
     def close(self) -> None:
         """The session ends: let go of scenes and arrays."""
