@@ -53,6 +53,8 @@ class Tracks:
     throughput: (paths, vertices, 3) float32, of the edge that ends at the vertex; at the first vertex, of the first
         edge. That of a light path is a flux in watts, over the number of paths the light's share of one.
     events: (paths, vertices) int8, see :class:`Event`.
+    smooth: (paths, vertices), whether the surface there has a component without delta functions, so that a light path
+        leaves a photon.
     emission: (paths, vertices, 3) float32, of a camera path: emitted radiance found at the vertex, times throughput.
     light: (paths, vertices, 3) float32, of a camera path: the light point sampled at the vertex by next event; NaN
         where there is none, or it is occluded.
@@ -62,6 +64,7 @@ class Tracks:
     positions: NDArray[np.float32]
     throughput: NDArray[np.float32]
     events: NDArray[np.int8]
+    smooth: NDArray[np.bool_]
     emission: NDArray[np.float32]
     light: NDArray[np.float32]
     direct: NDArray[np.float32]
@@ -173,7 +176,8 @@ class PathRecorder:
             kind = dr.select(path.active, kind, mi.UInt32(Event.ENDED))
             kind = dr.select(vertex.valid, kind, mi.UInt32(Event.LEFT))
             kind = dr.select(was_active, kind, mi.UInt32(Event.NONE))
-            columns.append(_column(position, before, kind, paths, emission, light, direct))
+            smooth = at_surface & vertex.smooth
+            columns.append(_column(position, before, kind, paths, smooth, emission, light, direct))
         return _joined(columns)
 
 
@@ -199,7 +203,7 @@ class _FromLight:
         return self._source.decide(vertex, component)
 
 
-_Column = tuple[NDArray[np.float32], NDArray[np.int8]]
+_Column = tuple[NDArray[np.float32], NDArray[np.int8], NDArray[np.bool_]]
 
 
 def _column(
@@ -207,22 +211,25 @@ def _column(
     throughput: mi.Color3f,
     event: mi.UInt32,
     paths: int,
+    smooth: mi.Bool | bool = False,
     emission: mi.Color3f | float = 0.0,
     light: mi.Point3f | float = float("nan"),
     direct: mi.Color3f | float = 0.0,
 ) -> _Column:
-    """The vertex of each path, on the host: (paths, 5, 3) numbers, (paths,) events."""
+    """The vertex of each path, on the host: (paths, 5, 3) numbers, (paths,) events, (paths,) smooth."""
     held = event != mi.UInt32(Event.NONE)
     parts = [dr.select(held, position, dr.nan), dr.select(held, throughput, 0.0)]
     parts += [mi.Color3f(emission), mi.Point3f(light), mi.Color3f(direct)]
     parts = [part + dr.zeros(type(part), paths) for part in parts]
-    dr.eval(parts, event)
+    smooth = mi.Bool(smooth) & dr.full(mi.Bool, True, paths)
+    dr.eval(parts, event, smooth)
     numbers = np.stack([np.array(part, dtype=np.float32).T for part in parts], axis=1)
     events = np.broadcast_to(np.array(event), (paths,)).astype(np.int8)
-    return numbers, events
+    return numbers, events, np.array(smooth)
 
 
 def _joined(columns: list[_Column]) -> Tracks:
-    numbers = np.stack([column for column, _ in columns], axis=1)
+    numbers = np.stack([column for column, _, _ in columns], axis=1)
     positions, throughput, emission, light, direct = (np.ascontiguousarray(numbers[:, :, i]) for i in range(5))
-    return Tracks(positions, throughput, np.stack([e for _, e in columns], axis=1), emission, light, direct)
+    events, smooth = (np.stack([column[k] for column in columns], axis=1) for k in (1, 2))
+    return Tracks(positions, throughput, events, smooth, emission, light, direct)

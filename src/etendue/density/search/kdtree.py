@@ -19,6 +19,10 @@ from typing import TypeVar
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array
 
 from .halving import LEAF, highest, lowest, sorted_into_halves
 
@@ -187,6 +191,14 @@ class KdTree:
         """Squared distance of ``point`` from the point at ``place``; all searches compare exactly this value."""
         position = dr.gather(mi.Vector4f, self._points, place, active)
         return _squared_norm(position.x - point.x, position.y - point.y, position.z - point.z)
+
+    def boxes(self) -> tuple[NDArray[np.int64], Array, Array]:
+        """(level, lower corner, upper corner) of every node that holds points, on the host: (nodes,), (nodes, 3) each.
+        The root has level 0; each box is the smallest around its points."""
+        corners = np.array(self._boxes, dtype=np.float64).reshape(-1, 2, 4)[1:, :, :3]
+        level = np.floor(np.log2(np.arange(1, len(corners) + 1))).astype(np.int64)
+        held = (corners[:, 0] <= corners[:, 1]).all(axis=1) & np.isfinite(corners).all(axis=(1, 2))
+        return level[held], corners[held, 0], corners[held, 1]
 
     # Traversal
 
