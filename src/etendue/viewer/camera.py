@@ -60,7 +60,7 @@ class Pose:
         values = dict(graph.contents(problem.sensor).values)
         fov = float(np.asarray(values["x_fov"]).ravel()[0]) if "x_fov" in values else None
         pose = cls(origin, origin + forward * _seen(problem, size), up, np.eye(3), fov, size)
-        own: Array = np.linalg.solve(pose._frame(), matrix[:3, :3])
+        own = np.asarray(np.linalg.solve(pose._frame(), matrix[:3, :3]), dtype=np.float64)
         return replace(pose, own=own)
 
     # ------------------------------------------------------------------ movements
@@ -88,13 +88,13 @@ class Pose:
         return pose
 
     def orbited(self, right: float, up: float) -> Pose:
-        """Around the target."""
-        offset = _swung(self.origin - self.target, self.up, -right, up)
+        """Around the target, the camera to the right and up."""
+        offset = _swung(self.origin - self.target, self.up, right, up)
         return replace(self, origin=self.target + offset)
 
     def turned(self, right: float, up: float) -> Pose:
         """The direction, on the spot."""
-        view = _swung(self.target - self.origin, self.up, -right, -up)
+        view = _swung(self.target - self.origin, self.up, -right, up)
         return replace(self, target=self.origin + view)
 
     def shifted(self, right: float, up: float, forward: float) -> Pose:

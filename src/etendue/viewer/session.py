@@ -226,7 +226,9 @@ class Session:
         problem = _loaded(asked, lambda state: self._change(asked, state))
         pose = Pose.of(problem)
         if keep_pose and self.pose is not None and self.problem is not None:
-            pose = pose.placed(self.pose.plain(self.problem), problem)
+            # In another render space an own roll of the camera is kept, and what was changed about it is not.
+            same = problem.space == self.problem.space
+            pose = self.pose if same else pose.placed(self.pose.plain(self.problem), problem)
         else:
             self.views, self.home = [], pose
         self.asked, self.problem = asked, problem

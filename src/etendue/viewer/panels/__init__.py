@@ -17,7 +17,10 @@ The module exports a function that is called once with its ``host``::
       host.onPick((picked) => {})           // after a click into the picture
       host.project([x, y, z])               // -> [x, y] in pixels of the picture, null behind the camera
       host.controls(list, values, (name, value) => {})  // -> a <div> of labelled fields, see etendue.viewer.controls
-      host.canvas(title)                    // -> {canvas, close()}: a large canvas in place of the picture
+      host.canvas(title)                    // -> {canvas, close()}: a large canvas in place of the picture; set onclose
+      host.page(title)                      // -> {element, close()}: the same with an element for text and pictures
+      host.ask(type, data)                  // a message to the session itself, such as "camera"
+      host.make(tag, attributes, ...children), host.short(number)  // build elements, write numbers
       host.say(text)                        // a line in the log of the page
     }
 

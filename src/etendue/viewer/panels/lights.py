@@ -60,16 +60,8 @@ class Lights(Panel):
         self._apply(edits)
 
     def _apply(self, edits: LightEdits) -> None:
-        asked = self.session.asked
-        if (
-            isinstance(asked.scene, (str, Mapping))
-            or hasattr(asked.scene, "__fspath__")
-            or hasattr(asked.scene, "build")
-        ):
-            self.session.open(replace(asked, lights=edits), keep_pose=True)
-            self.session.changed()
-            return
-        raise SceneError("lights of a scene in memory cannot be added or removed; give its file or its dictionary")
+        self.session.open(replace(self.session.asked, lights=edits), keep_pose=True)  # refuses a scene in memory
+        self.session.changed()
 
     def _light(self, message: Mapping[str, Any]) -> dict[str, Any]:
         """The plugin that a message describes."""
