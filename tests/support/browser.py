@@ -16,7 +16,12 @@ from tornado.websocket import websocket_connect
 PROGRAM = next((p for p in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if p), None)
 FLAGS = (
     *("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--no-first-run", "--mute-audio"),
-    *("--disable-extensions", "--disable-background-networking", "--remote-debugging-port=0", "--disable-dev-shm-usage"),
+    *(
+        "--disable-extensions",
+        "--disable-background-networking",
+        "--remote-debugging-port=0",
+        "--disable-dev-shm-usage",
+    ),
 )
 #: What keys are called: code, key, number.
 KEYS = {

@@ -92,6 +92,10 @@ class PathRecorder:
         self._edges = dr.opaque(mi.UInt32, self._most)
         self._far = float(self._lights.radius)
 
+    def look(self, problem: Problem) -> None:
+        """Take the sensor of ``problem``, whose scene must be the same."""
+        self._problem = problem
+
     def from_camera(self, x: float, y: float, paths: int, seed: int = 0, spread: float = 1.0) -> Tracks:
         """Camera paths through the film around the place (x, y) in pixels, uniform over a square of side ``spread``.
         Raises :class:`OptionError` for a place off the film, or too many paths."""
@@ -231,5 +235,6 @@ def _column(
 def _joined(columns: list[_Column]) -> Tracks:
     numbers = np.stack([column for column, _, _ in columns], axis=1)
     positions, throughput, emission, light, direct = (np.ascontiguousarray(numbers[:, :, i]) for i in range(5))
-    events, smooth = (np.stack([column[k] for column in columns], axis=1) for k in (1, 2))
+    events = np.stack([event for _, event, _ in columns], axis=1)
+    smooth = np.stack([flag for _, _, flag in columns], axis=1)
     return Tracks(positions, throughput, events, smooth, emission, light, direct)

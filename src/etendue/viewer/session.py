@@ -218,6 +218,8 @@ class Session:
         """Parameters of the scene were changed in place (``mi.traverse``): nothing made from them is kept."""
         self._preview = None
         self._moved = True
+        for panel in self.panels.values():
+            self._guarded(panel.scene_edited)
         self.again()
 
     def open(self, asked: Asked, keep_pose: bool = False) -> None:

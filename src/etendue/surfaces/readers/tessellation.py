@@ -48,12 +48,15 @@ def tessellate(shape: mi.Shape, segments: int) -> tuple[Array, Index, mi.Surface
 
 
 def shape_triangles(shape: mi.Shape, segments: int = 32) -> Array:
-    """The triangles (n, 3, 3) of a shape as :func:`tessellate` makes them, in no particular orientation. Raises
-    :class:`UnsupportedError` for shapes that are not tessellated."""
-    points, faces, _ = _faces(shape, segments)
-    second = faces[faces[:, 2] != faces[:, 3]][:, [0, 2, 3]]
-    result: Array = points[np.concatenate([faces[:, :3], second])]
-    return result
+    """Triangles (n, 3, 3) of a shape, counterclockwise from the side of its normal. Errors as :func:`tessellate`."""
+    points, faces, cells = _faces(shape, segments)
+    if cells is None:
+        corners = faces[:, [0, 2, 1]] if shape.has_flipped_normals() else faces[:, :3]
+        return np.asarray(points[corners])
+    points, faces, _ = tessellate(shape, segments)  # which turns faces to the normal
+    first = np.where((faces[:, 1] == faces[:, 2])[:, None], faces[:, [0, 1, 3]], faces[:, :3])
+    second = faces[(faces[:, 2] != faces[:, 3]) & (faces[:, 1] != faces[:, 2])][:, [0, 2, 3]]
+    return np.asarray(points[np.concatenate([first, second])])
 
 
 def _faces(shape: mi.Shape, segments: int) -> tuple[Array, Index, Array | None]:

@@ -96,7 +96,7 @@ class LiveSolution:
         }
 
     def values(self) -> dict[str, NDArray[Any]]:
-        """Of each patch: radiosity (n, 3), its standard error (n,) and its residual (n,), luminances, in W/m^2."""
+        """Of each patch, in W/m^2: radiosity (n, 3), and luminances (n,) of it, its standard error, its residual."""
         assert self.solution is not None and self.error is not None
         solution, patches = self.solution, self.patches
         # The error of the light that a patch reflects; its own emission has none.
@@ -104,6 +104,7 @@ class LiveSolution:
         residual = solution.radiosity - patches.emission - patches.reflectance * solution.irradiance
         return {
             "radiosity": _coloured(solution.radiosity).astype(np.float32),
+            "luminance": _luminance(solution.radiosity).astype(np.float32),
             "error": _luminance(error).astype(np.float32),
             "residual": np.abs(_luminance(residual)).astype(np.float32),
         }

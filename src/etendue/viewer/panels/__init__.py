@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 PANELS: Final[tuple[tuple[str, str], ...]] = (
     ("lights", "Lights"),
     ("parameters", "Parameters"),
+    ("space", "Space"),
     ("pyramid", "Pyramid"),
 )
 
@@ -69,6 +70,9 @@ class Panel:
 
     def scene_loaded(self) -> None:
         """Another scene is there, or the same was loaded again (a light was added). ``session.problem`` is new."""
+
+    def scene_edited(self) -> None:
+        """Parameters of the scene were changed in place: what was made from it is old."""
 
     def after_pass(self) -> None:
         """A pass was added to the picture, and pages were told."""
