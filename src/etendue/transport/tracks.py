@@ -168,7 +168,7 @@ class PathRecorder:
                 light, direct = dr.select(shown, point.target, light), dr.select(shown, reached, 0.0)
             else:
                 scattered, _ = vertex.sample(source, at_surface)
-            outside = path.ray.o + path.ray.d * (2.0 * self._far)
+            outside = path.ray.o + path.ray.d * (0.5 * self._far)
             position = dr.select(vertex.valid, vertex.position, outside)
             side = dr.dot(scattered.direction, vertex.si.n) * dr.dot(vertex.incoming, vertex.si.n)
             kind = dr.select(side > 0.0, mi.UInt32(Event.REFRACTED), mi.UInt32(Event.REFLECTED))

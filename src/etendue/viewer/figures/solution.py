@@ -82,7 +82,7 @@ class LiveSolution:
 
     def mesh(self) -> dict[str, NDArray[Any]]:
         """Triangles (n, 3, 3) in render space, and the patches (n,) of their fronts and backs; for a back that belongs
-        to none, the number of patches. Areas (patches,)."""
+        to none, the number of patches. Areas (patches,), and which patches emit light."""
         patches = self.patches
         second = np.flatnonzero(patches.faces[:, 2] != patches.faces[:, 3])
         corners = np.concatenate([patches.faces[:, :3], patches.faces[second][:, [0, 2, 3]]])
@@ -93,6 +93,7 @@ class LiveSolution:
             "front": patches.front[face].astype(np.uint32),
             "back": back[face].astype(np.uint32),
             "areas": patches.areas.astype(np.float32),
+            "emits": patches.emission.any(axis=1),
         }
 
     def values(self) -> dict[str, NDArray[Any]]:

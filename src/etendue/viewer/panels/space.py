@@ -139,7 +139,7 @@ class Space(Panel):
             found: Arrays = particles.points(problem, Path(file))
         else:
             found = self._hits(problem, message)
-        self._send(client, "photons", found, power=float(found["power"].sum(axis=0).mean()))
+        self._send(client, "photons", found, total=float(found["power"].sum(axis=0).mean()))
 
     def _hits(self, problem: Problem, message: Mapping[str, Any]) -> Arrays:
         recorder = self._recorded(problem, -1)
@@ -163,7 +163,7 @@ class Space(Panel):
             assert self.session.pose is not None
             reach = number(message, "radius", 0.0) * problem.space.scale or _REACH * self.session.pose.size
             found = trees.hash_grid(self._hits(problem, message)["points"], reach)
-        self._send(client, "trees", found, kind=kind)
+        self._send(client, "trees", found, tree=kind)
 
     def _solve(self, problem: Problem, message: Mapping[str, Any], client: Client) -> None:
         self._stop(problem, message, client)

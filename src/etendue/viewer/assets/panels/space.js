@@ -116,7 +116,7 @@ export default function (host) {
     pathsNote.textContent = `${paths.count} paths, ${paths.edges.length / 6} edges, ${paths.lights.length / 6} light points reached.`;
     overPicture();
   });
-  take('photons', (found) => { photonsNote.textContent = `${found.value.length} photons, ${short(found.power)} W in all.`; });
+  take('photons', (found) => { photonsNote.textContent = `${found.value.length} photons, ${short(found.total)} W in all.`; });
   take('trees', (found) => {
     const deepest = found.level.reduce((a, b) => Math.max(a, b), 0);
     level.max = deepest;
@@ -187,7 +187,7 @@ export default function (host) {
       host.say(error.message, 'error');
       return;
     }
-    const box = make('div', { class: 'space-legend', style: 'position: absolute; left: .6rem; bottom: .5rem; pointer-events: none; font-size: .85rem; max-width: 70%' });
+    const box = make('div', { class: 'space-legend', style: 'position: absolute; left: .6rem; bottom: .5rem; pointer-events: none; font-size: .85rem; max-width: 70%; color: #eee; text-shadow: 0 0 3px #000' });
     canvas.parentElement.append(box);
     const orbit = new Orbit(canvas, () => schedule(), (x, y, pressed) => pointed(x, y, pressed));
     view = { canvas, drawing, orbit, box, placed: false, size: new ResizeObserver(() => schedule()) };
@@ -207,10 +207,9 @@ export default function (host) {
 
   function paint() {
     if (!view || !view.placed) return;
-    const style = getComputedStyle(view.canvas);
-    const numbers = (text) => (text.match(/[\d.]+/g) ?? [0, 0, 0]).slice(0, 3).map((v) => Number(v) / 255);
-    const page = numbers(getComputedStyle(view.canvas.parentElement).backgroundColor);
-    view.drawing.draw(view.orbit.matrix(), view.orbit.eye, page, numbers(style.color));
+    // A dark page in both schemes, on which the colours of light are seen.
+    const ink = view.drawing.mode === 1 ? [0.75, 0.78, 0.8] : [0.1, 0.1, 0.12];
+    view.drawing.draw(view.orbit.matrix(), view.orbit.eye, [0.07, 0.075, 0.08], ink);
     view.canvas.dataset.painted = Number(view.canvas.dataset.painted ?? 0) + 1;
   }
 
@@ -224,6 +223,8 @@ export default function (host) {
     if (!view.placed) {
       view.placed = true;
       view.orbit.place({ ...held.mesh.camera, size: held.mesh.size });
+      view.orbit.turn(-0.3, 0.2); // beside the camera, so that it is seen
+      view.orbit.approach(-0.3);
     }
     const legends = [];
     drawSurfaces(legends);
@@ -241,7 +242,8 @@ export default function (host) {
     if (solution && values) {
       const kind = quantity.input.value;
       const of = kind === 'radiosity' ? values.luminance : values[kind];
-      const [low, high] = span(of);
+      // The scale is that of what is lit: lamps are much brighter.
+      const [low, high] = span(solution.emits.every(Boolean) ? of : of.filter((_, p) => !solution.emits[p]));
       const colours = (patches) => {
         const result = new Uint8Array(patches.length * 12);
         patches.forEach((p, k) => {
