@@ -31,7 +31,7 @@ class Page:
         request = HTTPRequest(address, headers=headers if origin != "" else {})
         return cls(await websocket_connect(request, max_message_size=1 << 26), draws)
 
-    def send(self, kind, **fields):
+    def send(self, kind, /, **fields):
         self.socket.write_message(json.dumps({"type": kind, **fields}))
 
     async def next(self, timeout=WAIT):

@@ -75,15 +75,19 @@ class Path(EndsInMap):
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         source = self.camera_numbers(lanes, samples, seed, iteration)
         ray, importance, _ = self.camera.primary(lanes // samples, source)
-        walker, weights = self.walker(Walker, proposal=self.settings.proposal), self.settings.direct_weights
-        path = CameraPath.start(ray, walker.max_edges, **self.ending_state())
-        path = walker.walk(path, lambda s: edge(s, walker, weights, source), "path")
+        path = self.trace(ray, source)
         if (light := self.light_of_map(path)) is not None:
             path.radiance += light
         radiance, bad = self.kept(path.radiance * importance)
         dr.eval(radiance, path.rays, bad)  # in one kernel; the sums below would launch it several times
         counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
         return {"image": self.image(radiance, seed, iteration)}, counters
+
+    def trace(self, ray: mi.Ray3f, source: SampleSource) -> CameraPath:
+        """Camera paths that begin with ``ray``, after their last edge."""
+        walker, weights = self.walker(Walker, proposal=self.settings.proposal), self.settings.direct_weights
+        path = CameraPath.start(ray, walker.max_edges, **self.ending_state())
+        return walker.walk(path, lambda s: edge(s, walker, weights, source), "path")
 
 
 def edge(s: CameraPath, walker: Walker, weights: DirectWeights, source: SampleSource) -> CameraPath:

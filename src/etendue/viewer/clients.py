@@ -44,7 +44,7 @@ class Client:
         self._task: asyncio.Task[None] | None = None
         self.closed = False
 
-    def send(self, kind: str, payload: bytes | memoryview | None = None, **fields: Any) -> None:
+    def send(self, kind: str, payload: bytes | memoryview | None = None, /, **fields: Any) -> None:
         """Send a message, see :mod:`etendue.viewer.protocol`."""
         self._later(self._put, kind, packed(kind, payload, **fields))
 

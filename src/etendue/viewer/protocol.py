@@ -59,7 +59,7 @@ LARGEST_MESSAGE = 1 << 20
 _LENGTH = struct.Struct("<I")
 
 
-def packed(kind: str, payload: bytes | memoryview | None = None, **fields: Any) -> str | bytes:
+def packed(kind: str, payload: bytes | memoryview | None = None, /, **fields: Any) -> str | bytes:
     """A message to a page: text, or binary with a ``payload``. NaN and infinite numbers become null."""
     text = json.dumps(_plain({"type": kind, **fields}), allow_nan=False, separators=(",", ":"))
     if payload is None:

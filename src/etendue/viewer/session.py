@@ -182,7 +182,7 @@ class Session:
         for client in self.clients:
             client.send("state", **state)
 
-    def broadcast(self, kind: str, payload: bytes | None = None, **fields: Any) -> None:
+    def broadcast(self, kind: str, payload: bytes | None = None, /, **fields: Any) -> None:
         """Send a message to all pages."""
         for client in self.clients:
             client.send(kind, payload, **fields)
@@ -415,10 +415,7 @@ def _loaded(asked: Asked, change: Change) -> Problem:
     options: dict[str, Any] = {"sensor": asked.sensor, "parameters": asked.parameters, "memory": asked.memory}
     if is_described(asked.scene):
         options["change"] = change
-    problem = load(asked.scene, **options)
-    size = asked.size
-    if size is None:
-        width, height = problem.size
-        factor = min(1.0, (_PIXELS / (width * height)) ** 0.5)
-        size = max(1, round(width * factor)), max(1, round(height * factor))
-    return resized(problem, size)
+    problem = load(asked.scene, size=asked.size, **options)
+    width, height = problem.size
+    factor = 1.0 if asked.size is not None else min(1.0, (_PIXELS / (width * height)) ** 0.5)
+    return resized(problem, (max(1, round(width * factor)), max(1, round(height * factor))))

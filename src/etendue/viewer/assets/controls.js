@@ -45,7 +45,7 @@ export function entry(label, value, change, attributes = {}) {
 
 /** The fields of a list of settings with their help; `change(name, value)` gets what was typed. */
 export function controls(list, values, change) {
-  return make('div', {}, ...list.map((field) => {
+  return make('div', { class: 'fields' }, ...list.map((field) => {
     const value = values[field.name] ?? field.default;
     const id = `field-${field.name}-${Math.random().toString(36).slice(2, 8)}`;
     const label = field.name.replaceAll('_', ' ');
