@@ -60,9 +60,10 @@ def decoded(data):
 
 def test_the_picture_is_refined_and_moves(viewer):
     async def conversation(page):
+        about, _ = await page.until("about")
         state, _ = await page.until("state")
         assert (state["scene"], state["method"], tuple(state["settings"])) == ("cornell-box", "path", ("max_depth",))
-        fields = {f["name"]: f for m in state["methods"] if m["name"] == "vcm" for f in m["fields"]}
+        fields = {f["name"]: f for m in about["methods"] if m["name"] == "vcm" for f in m["fields"]}
         assert (
             fields["max_depth"]["kind"] == "int" and fields["max_depth"]["minimum"] == -1 and fields["max_depth"]["doc"]
         )

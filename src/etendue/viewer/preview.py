@@ -128,9 +128,7 @@ def _device_parts(root: object) -> list[Any]:
     def walk(value: Any, depth: int) -> None:
         if value is None or depth > _DEPTH:
             return
-        if isinstance(value, mi.Object) or dr.is_jit_v(value):
-            found.append(value)
-        elif isinstance(value, mi.DiscreteDistribution):
+        if isinstance(value, (mi.Object, mi.DiscreteDistribution)) or dr.is_jit_v(value):
             found.append(value)
         elif isinstance(value, (list, tuple)):
             for part in value:

@@ -29,6 +29,7 @@ Page to session:
 Session to page:
 
 ==================  ====================================================================================================
+``about``           what there is to choose from, and the panels' modules; the first message
 ``state``           all that the controls show, see ``Session.state``; sent to all pages after every change
 ``frame``           with data, an encoded picture: ``frame`` (number), ``side`` ("a", or "b" for what is compared),
                     ``width``, ``height``, ``format`` (MIME type), ``moving``

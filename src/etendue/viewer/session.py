@@ -24,16 +24,15 @@ from etendue.core import EtendueError, describe, logger, use_variant
 from etendue.engine import Budget, jit_flags, set_jit_flags
 from etendue.scene import Change, LightEdits, Problem, is_described, load, name_elements, resized
 
-from . import commands
-from .camera import Pose, place, projection
+from . import commands, states
+from .camera import Pose, place
 from .clients import Client
 from .comparing import Comparison
-from .controls import method_list
 from .panels import Panel, panels
 from .preview import Preview
 from .protocol import packed
 from .refining import Refinement
-from .shown import Show, choices, encoded, error_map, layer_names
+from .shown import Show, encoded, error_map
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -107,6 +106,7 @@ class Session:
 
         def welcome() -> None:
             self.clients.append(client)
+            client.send("about", **states.about(self))
             client.send("state", **self.state())
             for side, (frame, message) in self._frames.items():
                 client.send_frame(side, frame, message)
@@ -144,32 +144,7 @@ class Session:
 
     def state(self) -> dict[str, Any]:
         """All that the controls of a page show."""
-        problem, pose = self.problem, self.pose
-        camera = None
-        if problem is not None and pose is not None:
-            camera = pose.plain(problem) | {"matrix": projection(problem, pose), "distance": pose.distance}
-        asked = self.asked
-        return {
-            "scene": commands.scene_name(asked.scene),
-            "loaded": problem is not None,
-            "trouble": self.trouble,
-            "size": problem.size if problem is not None else None,
-            "camera": camera,
-            "views": len(self.views),
-            "method": asked.method,
-            "settings": dict(asked.settings),
-            "scene_settings": self.main.settings.to_dict() if self.main is not None else {},
-            "budget": asked.budget.to_dict(),
-            "paused": self.paused,
-            "show": vars(self.show),
-            "layers": layer_names(self.layers) or ["image"],
-            "compared": self.compared.state() if self.compared is not None else None,
-            "methods": method_list(),
-            "folder": str(asked.folder),
-            "panels": {name: panel.state() for name, panel in self.panels.items()},
-            "scripts": {n: {"title": p.title, "script": p.script} for n, p in self.panels.items()},
-            **choices(),
-        }
+        return states.state(self)
 
     @property
     def stops(self) -> float:
@@ -333,14 +308,7 @@ class Session:
             self._stops = self.show.stops(picture)
         layers = {"image": picture}
         self._send_picture("a", replace(self.show, denoise="").colours(layers, self._stops), moving=True)
-        self.broadcast("camera", **self._camera())
-
-    def _camera(self) -> dict[str, Any]:
-        assert self.problem is not None and self.pose is not None
-        return self.pose.plain(self.problem) | {
-            "matrix": projection(self.problem, self.pose),
-            "distance": self.pose.distance,
-        }
+        self.broadcast("camera", **states.camera(self.problem, self.pose))
 
     def _refine(self) -> bool:
         """A pass of the method, or of the one that it is compared with; returns whether there are more."""

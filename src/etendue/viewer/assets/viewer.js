@@ -8,6 +8,7 @@ import { Stage } from './stage.js';
 
 const $ = (id) => document.getElementById(id);
 const listeners = { state: [], pick: [] };
+let about = {};
 let state = null;
 let camera = null;
 let compared = null;
@@ -56,8 +57,13 @@ const show = sections($('sections'), connection, section);
 const plot = new Plot(section($('sections'), 'Convergence'));
 let plotted = '';
 
+connection.on('about', (message) => {
+  about = message;
+  addPanels(message.scripts);
+});
+
 connection.on('state', (message) => {
-  state = message;
+  state = { ...about, ...message };
   camera = message.camera;
   compared = message.compared;
   $('scene').textContent = message.scene;
@@ -71,9 +77,8 @@ connection.on('state', (message) => {
   $('tag-a').hidden = $('tag-b').hidden = !compared;
   $('tag-a').textContent = message.method;
   $('tag-b').textContent = compared?.map ? `error: ${message.method} and ${other}` : other ?? '';
-  show(message);
-  addPanels(message.scripts);
-  for (const listener of listeners.state) listener(message);
+  show(state);
+  for (const listener of listeners.state) listener(state);
   document.body.dataset.ready = message.loaded;
 });
 
