@@ -28,15 +28,12 @@ from .halving import LEAF, highest, lowest, sorted_into_halves
 
 #: State of a search: any state of a Dr.Jit loop.
 S = TypeVar("S")
-#: Thresholds at which one search counts.
-_THRESHOLDS = 8
-#: Number of sorted distances that the last search keeps.
-_KEPT = 8
+_THRESHOLDS = 8  #: at which one search counts
+_KEPT = 8  #: sorted distances that the last search keeps
 #: Factor of the first threshold. Below the k-th distance it costs another search, far above it the first search is
 #: slower.
 _MARGIN = 1.1
-#: Upper bound of finite squared distances; that of an empty place is infinite.
-_LARGEST = 3.4e38
+_LARGEST = 3.4e38  #: bound of finite squared distances; that of an empty place is infinite
 _UNKNOWN = 0xFFFFFFFF
 
 
@@ -193,12 +190,10 @@ class KdTree:
         return _squared_norm(position.x - point.x, position.y - point.y, position.z - point.z)
 
     def boxes(self) -> tuple[NDArray[np.int64], Array, Array]:
-        """(level, lower corner, upper corner) of every node that holds points, on the host: (nodes,), (nodes, 3) each.
-        The root has level 0; each box is the smallest around its points."""
+        """(level, lower corner, upper corner) of every node with points, on the host: (nodes,), (nodes, 3) each."""
         corners = np.array(self._boxes, dtype=np.float64).reshape(-1, 2, 4)[1:, :, :3]
-        level = np.floor(np.log2(np.arange(1, len(corners) + 1))).astype(np.int64)
-        held = (corners[:, 0] <= corners[:, 1]).all(axis=1) & np.isfinite(corners).all(axis=(1, 2))
-        return level[held], corners[held, 0], corners[held, 1]
+        held = np.flatnonzero(np.isfinite(corners).all(axis=(1, 2)))
+        return np.log2(held + 1).astype(np.int64), corners[held, 0], corners[held, 1]
 
     # Traversal
 

@@ -91,13 +91,10 @@ def plain(value: Any, kind: str) -> Value:
     """A value of Mitsuba as JSON holds it; that of a texture is its size as a text."""
     if kind == TEXTURE:
         return " x ".join(str(n) for n in value.shape[1::-1])
-    array = np.asarray(value.matrix if kind == TRANSFORM else value, dtype=np.float64)
-    if kind == NUMBER:
-        return float(array.ravel()[0])
-    if kind == TRANSFORM:
-        side = 3 if array.size == 9 else 4
-        return [float(v) for v in array.reshape(side, side).ravel()]
-    return [float(v) for v in array.ravel()[:3]]
+    array = np.asarray(value.matrix if kind == TRANSFORM else value, dtype=np.float64).ravel()
+    # The shortest decimals of the same single-precision number.
+    numbers = [float(str(np.float32(number))) for number in array]
+    return numbers[0] if kind == NUMBER else numbers
 
 
 def checked(key: str, kind: str, allowed: Range, value: Any) -> Value:

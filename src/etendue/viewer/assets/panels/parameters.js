@@ -40,7 +40,7 @@ export default function (host) {
   const list = make('div');
   const changes = make('ul', { class: 'list' });
   const all = make('button', { type: 'button', click: () => host.send('reset') }, 'Reset all');
-  const filter = make('input', { type: 'text', placeholder: 'part of a name', autocomplete: 'off', spellcheck: 'false', input: () => rebuild(true) });
+  const filter = make('input', { type: 'text', placeholder: 'part of a name', autocomplete: 'off', spellcheck: 'false', input: () => { rebuild(true); fill(); } });
   const note = make('p', { class: 'soft' });
   const row = make('div', { class: 'row' }, all);
   host.element.append(note, make('label', {}, make('span', {}, 'Find'), filter), list, make('div', {}, make('strong', {}, 'Changes'), changes, row));
@@ -140,12 +140,17 @@ export default function (host) {
     }
   }
 
+  let own = { changes: {} };
+  function fill() {
+    for (const parameter of parameters) rows.get(parameter.key)?.fill(parameter, parameter.key in own.changes);
+  }
+
   host.onState((state) => {
-    const own = state.panels.parameters;
-    if (!own) return;
+    if (!state.panels.parameters) return;
+    own = state.panels.parameters;
     parameters = own.parameters;
     rebuild();
-    for (const parameter of parameters) rows.get(parameter.key)?.fill(parameter, parameter.key in own.changes);
+    fill();
     const changed = Object.entries(own.changes);
     note.textContent = parameters.length ? '' : 'There is nothing to edit in this scene.';
     note.hidden = parameters.length > 0;

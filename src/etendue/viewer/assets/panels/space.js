@@ -224,7 +224,7 @@ export default function (host) {
       view.placed = true;
       view.orbit.place({ ...held.mesh.camera, size: held.mesh.size });
       view.orbit.turn(-0.3, 0.2); // beside the camera, so that it is seen
-      view.orbit.approach(-0.3);
+      view.orbit.approach(-0.15);
     }
     const legends = [];
     drawSurfaces(legends);
