@@ -308,7 +308,7 @@ def test_a_device_without_memory_while_moving_makes_coarser_pictures(viewer, mon
     """The first pass of each resolution fails as Dr.Jit does."""
     from etendue.viewer import preview
 
-    real, failed = preview._Pass.picture, []
+    real, failed = preview.Moving.picture, []
 
     def fails(own, pose):
         if not failed:
@@ -318,7 +318,7 @@ def test_a_device_without_memory_while_moving_makes_coarser_pictures(viewer, mon
 
     async def conversation(page):
         await page.until("frame")
-        monkeypatch.setattr(preview._Pass, "picture", fails)
+        monkeypatch.setattr(preview.Moving, "picture", fails)
         monkeypatch.setattr(preview, "_LEAST_PIXELS", 1)
         page.send("camera", orbit=[0.1, 0.0])
         assert "out of memory" in (await told(page))["text"]

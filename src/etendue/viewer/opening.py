@@ -43,6 +43,10 @@ class Viewer:
         """Open the page in a browser; returns whether one was found."""
         return webbrowser.open(self.url)
 
+    def loaded(self, timeout: float | None = None) -> bool:
+        """Wait until the scene is loaded, or could not be; returns whether it is so."""
+        return self._session.opened.wait(timeout)
+
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until the session is ended, by a page or by :meth:`close`; returns whether it is."""
         return self._session.ended.wait(timeout)

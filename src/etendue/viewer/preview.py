@@ -6,6 +6,7 @@ A pass of a small picture spends most of its time in Python, which traces its ke
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -38,59 +39,63 @@ class Preview:
         self._problem = problem
         pixels = problem.size[0] * problem.size[1]
         self._step = next((i for i, s in enumerate(_STEPS) if pixels / s**2 <= _FIRST_PIXELS), len(_STEPS) - 1)
-        self._pass: _Pass | None = None
+        self._made: dict[int, Moving] = {}  # by step
         self._seconds: list[float] = []  # of the latest pictures of this resolution
 
     def picture(self, pose: Pose) -> NDArray[np.float32]:
         """The picture from a pose, (height, width, 3), smaller than the whole."""
         begin = time.perf_counter()
-        if self._pass is None:
-            self._pass = _Pass(resized(self._problem, self._size()))
-            self._seconds = []
-        picture = self._pass.picture(pose)
+        if self._step not in self._made:
+            self._made[self._step] = Moving(resized(self._problem, self._size(self._step)))
+        picture = self._made[self._step].picture(pose)
         self._seconds.append(time.perf_counter() - begin)
         self._adapt()
         return picture
 
     def coarser(self) -> bool:
         """Use a lower resolution, after a failure; returns whether there is one."""
-        return self._change(1)
+        before = self._step
+        self._go_to(before + 1)
+        self._made.pop(before, None)
+        return self._step != before
 
-    def _size(self) -> tuple[int, int]:
-        (width, height), scale = self._problem.size, _STEPS[self._step]
+    def _size(self, step: int) -> tuple[int, int]:
+        (width, height), scale = self._problem.size, _STEPS[step]
         return max(1, round(width / scale)), max(1, round(height / scale))
 
     def _adapt(self) -> None:
-        """Change the resolution if the pace asks for it: the first picture of one, which may compile, does not count,
+        """Change the resolution if the pace asks for it. The first picture of one, which may compile, does not count,
         and a higher one must be clearly fast enough, so that it does not change to and fro."""
         if len(self._seconds) < 4:
             return
         recent = sorted(self._seconds[-3:])[1]
-        if recent > _TARGET:
-            self._change(1)
-        elif self._step > 0 and recent * (_STEPS[self._step] / _STEPS[self._step - 1]) ** 2 < 0.6 * _TARGET:
-            self._change(-1)
+        here = _STEPS[self._step]
+        if recent > 1.2 * _TARGET:
+            fits = (k for k, s in enumerate(_STEPS) if k > self._step and recent * (here / s) ** 2 < _TARGET)
+            self._go_to(next(fits, len(_STEPS) - 1))
+        elif self._step > 0 and recent * (here / _STEPS[self._step - 1]) ** 2 < 0.6 * _TARGET:
+            self._go_to(self._step - 1)
 
-    def _change(self, by: int) -> bool:
-        step = self._step + by
-        width, height = self._problem.size
-        if not 0 <= step < len(_STEPS) or (by > 0 and width * height / _STEPS[step] ** 2 < _LEAST_PIXELS):
-            self._seconds = []
-            return False
-        self._step, self._pass = step, None
-        return True
+    def _go_to(self, step: int) -> None:
+        """Use another resolution, or the lowest that is useful."""
+        while step > self._step and math.prod(self._size(min(step, len(_STEPS) - 1))) < _LEAST_PIXELS:
+            step -= 1
+        step = min(step, len(_STEPS) - 1)
+        self._step, self._seconds = step, []
 
 
-class _Pass:
-    """Pictures of one size: one path a pixel."""
+class Moving:
+    """Pictures of one size: one path a pixel. ``frozen``: whether the trace of the kernel is kept, if it can be."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: Problem, frozen: bool = True) -> None:
         values = {"max_depth": _EDGES, "samples_per_pass": 1, "sampler": "independent", "reconstruction": "independent"}
         self._method = methods.Path(methods.Path.Settings.from_mapping(values))
         self._method.prepare(problem, 0)
         self._problem = problem
-        held = _device_parts(self._method)
-        self._function: Callable[..., mi.Color3f] = dr.freeze(self._radiance, state_fn=lambda *_: held)
+        self._function: Callable[..., mi.Color3f] = self._radiance
+        if frozen:
+            held = _device_parts(self._method)
+            self._function = dr.freeze(self._radiance, state_fn=lambda *_: held)
         self._iteration = 0
 
     def picture(self, pose: Pose) -> NDArray[np.float32]:

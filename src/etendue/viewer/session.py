@@ -68,7 +68,7 @@ class Asked:
 
 class Session:
     """See the module. The public attributes belong to the session's thread; :meth:`join`, :meth:`leave`, :meth:`post`,
-    :meth:`file`, :meth:`close` and :attr:`ended` may be used from any."""
+    :meth:`file`, :meth:`close`, :attr:`opened` and :attr:`ended` may be used from any."""
 
     def __init__(self, asked: Asked) -> None:
         self.asked = asked
@@ -84,7 +84,7 @@ class Session:
         self.saved: dict[str, Path] = {}
         self.clients: list[Client] = []
         self.panels: dict[str, Panel] = {}
-        self.ended = threading.Event()
+        self.opened, self.ended = threading.Event(), threading.Event()
         self.home: Pose | None = None  #: of the scene's own camera
         self._preview: Preview | None = None
         self._moving_until = 0.0
@@ -233,6 +233,7 @@ class Session:
             use_variant()
             self.panels = panels(self)
             self._guarded(lambda: self.open(self.asked), fatal=True)
+            self.opened.set()
             while not self._closing.is_set():
                 busy = self._guarded(self._advance)
                 self._take_messages(wait=not busy)
