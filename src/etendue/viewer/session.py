@@ -85,6 +85,7 @@ class Session:
         self.clients: list[Client] = []
         self.panels: dict[str, Panel] = {}
         self.opened, self.ended = threading.Event(), threading.Event()
+        self.on_picture: Callable[[Mapping[str, Picture]], object] | None = None  #: gets the layers that are shown
         self.home: Pose | None = None  #: of the scene's own camera
         self._preview: Preview | None = None
         self._moving_until = 0.0
@@ -346,6 +347,8 @@ class Session:
         begin = time.perf_counter()
         names = list(self.layers)
         self.layers = result.layers
+        if self.on_picture is not None:
+            self.on_picture(result.layers)
         self._stops = self.show.stops(result.image)
         try:
             self._send_picture("a", self.show.colours(result.layers, self._stops))
