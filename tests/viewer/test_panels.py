@@ -139,8 +139,8 @@ def test_what_the_3d_view_asks_for(viewer):
 
 
 def test_tev_shows_what_the_viewer_shows():
-    with fake_tev() as server:
-        with etendue.view("cornell-box", "path", size=(16, 12), samples=2, tev=server.address) as made:
-            talk(made, done)
+    small = {"size": (16, 12), "samples": 2}
+    with fake_tev() as server, etendue.view("cornell-box", "path", tev=server.address, **small) as made:
+        talk(made, done)
     shown = server.images["etendue view"]["R"]
     assert shown.shape == (12, 16) and shown.mean() > 0
