@@ -226,6 +226,10 @@ MaxDepth = Annotated[
     typer.Option("--max-depth", help="Longest path in edges, -1 for unlimited; by default the scene's.", metavar="N"),
 ]
 Threads = Annotated[int | None, typer.Option("--threads", help="CPU threads to use.", metavar="N")]
+Tev = Annotated[
+    str | None,
+    typer.Option("--tev", help="Show the layers in the image viewer tev, as localhost:14158.", metavar="HOST:PORT"),
+]
 Cluster = Annotated[
     str | None,
     typer.Option(

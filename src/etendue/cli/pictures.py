@@ -53,6 +53,7 @@ def render(
     no_checkpoint: Annotated[bool, typer.Option("--no-checkpoint", help="Write no checkpoint.")] = False,
     tone: opt.Tone = "srgb",
     exposure: opt.Exposure = "auto",
+    tev: opt.Tev = None,
     cluster: opt.Cluster = None,
     workers: opt.Workers = None,
     debug: opt.Debug = False,
@@ -67,7 +68,7 @@ def render(
     from etendue.jobs import Outputs
     from etendue.scene import locate
 
-    from .rendering import choose_device, default_name, render_to_files
+    from .rendering import choose_device, default_name, render_to_files, shown_in_tev
 
     if no_checkpoint and checkpoint is not None:
         raise OptionError("--checkpoint and --no-checkpoint exclude each other; give one of them")
@@ -89,8 +90,9 @@ def render(
             note(error_console(), text)
         return job
 
-    with opt.Device(variant, threads, cluster, workers).opened() as opened:
-        return render_to_files(open_job, outputs, chosen.name, opened)
+    device = opt.Device(variant, threads, cluster, workers)
+    with shown_in_tev(tev, pictures[0].stem) as callback, device.opened() as opened:
+        return render_to_files(open_job, outputs, chosen.name, opened, callback)
 
 
 def run(

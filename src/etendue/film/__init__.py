@@ -20,7 +20,7 @@ from .errors import (
     relative_squared_error,
     rmse,
 )
-from .exr import layer_path, read_exr, read_image, write_exr, write_layers
+from .exr import channel_names, layer_path, read_exr, read_image, write_exr, write_layers
 from .filters import PixelFilter
 from .flip import flip, flip_error, flip_is_installed
 from .output import check_writable, replacing, write_bytes
@@ -42,6 +42,7 @@ __all__ = [
     "after_scattering",
     "block_average",
     "by_component",
+    "channel_names",
     "check_writable",
     "flip",
     "flip_error",

@@ -104,6 +104,11 @@ class Guided(Carrying, EndsInMap):
         self._seen = dr.zeros(mi.UInt32, self._guide.places)
         self._brought = dr.zeros(mi.UInt64, self._guide.cells * max(1, self._guide.light_count))
 
+    @property
+    def guide(self) -> Guide:
+        """The guide as it is after the latest pass."""
+        return self._guide
+
     # ------------------------------------------------------------------ a pass
 
     def _step(self, iteration: int, seed: int) -> Measurement:

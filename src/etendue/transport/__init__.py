@@ -40,6 +40,7 @@ from .schemes.cells import CellEmission, ImportancePilot
 from .schemes.numbers import BlindEmission, GivenNumbers, UniformLights
 from .schemes.numbers import Emission as EmissionScheme
 from .schemes.strata import EMISSION, FIRST_BOUNCE, StratifiedSource
+from .tracks import MOST_PATHS, Event, PathRecorder, Tracks
 from .vertex import Joined, Vertex, WalkVertex
 from .visibility import Visibility
 from .walk import CameraPath, Emission, MapEnd, SubPath, Walker, component_fields, ones
@@ -51,6 +52,7 @@ __all__ = [
     "FOUND_UNITS",
     "GRAZING",
     "MOST_LIGHTS",
+    "MOST_PATHS",
     "NOWHERE",
     "PICK_BLOCK",
     "PYRAMID_MAX",
@@ -74,6 +76,7 @@ __all__ = [
     "EndingWalker",
     "Evaluated",
     "FirstHits",
+    "Event",
     "Gather",
     "GivenNumbers",
     "Guide",
@@ -92,6 +95,7 @@ __all__ = [
     "LocalLights",
     "MapEnd",
     "Mis",
+    "PathRecorder",
     "Photon",
     "Photons",
     "Proposal",
@@ -106,6 +110,7 @@ __all__ = [
     "StratifiedSource",
     "SubPath",
     "Techniques",
+    "Tracks",
     "TrainingSamples",
     "TransportFunctions",
     "UniformLights",
