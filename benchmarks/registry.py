@@ -123,6 +123,16 @@ PROGRAMS = {
             ),
         ),
         Program(
+            "benchmarks.cluster",
+            "How far clusters scale, and the experiments of a thesis on parallel tracing.",
+            (
+                Benchmark("simulate", "scaling.measure", 4, "1 to 10,000 workers under a simulated clock."),
+                Benchmark("schedules", "scaling.schedules", 1, "Static, on demand, stealing: 1 to 16 processors."),
+                Benchmark("coherence", "boxes.coherence", 1, "Boxes that paths visit, random and in strata."),
+                Benchmark("divided", "boxes.divided", 3, "A scene in boxes: what is sent, and whether it is the same."),
+            ),
+        ),
+        Program(
             "benchmarks.maps",
             "Maps of irradiance from particles.",
             (
