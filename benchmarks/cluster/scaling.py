@@ -47,7 +47,7 @@ def measure(
         )
         for count in workers:
             passes = max(count, round(count * 60 * minutes / seconds))
-            passes = min(passes, 150 * count)
+            passes = min(passes, (150 if count <= 1000 else 60) * count)
             site = Site(count, seconds, _bytes(pixels), _SCENE)
             made = simulate(site, passes)
             p = made.pool
@@ -115,7 +115,7 @@ def schedules(
                 "rms",
             ),
         )
-        for schedule in ("static", "demand", "stealing"):
+        for schedule in ("static", "demand", "stealing", "demand, merged"):
             runs = {n: [_run(n, passes, size, schedule, seed) for seed in range(seeds)] for n in counts}
             single = np.mean([run.seconds for run in runs[1]])
             speed = {n: single / np.mean([run.seconds for run in runs[n]]) for n in counts}
@@ -133,8 +133,7 @@ def schedules(
             )  # fmt: skip
         record.notes.append(
             f"Mean of {seeds} seeds; one link of 100 Mbit/s. Amdahl: S = 1 / (s + (1 - s) / n); Gustafson, with passes "
-            "in proportion to n: S = s + (1 - s) n; s by least squares, and the residual of S. The schedule demand is "
-            "what runs use."
+            "in proportion to n: S = s + (1 - s) n; s by least squares, and the residual of S. The XX"
         )
         yield record
 
@@ -147,7 +146,8 @@ def _site(count: int, size: float) -> Site:
 
 
 def _run(count: int, passes: int, size: float, schedule: str, seed: int = 0) -> Outcome:
-    return simulate(_site(count, size), passes, schedule, seed)
+    name, _, merged = schedule.partition(", ")
+    return simulate(_but(_site(count, size), merges=bool(merged)), passes, name, seed)
 
 
 def _weak(count: int, passes: int, size: float, schedule: str) -> float:
