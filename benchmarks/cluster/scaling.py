@@ -133,7 +133,8 @@ def schedules(
             )  # fmt: skip
         record.notes.append(
             f"Mean of {seeds} seeds; one link of 100 Mbit/s. Amdahl: S = 1 / (s + (1 - s) / n); Gustafson, with passes "
-            "in proportion to n: S = s + (1 - s) n; s by least squares, and the residual of S. The XX"
+            "in proportion to n: S = s + (1 - s) n; s by least squares, and the residual of S. Sums go to one place; "
+            "merged: they are added among the processors first if that place does not keep up, as in runs."
         )
         yield record
 
