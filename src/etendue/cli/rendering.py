@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from etendue.api import start_job
+from etendue.api import Callback, start_job
 from etendue.core import OptionError, OutputError, Progress, format_rate, format_seconds, set_threads, use_variant
 from etendue.engine import Cancelled, Job, RunError, Session
 from etendue.jobs import Rendering, Writer
@@ -77,12 +77,18 @@ def follow(
     return Outcome(session.result, interrupts.exit_code)
 
 
-def render_to_files(open_job: Callable[[], Job], outputs: Writer, label: str, cluster: Cluster | None = None) -> int:
-    """Render, write ``outputs`` and print their paths on standard output, one per line; ``cluster`` makes the passes.
-    Returns the exit status."""
+def render_to_files(
+    open_job: Callable[[], Job],
+    outputs: Writer,
+    label: str,
+    cluster: Cluster | None = None,
+    watch: Callback | None = None,
+) -> int:
+    """Render, write ``outputs`` and print their paths on standard output, one per line; ``cluster`` makes the passes,
+    ``watch`` is called after each. Returns the exit status."""
     console = error_console()
     try:
-        outcome = follow(lambda: start_job(open_job, outputs, cluster=cluster), console, label)
+        outcome = follow(lambda: start_job(open_job, outputs, watch, cluster), console, label)
     except RunError:
         _name_files(outputs)  # they contain the passes before the failure
         raise
