@@ -44,9 +44,9 @@ from .stacks import ERROR_RANGE, Stack, viewer_data
 from .tables import Column, FactTable, fact_table, flatten, number_text, settings_tables, time_text
 
 _TRIM = 0.001
-#: Characters of a page for the data of pictures and layers; for pictures, error maps and layers as figures, each; and
-#: for pyramids. The whole is below 6 MB.
-_DATA_ROOM, _FIGURE_ROOM, _PYRAMID_ROOM = 3_300_000, 420_000, 800_000
+#: Characters for pictures, error maps and layers as figures, each; and for pyramids. The data of the viewer get what is
+#: left of a page.
+_FIGURE_ROOM, _PYRAMID_ROOM = 420_000, 800_000
 #: Width of a layer as a figure.
 _LAYER_ACROSS = 360
 #: Widths of the cells of a pyramid, tried in turn.
@@ -87,7 +87,7 @@ def render_report(
     pictures = [(e.name, e.image) for e in entries] + ([("reference", reference)] if reference is not None else [])
     if exposure is None:
         exposure = auto_exposure(pictures[-1][1] if reference is not None else entries[0].image)
-    page = Page(title, subtitle, _verdict(entries, reference), failures, _viewer(entries, reference, exposure, curve))
+    page = Page(title, subtitle, _verdict(entries, reference), failures)
     heading = "Side by side" if len(pictures) + len(failures) > 1 else "Picture"
     page.add(heading, Figures(_pictures(entries, pictures, reference_note, exposure, curve), failures))
     page.add("Error against the reference", *_errors(entries, reference))
@@ -98,7 +98,8 @@ def render_report(
     page.add("Runs", *_facts(entries, lambda m: {k: v for k, v in m.items() if k not in ("settings", "versions")}))
     page.add("Versions and machine", *_facts(entries, lambda m: m.get("versions", {})), _machine())
     page.add("How to repeat it", *repeat, *_commands(entries))
-    return render_page(page)
+    stacks = _stacks(entries, reference)
+    return render_page(page, lambda room: viewer_data(stacks, exposure, curve, room, _number(entries, reference)))
 
 
 def _verdict(entries: Sequence[Entry], reference: Image | None) -> list[tuple[str, bool]]:
@@ -109,13 +110,18 @@ def _verdict(entries: Sequence[Entry], reference: Image | None) -> list[tuple[st
     (best, winner), (worst, loser) = errors[0], errors[-1]
     if not 0.0 < best < worst:
         return []
-    factor = number_text(worst / best, 2)
+    factor = number_text(float(f"{worst / best:.2g}"), 2)
     text = f" has the smallest error: relMSE {number_text(best)}, {factor} times below {loser} ({number_text(worst)})."
     return [(winner, True), (text, False)]
 
 
-def _viewer(entries: Sequence[Entry], reference: Image | None, exposure: float, curve: str) -> dict[str, Any]:
-    """All pictures and layers outside the pyramid; each technique is in the page already, in small."""
+def _number(entries: Sequence[Entry], reference: Image | None) -> int | None:
+    """That of the reference among the pictures."""
+    return None if reference is None else len(entries)
+
+
+def _stacks(entries: Sequence[Entry], reference: Image | None) -> list[Stack]:
+    """All pictures, with their layers but those of a pyramid: these are on the page already, in small."""
     stacks = []
     for entry in entries:
         others = [Layer.of(name, layer) for name, layer in entry.layers.items() if _is_shown(name)]
@@ -123,7 +129,7 @@ def _viewer(entries: Sequence[Entry], reference: Image | None, exposure: float, 
         stacks.append(Stack(entry.name, [Layer("image", "radiance", entry.image), *same]))
     if reference is not None:
         stacks.append(Stack("reference", [Layer("image", "radiance", reference)]))
-    return viewer_data(stacks, exposure, curve, _DATA_ROOM, None if reference is None else len(entries))
+    return stacks
 
 
 def _is_shown(layer: str) -> bool:

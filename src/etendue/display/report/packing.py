@@ -24,7 +24,7 @@ Kind = Literal["radiance", "albedo", "direction", "scalar", "label", "error"]
 #: Bits of mantissas and sides of blocks, tried in turn.
 _WAYS = ((8, 1), (7, 1), (6, 1), (7, 2), (6, 2), (6, 3), (6, 4), (6, 6), (6, 8), (6, 12), (6, 16))
 #: Share of the room for the pictures themselves if there are layers, which are then shown at lower resolution.
-_PICTURES_FIRST = 0.7
+_PICTURES_FIRST = 0.75
 #: Factor on estimates of sizes.
 _MARGIN = 1.05
 

@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 
 #: Suffix of a page and its meaning.
 PAGE_FILES = {".html": "page with pictures, tables and plots"}
-#: Width of the pictures of the mesh; characters for their data.
-_WIDTH, _ROOM = 640, 3_000_000
+#: Width of the pictures of the mesh.
+_WIDTH = 640
 #: Rows of the tables of patches.
 _WORST = 10
 
@@ -89,9 +89,8 @@ def render_solution_page(
     source = str(metadata.get("source", "patches"))
     size = _WIDTH, _height(problem)
     stacks, exposure = _stacks(solution, error, problem, size)
-    page = Page(f"Radiosity of {Path(source).name}", _subtitle(solution), viewer=None)
+    page = Page(f"Radiosity of {Path(source).name}", _subtitle(solution))
     page.verdict = [(words, False) for words in [_key_figures(solution, error)] if words]
-    page.viewer = viewer_data(stacks, exposure, "srgb", _ROOM)
     figures = [
         Figure(tonemap(s.layers[0].values, exposure), f"mesh, {s.name}", s.name, index=i) for i, s in enumerate(stacks)
     ]
@@ -113,7 +112,7 @@ def render_solution_page(
     page.add("Run", _facts("value", {k: v for k, v in flatten(metadata).items() if k != "software"}))
     page.add("Versions and machine", _facts("this machine", {**versions(), **machine()}))
     page.add("How to repeat it", Command(making.command) if making.command else None)
-    return render_page(page)
+    return render_page(page, lambda room: viewer_data(stacks, exposure, "srgb", room))
 
 
 def _height(problem: Problem | None) -> int:
