@@ -59,7 +59,7 @@ def test_seeds_give_a_mean_and_its_error():
     for t, mean, error in rows:
         assert mean == pytest.approx(scales.mean() / t)
         assert error == pytest.approx(scales.std(ddof=1) / math.sqrt(7) / t)
-    shorter = power("short", 1.0, (0.5, 3.0))
-    assert [t for t, _, _ in over_seeds([curves[0], shorter])] == pytest.approx([1.0, 2.0, 3.0])
+    later = power("later", 1.0, (3.0, 36.0))
+    assert [t for t, _, _ in over_seeds([curves[0], later])] == pytest.approx([4.0, 8.0, 16.0, 34.0])
     svg = convergence_plot([Series("mean", rows)])
     assert svg.count("<circle") == 6 and "± " in svg and 'stroke-opacity=".7"' in svg

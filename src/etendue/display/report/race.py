@@ -57,19 +57,26 @@ def time_to(series: Series, error: float) -> Reached | None:
 
 
 def over_seeds(curves: Sequence[Series]) -> list[tuple[float, float, float]]:
-    """(seconds, mean error, standard error of the mean) of runs that differ by their seed, at the times of the first
-    curve that all have, and at the end of the shortest; the standard error of a single run is 0."""
+    """(seconds, mean error, standard error of the mean) of runs that differ by their seed: at the times of the first
+    curve that all have, and at their ends, which have the mean of their times. The standard error of one run is 0."""
     known = [_points(series) for series in curves]
     if not known or not all(known):
         return []
-    end, rows = min(points[-1][0] for points in known), []
-    for seconds in [*(t for t, _ in known[0] if t < end), end]:
+    end = min(points[-1][0] for points in known)
+    rows = []
+    for seconds in (t for t, _ in known[0] if t < end):
         errors = [error_at(series, seconds) for series in curves]
         if all(map(math.isfinite, errors)):
-            mean = sum(errors) / len(errors)
-            squares = sum((e - mean) ** 2 for e in errors)
-            rows.append((seconds, mean, math.sqrt(squares / max(1, len(errors) - 1) / len(errors))))
-    return rows
+            rows.append((seconds, *_mean(errors)))
+    seconds, _ = _mean([points[-1][0] for points in known])
+    return [*rows, (seconds, *_mean([points[-1][1] for points in known]))]
+
+
+def _mean(values: Sequence[float]) -> tuple[float, float]:
+    """The mean and its standard error."""
+    count = len(values)
+    mean = sum(values) / count
+    return mean, math.sqrt(sum((v - mean) ** 2 for v in values) / max(1, count - 1) / count)
 
 
 def equal_times(curves: Sequence[Series]) -> list[Column]:
