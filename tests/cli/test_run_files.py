@@ -180,7 +180,7 @@ def test_ctrl_c_keeps_everything(folder):
     process.send_signal(signal.SIGINT)
     out, _ = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert set(out.split()) == {"a.log", "a.csv", "a-0.2s.exr", "a.exr", "a.checkpoint"}
+    assert set(out.split()) == {"a.log", "a.csv", "a-0.2s.exr", "a.exr", "a.checkpoint", "a.html"}
     assert film.read_exr("a.exr").metadata["stopped_by"] == "cancel"
     assert Checkpoint.read("a.checkpoint").stopped_by == "cancel"
     rows = table("a.csv")
