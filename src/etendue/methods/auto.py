@@ -40,6 +40,8 @@ CANDIDATES: tuple[Candidate, ...] = (
     _NONE,
     *(Candidate(n, k, False) for n, k in itertools.product((0.125, 0.25, 0.5, 1.0), (0, 1, 2, 4, 8))),
     *(Candidate(n, k, True) for n, k in itertools.product((0.125, 0.25, 0.5, 1.0), (0, 1, 2, 4))),
+    Candidate(2.0, 0, True),
+    Candidate(2.0, 1, True),
 )
 #: Counts that a user may choose.
 FIXED: dict[str, Candidate] = {
