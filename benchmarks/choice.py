@@ -1,5 +1,5 @@
 """Whether ``auto`` chooses well: its error after a given time beside that of each candidate rendered by itself, the
-samples that its probe leaves, and a few seconds without kernels beside ``path``. Each picture has a process of its own,
+samples that its learning leaves, and a few seconds without kernels beside ``path``. Each picture has its own process,
 as on the command line: in one process, scenes that were rendered before make kernels anew."""
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ REFERENCES: dict[str, tuple[str, dict[str, Any]]] = {
     "wooden-staircase": ("path", {}),
 }
 #: Each half of a reference takes this many times the longest time.
-_HALF = 5.0
+_HALF = 3.0
 #: Share of the brightest errors that is left out: one firefly must not decide.
 _TRIM = 0.001
 #: Seed of the passes that warm up.

@@ -82,7 +82,9 @@ BRUTE = {
 @pytest.fixture(scope="module")
 def estimated():
     """Eight passes that learn, in a room with a rough and a smooth thing."""
-    method = prepared(scenes.room("rectangle", scenes.FEW), "auto", samples_per_pass=SAMPLES, probe_passes=1000, rr_depth=2)
+    method = prepared(
+        scenes.room("rectangle", scenes.FEW), "auto", samples_per_pass=SAMPLES, probe_passes=1000, rr_depth=2
+    )
     go(method, 8)
     return method
 
@@ -111,7 +113,7 @@ def test_moments_are_those_of_the_candidate(estimated, name):
 
 
 def test_what_is_fixed_renders_as_the_method_itself():
-    problem = scenes.room("rectangle", "rough")
+    problem = scenes.room("rectangle", scenes.FEW)
     for name, settings in (("path", {}), ("bpt", {})):
         own = go(prepared(problem, name, samples_per_pass=4, **settings), 2)
         fixed = go(prepared(problem, "auto", choice=name, samples_per_pass=4), 2)
@@ -134,7 +136,7 @@ def test_learning_is_a_bounded_share(monkeypatch):
     """Two passes first; later ones as the cost of the run grows. Path tracing has long to go until then."""
     foresee(monkeypatch, [PATH])
     monkeypatch.setattr(auto, "_SHARE", 0.2)
-    method = prepared(scenes.room("rectangle", "rough"), "auto", samples_per_pass=4)
+    method = prepared(scenes.room("rectangle", scenes.FEW), "auto", samples_per_pass=4)
     counts, learned_after = [], []
     for iteration in range(60):
         method.step(iteration, 1)
@@ -149,7 +151,7 @@ def test_light_that_is_found_late(monkeypatch):
     """The first passes see no caustic, and path tracing is chosen; a later one sees it."""
     foresee(monkeypatch, [PATH, PATH, FIXED["vcm"]])
     monkeypatch.setattr(auto, "_SHARE", 0.5)
-    method = prepared(scenes.room("rectangle", "specular"), "auto", samples_per_pass=4)
+    method = prepared(scenes.room("rectangle", ("dielectric",)), "auto", samples_per_pass=4)
     chosen = []
     for iteration in range(30):
         method.step(iteration, 1)
@@ -161,7 +163,7 @@ def test_light_that_is_found_late(monkeypatch):
 @pytest.mark.slow
 def test_light_that_is_found_late_is_in_the_picture(monkeypatch):
     """The mean over 64 runs that change from path tracing to merging is that of path tracing."""
-    problem = scenes.room("rectangle", "specular")
+    problem = scenes.room("rectangle", ("dielectric",))
     reference = run(problem, "path", passes=12, samples=1024).images
     monkeypatch.setattr(auto, "_SHARE", 0.5)
     pictures = []
@@ -181,7 +183,7 @@ def test_the_mean_of_runs_that_learn(runs):
 
 
 def test_the_choice_goes_with_the_checkpoint():
-    problem = scenes.room("rectangle", "rough")
+    problem = scenes.room("rectangle", scenes.FEW)
     method = prepared(problem, "auto", samples_per_pass=4)
     total = go(method, 3).measurement
     state = method.state()
@@ -192,7 +194,7 @@ def test_the_choice_goes_with_the_checkpoint():
     again.restore(state)
     np.testing.assert_allclose(again.step(3, 1).mean(), method.step(3, 1).mean(), rtol=1e-5, atol=1e-6)
     with pytest.raises(CheckpointError, match="another picture"):
-        other = prepared(scenes.room("rectangle", "rough", size=(8, 8)), "auto", samples_per_pass=4)
+        other = prepared(scenes.room("rectangle", scenes.FEW, size=(8, 8)), "auto", samples_per_pass=4)
         other.restore(state)
     with pytest.raises(CheckpointError, match="probe"):
         again.restore({"choice": "path", "costs": {}, "chosen": {}})
@@ -200,7 +202,7 @@ def test_the_choice_goes_with_the_checkpoint():
 
 @pytest.mark.parametrize(
     ("lamp", "material", "choice"),
-    [("point", "specular", "bpt"), ("point", "rough", "path"), ("rectangle", "specular", "path")],
+    [("point", ("dielectric",), "bpt"), ("point", scenes.FEW, "path"), ("rectangle", ("dielectric",), "path")],
 )
 def test_a_short_run_learns_nothing(lamp, material, choice):
     """A point light and glass: path tracing sees no caustic, however long it runs."""
@@ -212,7 +214,7 @@ def test_a_short_run_learns_nothing(lamp, material, choice):
 
 
 def test_a_black_scene_is_no_error():
-    problem = scenes.room("rectangle", "rough")
+    problem = scenes.room("rectangle", scenes.FEW)
     method = prepared(problem, "auto", samples_per_pass=2, max_depth=0)
     assert not go(method, 3).mean.any()
     assert LEARNER not in FIXED.values()

@@ -15,6 +15,7 @@ and lights that no ray can hit, whose caustics ``path`` never finds, and ``path`
 from __future__ import annotations
 
 import itertools
+import time
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -104,6 +105,7 @@ class Auto(Carrying, ImageMethod):
         self._learned = Learned.none()
         self._products: dict[str, float] = {}
         self._spent = self._spent_learning = 0.0
+        self.setup_seconds = 0.0  #: of preparation and compilation within the first pass, for predictions of times
         self._caustics = self._has_specular() and self._has_finite_light()
         self.plan(None, None, None)
 
@@ -168,11 +170,15 @@ class Auto(Carrying, ImageMethod):
                 merging=counts.merging,
                 shadow_roulette=0.05 if counts.connections > 2 else BidirectionalSettings.shadow_roulette,
             )
+            begin = time.perf_counter()
             vcm = Vcm(settings)
             if self._learns:
+                vcm.moments = self._moments()
                 most = max(candidate.light_paths for candidate in CANDIDATES)
                 vcm.light_stride = round(most * self.camera.pixels * self.samples_per_iteration)
             vcm.prepare(self.problem, self._seed)
+            vcm.moments = None
+            self.setup_seconds = time.perf_counter() - begin
             self._vcm_first = vcm.start()
             vcm.enter(self._vcm_state or self._vcm_first)
             self._vcm = vcm
@@ -197,17 +203,15 @@ class Auto(Carrying, ImageMethod):
         """A pass that estimates moments, and the decision after it."""
         vcm = self._estimator()
         vcm.use(LEARNER)
-        pixels = self.camera.pixels
-        camera_paths = pixels * samples
+        camera_paths = self.camera.pixels * samples
         light_paths = LEARNER.light_paths * camera_paths
-        size = self.problem.size
-        noise = 1.0 / vcm.settings.eta_discount
-        vcm.moments = Moments(CANDIDATES, LEARNER, size, samples / light_paths, noise)
+        vcm.moments = self._moments()
         try:
             layers, counters = vcm.render_pass(iteration, seed, samples)
             edges, smooth, photons = vcm.moments.walked() / camera_paths
             work = edges, smooth, photons / LEARNER.light_paths, counters["light_vertices"] / light_paths
-            tiles = vcm.moments.tiles() / (tile_pixels(size[1], size[0]) * samples)[..., None, None]
+            width, height = self.problem.size
+            tiles = vcm.moments.tiles() / (tile_pixels(height, width) * samples)[..., None, None]
         finally:
             vcm.moments = None
         picture = layers["image"].mean(axis=2, dtype=np.float64) / samples
@@ -215,6 +219,13 @@ class Auto(Carrying, ImageMethod):
             self._learned = self._learned.after(tiles, picture, work)
         self._decide()
         return layers, counters
+
+    def _moments(self) -> Moments:
+        """Estimates of the moments of a pass."""
+        light_paths = LEARNER.light_paths * self.camera.pixels  # over camera paths of a pixel
+        return Moments(
+            CANDIDATES, LEARNER, self.problem.size, 1.0 / light_paths, 1.0 / BidirectionalSettings.eta_discount
+        )
 
     def _decide(self) -> None:
         """Choose the counts of the next passes."""

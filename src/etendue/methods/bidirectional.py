@@ -92,7 +92,8 @@ class Bidirectional(Carrying, ImageMethod):
     Settings: ClassVar[type[ImageSettings]] = BidirectionalSettings
     settings: BidirectionalSettings
     citations: ClassVar[tuple[str, ...]] = ("Georgiev2012", "Georgiev2012b", "Hachisuka2012", "Davidovic2014")
-    #: Estimates of the next passes' second moments, if they are wanted; cleared at the begin of a pass.
+    #: Estimates of the next passes' second moments, if they are wanted; cleared at the begin of a pass. If it is set
+    #: before :meth:`prepare`, the pilot has the kernels of those passes.
     moments: Moments | None = None
     #: Numbers of the light paths' sequence that a pass takes, if it is more than there are paths.
     light_stride = 0
@@ -176,7 +177,8 @@ class Bidirectional(Carrying, ImageMethod):
         splats = self._splats(seed, 0, "pilot ")
         lanes = dr.arange(mi.UInt32, samples)
         pixel = dr.minimum(mi.UInt32((mi.Float(lanes) + 0.5) * (self.camera.pixels / samples)), self.camera.pixels - 1)
-        run = _Run("pilot ", 0, seed, self._first_radius, Lanes(0, paths), lanes, pixel, 1, splats, None, 64 * paths)
+        films = splats, None, 64 * paths, self.moments
+        run = _Run("pilot ", 0, seed, self._first_radius, Lanes(0, paths), lanes, pixel, 1, *films)
         radiance, counters = self._trace(run)
         self._room.per_path = counters["light_vertices"] / paths
         own = [value for name, value in radiance.items() if name not in self._more_radii]
