@@ -11,11 +11,12 @@ from .fingerprint import fingerprint
 from .graph import materials
 from .lamps.radiance import sphere_point, surface_point, uniform_point, varies
 from .lamps.table import Light, LightTable
-from .loading import Source, integrator_of, load, locate, resized
+from .loading import Source, integrator_of, load, locate
 from .parts import load_part, part_files, shape_boxes
 from .plugins import composed_bsdf, register
 from .portable import PortableScene, portable, restored
 from .problem import Problem
+from .resizing import resized
 from .space import RenderSpace, warn_of_offsets, warn_of_steps
 from .watching import Parameters, parameters, view
 

@@ -4,7 +4,8 @@ from . import dimensions
 from .ambient import AMBIENT_WALKS, AmbientScene, AmbientTable, ambient_scene
 from .bidirectional.camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
 from .bidirectional.light_walk import LightWalk
-from .bidirectional.mis import GRAZING, Mis, Techniques
+from .bidirectional.mis import GRAZING, Counts, Mis, Techniques
+from .bidirectional.moments import TILE, Candidate, Moments
 from .bidirectional.photons import Photon, Photons, unfolded
 from .bidirectional.pyramid import PYRAMID_MAX, Pyramid
 from .bidirectional.single import SingleContribution, SingleTechnique
@@ -56,6 +57,7 @@ __all__ = [
     "NOWHERE",
     "PICK_BLOCK",
     "PYRAMID_MAX",
+    "TILE",
     "AmbientScene",
     "AmbientTable",
     "BlindEmission",
@@ -65,8 +67,10 @@ __all__ = [
     "CameraSampler",
     "CameraSink",
     "CameraWalk",
+    "Candidate",
     "CellEmission",
     "Contribution",
+    "Counts",
     "DirectSample",
     "DirectWeights",
     "Emission",
@@ -95,6 +99,7 @@ __all__ = [
     "LocalLights",
     "MapEnd",
     "Mis",
+    "Moments",
     "PathRecorder",
     "Photon",
     "Photons",

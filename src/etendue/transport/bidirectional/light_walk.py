@@ -18,7 +18,8 @@ from ..scattering import Evaluated, Proposal, Scattered, cosine_ratio, geometric
 from ..spheres import seen_density
 from ..vertex import WalkVertex
 from ..walk import ones
-from .mis import RadiusFree
+from .mis import Carried
+from .moments import Moments
 from .sinks import SplatSink
 from .vertices import Kind, LightVertices
 from .walk import BidirectionalPath, BidirectionalWalk
@@ -43,6 +44,7 @@ class LightWalk(BidirectionalWalk):
     proposal: Proposal = scatter_light
     kind: type[LightPath] = LightPath  #: class of the state
     sink: SplatSink | None = None
+    moments: Moments | None = None
 
     def trace(
         self, paths: int, source: SampleSource, vertices: LightVertices | None = None
@@ -111,7 +113,7 @@ class LightWalk(BidirectionalWalk):
         self.go_on(s, vertex, scattered, source, on_edge, light_cos)
         return s
 
-    def land(self, s: LightPath, vertex: WalkVertex) -> tuple[tuple[mi.Float, mi.Float | RadiusFree], mi.Float]:
+    def land(self, s: LightPath, vertex: WalkVertex) -> tuple[tuple[Carried, Carried], mi.Float]:
         """Convert ``d_vcm`` and ``d_vc`` to area at the end of an edge: (the two before, cosine at which light
         arrives)."""
         on_edge = s.d_vcm, s.d_vc
@@ -134,7 +136,7 @@ class LightWalk(BidirectionalWalk):
         vertex: WalkVertex,
         scattered: Scattered,
         source: SampleSource,
-        on_edge: tuple[mi.Float, mi.Float | RadiusFree],
+        on_edge: tuple[Carried, Carried],
         light_cos: mi.Float,
     ) -> None:
         """Leave a vertex; ``on_edge`` and ``light_cos`` are those of :meth:`land`."""
@@ -171,4 +173,6 @@ class LightWalk(BidirectionalWalk):
             vertex, joined.target, s.depth + 1, values, alone * factor, threshold, u, on_film
         )
         s.rays += rays
+        if self.moments:
+            self.moments.splat(joined.position, contribution.weighted[0], weights.ratios, contribution.active)
         s.nonfinite += ones(sink.add(self.number(s) + 1, place, contribution, s.kind))
