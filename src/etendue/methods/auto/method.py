@@ -28,11 +28,11 @@ from etendue.film import COMPONENTS
 from etendue.scene import Problem, materials
 from etendue.transport import CameraPath, Candidate, DirectWeights, Moments, Walker
 
-from .base import STEP_LANES, CameraSettings, ImageMethod, Layer, total
-from .bidirectional import Vcm
-from .bidirectional_settings import BidirectionalSettings
+from ..base import STEP_LANES, CameraSettings, ImageMethod, Layer, total
+from ..bidirectional import Vcm
+from ..bidirectional_settings import BidirectionalSettings
+from ..path import Path, edge
 from .efficiency import LEARNING, Learned, Work, tile_pixels
-from .path import Path, edge
 
 #: Counts of the passes that estimate moments.
 LEARNER = Candidate(0.5, 2, True)
