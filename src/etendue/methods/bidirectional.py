@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -58,6 +58,7 @@ from .base import (
     with_image,
 )
 from .bidirectional_settings import BidirectionalSettings, BpmSettings, BptSettings
+from .learned_emission import LearnedEmission
 from .store import STORE_SHARE, VertexRoom
 
 
@@ -90,6 +91,11 @@ class Bidirectional(Carrying, ImageMethod):
     settings: BidirectionalSettings
     citations: ClassVar[tuple[str, ...]] = ("Georgiev2012", "Georgiev2012b", "Hachisuka2012", "Davidovic2014")
 
+    @property
+    def carries_on(self) -> bool:  # type: ignore[override]
+        """Whether passes learn from those before."""
+        return self.settings.guide_emission == "on"
+
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. A pilot pass measures the number of light vertices and the mean radiance."""
         self._forget_states()
@@ -117,10 +123,11 @@ class Bidirectional(Carrying, ImageMethod):
         self._paths = max(1, round(s.light_paths * self.camera.pixels * self.samples_per_iteration))
         self._first_radius = radii.absolute_radius(self, s.radius, s.radius_unit, seed) if s.merging else 0.0
         bytes_per_vertex = LightVertices.bytes_per_vertex(
-            bool(self.techniques.connection), self.techniques.merge, bool(self._more_radii)
+            bool(self.techniques.connection), self.techniques.merge, bool(self._more_radii), self.carries_on
         )
         floats = LightVertices.floats_per_vertex(bool(self.techniques.connection))
         self._room = VertexRoom(bytes_per_vertex, floats, problem.memory)
+        self._learning = LearnedEmission(self) if self.carries_on else None
         self._pilot(seed)
         self._groups = self._count_groups()
 
@@ -168,6 +175,8 @@ class Bidirectional(Carrying, ImageMethod):
         # Rounded to steps, so that the order of atomic additions in the pilot does not change the picture.
         brightness = 2.0 ** (round(4.0 * math.log2(mean)) / 4.0) if mean > 0.0 else 0.0
         self._dark = self.settings.shadow_roulette * brightness
+        if self._learning:
+            self._learning.unit = brightness
 
     @property
     def _more_radii(self) -> tuple[str, ...]:
@@ -191,10 +200,13 @@ class Bidirectional(Carrying, ImageMethod):
 
     def _left(self) -> State:
         """Number of groups and vertices of a light path, which change if the capacity was too small for a pass."""
-        return {"groups": self._groups, "vertices_per_path": self._room.per_path}
+        learned = {"emission": self._learning.state()} if self._learning else {}
+        return {"groups": self._groups, "vertices_per_path": self._room.per_path} | learned
 
     def _take(self, state: State) -> None:
         self._groups, self._room.per_path = int(state["groups"]), float(state["vertices_per_path"])
+        if self._learning:
+            self._learning.restore(state["emission"])
 
     # ------------------------------------------------------------------ a pass
 
@@ -217,6 +229,8 @@ class Bidirectional(Carrying, ImageMethod):
             run = _Run("", iteration, seed, radius, light, camera, pixel, samples, splats, pyramid, capacity)
             radiance, counts = self._trace(run)
             if not self._room.held(counts["light_vertices"], light.count):
+                if self._learning:
+                    self._learning.drop()
                 self._groups = self._count_groups()  # the capacity was too small: repeat the whole pass
                 return self.render_pass(iteration, seed, samples)
             parts.append(radiance)
@@ -232,6 +246,8 @@ class Bidirectional(Carrying, ImageMethod):
             for name, image in zip(names, splatted, strict=True):
                 layers[name] = layers[name] + image if name in layers else image
         more = {name: layers.pop(name) for name in self._more_radii}
+        if self._learning:
+            self._learning.end_pass(with_image(layers)["image"], samples)
         if pyramid:
             more |= pyramid.layers(lambda values: self.image(values, seed, iteration))
         return with_image(layers) | more, counters
@@ -248,12 +264,16 @@ class Bidirectional(Carrying, ImageMethod):
         paths = run.light.count
         dr.make_opaque(run.camera, run.pixel)  # so that pilot and passes share kernels
         mis = self._mis(run.radius, paths)
-        common = {"camera": self.camera, "mis": mis, "dark": dr.opaque(mi.Float, self._dark)}
+        common: dict[str, Any] = {"camera": self.camera, "mis": mis, "dark": dr.opaque(mi.Float, self._dark)}
+        if self._learning:
+            common |= self._learning.fields(not run.role)
         connecting = self.techniques.connection > 0
         numbered = run.pyramid is not None and self.visibility.transparent
         vertices, sink = None, None
         if connecting or self.techniques.merge:
-            vertices = LightVertices(run.capacity, paths, self._indexed, connecting, numbered, mis.radius_free)
+            vertices = LightVertices(
+                run.capacity, paths, self._indexed, connecting, numbered, mis.radius_free, self.carries_on
+            )
         if run.splats:
             sink = SplatSink(pyramid=run.pyramid, splats=run.splats, paths_per_sample=mis.paths_per_sample)
         source = self.light_numbers(run.light, self._paths, run.seed, run.iteration, run.role + "light")
@@ -278,6 +298,8 @@ class Bidirectional(Carrying, ImageMethod):
         if run.pyramid:
             dr.schedule(run.pyramid.array)
         dr.eval(radiance, rays, bad)  # one kernel
+        if self._learning and not run.role:
+            self._learning.add(common["training"])
         return radiance, {
             "rays": total(rays) + total(light_rays),
             "light_vertices": float(vertices.wanted[0]) if vertices else 0.0,

@@ -67,6 +67,11 @@ class BidirectionalSettings(CameraSettings):
         "contribution is cast; 0: all shadow rays are cast",
         minimum=0.0,
     )
+    guide_emission: str = setting(
+        "off",
+        "learn which lights, and which of their directions, contribute to the picture, and emit light paths by that",
+        choices=("on", "off"),
+    )
     split_layers: bool = setting(
         False, "add a layer for each family of techniques; their sum is the image; takes 5 to 10 % more time"
     )

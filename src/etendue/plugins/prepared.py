@@ -35,6 +35,7 @@ class Prepared:
 
     def __init__(self, kind: type[ImageMethod], settings: ImageSettings) -> None:
         self._kind, self._settings = kind, settings
+        self._carries_on = kind(settings).carries_on  # some methods carry on by their settings
         self._scene: Parameters | None = None
         self._kept: dict[tuple[int, int], _Kept] = {}
 
@@ -53,12 +54,12 @@ class Prepared:
             warn_of_offsets(problem.scene, problem.sensor, "the scene")
             kept = self._prepare(problem, seed, seen)
             self._scene = parameters(problem.scene)  # traversing an emitter turns its scalars into variables
-        elif self._kind.carries_on:
+        elif self._carries_on:
             kept.method.prepare(problem, seed)
         else:
             kept.method.bind(problem.scene)
         yield kept.method
-        if self._kind.carries_on:
+        if self._carries_on:
             kept.method = self._kind(kept.method.settings)  # the settings contain the samples of a pass
         else:
             kept.method.bind(None)
@@ -68,7 +69,7 @@ class Prepared:
 
     def _prepare(self, problem: Problem, seed: int, seen: Parameters) -> _Kept:
         method, problem = self._kind(self._settings), replace(problem)  # a copy, because bind() changes its scene
-        if not self._kind.carries_on:
+        if not self._carries_on:
             seed = _PILOT_SEED
         method.prepare(problem, seed)
         fitted: Any = fit_samples(method, problem.spp, problem, seed)

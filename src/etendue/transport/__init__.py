@@ -15,6 +15,7 @@ from .direct import DirectWeights
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
 from .ending import EndingGuidedWalk, EndingWalker, light_of_map
 from .functions import TransportFunctions, film_picture
+from .guiding.emission import BLOCK, EmissionGuide, EmissionSums, EmissionTraining
 from .guiding.guide import NOWHERE, Guide, GuidedScattered, direction_of, square_of
 from .guiding.lights import MOST_LIGHTS, LightChoice, LocalLights
 from .guiding.walk import FOUND_UNITS, GuidedPath, GuidedWalk, TrainingSamples
@@ -45,6 +46,7 @@ from .walk import CameraPath, Emission, MapEnd, SubPath, Walker, ones
 
 __all__ = [
     "AMBIENT_WALKS",
+    "BLOCK",
     "EMISSION",
     "FIRST_BOUNCE",
     "FOUND_UNITS",
@@ -67,7 +69,10 @@ __all__ = [
     "DirectSample",
     "DirectWeights",
     "Emission",
+    "EmissionGuide",
     "EmissionScheme",
+    "EmissionSums",
+    "EmissionTraining",
     "EmittedRay",
     "EndingGuidedWalk",
     "EndingWalker",

@@ -30,6 +30,7 @@ class _State(BidirectionalPath):
 
     lane: mi.UInt32  #: number of the camera path; does not change
     layers: dict[str, mi.Color3f]  #: technique family -> radiance
+    worth: mi.Float | None  #: factor on contributions to its pixel, for a guide of emission; None without
 
 
 @dataclass
@@ -128,6 +129,7 @@ class CameraWalk(BidirectionalWalk):
             rays=dr.zeros(mi.UInt32, lanes),
             lane=dr.arange(mi.UInt32, lanes),
             layers=self.sink.begin(self.mis.techniques, pixel, importance),
+            worth=None if self.training is None else self.training.worth(pixel),
         )
         state = self.walk(state, lambda s: self._edge(s, source), "camera walk")
         return {name: radiance * importance for name, radiance in state.layers.items()}, state.rays
@@ -198,6 +200,8 @@ class CameraWalk(BidirectionalWalk):
         s.rays += rays
         self.sink.show(mi.UInt32(1), number + 1, contribution)
         self.sink.add(s.layers, "next_event", contribution.weighted, contribution.active)
+        if self.training is not None:
+            self.training.add_light(light.light, contribution.weighted[0], s.worth, contribution.active)
 
     def _pick_vertices(self, s: _State, vertex: WalkVertex, active: mi.Bool) -> list[_Joined]:
         """Edges from a camera vertex to light vertices sampled from the cache."""
@@ -276,6 +280,8 @@ class CameraWalk(BidirectionalWalk):
         edges = other.depth + s.depth + 1
         contribution, rays = self.connect(vertex, other.position, edges, values, alone, self.dark, u, active)
         self.sink.show(other.number + 1, number + 1, contribution)
+        if self.training is not None:
+            self.training.add(other.path, contribution.weighted[0], s.worth, contribution.active)
         return [dr.select(contribution.active, value, 0.0) for value in contribution.weighted], rays
 
     def _merge(self, s: _State, vertex: WalkVertex, active: mi.Bool) -> None:
@@ -308,4 +314,7 @@ class CameraWalk(BidirectionalWalk):
             here = active & inside[0]
             merged = Contribution([alone * weights[0]], alone, here, here)
             self.sink.show(photons.number(photon, active) + 1, number + 1, merged, merged=True)
+        if self.training is not None:
+            credit = value * s.throughput * (self.gather.factors[0] * weights[0])
+            self.training.add(photons.path(photon, active), credit, s.worth, active & inside[0])
         return [dr.select(ok, value * w, 0.0) for ok, w in zip(inside, weights, strict=True)]

@@ -47,6 +47,7 @@ class Photons:
     _flux: mi.Float
     _slopes: mi.Float | None
     _depth_bits: int  #: bits of a tag that hold the depth; if fewer than 16, the next four hold the vertex number
+    _owners: mi.UInt32 | None = None  #: number of the light path of each
 
     def position(self, index: mi.UInt32, active: mi.Bool) -> tuple[mi.Point3f, mi.UInt32]:
         """(position, depth)."""
@@ -56,6 +57,11 @@ class Photons:
     def number(self, index: mi.UInt32, active: mi.Bool) -> mi.UInt32:
         """Number of the vertex on its path (see :class:`LightVertex`)."""
         return number_of(dr.gather(mi.Float, self._position, 4 * index + 3, active), self._depth_bits)
+
+    def path(self, index: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """Number of the light path, if vertices are ``owned``."""
+        assert self._owners is not None
+        return dr.gather(mi.UInt32, self._owners, index, active)
 
     def read(self, index: mi.UInt32, active: mi.Bool) -> Photon:
         """All but position and depth."""

@@ -62,6 +62,7 @@ class LightVertex(Vertex):
     d_vc: mi.Float | RadiusFree
     depth: mi.UInt32  #: edges from the light
     number: mi.UInt32  #: as ``depth``, without null surfaces if the store is ``numbered``
+    path: mi.UInt32  #: number of its light path
 
     def evaluate(self, direction: mi.Vector3f, active: mi.Bool) -> Evaluated:
         """The BSDF for a world direction of the eye side; the value times :func:`cosine_ratio` is the adjoint BSDF
@@ -81,6 +82,7 @@ class LightVertices:
     indexed: the layout that recomputes surface interactions (see above).
     connected: vertices are used for connections; if not, only the data for merging is stored.
     radius_free: d_vc is a :class:`RadiusFree`, of two numbers.
+    owned: store the path of each vertex, also for merging.
     numbered: store the number of each vertex on its path, up to 15; the light point is 0. Without, the depth is used,
         which differs from the number after null surfaces.
     """
@@ -93,6 +95,7 @@ class LightVertices:
         connected: bool,
         numbered: bool = False,
         radius_free: bool = False,
+        owned: bool = False,
     ) -> None:
         self.capacity = capacity
         self.indexed = indexed
@@ -107,16 +110,17 @@ class LightVertices:
         self._limit = dr.opaque(mi.UInt32, capacity)  # opaque, because the capacity depends on the seed
         self._records = dr.empty(mi.Float, 4 * self._packets * capacity)
         self._slopes = dr.empty(mi.Float, capacity) if radius_free else None  # second coefficient of d_vc
+        self._owners = dr.empty(mi.UInt32, capacity) if owned else None
         padded = -(-paths // _BLOCK) * _BLOCK
         self._stored = dr.zeros(mi.UInt32, padded if connected else 1)  # vertices of each path
         self._order: mi.UInt32 | None = None
         self._start: mi.UInt32 | None = None
 
     @staticmethod
-    def bytes_per_vertex(connected: bool, merged: bool, radius_free: bool = False) -> int:
+    def bytes_per_vertex(connected: bool, merged: bool, radius_free: bool = False, owned: bool = False) -> int:
         """Device memory of a stored vertex in bytes, including the copy and the grid for merging."""
         bytes_ = 16 * (_PACKETS if connected else _PHOTON_PACKETS) + (4 if connected else 0)
-        return bytes_ + (48 + 24 if merged else 0) + (8 if radius_free else 0)
+        return bytes_ + (48 + 24 if merged else 0) + (8 if radius_free else 0) + (8 if owned else 0)
 
     @staticmethod
     def floats_per_vertex(connected: bool) -> int:
@@ -161,6 +165,8 @@ class LightVertices:
         if self._slopes is not None:
             dr.scatter(self._slopes, d_vc.b, slot, active)
             d_vc = d_vc.a
+        if self._owners is not None:
+            dr.scatter(self._owners, path, slot, active)
         lit = dr.select(dr.dot(si.n, direction) < 0.0, -si.n, si.n)
         self._put(2, mi.Vector4f(*packed_direction(direction), packed_normal(lit), d_vc), slot, active)
         if not self.connected:
@@ -183,7 +189,7 @@ class LightVertices:
 
     def launch(self) -> None:
         """Launch the walk's kernel, and all that is scheduled."""
-        dr.eval(self.wanted, self._records, self._stored, self._slopes)
+        dr.eval(self.wanted, self._records, self._stored, self._slopes, self._owners)
 
     @property
     def count(self) -> mi.UInt32:
@@ -237,6 +243,7 @@ class LightVertices:
             d_vc=_d_vc(direction.w, self._slopes, slot, active),
             depth=depth_of(position.w, self._depth_bits),
             number=number_of(position.w, self._depth_bits),
+            path=_as_uint(owner.y),
         )
 
     def _recompute(
@@ -276,8 +283,12 @@ class LightVertices:
         if self._slopes is not None:
             slopes = dr.empty(mi.Float, self.capacity)
             dr.scatter(slopes, dr.gather(mi.Float, self._slopes, slot, held), destination, held)
-        dr.eval(position, flux, slopes)
-        return Photons(position, flux, slopes, self._depth_bits)
+        owners = None
+        if self._owners is not None:
+            owners = dr.empty(mi.UInt32, self.capacity)
+            dr.scatter(owners, dr.gather(mi.UInt32, self._owners, slot, held), destination, held)
+        dr.eval(position, flux, slopes, owners)
+        return Photons(position, flux, slopes, self._depth_bits, owners)
 
 
 def _framed(p: mi.Point3f, first: mi.Vector4f, second: mi.Vector4f) -> mi.SurfaceInteraction3f:

@@ -1,0 +1,118 @@
+"""Emission that a method learns pass by pass: generations of training, and their state.
+
+Training has generations of 1, 2, 4, ... passes. A pass emits by what earlier generations have learned, so that each is
+unbiased given those before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from etendue.core import Array, CheckpointError
+from etendue.transport import BLOCK, EmissionGuide, EmissionSums, EmissionTraining
+
+from .base import ImageMethod, Layer
+
+#: Generations of training; the guide is fixed after the last one.
+GENERATIONS = 6
+
+
+class LearnedEmission:
+    """The guide of a prepared method, its training, and the brightness of the picture so far."""
+
+    def __init__(self, method: ImageMethod) -> None:
+        self._method = method
+        self.guide = EmissionGuide(method.lights)
+        #: Mean contribution to a pixel; 0 if it is unknown, and nothing is learned.
+        self.unit = 0.0
+        self._generation = self._passes = 0
+        width, height = method.camera.width, method.camera.height
+        self._blocks = np.zeros((-(-height // BLOCK), -(-width // BLOCK)))  # sums of luminance of all passes
+        self._seen = 0.0  # samples in them
+        self._levels = np.ones(self._blocks.size)
+        self._sums = EmissionSums.zero(self.guide.count, self.guide.places)
+        self.drop()
+
+    @property
+    def trains(self) -> bool:
+        """Whether the guide learns from the next pass."""
+        return self._generation < GENERATIONS
+
+    def fields(self, recording: bool) -> dict[str, Any]:
+        """The fields of the walkers of a group of light paths."""
+        width = self._method.camera.width
+        training = EmissionTraining(self.guide, self.unit, self._levels, width, recording and self.trains)
+        return {"lights": self.guide.lights, "departures": self.guide.departures, "training": training}
+
+    def drop(self) -> None:
+        """Forget what the current pass has added."""
+        self._own = EmissionSums.zero(self.guide.count, self.guide.places)
+
+    def add(self, training: EmissionTraining) -> None:
+        """Add the contributions of a group of light paths."""
+        if self.trains:
+            self._own = self._own + training.sums()
+
+    def end_pass(self, image: Layer, samples: int) -> None:
+        """Learn at the end of a generation. ``image``: sums of the pass."""
+        if not self.trains:
+            return
+        self._sums = self._sums + self._own
+        self._blocks = self._blocks + _block_means(image)
+        self._seen += samples
+        self._passes += 1
+        if self._passes >= 1 << self._generation:
+            self.guide.learn(self._sums)
+            self._generation, self._passes = self._generation + 1, 0
+            self._sums = EmissionSums.zero(self.guide.count, self.guide.places)
+            self._set_levels()
+        self.drop()
+
+    def _set_levels(self) -> None:
+        levels = self._blocks.ravel() / max(self._seen, 1.0)
+        if self.unit > 0.0 and levels.sum() > 0.0:
+            # In steps, so that the order in which splats were added does not matter.
+            relative = np.maximum(levels / self.unit, 2.0**-8)
+            self._levels = 2.0 ** (np.round(4.0 * np.log2(relative)) / 4.0)
+
+    def state(self) -> dict[str, Any]:
+        """Guide and sums, as arrays that are not modified later."""
+        count, credit, square, weighted, direct = self._sums.arrays()
+        return {
+            "generation": self._generation,
+            "passes": self._passes,
+            "guide": self.guide.state(),
+            "sums": {"count": count, "credit": credit, "square": square, "weighted": weighted, "direct": direct},
+            "blocks": self._blocks,
+            "seen": self._seen,
+            "levels": self._levels,
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Inverse of :meth:`state`. Raises :class:`CheckpointError` for a state that does not fit."""
+        self.guide.restore(state["guide"])
+        self._generation, self._passes, self._seen = (
+            int(state["generation"]),
+            int(state["passes"]),
+            float(state["seen"]),
+        )
+        sums = EmissionSums(**{name: np.asarray(array, np.float64) for name, array in state["sums"].items()})
+        blocks = np.asarray(state["blocks"], np.float64)
+        if sums.credit.size != self.guide.places or blocks.shape != self._blocks.shape:
+            raise CheckpointError("the guide of emission in the checkpoint is damaged; start a new run")
+        self._sums, self._blocks, self._levels = sums, blocks, np.asarray(state["levels"], np.float64)
+        self.drop()
+
+
+def _block_means(image: Layer) -> Array:
+    """Mean luminance of blocks of pixels."""
+    luminance = image.astype(np.float64) @ np.array([0.2126, 0.7152, 0.0722])
+    height, width = luminance.shape
+    rows, columns = np.arange(0, height, BLOCK), np.arange(0, width, BLOCK)
+    sums = np.add.reduceat(np.add.reduceat(luminance, rows, axis=0), columns, axis=1)
+    sizes = np.outer(np.diff(np.append(rows, height)), np.diff(np.append(columns, width)))
+    means: Array = sums / sizes
+    return means
