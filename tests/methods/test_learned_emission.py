@@ -47,6 +47,11 @@ def lights() -> Any:
     )
 
 
+def names_of_lights(problem: Any) -> list[str]:
+    """Ids of the lights or of their shapes, by number."""
+    return [e.get_shape().id() if e.get_shape() else e.id() for e in problem.scene.emitters()]
+
+
 def test_lights_and_directions_are_drawn_as_often_as_the_density_says():
     """Chi-square of the lights, and for lights of one plane or point of their directions; below the horizon and outside
     of the cone there are no rays."""
@@ -60,15 +65,17 @@ def test_lights_and_directions_are_drawn_as_often_as_the_density_says():
     fine = 512
     u, v = ((np.arange(fine**2) // n % fine + 0.5) / fine for n in (1, fine))
     direction = direction_of(mi.Point2f(mi.Float(u.astype(np.float32)), mi.Float(v.astype(np.float32))))
-    names = {e.id() or e.get_shape().id(): row for row, e in enumerate(problem.scene.emitters())}
+    names = names_of_lights(problem)
     for name, own in (
         ("square", lambda d: np.maximum(-d[1], 0.0) / np.pi),
         ("focused", lambda d: np.maximum(-d[1], 0.0) ** 5 * 6 / (2 * np.pi)),
         ("point", lambda d: np.full(d.shape[1], 0.25 / np.pi)),
     ):
-        row = next(row for key, row in names.items() if name in key)
+        row = names.index(name)
         density = np.array(
-            guide.departures.at(mi.UInt32(row)).mixed(direction, mi.Float(own(np.array(direction))), True)
+            guide.departures.at(mi.UInt32(row), mi.Bool(True)).mixed(
+                direction, mi.Float(own(np.array(direction))), True
+            )
         )
         lit = own(np.array(direction)) > 0.0
         mass = np.where(lit, density, 0.0) * 4.0 * np.pi / fine**2
@@ -90,7 +97,8 @@ def test_all_techniques_know_the_same_density_of_emission():
     source = IndependentSource(lane, 3, "test", 0)
     emitted = emit(guide.lights, source, mi.Bool(True), guide.departures)
     si = problem.scene.ray_intersect(mi.Ray3f(emitted.ray.o + 0.02 * emitted.ray.d, -emitted.ray.d))
-    met = emitted.active & si.is_valid() & is_emissive(problem.scene, si) & (si.t < 0.03)
+    # Rays begin a little off the light: at grazing angles, on a ball, opposite another point.
+    met = emitted.active & si.is_valid() & is_emissive(problem.scene, si) & (si.t < 0.03) & (emitted.cos_light > 0.2)
     _, _, density = emission_of_hit(guide.lights, problem.scene, si, met, departures=guide.departures)
     met = np.array(met)
     assert len(set(np.array(emitted.light)[met])) == 4  # all with a surface
@@ -102,7 +110,8 @@ def test_all_techniques_know_the_same_density_of_emission():
     met = direct.active & ~direct.is_delta & is_emissive(problem.scene, si)
     met &= dr.norm(si.p - direct.target) < 1e-3
     _, area, density = emission_of_hit(guide.lights, problem.scene, si, met, departures=guide.departures)
-    cos, met = mi.Frame3f.cos_theta(si.wi), np.array(met)
+    cos = mi.Frame3f.cos_theta(si.wi)
+    met = np.array(met & (cos > 0.5))  # a hit on a ball is a little beside the sampled point
     assert met.sum() > 1000
     np.testing.assert_allclose(np.array(direct.light_ratio * direct.pdf * cos)[met], np.array(density)[met], rtol=2e-3)
     np.testing.assert_allclose(np.array(direct.pdf * cos / dr.square(si.t))[met], np.array(area)[met], rtol=2e-3)
@@ -177,11 +186,7 @@ def test_light_that_is_found_late():
         guide, state = EmissionGuide(LightTable(problem.scene)), runner.state()
         wrong = guide.state()
         power = wrong["emitted"]
-        lamp = next(
-            i
-            for i, e in enumerate(problem.scene.emitters())
-            if (e.id() + e.get_shape().id() if e.get_shape() else e.id()).startswith("lamp")
-        )
+        lamp = names_of_lights(problem).index("lamp")
         wanted = np.where(np.arange(len(power)) == lamp, 0.0, power)
         wrong["emitted"] = wrong["direct"] = 0.9 * wanted / wanted.sum() + 0.1 * power
         runner.restore({**state, "emission": state["emission"] | {"guide": wrong}})
@@ -203,8 +208,6 @@ def test_it_learns_which_lamp_matters():
         errors[setting] = np.sort(pixels)[: int(0.98 * len(pixels))].mean()
         if setting == "on":
             guide = runner.state()["emission"]["guide"]
-            hidden = [
-                i for i, e in enumerate(problem.scene.emitters()) if e.get_shape() and "above" in e.get_shape().id()
-            ]
+            hidden = [i for i, name in enumerate(names_of_lights(problem)) if "above" in name]
             assert guide["emitted"][hidden].sum() < 0.15 and guide["direct"][hidden].sum() < 0.15
     assert errors["on"] < 0.7 * errors["off"]

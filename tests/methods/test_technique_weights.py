@@ -189,14 +189,15 @@ def test_the_share_of_every_technique_with_learned_emission(name):
     state = runner.state()
     learned = state["emission"] | {"guide": guide.state(), "generation": GENERATIONS}
     learned["sums"] = {
-        key: np.zeros(1 if key in ("count", "direct") else guide.places) for key in state["emission"]["sums"]
+        key: np.zeros(old.size if key in ("count", "direct", "moments") else guide.places)
+        for key, old in state["emission"]["sums"].items()
     }
     runner.restore({**state, "emission": learned})
 
     def relative(direction: np.ndarray) -> np.ndarray:
         flat = direction.reshape(-1, 3).astype(np.float32)
         world = mi.Vector3f(*(mi.Float(np.ascontiguousarray(flat[:, i])) for i in range(3)))
-        mixed = guide.departures.at(mi.UInt32(0)).mixed(world, mi.Float(0.25 / np.pi), mi.Bool(True))
+        mixed = guide.departures.at(mi.UInt32(0), mi.Bool(True)).mixed(world, mi.Float(0.25 / np.pi), mi.Bool(True))
         return 4.0 * np.pi * np.array(mixed, np.float64).reshape(direction.shape[:-1])
 
     assert_shares([runner.step(i, 1) for i in range(6)], by_quadrature(problem, counts, relative), name)

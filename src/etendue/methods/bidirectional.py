@@ -58,7 +58,7 @@ from .base import (
     with_image,
 )
 from .bidirectional_settings import BidirectionalSettings, BpmSettings, BptSettings
-from .learned_emission import LearnedEmission
+from .learned_emission import learned_emission
 from .store import STORE_SHARE, VertexRoom
 
 
@@ -94,7 +94,7 @@ class Bidirectional(Carrying, ImageMethod):
     @property
     def carries_on(self) -> bool:  # type: ignore[override]
         """Whether passes learn from those before."""
-        return self.settings.guide_emission == "on"
+        return self.settings.guide_emission != "off"
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. A pilot pass measures the number of light vertices and the mean radiance."""
@@ -127,7 +127,7 @@ class Bidirectional(Carrying, ImageMethod):
         )
         floats = LightVertices.floats_per_vertex(bool(self.techniques.connection))
         self._room = VertexRoom(bytes_per_vertex, floats, problem.memory)
-        self._learning = LearnedEmission(self) if self.carries_on else None
+        self._learning = learned_emission(self)
         self._pilot(seed)
         self._groups = self._count_groups()
 
@@ -176,7 +176,7 @@ class Bidirectional(Carrying, ImageMethod):
         brightness = 2.0 ** (round(4.0 * math.log2(mean)) / 4.0) if mean > 0.0 else 0.0
         self._dark = self.settings.shadow_roulette * brightness
         if self._learning:
-            self._learning.unit = brightness
+            self._learning.measure(brightness)
 
     @property
     def _more_radii(self) -> tuple[str, ...]:

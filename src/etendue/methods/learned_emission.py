@@ -6,7 +6,9 @@ unbiased given those before it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -16,15 +18,21 @@ from etendue.transport import BLOCK, EmissionGuide, EmissionSums, EmissionTraini
 
 from .base import ImageMethod, Layer
 
+#: Description of the setting.
+GUIDE_DOC = (
+    "learn which lights, and which of their directions, contribute to the picture, and emit light paths by that; "
+    "passes then depend on those before"
+)
 #: Generations of training; the guide is fixed after the last one.
-GENERATIONS = 6
+GENERATIONS = 5
 
 
 class LearnedEmission:
-    """The guide of a prepared method, its training, and the brightness of the picture so far."""
+    """The guide of a prepared method, its training, and the brightness of the picture so far. ``directions``: whether
+    those are learned, too."""
 
-    def __init__(self, method: ImageMethod) -> None:
-        self._method = method
+    def __init__(self, method: ImageMethod, directions: bool) -> None:
+        self._method, self._directions = method, directions
         self.guide = EmissionGuide(method.lights)
         #: Mean contribution to a pixel; 0 if it is unknown, and nothing is learned.
         self.unit = 0.0
@@ -36,29 +44,41 @@ class LearnedEmission:
         self._sums = EmissionSums.zero(self.guide.count, self.guide.places)
         self.drop()
 
+    def measure(self, brightness: float) -> None:
+        """Set the mean contribution to a pixel, if it is unknown; in steps, so that the order of additions does not
+        matter."""
+        if self.unit <= 0.0 < brightness:
+            self.unit = 2.0 ** (round(4.0 * math.log2(brightness)) / 4.0)
+
     @property
     def trains(self) -> bool:
         """Whether the guide learns from the next pass."""
         return self._generation < GENERATIONS
 
     def fields(self, recording: bool) -> dict[str, Any]:
-        """The fields of the walkers of a group of light paths."""
-        width = self._method.camera.width
-        training = EmissionTraining(self.guide, self.unit, self._levels, width, recording and self.trains)
-        return {"lights": self.guide.lights, "departures": self.guide.departures, "training": training}
+        """The fields of the walkers of a group of light paths. What is not used is left out, because it takes time."""
+        width, training = self._method.camera.width, None
+        if recording and self.trains and self.unit > 0.0:
+            training = EmissionTraining(self.guide, self.unit, self._levels, width, self._directions)
+        departures = self.guide.departures if self.guide.departs else None
+        return {"lights": self.guide.lights, "departures": departures, "training": training}
 
     def drop(self) -> None:
         """Forget what the current pass has added."""
         self._own = EmissionSums.zero(self.guide.count, self.guide.places)
 
-    def add(self, training: EmissionTraining) -> None:
+    def add(self, training: EmissionTraining | None) -> None:
         """Add the contributions of a group of light paths."""
-        if self.trains:
+        if training is not None:
             self._own = self._own + training.sums()
 
     def end_pass(self, image: Layer, samples: int) -> None:
         """Learn at the end of a generation. ``image``: sums of the pass."""
         if not self.trains:
+            return
+        if self.unit <= 0.0:
+            self.measure(float(image.mean(dtype=np.float64)) / samples)
+            self.drop()
             return
         self._sums = self._sums + self._own
         self._blocks = self._blocks + _block_means(image)
@@ -80,12 +100,12 @@ class LearnedEmission:
 
     def state(self) -> dict[str, Any]:
         """Guide and sums, as arrays that are not modified later."""
-        count, credit, square, weighted, direct = self._sums.arrays()
         return {
+            "unit": self.unit,
             "generation": self._generation,
             "passes": self._passes,
             "guide": self.guide.state(),
-            "sums": {"count": count, "credit": credit, "square": square, "weighted": weighted, "direct": direct},
+            "sums": asdict(self._sums),
             "blocks": self._blocks,
             "seen": self._seen,
             "levels": self._levels,
@@ -94,6 +114,7 @@ class LearnedEmission:
     def restore(self, state: Mapping[str, Any]) -> None:
         """Inverse of :meth:`state`. Raises :class:`CheckpointError` for a state that does not fit."""
         self.guide.restore(state["guide"])
+        self.unit = float(state["unit"])
         self._generation, self._passes, self._seen = (
             int(state["generation"]),
             int(state["passes"]),
@@ -116,3 +137,9 @@ def _block_means(image: Layer) -> Array:
     sizes = np.outer(np.diff(np.append(rows, height)), np.diff(np.append(columns, width)))
     means: Array = sums / sizes
     return means
+
+
+def learned_emission(method: ImageMethod) -> LearnedEmission | None:
+    """That of a method with the setting ``guide_emission``; None if nothing is learned."""
+    setting = method.settings.guide_emission
+    return None if setting == "off" else LearnedEmission(method, setting == "on")

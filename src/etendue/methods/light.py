@@ -17,13 +17,14 @@ from typing import ClassVar
 import drjit as dr
 import mitsuba as mi
 
-from etendue.core import SampleSource, UnsupportedError, setting
+from etendue.core import Carrying, SampleSource, State, UnsupportedError, setting
 from etendue.scene import Problem
 from etendue.transport import Contribution, LightWalk, Mis, SplatSink, Techniques, ones, point_on
 from etendue.transport import dimensions as dim
 
 from . import base
 from .base import ImageMethod, ImageSettings, Lanes, Layer, total
+from .learned_emission import GUIDE_DOC, learned_emission
 
 #: Part of its length by which a shadow ray ends before a light.
 _SHADOW_EPSILON = 1e-3
@@ -34,9 +35,10 @@ class LightSettings(ImageSettings):
     """Settings of ``light``."""
 
     light_paths: float = setting(1.0, "light paths per pixel and sample; more: less noise", above=0.0, maximum=64.0)
+    guide_emission: str = setting("off", GUIDE_DOC, choices=("off", "lights", "on"))
 
 
-class LightTracing(ImageMethod):
+class LightTracing(Carrying, ImageMethod):
     """Light tracing: every vertex of every light path is splatted."""
 
     name: ClassVar[str] = "light"
@@ -47,12 +49,26 @@ class LightTracing(ImageMethod):
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. Raises :class:`UnsupportedError` for a sensor that points cannot be connected
         to."""
+        self._forget_states()
         super().prepare(problem, seed)
+        self._learning = learned_emission(self)
         if not self.camera.can_splat:
             raise UnsupportedError(
                 "light paths cannot be connected to this sensor, so 'light' would render a black picture; use another "
                 "method"
             )
+
+    @property
+    def carries_on(self) -> bool:  # type: ignore[override]
+        """Whether passes learn from those before."""
+        return self.settings.guide_emission != "off"
+
+    def _left(self) -> State:
+        return {"emission": self._learning.state()} if self._learning else {}
+
+    def _take(self, state: State) -> None:
+        if self._learning:
+            self._learning.restore(state["emission"])
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
@@ -62,13 +78,16 @@ class LightTracing(ImageMethod):
         scattered, seen = (
             SplatSink(splats=self.splats(seed, iteration), paths_per_sample=mis.paths_per_sample) for _ in range(2)
         )
-        walk = self.walker(LightWalk, camera=self.camera, mis=mis, dark=mi.Float(0.0), sink=scattered)
         counters = {"rays": 0.0, "paths": float(paths), "nonfinite": 0.0}
         groups = -(-paths // base.MOST_LIGHT_LANES)
         for group in range(groups):
             lanes = Lanes(0, paths).part(group, groups)
+            guided = self._learning.fields(True) if self._learning else {}
+            walk = self.walker(LightWalk, camera=self.camera, mis=mis, dark=mi.Float(0.0), sink=scattered, **guided)
             rays, bad = walk.trace(lanes.count, self.light_numbers(lanes, paths, seed, iteration))
             dr.eval(rays, bad, scattered.splats.array)
+            if self._learning:
+                self._learning.add(guided["training"])
             source = self.light_numbers(lanes, paths, seed, iteration, "visible light")
             seen_rays, seen_bad = self._seen_directly(source, lanes.count, seen)
             dr.eval(seen_rays, seen_bad, seen.splats.array)
@@ -78,6 +97,8 @@ class LightTracing(ImageMethod):
         layers = {
             name: sink.splats.sums()[0] * (samples / paths) for name, sink in (("splat", scattered), ("emission", seen))
         }
+        if self._learning:
+            self._learning.end_pass(layers["splat"], samples)
         return layers, counters
 
     def _seen_directly(self, source: SampleSource, paths: int, sink: SplatSink) -> tuple[mi.UInt32, mi.Bool]:

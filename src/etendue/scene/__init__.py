@@ -6,7 +6,7 @@ from .camera import Camera
 from .capability import check
 from .fingerprint import fingerprint
 from .graph import materials
-from .lamps.radiance import sphere_point, surface_point, uniform_point, varies
+from .lamps.radiance import sphere_point, sphere_point_facing, surface_point, uniform_point, varies
 from .lamps.table import Light, LightTable
 from .loading import Source, integrator_of, load, locate, resized
 from .plugins import composed_bsdf, register
@@ -42,6 +42,7 @@ __all__ = [
     "resized",
     "restored",
     "sphere_point",
+    "sphere_point_facing",
     "surface_point",
     "uniform_point",
     "varies",

@@ -12,7 +12,7 @@ from .bidirectional.sinks import CameraSink, Contribution, Sink, SplatSink
 from .bidirectional.vertices import Kind, LightVertex, LightVertices, needs_interaction
 from .camera import CameraConnection, CameraSampler, SplatPlace, Splats
 from .direct import DirectWeights
-from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
+from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, sample_direct
 from .ending import EndingGuidedWalk, EndingWalker, light_of_map
 from .functions import TransportFunctions, film_picture
 from .guiding.emission import BLOCK, EmissionGuide, EmissionSums, EmissionTraining
@@ -20,6 +20,7 @@ from .guiding.guide import NOWHERE, Guide, GuidedScattered, direction_of, square
 from .guiding.lights import MOST_LIGHTS, LightChoice, LocalLights
 from .guiding.walk import FOUND_UNITS, GuidedPath, GuidedWalk, TrainingSamples
 from .irradiance import CacheMap, IrradianceCache, irradiance_gradients, stratified_hemispheres
+from .on_lights import point_on
 from .scattering import (
     Evaluated,
     Proposal,

@@ -9,11 +9,12 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
-from etendue.scene import Light, LightTable, graph, sphere_point, surface_point, uniform_point, varies
+from etendue.scene import Light, LightTable, sphere_point, sphere_point_facing
 
 from . import dimensions as dim
 from .guiding.departure import Departure, Departures
 from .guiding.lights import LocalLights
+from .on_lights import area_density_on, departing, is_sphere, light_point, of_emission, of_next_event, place_on
 from .spheres import cone_of, point_in, seen_density
 
 
@@ -25,6 +26,7 @@ class EmittedRay:
     light: mi.UInt32  #: number of the light
     throughput: mi.Color3f  #: emitted radiance times cosine over the density, a flux
     direction_pdf: mi.Float  #: solid-angle density of the direction at the light; 1 for infinite lights and beams
+    own_pdf: mi.Float  #: the same without learned directions
     #: Density of the light point under next event, light selection included (infinite lights: of the direction). For a
     #: spherical light this is the density under emission, because that of next event depends on the lit point (see
     #: :mod:`.spheres`).
@@ -62,6 +64,7 @@ def emit(lights: LightTable, source: SampleSource, active: mi.Bool, departures: 
         light=light.row,
         throughput=dr.zeros(mi.Color3f, n),
         direction_pdf=dr.full(mi.Float, 1.0, n),
+        own_pdf=dr.full(mi.Float, 1.0, n),
         area_density=dr.full(mi.Float, 1.0, n),
         emission_density=dr.full(mi.Float, 1.0, n),
         cos_light=dr.full(mi.Float, 1.0, n),
@@ -93,14 +96,20 @@ def _emit_area(
     learned: Departure | None,
     mask: mi.Bool,
 ) -> None:
-    place, triangle, area_density = _place(lights, light, light.emitted, u_point, mask)
+    place, triangle, area_density = place_on(lights, light, light.emitted, u_point, mask)
     own = light.direction(u_direction)
-    guided = [] if learned is None else [learned.direction, learned.applies]
+    guided: list[Any] = []
+    if learned is not None:
+        # The normal of the point of a sphere around the direction, as directions are around the normal of a point.
+        normal = mi.Frame3f(learned.direction).to_world(light.direction(u_point))
+        guided = [learned.direction, learned.applies, normal, learned.applies & learned.is_round]
 
     def emitted(
         emitter: mi.Emitter, triangle: mi.UInt32, place: mi.Point2f, own: mi.Vector3f, guided: list[Any], mask: mi.Bool
     ) -> tuple[mi.Point3f, mi.Normal3f, mi.Vector3f, mi.Color3f]:
-        si = _light_point(emitter, triangle, place, mask)
+        si = light_point(emitter, triangle, place, mask)
+        if guided and is_sphere(emitter):
+            si = dr.select(guided[3], sphere_point_facing(emitter.get_shape(), guided[2], si), si)
         si.wi = dr.select(guided[1], mi.Frame3f(si.n).to_local(guided[0]), own) if guided else own
         return si.p, si.n, si.wi, emitter.eval(si, mask)
 
@@ -109,6 +118,7 @@ def _emit_area(
     si.p, si.n, si.sh_frame = p, n, mi.Frame3f(n)
     cos = mi.Frame3f.cos_theta(local)
     direction_pdf = light.direction_pdf(cos)
+    out.own_pdf[mask] = direction_pdf
     if learned is not None:
         mask = mask & (cos > 0.0)
         direction_pdf = learned.mixed(si.to_world(local), dr.maximum(direction_pdf, 0.0), mask)
@@ -116,56 +126,10 @@ def _emit_area(
     out.ray[mask] = si.spawn_ray(si.to_world(local))
     out.throughput[mask] = radiance * (cos / (area_density * direction_pdf))
     out.direction_pdf[mask] = direction_pdf
-    out.area_density[mask] = _of_next_event(light, area_density)
+    out.area_density[mask] = of_next_event(light, area_density)
     out.emission_density[mask] = area_density * direction_pdf
     out.cos_light[mask] = cos
     out.active &= ~mask | (cos > 0.0)
-
-
-def _of_next_event(light: Light, density: mi.Float) -> mi.Float:
-    """A density that contains the light's selection by emission, with that by next event instead."""
-    return density if light.emitted is light.pick else density * (light.pick / light.emitted)
-
-
-def point_on(
-    lights: LightTable, light: Light, u: mi.Point2f, mask: mi.Bool
-) -> tuple[mi.SurfaceInteraction3f, mi.Float]:
-    """A point on an area light, sampled as for emission: (interaction, area density with light selection)."""
-    place, triangle, density = _place(lights, light, light.pick, u, mask)
-
-    def point(
-        emitter: mi.Emitter, triangle: mi.UInt32, place: mi.Point2f, mask: mi.Bool
-    ) -> tuple[mi.Point3f, mi.Normal3f, mi.Point2f, mi.UInt32]:
-        si = _light_point(emitter, triangle, place, mask)
-        return si.p, si.n, si.uv, si.prim_index
-
-    si = dr.zeros(mi.SurfaceInteraction3f, dr.width(u))
-    si.p, si.n, si.uv, si.prim_index = dr.dispatch(light.emitter, point, triangle, place, mask)
-    if lights.points is not None:  # the radiance may be an attribute of the mesh
-        si.shape = light.emitter.get_shape()
-    return si, density
-
-
-def _place(
-    lights: LightTable | LocalLights, light: Light, chance: mi.Float, u: mi.Point2f, mask: mi.Bool
-) -> tuple[mi.Point2f, mi.UInt32, mi.Float]:
-    """The point of an area light that ``u`` selects: (place, triangle, area density times ``chance``, the probability
-    of the light)."""
-    density = chance * light.area_density
-    if lights.points is None:
-        return u, mi.UInt32(0), density
-    place, triangle, factor = lights.points.draw(light.row, u, mask)
-    return place, triangle, density * factor
-
-
-def _light_point(emitter: mi.Emitter, triangle: mi.UInt32, place: mi.Point2f, mask: mi.Bool) -> mi.SurfaceInteraction3f:
-    """A point of an emitter's shape."""
-    shape = emitter.get_shape()  # None for some emitters: Dr.Jit traces the call for each emitter of the scene
-    if shape is None:
-        return dr.zeros(mi.SurfaceInteraction3f)
-    if varies(emitter):
-        return surface_point(shape, triangle, place, mask)
-    return uniform_point(shape, place, mask)
 
 
 def _emit_point(
@@ -173,6 +137,7 @@ def _emit_point(
 ) -> None:
     ray, weight = _own_ray(light, mi.EmitterFlags.DeltaPosition, u_direction, mask)
     direction_density = light.direction_density
+    out.own_pdf[mask] = direction_density
     if learned is not None:
         # The intensity is that at distance 1; the density is not of the emitter's own directions where it is unused.
         probe = dr.zeros(mi.Interaction3f)
@@ -275,15 +240,15 @@ def _direct_area(
     departures: Departures | None,
     mask: mi.Bool,
 ) -> None:
-    place, triangle, area_density = _place(lights, light, light.pick, u_point, mask)
+    place, triangle, area_density = place_on(lights, light, light.pick, u_point, mask)
     cone = cone_of(light, si.p) if lights.has_sphere else None
     seen = [*point_in(cone, light, u_point), cone.applies] if cone else []
 
     def lit(
         emitter: mi.Emitter, p: mi.Point3f, triangle: mi.UInt32, place: mi.Point2f, seen: list[Any], mask: mi.Bool
     ) -> tuple[mi.Point3f, mi.Point2f, mi.Vector3f, mi.Float, mi.Float, mi.Color3f]:
-        at_light = _light_point(emitter, triangle, place, mask)
-        if seen and _is_sphere(emitter):
+        at_light = light_point(emitter, triangle, place, mask)
+        if seen and is_sphere(emitter):
             at_light = dr.select(seen[2], sphere_point(emitter.get_shape(), seen[0], seen[1], at_light), at_light)
         offset = at_light.p - p
         distance_squared = dr.squared_norm(offset)
@@ -297,10 +262,10 @@ def _direct_area(
     target, uv, direction, distance_squared, cos, radiance = found
     mask = mask & (cos > 0.0)
     pdf = area_density * distance_squared / dr.select(mask, cos, 1.0)
-    direction_pdf = _departing(departures, light, light.direction_pdf(cos), -direction, mask)
-    ratio = _of_emission(light, direction_pdf / distance_squared)
+    direction_pdf = departing(departures, light, light.direction_pdf(cos), -direction, mask)
+    ratio = of_emission(light, direction_pdf / distance_squared)
     if cone:
-        emission = _area_density(lights, light, light.emitted, uv, mi.UInt32(0), mask) * direction_pdf
+        emission = area_density_on(lights, light, light.emitted, uv, mi.UInt32(0), mask) * direction_pdf
         pdf = dr.select(cone.applies, light.pick * cone.density, pdf)
         ratio = dr.select(cone.applies, emission / (pdf * cos), ratio)
     out.direction[mask] = direction
@@ -308,37 +273,6 @@ def _direct_area(
     out.radiance[mask] = radiance / pdf
     out.pdf[mask] = pdf
     out.light_ratio[mask] = ratio
-
-
-def _departing(
-    departures: Departures | None, light: Light, own: mi.Float, direction: mi.Vector3f, mask: mi.Bool
-) -> mi.Float:
-    """Solid-angle density with which emission samples a world ``direction`` at a point of a light, of whose kind it is
-    ``own``."""
-    return own if departures is None else departures.at(light.row).mixed(direction, own, mask)
-
-
-def _of_emission(light: Light, density: mi.Float) -> mi.Float:
-    """Inverse of :func:`_of_next_event`."""
-    return density if light.emitted is light.pick else density * (light.emitted / light.pick)
-
-
-def _is_sphere(emitter: mi.Emitter) -> bool:
-    shape = emitter.get_shape()
-    return shape is not None and graph.plugin_name(shape) == "sphere"
-
-
-def _area_density(
-    lights: LightTable | LocalLights,
-    light: Light,
-    chance: mi.Float,
-    uv: mi.Point2f,
-    triangle: mi.UInt32,
-    mask: mi.Bool,
-) -> mi.Float:
-    """Area density with which emission samples a point of an area light, times the light's probability ``chance``."""
-    density = chance * light.area_density
-    return density if lights.points is None else density * lights.points.factor(light.row, uv, triangle, mask)
 
 
 def _direct_point(
@@ -355,8 +289,8 @@ def _direct_point(
     out.target[mask] = ds.p
     out.radiance[mask] = weight / light.pick
     out.pdf[mask] = light.pick * distance_squared
-    direction_density = _departing(departures, light, light.direction_density, -ds.d, mask)
-    out.light_ratio[mask] = _of_emission(light, direction_density / distance_squared)
+    direction_density = departing(departures, light, light.direction_density, -ds.d, mask)
+    out.light_ratio[mask] = of_emission(light, direction_density / distance_squared)
 
 
 def _direct_infinite(
@@ -368,7 +302,7 @@ def _direct_infinite(
     out.target[usable] = ds.p
     out.radiance[usable] = weight / light.pick
     out.pdf[usable] = light.pick * ds.pdf
-    out.light_ratio[usable] = _of_emission(light, light.area_density)
+    out.light_ratio[usable] = of_emission(light, light.area_density)
 
 
 def is_emissive(scene: mi.Scene, si: mi.SurfaceInteraction3f) -> mi.Bool:
@@ -393,10 +327,10 @@ def emission_of_hit(
     emitter = si.emitter(scene)
     light = lights.of(emitter, active)
     radiance = emitter.eval(si, active)
-    area_density = point_density = _area_density(lights, light, light.pick, si.uv, si.prim_index, active)
+    area_density = point_density = area_density_on(lights, light, light.pick, si.uv, si.prim_index, active)
     own = light.direction_pdf(dr.maximum(mi.Frame3f.cos_theta(si.wi), 0.0))
-    direction_pdf = _departing(departures, light, own, si.to_world(si.wi), active & light.is_area)
-    emission_density = _of_emission(light, point_density * direction_pdf)
+    direction_pdf = departing(departures, light, own, si.to_world(si.wi), active & light.is_area)
+    emission_density = of_emission(light, point_density * direction_pdf)
     if lights.has_sphere:
         back, length = si.to_world(si.wi), si.t if distance is None else distance
         area_density = seen_density(light, si.p + back * length, -back, length, point_density)
@@ -407,6 +341,6 @@ def emission_of_hit(
         reference = dr.zeros(mi.Interaction3f)
         direction_density = light.pick * emitter.pdf_direction(reference, ds, infinite)
         area_density = dr.select(infinite, direction_density, area_density)
-        by_disc = _of_emission(light, direction_density * light.area_density)
+        by_disc = of_emission(light, direction_density * light.area_density)
         emission_density = dr.select(infinite, by_disc, emission_density)
     return radiance, area_density, emission_density

@@ -119,9 +119,13 @@ class LightTable:
         self.points = LightPoints([r.cells for r in rows]) if any(r.cells for r in rows) else None
         self._cdf = mi.DiscreteDistribution(on_device(mi.Float, pick))
         self._emitted, self._emitted_cdf = self._pick, self._cdf
+        #: Whether the probabilities are not those by power.
+        self.is_learned = False
         #: (count,) whether rays leave a light in directions that :class:`Light` has a density of, so that they can be
         #: sampled from others; on the host.
         self.has_directions = np.array([r.kind in ("area", "point") and not r.is_projector for r in rows])
+        #: (count,) whether a light is a sphere of even radiance, from which as many rays leave in all directions.
+        self.is_round = np.array([r.sphere[3] > 0.0 and r.cells is None for r in rows])
         self._middle = on_device(mi.Float, np.cumsum(pick) - 0.5 * pick)
         # A hit has only a pointer to its emitter: registry numbers map it to rows.
         ids = np.asarray(dr.reinterpret_array(mi.UInt32, self._emitters))
@@ -145,6 +149,7 @@ class LightTable:
         """The same lights, picked with other probabilities, (count,) each: by next event, and by emission. They are
         rounded to multiples of 2^-23, as random numbers are; a positive one remains positive."""
         table = copy.copy(self)
+        table.is_learned = True
         table.probabilities = _in_steps(direct)
         table._pick, table._emitted = (
             copied_to_device(mi.Float, _in_steps(p).astype(np.float32)) for p in (direct, emitted)

@@ -129,7 +129,7 @@ class CameraWalk(BidirectionalWalk):
             rays=dr.zeros(mi.UInt32, lanes),
             lane=dr.arange(mi.UInt32, lanes),
             layers=self.sink.begin(self.mis.techniques, pixel, importance),
-            worth=None if self.training is None else self.training.worth(pixel),
+            worth=None if self.training is None else self.training.worth_of_lane(pixel, dr.arange(mi.UInt32, lanes)),
         )
         state = self.walk(state, lambda s: self._edge(s, source), "camera walk")
         return {name: radiance * importance for name, radiance in state.layers.items()}, state.rays

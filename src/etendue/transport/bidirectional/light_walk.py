@@ -91,7 +91,7 @@ class LightWalk(BidirectionalWalk):
             nonfinite=dr.zeros(mi.UInt32, paths),
             found=None if self.training is None else dr.zeros(mi.Float, paths),
             # Learned emission gives little flux to paths that are worth much.
-            flux=None if self.departures is None else dr.mean(emitted.throughput),
+            flux=dr.mean(emitted.throughput) if self.lights.is_learned or self.departures is not None else None,
         )
 
     def _edge(self, s: LightPath, path: mi.UInt32, source: SampleSource, vertices: LightVertices | None) -> LightPath:
