@@ -52,21 +52,22 @@ class _Run:
 def measure(
     names: Names = SCENES,
     kinds: Methods = "bpt,vcm",
-    setting: Annotated[str, typer.Option(help="The setting that is on or off.")] = "guide_emission",
+    on: Annotated[str, typer.Option(help="The value of guide_emission that is compared with off.")] = "on",
     pixels: Pixels = 27648,
     seconds: Seconds = 30.0,
     seeds: Seeds = 5,
 ) -> Iterator[Record]:
     """One table; a row a scene and method. Runs take turns, pass by pass, by the CPU time they have used."""
     record = Record(
-        f"{setting}, about {pixels} pixels, {seconds:g} s of CPU time, {seeds} seeds",
+        f"guide_emission={on} beside off, about {pixels} pixels, {seconds:g} s of CPU time, {seeds} seeds",
         ("", "method", "relMSE off", "relMSE on", "ms a pass off, on", "error x time, on / off", "brightness"),
     )
     known = sources()
     for name in names:
         problem = scene.load(known[name], size=scaled_size(known[name], pixels))
         for kind in kinds:
-            runs = {value: _prepared(problem, kind, {setting: value}, seeds) for value in ("off", "on")}
+            values = {"off": "off", "on": on}
+            runs = {key: _prepared(problem, kind, {"guide_emission": value}, seeds) for key, value in values.items()}
             while going := [run for group in runs.values() for run in group if run.seconds < seconds]:
                 min(going, key=lambda run: run.seconds).step()
             record.add(name, kind, *_row(runs))

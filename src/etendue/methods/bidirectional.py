@@ -58,7 +58,7 @@ from .base import (
     with_image,
 )
 from .bidirectional_settings import BidirectionalSettings, BpmSettings, BptSettings
-from .learned_emission import learned_emission
+from .learned_emission import LearnedEmission, learned_emission
 from .store import STORE_SHARE, VertexRoom
 
 
@@ -91,15 +91,18 @@ class Bidirectional(Carrying, ImageMethod):
     settings: BidirectionalSettings
     citations: ClassVar[tuple[str, ...]] = ("Georgiev2012", "Georgiev2012b", "Hachisuka2012", "Davidovic2014")
 
+    _learning: LearnedEmission | None = None
+
     @property
     def carries_on(self) -> bool:  # type: ignore[override]
-        """Whether passes learn from those before."""
-        return self.settings.guide_emission != "off"
+        """Whether passes learn from those before; known once it is prepared."""
+        return self._learning is not None
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. A pilot pass measures the number of light vertices and the mean radiance."""
         self._forget_states()
         super().prepare(problem, seed)
+        self._learning = learned_emission(self)
         s = self.settings
         self.techniques = Techniques(
             emission=int(s.connecting),
@@ -123,11 +126,10 @@ class Bidirectional(Carrying, ImageMethod):
         self._paths = max(1, round(s.light_paths * self.camera.pixels * self.samples_per_iteration))
         self._first_radius = radii.absolute_radius(self, s.radius, s.radius_unit, seed) if s.merging else 0.0
         bytes_per_vertex = LightVertices.bytes_per_vertex(
-            bool(self.techniques.connection), self.techniques.merge, bool(self._more_radii), self.carries_on
+            bool(self.techniques.connection), self.techniques.merge, bool(self._more_radii), bool(self._learning)
         )
         floats = LightVertices.floats_per_vertex(bool(self.techniques.connection))
         self._room = VertexRoom(bytes_per_vertex, floats, problem.memory)
-        self._learning = learned_emission(self)
         self._pilot(seed)
         self._groups = self._count_groups()
 
@@ -271,9 +273,8 @@ class Bidirectional(Carrying, ImageMethod):
         numbered = run.pyramid is not None and self.visibility.transparent
         vertices, sink = None, None
         if connecting or self.techniques.merge:
-            vertices = LightVertices(
-                run.capacity, paths, self._indexed, connecting, numbered, mis.radius_free, self.carries_on
-            )
+            owned = common.get("training") is not None
+            vertices = LightVertices(run.capacity, paths, self._indexed, connecting, numbered, mis.radius_free, owned)
         if run.splats:
             sink = SplatSink(pyramid=run.pyramid, splats=run.splats, paths_per_sample=mis.paths_per_sample)
         source = self.light_numbers(run.light, self._paths, run.seed, run.iteration, run.role + "light")

@@ -18,11 +18,14 @@ from etendue.transport import BLOCK, EmissionGuide, EmissionSums, EmissionTraini
 
 from .base import ImageMethod, Layer
 
-#: Description of the setting.
-GUIDE_DOC = (
-    "learn which lights, and which of their directions, contribute to the picture, and emit light paths by that; "
-    "passes then depend on those before"
+#: Lights of a scene from which on ``auto`` learns their selection.
+MANY = 8
+#: Description and values of the setting ``guide_emission``.
+GUIDE = (
+    "learn from the picture which lights to emit light paths from and to sample by next event estimation (lights), and "
+    f"also into which directions (on); auto: lights in scenes with {MANY} lights or more, else off"
 )
+GUIDE_CHOICES = ("auto", "off", "lights", "on")
 #: Generations of training; the guide is fixed after the last one.
 GENERATIONS = 5
 
@@ -142,4 +145,6 @@ def _block_means(image: Layer) -> Array:
 def learned_emission(method: ImageMethod) -> LearnedEmission | None:
     """That of a method with the setting ``guide_emission``; None if nothing is learned."""
     setting = method.settings.guide_emission
-    return None if setting == "off" else LearnedEmission(method, setting == "on")
+    if setting == "off" or (setting == "auto" and method.lights.count < MANY):
+        return None
+    return LearnedEmission(method, setting == "on")

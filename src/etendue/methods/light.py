@@ -24,7 +24,7 @@ from etendue.transport import dimensions as dim
 
 from . import base
 from .base import ImageMethod, ImageSettings, Lanes, Layer, total
-from .learned_emission import GUIDE_DOC, learned_emission
+from .learned_emission import GUIDE, GUIDE_CHOICES, LearnedEmission, learned_emission
 
 #: Part of its length by which a shadow ray ends before a light.
 _SHADOW_EPSILON = 1e-3
@@ -35,7 +35,7 @@ class LightSettings(ImageSettings):
     """Settings of ``light``."""
 
     light_paths: float = setting(1.0, "light paths per pixel and sample; more: less noise", above=0.0, maximum=64.0)
-    guide_emission: str = setting("off", GUIDE_DOC, choices=("off", "lights", "on"))
+    guide_emission: str = setting("auto", GUIDE, choices=GUIDE_CHOICES)
 
 
 class LightTracing(Carrying, ImageMethod):
@@ -58,10 +58,12 @@ class LightTracing(Carrying, ImageMethod):
                 "method"
             )
 
+    _learning: LearnedEmission | None = None
+
     @property
     def carries_on(self) -> bool:  # type: ignore[override]
-        """Whether passes learn from those before."""
-        return self.settings.guide_emission != "off"
+        """Whether passes learn from those before; known once it is prepared."""
+        return self._learning is not None
 
     def _left(self) -> State:
         return {"emission": self._learning.state()} if self._learning else {}
