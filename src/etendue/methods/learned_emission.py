@@ -28,6 +28,8 @@ GUIDE = (
 GUIDE_CHOICES = ("auto", "off", "lights", "on")
 #: Generations of training; the guide is fixed after the last one.
 GENERATIONS = 5
+#: Generations after which training ends if there is nothing to gain.
+_UNTIL = 3
 
 
 class LearnedEmission:
@@ -90,6 +92,8 @@ class LearnedEmission:
         if self._passes >= 1 << self._generation:
             self.guide.learn(self._sums)
             self._generation, self._passes = self._generation + 1, 0
+            if self._generation >= _UNTIL and self.guide.count == 1 and not self.guide.departs:
+                self._generation = GENERATIONS  # one light, whose directions are as good as any: training takes time
             self._sums = EmissionSums.zero(self.guide.count, self.guide.places)
             self._set_levels()
         self.drop()
