@@ -23,16 +23,16 @@ def flat() -> dict[str, Any]:
     fronts = (-_WALL / 2, -1.5 * _WALL - _HALL)  # middles of the walls with doorways
     far = -2.0 * _WALL - _HALL - _BEDROOM
     middle, depth = (_LIVING + far) / 2, _LIVING - far
-    paint, wood = diffuse(0.74, 0.71, 0.65), diffuse(0.42, 0.28, 0.17)
+    paint, wood = diffuse(0.84, 0.81, 0.76), diffuse(0.5, 0.35, 0.22)
     lamp = (0.4, 1.9, far + 0.55 * _BEDROOM)
     scene: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "vcm", "max_depth": 14},
         "sensor": _sensor(),
         "floor": box((0.0, -_WALL / 2, middle), (2 * _HALF, _WALL, depth), wood),
-        "ceiling": box((0.0, _HEIGHT + _WALL / 2, middle), (2 * _HALF, _WALL, depth), diffuse(0.8, 0.8, 0.78)),
-        "left": box((-_HALF - _WALL / 2, _HEIGHT / 2, middle), (_WALL, _HEIGHT, depth), diffuse(0.3, 0.46, 0.44)),
-        "right": box((_HALF + _WALL / 2, _HEIGHT / 2, middle), (_WALL, _HEIGHT, depth), diffuse(0.66, 0.44, 0.24)),
+        "ceiling": box((0.0, _HEIGHT + _WALL / 2, middle), (2 * _HALF, _WALL, depth), diffuse(0.86, 0.86, 0.84)),
+        "left": box((-_HALF - _WALL / 2, _HEIGHT / 2, middle), (_WALL, _HEIGHT, depth), diffuse(0.42, 0.6, 0.58)),
+        "right": box((_HALF + _WALL / 2, _HEIGHT / 2, middle), (_WALL, _HEIGHT, depth), diffuse(0.75, 0.55, 0.34)),
         "front": box((0.0, _HEIGHT / 2, _LIVING + _WALL / 2), (2 * _HALF, _HEIGHT, _WALL), paint),
         "far": box((0.0, _HEIGHT / 2, far - _WALL / 2), (2 * _HALF, _HEIGHT, _WALL), paint),
         "bulb": {
@@ -40,33 +40,33 @@ def flat() -> dict[str, Any]:
             "center": list(lamp),
             "radius": 0.1,
             "bsdf": diffuse(0.5, 0.5, 0.5),
-            "emitter": {"type": "area", "radiance": rgb(12000.0, 9800.0, 7200.0)},
+            "emitter": {"type": "area", "radiance": rgb(24000.0, 20000.0, 15500.0)},
         },
         "bed": box((1.5, 0.25, far + 1.1), (1.6, 0.5, 2.0), diffuse(0.55, 0.52, 0.6)),
-        "sofa": box((-1.7, 0.22, 1.3), (1.7, 0.44, 0.8), diffuse(0.5, 0.2, 0.16)),
-        "back": box((-1.7, 0.6, 0.85), (1.7, 0.5, 0.2), diffuse(0.5, 0.2, 0.16)),
+        "sofa": box((-1.35, 0.22, 0.55), (1.8, 0.44, 0.8), diffuse(0.5, 0.2, 0.16)),
+        "back": box((-1.35, 0.6, 0.12), (1.8, 0.5, 0.2), diffuse(0.5, 0.2, 0.16)),
         "table": {
             "type": "cylinder",
-            "p0": [-0.5, 0.002, 2.4],
-            "p1": [-0.5, 0.4, 2.4],
+            "p0": [0.3, 0.002, 2.0],
+            "p1": [0.3, 0.4, 2.0],
             "radius": 0.42,
             "bsdf": {"type": "twosided", "bsdf": wood},
         },
         "top": {
             "type": "disk",
-            "to_world": mi.ScalarTransform4f().translate([-0.5, 0.4, 2.4]).rotate([1, 0, 0], -90).scale(0.42),
+            "to_world": mi.ScalarTransform4f().translate([0.3, 0.4, 2.0]).rotate([1, 0, 0], -90).scale(0.42),
             "bsdf": {"type": "roughplastic", "diffuse_reflectance": rgb(0.4, 0.26, 0.16), "alpha": 0.1},
         },
-        "bowl": {"type": "sphere", "center": [-0.5, 0.582, 2.4], "radius": 0.18, "bsdf": {"type": "dielectric"}},
+        "bowl": {"type": "sphere", "center": [0.3, 0.582, 2.0], "radius": 0.18, "bsdf": {"type": "dielectric"}},
         "vase": {
             "type": "sphere",
-            "center": [1.9, 0.402, 2.2],
+            "center": [2.1, 0.402, 0.6],
             "radius": 0.4,
             "bsdf": {"type": "roughconductor", "material": "Cu", "alpha": 0.15},
         },
         "mirror": {
             "type": "rectangle",
-            "to_world": mi.ScalarTransform4f().translate([-1.4, 1.5, 0.005]).scale([0.6, 0.4, 1.0]),
+            "to_world": mi.ScalarTransform4f().translate([-1.3, 1.55, 0.005]).scale([0.6, 0.4, 1.0]),
             "bsdf": {"type": "conductor", "material": "Ag"},
         },
     }
@@ -87,7 +87,7 @@ def _sensor() -> dict[str, Any]:
         "type": "perspective",
         "fov": 62.0,
         "fov_axis": "x",
-        "to_world": mi.ScalarTransform4f().look_at([-0.3, 1.45, 4.4], [0.05, 1.1, 0.0], [0, 1, 0]),
+        "to_world": mi.ScalarTransform4f().look_at([-1.9, 1.5, 4.3], [0.5, 1.0, 0.0], [0, 1, 0]),
         "sampler": {"type": "independent", "sample_count": 64},
         "film": film,
     }
