@@ -219,6 +219,9 @@ class Bidirectional(Carrying, ImageMethod):
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         radius = self.radius(iteration) if self.techniques.merge else 0.0
+        if self._learning:
+            # As many light vertices to a disc as without learning: more take time, and a smaller disc blurs less.
+            radius /= math.sqrt(self._learning.guide.crowding)
         splats = self._splats(seed, iteration)
         s = self.settings
         pyramid = Pyramid(self.techniques, s.pyramid_depth, self.camera.pixels) if s.pyramid else None

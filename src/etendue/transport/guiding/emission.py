@@ -92,6 +92,8 @@ class EmissionGuide:
         #: Learned densities of directions, one tree a light.
         self.trees = Quadtrees.even(self.count)
         self._share = np.zeros(self.count)
+        #: How many times as many light paths as without learning arrive where they contribute.
+        self.crowding = 1.0
         self._upload()
 
     def _upload(self) -> None:
@@ -119,6 +121,8 @@ class EmissionGuide:
             each = self.emitted**2 * square
             prior = _PRIOR * each.sum() / sums.count.sum()
             self.emitted = _mixed(np.sqrt((each + prior) / (sums.count + _PRIOR)) * (plain > 0.0), plain)
+            more = np.divide(self.emitted, plain, out=np.ones(self.count), where=plain > 0.0)
+            self.crowding = max(1.0, float((more * credit).sum() / credit.sum()))
         if self.count > 1 and sums.direct.sum() > 0.0:
             self.direct = _mixed(np.sqrt(self.direct * (sums.direct + 1e-3 * sums.direct.mean())), plain)
         if sums.moments.any():
@@ -141,14 +145,20 @@ class EmissionGuide:
 
     def state(self) -> dict[str, NDArray[Any]]:
         """What was learned, as arrays that are not modified later."""
-        return {"direct": self.direct, "emitted": self.emitted, "share": self._share, **self.trees.to_arrays()}
+        return {
+            "direct": self.direct,
+            "emitted": self.emitted,
+            "share": self._share,
+            "crowding": self.crowding,
+            **self.trees.to_arrays(),
+        }
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Set the state, as returned by :meth:`state`."""
         self.direct, self.emitted, self._share = (
             np.asarray(state[name], np.float64) for name in ("direct", "emitted", "share")
         )
-        self.trees = Quadtrees.from_arrays(state)
+        self.crowding, self.trees = float(state["crowding"]), Quadtrees.from_arrays(state)
         if len(self.direct) != self.count or self.trees.count != self.count:
             raise CheckpointError("the guide of emission in the checkpoint is damaged; start a new run")
         self._upload()
