@@ -144,7 +144,7 @@ def hidden_lamps(**view: Any) -> Any:
 
 @lru_cache(maxsize=1)
 def reference() -> np.ndarray:
-    return replicas(hidden_lamps(), "bpt", runs=12, passes=4, samples=128, seed=500)
+    return replicas(hidden_lamps(), "bpt", runs=8, passes=2, samples=256, seed=500)
 
 
 METHODS: dict[str, dict[str, Any]] = {
@@ -156,7 +156,7 @@ METHODS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("name", ["bpt", "vcm", *(pytest.param(n, marks=pytest.mark.slow) for n in list(METHODS)[3:])])
+@pytest.mark.parametrize("name", ["bpt", *(pytest.param(n, marks=pytest.mark.slow) for n in list(METHODS)[1:])])
 def test_learning_does_not_change_the_picture(name):
     images = replicas(hidden_lamps(), name.split()[0], runs=8, passes=7, samples=32, **LEARNS, **METHODS[name])
     assert_agree(images, reference(), name, precision=0.03)
@@ -181,7 +181,7 @@ def test_light_that_is_found_late():
     the mean is the same, and it learns better."""
     problem = hidden_lamps()
     images, emitted = [], []
-    for seed in range(8):
+    for seed in range(6):
         runner = prepared(problem, "bpt", seed, samples_per_pass=32, **LEARNS)
         guide, state = EmissionGuide(LightTable(problem.scene)), runner.state()
         wrong = guide.state()

@@ -35,7 +35,7 @@ from .departure import Departures
 #: Share of the selection by power.
 _BY_POWER = 0.1
 #: Paths, of mean contribution, by which the estimate of a light is mixed with the mean of all lights.
-_PRIOR = 16.0
+_PRIOR = 1.0
 #: Shares of learned directions that are weighed against each other; the least gain that is worth any; and the least
 #: effective number of contributing paths by which a gain is known.
 SHARES = (0.0, 0.25, 0.5, 0.75)
