@@ -13,14 +13,16 @@ from .bidirectional.sinks import CameraSink, Contribution, Sink, SplatSink
 from .bidirectional.vertices import Kind, LightVertex, LightVertices, needs_interaction
 from .camera import CameraConnection, CameraSampler, SplatPlace, Splats
 from .direct import DirectWeights
-from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
+from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, sample_direct
 from .ending import EndingGuidedWalk, EndingWalker, light_of_map
 from .firsthits import FirstHits, shapes_seen
 from .functions import TransportFunctions, film_picture
+from .guiding.emission import BLOCK, EmissionGuide, EmissionSums, EmissionTraining
 from .guiding.guide import NOWHERE, Guide, GuidedScattered, direction_of, square_of
 from .guiding.lights import MOST_LIGHTS, LightChoice, LocalLights
 from .guiding.walk import FOUND_UNITS, GuidedPath, GuidedWalk, TrainingSamples
 from .irradiance import CacheMap, IrradianceCache, irradiance_gradients, stratified_hemispheres
+from .on_lights import point_on
 from .scattering import (
     Evaluated,
     Proposal,
@@ -48,6 +50,7 @@ from .walk import CameraPath, Emission, MapEnd, SubPath, Walker, component_field
 
 __all__ = [
     "AMBIENT_WALKS",
+    "BLOCK",
     "EMISSION",
     "FIRST_BOUNCE",
     "FOUND_UNITS",
@@ -74,7 +77,10 @@ __all__ = [
     "DirectSample",
     "DirectWeights",
     "Emission",
+    "EmissionGuide",
     "EmissionScheme",
+    "EmissionSums",
+    "EmissionTraining",
     "EmittedRay",
     "EndingGuidedWalk",
     "EndingWalker",

@@ -35,6 +35,7 @@ class _State(BidirectionalPath):
     lane: mi.UInt32  #: number of the camera path; does not change
     layers: dict[str, mi.Color3f]  #: technique family -> radiance
     sums: Sums | None  #: of ``moments``
+    worth: mi.Float | None  #: factor on contributions to its pixel, for a guide of emission; None without
 
 
 @dataclass
@@ -136,6 +137,7 @@ class CameraWalk(BidirectionalWalk):
             lane=dr.arange(mi.UInt32, lanes),
             layers=self.sink.begin(self.mis.techniques, pixel, importance),
             sums=self.moments.begin(lanes, importance) if self.moments else None,
+            worth=None if self.training is None else self.training.worth_of_lane(pixel, dr.arange(mi.UInt32, lanes)),
         )
         state = self.walk(state, lambda s: self._edge(s, source), "camera walk")
         if self.moments and state.sums:
@@ -219,6 +221,8 @@ class CameraWalk(BidirectionalWalk):
         self.sink.add(s.layers, "next_event", contribution.weighted, contribution.active, s.lit)
         if self.moments and s.sums:
             self.moments.add(s.sums, "next_event", contribution.weighted[0], weights.ratios, contribution.active)
+        if self.training is not None:
+            self.training.add_light(light.light, contribution.weighted[0], s.worth, contribution.active)
 
     def _pick_vertices(self, s: _State, vertex: WalkVertex, active: mi.Bool) -> list[_Joined]:
         """Edges from a camera vertex to light vertices sampled from the cache."""
@@ -297,6 +301,8 @@ class CameraWalk(BidirectionalWalk):
         edges = other.depth + s.depth + 1
         contribution, rays = self.connect(vertex, other.position, edges, values, alone, self.dark, u, active)
         self.sink.show(other.number + 1, number + 1, contribution)
+        if self.training is not None:
+            self.training.add(other.path, contribution.weighted[0], s.worth, contribution.active)
         return [dr.select(contribution.active, value, 0.0) for value in contribution.weighted], weights, rays
 
     def _merge(self, s: _State, vertex: WalkVertex, active: mi.Bool) -> None:
@@ -343,4 +349,7 @@ class CameraWalk(BidirectionalWalk):
             here = active & inside[0]
             merged = Contribution([alone * weights[0]], alone, here, here)
             self.sink.show(photons.number(photon, active) + 1, number + 1, merged, merged=True)
+        if self.training is not None:
+            credit = value * s.throughput * (self.gather.factors[0] * weights[0])
+            self.training.add(photons.path(photon, active), credit, s.worth, active & inside[0])
         return [dr.select(ok, value * w, 0.0) for ok, w in zip(inside, weights, strict=True)], weights

@@ -49,6 +49,7 @@ class Photons:
     _flux: mi.Float
     _more: mi.Float | None  #: further coefficients of d_vcm and d_vc
     _depth_bits: int  #: bits of a tag that hold the depth; if fewer than 16, the next four hold the vertex number
+    _owners: mi.UInt32 | None = None  #: number of the light path of each
 
     def position(self, index: mi.UInt32, active: mi.Bool) -> tuple[mi.Point3f, mi.UInt32]:
         """(position, depth)."""
@@ -63,6 +64,11 @@ class Photons:
         """The ``film.Component`` of the photon's light to an eye that sees the surface."""
         # As in `position`, so that both are one gather.
         return component_of(dr.gather(mi.Vector4f, self._position, index, active).w)
+
+    def path(self, index: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """Number of the light path, if vertices are ``owned``."""
+        assert self._owners is not None
+        return dr.gather(mi.UInt32, self._owners, index, active)
 
     def read(self, index: mi.UInt32, active: mi.Bool) -> Photon:
         """All but position and depth."""
