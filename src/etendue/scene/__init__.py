@@ -4,12 +4,15 @@ from . import graph, meshes
 from .builtin.table import BundledScene, bundled, bundled_scene
 from .camera import Camera
 from .capability import check
-from .editing import Change, LightEdits, add_plugin, colour, described_lights, scene_xml
+from .changes.edits import ParameterChanges, name_elements
+from .changes.parameters import SceneEditor, SceneParameter
+from .editing import Change, LightEdits, add_plugin, colour, described_lights, is_described, scene_xml
 from .fingerprint import fingerprint
 from .graph import materials
 from .lamps.radiance import sphere_point, surface_point, uniform_point, varies
 from .lamps.table import Light, LightTable
 from .loading import Source, integrator_of, load, locate, resized
+from .parts import load_part, part_files, shape_boxes
 from .plugins import composed_bsdf, register
 from .portable import PortableScene, portable, restored
 from .problem import Problem
@@ -23,10 +26,13 @@ __all__ = [
     "Light",
     "LightEdits",
     "LightTable",
+    "ParameterChanges",
     "Parameters",
     "PortableScene",
     "Problem",
     "RenderSpace",
+    "SceneEditor",
+    "SceneParameter",
     "Source",
     "add_plugin",
     "bundled",
@@ -38,16 +44,21 @@ __all__ = [
     "fingerprint",
     "graph",
     "integrator_of",
+    "is_described",
     "load",
+    "load_part",
     "locate",
     "materials",
     "meshes",
+    "name_elements",
     "parameters",
+    "part_files",
     "portable",
     "register",
     "resized",
     "restored",
     "scene_xml",
+    "shape_boxes",
     "sphere_point",
     "surface_point",
     "uniform_point",

@@ -75,6 +75,13 @@ def add_plugin(state: mi.parser.ParserState, key: str, plugin: Mapping[str, Any]
             state.root.props[name] = mi.Properties.ResolvedReference(value.index() + shift)
 
 
+def is_described(source: Any) -> bool:
+    """Whether a scene is a file, a bundled scene or a dictionary, not a loaded ``mi.Scene``."""
+    from .loading import _is_loaded
+
+    return not _is_loaded(source)
+
+
 def scene_xml(source: Any, parameters: Mapping[str, Any] | None = None, change: Change | None = None) -> str:
     """The XML of a scene after a ``change``; names of files in it are absolute.
 

@@ -11,6 +11,7 @@ from typing import Any, Self
 
 from etendue import methods
 from etendue.core import OptionError, use_variant
+from etendue.display import TevDisplay
 from etendue.engine import Budget
 
 from .server import Server
@@ -23,11 +24,15 @@ _HEIGHT = 720
 class Viewer:
     """A scene that is shown in browsers until :meth:`close`; in a notebook, below the cell. ``url``: its address."""
 
-    def __init__(self, asked: Asked, host: str = "127.0.0.1", port: int = 0) -> None:
+    def __init__(self, asked: Asked, host: str = "127.0.0.1", port: int = 0, tev: str | None = None) -> None:
         if not isinstance(port, int) or not 0 <= port < 1 << 16:
             raise OptionError(f"a port is a whole number from 0 (any that is free) to 65535, not {port!r}")
         methods.get(asked.method).Settings.from_mapping(asked.settings, owner=f"method '{asked.method}'")
+        self._second = None if tev is None else TevDisplay(tev, "etendue view")
         self._session = Session(asked)
+        if self._second is not None and self._second.connect():
+            offer = self._second.offer
+            self._session.on_picture = lambda layers: offer(lambda: layers)
         try:
             self._server = Server(self._session, host, port)
         except BaseException:
@@ -55,6 +60,8 @@ class Viewer:
         """End the session, disconnect the pages and release the scene."""
         self._session.close()
         self._server.close()
+        if self._second is not None:
+            self._second.close()
 
     def __enter__(self) -> Self:
         return self
@@ -91,6 +98,7 @@ def view(
     variant: str | None = None,
     host: str = "127.0.0.1",
     port: int = 0,
+    tev: str | None = None,
     folder: str | Path = ".",
     **settings: Any,
 ) -> Viewer:
@@ -99,7 +107,8 @@ def view(
 
     The server listens at ``host`` and ``port`` (0: any that is free); its address has a token. The session goes on in
     the background until ``close()``; while it does, use no other Mitsuba or Dr.Jit code in this process, or pause it in
-    the page. Files that are saved are written to ``folder``.
+    the page. Files that are saved are written to ``folder``. ``tev`` is the address of the image viewer tev, such as
+    ``localhost:14158``, which then shows the picture and its layers, too.
 
     Raises :class:`OptionError` for an argument out of range, and :class:`BackendError` if tornado is not installed. A
     scene that cannot be loaded is told in the page, where another can be opened.
@@ -117,4 +126,4 @@ def view(
         seed=seed,
         folder=Path(folder).absolute(),
     )
-    return Viewer(asked, host, port)
+    return Viewer(asked, host, port, tev)

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from etendue import film
 from etendue.core import EtendueError, describe, logger, use_variant
 from etendue.engine import Budget, jit_flags, set_jit_flags
-from etendue.scene import LightEdits, Problem, load, resized
+from etendue.scene import Change, LightEdits, Problem, is_described, load, name_elements, resized
 
 from . import commands, states
 from .camera import Pose, place
@@ -33,6 +33,9 @@ from .preview import Preview
 from .protocol import packed
 from .refining import Refinement
 from .shown import Show, encoded, error_map
+
+if TYPE_CHECKING:
+    import mitsuba as mi
 
 Picture = NDArray[np.float32]
 
@@ -82,6 +85,7 @@ class Session:
         self.clients: list[Client] = []
         self.panels: dict[str, Panel] = {}
         self.opened, self.ended = threading.Event(), threading.Event()
+        self.on_picture: Callable[[Mapping[str, Picture]], object] | None = None  #: gets the layers that are shown
         self.home: Pose | None = None  #: of the scene's own camera
         self._preview: Preview | None = None
         self._moving_until = 0.0
@@ -190,12 +194,14 @@ class Session:
         """Parameters of the scene were changed in place (``mi.traverse``): nothing made from them is kept."""
         self._preview = None
         self._moved = True
+        for panel in self.panels.values():
+            self._guarded(panel.scene_edited)
         self.again()
 
     def open(self, asked: Asked, keep_pose: bool = False) -> None:
         """Load a scene and show it. Raises the errors of loading; the scene of before stays then."""
         begin = time.perf_counter()
-        problem = _loaded(asked)
+        problem = _loaded(asked, lambda state: self._change(asked, state))
         pose = Pose.of(problem)
         if keep_pose and self.pose is not None and self.problem is not None:
             # In another render space an own roll of the camera is kept, and what was changed about it is not.
@@ -212,6 +218,14 @@ class Session:
         for panel in self.panels.values():
             self._guarded(panel.scene_loaded)
         logger.debug("viewer: the scene was loaded in %.2f s", time.perf_counter() - begin)
+
+    def _change(self, asked: Asked, state: mi.parser.ParserState) -> None:
+        """Change a parsed scene before its objects are built: names for all, lights, and the edits of panels."""
+        name_elements(state)
+        asked.lights(state)
+        same = asked.scene is self.asked.scene and asked.parameters == self.asked.parameters
+        for panel in self.panels.values():
+            panel.loading(state, same)
 
     # ------------------------------------------------------------------ the thread
 
@@ -334,6 +348,8 @@ class Session:
         begin = time.perf_counter()
         names = list(self.layers)
         self.layers = result.layers
+        if self.on_picture is not None:
+            self.on_picture(result.layers)
         self._stops = self.show.stops(result.image)
         try:
             self._send_picture("a", self.show.colours(result.layers, self._stops))
@@ -367,11 +383,11 @@ class Session:
             client.send_frame(side, self._frame, message)
 
 
-def _loaded(asked: Asked) -> Problem:
+def _loaded(asked: Asked, change: Change) -> Problem:
     """The scene with a sensor of the session's own, at the size that is asked for or one of a moderate size."""
     options: dict[str, Any] = {"sensor": asked.sensor, "parameters": asked.parameters, "memory": asked.memory}
-    if asked.lights:
-        options["change"] = asked.lights
+    if is_described(asked.scene):
+        options["change"] = change
     problem = load(asked.scene, size=asked.size, **options)
     width, height = problem.size
     factor = 1.0 if asked.size is not None else min(1.0, (_PIXELS / (width * height)) ** 0.5)

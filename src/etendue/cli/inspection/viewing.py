@@ -45,6 +45,7 @@ def view(
     port: Annotated[
         int, typer.Option("--port", help="Port to listen at; 0 for any that is free.", min=0, max=65535, metavar="N")
     ] = 0,
+    tev: opt.Tev = None,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the address.")] = False,
     debug: opt.Debug = False,
 ) -> int:
@@ -71,15 +72,15 @@ def view(
     if not host.strip():
         raise OptionError("--host is an address of this machine, such as 127.0.0.1 or 0.0.0.0")
     asked = Asked(found, methods.get(method or "path").name, settings, budget, size, sensor, parameters, memory, seed)
-    return show(asked, host.strip(), port, not no_browser)
+    return show(asked, host.strip(), port, not no_browser, tev)
 
 
-def show(asked: Asked, host: str, port: int, in_browser: bool) -> int:
+def show(asked: Asked, host: str, port: int, in_browser: bool, tev: str | None = None) -> int:
     """Run a session until a page or Ctrl-C ends it."""
     from etendue.viewer import Viewer
 
     console = error_console()
-    with Viewer(asked, host, port) as viewer:
+    with Viewer(asked, host, port, tev) as viewer:
         note(console, "open this address in a browser; Ctrl-C ends the session:")
         say(viewer.url)
         if in_browser and not viewer.show():

@@ -40,7 +40,12 @@ if TYPE_CHECKING:
     from ..session import Session
 
 #: The panels in the order of the side bar: module in this folder, class.
-PANELS: Final[tuple[tuple[str, str], ...]] = (("lights", "Lights"), ("pyramid", "Pyramid"))
+PANELS: Final[tuple[tuple[str, str], ...]] = (
+    ("lights", "Lights"),
+    ("parameters", "Parameters"),
+    ("space", "Space"),
+    ("pyramid", "Pyramid"),
+)
 
 
 class Panel:
@@ -64,8 +69,10 @@ class Panel:
         return None
 
     def scene_loaded(self) -> None:
-        """Another scene is there, or the same was loaded again (a light was added): edits of its parameters are lost,
-        and must be made again where they still apply. ``session.problem`` is new."""
+        """Another scene is there, or the same was loaded again (a light was added). ``session.problem`` is new."""
+
+    def scene_edited(self) -> None:
+        """Parameters of the scene were changed in place: what was made from it is old."""
 
     def after_pass(self) -> None:
         """A pass was added to the picture, and pages were told."""
@@ -74,6 +81,9 @@ class Panel:
         """A slice of work of its own, of at most about 0.2 seconds, between two passes; returns whether more is left.
         Called whenever the session is not moving the camera."""
         return False
+
+    def loading(self, state: mi.parser.ParserState, same: bool) -> None:
+        """Change the parsed scene before its objects are built. ``same``: it is the scene of before, loaded again."""
 
     def describe(self, state: mi.parser.ParserState) -> None:
         """Change the parsed scene before it is written to a file, so that it has the panel's edits."""
