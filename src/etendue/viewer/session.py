@@ -386,7 +386,7 @@ class Session:
 def _loaded(asked: Asked, change: Change) -> Problem:
     """The scene with a sensor of the session's own, at the size that is asked for or one of a moderate size."""
     options: dict[str, Any] = {"sensor": asked.sensor, "parameters": asked.parameters, "memory": asked.memory}
-    if is_described(asked.scene):
+    if is_described(asked.scene) or asked.lights:  # which a scene in memory refuses
         options["change"] = change
     problem = load(asked.scene, size=asked.size, **options)
     width, height = problem.size
