@@ -42,7 +42,7 @@ Picture = NDArray[np.float32]
 #: The camera is at rest so many seconds after its last movement.
 _REST = 0.25
 #: Pixels of the picture if no size is asked for.
-_PIXELS = 320_000
+_PIXELS = 262_144
 #: Least seconds between two pictures of the refinement, and the share of the time that showing them may take.
 _EVERY, _SHARE = 0.1, 0.15
 #: Name of the session's thread.
@@ -211,7 +211,8 @@ class Session:
             self.views, self.home = [], pose
         self.asked, self.problem = asked, problem
         self._preview, self.layers = Preview(problem), {}
-        self.compared = None
+        self.main = self.compared = None
+        gc.collect()  # a scene that is alive is a part of every later kernel
         self.move(pose)
         self._moving_until = 0.0
         for panel in self.panels.values():
