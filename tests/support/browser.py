@@ -113,10 +113,10 @@ class Browser:
         return answer["result"].get("value")
 
     async def until(self, expression, timeout=120):
-        """Wait until a JavaScript expression is true, and return its value."""
+        """Wait until a JavaScript expression is true."""
         for _ in range(int(timeout / 0.1)):
-            if value := await self.value(f"document.body && ({expression})"):
-                return value
+            if await self.value(f"!!(document.body && ({expression}))"):
+                return
             await asyncio.sleep(0.1)
         raise AssertionError(f"not in {timeout} s: {expression}")
 
