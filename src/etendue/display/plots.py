@@ -78,7 +78,7 @@ def convergence_plot(
     curves = [(index, s.name, points) for index, s in enumerate(series) if (points := s.drawable())]
     if not curves:
         return ""
-    left, right, bottom = 62.0, 14.0, 44.0
+    left, right, bottom = 68.0, 14.0, 44.0
     unit = "s" if x_label == "seconds" else x_label
     legend, top = _legend([(index, name) for index, name, _ in curves], left, width - right)
     x_axis = _axis([x for _, _, points in curves for x, _, _ in points], left, width - right)
