@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import passes
+from support.tev import fake_tev
 
 from etendue import api, film, methods
 from etendue.cli import options
@@ -47,13 +48,19 @@ def test_a_pyramid_in_the_file_and_on_the_page(folder, capsys):
 
 
 def test_render_writes_picture_and_checkpoint_with_metadata(folder, capsys):
-    assert run("render cornell-box -m path --size 16x12 --spp 4 --seed 9 -o a.exr -o a.png --aovs -D rr_depth=3") == 0
+    asked = "--spp 4 --seed 9 -o a.exr -o a.png --aovs --components -D rr_depth=3"
+    with fake_tev() as tev:
+        assert run(f"render cornell-box -m path --size 16x12 {asked} --tev {tev.address}") == 0
     out, err = capsys.readouterr()
     assert out == "a.exr\na.png\na.checkpoint\n"
     assert "path: 1 pass, 4 spp" in err
     result = film.read_exr("a.exr")
     assert result.image.shape == (12, 16, 3)
-    assert {"albedo", "normal", "depth"} <= result.layers.keys()
+    assert {"albedo", "normal", "depth", "emitted"} <= result.layers.keys()
+    total = sum(result.layers[name] for name in film.COMPONENTS)
+    np.testing.assert_allclose(total, result.image, rtol=1e-5, atol=1e-6)
+    np.testing.assert_array_equal(np.stack([tev.images["a"][c] for c in "RGB"], -1), result.image)
+    np.testing.assert_array_equal(tev.images["a"]["depth.Z"], result.layers["depth"][..., 0])
     m = result.metadata
     assert (m["method"], m["seed"], m["samples"], m["scene"]) == ("path", 9, 4, "cornell-box")
     assert m["settings"]["rr_depth"] == 3
@@ -65,8 +72,9 @@ def test_render_writes_picture_and_checkpoint_with_metadata(folder, capsys):
 
 
 def test_names_of_outputs_come_from_scene_and_method(folder, capsys):
-    assert run("render cornell-box -m path --size 8x8 --spp 1 --no-checkpoint") == 0
+    assert run("render cornell-box -m path --size 8x8 --spp 1 --no-checkpoint --tev localhost:1") == 0
     assert os.listdir(folder) == ["cornell-box-path.exr"]
+    assert "no tev at localhost:1 (Connection refused)" in capsys.readouterr().err
 
 
 def test_resume_goes_on(folder, capsys):

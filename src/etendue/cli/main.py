@@ -22,6 +22,7 @@ from .boxes import HIERARCHY, resume_hierarchy
 from .console import ConsoleHandler, error_console, note, print_error, remember_arguments, say
 from .developing import develop
 from .film_picture import film_picture
+from .inspection.viewing import view
 from .particle_maps import app as particles
 from .particles import resume_particles
 from .pictures import compare, demo, render, run
@@ -200,6 +201,7 @@ app.command()(run)
 app.command()(compare)
 app.command()(demo)
 app.command()(develop)
+app.command()(view)
 
 
 @app.command()

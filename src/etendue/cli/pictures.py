@@ -41,6 +41,7 @@ def render(
     threads: opt.Threads = None,
     memory: opt.Memory = None,
     aovs: opt.Aovs = False,
+    components: opt.Components = False,
     pyramid: opt.Pyramid = False,
     pyramid_depth: opt.PyramidDepth = None,
     no_bsdf_sampling: opt.NoBsdfSampling = False,
@@ -52,6 +53,7 @@ def render(
     no_checkpoint: Annotated[bool, typer.Option("--no-checkpoint", help="Write no checkpoint.")] = False,
     tone: opt.Tone = "srgb",
     exposure: opt.Exposure = "auto",
+    tev: opt.Tev = None,
     cluster: opt.Cluster = None,
     workers: opt.Workers = None,
     debug: opt.Debug = False,
@@ -66,12 +68,12 @@ def render(
     from etendue.jobs import Outputs
     from etendue.scene import locate
 
-    from .rendering import choose_device, default_name, render_to_files
+    from .rendering import choose_device, default_name, render_to_files, shown_in_tev
 
     if no_checkpoint and checkpoint is not None:
         raise OptionError("--checkpoint and --no-checkpoint exclude each other; give one of them")
     budget = opt.budget(time, spp, error)
-    settings = opt.settings(define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling)
+    settings = opt.settings(define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling, components)
     parameters = opt.parse_pairs(param, "-P")
     choose_device(variant, threads)
     notes: list[str] = []  # shown after all checks
@@ -88,8 +90,9 @@ def render(
             note(error_console(), text)
         return job
 
-    with opt.Device(variant, threads, cluster, workers).opened() as opened:
-        return render_to_files(open_job, outputs, chosen.name, opened)
+    device = opt.Device(variant, threads, cluster, workers)
+    with shown_in_tev(tev, pictures[0].stem) as callback, device.opened() as opened:
+        return render_to_files(open_job, outputs, chosen.name, opened, callback)
 
 
 def run(
@@ -153,6 +156,7 @@ def compare(
     threads: opt.Threads = None,
     memory: opt.Memory = None,
     aovs: opt.Aovs = False,
+    components: opt.Components = False,
     pyramid: opt.Pyramid = False,
     pyramid_depth: opt.PyramidDepth = None,
     no_bsdf_sampling: opt.NoBsdfSampling = False,
@@ -178,7 +182,7 @@ def compare(
     wanted = tasks(
         locate(scene, notes.append),
         method or ["path", "vcm"],
-        opt.settings(define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling),
+        opt.settings(define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling, components),
         seed=seed,
         budget=budget,
         size=size,

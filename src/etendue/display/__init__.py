@@ -1,4 +1,4 @@
-"""Display: denoising, tone curves, PNG, convergence plots, projections of points, pages of runs."""
+"""Display: denoising, tone curves, PNG, tev, convergence plots, projections of points, pages of runs."""
 
 from .colours import css_gradient, false_colour
 from .curves import CURVES, ToneCurve
@@ -30,9 +30,11 @@ from .report import (
     fact_table,
     fitted,
     flatten,
+    in_pyramid,
     machine,
     number_text,
     over_seeds,
+    pyramids,
     render_page,
     render_report,
     time_text,
@@ -41,6 +43,7 @@ from .report import (
     write_report,
 )
 from .scatter import Projection, projection_plot
+from .tev import TevDisplay
 from .tonemap import auto_exposure, check_tone, tonemap
 
 __all__ = [
@@ -66,6 +69,7 @@ __all__ = [
     "Section",
     "Series",
     "Stack",
+    "TevDisplay",
     "Text",
     "ToneCurve",
     "asset_text",
@@ -81,12 +85,14 @@ __all__ = [
     "false_colour",
     "fitted",
     "flatten",
+    "in_pyramid",
     "machine",
     "mesh_picture",
     "number_text",
     "over_seeds",
     "page",
     "projection_plot",
+    "pyramids",
     "render_page",
     "render_report",
     "time_text",

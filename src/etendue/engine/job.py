@@ -134,7 +134,7 @@ class Job:
         )
         begin = time.perf_counter()
         budget = task.budget or Budget(samples=max(1, problem.spp))
-        method: Method = task.method(_settings(task, problem))
+        method: Method = task.method(task_settings(task, problem))
         method.prepare(problem, task.seed)
         if budget.samples is not None:
             method = fit_samples(method, budget.samples, problem, task.seed)
@@ -263,7 +263,7 @@ def versions() -> dict[str, str]:
     return {"etendue": own, "mitsuba": mi.__version__, "drjit": dr.__version__, "variant": mi.variant() or ""}
 
 
-def _settings(task: Task, problem: Problem) -> Settings:
+def task_settings(task: Task, problem: Problem) -> Settings:
     """The settings of a method: given ones first, then those of the scene's integrator, then the defaults."""
     known = task.method.Settings.names()
     from_scene: dict[str, Any] = {"max_depth": problem.max_depth}

@@ -40,13 +40,13 @@ class Session(InNotebooks, Generic[T]):
         self._runner: Runner | None = None
         self._result: list[T] = []
         self._error: BaseException | None = None
-        self._flags = _jit_flags()
+        self._flags = jit_flags()
         self._thread = threading.Thread(target=self._work, name="etendue-session", daemon=True)
         self._thread.start()
 
     def _work(self) -> None:
         try:
-            _set_jit_flags(self._flags)
+            set_jit_flags(self._flags)
             self._runner = self._build(self._stop)
             self._result.append(self._finish(self._runner.run()))
         except RunError as error:
@@ -131,7 +131,8 @@ class Session(InNotebooks, Generic[T]):
         return f"<etendue.Session {'running' if self.running else 'done'}: {self.progress}>"
 
 
-def _jit_flags() -> dict[dr.JitFlag, bool]:
+def jit_flags() -> dict[dr.JitFlag, bool]:
+    """Dr.Jit's flags of this thread, for another one (see :func:`set_jit_flags`)."""
     if "drjit" not in sys.modules:
         return {}
     import drjit as dr
@@ -141,7 +142,8 @@ def _jit_flags() -> dict[dr.JitFlag, bool]:
     return {flag: dr.flag(flag) for flag in dr.JitFlag if flag.name not in own}
 
 
-def _set_jit_flags(flags: dict[dr.JitFlag, bool]) -> None:
+def set_jit_flags(flags: dict[dr.JitFlag, bool]) -> None:
+    """Set Dr.Jit's flags in this thread."""
     if flags:
         import drjit as dr
 

@@ -70,9 +70,14 @@ class Update:
     @property
     def image(self) -> Image:
         """The current picture, developed at each access."""
+        return self.layers["image"]
+
+    @property
+    def layers(self) -> dict[str, Image]:
+        """The current picture with its layers, developed at each access."""
         snapshot = self._runner.snapshot()
         assert snapshot is not None  # a callback follows a pass
-        return snapshot.image
+        return snapshot.layers
 
 
 class Writer(Protocol):

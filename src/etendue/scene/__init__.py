@@ -4,6 +4,9 @@ from . import graph, meshes
 from .builtin.table import BundledScene, bundled, bundled_scene
 from .camera import Camera
 from .capability import check
+from .changes.edits import ParameterChanges, name_elements
+from .changes.parameters import SceneEditor, SceneParameter
+from .editing import Change, LightEdits, add_plugin, colour, described_lights, is_described, scene_xml
 from .fingerprint import fingerprint
 from .graph import materials
 from .lamps.radiance import sphere_point, surface_point, uniform_point, varies
@@ -18,29 +21,40 @@ from .watching import Parameters, parameters, view
 __all__ = [
     "BundledScene",
     "Camera",
+    "Change",
     "Light",
+    "LightEdits",
     "LightTable",
+    "ParameterChanges",
     "Parameters",
     "PortableScene",
     "Problem",
     "RenderSpace",
+    "SceneEditor",
+    "SceneParameter",
     "Source",
+    "add_plugin",
     "bundled",
     "bundled_scene",
     "check",
+    "colour",
     "composed_bsdf",
+    "described_lights",
     "fingerprint",
     "graph",
     "integrator_of",
+    "is_described",
     "load",
     "locate",
     "materials",
     "meshes",
+    "name_elements",
     "parameters",
     "portable",
     "register",
     "resized",
     "restored",
+    "scene_xml",
     "sphere_point",
     "surface_point",
     "uniform_point",
