@@ -152,7 +152,8 @@ def resume(
     if is_particle_file(checkpoint):
         if (spp, error, bundles, points, output, method, define) != (None,) * 7:
             raise OptionError(f"{checkpoint} has particles: only --paths, --particles, --time and --scene apply")
-        return resume_particles(checkpoint, scene, paths, particles, time, variant, threads)
+        device = opt.Device(variant, threads, cluster, workers)
+        return resume_particles(checkpoint, scene, paths, particles, time, device)
     if (paths, particles) != (None, None):
         raise OptionError(f"{checkpoint} is no file of particles: --paths and --particles do not apply")
     device = opt.Device(variant, threads, cluster, workers)

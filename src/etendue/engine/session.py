@@ -26,15 +26,22 @@ class Session(InNotebooks, Generic[T]):
     """A run in its own thread. All members may be used from any thread.
 
     ``build(cancel)`` is called in the new thread and returns a :class:`Runner` that checks ``cancel``; ``finish``
-    computes :attr:`result` from the measurement. Dr.Jit's flags belong to a thread: those of the creating thread are
-    copied. The variant of Mitsuba is global and must not be changed while a session runs.
+    computes :attr:`result` from the measurement; ``at_end`` is called last in any case. Dr.Jit's flags belong to a
+    thread: those of the creating thread are copied. The variant of Mitsuba is global and must not be changed while a
+    session runs.
 
     As a context manager, a session is cancelled at the end of the block; the error of the run is raised there.
     """
 
-    def __init__(self, build: Callable[[threading.Event], Runner], finish: Callable[[RunResult], T]) -> None:
+    def __init__(
+        self,
+        build: Callable[[threading.Event], Runner],
+        finish: Callable[[RunResult], T],
+        at_end: Callable[[], object] = lambda: None,
+    ) -> None:
         self._build = build
         self._finish = finish
+        self._at_end = at_end
         self._stop = threading.Event()
         self._done = threading.Event()
         self._runner: Runner | None = None
@@ -55,6 +62,10 @@ class Session(InNotebooks, Generic[T]):
         except BaseException as error:  # raised by `wait`
             self._error = error
         finally:
+            try:
+                self._at_end()
+            except Exception as error:
+                logger.warning("after the run: %s", describe(error))
             self._done.set()
 
     def _keep(self, run: RunResult) -> None:

@@ -99,8 +99,11 @@ def _both(show: Callable[[Progress], object], watch: Watch | None) -> Watch:
     return after_pass
 
 
-def start_work(open_work: Callable[[], Work[T]], watch: Watch | None = None) -> Session[T]:
-    """A session that opens, runs and finishes the work in its thread, and saves it if a pass fails."""
+def start_work(
+    open_work: Callable[[], Work[T]], watch: Watch | None = None, at_end: Callable[[], object] = lambda: None
+) -> Session[T]:
+    """A session that opens, runs and finishes the work in its thread, and saves it if a pass fails. ``at_end`` is
+    called last in any case."""
     works: list[Work[T]] = []
 
     def build(stop: threading.Event) -> Runner:
@@ -111,7 +114,7 @@ def start_work(open_work: Callable[[], Work[T]], watch: Watch | None = None) -> 
         # The result of a failed run is not used: the session raises the failure.
         return works[0].keep(run) if run.stopped_by == "failure" else works[0].finish(run)
 
-    return Session(build, finish)
+    return Session(build, finish, at_end)
 
 
 def _watched(work: Work[Any], stop: threading.Event, watch: Watch | None) -> Runner:

@@ -12,6 +12,7 @@ from .graph import materials
 from .lamps.radiance import sphere_point, surface_point, uniform_point, varies
 from .lamps.table import Light, LightTable
 from .loading import Source, integrator_of, load, locate, resized
+from .parts import load_part, part_files, shape_boxes
 from .plugins import composed_bsdf, register
 from .portable import PortableScene, portable, restored
 from .problem import Problem
@@ -45,16 +46,19 @@ __all__ = [
     "integrator_of",
     "is_described",
     "load",
+    "load_part",
     "locate",
     "materials",
     "meshes",
     "name_elements",
     "parameters",
+    "part_files",
     "portable",
     "register",
     "resized",
     "restored",
     "scene_xml",
+    "shape_boxes",
     "sphere_point",
     "surface_point",
     "uniform_point",
