@@ -45,10 +45,10 @@ class _LogAxis:
         return self.start + share * (self.end - self.start)
 
     def ticks(self) -> list[tuple[float, bool]]:
-        """(value, labelled) at the decades, and at their 2 and 5 where there are few of them."""
+        """(value, labelled) at the decades, and at their 2 and 5, or all, where there are few of them."""
         first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
         decades = math.log10(self.high / self.low)
-        steps = (1, 2, 5) if decades < 2.5 else (1,)
+        steps = range(1, 10) if decades < 0.8 else (1, 2, 5) if decades < 2.5 else (1,)
         every = 1 if decades <= 6 else 2
         found = []
         for exponent in range(first, last + 1):

@@ -111,10 +111,19 @@ export const pictureViewer = async (root, data, thumbnails = []) => {
     const layer = chosenLayer(picture);
     return layer === pictures[picture].layers[0] ? names[picture] : `${names[picture]} · ${layer.name}`;
   };
+  /** The part of the stage that is in view, across. */
+  const inView = () => {
+    const box = stage.getBoundingClientRect(), view = frame.getBoundingClientRect();
+    const left = Math.max(box.left, view.left), right = Math.min(box.right, view.left + frame.clientWidth);
+    return { box, left, width: Math.max(right - left, 1) };
+  };
   const arrange = () => {
-    const share = state.flipping || !pair ? 100 : state.divided;
-    front.style.clipPath = `inset(0 ${100 - share}% 0 0)`;
-    divider.style.left = `${share}%`;
+    // The divider is at a share of what is in view, also while a magnified picture is scrolled.
+    const { box, left, width: across } = inView();
+    const place = (100 * (left + (state.divided / 100) * across - box.left)) / Math.max(box.width, 1);
+    const share = state.flipping || !pair ? 100 : place;
+    front.style.clipPath = `inset(0 ${(100 - share).toFixed(2)}% 0 0)`;
+    divider.style.left = `${share.toFixed(2)}%`;
     divider.hidden = state.flipping;
     part("position-row").hidden = state.flipping;
     controls.divide.setAttribute("aria-pressed", String(!state.flipping));
@@ -237,8 +246,8 @@ export const pictureViewer = async (root, data, thumbnails = []) => {
   };
   const divide = () => { state.flipping = false; return show(); };
   const dragDivider = (event) => {
-    const box = stage.getBoundingClientRect();
-    state.divided = Math.min(Math.max((100 * (event.clientX - box.left)) / box.width, 0), 100);
+    const { left, width: across } = inView();
+    state.divided = Math.min(Math.max((100 * (event.clientX - left)) / across, 0), 100);
     controls.position.value = state.divided;
     arrange();
   };
@@ -273,6 +282,7 @@ export const pictureViewer = async (root, data, thumbnails = []) => {
     if (state.flipping && !held?.moved) flip();
     held = null;
   });
+  frame.addEventListener("scroll", arrange, { passive: true });
   frame.addEventListener("wheel", (event) => {
     if (!event.ctrlKey) return; // also a pinch on a touch pad
     event.preventDefault();
