@@ -47,8 +47,8 @@ if TYPE_CHECKING:
 PAGE_FILES = {".html": "page with pictures, tables and plots"}
 #: Width of the pictures of the mesh.
 _WIDTH = 640
-#: Rows of the tables of patches.
-_WORST = 10
+#: Rows of the tables of patches, and the share of the largest radiosity below which a value is rounding.
+_WORST, _ROUNDING = 10, 1e-12
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ def _worst(caption: str, heading: str, values: Array, solution: Solution) -> Mea
     """The patches with the largest ``values``."""
     patches = solution.patches
     numbers = np.argsort(-np.nan_to_num(values), kind="stable")[:_WORST]
-    numbers = numbers[values[numbers] > 0.0]
+    numbers = numbers[values[numbers] > _ROUNDING * np.abs(solution.radiosity).max(initial=0.0)]
     if not len(numbers):
         return None
     columns = [
@@ -234,7 +234,7 @@ def _worst(caption: str, heading: str, values: Array, solution: Solution) -> Mea
         Column("radiosity", [number_text(float(solution.radiosity[i].mean())) for i in numbers]),
         Column("irradiance", [number_text(float(solution.irradiance[i].mean())) for i in numbers]),
         Column("area", [number_text(float(patches.areas[i])) for i in numbers]),
-        Column("centre", [", ".join(f"{x:.3g}" for x in patches.centres[i]) for i in numbers]),
+        Column("centre", [", ".join(f"{x:.3g}" for x in np.round(patches.centres[i], 6) + 0.0) for i in numbers]),
     ]
     if patches.shapes is not None and patches.shape_names:
         columns.append(Column("shape", [_shape(patches.shapes[i], patches.shape_names) for i in numbers]))
