@@ -19,7 +19,7 @@ from etendue.core import EtendueError, OptionError, describe, logger
 
 from . import options as opt
 from .boxes import HIERARCHY, resume_hierarchy
-from .console import ConsoleHandler, error_console, note, print_error, say
+from .console import ConsoleHandler, error_console, note, print_error, remember_arguments, say
 from .developing import develop
 from .film_picture import film_picture
 from .inspection.viewing import view
@@ -43,6 +43,7 @@ _UsageError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c._
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; ``arguments`` are those of the process by default. Returns the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    remember_arguments(words)
     debug = "--debug" in words  # read here, since it also applies to errors in other options
     handler = ConsoleHandler(error_console(), logging.DEBUG if debug else logging.WARNING)
     level = logger.level
@@ -184,7 +185,7 @@ def resume(
             return job
 
         with recorder, device.opened() as opened:
-            return render_to_files(open_job, recorder, saved.method, opened)
+            return render_to_files(open_job, recorder, saved.method, opened, recorder.watch)
     beside = [checkpoint.with_suffix(suffix) for suffix in (".exr", ".png")]
     outputs = Outputs.of(
         output or [p for p in beside if p.exists()] or beside[:1], checkpoint, save_every, False, tone, exposure

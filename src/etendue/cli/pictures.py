@@ -131,7 +131,7 @@ def run(
         say(f"{file} is in order: {wanted.describe(open_job())}")
         return 0
     with recorder, opt.Device(wanted.variant, wanted.threads, cluster, workers).opened() as opened:
-        return render_to_files(open_job, recorder, task.method.name, opened)
+        return render_to_files(open_job, recorder, task.method.name, opened, recorder.watch)
 
 
 def compare(
@@ -155,10 +155,14 @@ def compare(
     max_depth: opt.MaxDepth = None,
     threads: opt.Threads = None,
     memory: opt.Memory = None,
+    aovs: opt.Aovs = False,
     components: opt.Components = False,
     pyramid: opt.Pyramid = False,
     pyramid_depth: opt.PyramidDepth = None,
     no_bsdf_sampling: opt.NoBsdfSampling = False,
+    seeds: Annotated[
+        int, typer.Option("--seeds", help="Render so many times, for the error of the error.", min=1, metavar="N")
+    ] = 1,
     cluster: opt.Cluster = None,
     workers: opt.Workers = None,
     debug: opt.Debug = False,
@@ -178,7 +182,7 @@ def compare(
     wanted = tasks(
         locate(scene, notes.append),
         method or ["path", "vcm"],
-        opt.settings(define, max_depth, False, pyramid, pyramid_depth, no_bsdf_sampling, components),
+        opt.settings(define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling, components),
         seed=seed,
         budget=budget,
         size=size,
@@ -191,7 +195,7 @@ def compare(
     for text in notes:
         note(console, text)
     with opt.Device(variant, threads, cluster, workers).opened() as opened:
-        return Comparison(wanted, output, reference, cluster=opened).run(console)
+        return Comparison(wanted, output, reference, seeds=seeds, cluster=opened).run(console)
 
 
 def demo(

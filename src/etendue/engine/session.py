@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Progress, describe, logger
+from etendue.core import InNotebooks, Progress, describe, logger
 
 from .runner import Cancelled, RunError, Runner, RunResult
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-class Session(Generic[T]):
+class Session(InNotebooks, Generic[T]):
     """A run in its own thread. All members may be used from any thread.
 
     ``build(cancel)`` is called in the new thread and returns a :class:`Runner` that checks ``cancel``; ``finish``

@@ -14,6 +14,7 @@ import numpy as np
 
 from etendue.core import (
     CheckpointError,
+    InNotebooks,
     Iterations,
     Measurement,
     OptionError,
@@ -105,7 +106,7 @@ class ParticleRequest:
 
 
 @dataclass
-class ParticleResult:
+class ParticleResult(InNotebooks):
     """What a run has traced. ``particles`` are in memory; ``None`` if they are in the file."""
 
     particles: Particles | None
