@@ -20,6 +20,7 @@ from etendue.core import Measurement, Replica
 from etendue.engine import Budget, Checkpoint, Job, RunError, Runner, RunResult
 from etendue.methods.adaptive.stratified import StratifiedPath
 from etendue.methods.adaptive.vegas import VegasPath
+from etendue.methods.auto import Auto
 from etendue.methods.bidirectional import Bidirectional
 from etendue.methods.guided import Guided
 from etendue.methods.learned_emission import LearnedEmission
@@ -39,6 +40,7 @@ LEARNERS: dict[str, tuple[str, dict[str, Any], type, str, int, type[BaseExceptio
     "guided within a generation": ("guided", GUIDED, Guided, "_learn", 5, KeyboardInterrupt),
     "guided at the end of one": ("guided", GUIDED, Guided, "_learn", 3, RuntimeError),
     "guided in the midst of that": ("guided", GUIDED, LightChoice, "learn", 2, KeyboardInterrupt),
+    "auto": ("auto", {"samples_per_pass": 4}, Auto, "_decide", 2, KeyboardInterrupt),
     "vegas between two changes": ("vegas", VEGAS, VegasPath, "_learn", 5, RuntimeError),
     "vegas at a change": ("vegas", VEGAS | {"tile": 8}, VegasPath, "_learn", 4, KeyboardInterrupt),
     "stratified": ("stratified", {"samples_per_pass": 64, "update": 2}, StratifiedPath, "_plan", 2, RuntimeError),
@@ -50,6 +52,8 @@ LEARNERS: dict[str, tuple[str, dict[str, Any], type, str, int, type[BaseExceptio
 }
 #: Bytes: enough for the light vertices of a pass, and not for six times as many.
 MEMORY = 1_200_000
+#: Those of :data:`LEARNERS` that the fast tests run.
+FAST = ["guided within a generation", "guided in the midst of that", "auto", "vegas at a change", "sppm", "pssmlt"]
 #: Photons are summed in another order in each run.
 IN_ANY_ORDER = {"rtol": 1e-4, "atol": 1e-6}
 
@@ -102,7 +106,7 @@ def assert_goes_on(new: Callable[[], Any], left: RunResult, whole: Measurement, 
         np.testing.assert_allclose(total.mean(), whole.mean(), **(near or {"rtol": 0.0}))
 
 
-@pytest.mark.parametrize("name", thinned(LEARNERS, list(LEARNERS)[::2]))
+@pytest.mark.parametrize("name", thinned(LEARNERS, FAST))
 def test_a_pass_that_fails_as_it_learns(name, monkeypatch, tmp_path):
     method, settings, owner, step, call, error = LEARNERS[name]
     problem = scenes.room("mixed", scenes.FEW)
@@ -120,7 +124,7 @@ def test_a_pass_that_fails_as_it_learns(name, monkeypatch, tmp_path):
         left,
         whole,
         tmp_path / "a",
-        **(IN_ANY_ORDER if owner in (Sppm, MetropolisMethod, LearnedEmission, EmissionGuide) else {}),
+        **(IN_ANY_ORDER if owner in (Sppm, MetropolisMethod, LearnedEmission, EmissionGuide, Auto) else {}),
     )
 
 
@@ -189,7 +193,7 @@ CARRYING = {
     "vegas": ("vegas", VEGAS, {}),
     "sppm": ("sppm", {"samples_per_pass": 2, "radius": 0.05}, IN_ANY_ORDER),
     "ppm": ("ppm", {"samples_per_pass": 2, "radius": 0.05}, IN_ANY_ORDER),
-    "auto": ("auto", {"samples_per_pass": 4, "choice": "path"}, {}),
+    "auto": ("auto", {"samples_per_pass": 4}, IN_ANY_ORDER),
     "bpt": ("bpt", {"samples_per_pass": 4}, IN_ANY_ORDER),
     "bpt that learns": ("bpt", BPT, IN_ANY_ORDER),
     "vcm that learns": ("vcm", BPT, IN_ANY_ORDER),

@@ -1,331 +1,313 @@
-"""Choose a method by a probe: the candidate that needs the least time for a given error renders the picture.
+r"""``vcm`` that chooses its sample counts while it renders: light paths per camera path, connections, merging or not.
 
-The candidates render the first passes of the picture in turn: ``path``, then ``vcm``, which finds more light than the
-others, then ``bpt``. A candidate is tried only if its predicted time, including compilation, fits into :data:`_SHARE`
-of the work ahead. The passes of the chosen candidate are used in the picture.
+The first passes have many techniques, and estimate what the second moment of the picture would be for each of the
+:data:`CANDIDATES` (:class:`etendue.transport.Moments`). The counts whose product of error and cost is least
+(:mod:`.efficiency`) render the passes after. Without light paths a pass is one of ``path``. Such estimates are repeated
+during the run, at a bounded share of its cost, and the decision with them: light that is found late changes it.
 
-The cost of a candidate is the time of a pass times the error of a picture of :data:`_PASSES` passes. This error is the
-sum of two parts:
+All passes are part of the picture, with equal weights: each is an estimate of the picture whatever the passes before
+have found, with a bias, where it merges, that vanishes as the radius shrinks.
 
-- the variance between its passes, and
-- the light that it has missed: the excess of another candidate's picture over its own, in blocks of pixels. A method
-  that cannot find a caustic has no noise from it, so the variance alone would favour it. More passes reduce the
-  variance, but light that was not found in the probe will be missing, or a firefly, in the picture.
-
-If ``vcm`` does not fit, mostly because kernels have to be compiled, there is no comparison: ``vcm`` is chosen if the
-scene has mirrors or glass and lights other than an environment. Its error is rarely twice that of the best candidate,
-whereas that of ``path`` may be a thousand times as large. There is no probe for work of less than :data:`_LEAST`
-seconds: ``bpt`` is chosen if the scene has mirrors or glass and lights that no ray can hit, whose caustics ``path``
-never finds, else ``path``.
-
-The choice is in the picture's metadata, and a resumed run keeps it.
+With a time limit of less than :data:`_LEAST` seconds nothing is learned: ``bpt`` renders scenes with mirrors or glass
+and lights that no ray can hit, whose caustics ``path`` never finds, and ``path`` renders the others.
 """
 
 from __future__ import annotations
 
+import itertools
 import time
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
-from numpy.typing import NDArray
 
-from etendue.core import RELATIVE_EPSILON, Carrying, Measurement, Pass, Result, State, logger, setting
+from etendue.core import Carrying, CheckpointError, Measurement, Result, State, logger, setting
+from etendue.film import COMPONENTS
 from etendue.scene import Problem, materials
+from etendue.transport import CameraPath, Candidate, DirectWeights, Moments, Walker
 
-from .base import STEP_LANES, ImageMethod, ImageSettings, Layer
-from .bidirectional import Bpt, Vcm
-from .path import Path
+from .base import STEP_LANES, CameraSettings, ImageMethod, Layer, total
+from .bidirectional import Vcm
+from .bidirectional_settings import BidirectionalSettings
+from .efficiency import LEARNING, Learned, Work, tile_pixels
+from .path import Path, edge
 
-#: Side of the blocks in which pictures are compared for missing light, in pixels.
-_BLOCK = 4
-#: Share of the work ahead that the predicted time of the probe may have. The real time must not exceed a fifth; the
-#: difference is for predictions that are too low.
-_SHARE = 0.17
-#: Seconds of work below which there is no probe.
+#: Counts of the passes that estimate moments.
+LEARNER = Candidate(0.5, 2, True)
+_NONE = Candidate(0.0, 0, False)
+#: The counts to choose from.
+CANDIDATES: tuple[Candidate, ...] = (
+    _NONE,
+    *(Candidate(n, k, False) for n, k in itertools.product((0.125, 0.25, 0.5, 1.0), (0, 1, 2, 4, 8))),
+    *(Candidate(n, k, True) for n, k in itertools.product((0.125, 0.25, 0.5, 1.0), (0, 1, 2, 4))),
+    Candidate(2.0, 0, True),
+    Candidate(2.0, 1, True),
+)
+#: Counts that a user may choose.
+FIXED: dict[str, Candidate] = {
+    "path": _NONE,
+    "bpt": Candidate(0.5, 2, False),
+    "bpt with 6 connections": Candidate(0.5, 6, False),
+    "vcm": Candidate(0.5, 1, True),
+}
+#: Seconds of a run below which nothing is learned.
 _LEAST = 6.0
-#: Without a comparison, ``vcm`` is chosen only if ``path`` has taken less than this share of the work without the
-#: preparation of ``vcm``.
-_LOST = 0.2
-#: Memory of the passes of the probe, in bytes per pixel; and its limit in bytes if the run has none.
-_BYTES = 600
-_ROOM = 1.2e9
-#: The candidates, the simplest first: name, method, settings.
-CANDIDATES: dict[str, tuple[type[ImageMethod], dict[str, Any]]] = {
-    "path": (Path, {}),
-    "bpt": (Bpt, {}),
-    "bpt with 6 connections": (Bpt, {"connections": 6, "shadow_roulette": 0.05}),
-    "vcm": (Vcm, {}),
-}
-#: Predicted times of a candidate: another candidate, and factors on the time of its preparation with compilation and on
-#: that of its pass. A candidate is tried only after this other one.
-_PREDICTED = {
-    "vcm": ("path", 4.0, 2.5),
-    "bpt": ("vcm", 1.0, 0.9),
-    "bpt with 6 connections": ("bpt", 1.7, 1.9),
-}
-#: Passes of a picture, if no budget is given.
-_PASSES = 64
-#: Least ratio of costs at which the simpler of two candidates is chosen.
-_WORTH_IT = 0.9
-#: Factors on the costs if caustics are expected: a candidate may find them too rarely to appear in the probe.
-_DOUBT = {"path": 2.0, "bpt": 1.5, "bpt with 6 connections": 1.5, "vcm": 0.9}
-#: Variants of a candidate whose cost exceeds that of the best by more than this factor are not tried.
-_HOPELESS = 3.0
-#: Candidates render further passes if their costs are within this factor of the least.
-_CLOSE = 1.5
-#: Variants, and the candidates of which they are variants.
-_VARIANTS = {"bpt with 6 connections": "bpt"}
+#: Share of a run's cost for passes that learn, after the first ones.
+_SHARE = 0.06
+#: Least ratio of products of error and cost at which the counts stay as they are.
+_WORTH_IT = 0.93
+#: If caustics are expected, products of candidates without light paths, and without merging, are multiplied by 1 plus
+#: this number over the number of passes that have learned: a caustic may be too small for all of them.
+_DOUBT = {"path": 1.0, "bpt": 0.4}
 
 
 @dataclass(frozen=True)
-class AutoSettings(ImageSettings):
+class AutoSettings(CameraSettings):
     """Settings of ``auto``."""
 
     choice: str = setting(
-        "probe",
-        "candidate that renders the picture; probe: the one that a probe finds best",
-        choices=("probe", *CANDIDATES),
+        "learn",
+        "sample counts of the passes: chosen while it renders (learn, probe), or those of path, bpt, bpt with "
+        "6 connections, or vcm",
+        choices=("learn", "probe", *FIXED),
     )
     probe_passes: int = setting(
-        6, "most passes that a candidate renders in the probe; more: a better comparison", minimum=2, maximum=1000
+        2, "first passes, from which the first choice is made; more: a better choice", minimum=1, maximum=1000
     )
-
-
-@dataclass(eq=False)
-class _Tried:
-    """A candidate in the probe."""
-
-    method: ImageMethod
-    passes: list[Pass]
-    total: Measurement  #: sum of the passes
-    start: float  #: seconds of preparation and compilation
-    seconds: float  #: seconds of a pass
+    radius: float = setting(0.006, "merge radius of the first pass, over half the diagonal of the scene", above=0.0)
+    alpha: float = setting(
+        0.75,
+        "reduction of the merge radius: that of pass i = 1, 2, ... is radius * i^((alpha - 1) / 2); 1: constant",
+        above=0.0,
+        maximum=1.0,
+    )
 
 
 class Auto(Carrying, ImageMethod):
-    """The candidate that a probe finds best."""
+    """Vertex connection and merging with sample counts that are chosen while it renders."""
 
     name: ClassVar[str] = "auto"
-    Settings: ClassVar[type[ImageSettings]] = AutoSettings
+    Settings: ClassVar[type[CameraSettings]] = AutoSettings
     settings: AutoSettings
-    citations: ClassVar[tuple[str, ...]] = (*Path.citations, *Vcm.citations)
+    citations: ClassVar[tuple[str, ...]] = ("Grittmann2022", *Path.citations, *Vcm.citations)
     carries_on: ClassVar[bool] = True
 
     def prepare(self, problem: Problem, seed: int) -> None:
-        """See :class:`ImageMethod`. The probe is part of the first pass, so that it counts against a budget."""
+        """See :class:`ImageMethod`. What only passes with light paths need is prepared by the first of them."""
         self._forget_states()
         super().prepare(problem, seed)
-        self._choice = self.settings.choice
-        self._costs: dict[str, float] = {}
-        self._chosen: ImageMethod | None = None
-        self._carried: State = {}  #: state of the chosen candidate
-        self._made: dict[tuple[int, int], Pass] = {}  #: passes of the probe, by iteration and seed
-        self.setup_seconds = 0.0  #: seconds of the probe, which is part of the first pass
+        self._seed = seed
+        self._vcm: Vcm | None = None
+        self._vcm_state: State = {}
+        self._counts = FIXED.get(self.settings.choice, LEARNER)
+        self._learns = self.settings.choice not in FIXED
+        self._learned = Learned.none()
+        self._products: dict[str, float] = {}
+        self._spent = self._spent_learning = 0.0
+        self.setup_seconds = 0.0  #: of preparation and compilation within the first pass, for predictions of times
+        self._caustics = self._has_specular() and self._has_finite_light()
         self.plan(None, None, None)
+
+    def bind(self, scene: mi.Scene | None) -> None:
+        """See :class:`ImageMethod`."""
+        super().bind(scene)
+        if self._vcm:
+            self._vcm.bind(scene)
 
     def plan(self, seconds: float | None, passes: int | None, error: float | None) -> None:
         """See :class:`Method`."""
-        self._seconds, self._passes, self._error = seconds, passes, error
+        self._short = seconds is not None and seconds < _LEAST
 
-    def _step(self, iteration: int, seed: int) -> Measurement:
-        """One pass of the chosen candidate."""
-        renderer = self._renderer(seed)
-        made = self._made.pop((iteration, seed), None)
-        if made is None:
-            made = renderer.step(iteration, seed, self._carried)
-        self._carried = made.state
-        return made.measurement
+    def full_lanes(self) -> int:
+        """See :class:`ImageMethod`. Passes of path tracing are as small as those that merge."""
+        return STEP_LANES
+
+    # ------------------------------------------------------------------ passes
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
-        return self._renderer(seed).render_pass(iteration, seed, samples)
+        if self._short and self._learns and not self._learned.passes:
+            self._learns, self._counts = False, self._simple()
+        learning = self._learns and self._is_due()
+        if learning:
+            rendered = self._learn(iteration, seed, samples)
+        elif self._counts.light_paths == 0.0:
+            rendered = self._path(iteration, seed, samples)
+        else:
+            vcm = self._estimator()
+            vcm.use(self._counts)
+            rendered = vcm.render_pass(iteration, seed, samples)
+        cost = self._work().cost(LEARNER) * LEARNING if learning else self._work().cost(self._counts)
+        self._spent += cost
+        self._spent_learning += cost if learning else 0.0
+        return rendered
+
+    def _is_due(self) -> bool:
+        """Whether the next pass learns."""
+        if self._learned.passes < self.settings.probe_passes:
+            return True
+        cost = self._work().cost(LEARNER) * LEARNING
+        return self._spent_learning + cost <= _SHARE * self._spent
+
+    def _work(self) -> Work:
+        return self._learned.mean_work()
+
+    def _estimator(self) -> Vcm:
+        """The prepared estimator of passes with light paths."""
+        if self._vcm is None:
+            own = self.settings
+            names = ("max_depth", "samples_per_pass", "sampler", "scrambling", "reconstruction", "clamp", "components")
+            common = {name: getattr(own, name) for name in names} | {"samples_per_pass": self.samples_per_iteration}
+            counts = LEARNER if self._learns else self._counts
+            settings = BidirectionalSettings(
+                **common,
+                rr_depth=min(own.rr_depth, BidirectionalSettings.rr_depth),
+                radius=own.radius,
+                alpha=own.alpha,
+                light_paths=counts.light_paths,
+                connections=counts.connections,
+                merging=counts.merging,
+                shadow_roulette=0.05 if counts.connections > 2 else BidirectionalSettings.shadow_roulette,
+            )
+            begin = time.perf_counter()
+            vcm = Vcm(settings)
+            if self._learns:
+                vcm.moments = self._moments()
+                most = max(candidate.light_paths for candidate in CANDIDATES)
+                vcm.light_stride = round(most * self.camera.pixels * self.samples_per_iteration)
+            vcm.prepare(self.problem, self._seed)
+            vcm.moments = None
+            self.setup_seconds = time.perf_counter() - begin
+            self._vcm_first = vcm.start()
+            vcm.enter(self._vcm_state or self._vcm_first)
+            self._vcm = vcm
+        return self._vcm
+
+    def _path(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
+        """A pass of path tracing."""
+        lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
+        source = self.camera_numbers(lanes, samples, seed, iteration)
+        ray, importance, _ = self.camera.primary(lanes // samples, source)
+        walker, weights = self.walker(Walker, first=self.first_hits(lanes, iteration)), DirectWeights("mis", "balance")
+        path = CameraPath.start(ray, walker.max_edges, **self.path_fields())
+        path = walker.walk(path, lambda s: edge(s, walker, weights, source), "path")
+        path.weigh(importance)
+        radiance, bad = self.kept_layers(path)
+        dr.eval(radiance, path.rays, bad)
+        counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
+        return self.images(radiance, seed, iteration), counters
+
+    # ------------------------------------------------------------------ learning
+
+    def _learn(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
+        """A pass that estimates moments, and the decision after it."""
+        vcm = self._estimator()
+        vcm.use(LEARNER)
+        camera_paths = self.camera.pixels * samples
+        light_paths = LEARNER.light_paths * camera_paths
+        vcm.moments = self._moments()
+        try:
+            layers, counters = vcm.render_pass(iteration, seed, samples)
+            edges, smooth, photons = vcm.moments.walked() / camera_paths
+            work = edges, smooth, photons / LEARNER.light_paths, counters["light_vertices"] / light_paths
+            width, height = self.problem.size
+            tiles = vcm.moments.tiles() / (tile_pixels(height, width) * samples)[..., None, None]
+        finally:
+            vcm.moments = None
+        parts = [layers[name] for name in (COMPONENTS if self.settings.components else ("image",))]
+        picture = np.sum(parts, axis=0).mean(axis=2, dtype=np.float64) / samples
+        if np.isfinite(tiles).all() and np.isfinite(picture).all():
+            self._learned = self._learned.after(tiles, picture, work)
+        self._decide()
+        return layers, counters
+
+    def _moments(self) -> Moments:
+        """Estimates of the moments of a pass."""
+        light_paths = LEARNER.light_paths * self.camera.pixels  # over camera paths of a pixel
+        return Moments(
+            CANDIDATES, LEARNER, self.problem.size, 1.0 / light_paths, 1.0 / BidirectionalSettings.eta_discount
+        )
+
+    def _decide(self) -> None:
+        """Choose the counts of the next passes."""
+        if not self._learned.passes:
+            return
+        work = self._work()
+        products = {c: float(e) * work.cost(c) for c, e in zip(CANDIDATES, self._learned.errors(), strict=True)}
+        if self._caustics:
+            for candidate in products:
+                kind = "path" if candidate.light_paths == 0.0 else "bpt"
+                if not candidate.merging:
+                    products[candidate] *= 1.0 + _DOUBT[kind] / self._learned.passes
+        best = min(products, key=lambda c: products[c])
+        now = products.get(self._counts)
+        if now is None or self._learned.passes <= 1 or products[best] < _WORTH_IT * now:
+            self._counts = best
+        least = max(products[best], 1e-30)
+        told = {c: p / least for c, p in products.items() if c in (_NONE, LEARNER) or p < 1.3 * least}
+        self._products = {describe(c): round(p, 3) for c, p in told.items()}
+        logger.info("auto: %s", describe(self._counts))
+
+    # ------------------------------------------------------------------ state
 
     def develop(self, measurement: Measurement, state: State) -> Result:
-        """Mean over the passes; the metadata contain the choice and the costs of the candidates."""
+        """Mean over the passes; the metadata contain the counts of the next pass, and the products of error and cost
+        of the best candidates over the least."""
         result = super().develop(measurement, state)
-        result.metadata |= {"chosen": state["choice"], "probe": state["costs"]}
+        result.metadata |= {"chosen": describe(Candidate(*state["counts"])), "products": dict(state["products"])}
         return result
 
     def _left(self) -> State:
-        """The choice, the costs of the candidates, and the state of the chosen one."""
-        return {"choice": self._choice, "costs": self._costs, "chosen": self._carried}
+        """The counts, what has been learned, and the state of the estimator."""
+        counts = self._counts
+        return {
+            "counts": [counts.light_paths, counts.connections, counts.merging],
+            "learns": self._learns,
+            "learned": self._learned.state(),
+            "products": self._products,
+            "spent": [self._spent, self._spent_learning],
+            "vcm": self._vcm.left() if self._vcm else self._vcm_state,
+        }
 
     def _take(self, state: State) -> None:
-        self._choice, self._costs, self._chosen = str(state["choice"]), dict(state["costs"]), None
-        self._carried, self._made = state["chosen"], {}
+        try:
+            paths, connections, merging = state["counts"]
+            learned = Learned.of(state["learned"])
+        except (KeyError, TypeError, ValueError):
+            raise CheckpointError("the checkpoint's auto chose by a probe; start a new run") from None
+        height, width = self.problem.size[::-1]
+        if learned.passes and learned.picture.shape != (height, width):
+            raise CheckpointError("what auto has learned is of another picture; start a new run")
+        self._counts = Candidate(float(paths), int(connections), bool(merging))
+        self._learns, self._learned, self._products = bool(state["learns"]), learned, dict(state["products"])
+        self._spent, self._spent_learning = (float(value) for value in state["spent"])
+        self._vcm_state = state["vcm"]
+        if self._vcm:
+            self._vcm.enter(self._vcm_state or self._vcm_first)
 
-    def _renderer(self, seed: int) -> ImageMethod:
-        if self._chosen is None:
-            begin = time.perf_counter()
-            if self._choice == "probe":
-                self._choice = self._probe(seed)
-                listed = ", ".join(f"{name} {cost:.3g}" for name, cost in self._costs.items()) or "not probed"
-                logger.info("auto: %s (cost: %s)", self._choice, listed)
-            if self._chosen is None:
-                self._chosen = self._method(self._choice)
-                self._chosen.prepare(self.problem, seed)
-            self._carried = self._carried or self._chosen.start()
-            self.setup_seconds = time.perf_counter() - begin
-        return self._chosen
+    # ------------------------------------------------------------------ the scene
 
-    def _method(self, name: str) -> ImageMethod:
-        cls, settings = CANDIDATES[name]
-        own = self.settings
-        common = {name: getattr(own, name) for name in ("max_depth", "sampler", "scrambling", "reconstruction", "aovs")}
-        return cls(cls.Settings(samples_per_pass=self.samples_per_iteration, **common, **settings))
-
-    def full_lanes(self) -> int:
-        """The same for all candidates, so that their passes can be compared."""
-        return STEP_LANES
-
-    # ------------------------------------------------------------------ the probe
-
-    def _simple(self) -> str:
-        """The candidate for work that is too short for a probe."""
+    def _simple(self) -> Candidate:
+        """Counts for work that is too short to learn."""
         delta = mi.EmitterFlags.DeltaPosition, mi.EmitterFlags.DeltaDirection
         missed = self._has_specular() and any(mi.has_flag(e.flags(), f) for e in self.scene.emitters() for f in delta)
-        return "bpt" if missed and self.camera.can_splat else "path"
+        return FIXED["bpt" if missed and self.camera.can_splat else "path"]
 
-    def _expects_caustics(self) -> bool:
-        """Whether the scene has mirrors or glass, and lights other than an environment."""
-        infinite = mi.EmitterFlags.Infinite
-        return self._has_specular() and any(not mi.has_flag(e.flags(), infinite) for e in self.scene.emitters())
+    def _has_finite_light(self) -> bool:
+        return any(not mi.has_flag(e.flags(), mi.EmitterFlags.Infinite) for e in self.scene.emitters())
 
     def _has_specular(self) -> bool:
         bsdfs = [m for m in materials(self.scene) if isinstance(m, mi.BSDF)]
         specular = mi.BSDFFlags.DeltaReflection, mi.BSDFFlags.DeltaTransmission
         return any(mi.has_flag(m.flags(), f) for m in bsdfs for f in specular)
 
-    def _probe(self, seed: int) -> str:
-        """Name of the candidate with the least cost; its passes are kept."""
-        simple = self._simple()
-        room = min(_ROOM, self.problem.memory or _ROOM)
-        if (self._seconds is not None and self._seconds < _LEAST) or _BYTES * self.camera.pixels > room:
-            return simple
-        begin = time.perf_counter()
-        tried = {"path": self._try("path", seed)}
-        work = self._work(tried["path"])
-        end = begin + _SHARE * work if work >= _LEAST else begin
-        for name, (reference, start, pace) in _PREDICTED.items():
-            base = tried.get(reference)
-            if base is None or time.perf_counter() + start * base.start + 2.0 * pace * base.seconds > end:
-                continue
-            if name not in _VARIANTS or reference in _within(_HOPELESS, self._costs):
-                tried[name] = self._try(name, seed)
-                self._costs = _costs(tried)
-        for _ in range(2, self.settings.probe_passes):
-            left = [tried[name] for name in _within(_CLOSE, self._weighed())]
-            if len(left) < 2 or time.perf_counter() + sum(one.seconds for one in left) > end:
-                break
-            for one in left:
-                self._try_again(one, seed)
-            self._costs = _costs(tried)
-        if len(tried) > 1:
-            chosen = choose(self._weighed())
-        else:
-            chosen = "vcm" if self._is_worth_vcm(work, time.perf_counter() - begin, tried["path"]) else simple
-        if chosen in tried:
-            self._chosen = tried[chosen].method
-            self._made = {(i, seed): measured for i, measured in enumerate(tried[chosen].passes)}
-        return chosen
 
-    def _weighed(self) -> dict[str, float]:
-        """Costs with the factors for caustics, the simplest candidate first."""
-        factors = _DOUBT if self._expects_caustics() else dict.fromkeys(CANDIDATES, 1.0)
-        return {name: factors[name] * self._costs[name] for name in CANDIDATES if name in self._costs}
-
-    def _is_worth_vcm(self, work: float, spent: float, path: _Tried) -> bool:
-        """Whether to choose ``vcm`` without a comparison for ``work`` seconds, of which ``path`` has taken
-        ``spent``."""
-        _, start, _ = _PREDICTED["vcm"]
-        return work >= _LEAST and self._expects_caustics() and spent < _LOST * (work - start * path.start)
-
-    def _try(self, name: str, seed: int) -> _Tried:
-        """Render the first two passes of a candidate; the first includes compilation."""
-        begin = time.perf_counter()
-        method = self._method(name)
-        method.prepare(self.problem, seed)
-        first = method.step(0, seed, method.start())
-        start = time.perf_counter() - begin
-        tried = _Tried(method, [first], first.measurement.copy(), start, 0.0)
-        self._try_again(tried, seed)
-        tried.start = max(0.0, start - tried.seconds)
-        return tried
-
-    def _try_again(self, tried: _Tried, seed: int) -> None:
-        begin = time.perf_counter()
-        done = len(tried.passes)
-        made = tried.method.step(done, seed, tried.passes[-1].state)
-        tried.passes.append(made)
-        tried.total += made.measurement
-        tried.seconds = (tried.seconds * (done - 1) + time.perf_counter() - begin) / done
-
-    def _work(self, tried: _Tried) -> float:
-        """Predicted seconds of the picture with a candidate."""
-        limits = []
-        if self._seconds is not None:
-            limits.append(self._seconds)
-        if self._passes is not None:
-            limits.append(self._passes * tried.seconds)
-        if self._error is not None:
-            passes = len(tried.passes) * tried.total.relative_error() / self._error
-            limits.append(passes * tried.seconds)
-        return min(limits, default=_PASSES * tried.seconds)
-
-
-def _costs(tried: Mapping[str, _Tried]) -> dict[str, float]:
-    return costs(
-        {name: one.seconds for name, one in tried.items()},
-        {name: [made.measurement for made in one.passes] for name, one in tried.items()},
-    )
-
-
-def _within(ratio: float, cost: Mapping[str, float]) -> list[str]:
-    """Names of the candidates whose cost is at most ``ratio`` times the least."""
-    return [name for name, value in cost.items() if value <= ratio * min(cost.values())]
-
-
-def costs(seconds: Mapping[str, float], passes: Mapping[str, Sequence[Measurement]]) -> dict[str, float]:
-    """Seconds of a picture of :data:`_PASSES` passes times its error, by candidate. ``seconds``: of a pass;
-    ``passes``: measurements of single passes with equal weights."""
-    blocks = {name: np.stack([_blocks(m.mean()) for m in each]) for name, each in passes.items()}
-    pictures = {name: each.mean(axis=0) for name, each in blocks.items()}
-    #: Variance of the mean of a block, estimated from passes, because its pixels may be correlated.
-    variance = {name: each.var(axis=0, ddof=1) / len(each) for name, each in blocks.items()}
-    # The error is relative to the median picture: a firefly would increase its own denominator.
-    level = np.median(list(pictures.values()), axis=0)
-    result = {}
-    for name, each in passes.items():
-        missed = np.zeros_like(level)
-        for other in passes:
-            # Only what exceeds three standard errors, so that fireflies of the other picture do not count.
-            threshold = 9.0 * (variance[name] + variance[other])
-            gap = np.square(np.maximum(pictures[other] - pictures[name], 0.0)) - threshold
-            missed = np.maximum(missed, gap / (np.square(pictures[other]) + RELATIVE_EPSILON))
-        noise = _blocks(np.stack([m.mean() for m in each]).var(axis=0, ddof=1))  # variance of a pixel in one pass
-        scatter = noise / (np.square(level) + RELATIVE_EPSILON)
-        error = scatter.mean() / _PASSES + missed.mean()
-        result[name] = seconds[name] * _PASSES * float(error)
-    return result
-
-
-def choose(cost: Mapping[str, float]) -> str:
-    """The candidate of least cost; a later one must cost less than :data:`_WORTH_IT` times as much as an earlier
-    one."""
-    best = ""
-    for name, value in cost.items():
-        if not best or value < _WORTH_IT * cost[best]:
-            best = name
-    return best
-
-
-def _blocks(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Means over blocks of pixels, without the pixels at the border that do not fill a block."""
-    height, width, channels = image.shape
-    rows, columns = max(1, height // _BLOCK), max(1, width // _BLOCK)
-    side_y, side_x = min(_BLOCK, height), min(_BLOCK, width)
-    cut = image[: rows * side_y, : columns * side_x]
-    return cut.reshape(rows, side_y, columns, side_x, channels).mean(axis=(1, 3))
+def describe(counts: Candidate) -> str:
+    """Counts in words."""
+    for name, fixed in FIXED.items():
+        if counts == fixed:
+            return name
+    name = "vcm" if counts.merging else "bpt"
+    return f"{name} with {counts.light_paths:g} light paths, {counts.connections} connections"

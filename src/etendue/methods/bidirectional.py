@@ -18,7 +18,7 @@ Limit: a caustic of a point light that is seen in a mirror is found by merging o
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import drjit as dr
@@ -27,16 +27,19 @@ import numpy as np
 
 from etendue.core import Carrying, IndependentSource, OptionError, State, free_memory, logger
 from etendue.density import HashGrid
+from etendue.film import COMPONENTS, REFLECTED
 from etendue.scene import Problem
 from etendue.transport import (
     PICK_BLOCK,
     CameraSink,
     CameraWalk,
+    Candidate,
     Gather,
     LightCache,
     LightVertices,
     LightWalk,
     Mis,
+    Moments,
     Pyramid,
     Splats,
     SplatSink,
@@ -77,6 +80,7 @@ class _Run:
     splats: Splats | None
     pyramid: Pyramid | None
     capacity: int  #: of the vertex store
+    moments: Moments | None = None
 
 
 def _concatenated(colours: list[mi.Color3f]) -> mi.Color3f:
@@ -90,7 +94,11 @@ class Bidirectional(Carrying, ImageMethod):
     Settings: ClassVar[type[ImageSettings]] = BidirectionalSettings
     settings: BidirectionalSettings
     citations: ClassVar[tuple[str, ...]] = ("Georgiev2012", "Georgiev2012b", "Hachisuka2012", "Davidovic2014")
-
+    #: Estimates of the next passes' second moments, if they are wanted; cleared at the begin of a pass. If it is set
+    #: before :meth:`prepare`, the pilot has the kernels of those passes.
+    moments: Moments | None = None
+    #: Numbers of the light paths' sequence that a pass takes, if it is more than there are paths.
+    light_stride = 0
     _learning: LearnedEmission | None = None
 
     @property
@@ -125,13 +133,24 @@ class Bidirectional(Carrying, ImageMethod):
         self._box = corners(problem)
         self._paths = max(1, round(s.light_paths * self.camera.pixels * self.samples_per_iteration))
         self._first_radius = radii.absolute_radius(self, s.radius, s.radius_unit, seed) if s.merging else 0.0
-        bytes_per_vertex = LightVertices.bytes_per_vertex(
-            bool(self.techniques.connection), self.techniques.merge, bool(self._more_radii), bool(self._learning)
-        )
-        floats = LightVertices.floats_per_vertex(bool(self.techniques.connection))
-        self._room = VertexRoom(bytes_per_vertex, floats, problem.memory)
+        kinds = bool(self.techniques.connection), self.techniques.merge
+        linear = bool(self._more_radii) or self.light_stride > 0
+        bytes_per_vertex = LightVertices.bytes_per_vertex(*kinds, linear, bool(self._learning))
+        self._room = VertexRoom(bytes_per_vertex, LightVertices.floats_per_vertex(kinds[0]), problem.memory)
         self._pilot(seed)
         self._groups = self._count_groups()
+
+    def use(self, counts: Candidate) -> None:
+        """Give further passes other sample counts than those of the settings."""
+        merging = counts.merging and self.settings.merging
+        self.techniques = replace(self.techniques, connection=counts.connections, merge=merging)
+        self._paths = max(1, round(counts.light_paths * self.camera.pixels * self.samples_per_iteration))
+        self._groups = self._count_groups()
+
+    def left(self) -> State:
+        """The state after a call of :meth:`render_pass` that was not part of a ``step``."""
+        self._held = self._left()
+        return self._held
 
     def full_lanes(self) -> int:
         """See :class:`ImageMethod`."""
@@ -166,14 +185,16 @@ class Bidirectional(Carrying, ImageMethod):
         splats = self._splats(seed, 0, "pilot ")
         lanes = dr.arange(mi.UInt32, samples)
         pixel = dr.minimum(mi.UInt32((mi.Float(lanes) + 0.5) * (self.camera.pixels / samples)), self.camera.pixels - 1)
-        run = _Run("pilot ", 0, seed, self._first_radius, Lanes(0, paths), lanes, pixel, 1, splats, None, 64 * paths)
+        films = splats, None, 64 * paths, self.moments
+        run = _Run("pilot ", 0, seed, self._first_radius, Lanes(0, paths), lanes, pixel, 1, *films)
         radiance, counters = self._trace(run)
         self._room.per_path = counters["light_vertices"] / paths
         own = [value for name, value in radiance.items() if name not in self._more_radii]
         mean = sum(float(np.asarray(v, np.float64).mean()) for v in own)
         if splats:
-            splatted = splats.sums()[0]
-            mean += float(splatted.mean(dtype=np.float64)) / paths
+            images = splats.sums()
+            splatted = images[: len(images) - len(self._more_radii)]
+            mean += float(splatted.mean(dtype=np.float64)) * len(splatted) / paths
         # Rounded to steps, so that the order of atomic additions in the pilot does not change the picture.
         brightness = 2.0 ** (round(4.0 * math.log2(mean)) / 4.0) if mean > 0.0 else 0.0
         self._dark = self.settings.shadow_roulette * brightness
@@ -189,7 +210,8 @@ class Bidirectional(Carrying, ImageMethod):
         if not self.techniques.splat:
             return None
         # The pictures of a pyramid add up to that of the pass, so they are made in one way: without cells.
-        return self.splats(seed, iteration, len(self._factors), role, in_cells=not self.settings.pyramid)
+        images = (len(REFLECTED) if self.settings.components else 1) + len(self._more_radii)
+        return self.splats(seed, iteration, images, role, in_cells=not self.settings.pyramid)
 
     def _count_groups(self) -> int:
         """Number of groups into which the light paths of a pass are divided, so that the vertices of a group fit into
@@ -225,29 +247,31 @@ class Bidirectional(Carrying, ImageMethod):
         splats = self._splats(seed, iteration)
         s = self.settings
         pyramid = Pyramid(self.techniques, s.pyramid_depth, self.camera.pixels) if s.pyramid else None
+        if self.moments:
+            self.moments.clear()
         parts: list[dict[str, mi.Color3f]] = []
         counters = {"rays": 0.0, "light_vertices": 0.0, "nonfinite": 0.0}
         for index in range(self._groups):
             light = Lanes(0, self._paths).part(index, self._groups)
             camera, _ = Lanes(0, self.camera.pixels * samples).part(index, self._groups).numbers()
             pixel, capacity = camera // samples, self._room.capacity(light.count)
-            run = _Run("", iteration, seed, radius, light, camera, pixel, samples, splats, pyramid, capacity)
+            films = splats, pyramid, capacity, self.moments
+            run = _Run("", iteration, seed, radius, light, camera, pixel, samples, *films)
             radiance, counts = self._trace(run)
             if not self._room.held(counts["light_vertices"], light.count):
-                if self._learning:
-                    self._learning.drop()
                 self._groups = self._count_groups()  # the capacity was too small: repeat the whole pass
                 return self.render_pass(iteration, seed, samples)
             parts.append(radiance)
             counters = {name: value + counts[name] for name, value in counters.items()}
 
         radiance = {name: _concatenated([part[name] for part in parts]) for name in parts[0]}
-        layers = {name: self.image(values, seed, iteration) for name, values in radiance.items()}
+        layers = self.images(radiance, seed, iteration)
         counters["paths"] = float(self.camera.pixels * samples + self._paths)
         if splats:
             # Splats are sums over N light paths; the weight of the layers is the number of samples.
             splatted = splats.sums() * (samples / self._paths)
-            names = ("splat" if s.split_layers else "image", *self._more_radii)
+            own = REFLECTED if s.components else ("splat" if s.split_layers else "image",)
+            names = (*own, *self._more_radii)
             for name, image in zip(names, splatted, strict=True):
                 layers[name] = layers[name] + image if name in layers else image
         more = {name: layers.pop(name) for name in self._more_radii}
@@ -257,33 +281,44 @@ class Bidirectional(Carrying, ImageMethod):
             more |= pyramid.layers(lambda values: self.image(values, seed, iteration))
         return with_image(layers) | more, counters
 
-    def _mis(self, radius: float, paths: int) -> Mis:
+    def _mis(self, radius: float, paths: int, moments: Moments | None) -> Mis:
         """MIS weights of a pass that merges with ``paths`` light paths."""
         area = np.pi * radius * radius * paths * self.settings.eta_discount
         etas = [dr.opaque(mi.Float, area * factor**2) for factor in self._factors]
-        return Mis(self.techniques, etas, dr.opaque(mi.Float, self._paths / self.samples_per_iteration))
+        candidates = []
+        if moments:
+            unit = dr.opaque(mi.Float, area / moments.used.light_paths)
+            candidates = [candidate.counts(unit, self.camera.pixels) for candidate in moments.candidates]
+        return Mis(self.techniques, etas, dr.opaque(mi.Float, self._paths / self.samples_per_iteration), candidates)
 
     def _trace(self, run: _Run) -> tuple[dict[str, mi.Color3f], dict[str, float]]:
         """Trace light paths, then camera paths. Kernels are queued without waiting, so that one runs while Python
         traces the next. Returns (radiance by technique family, one lane a camera path; counters)."""
         paths = run.light.count
         dr.make_opaque(run.camera, run.pixel)  # so that pilot and passes share kernels
-        mis = self._mis(run.radius, paths)
-        common: dict[str, Any] = {"camera": self.camera, "mis": mis, "dark": dr.opaque(mi.Float, self._dark)}
+        mis = self._mis(run.radius, paths, run.moments)
+        dark = dr.opaque(mi.Float, self._dark)
+        common: dict[str, Any] = {"camera": self.camera, "mis": mis, "dark": dark, "moments": run.moments}
         if self._learning:
-            common |= self._learning.fields(not run.role)
+            common |= self._learning.fields(not run.role, run.light)
         connecting = self.techniques.connection > 0
         numbered = run.pyramid is not None and self.visibility.transparent
         vertices, sink = None, None
         if connecting or self.techniques.merge:
             owned = common.get("training") is not None
-            vertices = LightVertices(run.capacity, paths, self._indexed, connecting, numbered, mis.radius_free, owned)
+            vertices = LightVertices(run.capacity, paths, self._indexed, connecting, numbered, mis.linear, owned)
         if run.splats:
-            sink = SplatSink(pyramid=run.pyramid, splats=run.splats, paths_per_sample=mis.paths_per_sample)
-        source = self.light_numbers(run.light, self._paths, run.seed, run.iteration, run.role + "light")
+            sink = SplatSink(
+                pyramid=run.pyramid,
+                splats=run.splats,
+                paths_per_sample=mis.paths_per_sample,
+                components=self.settings.components,
+            )
+        stride = self._paths if self.settings.sampler == "hammersley" else max(self._paths, self.light_stride)
+        source = self.light_numbers(run.light, stride, run.seed, run.iteration, run.role + "light")
         light_rays, light_bad = self.walker(LightWalk, **common, sink=sink).trace(paths, source, vertices)
         dr.schedule(light_rays, light_bad)
-        for film in (run.splats, run.pyramid):
+        for film in (run.splats, run.pyramid, run.moments):
             if film:
                 dr.schedule(film.array)
         if vertices:
@@ -292,17 +327,26 @@ class Bidirectional(Carrying, ImageMethod):
 
         picks = IndependentSource(run.camera // PICK_BLOCK, run.seed, run.role + "connect", run.iteration)
         cache, gather = self._cache(vertices, paths, picks), self._gather(vertices, paths, run.radius)
-        layers = CameraSink(pyramid=run.pyramid, split_layers=self.settings.split_layers, more_radii=self._more_radii)
-        walk = self.walker(CameraWalk, **common, sink=layers, cache=cache, gather=gather)
+        s = self.settings
+        layers = CameraSink(
+            pyramid=run.pyramid, split_layers=s.split_layers, components=s.components, more_radii=self._more_radii
+        )
+        first = self.first_hits(run.camera, run.iteration)
+        walk = self.walker(CameraWalk, **common, sink=layers, cache=cache, gather=gather, first=first)
         source = self.camera_numbers(run.camera, run.samples, run.seed, run.iteration, run.role + "camera")
         radiance, rays = walk.trace(run.pixel, source)
         bad = {}
-        for name, value in radiance.items():
-            radiance[name], bad[name] = self.kept(value)
+        if s.components:
+            together, bad["components"] = self.kept_together({name: radiance[name] for name in COMPONENTS})
+            radiance |= together
+        for name in self._more_radii if s.components else tuple(radiance):
+            radiance[name], bad[name] = self.kept(radiance[name])
         if run.pyramid:
             dr.schedule(run.pyramid.array)
+        if run.moments:
+            run.moments.schedule()
         dr.eval(radiance, rays, bad)  # one kernel
-        if self._learning and not run.role:
+        if self._learning:
             self._learning.add(common["training"])
         return radiance, {
             "rays": total(rays) + total(light_rays),

@@ -18,6 +18,7 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import Carrying, SampleSource, State, UnsupportedError, setting
+from etendue.film import REFLECTED, Component
 from etendue.scene import Problem
 from etendue.transport import Contribution, LightWalk, Mis, SplatSink, Techniques, ones, point_on
 from etendue.transport import dimensions as dim
@@ -77,14 +78,20 @@ class LightTracing(Carrying, ImageMethod):
         paths = max(1, round(self.settings.light_paths * self.camera.pixels * samples))
         techniques = Techniques(emission=0, next_event=0, connection=0, splat=True, merge=False)
         mis = Mis(techniques, [0.0], dr.opaque(mi.Float, paths / samples))
+        own = REFLECTED if self.settings.components else ("splat",)
         scattered, seen = (
-            SplatSink(splats=self.splats(seed, iteration), paths_per_sample=mis.paths_per_sample) for _ in range(2)
+            SplatSink(
+                splats=self.splats(seed, iteration, len(each)),
+                paths_per_sample=mis.paths_per_sample,
+                components=len(each) > 1,
+            )
+            for each in (own, ("emission",))
         )
         counters = {"rays": 0.0, "paths": float(paths), "nonfinite": 0.0}
         groups = -(-paths // base.MOST_LIGHT_LANES)
         for group in range(groups):
             lanes = Lanes(0, paths).part(group, groups)
-            guided = self._learning.fields(True) if self._learning else {}
+            guided = self._learning.fields(True, lanes) if self._learning else {}
             walk = self.walker(LightWalk, camera=self.camera, mis=mis, dark=mi.Float(0.0), sink=scattered, **guided)
             rays, bad = walk.trace(lanes.count, self.light_numbers(lanes, paths, seed, iteration))
             dr.eval(rays, bad, scattered.splats.array)
@@ -96,11 +103,10 @@ class LightTracing(Carrying, ImageMethod):
             counters["rays"] += total(rays) + total(seen_rays)
             counters["nonfinite"] += total(bad) + total(seen_bad)
 
-        layers = {
-            name: sink.splats.sums()[0] * (samples / paths) for name, sink in (("splat", scattered), ("emission", seen))
-        }
+        images = (*scattered.splats.sums(), *seen.splats.sums())
+        layers = {name: image * (samples / paths) for name, image in zip((*own, "emission"), images, strict=True)}
         if self._learning:
-            self._learning.end_pass(layers["splat"], samples)
+            self._learning.end_pass(sum(layers[name] for name in own[1:]) + layers[own[0]], samples)
         return layers, counters
 
     def _seen_directly(self, source: SampleSource, paths: int, sink: SplatSink) -> tuple[mi.UInt32, mi.Bool]:
@@ -146,4 +152,5 @@ class LightTracing(Carrying, ImageMethod):
         crossings = dr.opaque(mi.UInt32, max(self.max_edges() - 1, 0))
         active, transmittance = self.visibility.along(ray, crossings, active)
         contribution *= transmittance
-        return rays, sink.add(mi.UInt32(1), place, Contribution([contribution], contribution, active, active))
+        found = Contribution([contribution], contribution, active, active)
+        return rays, sink.add(mi.UInt32(1), place, found, mi.UInt32(Component.EMISSION))

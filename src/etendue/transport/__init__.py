@@ -4,7 +4,8 @@ from . import dimensions
 from .ambient import AMBIENT_WALKS, AmbientScene, AmbientTable, ambient_scene
 from .bidirectional.camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
 from .bidirectional.light_walk import LightWalk
-from .bidirectional.mis import GRAZING, Mis, Techniques
+from .bidirectional.mis import GRAZING, Counts, Mis, Techniques
+from .bidirectional.moments import TILE, Candidate, Moments
 from .bidirectional.photons import Photon, Photons, unfolded
 from .bidirectional.pyramid import PYRAMID_MAX, Pyramid
 from .bidirectional.single import SingleContribution, SingleTechnique
@@ -14,6 +15,7 @@ from .camera import CameraConnection, CameraSampler, SplatPlace, Splats
 from .direct import DirectWeights
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, sample_direct
 from .ending import EndingGuidedWalk, EndingWalker, light_of_map
+from .firsthits import FirstHits, shapes_seen
 from .functions import TransportFunctions, film_picture
 from .guiding.emission import BLOCK, EmissionGuide, EmissionSums, EmissionTraining
 from .guiding.guide import NOWHERE, Guide, GuidedScattered, direction_of, square_of
@@ -41,9 +43,10 @@ from .schemes.cells import CellEmission, ImportancePilot
 from .schemes.numbers import BlindEmission, GivenNumbers, UniformLights
 from .schemes.numbers import Emission as EmissionScheme
 from .schemes.strata import EMISSION, FIRST_BOUNCE, StratifiedSource
+from .tracks import MOST_PATHS, Event, PathRecorder, Tracks
 from .vertex import Joined, Vertex, WalkVertex
 from .visibility import Visibility
-from .walk import CameraPath, Emission, MapEnd, SubPath, Walker, ones
+from .walk import CameraPath, Emission, MapEnd, SubPath, Walker, component_fields, ones
 
 __all__ = [
     "AMBIENT_WALKS",
@@ -53,9 +56,11 @@ __all__ = [
     "FOUND_UNITS",
     "GRAZING",
     "MOST_LIGHTS",
+    "MOST_PATHS",
     "NOWHERE",
     "PICK_BLOCK",
     "PYRAMID_MAX",
+    "TILE",
     "AmbientScene",
     "AmbientTable",
     "BlindEmission",
@@ -65,8 +70,10 @@ __all__ = [
     "CameraSampler",
     "CameraSink",
     "CameraWalk",
+    "Candidate",
     "CellEmission",
     "Contribution",
+    "Counts",
     "DirectSample",
     "DirectWeights",
     "Emission",
@@ -78,6 +85,8 @@ __all__ = [
     "EndingGuidedWalk",
     "EndingWalker",
     "Evaluated",
+    "Event",
+    "FirstHits",
     "Gather",
     "GivenNumbers",
     "Guide",
@@ -96,6 +105,8 @@ __all__ = [
     "LocalLights",
     "MapEnd",
     "Mis",
+    "Moments",
+    "PathRecorder",
     "Photon",
     "Photons",
     "Proposal",
@@ -110,6 +121,7 @@ __all__ = [
     "StratifiedSource",
     "SubPath",
     "Techniques",
+    "Tracks",
     "TrainingSamples",
     "TransportFunctions",
     "UniformLights",
@@ -118,6 +130,7 @@ __all__ = [
     "WalkVertex",
     "Walker",
     "ambient_scene",
+    "component_fields",
     "cosine_ratio",
     "dimensions",
     "direction_of",
@@ -141,6 +154,7 @@ __all__ = [
     "scatter_light",
     "scatter_uniform",
     "shadow_roulette",
+    "shapes_seen",
     "square_of",
     "stratified_hemispheres",
     "unfolded",

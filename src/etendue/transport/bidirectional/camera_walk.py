@@ -11,11 +11,15 @@ import mitsuba as mi
 
 from etendue.core import SampleSource
 from etendue.density import HashGrid
+from etendue.film import REFLECTED, Component, by_component
 
 from .. import dimensions as dim
 from ..emission import DirectSample
 from ..scattering import Evaluated, cosine_ratio, geometric_cos
 from ..vertex import WalkVertex
+from ..walk import ones
+from .mis import Weights
+from .moments import Moments, Sums
 from .photons import Photons, unfolded
 from .sinks import CameraSink, Contribution
 from .vertices import LightVertex, LightVertices
@@ -31,6 +35,7 @@ class _State(BidirectionalPath):
     lane: mi.UInt32  #: number of the camera path; does not change
     layers: dict[str, mi.Color3f]  #: technique family -> radiance
     worth: mi.Float | None  #: factor on contributions to its pixel, for a guide of emission; None without
+    sums: Sums | None  #: of ``moments``
 
 
 @dataclass
@@ -101,6 +106,7 @@ class CameraWalk(BidirectionalWalk):
     sink: CameraSink
     cache: LightCache | None = None
     gather: Gather | None = None
+    moments: Moments | None = None
 
     def trace(self, pixel: mi.UInt32, source: SampleSource) -> tuple[dict[str, mi.Color3f], mi.UInt32]:
         """Trace one camera path for each entry of ``pixel``. Returns (layers of radiance, rays), one lane a path, not
@@ -127,11 +133,15 @@ class CameraWalk(BidirectionalWalk):
             vertex=mi.UInt32(1),
             travelled=lead,
             rays=dr.zeros(mi.UInt32, lanes),
+            seen=mi.UInt32(Component.EMISSION) if self.sink.components else None,
             lane=dr.arange(mi.UInt32, lanes),
             layers=self.sink.begin(self.mis.techniques, pixel, importance),
             worth=None if self.training is None else self.training.worth_of_lane(pixel, dr.arange(mi.UInt32, lanes)),
+            sums=self.moments.begin(lanes, importance) if self.moments else None,
         )
         state = self.walk(state, lambda s: self._edge(s, source), "camera walk")
+        if self.moments and state.sums:
+            self.moments.close(state.sums, pixel)
         return {name: radiance * importance for name, radiance in state.layers.items()}, state.rays
 
     def _edge(self, s: _State, source: SampleSource) -> _State:
@@ -148,6 +158,9 @@ class CameraWalk(BidirectionalWalk):
         s.active &= vertex.valid
 
         smooth = s.active & vertex.smooth
+        if s.sums is not None:
+            s.sums.edges = s.sums.edges + 1
+            s.sums.smooth = s.sums.smooth + ones(smooth)
         if techniques.merge and self.gather is not None:
             self._merge(s, vertex, smooth)
         s.active &= s.depth < self.max_edges
@@ -160,11 +173,15 @@ class CameraWalk(BidirectionalWalk):
         for index, light in enumerate(lights):
             u = source.decide(s.depth, dim.NEXT_EVENT + 4 * index + 3)
             self._next_event(s, vertex, light, evaluated[index], u)
+        connections = []
         for index, joined in enumerate(picked):
             u = source.decide(s.depth, dim.CONNECT + index)
-            contribution, rays = self._connection(s, vertex, joined, evaluated[len(lights) + index], u)
+            contribution, weights, rays = self._connection(s, vertex, joined, evaluated[len(lights) + index], u)
             s.rays += rays
-            self.sink.add(s.layers, "connection", contribution, joined.active)
+            self.sink.add(s.layers, "connection", contribution, joined.active, Component.INDIRECT)
+            connections.append((contribution[0], weights.ratios, joined.active))
+        if self.moments and s.sums:
+            self.moments.add_connections(s.sums, connections)
         if self.cache is not None and self.cache.picks is None:
             self._connect_pair(s, vertex, source.decide(s.depth, dim.CONNECT), smooth)
 
@@ -181,7 +198,9 @@ class CameraWalk(BidirectionalWalk):
         weights = self.mis.emission_weight(number, s.d_vcm, s.d_vc, hit.area_density, hit.emission_density)
         alone = s.throughput * hit.radiance
         values = [alone * weight for weight in weights]
-        self.sink.add(s.layers, "emission", values, hit.active)
+        self.sink.add(s.layers, "emission", values, hit.active, s.seen)
+        if self.moments and s.sums:
+            self.moments.add(s.sums, "emission", values[0], weights.ratios, hit.active)
         self.sink.show(mi.UInt32(0), number + 1, Contribution(values, alone, hit.active, hit.active))
 
     def _next_event(self, s: _State, vertex: WalkVertex, light: DirectSample, f: Evaluated, u: mi.Float) -> None:
@@ -199,7 +218,9 @@ class CameraWalk(BidirectionalWalk):
         )
         s.rays += rays
         self.sink.show(mi.UInt32(1), number + 1, contribution)
-        self.sink.add(s.layers, "next_event", contribution.weighted, contribution.active)
+        self.sink.add(s.layers, "next_event", contribution.weighted, contribution.active, s.lit)
+        if self.moments and s.sums:
+            self.moments.add(s.sums, "next_event", contribution.weighted[0], weights.ratios, contribution.active)
         if self.training is not None:
             self.training.add_light(light.light, contribution.weighted[0], s.worth, contribution.active)
 
@@ -228,7 +249,7 @@ class CameraWalk(BidirectionalWalk):
             joined = self._join(s, vertex, first + j, active)
             f = vertex.evaluate(joined.direction, joined.active)
             # One random number for all connections of the vertex: each is unbiased, though they are correlated.
-            values, ray = self._connection(s, vertex, joined, f, u)
+            values, _, ray = self._connection(s, vertex, joined, f, u)
             return j + 1, [total + value for total, value in zip(totals, values, strict=True)], rays + ray
 
         n = dr.width(s.depth)
@@ -239,11 +260,11 @@ class CameraWalk(BidirectionalWalk):
             label="connect",
         )
         s.rays += rays
-        self.sink.add(s.layers, "connection", totals, active)
+        self.sink.add(s.layers, "connection", totals, active, Component.INDIRECT)
 
-    def _blank(self, lanes: int) -> list[mi.Color3f]:
-        """Zero radiance for each radius."""
-        return [dr.zeros(mi.Color3f, lanes) for _ in range(1 + len(self.sink.more_radii))]
+    def _blank(self, lanes: int, parts: int = 1) -> list[mi.Color3f]:
+        """Zero radiance for each radius, in so many parts for the first one."""
+        return [dr.zeros(mi.Color3f, lanes) for _ in range(parts + len(self.sink.more_radii))]
 
     def _join(self, s: _State, vertex: WalkVertex, number: mi.UInt32, active: mi.Bool) -> _Joined:
         """The edge between a camera vertex and light vertex ``number``."""
@@ -256,8 +277,8 @@ class CameraWalk(BidirectionalWalk):
 
     def _connection(
         self, s: _State, vertex: WalkVertex, joined: _Joined, f: Evaluated, u: mi.Float
-    ) -> tuple[list[mi.Color3f], mi.UInt32]:
-        """s >= 2, t >= 2: (weighted contribution by radius, shadow rays) [Georgiev 2012b, eq. 40, 41]."""
+    ) -> tuple[list[mi.Color3f], Weights, mi.UInt32]:
+        """s >= 2, t >= 2: (weighted contribution by radius, weights, shadow rays) [Georgiev 2012b, eq. 40, 41]."""
         assert self.cache is not None
         other, number = joined.vertex, self.number(s)
         active = joined.active & ~dr.all(f.value == 0.0)
@@ -282,7 +303,7 @@ class CameraWalk(BidirectionalWalk):
         self.sink.show(other.number + 1, number + 1, contribution)
         if self.training is not None:
             self.training.add(other.path, contribution.weighted[0], s.worth, contribution.active)
-        return [dr.select(contribution.active, value, 0.0) for value in contribution.weighted], rays
+        return [dr.select(contribution.active, value, 0.0) for value in contribution.weighted], weights, rays
 
     def _merge(self, s: _State, vertex: WalkVertex, active: mi.Bool) -> None:
         """s >= 2, t >= 2, no edge between them [Georgiev 2012b, eq. 38, 39]."""
@@ -290,17 +311,31 @@ class CameraWalk(BidirectionalWalk):
         if not self.mis.techniques.merge_first:
             active = active & (self.number(s) > 1)
 
-        def visit(photon: mi.UInt32, totals: list[mi.Color3f]) -> list[mi.Color3f]:
-            values = self._merged(s, vertex, photon, active)
-            return [total + value for total, value in zip(totals, values, strict=True)]
+        parts, photons, factors = 1 if s.seen is None else len(REFLECTED), self.gather.photons, self.gather.factors
 
-        totals = self.gather.around(vertex.position, self.max_edges - s.depth, visit, self._blank(1), active)
-        factors = self.gather.factors
-        values = [s.throughput * total * factor for total, factor in zip(totals, factors, strict=True)]
-        self.sink.add(s.layers, "merge", values, active)
+        def visit(
+            photon: mi.UInt32, found: tuple[list[mi.Color3f], Sums | None]
+        ) -> tuple[list[mi.Color3f], Sums | None]:
+            values, weights = self._merged(s, vertex, photon, active)
+            totals, sums = found
+            if self.moments and sums:
+                sums.photons = sums.photons + 1
+                self.moments.add(sums, "merge", s.throughput * values[0] * factors[0], weights.ratios, active)
+            if s.seen is not None:
+                values[:1] = by_component(values[0], photons.component(photon, active))
+            return [total + value for total, value in zip(totals, values, strict=True)], sums
 
-    def _merged(self, s: _State, vertex: WalkVertex, photon: mi.UInt32, active: mi.Bool) -> list[mi.Color3f]:
-        """Weighted contribution of one photon, by radius."""
+        found = self._blank(1, parts), s.sums
+        totals, s.sums = self.gather.around(vertex.position, self.max_edges - s.depth, visit, found, active)
+        for component, total in s.components_of(totals[:parts]):
+            self.sink.add_first(s.layers, "merge", s.throughput * total * factors[0], active, component)
+        more = [s.throughput * total * factor for total, factor in zip(totals[parts:], factors[1:], strict=True)]
+        self.sink.add_more(s.layers, more, active)
+
+    def _merged(
+        self, s: _State, vertex: WalkVertex, photon: mi.UInt32, active: mi.Bool
+    ) -> tuple[list[mi.Color3f], Weights]:
+        """(weighted contribution of one photon, by radius; weights)."""
         assert self.gather is not None
         photons, number = self.gather.photons, self.number(s)
         p = photons.read(photon, active)
@@ -317,4 +352,4 @@ class CameraWalk(BidirectionalWalk):
         if self.training is not None:
             credit = value * s.throughput * (self.gather.factors[0] * weights[0])
             self.training.add(photons.path(photon, active), credit, s.worth, active & inside[0])
-        return [dr.select(ok, value * w, 0.0) for ok, w in zip(inside, weights, strict=True)]
+        return [dr.select(ok, value * w, 0.0) for ok, w in zip(inside, weights, strict=True)], weights

@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
+from etendue.film import after_light_scattering
 
 from .. import dimensions as dim
 from ..camera import CameraConnection
@@ -17,7 +18,8 @@ from ..scattering import Evaluated, Proposal, Scattered, cosine_ratio, geometric
 from ..spheres import seen_density
 from ..vertex import WalkVertex
 from ..walk import ones
-from .mis import RadiusFree
+from .mis import Carried
+from .moments import Moments
 from .sinks import SplatSink
 from .vertices import Kind, LightVertices
 from .walk import BidirectionalPath, BidirectionalWalk
@@ -44,6 +46,7 @@ class LightWalk(BidirectionalWalk):
     proposal: Proposal = scatter_light
     kind: type[LightPath] = LightPath  #: class of the state
     sink: SplatSink | None = None
+    moments: Moments | None = None
 
     def trace(
         self, paths: int, source: SampleSource, vertices: LightVertices | None = None
@@ -81,8 +84,7 @@ class LightWalk(BidirectionalWalk):
             depth=dr.full(mi.UInt32, 1, paths),
             vertex=mi.UInt32(1) if numbered else None,
             stored=dr.zeros(mi.UInt32, paths),
-            # Next event cannot sample a beam, so light of a beam counts as a caustic.
-            kind=dr.select(emitted.area_density > 0.0, mi.UInt32(Kind.DIRECT), mi.UInt32(Kind.CAUSTIC)),
+            kind=dr.select(emitted.area_density > 0.0, mi.UInt32(Kind.DIRECT), mi.UInt32(Kind.BEAM)),
             from_infinity=emitted.is_infinite,
             light=mi.UInt32(emitted.light) if waits else None,
             waiting=mi.Float(emitted.area_density) if waits else None,
@@ -120,7 +122,7 @@ class LightWalk(BidirectionalWalk):
         self.go_on(s, vertex, scattered, source, on_edge, light_cos)
         return s
 
-    def land(self, s: LightPath, vertex: WalkVertex) -> tuple[tuple[mi.Float, mi.Float | RadiusFree], mi.Float]:
+    def land(self, s: LightPath, vertex: WalkVertex) -> tuple[tuple[Carried, Carried], mi.Float]:
         """Convert ``d_vcm`` and ``d_vc`` to area at the end of an edge: (the two before, cosine at which light
         arrives)."""
         on_edge = s.d_vcm, s.d_vc
@@ -143,15 +145,13 @@ class LightWalk(BidirectionalWalk):
         vertex: WalkVertex,
         scattered: Scattered,
         source: SampleSource,
-        on_edge: tuple[mi.Float, mi.Float | RadiusFree],
+        on_edge: tuple[Carried, Carried],
         light_cos: mi.Float,
     ) -> None:
         """Leave a vertex; ``on_edge`` and ``light_cos`` are those of :meth:`land`."""
         sampled = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
         s.d_vcm, s.d_vc = self.mis.scatter_light(s.d_vcm, s.d_vc, light_cos, *sampled)
-        after_delta = dr.select(s.kind == mi.UInt32(Kind.INDIRECT), s.kind, mi.UInt32(Kind.CAUSTIC))
-        kind = dr.select(scattered.is_delta, after_delta, mi.UInt32(Kind.INDIRECT))
-        s.kind = self.keep_if_null(scattered, s.kind, kind)
+        s.kind = self.keep_if_null(scattered, s.kind, after_light_scattering(s.kind, scattered.is_delta))
         s.from_infinity = self.keep_if_null(scattered, s.from_infinity, mi.Bool(False))
         if s.waiting is not None:
             s.waiting = self.keep_if_null(scattered, s.waiting, mi.Float(0.0))
@@ -182,9 +182,11 @@ class LightWalk(BidirectionalWalk):
             vertex, joined.target, s.depth + 1, values, alone * factor, threshold, u, on_film
         )
         s.rays += rays
-        s.nonfinite += ones(sink.add(self.number(s) + 1, place, contribution))
+        if self.moments:
+            self.moments.splat(joined.position, contribution.weighted[0], weights.ratios, contribution.active)
         if self.training is not None:
             x, y = (mi.UInt32(dr.maximum(coordinate, 0.0)) for coordinate in joined.position)
             worth = self.training.worth(y * self.camera.width + x, contribution.active)
             value = mi.luminance(contribution.weighted[0]) * worth / self.mis.paths_per_sample
             s.found = s.found + dr.select(contribution.active & dr.isfinite(value), value, 0.0)
+        s.nonfinite += ones(sink.add(self.number(s) + 1, place, contribution, s.kind))

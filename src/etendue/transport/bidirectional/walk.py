@@ -15,7 +15,7 @@ from ..guiding.emission import EmissionTraining
 from ..scattering import Scattered, shadow_roulette
 from ..vertex import WalkVertex
 from ..walk import SubPath, Walker, ones
-from .mis import Mis, RadiusFree
+from .mis import Carried, Linear, Mis
 from .pyramid import Pyramid
 from .sinks import Contribution, Sink
 
@@ -24,8 +24,8 @@ from .sinks import Contribution, Sink
 class BidirectionalPath(SubPath):
     """State of a sub-path whose vertices are connected to others; ``d_vcm`` and ``d_vc``: see :class:`Mis`."""
 
-    d_vcm: mi.Float
-    d_vc: mi.Float | RadiusFree
+    d_vcm: mi.Float | Linear
+    d_vc: mi.Float | Linear
     vertex: mi.UInt32 | None  #: as ``depth``, without null surfaces; None if it is not used
 
 
@@ -78,7 +78,7 @@ class BidirectionalWalk(Walker):
         vertex: WalkVertex,
         scattered: Scattered,
         source: SampleSource,
-        on_edge: tuple[mi.Float, mi.Float | RadiusFree],
+        on_edge: tuple[Carried, Carried],
         roulette_by: tuple[mi.Color3f, mi.Float] | None = None,
     ) -> None:
         """:meth:`Walker.advance`, with ``d_vcm`` and ``d_vc`` after scattering; ``on_edge``: the two before the vertex,
