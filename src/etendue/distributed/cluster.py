@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self
 
-from etendue.core import Iterations, Method, OptionError, SceneError, State
+from etendue.core import Iterations, Method, SceneError, State
 from etendue.engine import Executor, Job, MakeExecutor, Order, Replicated
 
 from .dask import DaskPool
@@ -29,8 +29,6 @@ class Cluster:
         if job.task is None:
             raise SceneError("a scene in memory cannot be sent to workers; give its file or its dictionary")
         plain: Any = job.method.method if isinstance(job.method, Replicated) else job.method
-        if not getattr(plain, "divides", True):
-            raise OptionError(f"'{plain.name}' cannot be divided among workers yet; render it without them")
         made = recipe(scene_ingredients(job.task), plain, job.problem.fingerprint)
         done = Iterations() if job.start is None else job.start.iterations
         job.method, job.state = self.replicate(job.method, job.problem, job.seed, job.state, done)

@@ -153,7 +153,8 @@ class Spread:
 
     def _feed(self) -> None:
         """Send chunks to workers that have few."""
-        left = self._order.left()
+        # A run makes one pass at least: where preparation in the workers takes all of the time, too.
+        left = self._order.left() if self._shares else None
         if left is not None and left <= 0:
             return
         for name, worker in sorted(self._workers.items(), key=lambda item: len(item[1].flights)):
