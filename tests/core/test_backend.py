@@ -132,10 +132,9 @@ def test_an_old_llvm_is_an_error_and_no_abort():
     old = [found for found in llvm.find() if not found.usable]
     if not old:
         pytest.skip("this machine has no LLVM below 17; the next test covers the message")
-    for found in old:
-        run = python("import etendue.core as c; c.use_variant('llvm_ad_rgb')", DRJIT_LIBLLVM_PATH=str(found.path))
-        assert run.returncode == 1
-        assert "BackendError: Dr.Jit found" in run.stderr
+    run = python("import etendue.core as c; c.use_variant('llvm_ad_rgb')", DRJIT_LIBLLVM_PATH=str(old[0].path))
+    assert run.returncode == 1
+    assert "BackendError: Dr.Jit found" in run.stderr
 
 
 @pytest.mark.parametrize(

@@ -29,8 +29,8 @@ def blended(passes, chain_noise, path_noise, seed=1, steps=4):
         chained = image(rng, 0.7 / FACTOR, chain_noise)
         large, independent = image(rng, 0.3, chain_noise), image(rng, 1.0, path_noise)
         weights = blend.weights(grid, steps)
-        blend, added = blend.after(chained, large, independent, weights, factors, OTHERWISE, steps)
-        total, paths = total + added, paths + independent
+        blend, added = blend.after(chained[None], large[None], independent[None], weights, factors, OTHERWISE, steps)
+        total, paths = total + added[0], paths + independent
     return blend, total, paths, factors
 
 
@@ -60,11 +60,11 @@ def test_the_better_estimator_has_the_larger_weight():
 
 
 def test_no_light_of_the_independent_estimator_leaves_the_scale_to_the_large_steps():
-    blend, one = Blend.empty(WIDTH, HEIGHT), np.ones((2, HEIGHT, WIDTH, 3))
+    blend, one = Blend.empty(WIDTH, HEIGHT), np.ones((1, 2, HEIGHT, WIDTH, 3))
     factors = np.ones((HEIGHT, WIDTH))
     blend, added = blend.after(one, 0.0 * one, 0.0 * one, 0.5 * factors, factors, np.array([2.0, 3.0]), 4)
     np.testing.assert_array_equal(blend.scale.scale, [2.0, 3.0])
-    np.testing.assert_array_equal(added[:, 0, 0, 0], [1.0, 1.5])
+    np.testing.assert_array_equal(added[0, :, 0, 0, 0], [1.0, 1.5])
 
 
 @pytest.mark.parametrize("method", ["mmlt", "pssmlt", "film_metropolis"])

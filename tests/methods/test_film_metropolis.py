@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from support import scenes
 from support.running import Run, go, prepared, run
+from support.tables import thinned
 
 from etendue.film import Development, block_average
 from etendue.scene import Problem, load
@@ -44,16 +45,16 @@ def test_estimators_keep_the_light(estimator):
     np.testing.assert_allclose(picture.mean(), made.mean.mean(), rtol=0.05)
 
 
-def test_the_mean_of_each_channel_is_that_of_path():
+@pytest.mark.parametrize("lights", thinned(["later", "split", "chain"], ["split"]))
+def test_the_mean_of_each_channel_is_that_of_path(lights):
     """CIE XYZ, with lights in every way; runs of 16 seeds against passes."""
     problem = scenes.room("rectangle", scenes.FEW)
     path = run(problem, "path", passes=8, samples=256).images.mean(axis=(1, 2)) @ XYZ.T
-    for lights in ("later", "split", "chain"):
-        means = [rendered(problem, 1, seed, lights=lights)[1].mean.mean(axis=(0, 1)) for seed in range(1, 17)]
-        found = np.array(means) @ XYZ.T
-        error = np.hypot(found.std(0, ddof=1) / 4.0, path.std(0, ddof=1) / np.sqrt(8))
-        assert (error < 0.02 * path.mean(0)).all()
-        np.testing.assert_array_less(np.abs(found.mean(0) - path.mean(0)), 4.5 * error)
+    means = [rendered(problem, 1, seed, lights=lights)[1].mean.mean(axis=(0, 1)) for seed in range(1, 17)]
+    found = np.array(means) @ XYZ.T
+    error = np.hypot(found.std(0, ddof=1) / 4.0, path.std(0, ddof=1) / np.sqrt(8))
+    assert (error < 0.02 * path.mean(0)).all()
+    np.testing.assert_array_less(np.abs(found.mean(0) - path.mean(0)), 4.5 * error)
 
 
 @pytest.mark.parametrize("lights", ["later", "split"])
@@ -119,20 +120,20 @@ def test_halves_of_painted_light_are_independent():
 def test_going_on_lowers_the_error():
     problem = scenes.room("rectangle", scenes.FEW)
     reference = run(problem, "path", passes=8, samples=512).mean
-    errors = {1: [], 9: []}
+    errors = {1: [], 5: []}
     for seed in range(1, 5):
         method = prepared(problem, "film_metropolis", seed, **(SMALL | {"samples_per_pass": 16}))
         total = None
-        for iteration in range(9):
+        for iteration in range(5):
             measurement = method.step(iteration, seed)
             total = measurement if total is None else total + measurement
             if iteration + 1 in errors:
                 errors[iteration + 1].append(np.mean((total.mean() - reference) ** 2))
-    # Nine times the samples have a ninth of the variance.
-    assert np.mean(errors[9]) < 0.3 * np.mean(errors[1])
+    # Five times the samples have a fifth of the variance.
+    assert np.mean(errors[5]) < 0.4 * np.mean(errors[1])
 
 
-@pytest.mark.parametrize("estimator", ["kernel", "variable"])
+@pytest.mark.parametrize("estimator", thinned(["kernel", "variable"], ["kernel"]))
 def test_the_border_is_dark_without_samples_around_it(estimator):
     """Inside a uniform closed surface every pixel has the same radiance."""
     problem = scenes.furnace("sphere", 1.0, 0.5, size=(16, 16))

@@ -103,7 +103,7 @@ def test_multipath_comes_to_the_direct_solution():
     scene = RayScene(patches)
     exact = solve(patches, form_factors(ABuffer(patches, OwenSobol(4, seed=1)).cast(2048), "F4")).radiosity
     forms = {"line by line": [], "after a shot": [], "bundles": [], "bundles after a shot": []}
-    lines, bundles, count = 1 << 14, 128, 10
+    lines, bundles, count = 1 << 14, 128, 6
     for seed in range(count):
         rays = ChainedRays(SpherePairs(patches), scene, Independent(4, seed=seed))
         parallel = ABuffer(patches, Independent(4, seed=seed), 200)

@@ -165,9 +165,9 @@ def room(camera: dict[str, Any]) -> Any:
 def test_methods_agree_with_path(crop):
     """Light tracing puts its splats where camera rays look: étendue's and Mitsuba's own."""
     problem = room(sensor(crop=crop, rfilter="box" if crop else "tent"))
-    reference = mitsuba_path(problem, samples=256)
+    reference = mitsuba_path(problem, samples=128)
     for method, settings in (("path", {}), ("light", {"light_paths": 4.0}), ("bpt", {})):
-        result = run(problem, method, samples=128, **settings)
+        result = run(problem, method, samples=64, **settings)
         assert result.measurement.counters["nonfinite"] == 0
         assert_agree(result.images, reference, (method, crop))
     if crop:

@@ -192,21 +192,26 @@ class _Axis:
         dr.eval(last, values)
         return Spread(last, values)
 
-    def convolve(self, values: V, spread: Spread, sample: mi.UInt32, place: mi.UInt32, stride: mi.UInt32 | int) -> V:
-        """Sums of the weighted samples within the radius along this axis. ``values``: one lane a sample; ``sample``:
-        its number in its pixel; ``place``: the pixel's coordinate; ``stride``: lanes from one pixel to the next."""
-        kind: type[mi.Color3f] = type(values)
-        lane = mi.Int32(dr.arange(mi.UInt32, dr.width(values)))
+    def convolve(
+        self, values: list[V], spread: Spread, sample: mi.UInt32, place: mi.UInt32, stride: mi.UInt32 | int
+    ) -> list[V]:
+        """Sums of the weighted samples within the radius along this axis. ``values``: layers, one lane a sample;
+        ``sample``: its number in its pixel; ``place``: the pixel's coordinate; ``stride``: lanes from one pixel to the
+        next."""
+        kinds: list[type[mi.Color3f]] = [type(layer) for layer in values]
+        lane = mi.Int32(dr.arange(mi.UInt32, dr.width(values[0])))
         last = dr.gather(mi.Int32, spread.last, sample)
         size, count = dr.opaque(mi.Int32, self.size), self.candidates
-        result = kind(0.0)
+        results = [kind(0.0) for kind in kinds]
         for index, weights in enumerate(spread.values):
             shift = last - (count - 1 - index)
             source = mi.Int32(place) - shift
             on_film = (source >= 0) & (source < size)
-            value = dr.gather(kind, values, mi.UInt32(lane - shift * mi.Int32(stride)), on_film)
-            result = result + value * dr.gather(mi.Float, weights, sample)
-        return result
+            near = mi.UInt32(lane - shift * mi.Int32(stride))
+            for number, (kind, layer) in enumerate(zip(kinds, values, strict=True)):
+                value = dr.gather(kind, layer, near, on_film)
+                results[number] = results[number] + value * dr.gather(mi.Float, weights, sample)
+        return results
 
     def reached(self, spread: Spread) -> NDArray[np.float32]:
         """Sum of the filter over the samples within the radius that are on the film, for each number of a sample and
@@ -265,10 +270,14 @@ class PixelFilter:
 
         As in Mitsuba, pixels near the border are divided by the filter weights of their samples, so that a constant
         picture stays constant; the expectation there depends on the number of samples."""
+        return self.spread_together([values], u1, u2)[0]
+
+    def spread_together(self, values: list[V], u1: mi.Float, u2: mi.Float) -> list[V]:
+        """:meth:`spread` of several layers, in less than half the time that they take one by one."""
         samples = dr.width(u1)
         if not (self.is_box or self.has_gaps):
             count, width = dr.opaque(mi.UInt32, samples), dr.opaque(mi.UInt32, self.width)
-            lane = dr.arange(mi.UInt32, dr.width(values))
+            lane = dr.arange(mi.UInt32, dr.width(values[0]))
             pixel = lane // count
             sample, y = lane - pixel * count, pixel // width
             across, down = self._x.offsets(u1), self._y.offsets(u2)
@@ -276,8 +285,12 @@ class PixelFilter:
             dr.eval(rows)
             weights = self._y.reached(down).T @ self._x.reached(across) / np.float32(samples)
             weight = dr.gather(mi.Float, mi.Float(weights.ravel()), pixel)
-            values = self._y.convolve(rows, down, sample, y, count * width) / weight
-        return dr.block_sum(values, samples) if samples > 1 else values
+            columns = self._y.convolve(rows, down, sample, y, count * width)
+            values = [layer / weight for layer in columns]
+        if samples == 1:
+            return values
+        dr.eval(values)  # together, or the kernel runs for each layer
+        return [dr.block_sum(layer, samples) for layer in values]
 
     def taps(self, x: mi.Float, y: mi.Float) -> list[tuple[mi.UInt32, mi.Float, mi.Bool]]:
         """The pixels of a contribution at film position (``x``, ``y``): a list of (pixel index ``y * width + x``,

@@ -174,7 +174,8 @@ class Auto(Carrying, ImageMethod):
     def _method(self, name: str) -> ImageMethod:
         cls, settings = CANDIDATES[name]
         own = self.settings
-        common = {name: getattr(own, name) for name in ("max_depth", "sampler", "scrambling", "reconstruction", "aovs")}
+        shared = ("max_depth", "sampler", "scrambling", "reconstruction", "aovs", "components")
+        common = {name: getattr(own, name) for name in shared}
         return cls(cls.Settings(samples_per_pass=self.samples_per_iteration, **common, **settings))
 
     def full_lanes(self) -> int:

@@ -27,6 +27,7 @@ import numpy as np
 
 from etendue.core import Carrying, IndependentSource, OptionError, State, free_memory, logger
 from etendue.density import HashGrid
+from etendue.film import COMPONENTS, REFLECTED
 from etendue.scene import Problem
 from etendue.transport import (
     PICK_BLOCK,
@@ -163,8 +164,9 @@ class Bidirectional(Carrying, ImageMethod):
         own = [value for name, value in radiance.items() if name not in self._more_radii]
         mean = sum(float(np.asarray(v, np.float64).mean()) for v in own)
         if splats:
-            splatted = splats.sums()[0]
-            mean += float(splatted.mean(dtype=np.float64)) / paths
+            images = splats.sums()
+            splatted = images[: len(images) - len(self._more_radii)]
+            mean += float(splatted.mean(dtype=np.float64)) * len(splatted) / paths
         # Rounded to steps, so that the order of atomic additions in the pilot does not change the picture.
         brightness = 2.0 ** (round(4.0 * math.log2(mean)) / 4.0) if mean > 0.0 else 0.0
         self._dark = self.settings.shadow_roulette * brightness
@@ -178,7 +180,8 @@ class Bidirectional(Carrying, ImageMethod):
         if not self.techniques.splat:
             return None
         # The pictures of a pyramid add up to that of the pass, so they are made in one way: without cells.
-        return self.splats(seed, iteration, len(self._factors), role, in_cells=not self.settings.pyramid)
+        images = (len(REFLECTED) if self.settings.components else 1) + len(self._more_radii)
+        return self.splats(seed, iteration, images, role, in_cells=not self.settings.pyramid)
 
     def _count_groups(self) -> int:
         """Number of groups into which the light paths of a pass are divided, so that the vertices of a group fit into
@@ -223,12 +226,13 @@ class Bidirectional(Carrying, ImageMethod):
             counters = {name: value + counts[name] for name, value in counters.items()}
 
         radiance = {name: _concatenated([part[name] for part in parts]) for name in parts[0]}
-        layers = {name: self.image(values, seed, iteration) for name, values in radiance.items()}
+        layers = self.images(radiance, seed, iteration)
         counters["paths"] = float(self.camera.pixels * samples + self._paths)
         if splats:
             # Splats are sums over N light paths; the weight of the layers is the number of samples.
             splatted = splats.sums() * (samples / self._paths)
-            names = ("splat" if s.split_layers else "image", *self._more_radii)
+            own = REFLECTED if s.components else ("splat" if s.split_layers else "image",)
+            names = (*own, *self._more_radii)
             for name, image in zip(names, splatted, strict=True):
                 layers[name] = layers[name] + image if name in layers else image
         more = {name: layers.pop(name) for name in self._more_radii}
@@ -255,7 +259,12 @@ class Bidirectional(Carrying, ImageMethod):
         if connecting or self.techniques.merge:
             vertices = LightVertices(run.capacity, paths, self._indexed, connecting, numbered, mis.radius_free)
         if run.splats:
-            sink = SplatSink(pyramid=run.pyramid, splats=run.splats, paths_per_sample=mis.paths_per_sample)
+            sink = SplatSink(
+                pyramid=run.pyramid,
+                splats=run.splats,
+                paths_per_sample=mis.paths_per_sample,
+                components=self.settings.components,
+            )
         source = self.light_numbers(run.light, self._paths, run.seed, run.iteration, run.role + "light")
         light_rays, light_bad = self.walker(LightWalk, **common, sink=sink).trace(paths, source, vertices)
         dr.schedule(light_rays, light_bad)
@@ -268,13 +277,20 @@ class Bidirectional(Carrying, ImageMethod):
 
         picks = IndependentSource(run.camera // PICK_BLOCK, run.seed, run.role + "connect", run.iteration)
         cache, gather = self._cache(vertices, paths, picks), self._gather(vertices, paths, run.radius)
-        layers = CameraSink(pyramid=run.pyramid, split_layers=self.settings.split_layers, more_radii=self._more_radii)
-        walk = self.walker(CameraWalk, **common, sink=layers, cache=cache, gather=gather)
+        s = self.settings
+        layers = CameraSink(
+            pyramid=run.pyramid, split_layers=s.split_layers, components=s.components, more_radii=self._more_radii
+        )
+        first = self.first_hits(run.camera, run.iteration)
+        walk = self.walker(CameraWalk, **common, sink=layers, cache=cache, gather=gather, first=first)
         source = self.camera_numbers(run.camera, run.samples, run.seed, run.iteration, run.role + "camera")
         radiance, rays = walk.trace(run.pixel, source)
         bad = {}
-        for name, value in radiance.items():
-            radiance[name], bad[name] = self.kept(value)
+        if s.components:
+            together, bad["components"] = self.kept_together({name: radiance[name] for name in COMPONENTS})
+            radiance |= together
+        for name in self._more_radii if s.components else tuple(radiance):
+            radiance[name], bad[name] = self.kept(radiance[name])
         if run.pyramid:
             dr.schedule(run.pyramid.array)
         dr.eval(radiance, rays, bad)  # one kernel

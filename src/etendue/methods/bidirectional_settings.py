@@ -77,6 +77,8 @@ class BidirectionalSettings(CameraSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.split_layers and self.components:
+            raise OptionError("split_layers and components divide the picture in two ways; leave out one of them")
         if radii.factors(self.radii) and not self.merging:
             raise OptionError(f"option 'radii={self.radii}' needs merging, which is off; leave it out")
 

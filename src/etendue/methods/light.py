@@ -18,6 +18,7 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource, UnsupportedError, setting
+from etendue.film import REFLECTED, Component
 from etendue.scene import Problem
 from etendue.transport import Contribution, LightWalk, Mis, SplatSink, Techniques, ones, point_on
 from etendue.transport import dimensions as dim
@@ -59,8 +60,14 @@ class LightTracing(ImageMethod):
         paths = max(1, round(self.settings.light_paths * self.camera.pixels * samples))
         techniques = Techniques(emission=0, next_event=0, connection=0, splat=True, merge=False)
         mis = Mis(techniques, [0.0], dr.opaque(mi.Float, paths / samples))
+        own = REFLECTED if self.settings.components else ("splat",)
         scattered, seen = (
-            SplatSink(splats=self.splats(seed, iteration), paths_per_sample=mis.paths_per_sample) for _ in range(2)
+            SplatSink(
+                splats=self.splats(seed, iteration, len(each)),
+                paths_per_sample=mis.paths_per_sample,
+                components=len(each) > 1,
+            )
+            for each in (own, ("emission",))
         )
         walk = self.walker(LightWalk, camera=self.camera, mis=mis, dark=mi.Float(0.0), sink=scattered)
         counters = {"rays": 0.0, "paths": float(paths), "nonfinite": 0.0}
@@ -75,10 +82,10 @@ class LightTracing(ImageMethod):
             counters["rays"] += total(rays) + total(seen_rays)
             counters["nonfinite"] += total(bad) + total(seen_bad)
 
-        layers = {
-            name: sink.splats.sums()[0] * (samples / paths) for name, sink in (("splat", scattered), ("emission", seen))
-        }
-        return layers, counters
+        images = (*scattered.splats.sums(), *seen.splats.sums())
+        return {
+            name: image * (samples / paths) for name, image in zip((*own, "emission"), images, strict=True)
+        }, counters
 
     def _seen_directly(self, source: SampleSource, paths: int, sink: SplatSink) -> tuple[mi.UInt32, mi.Bool]:
         """Connect points on the lights to the camera (s = 1, t = 1). Returns (rays, non-finite values)."""
@@ -123,4 +130,5 @@ class LightTracing(ImageMethod):
         crossings = dr.opaque(mi.UInt32, max(self.max_edges() - 1, 0))
         active, transmittance = self.visibility.along(ray, crossings, active)
         contribution *= transmittance
-        return rays, sink.add(mi.UInt32(1), place, Contribution([contribution], contribution, active, active))
+        found = Contribution([contribution], contribution, active, active)
+        return rays, sink.add(mi.UInt32(1), place, found, mi.UInt32(Component.EMISSION))

@@ -4,11 +4,15 @@ from . import graph, meshes
 from .builtin.table import BundledScene, bundled, bundled_scene
 from .camera import Camera
 from .capability import check
+from .changes.edits import ParameterChanges, name_elements
+from .changes.parameters import SceneEditor, SceneParameter
+from .editing import Change, LightEdits, add_plugin, colour, described_lights, is_described, scene_xml
 from .fingerprint import fingerprint
 from .graph import materials
 from .lamps.radiance import sphere_point, surface_point, uniform_point, varies
 from .lamps.table import Light, LightTable
 from .loading import Source, integrator_of, load, locate, resized
+from .parts import load_part, part_files, shape_boxes
 from .plugins import composed_bsdf, register
 from .portable import PortableScene, portable, restored
 from .problem import Problem
@@ -18,29 +22,43 @@ from .watching import Parameters, parameters, view
 __all__ = [
     "BundledScene",
     "Camera",
+    "Change",
     "Light",
+    "LightEdits",
     "LightTable",
+    "ParameterChanges",
     "Parameters",
     "PortableScene",
     "Problem",
     "RenderSpace",
+    "SceneEditor",
+    "SceneParameter",
     "Source",
+    "add_plugin",
     "bundled",
     "bundled_scene",
     "check",
+    "colour",
     "composed_bsdf",
+    "described_lights",
     "fingerprint",
     "graph",
     "integrator_of",
+    "is_described",
     "load",
+    "load_part",
     "locate",
     "materials",
     "meshes",
+    "name_elements",
     "parameters",
+    "part_files",
     "portable",
     "register",
     "resized",
     "restored",
+    "scene_xml",
+    "shape_boxes",
     "sphere_point",
     "surface_point",
     "uniform_point",

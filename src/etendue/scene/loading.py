@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
 import numpy as np
 
-from etendue.core import OptionError, SceneError, UnsupportedError, logger, suggest, use_variant
+from etendue.core import EtendueError, OptionError, SceneError, UnsupportedError, logger, suggest, use_variant
 
 from .builtin.table import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene
+from .editing import Change
 from .graph import contents, plugin_name
 from .moving import Described, moved
 from .parsing import (
@@ -39,10 +40,8 @@ from .space import RenderSpace, warn_of_offsets
 if TYPE_CHECKING:
     import mitsuba as mi
 
-#: A device array has fewer than 2^32 entries, and a film has four channels.
-MOST_PIXELS = 1 << 30
-#: File name of the scene in a folder.
-_SCENE_FILE = "scene.xml"
+MOST_PIXELS = 1 << 30  #: a device array has fewer than 2^32 entries, and a film has four channels
+_SCENE_FILE = "scene.xml"  #: of a folder
 
 #: What :func:`load` accepts as a scene.
 Source: TypeAlias = "str | os.PathLike[str] | BundledScene | Mapping[str, Any] | mi.Scene"
@@ -57,6 +56,8 @@ def load(
     memory: int | None = None,
     camera: Camera | None = None,
     check: bool = True,
+    change: Change | None = None,
+    merge: bool = True,
 ) -> Problem:
     """Load a scene; returns the :class:`Problem` of rendering it through one of its sensors.
 
@@ -66,7 +67,9 @@ def load(
     with that size (a loaded scene does not know its ``fov_axis``: its horizontal field of view is kept). A loaded scene
     is not changed. ``sensor`` is an index into the scene's sensors; ``camera`` moves it, except in loaded scenes.
     ``parameters`` gives values to ``$variables`` of an XML file. The scene's integrator is reported, not built. Without
-    ``check`` unsupported elements raise no error.
+    ``check`` unsupported elements raise no error. Without ``merge`` meshes of one material keep their names and order,
+    and rays are slightly slower. ``change`` (as :class:`LightEdits`) changes the parsed scene before its objects are
+    built; elements that look alike are then not merged.
 
     Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for a scene that cannot be read or is broken,
     :class:`UnsupportedError` for elements that cannot be rendered, :class:`OptionError` for arguments out of range.
@@ -79,9 +82,11 @@ def load(
         raise OptionError(f"a memory bound must be above zero bytes, not {memory}")
     if not _is_loaded(source):
         found = locate(source) if isinstance(source, (str, os.PathLike)) else source
-        return _from_parser(found, *_parse(found, parameters), size, sensor, memory, camera, check)
+        return _from_parser(found, *_parse(found, parameters), size, sensor, memory, camera, check, merge, change)
     if parameters:
         raise OptionError(_NO_VARIABLES)
+    if change is not None:
+        raise OptionError("lights of a loaded scene cannot be added or removed; give its file or its dictionary")
     if camera is not None:
         raise OptionError("the camera of a loaded scene cannot be moved; load the scene with that camera")
     return _from_scene(source, size, sensor, memory, check)
@@ -183,10 +188,15 @@ def _from_parser(
     memory: int | None,
     camera: Camera | None,
     check: bool,
+    merge: bool,
+    change: Change | None,
+    moves: bool = True,
 ) -> Problem:
     import mitsuba as mi
 
     with _resolving(path), _mitsuba_errors(name):
+        if change is not None:
+            change(state)
         integrator, depth, options = take_integrator(state)
         if size is not None:
             resize(state, size)
@@ -194,9 +204,11 @@ def _from_parser(
             camera.move_sensors(state)
         check_films(state, name)
         details = texture_details(state)
-        mi.parser.transform_merge_equivalent(config, state)
+        if change is None:
+            mi.parser.transform_merge_equivalent(config, state)
         unmerged = mi.parser.ParserState(state)
-        merge_meshes(state)
+        if merge and change is None:
+            merge_meshes(state)
         scene = mi.parser.instantiate(config, state)
 
     chosen = _sensor(scene, sensor, name)
@@ -211,7 +223,9 @@ def _from_parser(
                 scene = mi.parser.instantiate(config, unmerged)
             check_scene(scene, _sensor(scene, sensor, name))
             raise
-    space = RenderSpace.of(scene, chosen)
+    space = RenderSpace.of(scene, chosen) if moves else RenderSpace()
+    if not space.is_own and not merge:
+        raise UnsupportedError(f"{name} is rendered in other coordinates than its own, which its parts cannot share")
     if not space.is_own:
         with _resolving(path), _mitsuba_errors(name):
             scene, space = moved(scene, chosen, space, source, name, config, unmerged)
@@ -243,7 +257,7 @@ def _mitsuba_errors(name: str) -> Iterator[None]:
     """Convert Mitsuba's exceptions to errors of étendue, with a remedy."""
     try:
         yield
-    except SceneError:
+    except EtendueError:
         raise
     except (RuntimeError, ValueError, TypeError, KeyError) as error:
         # The error of a Python plugin contains its traceback: keep only the message in its last line.

@@ -14,6 +14,7 @@ from .camera import CameraConnection, CameraSampler, SplatPlace, Splats
 from .direct import DirectWeights
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
 from .ending import EndingGuidedWalk, EndingWalker, light_of_map
+from .firsthits import FirstHits, shapes_seen
 from .functions import TransportFunctions, film_picture
 from .guiding.guide import NOWHERE, Guide, GuidedScattered, direction_of, square_of
 from .guiding.lights import MOST_LIGHTS, LightChoice, LocalLights
@@ -39,9 +40,10 @@ from .schemes.cells import CellEmission, ImportancePilot
 from .schemes.numbers import BlindEmission, GivenNumbers, UniformLights
 from .schemes.numbers import Emission as EmissionScheme
 from .schemes.strata import EMISSION, FIRST_BOUNCE, StratifiedSource
+from .tracks import MOST_PATHS, Event, PathRecorder, Tracks
 from .vertex import Joined, Vertex, WalkVertex
 from .visibility import Visibility
-from .walk import CameraPath, Emission, MapEnd, SubPath, Walker, ones
+from .walk import CameraPath, Emission, MapEnd, SubPath, Walker, component_fields, ones
 
 __all__ = [
     "AMBIENT_WALKS",
@@ -50,6 +52,7 @@ __all__ = [
     "FOUND_UNITS",
     "GRAZING",
     "MOST_LIGHTS",
+    "MOST_PATHS",
     "NOWHERE",
     "PICK_BLOCK",
     "PYRAMID_MAX",
@@ -72,6 +75,8 @@ __all__ = [
     "EndingGuidedWalk",
     "EndingWalker",
     "Evaluated",
+    "Event",
+    "FirstHits",
     "Gather",
     "GivenNumbers",
     "Guide",
@@ -90,6 +95,7 @@ __all__ = [
     "LocalLights",
     "MapEnd",
     "Mis",
+    "PathRecorder",
     "Photon",
     "Photons",
     "Proposal",
@@ -104,6 +110,7 @@ __all__ = [
     "StratifiedSource",
     "SubPath",
     "Techniques",
+    "Tracks",
     "TrainingSamples",
     "TransportFunctions",
     "UniformLights",
@@ -112,6 +119,7 @@ __all__ = [
     "WalkVertex",
     "Walker",
     "ambient_scene",
+    "component_fields",
     "cosine_ratio",
     "dimensions",
     "direction_of",
@@ -135,6 +143,7 @@ __all__ = [
     "scatter_light",
     "scatter_uniform",
     "shadow_roulette",
+    "shapes_seen",
     "square_of",
     "stratified_hemispheres",
     "unfolded",

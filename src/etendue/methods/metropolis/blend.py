@@ -20,7 +20,7 @@ done for each half by itself, so that the difference of the halves measures the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -119,9 +119,10 @@ def brightness(pictures: Pictures, factors: Array) -> Array:
 class Blend:
     """What is carried on from pass to pass; arrays are replaced, never modified.
 
-    ``chained``, ``large``: D and R of each half, (2, height, width, 3). ``spread``: sum over the passes of the squared
-    half difference of the luminance of P, (height, width). ``kept``, ``scatter``: sums of 1 - a, and of its square over
-    the steps of the pass, (height, width).
+    ``chained``: D of each part and half, (parts, 2, height, width, 3); a picture is the sum of its parts, which are the
+    components of light, or one. ``large``: R of each half. ``spread``: sum over the passes of the squared half
+    difference of the luminance of P, (height, width). ``kept``, ``scatter``: sums of 1 - a, and of its square over the
+    steps of the pass, (height, width).
     """
 
     scale: Scale
@@ -133,10 +134,11 @@ class Blend:
     passes: int = 0
 
     @classmethod
-    def empty(cls, width: int, height: int) -> Blend:
+    def empty(cls, width: int, height: int, parts: int = 1) -> Blend:
         """Before the first pass."""
-        halves, one = np.zeros((2, height, width, 3), np.float32), np.zeros((height, width), np.float32)
-        return cls(Scale.unknown(), halves, halves, one, one, one)
+        halves = np.zeros((parts, 2, height, width, 3), np.float32)
+        one = np.zeros((height, width), np.float32)
+        return cls(Scale.unknown(), halves, halves[0], one, one, one)
 
     @classmethod
     def of(cls, state: State) -> Blend:
@@ -156,7 +158,7 @@ class Blend:
 
     def variances(self, grid: Grid) -> tuple[Array, Array]:
         """Relative variance around each cell: of the chains' picture after one step, and of P after one pass."""
-        chained = self.scale.scale[:, None, None, None] * self.chained + self.large
+        chained = self.scale.scale[:, None, None, None] * self.chained.sum(axis=0) + self.large
         first, second = luminance(chained)
         inverse = 1.0 / (np.square(0.5 * (first + second) / self.kept) + RELATIVE_EPSILON)
         # The sum over passes of 1 - a times a picture whose variance is that of a step over the number of steps.
@@ -183,12 +185,13 @@ class Blend:
         otherwise: Array,
         steps: int,
     ) -> tuple[Blend, Array]:
-        """(what is carried on after a pass with the pictures C, L and P of its halves, what the pass adds to the
-        picture of each half). ``factors``: of the brightness; ``otherwise``: as of :meth:`Scale.after`."""
+        """(what is carried on after a pass with the pictures C, L and P, what the pass adds to the picture); pictures
+        are (parts, 2, height, width, 3). ``factors``: of the brightness; ``otherwise``: as of :meth:`Scale.after`."""
         kept = (1.0 - weights)[:, :, None]
         chained, large, blended = kept * chained, kept * large, weights[:, :, None] * independent
-        sums = np.stack([brightness(p, factors) for p in (chained, large + blended, independent)], axis=1)
-        lit = luminance(independent)
+        wholes = (chained.sum(axis=0), (large + blended).sum(axis=0), independent.sum(axis=0))
+        sums = np.stack([brightness(p, factors) for p in wholes], axis=1)
+        lit = luminance(wholes[2])
         scale = self.scale.after(sums, lit.mean(axis=(1, 2)), otherwise)
         new, old = (v[:, None, None, None] for v in (scale.scale, self.scale.scale))
         added = new * chained + (new - old) * self.chained + large + blended
@@ -196,7 +199,7 @@ class Blend:
             self,
             scale=scale,
             chained=(self.chained + chained).astype(np.float32),
-            large=(self.large + large).astype(np.float32),
+            large=(self.large + large.sum(axis=0)).astype(np.float32),
             spread=(self.spread + 0.25 * np.square(lit[0] - lit[1])).astype(np.float32),
             kept=(self.kept + kept[:, :, 0]).astype(np.float32),
             scatter=(self.scatter + np.square(kept[:, :, 0]) / steps).astype(np.float32),
@@ -205,10 +208,11 @@ class Blend:
 
 
 class Beside:
-    """An independent estimator beside the chains, prepared: its passes for each half."""
+    """An independent estimator beside the chains, prepared: its passes for each half. ``parts``: layers of the pictures
+    that it makes."""
 
-    def __init__(self, method: ImageMethod) -> None:
-        self.method = method
+    def __init__(self, method: ImageMethod, parts: Sequence[str]) -> None:
+        self.method, self._parts = method, parts
 
     def start(self) -> list[State]:
         """The state of each half."""
@@ -217,12 +221,12 @@ class Beside:
     def step(
         self, iteration: int, seed: int, states: list[State]
     ) -> tuple[NDArray[np.float64], list[State], Mapping[str, float]]:
-        """(pictures of a pass, (2, height, width, 3), states after it, counts)."""
+        """(pictures of a pass, (parts, 2, height, width, 3), states after it, counts)."""
         pictures, left, counters = [], [], {"rays": 0.0, "nonfinite": 0.0}
         for half, state in enumerate(states):
             high, low = seed_key(seed, "beside", half)
             made = self.method.step(iteration, (high << 32 | low) & 0x7FFFFFFFFFFFFFFF, state)
-            pictures.append(made.measurement.mean())
+            pictures.append([made.measurement.mean(name) for name in self._parts])
             left.append(made.state)
             counters = {name: count + made.measurement.counters[name] for name, count in counters.items()}
-        return np.stack(pictures), left, counters
+        return np.stack(pictures, axis=1), left, counters

@@ -43,6 +43,8 @@ CORRELATED = 0.25
 #: The bootstrap ends with this many samples that find light, or when it has grown by this factor; by the second one as
 #: long as only one of the halves has found light.
 _ENOUGH_LIT, _MOST_GROWTH, _ONE_SIDED_GROWTH = 1 << 12, 8, 64
+#: Images of the splats of a component: of the chains and of large steps, for each half.
+IMAGES = 4
 #: Bytes of a sample of the bootstrap on the host: a contribution, and the target.
 _CONTRIBUTION_BYTES, _TARGET_BYTES = 12, 24
 #: Most samples of the bootstrap that are traced together.
@@ -50,7 +52,6 @@ _BATCH = 1 << 16
 #: Bit of the number of a sample or a chain that tells its half.
 _HALF_BIT = 31
 _WORD = 0xFFFFFFFF
-KINDS = "both"
 
 
 @dataclass(frozen=True)
@@ -85,9 +86,9 @@ class Progressed:
 class PassResult:
     """A pass of all chains.
 
-    ``chained``, ``large``: the pictures of the two halves, (2, height, width, 3): of the chains without the factor
-    kappa b / b_0, and of the large steps as independent samples; ``None`` without splats. ``factors``: an estimate of
-    that factor by the bootstrap and all large steps, for each half.
+    ``chained``, ``large``: pictures, (parts, 2, height, width, 3), of each component of light, or of the only one, and
+    of the two halves: of the chains without the factor kappa b / b_0, and of the large steps as independent samples;
+    ``None`` without splats. ``factors``: an estimate of that factor by the bootstrap and all large steps, of each half.
     """
 
     chained: NDArray[np.float64] | None
@@ -229,7 +230,8 @@ class Runner:
     # ------------------------------------------------------------------ steps
 
     def run(self, carried: Progressed, steps: int, seed: int, splats: Splats | None) -> tuple[Progressed, PassResult]:
-        """``steps`` steps of all chains. ``splats``: four empty images; ``None`` if only :attr:`record` is wanted."""
+        """``steps`` steps of all chains. ``splats``: :data:`IMAGES` empty images, or so many for each component;
+        ``None`` if only :attr:`record` is wanted."""
         owed = carried.owed + carried.share * steps
         large_steps = min(int(owed + 1e-9), steps)
         carried = replace(carried, owed=owed - large_steps)
@@ -299,30 +301,17 @@ class _Walk:
         for index, one in enumerate(contributions):
             place = self.splats.at(one.position, number.next_2d(index, 0))
             value = one.value * (weight * place.weight)
-            self.splats.add_to(self.runner._half + image, place, value, place.on_film & ~dr.all(value == 0.0))
-
-    def _moving(self) -> list[str]:
-        """The sub-paths that the next small step moves."""
-        every = list(self.runner.target.layouts)
-        if len(every) == 1 or KINDS == "both":
-            return every
-        kinds = {
-            "three": [every, *([name] for name in every)],
-            "single": [[name] for name in every],
-            "four": [every, every, *([name] for name in every)],
-        }[KINDS]
-        return kinds[self.carried.steps % len(kinds)]
+            number_of = self.runner._half + (image + IMAGES * one.component)
+            self.splats.add_to(number_of, place, value, place.on_film & ~dr.all(value == 0.0))
 
     def step(self, seed: int, is_large: bool) -> None:
         """Move all chains."""
         runner, carried, old = self.runner, self.carried, self.carried.states
         if is_large:
-            moving = list(runner.target.layouts)
             moves = runner._moves(seed, carried.large)
         else:
-            moving = self._moving()
-            sizes = {name: dr.opaque(mi.Float, carried.size * (name in moving)) for name in runner.target.layouts}
-            moves = {name: Move(runner._small(name, seed, carried.steps), size) for name, size in sizes.items()}
+            size = dr.opaque(mi.Float, carried.size)
+            moves = {name: Move(runner._small(name, seed, carried.steps), size) for name in runner.target.layouts}
         traced = runner._trace(moves, runner._numbers, old)
         target = runner._target(traced.contributions, carried.factors, carried.cap)
         dr.eval(traced.contributions, target, traced.rays, traced.nonfinite)
@@ -334,10 +323,7 @@ class _Walk:
         places = IndependentSource(runner._numbers, seed, "filter", carried.steps)
         stay, go = (1.0 - chance) * self._weight(old.target), chance * self._weight(target)
         # One path is splatted now: the old one if it is left for good, or else the proposal.
-        left = [
-            Contribution(dr.select(accepted, a.position, b.position), dr.select(accepted, a.value, b.value))
-            for a, b in zip(old.contributions, traced.contributions, strict=True)
-        ]
+        left = [a.where(accepted, b) for a, b in zip(old.contributions, traced.contributions, strict=True)]
         self._splat(0, left, dr.select(accepted, self.waiting + stay, go), places)
         self.waiting = dr.select(accepted, go, self.waiting + stay)
         if is_large:
@@ -348,10 +334,7 @@ class _Walk:
         rejected = dr.select(accepted, mi.UInt32(0), old.rejected + 1)
         self._longest = dr.maximum(self._longest, rejected)
         self._rays, self._bad = self._rays + traced.rays, self._bad + traced.nonfinite
-        new = [
-            Contribution(dr.select(accepted, b.position, a.position), dr.select(accepted, b.value, a.value))
-            for a, b in zip(old.contributions, traced.contributions, strict=True)
-        ]
+        new = [b.where(accepted, a) for a, b in zip(old.contributions, traced.contributions, strict=True)]
         kept = dr.select(accepted, target, old.target)
         if self.splats is not None:
             dr.schedule(self.splats.array)
@@ -359,8 +342,6 @@ class _Walk:
         dr.eval(self._sums, self._rays, self._bad)
         numbers = {
             name: moves[name].write(layout, old.numbers[name], accepted, runner._numbers, runner.chains)
-            if name in moving
-            else old.numbers[name]
             for name, layout in runner.target.layouts.items()
         }
         self.carried = replace(
@@ -384,7 +365,8 @@ class _Walk:
         if self.splats is not None:
             scale = runner.size[0] * runner.size[1] / (steps * runner.chains / 2)
             images = scale * self.splats.sums().astype(np.float64)
-            chained, large = images[:2], images[2:]
+            images = images.reshape(-1, IMAGES, *images.shape[1:])
+            chained, large = images[:, :2], images[:, 2:]
         counters = {
             "rays": total(self._rays),
             "paths": float(steps * runner.chains),

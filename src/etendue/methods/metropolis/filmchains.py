@@ -25,6 +25,7 @@ from etendue.core import (
     Array,
     IndependentSource,
     Measurement,
+    OptionError,
     Record,
     Result,
     SampleSource,
@@ -88,6 +89,11 @@ class FilmSettings(MetropolisSettings):
         0.7, "standard deviation of kernel, and at the mean density of variable, in pixels", above=0.0, maximum=1000.0
     )
     neighbours: int = setting(50, "samples of nearest", minimum=1)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.components:
+            raise OptionError("film_metropolis keeps samples of whole paths, not of components; use pssmlt for them")
 
 
 class _LeftOut(DirectWeights):
@@ -276,13 +282,14 @@ class FilmMetropolis(MetropolisMethod):
             for kind in (False, True)
         )
         factors = self._carried.factors.of_pixels * self._dim
-        sums = np.stack([brightness(p, factors) for p in (chained, others, independent)], axis=1)
-        scale = self._blend.scale.after(sums, luminance(independent).mean(axis=(1, 2)), made.factors)
+        sums = np.stack([brightness(p, factors) for p in (chained, others, independent[0])], axis=1)
+        scale = self._blend.scale.after(sums, luminance(independent[0]).mean(axis=(1, 2)), made.factors)
         self._blend = replace(self._blend, scale=scale)
         for half, rows in enumerate(halves[False]):
             rows[:, 2:] *= scale.scale[half]
         kept = np.concatenate([rows[(rows[:, 2:] != 0.0).any(axis=1)] for kind in halves for rows in halves[kind]])
-        return chained * scale.scale[:, None, None, None] + others, {FILM: Record.single(kept, iteration)}
+        picture = chained * scale.scale[:, None, None, None] + others
+        return picture[None], {FILM: Record.single(kept, iteration)}
 
     @staticmethod
     def _by_half(parts: Sequence[Rows]) -> list[Rows]:

@@ -24,13 +24,14 @@ from etendue.core import (
     free_memory,
     setting,
 )
+from etendue.film import COMPONENTS
 from etendue.scene import Problem
 
 from ..base import ImageMethod, ImageSettings, Layer
 from ..bidirectional import Bpt
 from ..path import Path
 from .blend import Beside, Blend, Grid
-from .chains import ChainStates, PassResult, Progressed, Runner
+from .chains import IMAGES, ChainStates, PassResult, Progressed, Runner
 from .film import BrightnessMap
 from .targets import Contribution, Target
 
@@ -145,17 +146,19 @@ class MetropolisMethod(Carrying, ImageMethod):
         )
         self._passes = 0
         kind = self.beside()
-        same = {name: getattr(s, name) for name in ("max_depth", "sampler", "scrambling", "reconstruction")}
+        shared = ("max_depth", "sampler", "scrambling", "reconstruction", "components")
+        same = {name: getattr(s, name) for name in shared}
         independent = kind(kind.Settings(samples_per_pass=max(1, round(_BESIDE * samples)), **same))
         independent.prepare(problem, seed)
-        self._beside = Beside(independent)
+        self._parts = COMPONENTS if s.components else ("image",)
+        self._beside = Beside(independent, self._parts)
         self._besides = self._beside.start()
         self._begin_blend()
 
     def _begin_blend(self) -> None:
         """The picture before the first pass."""
         self._grid = Grid(self.camera.width, self.camera.height)
-        self._blend = Blend.empty(self.camera.width, self.camera.height)
+        self._blend = Blend.empty(self.camera.width, self.camera.height, len(self._parts))
         self._work = (0.0, 0.0)  # rays: of a step, and of the independent estimator in a pass
 
     def bind(self, scene: mi.Scene | None) -> None:
@@ -185,10 +188,13 @@ class MetropolisMethod(Carrying, ImageMethod):
         self._passes += 1
         pictures, records = self._pictures(iteration, seed, made, independent, steps)
         samples = float(self.samples_per_iteration)
-        sums = {name: layer * samples for name, layer in halves_as_layers(pictures).items()}
+        layers = halves_as_layers(pictures.sum(axis=0))
+        if self.settings.components:
+            layers |= zip(COMPONENTS, pictures.mean(axis=1), strict=True)
+        sums = {name: layer * samples for name, layer in layers.items()}
         weights = dict.fromkeys(sums, samples)
         if self.settings.aovs:
-            first, bad = self._first_hits(iteration, seed, self.samples_per_iteration)
+            first, bad = self.first_layers(iteration, seed, self.samples_per_iteration)
             sums |= {name: layer.astype(np.float64) for name, layer in first.items()}
             weights |= dict.fromkeys(first, samples)
             made.counters["nonfinite"] += bad
@@ -213,13 +219,15 @@ class MetropolisMethod(Carrying, ImageMethod):
 
     def _run(self, iteration: int, seed: int, steps: int) -> PassResult:
         """Move the chains."""
-        self._carried, made = self.runner.run(self._carried, steps, seed, self.splats(seed, iteration, 4))
+        splats = self.splats(seed, iteration, IMAGES * len(self._parts))
+        self._carried, made = self.runner.run(self._carried, steps, seed, splats)
         return made
 
     def _pictures(
         self, iteration: int, seed: int, made: PassResult, independent: Array, steps: int
     ) -> tuple[Array, dict[str, Record]]:
-        """(what a pass adds to the picture of each half, records). ``independent``: the pictures beside the chains."""
+        """(what a pass adds to the picture, (parts, 2, height, width, 3); records). ``independent``: the picture beside
+        the chains."""
         assert made.chained is not None and made.large is not None
         weights = self._blend.weights(self._grid, steps)
         factors = self._carried.factors.of_pixels
@@ -308,8 +316,10 @@ class MetropolisMethod(Carrying, ImageMethod):
         states = ChainStates(
             {name: copied_to_device(mi.Float, values) for name, values in numbers.items()},
             [
-                Contribution(mi.Point2f(*floats(place)), mi.Color3f(*floats(value)))
-                for place, value in zip(state["places"], state["values"], strict=True)
+                Contribution(mi.Point2f(*floats(place)), mi.Color3f(*floats(value)), one.component)
+                for place, value, one in zip(
+                    state["places"], state["values"], self._carried.states.contributions, strict=True
+                )
             ],
             floats([state["target"]])[0],
             copied_to_device(mi.UInt32, np.asarray(state["rejected"])),

@@ -11,6 +11,7 @@ import mitsuba as mi
 
 from etendue.core import SampleSource
 from etendue.density import HashGrid
+from etendue.film import REFLECTED, Component, by_component
 
 from .. import dimensions as dim
 from ..emission import DirectSample
@@ -126,6 +127,7 @@ class CameraWalk(BidirectionalWalk):
             vertex=mi.UInt32(1),
             travelled=lead,
             rays=dr.zeros(mi.UInt32, lanes),
+            seen=mi.UInt32(Component.EMISSION) if self.sink.components else None,
             lane=dr.arange(mi.UInt32, lanes),
             layers=self.sink.begin(self.mis.techniques, pixel, importance),
         )
@@ -162,7 +164,7 @@ class CameraWalk(BidirectionalWalk):
             u = source.decide(s.depth, dim.CONNECT + index)
             contribution, rays = self._connection(s, vertex, joined, evaluated[len(lights) + index], u)
             s.rays += rays
-            self.sink.add(s.layers, "connection", contribution, joined.active)
+            self.sink.add(s.layers, "connection", contribution, joined.active, Component.INDIRECT)
         if self.cache is not None and self.cache.picks is None:
             self._connect_pair(s, vertex, source.decide(s.depth, dim.CONNECT), smooth)
 
@@ -179,7 +181,7 @@ class CameraWalk(BidirectionalWalk):
         weights = self.mis.emission_weight(number, s.d_vcm, s.d_vc, hit.area_density, hit.emission_density)
         alone = s.throughput * hit.radiance
         values = [alone * weight for weight in weights]
-        self.sink.add(s.layers, "emission", values, hit.active)
+        self.sink.add(s.layers, "emission", values, hit.active, s.seen)
         self.sink.show(mi.UInt32(0), number + 1, Contribution(values, alone, hit.active, hit.active))
 
     def _next_event(self, s: _State, vertex: WalkVertex, light: DirectSample, f: Evaluated, u: mi.Float) -> None:
@@ -197,7 +199,7 @@ class CameraWalk(BidirectionalWalk):
         )
         s.rays += rays
         self.sink.show(mi.UInt32(1), number + 1, contribution)
-        self.sink.add(s.layers, "next_event", contribution.weighted, contribution.active)
+        self.sink.add(s.layers, "next_event", contribution.weighted, contribution.active, s.lit)
 
     def _pick_vertices(self, s: _State, vertex: WalkVertex, active: mi.Bool) -> list[_Joined]:
         """Edges from a camera vertex to light vertices sampled from the cache."""
@@ -235,11 +237,11 @@ class CameraWalk(BidirectionalWalk):
             label="connect",
         )
         s.rays += rays
-        self.sink.add(s.layers, "connection", totals, active)
+        self.sink.add(s.layers, "connection", totals, active, Component.INDIRECT)
 
-    def _blank(self, lanes: int) -> list[mi.Color3f]:
-        """Zero radiance for each radius."""
-        return [dr.zeros(mi.Color3f, lanes) for _ in range(1 + len(self.sink.more_radii))]
+    def _blank(self, lanes: int, parts: int = 1) -> list[mi.Color3f]:
+        """Zero radiance for each radius, in so many parts for the first one."""
+        return [dr.zeros(mi.Color3f, lanes) for _ in range(parts + len(self.sink.more_radii))]
 
     def _join(self, s: _State, vertex: WalkVertex, number: mi.UInt32, active: mi.Bool) -> _Joined:
         """The edge between a camera vertex and light vertex ``number``."""
@@ -284,14 +286,19 @@ class CameraWalk(BidirectionalWalk):
         if not self.mis.techniques.merge_first:
             active = active & (self.number(s) > 1)
 
+        parts, photons, factors = 1 if s.seen is None else len(REFLECTED), self.gather.photons, self.gather.factors
+
         def visit(photon: mi.UInt32, totals: list[mi.Color3f]) -> list[mi.Color3f]:
             values = self._merged(s, vertex, photon, active)
+            if s.seen is not None:
+                values[:1] = by_component(values[0], photons.component(photon, active))
             return [total + value for total, value in zip(totals, values, strict=True)]
 
-        totals = self.gather.around(vertex.position, self.max_edges - s.depth, visit, self._blank(1), active)
-        factors = self.gather.factors
-        values = [s.throughput * total * factor for total, factor in zip(totals, factors, strict=True)]
-        self.sink.add(s.layers, "merge", values, active)
+        totals = self.gather.around(vertex.position, self.max_edges - s.depth, visit, self._blank(1, parts), active)
+        for component, total in s.components_of(totals[:parts]):
+            self.sink.add_first(s.layers, "merge", s.throughput * total * factors[0], active, component)
+        more = [s.throughput * total * factor for total, factor in zip(totals[parts:], factors[1:], strict=True)]
+        self.sink.add_more(s.layers, more, active)
 
     def _merged(self, s: _State, vertex: WalkVertex, photon: mi.UInt32, active: mi.Bool) -> list[mi.Color3f]:
         """Weighted contribution of one photon, by radius."""

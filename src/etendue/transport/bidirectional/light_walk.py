@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
+from etendue.film import after_light_scattering
 
 from .. import dimensions as dim
 from ..camera import CameraConnection
@@ -75,8 +76,7 @@ class LightWalk(BidirectionalWalk):
             depth=dr.full(mi.UInt32, 1, paths),
             vertex=mi.UInt32(1) if numbered else None,
             stored=dr.zeros(mi.UInt32, paths),
-            # Next event cannot sample a beam, so light of a beam counts as a caustic.
-            kind=dr.select(emitted.area_density > 0.0, mi.UInt32(Kind.DIRECT), mi.UInt32(Kind.CAUSTIC)),
+            kind=dr.select(emitted.area_density > 0.0, mi.UInt32(Kind.DIRECT), mi.UInt32(Kind.BEAM)),
             from_infinity=emitted.is_infinite,
             light=mi.UInt32(emitted.light) if waits else None,
             waiting=mi.Float(emitted.area_density) if waits else None,
@@ -140,9 +140,7 @@ class LightWalk(BidirectionalWalk):
         """Leave a vertex; ``on_edge`` and ``light_cos`` are those of :meth:`land`."""
         sampled = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
         s.d_vcm, s.d_vc = self.mis.scatter_light(s.d_vcm, s.d_vc, light_cos, *sampled)
-        after_delta = dr.select(s.kind == mi.UInt32(Kind.INDIRECT), s.kind, mi.UInt32(Kind.CAUSTIC))
-        kind = dr.select(scattered.is_delta, after_delta, mi.UInt32(Kind.INDIRECT))
-        s.kind = self.keep_if_null(scattered, s.kind, kind)
+        s.kind = self.keep_if_null(scattered, s.kind, after_light_scattering(s.kind, scattered.is_delta))
         s.from_infinity = self.keep_if_null(scattered, s.from_infinity, mi.Bool(False))
         if s.waiting is not None:
             s.waiting = self.keep_if_null(scattered, s.waiting, mi.Float(0.0))
@@ -173,4 +171,4 @@ class LightWalk(BidirectionalWalk):
             vertex, joined.target, s.depth + 1, values, alone * factor, threshold, u, on_film
         )
         s.rays += rays
-        s.nonfinite += ones(sink.add(self.number(s) + 1, place, contribution))
+        s.nonfinite += ones(sink.add(self.number(s) + 1, place, contribution, s.kind))

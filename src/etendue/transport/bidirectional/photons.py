@@ -21,6 +21,8 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
+from etendue.film import Component
+
 from .mis import RadiusFree
 
 #: Least 1 + cos of the angle between the normals of two surfaces whose photons are merged: 120 degrees.
@@ -56,6 +58,11 @@ class Photons:
     def number(self, index: mi.UInt32, active: mi.Bool) -> mi.UInt32:
         """Number of the vertex on its path (see :class:`LightVertex`)."""
         return number_of(dr.gather(mi.Float, self._position, 4 * index + 3, active), self._depth_bits)
+
+    def component(self, index: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """The ``film.Component`` of the photon's light to an eye that sees the surface."""
+        # As in `position`, so that both are one gather.
+        return component_of(dr.gather(mi.Vector4f, self._position, index, active).w)
 
     def read(self, index: mi.UInt32, active: mi.Bool) -> Photon:
         """All but position and depth."""
@@ -128,6 +135,11 @@ def unpacked_normal(packed: mi.Float) -> mi.Vector3f:
 def depth_of(tag: mi.Float, bits: int) -> mi.UInt32:
     """Edges from the light."""
     return dr.reinterpret_array(mi.UInt32, tag) & ((1 << bits) - 1)
+
+
+def component_of(tag: mi.Float) -> mi.UInt32:
+    """The ``film.Component`` by the kind of a vertex; that of a beam is DIRECT."""
+    return dr.maximum(dr.reinterpret_array(mi.UInt32, tag) >> 30, mi.UInt32(Component.DIRECT))
 
 
 def number_of(tag: mi.Float, bits: int) -> mi.UInt32:

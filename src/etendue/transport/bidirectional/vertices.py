@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
+from etendue.film import Component
 from etendue.scene import materials
 
 from ..scattering import Evaluated, evaluate_light_end
@@ -45,11 +46,13 @@ def needs_interaction(scene: mi.Scene) -> bool:
 
 
 class Kind(enum.IntEnum):
-    """Light paths that end at a vertex, in Heckbert's notation [Heckbert 1990]."""
+    """What a light path brings to a vertex: the ``film.Component`` of its light to an eye that sees the vertex. Light
+    straight from a beam, which next event cannot sample, is told from other direct light."""
 
-    INDIRECT = 0  #: L...D...D
-    DIRECT = 1  #: LD
-    CAUSTIC = 2  #: LS+D
+    BEAM = 0
+    DIRECT = Component.DIRECT
+    CAUSTIC = Component.CAUSTIC
+    INDIRECT = Component.INDIRECT
 
 
 @dataclass(kw_only=True)

@@ -1,4 +1,4 @@
-"""A technique pyramid on the comparison page: the usual triangle [Veach 1997, fig. 10.3].
+"""A technique pyramid on a page: the usual triangle [Veach 1997, fig. 10.3].
 
 A row holds the ways of making paths of one length, a column those with the same number of light vertices. All pictures
 are shown at the exposure of the page, so that the sum of the weighted pictures is the displayed picture.
@@ -7,15 +7,15 @@ are shown at the exposure of the page, so that the sum of the weighted pictures 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from etendue.film import LONGER, Technique, block_average
 
+from ..tonemap import tonemap
 from .figures import Figure
-from .tonemap import tonemap
 
 Image = NDArray[np.float32]
 
@@ -39,6 +39,23 @@ class PyramidView:
     title: str
     triangles: Sequence[Triangle]
     longer: Figure | None
+
+    @property
+    def size(self) -> int:
+        """Characters of its figures on a page."""
+        cells = [cell for t in self.triangles for _, row in t.rows for cell in row]
+        return sum(figure.size for figure in (*cells, self.longer) if figure is not None)
+
+    def stored(self, across: int) -> PyramidView:
+        """The same with figures of at most ``across`` pixels."""
+
+        def small(figure: Figure | None) -> Figure | None:
+            return None if figure is None else replace(figure, across=across)
+
+        triangles = [
+            replace(t, rows=[(edges, [small(cell) for cell in row]) for edges, row in t.rows]) for t in self.triangles
+        ]
+        return replace(self, triangles=triangles, longer=small(self.longer))
 
 
 def in_pyramid(layer: str) -> bool:

@@ -1,4 +1,4 @@
-"""Tables of the comparison page, and how numbers are written in them."""
+"""Tables of a page, and how numbers are written in them."""
 
 from __future__ import annotations
 
@@ -10,27 +10,28 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Column:
-    """A column of one number per picture; of relMSE-like columns the smallest is marked."""
+    """A column with a text for each row; ``best``: the row to mark."""
 
     heading: str
-    values: Sequence[float]
-    percent: bool = False
-    seconds: bool = False
+    texts: Sequence[str]
+    best: int | None = None
 
-    def text(self, value: float) -> str:
-        """One value as the table shows it."""
-        if not math.isfinite(value):
-            return "–"
-        if self.seconds:
-            return time_text(value)
-        return f"{100.0 * value:+.2f} %".replace("-", "−") if self.percent else number_text(value)
+    @classmethod
+    def numbers(cls, heading: str, values: Sequence[float]) -> Column:
+        """Numbers of which the smallest is marked."""
+        finite = [v for v in values if math.isfinite(v)]
+        best = list(values).index(min(finite)) if len(finite) > 1 else None
+        return cls(heading, [number_text(v) for v in values], best)
 
-    def best(self) -> int | None:
-        """Index of the value to mark, if one stands out."""
-        finite = [v for v in self.values if math.isfinite(v)]
-        if self.percent or self.seconds or len(finite) < 2:
-            return None
-        return list(self.values).index(min(finite))
+    @classmethod
+    def shares(cls, heading: str, values: Sequence[float]) -> Column:
+        """Signed shares in per cent."""
+        return cls(heading, [f"{100.0 * v:+.2f} %".replace("-", "−") if math.isfinite(v) else "–" for v in values])
+
+    @classmethod
+    def times(cls, heading: str, values: Sequence[float]) -> Column:
+        """Seconds."""
+        return cls(heading, [time_text(v) if math.isfinite(v) else "–" for v in values])
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,37 @@ def fact_table(names: Sequence[str], facts: Sequence[Mapping[str, Any]], mark: b
         present = {text for text, (_, each) in zip(texts, shown, strict=True) if key in each}
         rows.append(Row(key.replace("_", " "), texts, mark and len(present) > 1))
     return FactTable([name for name, _ in shown], rows)
+
+
+def settings_tables(
+    names: Sequence[str], settings: Sequence[Mapping[str, Any]], defaults: Sequence[Mapping[str, Any]]
+) -> tuple[FactTable | None, FactTable | None]:
+    """Settings that differ from their defaults or from each other, and all settings; ``None`` for an empty table.
+
+    In the first a value has its default beside it if it differs. Rows in which pictures differ are marked.
+    """
+    every = fact_table(names, settings, mark=True)
+    if every is None:
+        return None, None
+    keys = list(dict.fromkeys(key for each in settings for key in each))
+    pairs = list(zip(settings, defaults, strict=True))
+    rows = []
+    for key in keys:
+        values = {value_text(each[key]) for each in settings if key in each}
+        if len(values) > 1 or any(_is_changed(key, *pair) for pair in pairs):
+            rows.append(Row(key.replace("_", " "), [_with_default(key, *pair) for pair in pairs], len(values) > 1))
+    return (FactTable(list(names), rows) if rows else None), every
+
+
+def _is_changed(key: str, settings: Mapping[str, Any], defaults: Mapping[str, Any]) -> bool:
+    return key in settings and key in defaults and settings[key] != defaults[key]
+
+
+def _with_default(key: str, settings: Mapping[str, Any], defaults: Mapping[str, Any]) -> str:
+    if key not in settings:
+        return "–"
+    text = value_text(settings[key])
+    return f"{text} (default {value_text(defaults[key])})" if _is_changed(key, settings, defaults) else text
 
 
 def flatten(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -109,7 +141,11 @@ def number_text(value: float, digits: int = 3) -> str:
 
 
 def time_text(seconds: float) -> str:
-    """``4.2 s``, ``45 s``, ``3 min 20 s``, ``2 h 5 min``."""
+    """``45 ms``, ``0.45 s``, ``4.2 s``, ``45 s``, ``3 min 20 s``, ``2 h 5 min``."""
+    if 0.0 < seconds < 0.0995:
+        return f"{1000.0 * seconds:.2g} ms"
+    if 0.0 < seconds < 0.995:
+        return f"{seconds:.2f} s"
     if seconds < 10.0:
         return f"{seconds:.1f} s"
     whole = round(seconds)
