@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from support import scenes
 from support.running import go, prepared, run
-from support.tables import thinned
 
 from etendue.core import SceneError
 from etendue.integration import Layout, Slot
@@ -45,7 +44,7 @@ OTHERWISE = [
 ]
 
 
-@pytest.mark.parametrize("row", thinned(OTHERWISE, OTHERWISE[:1]))
+@pytest.mark.parametrize("row", [OTHERWISE[0], *(pytest.param(r, marks=pytest.mark.slow) for r in OTHERWISE[1:])])
 def test_the_mean_is_that_of_path(row):
     """Whatever the factor by brightness, the numbers that a chain keeps, and the steps."""
     method, settings = row

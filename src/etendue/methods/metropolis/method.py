@@ -22,6 +22,7 @@ from etendue.core import (
     State,
     copied_to_device,
     free_memory,
+    logger,
     setting,
 )
 from etendue.film import COMPONENTS
@@ -48,6 +49,8 @@ _ACCEPTED, _SIZES = 0.5, (2.0**-12, 0.25)
 _PLAIN = ("unit", "cap", "steps", "large", "longest", "size", "share", "owed")
 #: Least share of large steps, which bring chains to light that they have not found yet.
 _LEAST_LARGE = 0.25
+#: Effective number of samples of the bootstrap below which there is a warning.
+_FEW = 100
 #: Camera paths of the independent estimator for each half, to steps of chains in the first pass.
 _BESIDE = 0.25
 #: Share of the work of a pass that chains have, at least and at most, and what a ray of theirs costs relative to one of
@@ -140,7 +143,15 @@ class MetropolisMethod(Carrying, ImageMethod):
             _BOOTSTRAP_SHARE * (problem.memory or free_memory() or math.inf),
         )
         self._carried = self.runner.start(seed)
-        self._bootstrapped = float(self._carried.found[:, 0].sum())
+        count, target, squares = self._carried.found.sum(axis=0)
+        self._bootstrapped = float(count)
+        if target**2 < _FEW * squares:
+            logger.warning(
+                "few paths find light: the picture and its brightness depend on about %d of the %d samples of the "
+                "bootstrap; raise bootstrap, and do not rely on the reported error",
+                max(1, round(target**2 / squares)),
+                count,
+            )
         self._carried = replace(
             self._carried, size=s.step_size or self._carried.size, share=s.large_steps or self._carried.share
         )
