@@ -1,5 +1,5 @@
 """Whether ``auto`` chooses well: its error after a given time beside that of each candidate rendered by itself, the
-samples that its probe leaves, and a few seconds without kernels beside ``path``. Each picture has a process of its own,
+samples that its learning leaves, and a few seconds without kernels beside ``path``. Each picture has its own process,
 as on the command line: in one process, scenes that were rendered before make kernels anew."""
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import typer
 from etendue import film
 from etendue.api import render
 from etendue.core import RELATIVE_EPSILON
-from etendue.methods.auto import CANDIDATES
+from etendue.methods.auto import FIXED
 from etendue.scene import bundled
 
 from .measuring import PUBLIC_SCENES, Record, child, console, verdict
@@ -63,7 +63,7 @@ def measure(
     known = sources()
     record = Record(
         f"Choice of auto, about {pixels} pixels, {seconds:g} s",
-        ("", *CANDIDATES, "auto", "chosen", "auto / best", "bar", "samples / its choice", "bar"),
+        ("", *FIXED, "auto", "chosen", "auto / best", "bar", "samples / its choice", "bar"),
     )
     first = Record(f"auto in {cold:g} s, cold, about {pixels} pixels", ("", "path", "auto", "chosen", "ratio", "bar"))
     worst = 0.0
@@ -72,11 +72,11 @@ def measure(
             raise SystemExit(f"no test scene '{name}'; there are {', '.join(known)}")
         size = scaled_size(known[name], pixels)
         halves = _halves(name, known[name], size, _HALF * seconds)
-        errors: dict[str, list[float]] = {choice: [] for choice in (*CANDIDATES, "probe")}
+        errors: dict[str, list[float]] = {choice: [] for choice in (*FIXED, "learn")}
         chosen, shares = [], []
         with tempfile.TemporaryDirectory(prefix="kernels-") as folder:
             common = {"variant": mi.variant(), "scene": str(known[name]), "size": size, "method": "auto"}
-            for choice in CANDIDATES:  # fills the kernel cache
+            for choice in FIXED:  # fills the kernel cache
                 _picture(common | {"choice": choice, "seconds": _FILL, "seed": 0}, folder)
             for seed in range(seeds):
                 samples: dict[str, float] = {}
@@ -86,9 +86,9 @@ def measure(
                     values.append(_error(image, halves))
                     samples[choice] = outcome["samples"]
                 chosen.append(str(outcome["chosen"]))
-                shares.append(samples["probe"] / samples[chosen[-1]])
+                shares.append(samples["learn"] / samples[chosen[-1]])
         middle = {choice: float(np.median(values)) for choice, values in errors.items()}
-        ratio = middle["probe"] / min(middle[choice] for choice in CANDIDATES)
+        ratio = middle["learn"] / min(middle[choice] for choice in FIXED)
         share = float(np.median(shares))
         worst = max(worst, ratio)
         console.print(
@@ -105,7 +105,7 @@ def measure(
     record.notes += [
         f"error: mean of (x - ref)² / (ref² + {RELATIVE_EPSILON:g}) without the worst 0.1 % of pixels, less that of "
         f"the reference; {pictures}; a process each, with a kernel cache that a pass by each candidate has filled; "
-        "the time of auto holds its probe",
+        "the time of auto holds the passes that learn",
         f"reference: vcm with a first radius of 0.002 (path for {', '.join(_BY_PATH)}), {2 * _HALF * seconds:g} s in "
         "two halves, whose difference tells its error",
         f"worst ratio {worst:.2f}",

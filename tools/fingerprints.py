@@ -23,13 +23,11 @@ TOLERANCE = 1e-5
 
 
 def pictures() -> Iterator[tuple[str, Any]]:
-    """Every method but ``auto``, which chooses by the clock."""
+    """Every method."""
     import etendue
     from etendue.methods import table
 
     for name in table():
-        if name == "auto":
-            continue
         for scene in ("cornell-glass", "skylight"):
             made = etendue.render(scene, name, samples=8, size=(20, 15), seed=3, samples_per_pass=4)
             for layer, values in made.layers.items():

@@ -259,8 +259,8 @@ def test_densities_are_compared_with_scipy():
 def test_choice_holds_auto_against_its_best_candidate(monkeypatch):
     """The error of the reference is taken off, the median over seeds counts, the ratio is to the best candidate."""
     choice = module("choice")
-    offsets = {"path": 0.3, "bpt": 0.1, "bpt with 6 connections": 0.2, "vcm": 0.4, "probe": 0.11}
-    assert offsets.keys() == {*choice.CANDIDATES, "probe"}
+    offsets = {"path": 0.3, "bpt": 0.1, "bpt with 6 connections": 0.2, "vcm": 0.4, "learn": 0.11}
+    assert offsets.keys() == {*choice.FIXED, "learn"}
 
     def render(source, method, *, seconds, size, seed, radius):
         """Halves of the reference, 1 on average."""
@@ -276,11 +276,11 @@ def test_choice_holds_auto_against_its_best_candidate(monkeypatch):
         if options["seconds"] < 1.0:
             filled.add((folder, choice))
         elif choice in offsets:
-            assert {(folder, name) for name in offsets if name != "probe"} <= filled, "kernels were to be there"
+            assert {(folder, name) for name in offsets if name != "learn"} <= filled, "kernels were to be there"
         extreme = 50.0 if choice and options["seed"] == 2 else 1.0  # one seed of three
         offset = offsets[choice] if choice else {"path": 0.2, "auto": 0.1}[options["method"]]
         np.save(options["out"], np.full((8, 8, 3), 1.0 + extreme * offset, np.float32))
-        samples = {"probe": 6, "bpt": 8}.get(choice, 10)
+        samples = {"learn": 6, "bpt": 8}.get(choice, 10)
         return {"samples": samples, "chosen": "bpt" if choice else options["method"]}
 
     monkeypatch.setattr(choice, "render", render)

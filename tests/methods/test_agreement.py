@@ -32,7 +32,7 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "pssmlt": ("pssmlt", {"bootstrap": 1 << 14}),
 }
 #: Methods whose passes depend on each other: independent runs have the variance.
-DEPENDENT = ("guided", "vegas", "pssmlt", "mmlt", "film_metropolis")
+DEPENDENT = ("auto", "guided", "vegas", "pssmlt", "mmlt", "film_metropolis")
 #: Those that trace paths of the lights as well.
 BOTH_WAYS = ("bpt cache", "bpt path", "light")
 #: What only the slow table runs.
@@ -41,6 +41,7 @@ MORE = {
     "bpt counts": ("bpt", {"connections": 3, "next_events": 2, "light_paths": 0.5}),
     "vegas one path": ("vegas", {"one_path": True, "groups": "film; light; bounce", "learning": "stratified"}),
     "mmlt": ("mmlt", {"bootstrap": 1 << 14}),
+    "auto": ("auto", {"radius": 0.001}),
     "pssmlt bidirectional": ("pssmlt", {"bootstrap": 1 << 14, "estimator": "bidirectional"}),
     "film_metropolis": ("film_metropolis", {"bootstrap": 1 << 14}),
     "stratified joint": ("stratified", {"parameters": "light1 bounce1", "bsdf_sampling": False}),

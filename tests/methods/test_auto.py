@@ -1,218 +1,219 @@
-"""The probe's arithmetic, and that what it chose is what renders."""
+"""Sample counts that are chosen while it renders: the moments, the arithmetic of the choice, and the runs."""
 
 from __future__ import annotations
-
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from support import scenes
-from support.running import go, prepared
+from support.running import go, prepared, replicas, run
+from support.statistics import assert_agree
+from support.tables import thinned
 
-from etendue.core import Iterations, Measurement, Pass
-from etendue.methods import auto
-from etendue.methods.auto import CANDIDATES, choose, costs
+from etendue.core import CheckpointError
+from etendue.methods.auto import CANDIDATES, FIXED, LEARNER, Learned, Work, describe
+from etendue.methods.auto import method as auto
+from etendue.transport import TILE, Candidate
 
-SIZE = (16, 16, 3)
-
-
-def measured(pictures, first=0):
-    """Measurements of some passes, each given as a picture."""
-    return [
-        Measurement({"image": p.copy()}, {"image": 1.0}, Iterations.single(i), {"image": np.square(p)})
-        for i, p in enumerate(pictures, first)
-    ]
+PATH = FIXED["path"]
+WORK = Work(edges=3.0, smooth=2.0, photons=4.0, vertices=2.0)
 
 
-def noisy(mean, deviation, seed, passes=6):
-    random = np.random.default_rng(seed)
-    return measured([mean + deviation * random.standard_normal(SIZE) for _ in range(passes)])
+def test_cost_grows_with_each_count():
+    """Path tracing costs its edges; any light path costs more than none, and each count adds to the cost."""
+    assert WORK.cost(PATH) == 3.0
+    rising = [(0.0, 0, False), (0.125, 0, False), (0.125, 1, False), (0.125, 1, True), (0.5, 1, True), (0.5, 2, True)]
+    costs = [WORK.cost(Candidate(*counts)) for counts in rising]
+    assert costs == sorted(set(costs))
 
 
-def test_cost_is_time_times_error():
-    flat = np.ones(SIZE)
-    passes = {"slow": noisy(flat, 0.1, 1), "fast": noisy(flat, 0.1, 2), "exact": noisy(flat, 0.02, 3)}
-    cost = costs({"slow": 2.0, "fast": 1.0, "exact": 4.0}, passes)
-    # Error of a pass: variance / (mean^2 + 0.01); the estimate of a variance from 768 x 6 numbers is good to 3 %.
-    assert cost["slow"] == pytest.approx(2.0 * 0.01 / 1.01, rel=0.15)
-    assert cost["fast"] == pytest.approx(1.0 * 0.01 / 1.01, rel=0.15)
-    assert cost["exact"] == pytest.approx(4.0 * 0.0004 / 1.01, rel=0.15)
+def learned(pictures, moment, mean):
+    """Passes with these pictures, and moments and means of camera paths that are the same in all tiles."""
+    result = Learned.none()
+    for picture in pictures:
+        rows, columns = (-(-side // TILE) for side in picture.shape)
+        tiles = np.broadcast_to(np.array([moment, mean]), (rows, columns, 2, len(moment)))
+        result = result.after(tiles, picture, [3.0, 2.0, 4.0, 2.0])
+    return result
 
 
-def test_light_that_was_missed_counts():
-    """A quarter of the picture has a caustic that one candidate has not found: a long run will not find it either."""
-    lit = np.ones(SIZE)
-    lit[:8, :8] += 3.0
-    cost = costs({"blind": 1.0, "seeing": 1.0}, {"blind": noisy(np.ones(SIZE), 0.01, 1), "seeing": noisy(lit, 0.3, 2)})
-    assert cost["blind"] == pytest.approx(64 * 0.25 * 9 / 16, rel=0.05)
-    assert cost["seeing"] < 0.02 * cost["blind"]
+def test_error_is_the_moment_less_the_squared_mean():
+    """A film whose sides no tile divides. The last candidate has half of its light from splats."""
+    what = learned([np.full((13, 21), 2.0)] * 2, [5.0, 8.0, 5.0], [2.0, 2.0, 1.0])
+    np.testing.assert_allclose(what.errors(), np.array([1.0, 4.0, 4.0]) / 4.01, rtol=1e-6)
+    assert what.mean_work() == WORK
 
 
-def test_one_bright_sample_is_not_missed_light():
-    flat = np.ones(SIZE)
-    firefly = [flat.copy() for _ in range(6)]
-    firefly[2][5, 5] = 500.0
-    cost = costs({"plain": 1.0, "speckled": 1.0}, {"plain": noisy(flat, 0.1, 1), "speckled": measured(firefly)})
-    assert cost["plain"] == pytest.approx(0.01 / 1.01, rel=0.15)
-    assert cost["speckled"] > 10 * cost["plain"]
+def test_contrast_within_a_tile_is_no_noise():
+    """Pixels of 0 and 4, without noise: the mean of the squares is 8, that of the picture 2."""
+    picture = np.indices((16, 16)).sum(axis=0) % 2 * 4.0
+    what = learned([picture, picture], [8.0, 9.0], [2.0, 2.0])
+    assert what.errors() == pytest.approx([1e-3 * 8.0 / 4.01, 1.0 / 4.01], rel=1e-5)
+    noisy = [picture + noise for noise in (0.5, -0.5)]  # only products of different passes
+    assert learned(noisy, [8.0, 9.0], [2.0, 2.0]).errors()[1] == pytest.approx(1.25 / 4.01, rel=1e-5)
 
 
-def test_the_simpler_one_unless_it_is_worth_it():
-    assert choose({"path": 1.0, "bpt": 0.95, "vcm": 0.92}) == "path"
-    assert choose({"path": 1.0, "bpt": 0.85, "vcm": 0.8}) == "bpt"
-    assert choose({"path": 1.0, "bpt": 0.85, "vcm": 0.1}) == "vcm"
+def test_what_was_learned_is_a_value():
+    what = learned([np.full((13, 21), 2.0)] * 2, [5.0, 8.0], [2.0, 2.0])
+    again = Learned.of(what.state())
+    assert again.passes == 2 and (again.errors() == what.errors()).all() and again.mean_work() == what.mean_work()
 
 
-@pytest.mark.parametrize("name", CANDIDATES)
-def test_what_was_chosen_is_what_renders(name):
-    problem = scenes.room("rectangle", "rough")
-    cls, settings = CANDIDATES[name]
-    auto = go(prepared(problem, "auto", choice=name, samples_per_pass=4), 2)
-    own = go(prepared(problem, cls.name, samples_per_pass=4, **settings), 2)
-    np.testing.assert_allclose(auto.mean, own.mean, rtol=1e-5, atol=1e-7)
+# ---------------------------------------------------------------------- moments against brute force
 
 
-class Clock:
-    """Time that passes only where a candidate is prepared or steps: seconds by name, (start, pass)."""
-
-    def __init__(self, monkeypatch, taking):
-        self.now, self.steps, self._taking = 0.0, [], taking
-        monkeypatch.setattr(auto, "time", SimpleNamespace(perf_counter=lambda: self.now))
-        monkeypatch.setattr(auto.Auto, "_method", lambda _, name: self.candidate(name))
-
-    def candidate(self, name):
-        clock, (start, seconds) = self, self._taking[name]
-        noise = {"path": 0.3, "bpt": 0.2, "bpt with 6 connections": 0.15, "vcm": 0.02}[name]
-
-        class Candidate:
-            def prepare(self, problem, seed):
-                clock.now += start
-
-            def start(self):
-                return {}
-
-            def step(self, iteration, seed, state):
-                clock.now += seconds
-                clock.steps.append((name, iteration))
-                random = np.random.default_rng((iteration, seed))
-                return Pass(measured([np.ones(SIZE) + noise * random.standard_normal(SIZE)], iteration)[0], state)
-
-        return Candidate()
+def variance(images):
+    """Mean over the film of the variance between passes."""
+    return float(images.mean(axis=3).var(axis=0, ddof=1).mean())
 
 
-#: Seconds of preparation and of a pass, on a small film and on a large one.
-TAKES = {"path": (0.1, 0.1), "bpt": (0.5, 0.2), "vcm": (0.6, 0.3), "bpt with 6 connections": (0.8, 0.35)}
-LARGE = {name: (start, 10.0 * seconds) for name, (start, seconds) in TAKES.items()}
-COLD = {name: (8.0 * start, seconds) for name, (start, seconds) in TAKES.items()}
+SAMPLES = 16
+BRUTE = {
+    "path": PATH,
+    "bpt": FIXED["bpt"],
+    "few light paths": Candidate(0.125, 1, False),
+    "splats only": Candidate(0.5, 0, False),
+    "many connections": Candidate(0.5, 8, False),
+    "vcm": FIXED["vcm"],
+    "vcm, many light paths": Candidate(1.0, 4, True),
+}
 
 
-def planned(seconds=None, passes=None, error=None, problem=None, **settings):
-    runner = prepared(problem or scenes.room("sphere", "specular"), "auto", samples_per_pass=4, **settings)
-    runner.plan(seconds, passes, error)
-    return runner
+@pytest.fixture(scope="module")
+def estimated():
+    """Eight passes that learn, in a room with a rough and a smooth thing."""
+    method = prepared(
+        scenes.room("rectangle", scenes.FEW), "auto", samples_per_pass=SAMPLES, probe_passes=1000, rr_depth=2
+    )
+    go(method, 8)
+    return method
 
 
-@pytest.mark.parametrize("takes", [TAKES, LARGE, COLD], ids=["small", "large", "cold"])
-@pytest.mark.parametrize("seconds", [5.0, 12.0, 30.0, 120.0])
-def test_a_fifth_of_the_time_at_most_is_for_probing(takes, seconds, monkeypatch):
-    """What is lost is all that is neither a pass of the picture nor what the choice takes to begin."""
-    clock = Clock(monkeypatch, takes)
-    runner = planned(seconds)
-    passes = 0
-    while not passes or clock.now < seconds:
-        runner.step(passes, 1)
-        passes += 1
-    start, per_pass = takes[runner.state()["choice"]]
-    assert clock.now - start - passes * per_pass <= 0.2 * seconds
-    assert passes >= 0.7 * (seconds - start) / per_pass
-    if seconds < 6.0:
-        assert {name for name, _ in clock.steps} == {"path"}
+@pytest.mark.parametrize("name", thinned(BRUTE, ("path", "bpt", "vcm")))
+def test_moments_are_those_of_the_candidate(estimated, name):
+    """The variance that the learning passes foresee, and that between passes with the candidate's counts."""
+    counts = BRUTE[name]
+    method = estimated.method
+    what = method._learned
+    moments, means = np.moveaxis(what.tiles.astype(float) / what.passes, 2, 0)[..., CANDIDATES.index(counts)]
+    picture = what.picture / what.passes
+    images = []
+    for iteration in range(100, 140):
+        if counts.light_paths:
+            method._vcm.use(counts)
+        render = method._vcm.render_pass if counts.light_paths else method._path
+        images.append(render(iteration, 1, SAMPLES)[0]["image"] / SAMPLES)
+    images = np.stack(images).astype(float)
+    share = means.mean() / picture.mean()
+    foreseen = moments.mean() - share**2 * np.square(images.mean(axis=(0, 3))).mean()
+    assert foreseen == pytest.approx(variance(images) * SAMPLES, rel=0.2)
 
 
-def test_the_best_is_found_where_there_is_time(monkeypatch):
-    Clock(monkeypatch, TAKES)
-    runner = planned(60.0)
-    runner.step(0, 1)
-    state = runner.state()
-    assert state["choice"] == "vcm"
-    assert {"path", "bpt", "vcm"} <= state["costs"].keys()
+# ---------------------------------------------------------------------- the choice
 
 
-def test_passes_of_the_probe_are_those_of_the_picture(monkeypatch):
-    """Each pass of the choice is made once, and given out as the pass that it is."""
-    clock = Clock(monkeypatch, TAKES)
-    runner = planned(60.0)
-    total = runner.step(0, 1)
-    for iteration in range(1, 12):
-        total += runner.step(iteration, 1)
-    own = [iteration for name, iteration in clock.steps if name == "vcm"]
-    assert own == list(range(12))
-    assert len(total.iterations) == 12
+def test_what_is_fixed_renders_as_the_method_itself():
+    problem = scenes.room("rectangle", scenes.FEW)
+    for name, settings in (("path", {}), ("bpt", {})):
+        own = go(prepared(problem, name, samples_per_pass=4, **settings), 2)
+        fixed = go(prepared(problem, "auto", choice=name, samples_per_pass=4), 2)
+        np.testing.assert_allclose(fixed.mean, own.mean, rtol=1e-5, atol=1e-7)
 
 
-def test_without_seconds_the_probe_is_bounded_by_the_work_predicted(monkeypatch):
-    for budget, probes in (
-        ({"passes": 20}, False),  # two seconds of path
-        ({"passes": 1000}, True),
-        ({"error": 0.02}, False),  # 0.09 / 1.01 a pass: five passes
-        ({"error": 1e-4}, True),
-        ({"passes": 50}, False),
-    ):
-        clock = Clock(monkeypatch, TAKES)
-        planned(**budget).step(0, 1)
-        assert ({name for name, _ in clock.steps} != {"path"}) == probes, budget
+def foresee(monkeypatch, best):
+    """Make each learning pass find the next of ``best`` to have the least error, the last for ever after."""
+    calls = [0]
+
+    def errors(what):
+        wanted = best[min(calls[0], len(best) - 1)]
+        calls[0] += 1
+        return np.array([1e-6 if c == wanted else 1.0 for c in CANDIDATES])
+
+    monkeypatch.setattr(Learned, "errors", errors)
+
+
+def test_learning_is_a_bounded_share(monkeypatch):
+    """Two passes first; later ones as the cost of the run grows. Path tracing has long to go until then."""
+    foresee(monkeypatch, [PATH])
+    monkeypatch.setattr(auto, "_SHARE", 0.2)
+    method = prepared(scenes.room("rectangle", scenes.FEW), "auto", samples_per_pass=4)
+    counts, learned_after = [], []
+    for iteration in range(60):
+        method.step(iteration, 1)
+        counts.append(method.state()["counts"])
+        learned_after.append(method.state()["learned"]["passes"])
+    assert learned_after[:3] == [1, 2, 2] and counts[1:] == [[0.0, 0, False]] * 59
+    spent, learning = method.state()["spent"]
+    assert learned_after[-1] > 2 and learning <= 0.2 * spent
+
+
+def test_light_that_is_found_late(monkeypatch):
+    """The first passes see no caustic, and path tracing is chosen; a later one sees it."""
+    foresee(monkeypatch, [PATH, PATH, FIXED["vcm"]])
+    monkeypatch.setattr(auto, "_SHARE", 0.5)
+    method = prepared(scenes.room("rectangle", ("dielectric",)), "auto", samples_per_pass=4)
+    chosen = []
+    for iteration in range(30):
+        method.step(iteration, 1)
+        chosen.append(describe(Candidate(*method.state()["counts"])))
+    changed = chosen.index("vcm")
+    assert changed > 2 and set(chosen[:changed]) == {"path"} and set(chosen[changed:]) == {"vcm"}
+
+
+@pytest.mark.slow
+def test_light_that_is_found_late_is_in_the_picture(monkeypatch):
+    """The mean over 64 runs that change from path tracing to merging is that of path tracing."""
+    problem = scenes.room("rectangle", ("dielectric",))
+    reference = run(problem, "path", passes=12, samples=1024).images
+    monkeypatch.setattr(auto, "_SHARE", 0.5)
+    pictures = []
+    for seed in range(64):
+        with monkeypatch.context() as patch:
+            foresee(patch, [PATH, PATH, FIXED["vcm"]])
+            pictures.append(run(problem, "auto", 16, 16, 10 + seed, radius=0.001).mean)
+    assert_agree(np.stack(pictures), reference, "auto that changes its choice")
+
+
+@pytest.mark.parametrize("runs", thinned((8, 64), (8,)))
+def test_the_mean_of_runs_that_learn(runs):
+    """Learning included, against path tracing; the radius is small, so that merging has no bias to speak of."""
+    problem = scenes.room("rectangle", scenes.FEW)
+    reference = run(problem, "path", passes=8, samples=256).images
+    assert_agree(replicas(problem, "auto", runs, 5, 16, radius=0.001), reference, "auto", precision=0.03)
+
+
+def test_the_choice_goes_with_the_checkpoint():
+    problem = scenes.room("rectangle", scenes.FEW)
+    method = prepared(problem, "auto", samples_per_pass=4)
+    total = go(method, 3).measurement
+    state = method.state()
+    assert state["learned"]["passes"] == 2
+    metadata = method.develop(total).metadata
+    assert metadata["chosen"] == describe(Candidate(*state["counts"])) and metadata["products"]
+    again = prepared(problem, "auto", samples_per_pass=4)
+    again.restore(state)
+    np.testing.assert_allclose(again.step(3, 1).mean(), method.step(3, 1).mean(), rtol=1e-5, atol=1e-6)
+    with pytest.raises(CheckpointError, match="another picture"):
+        other = prepared(scenes.room("rectangle", scenes.FEW, size=(8, 8)), "auto", samples_per_pass=4)
+        other.restore(state)
+    with pytest.raises(CheckpointError, match="probe"):
+        again.restore({"choice": "path", "costs": {}, "chosen": {}})
 
 
 @pytest.mark.parametrize(
     ("lamp", "material", "choice"),
-    [("point", "specular", "bpt"), ("point", ("roughconductor",), "path"), ("rectangle", "specular", "path")],
+    [("point", ("dielectric",), "bpt"), ("point", scenes.FEW, "path"), ("rectangle", ("dielectric",), "path")],
 )
-def test_what_only_light_paths_find_is_not_left_to_path(lamp, material, choice, monkeypatch):
+def test_a_short_run_learns_nothing(lamp, material, choice):
     """A point light and glass: path tracing sees no caustic, however long it runs."""
-    Clock(monkeypatch, TAKES)
-    runner = planned(5.0, problem=scenes.room(lamp, material))
-    runner.step(0, 1)
-    assert runner.state()["choice"] == choice
+    method = prepared(scenes.room(lamp, material), "auto", samples_per_pass=1)
+    method.plan(5.0, None, None)
+    method.step(0, 1)
+    assert describe(Candidate(*method.state()["counts"])) == choice
+    assert method.state()["learned"]["passes"] == 0
 
 
-@pytest.mark.parametrize(
-    ("lamp", "material", "choice"),
-    [("rectangle", "specular", "vcm"), ("rectangle", "rough", "path"), ("constant", "specular", "path")],
-)
-def test_caustics_are_expected_where_nothing_can_be_compared(lamp, material, choice, monkeypatch):
-    """Cold kernels: vcm would take longer than a probe may."""
-    Clock(monkeypatch, COLD)
-    runner = planned(15.0, problem=scenes.room(lamp, material))
-    runner.step(0, 1)
-    assert runner.state()["choice"] == choice
-    assert not runner.state()["costs"]
-
-
-def test_a_film_whose_passes_would_fill_the_memory_is_not_probed(monkeypatch):
-    clock = Clock(monkeypatch, TAKES)
-    runner = planned(60.0)
-    runner.problem.memory = 600 * runner.camera.pixels - 1
-    runner.step(0, 1)
-    assert set(clock.steps) == {("path", 0)}
-
-
-def test_the_probe_and_its_state(monkeypatch):
-    monkeypatch.setattr(auto, "_LEAST", 0.0)
-    problem = scenes.room("sphere", "specular")
-    runner = planned(1000.0, problem=problem, probe_passes=2)
-    first = runner.step(0, 1)
-    state = dict(runner.state())
-    assert state["choice"] in CANDIDATES
-    assert {"path", "bpt", "vcm"} <= set(state["costs"]) <= set(CANDIDATES)
-    assert all(cost > 0 for cost in state["costs"].values())
-    metadata = runner.develop(first).metadata
-    assert metadata["chosen"] == state["choice"]
-    cls, settings = CANDIDATES[state["choice"]]
-    own = go(prepared(problem, cls.name, samples_per_pass=4, **settings), 3)
-    probed = go(runner, 2, first=1).measurement + first
-    np.testing.assert_allclose(probed.mean(), own.mean, rtol=1e-4, atol=1e-6)
-    other = "vcm" if state["choice"] != "vcm" else "path"
-    resumed = prepared(problem, "auto", samples_per_pass=4)
-    resumed.restore(state | {"choice": other, "chosen": {}})  # no probe of its own
-    assert resumed.step(1, 1).sums.keys() == first.sums.keys()
-    assert resumed.state()["choice"] == other
+def test_a_black_scene_is_no_error():
+    problem = scenes.room("rectangle", scenes.FEW)
+    method = prepared(problem, "auto", samples_per_pass=2, max_depth=0)
+    assert not go(method, 3).mean.any()
+    assert LEARNER not in FIXED.values()

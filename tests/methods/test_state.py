@@ -20,16 +20,19 @@ from etendue.core import Measurement, Replica
 from etendue.engine import Budget, Checkpoint, Job, RunError, Runner, RunResult
 from etendue.methods.adaptive.stratified import StratifiedPath
 from etendue.methods.adaptive.vegas import VegasPath
+from etendue.methods.auto import Auto
 from etendue.methods.bidirectional import Bidirectional
 from etendue.methods.guided import Guided
+from etendue.methods.learned_emission import LearnedEmission
 from etendue.methods.metropolis.method import MetropolisMethod
 from etendue.methods.photon.progressive import Sppm
 from etendue.methods.store import VertexRoom
-from etendue.transport import LightChoice
+from etendue.transport import EmissionGuide, LightChoice
 
 PASSES = 6
 GUIDED = {"samples_per_pass": 16, "cell_samples": 200}
 PSSMLT = {"samples_per_pass": 8, "bootstrap": 1 << 12}
+BPT = {"samples_per_pass": 8, "guide_emission": "on"}
 VEGAS = {"samples_per_pass": 16, "update": 2}
 #: By name: method, settings, what learns, at which of its calls a pass fails, and how. Passes of ``guided`` that end a
 #: generation are the first and the third.
@@ -37,15 +40,20 @@ LEARNERS: dict[str, tuple[str, dict[str, Any], type, str, int, type[BaseExceptio
     "guided within a generation": ("guided", GUIDED, Guided, "_learn", 5, KeyboardInterrupt),
     "guided at the end of one": ("guided", GUIDED, Guided, "_learn", 3, RuntimeError),
     "guided in the midst of that": ("guided", GUIDED, LightChoice, "learn", 2, KeyboardInterrupt),
+    "auto": ("auto", {"samples_per_pass": 4}, Auto, "_decide", 2, KeyboardInterrupt),
     "vegas between two changes": ("vegas", VEGAS, VegasPath, "_learn", 5, RuntimeError),
     "vegas at a change": ("vegas", VEGAS | {"tile": 8}, VegasPath, "_learn", 4, KeyboardInterrupt),
     "stratified": ("stratified", {"samples_per_pass": 64, "update": 2}, StratifiedPath, "_plan", 2, RuntimeError),
     "sppm": ("sppm", {"samples_per_pass": 2, "radius": 0.05}, Sppm, "finish", 4, KeyboardInterrupt),
     "ppm": ("ppm", {"samples_per_pass": 2, "radius": 0.05}, Sppm, "finish", 4, RuntimeError),
     "pssmlt": ("pssmlt", PSSMLT, MetropolisMethod, "_tune", 3, KeyboardInterrupt),
+    "bpt within a generation": ("bpt", BPT, LearnedEmission, "end_pass", 5, KeyboardInterrupt),
+    "bpt at the end of one": ("bpt", BPT, EmissionGuide, "learn", 2, RuntimeError),
 }
 #: Bytes: enough for the light vertices of a pass, and not for six times as many.
 MEMORY = 1_200_000
+#: Those of :data:`LEARNERS` that the fast tests run.
+FAST = ["guided within a generation", "guided in the midst of that", "auto", "vegas at a change", "sppm", "pssmlt"]
 #: Photons are summed in another order in each run.
 IN_ANY_ORDER = {"rtol": 1e-4, "atol": 1e-6}
 
@@ -98,7 +106,7 @@ def assert_goes_on(new: Callable[[], Any], left: RunResult, whole: Measurement, 
         np.testing.assert_allclose(total.mean(), whole.mean(), **(near or {"rtol": 0.0}))
 
 
-@pytest.mark.parametrize("name", thinned(LEARNERS, list(LEARNERS)[::2]))
+@pytest.mark.parametrize("name", thinned(LEARNERS, FAST))
 def test_a_pass_that_fails_as_it_learns(name, monkeypatch, tmp_path):
     method, settings, owner, step, call, error = LEARNERS[name]
     problem = scenes.room("mixed", scenes.FEW)
@@ -111,7 +119,13 @@ def test_a_pass_that_fails_as_it_learns(name, monkeypatch, tmp_path):
         failing(patch, owner, step, call, error)
         left = broken_off(new())
     assert 0 < left.passes < PASSES
-    assert_goes_on(new, left, whole, tmp_path / "a", **(IN_ANY_ORDER if owner in (Sppm, MetropolisMethod) else {}))
+    assert_goes_on(
+        new,
+        left,
+        whole,
+        tmp_path / "a",
+        **(IN_ANY_ORDER if owner in (Sppm, MetropolisMethod, Auto, LearnedEmission, EmissionGuide) else {}),
+    )
 
 
 def grouped(problem: Any, method: str) -> Any:
@@ -179,8 +193,10 @@ CARRYING = {
     "vegas": ("vegas", VEGAS, {}),
     "sppm": ("sppm", {"samples_per_pass": 2, "radius": 0.05}, IN_ANY_ORDER),
     "ppm": ("ppm", {"samples_per_pass": 2, "radius": 0.05}, IN_ANY_ORDER),
-    "auto": ("auto", {"samples_per_pass": 4, "choice": "path"}, {}),
+    "auto": ("auto", {"samples_per_pass": 4}, IN_ANY_ORDER),
     "bpt": ("bpt", {"samples_per_pass": 4}, IN_ANY_ORDER),
+    "bpt that learns": ("bpt", BPT, IN_ANY_ORDER),
+    "vcm that learns": ("vcm", BPT, IN_ANY_ORDER),
     "pssmlt": ("pssmlt", PSSMLT, IN_ANY_ORDER),
     "pssmlt bidirectional": ("pssmlt", PSSMLT | {"estimator": "bidirectional"}, IN_ANY_ORDER),
     "mmlt": ("mmlt", PSSMLT, IN_ANY_ORDER),

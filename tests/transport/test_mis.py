@@ -22,7 +22,7 @@ import pytest
 from support.tables import crossed, thinned
 
 from etendue.core import on_device
-from etendue.transport import GRAZING, Mis, Techniques
+from etendue.transport import GRAZING, Counts, Mis, Techniques
 
 #: Random paths for each pattern of specular vertices.
 COPIES = 8
@@ -132,12 +132,18 @@ class Paths:
     # ---- the same through the recursion
 
     def computed(
-        self, keys: Iterable[Key], t: Techniques, eta: float, light_paths: float, more: Iterable[float] = ()
+        self,
+        keys: Iterable[Key],
+        t: Techniques,
+        eta: float,
+        light_paths: float,
+        more: Iterable[float] = (),
+        candidates: Iterable[Counts] = (),
     ) -> dict[Key, np.ndarray]:
         """The weights of the techniques ``keys``, as the walks and joints would compute them; those of ``eta``, with
-        ``more`` radii in the same walk."""
+        ``more`` radii in the same walk. With ``candidates``, their ratios: (candidates, lanes)."""
         k = self.k
-        mis = Mis(t, [mi.Float(value) for value in (*more, eta)], mi.Float(light_paths))
+        mis = Mis(t, [mi.Float(value) for value in (*more, eta)], mi.Float(light_paths), list(candidates))
         delta = mi.Bool(self.light == "delta")
         d2, cos_in, cos_out = (_floats(v) for v in (self.d2, self.cos_in, self.cos_out))
         forward, reverse = _floats(self.forward), _floats(self.reverse)
@@ -188,8 +194,10 @@ class Paths:
                     weight = mis.splat_weight(*light[j], cos_in[j], reverse[j], pixel * cos_out[j] / d2[j])
                 case _:
                     weight = mis.merge_weight(depth(k, j), camera[j], light[j], reverse[j], forward[j])
-            weights[family, j] = weight[-1]
+            weights[family, j] = weight.ratios if candidates else weight[-1]
         dr.eval(weights)
+        if candidates:
+            return {key: np.stack([np.broadcast_to(np.array(r), self.lanes) for r in w]) for key, w in weights.items()}
         return {key: np.broadcast_to(np.array(w, np.float64), self.lanes) for key, w in weights.items()}
 
 
@@ -266,6 +274,34 @@ def test_several_radii_in_one_walk(name, light, beta):
     """The recursion without a radius, filled in last, gives the same weights."""
     techniques = dataclasses.replace(TABLE[name], beta=beta)
     assert sum(check(Paths(k, light), techniques, more=(2.0, 0.01)) for k in (2, 3, 4)) > 0
+
+
+#: Connections, eta and light paths.
+OTHER_COUNTS = ((0, 0.0, 0.0), (0, 0.0, 3.0), (4, 0.0, 3.0), (0, 0.7, 24.0), (2, 0.05, 1.5))
+
+
+@pytest.mark.parametrize(("light", "beta"), crossed(LIGHTS, (1, 2), 4))
+@pytest.mark.parametrize("name", [name for name, t in TABLE.items() if t.merge and t.emission and t.next_event])
+def test_denominators_for_other_counts(name, light, beta):
+    """The ratio of the weights' denominators is that of the sums of all densities times their counts."""
+    t, eta, light_paths = dataclasses.replace(TABLE[name], beta=beta), 0.3, 12.0
+    candidates = [Counts(float(n), float(k), e) for k, e, n in OTHER_COUNTS]
+    checked = 0
+    for k in (2, 3, 4):
+        paths = Paths(k, light)
+        used = paths.products(t, eta, light_paths)
+        total = sum(product**beta for product in used.values())
+        ratios = paths.computed(used, t, eta, light_paths, candidates=candidates)
+        for i, (connections, other_eta, other_paths) in enumerate(OTHER_COUNTS):
+            other = dataclasses.replace(t, connection=connections)
+            sums = sum(p**beta for p in paths.products(other, other_eta, other_paths).values())
+            with np.errstate(divide="ignore", invalid="ignore"):
+                expected = np.minimum(total / sums, 1e6)  # the bound where a candidate cannot sample a path
+            for key, product in used.items():
+                own = product > 0.0
+                np.testing.assert_allclose(ratios[key][i][own], expected[own], rtol=1e-3, err_msg=f"{key} {k} {i}")
+                checked += int(own.sum())
+    assert checked > 0
 
 
 @pytest.mark.parametrize("light", LIGHTS)

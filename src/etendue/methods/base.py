@@ -148,6 +148,8 @@ class ImageMethod(ABC):
     one_place = False
     #: An instance of ``Settings``.
     settings: Any
+    #: The layer of shapes and their names, if it is asked for; subclasses may have a ``prepare`` of their own.
+    _shapes: Any = None
 
     def __init__(self, settings: ImageSettings | None = None) -> None:
         self.settings = settings if settings is not None else self.Settings()
@@ -252,9 +254,9 @@ class ImageMethod(ABC):
         return self.settings.max_depth if self.settings.max_depth >= 0 else 1 << 30
 
     def walker(self, kind: type[W], **own: Any) -> W:
-        """A walker of class ``kind`` for the prepared scene; ``own``: the fields that the class adds."""
+        """A walker of class ``kind`` for the prepared scene; ``own``: the fields that the class adds, or others."""
         common = {"visibility": self.visibility, "lights": self.lights, "max_edges": self.edges}
-        return kind(**common, rr_depth=self.settings.rr_depth, **own)
+        return kind(**(common | own), rr_depth=self.settings.rr_depth)
 
     def camera_numbers(
         self, lanes: mi.UInt32, samples: int, seed: int, iteration: int, role: str = "camera"

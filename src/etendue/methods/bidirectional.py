@@ -18,14 +18,14 @@ Limit: a caustic of a point light that is seen in a mirror is found by merging o
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import Carrying, IndependentSource, OptionError, State, free_memory, logger
+from etendue.core import Carrying, IndependentSource, State, logger
 from etendue.density import HashGrid
 from etendue.film import COMPONENTS, REFLECTED
 from etendue.scene import Problem
@@ -33,11 +33,13 @@ from etendue.transport import (
     PICK_BLOCK,
     CameraSink,
     CameraWalk,
+    Candidate,
     Gather,
     LightCache,
     LightVertices,
     LightWalk,
     Mis,
+    Moments,
     Pyramid,
     Splats,
     SplatSink,
@@ -59,7 +61,8 @@ from .base import (
     with_image,
 )
 from .bidirectional_settings import BidirectionalSettings, BpmSettings, BptSettings
-from .store import STORE_SHARE, VertexRoom
+from .learned_emission import LearnedEmission, learned_emission
+from .store import VertexRoom, check_pyramid
 
 
 @dataclass
@@ -77,6 +80,7 @@ class _Run:
     splats: Splats | None
     pyramid: Pyramid | None
     capacity: int  #: of the vertex store
+    moments: Moments | None = None
 
 
 def _concatenated(colours: list[mi.Color3f]) -> mi.Color3f:
@@ -90,11 +94,24 @@ class Bidirectional(Carrying, ImageMethod):
     Settings: ClassVar[type[ImageSettings]] = BidirectionalSettings
     settings: BidirectionalSettings
     citations: ClassVar[tuple[str, ...]] = ("Georgiev2012", "Georgiev2012b", "Hachisuka2012", "Davidovic2014")
+    #: Estimates of the next passes' second moments, if they are wanted; cleared at the begin of a pass. If it is set
+    #: before :meth:`prepare`, the pilot has the kernels of those passes.
+    moments: Moments | None = None
+    #: Numbers of the light paths' sequence that a pass takes, if it is more than there are paths.
+    light_stride = 0
+
+    _learning: LearnedEmission | None = None
+
+    @property
+    def carries_on(self) -> bool:  # type: ignore[override]
+        """Whether passes learn from those before; known once it is prepared."""
+        return self._learning is not None
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. A pilot pass measures the number of light vertices and the mean radiance."""
         self._forget_states()
         super().prepare(problem, seed)
+        self._learning = learned_emission(self)
         s = self.settings
         self.techniques = Techniques(
             emission=int(s.connecting),
@@ -112,40 +129,38 @@ class Bidirectional(Carrying, ImageMethod):
             )
         self._factors = (1.0, *radii.factors(s.radii))
         self.one_place = s.pyramid  # the pictures of a pyramid are filtered once, at the end of a pass
-        self._check_pyramid(problem.memory)
+        if s.pyramid:
+            check_pyramid(self.techniques, s.pyramid_depth, self.camera, problem.memory)
         self._indexed = needs_interaction(problem.scene)
         self._box = corners(problem)
         self._paths = max(1, round(s.light_paths * self.camera.pixels * self.samples_per_iteration))
         self._first_radius = radii.absolute_radius(self, s.radius, s.radius_unit, seed) if s.merging else 0.0
         bytes_per_vertex = LightVertices.bytes_per_vertex(
-            bool(self.techniques.connection), self.techniques.merge, bool(self._more_radii)
+            bool(self.techniques.connection),
+            self.techniques.merge,
+            bool(self._more_radii) or self.light_stride > 0,
+            bool(self._learning),
         )
         floats = LightVertices.floats_per_vertex(bool(self.techniques.connection))
         self._room = VertexRoom(bytes_per_vertex, floats, problem.memory)
         self._pilot(seed)
         self._groups = self._count_groups()
 
+    def use(self, counts: Candidate) -> None:
+        """Give further passes other sample counts than those of the settings."""
+        merging = counts.merging and self.settings.merging
+        self.techniques = replace(self.techniques, connection=counts.connections, merge=merging)
+        self._paths = max(1, round(counts.light_paths * self.camera.pixels * self.samples_per_iteration))
+        self._groups = self._count_groups()
+
+    def left(self) -> State:
+        """The state after a call of :meth:`render_pass` that was not part of a ``step``."""
+        self._held = self._left()
+        return self._held
+
     def full_lanes(self) -> int:
         """See :class:`ImageMethod`."""
         return STEP_LANES if self.settings.merging or self.settings.pyramid else super().full_lanes()
-
-    def _check_pyramid(self, memory: int | None) -> None:
-        """Raise :class:`OptionError` if the layers of the pyramid and the light vertices do not fit into memory."""
-        if not self.settings.pyramid:
-            return
-        depth, camera = self.settings.pyramid_depth, self.camera
-        needed = Pyramid.bytes(self.techniques, depth, camera.pixels)
-        what = f"a technique pyramid of depth {depth} at {camera.width}x{camera.height} needs {needed / 1e6:.0f} MB"
-        how = "lower pyramid_depth or the picture's size"
-        if memory is not None and needed > (1.0 - STORE_SHARE) * memory:
-            least = needed / (1.0 - STORE_SHARE) / 1e6
-            raise OptionError(
-                f"{what}, too much for a memory limit of {memory / 1e6:.0f} MB; {how}, or raise the limit to "
-                f"{least:.0f} MB"
-            )
-        free = free_memory()
-        if free is not None and needed > free:
-            raise OptionError(f"{what}, but only {free / 1e6:.0f} MB are free; {how}")
 
     # ------------------------------------------------------------------ pilots
 
@@ -158,7 +173,8 @@ class Bidirectional(Carrying, ImageMethod):
         splats = self._splats(seed, 0, "pilot ")
         lanes = dr.arange(mi.UInt32, samples)
         pixel = dr.minimum(mi.UInt32((mi.Float(lanes) + 0.5) * (self.camera.pixels / samples)), self.camera.pixels - 1)
-        run = _Run("pilot ", 0, seed, self._first_radius, Lanes(0, paths), lanes, pixel, 1, splats, None, 64 * paths)
+        films = splats, None, 64 * paths, self.moments
+        run = _Run("pilot ", 0, seed, self._first_radius, Lanes(0, paths), lanes, pixel, 1, *films)
         radiance, counters = self._trace(run)
         self._room.per_path = counters["light_vertices"] / paths
         own = [value for name, value in radiance.items() if name not in self._more_radii]
@@ -170,6 +186,8 @@ class Bidirectional(Carrying, ImageMethod):
         # Rounded to steps, so that the order of atomic additions in the pilot does not change the picture.
         brightness = 2.0 ** (round(4.0 * math.log2(mean)) / 4.0) if mean > 0.0 else 0.0
         self._dark = self.settings.shadow_roulette * brightness
+        if self._learning:
+            self._learning.measure(brightness)
 
     @property
     def _more_radii(self) -> tuple[str, ...]:
@@ -194,10 +212,13 @@ class Bidirectional(Carrying, ImageMethod):
 
     def _left(self) -> State:
         """Number of groups and vertices of a light path, which change if the capacity was too small for a pass."""
-        return {"groups": self._groups, "vertices_per_path": self._room.per_path}
+        learned = {"emission": self._learning.state()} if self._learning else {}
+        return {"groups": self._groups, "vertices_per_path": self._room.per_path} | learned
 
     def _take(self, state: State) -> None:
         self._groups, self._room.per_path = int(state["groups"]), float(state["vertices_per_path"])
+        if self._learning:
+            self._learning.restore(state["emission"])
 
     # ------------------------------------------------------------------ a pass
 
@@ -208,18 +229,26 @@ class Bidirectional(Carrying, ImageMethod):
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         radius = self.radius(iteration) if self.techniques.merge else 0.0
+        if self._learning:
+            # As many light vertices to a disc as without learning: more take time, and a smaller disc blurs less.
+            radius /= math.sqrt(self._learning.guide.crowding)
         splats = self._splats(seed, iteration)
         s = self.settings
         pyramid = Pyramid(self.techniques, s.pyramid_depth, self.camera.pixels) if s.pyramid else None
+        if self.moments:
+            self.moments.clear()
         parts: list[dict[str, mi.Color3f]] = []
         counters = {"rays": 0.0, "light_vertices": 0.0, "nonfinite": 0.0}
         for index in range(self._groups):
             light = Lanes(0, self._paths).part(index, self._groups)
             camera, _ = Lanes(0, self.camera.pixels * samples).part(index, self._groups).numbers()
             pixel, capacity = camera // samples, self._room.capacity(light.count)
-            run = _Run("", iteration, seed, radius, light, camera, pixel, samples, splats, pyramid, capacity)
+            films = splats, pyramid, capacity, self.moments
+            run = _Run("", iteration, seed, radius, light, camera, pixel, samples, *films)
             radiance, counts = self._trace(run)
             if not self._room.held(counts["light_vertices"], light.count):
+                if self._learning:
+                    self._learning.drop()
                 self._groups = self._count_groups()  # the capacity was too small: repeat the whole pass
                 return self.render_pass(iteration, seed, samples)
             parts.append(radiance)
@@ -236,28 +265,38 @@ class Bidirectional(Carrying, ImageMethod):
             for name, image in zip(names, splatted, strict=True):
                 layers[name] = layers[name] + image if name in layers else image
         more = {name: layers.pop(name) for name in self._more_radii}
+        if self._learning:
+            self._learning.end_pass(with_image(layers)["image"], samples)
         if pyramid:
             more |= pyramid.layers(lambda values: self.image(values, seed, iteration))
         return with_image(layers) | more, counters
 
-    def _mis(self, radius: float, paths: int) -> Mis:
+    def _mis(self, radius: float, paths: int, moments: Moments | None) -> Mis:
         """MIS weights of a pass that merges with ``paths`` light paths."""
         area = np.pi * radius * radius * paths * self.settings.eta_discount
         etas = [dr.opaque(mi.Float, area * factor**2) for factor in self._factors]
-        return Mis(self.techniques, etas, dr.opaque(mi.Float, self._paths / self.samples_per_iteration))
+        candidates = []
+        if moments:
+            unit = dr.opaque(mi.Float, area / moments.used.light_paths)
+            candidates = [candidate.counts(unit, self.camera.pixels) for candidate in moments.candidates]
+        return Mis(self.techniques, etas, dr.opaque(mi.Float, self._paths / self.samples_per_iteration), candidates)
 
     def _trace(self, run: _Run) -> tuple[dict[str, mi.Color3f], dict[str, float]]:
         """Trace light paths, then camera paths. Kernels are queued without waiting, so that one runs while Python
         traces the next. Returns (radiance by technique family, one lane a camera path; counters)."""
         paths = run.light.count
         dr.make_opaque(run.camera, run.pixel)  # so that pilot and passes share kernels
-        mis = self._mis(run.radius, paths)
-        common = {"camera": self.camera, "mis": mis, "dark": dr.opaque(mi.Float, self._dark)}
+        mis = self._mis(run.radius, paths, run.moments)
+        dark = dr.opaque(mi.Float, self._dark)
+        common: dict[str, Any] = {"camera": self.camera, "mis": mis, "dark": dark, "moments": run.moments}
+        if self._learning:
+            common |= self._learning.fields(not run.role)
         connecting = self.techniques.connection > 0
         numbered = run.pyramid is not None and self.visibility.transparent
         vertices, sink = None, None
         if connecting or self.techniques.merge:
-            vertices = LightVertices(run.capacity, paths, self._indexed, connecting, numbered, mis.radius_free)
+            owned = common.get("training") is not None
+            vertices = LightVertices(run.capacity, paths, self._indexed, connecting, numbered, mis.linear, owned)
         if run.splats:
             sink = SplatSink(
                 pyramid=run.pyramid,
@@ -265,10 +304,11 @@ class Bidirectional(Carrying, ImageMethod):
                 paths_per_sample=mis.paths_per_sample,
                 components=self.settings.components,
             )
-        source = self.light_numbers(run.light, self._paths, run.seed, run.iteration, run.role + "light")
+        stride = self._paths if self.settings.sampler == "hammersley" else max(self._paths, self.light_stride)
+        source = self.light_numbers(run.light, stride, run.seed, run.iteration, run.role + "light")
         light_rays, light_bad = self.walker(LightWalk, **common, sink=sink).trace(paths, source, vertices)
         dr.schedule(light_rays, light_bad)
-        for film in (run.splats, run.pyramid):
+        for film in (run.splats, run.pyramid, run.moments):
             if film:
                 dr.schedule(film.array)
         if vertices:
@@ -293,7 +333,11 @@ class Bidirectional(Carrying, ImageMethod):
             radiance[name], bad[name] = self.kept(radiance[name])
         if run.pyramid:
             dr.schedule(run.pyramid.array)
+        if run.moments:
+            run.moments.schedule()
         dr.eval(radiance, rays, bad)  # one kernel
+        if self._learning and not run.role:
+            self._learning.add(common["training"])
         return radiance, {
             "rays": total(rays) + total(light_rays),
             "light_vertices": float(vertices.wanted[0]) if vertices else 0.0,

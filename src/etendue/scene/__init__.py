@@ -9,13 +9,14 @@ from .changes.parameters import SceneEditor, SceneParameter
 from .editing import Change, LightEdits, add_plugin, colour, described_lights, is_described, scene_xml
 from .fingerprint import fingerprint
 from .graph import materials
-from .lamps.radiance import sphere_point, surface_point, uniform_point, varies
+from .lamps.radiance import sphere_point, sphere_point_facing, surface_point, uniform_point, varies
 from .lamps.table import Light, LightTable
-from .loading import Source, integrator_of, load, locate, resized
+from .loading import Source, integrator_of, load, locate
 from .parts import load_part, part_files, shape_boxes
 from .plugins import composed_bsdf, register
 from .portable import PortableScene, portable, restored
 from .problem import Problem
+from .resizing import resized
 from .space import RenderSpace, warn_of_offsets, warn_of_steps
 from .watching import Parameters, parameters, view
 
@@ -60,6 +61,7 @@ __all__ = [
     "scene_xml",
     "shape_boxes",
     "sphere_point",
+    "sphere_point_facing",
     "surface_point",
     "uniform_point",
     "varies",

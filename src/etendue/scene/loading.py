@@ -10,11 +10,8 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
-
-import numpy as np
 
 from etendue.core import EtendueError, OptionError, SceneError, UnsupportedError, logger, suggest, use_variant
 
@@ -22,7 +19,6 @@ from .builtin.table import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene
 from .editing import Change
-from .graph import contents, plugin_name
 from .moving import Described, moved
 from .parsing import (
     Size,
@@ -30,11 +26,11 @@ from .parsing import (
     check_films,
     merge_meshes,
     resize,
-    scaled_window,
     take_integrator,
     texture_details,
 )
 from .problem import Problem
+from .resizing import resized_sensor
 from .space import RenderSpace, warn_of_offsets
 
 if TYPE_CHECKING:
@@ -144,9 +140,6 @@ def _checked_size(size: Sequence[int]) -> Size:
     if width * height > MOST_PIXELS:
         raise OptionError(f"{width}x{height} is too large a picture: at most 2^30 pixels, such as 32768x32768")
     return width, height
-
-
-# -- XML and dictionaries --------------------------------------------------------------------------------------------
 
 
 _NO_VARIABLES = "parameters replace $variables of an XML file; this scene is not an XML file"
@@ -283,9 +276,6 @@ def _remedy(text: str) -> str:
     return "correct the scene"
 
 
-# -- loaded scenes ---------------------------------------------------------------------------------------------------
-
-
 def _from_scene(scene: mi.Scene, size: Size | None, sensor: int, memory: int | None, check: bool) -> Problem:
     import mitsuba as mi
 
@@ -296,7 +286,7 @@ def _from_scene(scene: mi.Scene, size: Size | None, sensor: int, memory: int | N
     chosen = _sensor(scene, sensor, "the scene")
     warn_of_offsets(scene, chosen, "the scene")
     if size is not None and size != tuple(int(v) for v in chosen.film().size()):
-        chosen = _resized_sensor(chosen, size)
+        chosen = resized_sensor(chosen, size)
     if check:
         check_scene(scene, chosen)
     integrator = scene.integrator()
@@ -311,63 +301,6 @@ def _sensor(scene: mi.Scene, index: int, name: str) -> mi.Sensor:
     if not 0 <= index < len(sensors):
         raise OptionError(f"{name} has no sensor {index}; choose one of 0 to {len(sensors) - 1}")
     return sensors[index]
-
-
-def resized(problem: Problem, size: Size) -> Problem:
-    """The same view of the same scene on a film whose window has (width, height) ``size``, without loading again."""
-    film = [int(v) for v in problem.sensor.film().size()]
-    whole = tuple(max(1, round(f * s / w)) for f, s, w in zip(film, size, problem.size, strict=True))
-    sensor = _resized_sensor(problem.sensor, (whole[0], whole[1]))
-    width, height = (int(v) for v in sensor.film().crop_size())
-    return replace(problem, sensor=sensor, size=(width, height))
-
-
-def _resized_sensor(sensor: mi.Sensor, size: Size) -> mi.Sensor:
-    """A copy of a sensor with a film of another size.
-
-    Changing the film through ``mi.traverse`` would alter the user's scene and leave the sensor with its old resolution.
-    """
-    import mitsuba as mi
-
-    kind = plugin_name(sensor)
-    if kind not in ("perspective", "thinlens", "orthographic", "spherical"):
-        raise OptionError(
-            f"a '{kind}' sensor of a loaded scene cannot be given another size; load the scene at that size"
-        )
-    film = sensor.film()
-    old = int(film.size()[0]), int(film.size()[1])
-    window = [int(v) for v in (*film.crop_offset(), *film.crop_size())]
-    x, y, width, height = scaled_window(window, old, size)
-    values = dict(contents(sensor).values)
-    matrix = np.asarray(values.pop("to_world").matrix, dtype=np.float64).reshape(4, 4)
-    plain: dict[str, Any] = {
-        k: float(np.asarray(v).ravel()[0]) for k, v in values.items() if k not in ("x_fov", "shutter_open_time")
-    }
-    plain["shutter_close"] = plain.get("shutter_open", 0.0) + float(values["shutter_open_time"])
-    if "x_fov" in values:
-        plain |= {"fov": float(np.asarray(values["x_fov"]).ravel()[0]), "fov_axis": "x"}
-    pixel_format = re.search(r"pixel_format = (\w+)", str(film))
-    return mi.load_dict(
-        {
-            "type": kind,
-            "to_world": mi.ScalarTransform4f(matrix),
-            "sampler": sensor.sampler().clone(),
-            "film": {
-                "type": "hdrfilm",
-                "width": size[0],
-                "height": size[1],
-                "crop_offset_x": x,
-                "crop_offset_y": y,
-                "crop_width": width,
-                "crop_height": height,
-                "sample_border": bool(film.sample_border()),
-                "pixel_format": pixel_format.group(1) if pixel_format else "rgb",
-                "component_format": "float32",
-                "filter": film.rfilter(),
-            },
-            **plain,
-        }
-    )
 
 
 def _problem(

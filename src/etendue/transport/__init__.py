@@ -1,10 +1,10 @@
 """Light transport for all methods: vertices, walks, emission, camera, scattering, MIS weights, vertex stores."""
 
 from . import dimensions
-from .ambient import AMBIENT_WALKS, AmbientScene, AmbientTable, ambient_scene
 from .bidirectional.camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
 from .bidirectional.light_walk import LightWalk
-from .bidirectional.mis import GRAZING, Mis, Techniques
+from .bidirectional.mis import GRAZING, Counts, Mis, Techniques
+from .bidirectional.moments import TILE, Candidate, Moments
 from .bidirectional.photons import Photon, Photons, unfolded
 from .bidirectional.pyramid import PYRAMID_MAX, Pyramid
 from .bidirectional.single import SingleContribution, SingleTechnique
@@ -12,14 +12,17 @@ from .bidirectional.sinks import CameraSink, Contribution, Sink, SplatSink
 from .bidirectional.vertices import Kind, LightVertex, LightVertices, needs_interaction
 from .camera import CameraConnection, CameraSampler, SplatPlace, Splats
 from .direct import DirectWeights
-from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
-from .ending import EndingGuidedWalk, EndingWalker, light_of_map
+from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, sample_direct
+from .endings.ambient import AMBIENT_WALKS, AmbientScene, AmbientTable, ambient_scene
+from .endings.maps import EndingGuidedWalk, EndingWalker, light_of_map
 from .firsthits import FirstHits, shapes_seen
 from .functions import TransportFunctions, film_picture
+from .guiding.emission import BLOCK, EmissionGuide, EmissionSums, EmissionTraining
 from .guiding.guide import NOWHERE, Guide, GuidedScattered, direction_of, square_of
 from .guiding.lights import MOST_LIGHTS, LightChoice, LocalLights
 from .guiding.walk import FOUND_UNITS, GuidedPath, GuidedWalk, TrainingSamples
 from .irradiance import CacheMap, IrradianceCache, irradiance_gradients, stratified_hemispheres
+from .on_lights import point_on
 from .scattering import (
     Evaluated,
     Proposal,
@@ -47,6 +50,7 @@ from .walk import CameraPath, Emission, MapEnd, SubPath, Walker, component_field
 
 __all__ = [
     "AMBIENT_WALKS",
+    "BLOCK",
     "EMISSION",
     "FIRST_BOUNCE",
     "FOUND_UNITS",
@@ -56,6 +60,7 @@ __all__ = [
     "NOWHERE",
     "PICK_BLOCK",
     "PYRAMID_MAX",
+    "TILE",
     "AmbientScene",
     "AmbientTable",
     "BlindEmission",
@@ -65,12 +70,17 @@ __all__ = [
     "CameraSampler",
     "CameraSink",
     "CameraWalk",
+    "Candidate",
     "CellEmission",
     "Contribution",
+    "Counts",
     "DirectSample",
     "DirectWeights",
     "Emission",
+    "EmissionGuide",
     "EmissionScheme",
+    "EmissionSums",
+    "EmissionTraining",
     "EmittedRay",
     "EndingGuidedWalk",
     "EndingWalker",
@@ -95,6 +105,7 @@ __all__ = [
     "LocalLights",
     "MapEnd",
     "Mis",
+    "Moments",
     "PathRecorder",
     "Photon",
     "Photons",

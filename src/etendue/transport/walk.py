@@ -26,6 +26,7 @@ from etendue.scene import LightTable
 from . import dimensions as dim
 from .emission import DirectSample, emission_of_hit, is_emissive, sample_direct
 from .firsthits import FirstHits
+from .guiding.departure import Departures
 from .guiding.lights import LocalLights
 from .scattering import Evaluated, Proposal, Scattered, roulette, scatter_camera
 from .vertex import WalkVertex
@@ -152,6 +153,7 @@ class Walker:
     rr_depth: int
     proposal: Proposal = scatter_camera  #: samples directions
     first: FirstHits | None = None  #: records what the first edges meet
+    departures: Departures | None = None  #: learned directions of emission, for its densities
 
     def walk(self, path: S, edge: Callable[[S], S], label: str) -> S:
         """Run the loop over the edges until all sub-paths have ended. ``edge`` is the body of the loop."""
@@ -184,7 +186,7 @@ class Walker:
         start of the edge, if they were not the table's."""
         si, scene = vertex.si, self.visibility.scene
         active = s.active & is_emissive(scene, si)
-        found = emission_of_hit(lights or self.lights, scene, si, active, vertex.distance)
+        found = emission_of_hit(lights or self.lights, scene, si, active, vertex.distance, self.departures)
         per_area = dr.square(vertex.distance) / dr.abs(dr.dot(si.n, vertex.incoming))
         direct_pdf = found[1] * dr.select(vertex.valid, per_area, 1.0)
         if self.first is not None:
@@ -200,7 +202,7 @@ class Walker:
         lights: LightTable | LocalLights | None = None,
     ) -> DirectSample:
         """Sample the ``index``-th light point of a vertex. ``lights`` replaces the light table."""
-        return sample_direct(lights or self.lights, vertex.si, source, vertex.number, index, active)
+        return sample_direct(lights or self.lights, vertex.si, source, vertex.number, index, active, self.departures)
 
     def next_event(
         self,

@@ -17,6 +17,9 @@ from .. import dimensions as dim
 from ..emission import DirectSample
 from ..scattering import Evaluated, cosine_ratio, geometric_cos
 from ..vertex import WalkVertex
+from ..walk import ones
+from .mis import Weights
+from .moments import Moments, Sums
 from .photons import Photons, unfolded
 from .sinks import CameraSink, Contribution
 from .vertices import LightVertex, LightVertices
@@ -31,6 +34,8 @@ class _State(BidirectionalPath):
 
     lane: mi.UInt32  #: number of the camera path; does not change
     layers: dict[str, mi.Color3f]  #: technique family -> radiance
+    sums: Sums | None  #: of ``moments``
+    worth: mi.Float | None  #: factor on contributions to its pixel, for a guide of emission; None without
 
 
 @dataclass
@@ -101,6 +106,7 @@ class CameraWalk(BidirectionalWalk):
     sink: CameraSink
     cache: LightCache | None = None
     gather: Gather | None = None
+    moments: Moments | None = None
 
     def trace(self, pixel: mi.UInt32, source: SampleSource) -> tuple[dict[str, mi.Color3f], mi.UInt32]:
         """Trace one camera path for each entry of ``pixel``. Returns (layers of radiance, rays), one lane a path, not
@@ -130,8 +136,12 @@ class CameraWalk(BidirectionalWalk):
             seen=mi.UInt32(Component.EMISSION) if self.sink.components else None,
             lane=dr.arange(mi.UInt32, lanes),
             layers=self.sink.begin(self.mis.techniques, pixel, importance),
+            sums=self.moments.begin(lanes, importance) if self.moments else None,
+            worth=None if self.training is None else self.training.worth_of_lane(pixel, dr.arange(mi.UInt32, lanes)),
         )
         state = self.walk(state, lambda s: self._edge(s, source), "camera walk")
+        if self.moments and state.sums:
+            self.moments.close(state.sums, pixel)
         return {name: radiance * importance for name, radiance in state.layers.items()}, state.rays
 
     def _edge(self, s: _State, source: SampleSource) -> _State:
@@ -148,6 +158,9 @@ class CameraWalk(BidirectionalWalk):
         s.active &= vertex.valid
 
         smooth = s.active & vertex.smooth
+        if s.sums is not None:
+            s.sums.edges = s.sums.edges + 1
+            s.sums.smooth = s.sums.smooth + ones(smooth)
         if techniques.merge and self.gather is not None:
             self._merge(s, vertex, smooth)
         s.active &= s.depth < self.max_edges
@@ -160,11 +173,15 @@ class CameraWalk(BidirectionalWalk):
         for index, light in enumerate(lights):
             u = source.decide(s.depth, dim.NEXT_EVENT + 4 * index + 3)
             self._next_event(s, vertex, light, evaluated[index], u)
+        connections = []
         for index, joined in enumerate(picked):
             u = source.decide(s.depth, dim.CONNECT + index)
-            contribution, rays = self._connection(s, vertex, joined, evaluated[len(lights) + index], u)
+            contribution, weights, rays = self._connection(s, vertex, joined, evaluated[len(lights) + index], u)
             s.rays += rays
             self.sink.add(s.layers, "connection", contribution, joined.active, Component.INDIRECT)
+            connections.append((contribution[0], weights.ratios, joined.active))
+        if self.moments and s.sums:
+            self.moments.add_connections(s.sums, connections)
         if self.cache is not None and self.cache.picks is None:
             self._connect_pair(s, vertex, source.decide(s.depth, dim.CONNECT), smooth)
 
@@ -182,6 +199,8 @@ class CameraWalk(BidirectionalWalk):
         alone = s.throughput * hit.radiance
         values = [alone * weight for weight in weights]
         self.sink.add(s.layers, "emission", values, hit.active, s.seen)
+        if self.moments and s.sums:
+            self.moments.add(s.sums, "emission", values[0], weights.ratios, hit.active)
         self.sink.show(mi.UInt32(0), number + 1, Contribution(values, alone, hit.active, hit.active))
 
     def _next_event(self, s: _State, vertex: WalkVertex, light: DirectSample, f: Evaluated, u: mi.Float) -> None:
@@ -200,6 +219,10 @@ class CameraWalk(BidirectionalWalk):
         s.rays += rays
         self.sink.show(mi.UInt32(1), number + 1, contribution)
         self.sink.add(s.layers, "next_event", contribution.weighted, contribution.active, s.lit)
+        if self.moments and s.sums:
+            self.moments.add(s.sums, "next_event", contribution.weighted[0], weights.ratios, contribution.active)
+        if self.training is not None:
+            self.training.add_light(light.light, contribution.weighted[0], s.worth, contribution.active)
 
     def _pick_vertices(self, s: _State, vertex: WalkVertex, active: mi.Bool) -> list[_Joined]:
         """Edges from a camera vertex to light vertices sampled from the cache."""
@@ -226,7 +249,7 @@ class CameraWalk(BidirectionalWalk):
             joined = self._join(s, vertex, first + j, active)
             f = vertex.evaluate(joined.direction, joined.active)
             # One random number for all connections of the vertex: each is unbiased, though they are correlated.
-            values, ray = self._connection(s, vertex, joined, f, u)
+            values, _, ray = self._connection(s, vertex, joined, f, u)
             return j + 1, [total + value for total, value in zip(totals, values, strict=True)], rays + ray
 
         n = dr.width(s.depth)
@@ -254,8 +277,8 @@ class CameraWalk(BidirectionalWalk):
 
     def _connection(
         self, s: _State, vertex: WalkVertex, joined: _Joined, f: Evaluated, u: mi.Float
-    ) -> tuple[list[mi.Color3f], mi.UInt32]:
-        """s >= 2, t >= 2: (weighted contribution by radius, shadow rays) [Georgiev 2012b, eq. 40, 41]."""
+    ) -> tuple[list[mi.Color3f], Weights, mi.UInt32]:
+        """s >= 2, t >= 2: (weighted contribution by radius, weights, shadow rays) [Georgiev 2012b, eq. 40, 41]."""
         assert self.cache is not None
         other, number = joined.vertex, self.number(s)
         active = joined.active & ~dr.all(f.value == 0.0)
@@ -278,7 +301,9 @@ class CameraWalk(BidirectionalWalk):
         edges = other.depth + s.depth + 1
         contribution, rays = self.connect(vertex, other.position, edges, values, alone, self.dark, u, active)
         self.sink.show(other.number + 1, number + 1, contribution)
-        return [dr.select(contribution.active, value, 0.0) for value in contribution.weighted], rays
+        if self.training is not None:
+            self.training.add(other.path, contribution.weighted[0], s.worth, contribution.active)
+        return [dr.select(contribution.active, value, 0.0) for value in contribution.weighted], weights, rays
 
     def _merge(self, s: _State, vertex: WalkVertex, active: mi.Bool) -> None:
         """s >= 2, t >= 2, no edge between them [Georgiev 2012b, eq. 38, 39]."""
@@ -288,20 +313,29 @@ class CameraWalk(BidirectionalWalk):
 
         parts, photons, factors = 1 if s.seen is None else len(REFLECTED), self.gather.photons, self.gather.factors
 
-        def visit(photon: mi.UInt32, totals: list[mi.Color3f]) -> list[mi.Color3f]:
-            values = self._merged(s, vertex, photon, active)
+        def visit(
+            photon: mi.UInt32, found: tuple[list[mi.Color3f], Sums | None]
+        ) -> tuple[list[mi.Color3f], Sums | None]:
+            values, weights = self._merged(s, vertex, photon, active)
+            totals, sums = found
+            if self.moments and sums:
+                sums.photons = sums.photons + 1
+                self.moments.add(sums, "merge", s.throughput * values[0] * factors[0], weights.ratios, active)
             if s.seen is not None:
                 values[:1] = by_component(values[0], photons.component(photon, active))
-            return [total + value for total, value in zip(totals, values, strict=True)]
+            return [total + value for total, value in zip(totals, values, strict=True)], sums
 
-        totals = self.gather.around(vertex.position, self.max_edges - s.depth, visit, self._blank(1, parts), active)
+        found = self._blank(1, parts), s.sums
+        totals, s.sums = self.gather.around(vertex.position, self.max_edges - s.depth, visit, found, active)
         for component, total in s.components_of(totals[:parts]):
             self.sink.add_first(s.layers, "merge", s.throughput * total * factors[0], active, component)
         more = [s.throughput * total * factor for total, factor in zip(totals[parts:], factors[1:], strict=True)]
         self.sink.add_more(s.layers, more, active)
 
-    def _merged(self, s: _State, vertex: WalkVertex, photon: mi.UInt32, active: mi.Bool) -> list[mi.Color3f]:
-        """Weighted contribution of one photon, by radius."""
+    def _merged(
+        self, s: _State, vertex: WalkVertex, photon: mi.UInt32, active: mi.Bool
+    ) -> tuple[list[mi.Color3f], Weights]:
+        """(weighted contribution of one photon, by radius; weights)."""
         assert self.gather is not None
         photons, number = self.gather.photons, self.number(s)
         p = photons.read(photon, active)
@@ -315,4 +349,7 @@ class CameraWalk(BidirectionalWalk):
             here = active & inside[0]
             merged = Contribution([alone * weights[0]], alone, here, here)
             self.sink.show(photons.number(photon, active) + 1, number + 1, merged, merged=True)
-        return [dr.select(ok, value * w, 0.0) for ok, w in zip(inside, weights, strict=True)]
+        if self.training is not None:
+            credit = value * s.throughput * (self.gather.factors[0] * weights[0])
+            self.training.add(photons.path(photon, active), credit, s.worth, active & inside[0])
+        return [dr.select(ok, value * w, 0.0) for ok, w in zip(inside, weights, strict=True)], weights

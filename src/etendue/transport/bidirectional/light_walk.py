@@ -18,7 +18,8 @@ from ..scattering import Evaluated, Proposal, Scattered, cosine_ratio, geometric
 from ..spheres import seen_density
 from ..vertex import WalkVertex
 from ..walk import ones
-from .mis import RadiusFree
+from .mis import Carried
+from .moments import Moments
 from .sinks import SplatSink
 from .vertices import Kind, LightVertices
 from .walk import BidirectionalPath, BidirectionalWalk
@@ -34,6 +35,8 @@ class LightPath(BidirectionalPath):
     light: mi.UInt32 | None  #: number of the light that the path left; None where no light is spherical
     waiting: mi.Float | None  #: area density that :meth:`Mis.lit` corrects at the end of the first edge; 0 after it
     nonfinite: mi.UInt32
+    found: mi.Float | None  #: contributions by splats so far, for a guide of emission; None without
+    flux: mi.Float | None  #: flux at the start, to which roulette compares; None: the power of all lights
 
 
 @dataclass(kw_only=True)
@@ -43,6 +46,7 @@ class LightWalk(BidirectionalWalk):
     proposal: Proposal = scatter_light
     kind: type[LightPath] = LightPath  #: class of the state
     sink: SplatSink | None = None
+    moments: Moments | None = None
 
     def trace(
         self, paths: int, source: SampleSource, vertices: LightVertices | None = None
@@ -54,12 +58,16 @@ class LightWalk(BidirectionalWalk):
         state = self.walk(state, lambda s: self._edge(s, path, source, vertices), "light walk")
         if vertices is not None:
             vertices.close_paths(path, state.stored)
+        if self.training is not None:
+            self.training.splatted(state.found)
         return state.rays, state.nonfinite
 
     def begin(self, paths: int, source: SampleSource, numbered: bool = False, **own: Any) -> LightPath:
         """The state before the first edge of ``paths`` sub-paths. ``numbered``: vertices are counted without null
         surfaces; ``own``: fields of a subclass of the state ``kind``."""
-        emitted = emit(self.lights, source, mi.Bool(True))
+        emitted = emit(self.lights, source, mi.Bool(True), self.departures)
+        if self.training is not None:
+            self.training.begin(emitted)
         d_vcm, d_vc = self.mis.start_light(
             emitted.area_density, emitted.emission_density, emitted.cos_light, emitted.is_delta
         )
@@ -83,6 +91,9 @@ class LightWalk(BidirectionalWalk):
             travelled=mi.Float(0.0),
             rays=dr.zeros(mi.UInt32, paths),
             nonfinite=dr.zeros(mi.UInt32, paths),
+            found=None if self.training is None else dr.zeros(mi.Float, paths),
+            # Learned emission gives little flux to paths that are worth much.
+            flux=dr.mean(emitted.throughput) if self.lights.is_learned or self.departures is not None else None,
         )
 
     def _edge(self, s: LightPath, path: mi.UInt32, source: SampleSource, vertices: LightVertices | None) -> LightPath:
@@ -111,7 +122,7 @@ class LightWalk(BidirectionalWalk):
         self.go_on(s, vertex, scattered, source, on_edge, light_cos)
         return s
 
-    def land(self, s: LightPath, vertex: WalkVertex) -> tuple[tuple[mi.Float, mi.Float | RadiusFree], mi.Float]:
+    def land(self, s: LightPath, vertex: WalkVertex) -> tuple[tuple[Carried, Carried], mi.Float]:
         """Convert ``d_vcm`` and ``d_vc`` to area at the end of an edge: (the two before, cosine at which light
         arrives)."""
         on_edge = s.d_vcm, s.d_vc
@@ -134,7 +145,7 @@ class LightWalk(BidirectionalWalk):
         vertex: WalkVertex,
         scattered: Scattered,
         source: SampleSource,
-        on_edge: tuple[mi.Float, mi.Float | RadiusFree],
+        on_edge: tuple[Carried, Carried],
         light_cos: mi.Float,
     ) -> None:
         """Leave a vertex; ``on_edge`` and ``light_cos`` are those of :meth:`land`."""
@@ -144,7 +155,7 @@ class LightWalk(BidirectionalWalk):
         s.from_infinity = self.keep_if_null(scattered, s.from_infinity, mi.Bool(False))
         if s.waiting is not None:
             s.waiting = self.keep_if_null(scattered, s.waiting, mi.Float(0.0))
-        relative = s.throughput * scattered.weight / self.lights.total_power
+        relative = s.throughput * scattered.weight / (self.lights.total_power if s.flux is None else s.flux)
         self.leave(s, vertex, scattered, source, on_edge, roulette_by=(relative, 1.0))
 
     def _splat(
@@ -171,4 +182,11 @@ class LightWalk(BidirectionalWalk):
             vertex, joined.target, s.depth + 1, values, alone * factor, threshold, u, on_film
         )
         s.rays += rays
+        if self.moments:
+            self.moments.splat(joined.position, contribution.weighted[0], weights.ratios, contribution.active)
         s.nonfinite += ones(sink.add(self.number(s) + 1, place, contribution, s.kind))
+        if self.training is not None:
+            x, y = (mi.UInt32(dr.maximum(coordinate, 0.0)) for coordinate in joined.position)
+            worth = self.training.worth(y * self.camera.width + x, contribution.active)
+            value = mi.luminance(contribution.weighted[0]) * worth / self.mis.paths_per_sample
+            s.found = s.found + dr.select(contribution.active & dr.isfinite(value), value, 0.0)

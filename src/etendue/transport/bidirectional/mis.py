@@ -19,21 +19,26 @@ Merging divides by the cosine at which light arrives at the photon's surface; th
 there are techniques that connect vertices, a vertex with a cosine below :data:`GRAZING` is therefore not merged, in the
 estimator and in the weights; if there are none, the quotient is bounded (:meth:`Mis.fluence`).
 
-With several merging radii, d_vc, which is linear in eta_vm, is replaced by its two coefficients (:class:`RadiusFree`),
-and there is one weight a radius.
+Both numbers are linear in the sample counts of splats, connections and merges. For several sets of counts (several
+merging radii, or candidates whose second moments are estimated), a sub-path carries the coefficients
+(:class:`Linear`), and the sums are evaluated for each set.
 """
 
 from __future__ import annotations
 
+import functools
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
 
 #: Least geometric cosine that merging divides by.
 GRAZING = 0.02
+#: Least density of a path under a candidate's counts, relative to that under the counts in use.
+_NEVER = 1e-6
 
 
 @dataclass(frozen=True)
@@ -54,28 +59,47 @@ class Techniques:
         return bool(self.next_event or self.connection or self.splat)
 
 
+@dataclass(frozen=True)
+class Counts:
+    """Sample counts that may differ from set to set, raised to the exponent of the heuristic."""
+
+    splat: mi.Float | float  #: light paths per camera path of a pixel
+    connection: mi.Float | float
+    merge: mi.Float | float  #: eta_vm
+
+
 @dataclass
-class RadiusFree:
-    """``a + b eta`` for an eta that is given later. In products and sums with numbers it is the left operand."""
+class Linear:
+    """A sum of the recursion, for counts that are given later: ``end + connection n_c + merge eta_vm`` on light
+    sub-paths, ``end n_s + connection n_c + merge eta_vm`` on camera sub-paths, where ``end`` is that of the splat. In
+    products with numbers it is the left operand."""
 
-    a: mi.Float | float
-    b: mi.Float | float
+    end: mi.Float | float
+    connection: mi.Float | float
+    merge: mi.Float | float
 
-    def __add__(self, other: RadiusFree | mi.Float | float) -> RadiusFree:
-        if isinstance(other, RadiusFree):
-            return RadiusFree(self.a + other.a, self.b + other.b)
-        return RadiusFree(self.a + other, self.b)
+    def __add__(self, other: Linear) -> Linear:
+        return Linear(self.end + other.end, self.connection + other.connection, self.merge + other.merge)
 
-    def __mul__(self, factor: mi.Float | float) -> RadiusFree:
-        return RadiusFree(self.a * factor, self.b * factor)
+    def __mul__(self, factor: mi.Float | float) -> Linear:
+        return Linear(self.end * factor, self.connection * factor, self.merge * factor)
 
-    def at(self, eta: mi.Float | float) -> mi.Float:
-        """The value for an eta."""
-        return self.a + self.b * eta
+    def at(self, counts: Counts, end: mi.Float | float = 1.0) -> mi.Float:
+        """The value for a set of counts; ``end``: count of the term ``end``."""
+        return self.end * end + self.connection * counts.connection + self.merge * counts.merge
 
 
-#: d_vc of a vertex: one number, or two with several merging radii.
-Carried: TypeAlias = "mi.Float | RadiusFree"
+#: d_vcm or d_vc of a vertex.
+Carried: TypeAlias = "mi.Float | Linear"
+
+
+class Weights(list[Any]):
+    """Weights of a contribution, one a radius, and ``ratios``, one a candidate: the weights' denominator over that for
+    the candidate's counts."""
+
+    def __init__(self, weights: Sequence[mi.Float], ratios: Sequence[mi.Float] = ()) -> None:
+        super().__init__(weights)
+        self.ratios = ratios
 
 
 class Mis:
@@ -87,21 +111,28 @@ class Mis:
     eta_vm: number of light paths times the area of the merging disc, n_VM pi r^2 [Georgiev 2012b, eq. 20], for each
         radius; opaque scalars if they change from pass to pass. Ignored without merging.
     paths_per_sample: light sub-paths of a pass over camera paths of a pixel, n_LP.
+    candidates: other counts, for which :class:`Weights` have ratios.
     """
 
     def __init__(
-        self, techniques: Techniques, eta_vm: Sequence[mi.Float | float], paths_per_sample: mi.Float | float
+        self,
+        techniques: Techniques,
+        eta_vm: Sequence[mi.Float | float],
+        paths_per_sample: mi.Float | float,
+        candidates: Sequence[Counts] = (),
     ) -> None:
         self.techniques = techniques
         self.paths_per_sample = paths_per_sample
-        self._etas = [self.power(eta) for eta in eta_vm] if techniques.merge else [0.0]
+        etas = [self.power(eta) for eta in eta_vm] if techniques.merge else [0.0]
+        own = self.power(paths_per_sample), self._count(techniques.connection)
+        self._sets = [Counts(*own, eta) for eta in etas]
+        self.candidates = [
+            Counts(*(self.power(count) for count in (c.splat, c.connection, c.merge))) for c in candidates
+        ]
+        #: Whether d_vcm and d_vc are :class:`Linear`, because there are several sets of counts.
+        self.linear = len(self._sets) > 1 or bool(self.candidates)
         # The term that the recursion adds at vertices that can be merged.
-        self._eta: RadiusFree | mi.Float | float = RadiusFree(0.0, 1.0) if self.radius_free else self._etas[0]
-
-    @property
-    def radius_free(self) -> bool:
-        """Whether d_vc is a :class:`RadiusFree`, because there are several radii."""
-        return len(self._etas) > 1
+        self._eta: Linear | mi.Float | float = Linear(0.0, 0.0, 1.0) if self.linear else etas[0]
 
     def power(self, x: mi.Float | float) -> mi.Float:
         """``x^beta``."""
@@ -110,18 +141,40 @@ class Mis:
     def _count(self, n: int) -> float:
         return float(n**self.techniques.beta)
 
-    def _start(self, d_vc: mi.Float) -> Carried:
-        return RadiusFree(d_vc, dr.zeros(mi.Float, dr.width(d_vc))) if self.radius_free else d_vc
+    def _start(self, value: mi.Float) -> Carried:
+        if not self.linear:
+            return value
+        zeros = [dr.zeros(mi.Float, dr.width(value)) for _ in range(2)]
+        return Linear(value, *zeros)
 
-    def _at_radii(self, value: Carried) -> list[mi.Float]:
-        """A sum of the recursion, evaluated for each radius."""
-        return [value.at(eta) for eta in self._etas] if isinstance(value, RadiusFree) else [value] * len(self._etas)
+    def _at(self, light: Carried | float, camera: Carried | float, more: mi.Float | float = 0.0) -> list[mi.Float]:
+        """Sum of a light sub-path's sum, a camera sub-path's and ``more``, evaluated for each set of counts and each
+        candidate."""
+        sums = []
+        for counts in (*self._sets, *self.candidates):
+            by_light = light.at(counts) if isinstance(light, Linear) else light
+            by_camera = camera.at(counts, counts.splat) if isinstance(camera, Linear) else camera
+            sums.append(by_light + by_camera + more)
+        return sums
+
+    def _weights(self, own: Sequence[mi.Float | float], others: Sequence[mi.Float]) -> Weights:
+        """Weights of a technique with the count ``own`` of each set, and ratios; ``others``: the other techniques'
+        densities times counts, relative to its density."""
+        totals = [n + other for n, other in zip(own, others, strict=True)]
+        used = len(self._sets)
+        # The bound is for paths that the counts cannot sample.
+        ratios = [totals[0] / dr.maximum(total, _NEVER * totals[0]) for total in totals[used:]]
+        return Weights([n / total for n, total in zip(own[:used], totals[:used], strict=True)], ratios)
+
+    def _own(self, count: float) -> list[float]:
+        """The same count in all sets."""
+        return [count] * (len(self._sets) + len(self.candidates))
 
     # ------------------------------------------------------------------ light sub-path
 
     def start_light(
         self, area_density: mi.Float, emission_density: mi.Float, cos_light: mi.Float, is_delta: mi.Bool
-    ) -> tuple[mi.Float, Carried]:
+    ) -> tuple[Carried, Carried]:
         """(d_vcm, d_vc) of an emitted ray [Georgiev 2012b, eq. 31, 32].
 
         ``area_density``: density of the light point under next event (of the direction, for an infinite light);
@@ -132,9 +185,9 @@ class Mis:
         d_vcm = self.power(area_density / emission_density) * self._count(t.next_event)
         emission = self._count(t.emission) if t.connects else 0.0
         d_vc = dr.select(is_delta, 0.0, self.power(cos_light / emission_density) * emission)
-        return d_vcm, self._start(d_vc)
+        return self._start(d_vcm), self._start(d_vc)
 
-    def lit(self, d_vcm: mi.Float, ratio: mi.Float) -> mi.Float:
+    def lit(self, d_vcm: Carried, ratio: mi.Float) -> Carried:
         """``d_vcm`` of an emitted ray that has hit x_1; ``ratio``: density p(x_0 | x_1) of the light point under next
         event, over the ``area_density`` that :meth:`start_light` was called with. To be called before :meth:`hit`.
 
@@ -144,29 +197,28 @@ class Mis:
 
     # ------------------------------------------------------------------ camera sub-path
 
-    def start_camera(self, pixel_density: mi.Float) -> tuple[mi.Float, Carried]:
+    def start_camera(self, pixel_density: mi.Float) -> tuple[Carried, Carried]:
         """(d_vcm, d_vc) of a camera ray; ``pixel_density``: its solid-angle density for a point uniform in its pixel.
         0 where the sensor cannot be splatted to: the weights then do not contain the splat [Georgiev 2012b, eq. 31]."""
         ok = (pixel_density > 0.0) & self.techniques.splat
-        d_vcm = dr.select(ok, self.power(self.paths_per_sample / dr.select(ok, pixel_density, 1.0)), 0.0)
-        return d_vcm, self._start(dr.zeros(mi.Float, dr.width(d_vcm)))
+        count = 1.0 if self.linear else self.paths_per_sample
+        d_vcm = dr.select(ok, self.power(count / dr.select(ok, pixel_density, 1.0)), 0.0)
+        return self._start(d_vcm), self._start(dr.zeros(mi.Float, dr.width(d_vcm)))
 
     # ------------------------------------------------------------------ both
 
-    def hit(
-        self, d_vcm: mi.Float, d_vc: Carried, distance_squared: mi.Float, cos: mi.Float
-    ) -> tuple[mi.Float, Carried]:
+    def hit(self, d_vcm: Carried, d_vc: Carried, distance_squared: mi.Float, cos: mi.Float) -> tuple[Carried, Carried]:
         """(d_vcm, d_vc) after a hit, which converts densities from solid angle to area; ``cos``: absolute cosine at the
         surface that was hit."""
         inverse = dr.rcp(self.power(dr.maximum(cos, 1e-8)))  # against 0 * inf for tangential rays
         return d_vcm * self.power(distance_squared) * inverse, d_vc * inverse
 
-    def joined(self, depth: mi.UInt32, d_vcm: mi.Float) -> mi.Float:
+    def joined(self, depth: mi.UInt32, d_vcm: Carried) -> Carried:
         """``d_vcm`` of a camera vertex, scaled by the sample count of the technique that connects along the edge before
         it: 1 for the splat at the first vertex, that of connections after. The walk keeps it unscaled, because the
         weight of emission needs it for next event along the same edge."""
         count = self._count(self.techniques.connection)
-        return d_vcm if count == 1.0 else d_vcm * dr.select(depth == 1, 1.0, count)
+        return d_vcm if count == 1.0 or self.linear else d_vcm * dr.select(depth == 1, 1.0, count)
 
     def fluence(self, cos: mi.Float) -> mi.Float:
         """1 / cos: fluence of light of unit flux per area that arrives at a surface at this geometric cosine; 0 where
@@ -174,33 +226,36 @@ class Mis:
         bounded = dr.rcp(dr.maximum(cos, GRAZING))
         return dr.select(cos >= GRAZING, bounded, 0.0) if self.techniques.connects else bounded
 
-    def _merge_area(self, cos: mi.Float, depth: mi.UInt32 | None = None) -> Carried | float:
-        """``eta_vm`` where a vertex at which light arrives at this geometric cosine can be merged, else 0. ``depth``:
+    def _merge_area(self, cos: mi.Float, depth: mi.UInt32 | None = None) -> Carried | None:
+        """``eta_vm`` where a vertex at which light arrives at this geometric cosine can be merged, else 0; None without
+        merging. ``depth``:
         of a camera vertex."""
         t = self.techniques
         if not t.merge:
-            return self._eta
+            return None
         mergeable = self.fluence(cos) > 0.0
         if depth is not None and not t.merge_first:
             mergeable &= depth != 1
         return self._eta * dr.select(mergeable, mi.Float(1.0), mi.Float(0.0))
 
-    def _sum(self, eta: Carried | float, d_vcm: mi.Float, reverse_pdf: mi.Float, d_vc: Carried) -> Carried:
+    def _sum(self, eta: Carried | None, d_vcm: Carried, reverse_pdf: mi.Float, d_vc: Carried) -> Carried:
         """Sum over the techniques that connect or merge at the end vertex of the sub-path or before it, of their
         densities over that of the sub-path."""
-        before = d_vc * self.power(reverse_pdf)
-        return before + d_vcm + eta if self.techniques.connects else before + eta
+        total = d_vc * self.power(reverse_pdf)
+        if self.techniques.connects:
+            total = total + d_vcm
+        return total if eta is None else total + eta
 
     def scatter_light(
         self,
-        d_vcm: mi.Float,
+        d_vcm: Carried,
         d_vc: Carried,
         light_cos: mi.Float,
         cos: mi.Float,
         pdf: mi.Float,
         reverse_pdf: mi.Float,
         is_delta: mi.Bool,
-    ) -> tuple[mi.Float, Carried]:
+    ) -> tuple[Carried, Carried]:
         """(d_vcm, d_vc) after scattering at a light vertex [Georgiev 2012b, eq. 34, 35; delta: 53, 54]. ``light_cos``
         and ``cos``: geometric cosines of the incoming and of the sampled direction."""
         total = self._sum(self._merge_area(light_cos), d_vcm, reverse_pdf, d_vc)
@@ -209,55 +264,59 @@ class Mis:
     def scatter_camera(
         self,
         depth: mi.UInt32,
-        d_vcm: mi.Float,
+        d_vcm: Carried,
         d_vc: Carried,
         cos: mi.Float,
         pdf: mi.Float,
         reverse_pdf: mi.Float,
         is_delta: mi.Bool,
-    ) -> tuple[mi.Float, Carried]:
+    ) -> tuple[Carried, Carried]:
         """(d_vcm, d_vc) after scattering at camera vertex ``depth``; d_vcm is unscaled (see :meth:`joined`)."""
         total = self._sum(self._merge_area(cos, depth), self.joined(depth, d_vcm), reverse_pdf, d_vc)
         return self._scatter(total, d_vc, cos, pdf, is_delta, 1.0)
 
     def _scatter(
         self, total: Carried, d_vc: Carried, cos: mi.Float, pdf: mi.Float, is_delta: mi.Bool, count: float
-    ) -> tuple[mi.Float, Carried]:
+    ) -> tuple[Carried, Carried]:
         cos, inverse_pdf = self.power(cos), self.power(dr.rcp(pdf))
-        return (
-            dr.select(is_delta, 0.0, inverse_pdf * count),
-            dr.select(is_delta, d_vc * cos, total * (cos * inverse_pdf)),
-        )
+        d_vcm = dr.select(is_delta, 0.0, inverse_pdf if self.linear else inverse_pdf * count)
+        if self.linear:
+            zeros = [dr.zeros(mi.Float, dr.width(d_vcm)) for _ in range(2)]
+            d_vcm = Linear(zeros[0], d_vcm, zeros[1])
+        return d_vcm, dr.select(is_delta, d_vc * cos, total * (cos * inverse_pdf))
 
     # ------------------------------------------------------------------ weights, one a radius
 
     def emission_weight(
-        self, depth: mi.UInt32, d_vcm: mi.Float, d_vc: Carried, area_density: mi.Float, emission_density: mi.Float
-    ) -> list[mi.Float]:
+        self, depth: mi.UInt32, d_vcm: Carried, d_vc: Carried, area_density: mi.Float, emission_density: mi.Float
+    ) -> Weights:
         """Weights of a camera sub-path that hits a light at its vertex ``depth`` [Georgiev 2012b, eq. 43]."""
         t = self.techniques
         if not (t.connects and t.emission):
             # Only paths that no other technique samples: lights seen directly or through delta scattering.
-            only = (d_vc.a == 0.0) & (d_vc.b == 0.0) if self.radius_free else d_vc == 0.0
+            parts = [d_vc.end, d_vc.connection, d_vc.merge] if isinstance(d_vc, Linear) else [d_vc]
             if t.connects:
-                only &= d_vcm == 0.0
-            return self._at_radii(dr.select((depth == 1) | only, 1.0, 0.0))
+                parts += [d_vcm.end, d_vcm.connection] if isinstance(d_vcm, Linear) else [d_vcm]
+            only = functools.reduce(operator.and_, (part == 0.0 for part in parts))
+            return Weights([dr.select((depth == 1) | only, 1.0, 0.0)] * len(self._sets))
         own = self._count(t.emission)
-        by_next_event = self.power(area_density) * d_vcm * self._count(t.next_event)
-        others = self._at_radii(d_vc * self.power(emission_density) + by_next_event)
-        return [dr.select(depth == 1, 1.0, own / (own + other)) for other in others]
+        # Next event along the same edge; at the first vertex the weight is 1.
+        edge = d_vcm.connection if isinstance(d_vcm, Linear) else d_vcm
+        by_next_event = self.power(area_density) * edge * self._count(t.next_event)
+        others = self._at(0.0, d_vc * self.power(emission_density), by_next_event)
+        return self._weights(self._own(own), [dr.select(depth == 1, 0.0, other) for other in others])
 
     def next_event_weight(
         self,
         depth: mi.UInt32,
-        d_vcm: mi.Float,
+        d_vcm: Carried,
         d_vc: Carried,
         cos: mi.Float,
         bsdf_pdf: mi.Float,
         reverse_pdf: mi.Float,
         direct_pdf: mi.Float,
         light_ratio: mi.Float,
-    ) -> list[mi.Float]:
+    ) -> Weights:
         """Weights of a camera vertex connected to a light point [Georgiev 2012b, eq. 44, 45].
 
         ``cos``: geometric cosine at the vertex; ``bsdf_pdf``: density of scattering towards the light, 0 for a light
@@ -267,53 +326,57 @@ class Mis:
         own = self._count(self.techniques.next_event)
         hit = self.power(bsdf_pdf / direct_pdf) * self._count(self.techniques.emission)
         camera = self._sum(self._merge_area(cos, depth), self.joined(depth, d_vcm), reverse_pdf, d_vc)
-        others = camera * self.power(light_ratio) + hit
-        return [own / (own + other) for other in self._at_radii(others)]
+        return self._weights(self._own(own), self._at(0.0, camera * self.power(light_ratio), hit))
 
     def connection_weight(
         self,
         depth: mi.UInt32,
-        camera: tuple[mi.Float, Carried],
-        light: tuple[mi.Float, Carried],
+        camera: tuple[Carried, Carried],
+        light: tuple[Carried, Carried],
         camera_cos: mi.Float,
         light_cos: mi.Float,
         area_pdf_to_light: mi.Float,
         area_pdf_to_camera: mi.Float,
         reverse_pdf_camera: mi.Float,
         reverse_pdf_light: mi.Float,
-    ) -> list[mi.Float]:
+    ) -> Weights:
         """Weights of the connection of two inner vertices [Georgiev 2012b, eq. 40, 41]. ``camera``, ``light``: their
         (d_vcm, d_vc); ``camera_cos``, ``light_cos``: geometric cosines at which light arrives at them."""
-        own = self._count(self.techniques.connection)
         by_light = self._sum(self._merge_area(light_cos), light[0], reverse_pdf_light, light[1])
         area = self._merge_area(camera_cos, depth)
         by_camera = self._sum(area, self.joined(depth, camera[0]), reverse_pdf_camera, camera[1])
-        others = by_light * self.power(area_pdf_to_light) + by_camera * self.power(area_pdf_to_camera)
-        return [own / (own + other) for other in self._at_radii(others)]
+        others = self._at(by_light * self.power(area_pdf_to_light), by_camera * self.power(area_pdf_to_camera))
+        return self._weights([counts.connection for counts in (*self._sets, *self.candidates)], others)
 
     def splat_weight(
-        self, d_vcm: mi.Float, d_vc: Carried, light_cos: mi.Float, reverse_pdf: mi.Float, camera_area_pdf: mi.Float
-    ) -> list[mi.Float]:
+        self, d_vcm: Carried, d_vc: Carried, light_cos: mi.Float, reverse_pdf: mi.Float, camera_area_pdf: mi.Float
+    ) -> Weights:
         """Weights of a light vertex connected to the camera [Georgiev 2012b, eq. 46, 47]. ``light_cos``: geometric
         cosine at which light arrives at the vertex; ``camera_area_pdf``: area density of the vertex for a camera ray of
         the pixel."""
-        eta = self._merge_area(light_cos) if self.techniques.merge_first else 0.0
-        others = self._sum(eta, d_vcm, reverse_pdf, d_vc) * self.power(camera_area_pdf / self.paths_per_sample)
-        return [dr.rcp(1.0 + other) for other in self._at_radii(others)]
+        eta = self._merge_area(light_cos) if self.techniques.merge_first else None
+        by_light = self._sum(eta, d_vcm, reverse_pdf, d_vc)
+        if not self.linear:
+            return Weights([dr.rcp(1.0 + by_light * self.power(camera_area_pdf / self.paths_per_sample))])
+        others = self._at(by_light * self.power(camera_area_pdf), 0.0)
+        return self._weights([counts.splat for counts in (*self._sets, *self.candidates)], others)
 
     def merge_weight(
         self,
         depth: mi.UInt32,
-        camera: tuple[mi.Float, Carried],
-        light: tuple[mi.Float, Carried],
+        camera: tuple[Carried, Carried],
+        light: tuple[Carried, Carried],
         pdf: mi.Float,
         reverse_pdf: mi.Float,
-    ) -> list[mi.Float]:
+    ) -> Weights:
         """Weights of a light vertex merged with a camera vertex [Georgiev 2012b, eq. 38, 39].
 
         ``pdf``, ``reverse_pdf``: densities of the camera vertex's BSDF for the direction that the light arrived from,
         and for the opposite walk.
         """
-        by_light = self._sum(0.0, light[0], pdf, light[1])
-        others = by_light + self._sum(0.0, self.joined(depth, camera[0]), reverse_pdf, camera[1])
-        return [dr.rcp(1.0 + other / eta) for other, eta in zip(self._at_radii(others), self._etas, strict=True)]
+        by_light = self._sum(None, light[0], pdf, light[1])
+        by_camera = self._sum(None, self.joined(depth, camera[0]), reverse_pdf, camera[1])
+        others = self._at(by_light, by_camera)
+        if not self.linear:
+            return Weights([dr.rcp(1.0 + others[0] / self._sets[0].merge)])
+        return self._weights([counts.merge for counts in (*self._sets, *self.candidates)], others)

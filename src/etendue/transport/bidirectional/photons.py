@@ -23,7 +23,7 @@ import mitsuba as mi
 
 from etendue.film import Component
 
-from .mis import RadiusFree
+from .mis import Carried, Linear
 
 #: Least 1 + cos of the angle between the normals of two surfaces whose photons are merged: 120 degrees.
 _LEAST_OPENING = 0.5
@@ -36,8 +36,8 @@ class Photon:
     fluence: mi.Color3f  #: flux over the geometric cosine at which it arrived
     direction: mi.Vector3f  #: world, towards the light side
     normal: mi.Vector3f  #: of its surface, on the side of ``direction``
-    d_vcm: mi.Float
-    d_vc: mi.Float | RadiusFree
+    d_vcm: mi.Float | Linear
+    d_vc: mi.Float | Linear
 
 
 @dataclass
@@ -47,8 +47,9 @@ class Photons:
 
     _position: mi.Float
     _flux: mi.Float
-    _slopes: mi.Float | None
+    _more: mi.Float | None  #: further coefficients of d_vcm and d_vc
     _depth_bits: int  #: bits of a tag that hold the depth; if fewer than 16, the next four hold the vertex number
+    _owners: mi.UInt32 | None = None  #: number of the light path of each
 
     def position(self, index: mi.UInt32, active: mi.Bool) -> tuple[mi.Point3f, mi.UInt32]:
         """(position, depth)."""
@@ -64,18 +65,33 @@ class Photons:
         # As in `position`, so that both are one gather.
         return component_of(dr.gather(mi.Vector4f, self._position, index, active).w)
 
+    def path(self, index: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """Number of the light path, if vertices are ``owned``."""
+        assert self._owners is not None
+        return dr.gather(mi.UInt32, self._owners, index, active)
+
     def read(self, index: mi.UInt32, active: mi.Bool) -> Photon:
         """All but position and depth."""
         f = dr.gather(mi.Vector4f, self._flux, 2 * index, active)
         d = dr.gather(mi.Vector4f, self._flux, 2 * index + 1, active)
-        slope = None if self._slopes is None else dr.gather(mi.Float, self._slopes, index, active)
+        d_vcm, d_vc = weighting(f.w, d.w, self._more, index, active)
         return Photon(
             fluence=mi.Color3f(f.x, f.y, f.z),
             direction=unpacked_direction(d.x, d.y),
             normal=unpacked_normal(d.z),
-            d_vcm=f.w,
-            d_vc=d.w if slope is None else RadiusFree(d.w, slope),
+            d_vcm=d_vcm,
+            d_vc=d_vc,
         )
+
+
+def weighting(
+    d_vcm: mi.Float, d_vc: mi.Float, more: mi.Float | None, index: mi.UInt32, active: mi.Bool
+) -> tuple[Carried, Carried]:
+    """(d_vcm, d_vc) of a stored vertex from its packets; ``more``: further coefficients, if it has any."""
+    if more is None:
+        return d_vcm, d_vc
+    zero, m = mi.Float(0.0), dr.gather(mi.Vector4f, more, index, active)
+    return Linear(m.x, d_vcm, zero), Linear(d_vc, m.y, m.z)
 
 
 def unfolded(si: mi.SurfaceInteraction3f, position: mi.Point3f, photon: Photon) -> tuple[mi.Float, mi.Float]:

@@ -27,7 +27,7 @@ from ..vertex import WalkVertex
 from ..visibility import Visibility
 from ..walk import ones
 from .light_walk import LightPath, LightWalk
-from .mis import Mis, RadiusFree
+from .mis import Carried, Mis
 from .walk import BidirectionalPath, BidirectionalWalk
 
 P = TypeVar("P", bound=BidirectionalPath)
@@ -162,7 +162,7 @@ class _Stop:
         s: Any,
         vertex: WalkVertex,
         source: SampleSource,
-        on_edge: tuple[mi.Float, mi.Float | RadiusFree],
+        on_edge: tuple[Carried, Carried],
     ) -> _Stop:
         """Decide at the end of an edge."""
         last = s.active & (walk.number(s) == s.wanted)

@@ -19,8 +19,16 @@ from etendue.scene import materials
 
 from ..scattering import Evaluated, evaluate_light_end
 from ..vertex import Vertex, WalkVertex
-from .mis import RadiusFree
-from .photons import Photons, depth_of, number_of, packed_direction, packed_normal, unpacked_direction
+from .mis import Carried, Linear
+from .photons import (
+    Photons,
+    depth_of,
+    number_of,
+    packed_direction,
+    packed_normal,
+    unpacked_direction,
+    weighting,
+)
 
 #: Packets of four floats of a vertex, for connections and merging, and for merging only.
 _PACKETS = 6
@@ -61,10 +69,11 @@ class LightVertex(Vertex):
 
     direction: mi.Vector3f  #: world, towards the light side
     throughput: mi.Color3f
-    d_vcm: mi.Float
-    d_vc: mi.Float | RadiusFree
+    d_vcm: mi.Float | Linear
+    d_vc: mi.Float | Linear
     depth: mi.UInt32  #: edges from the light
     number: mi.UInt32  #: as ``depth``, without null surfaces if the store is ``numbered``
+    path: mi.UInt32  #: number of its light path
 
     def evaluate(self, direction: mi.Vector3f, active: mi.Bool) -> Evaluated:
         """The BSDF for a world direction of the eye side; the value times :func:`cosine_ratio` is the adjoint BSDF
@@ -83,7 +92,8 @@ class LightVertices:
     ----------
     indexed: the layout that recomputes surface interactions (see above).
     connected: vertices are used for connections; if not, only the data for merging is stored.
-    radius_free: d_vc is a :class:`RadiusFree`, of two numbers.
+    linear: d_vcm and d_vc are :class:`Linear`.
+    owned: store the path of each vertex, also for merging.
     numbered: store the number of each vertex on its path, up to 15; the light point is 0. Without, the depth is used,
         which differs from the number after null surfaces.
     """
@@ -95,7 +105,8 @@ class LightVertices:
         indexed: bool,
         connected: bool,
         numbered: bool = False,
-        radius_free: bool = False,
+        linear: bool = False,
+        owned: bool = False,
     ) -> None:
         self.capacity = capacity
         self.indexed = indexed
@@ -109,17 +120,18 @@ class LightVertices:
         # direction to the light side, normal, d_vc; two packets of the surface; BSDF, path, fluence of unit throughput.
         self._limit = dr.opaque(mi.UInt32, capacity)  # opaque, because the capacity depends on the seed
         self._records = dr.empty(mi.Float, 4 * self._packets * capacity)
-        self._slopes = dr.empty(mi.Float, capacity) if radius_free else None  # second coefficient of d_vc
+        self._more = dr.empty(mi.Float, 4 * capacity) if linear else None  # further coefficients of d_vcm and d_vc
+        self._owners = dr.empty(mi.UInt32, capacity) if owned else None
         padded = -(-paths // _BLOCK) * _BLOCK
         self._stored = dr.zeros(mi.UInt32, padded if connected else 1)  # vertices of each path
         self._order: mi.UInt32 | None = None
         self._start: mi.UInt32 | None = None
 
     @staticmethod
-    def bytes_per_vertex(connected: bool, merged: bool, radius_free: bool = False) -> int:
+    def bytes_per_vertex(connected: bool, merged: bool, linear: bool = False, owned: bool = False) -> int:
         """Device memory of a stored vertex in bytes, including the copy and the grid for merging."""
         bytes_ = 16 * (_PACKETS if connected else _PHOTON_PACKETS) + (4 if connected else 0)
-        return bytes_ + (48 + 24 if merged else 0) + (8 if radius_free else 0)
+        return bytes_ + (48 + 24 if merged else 0) + (32 if linear else 0) + (8 if owned else 0)
 
     @staticmethod
     def floats_per_vertex(connected: bool) -> int:
@@ -139,7 +151,7 @@ class LightVertices:
         vertex: WalkVertex,
         throughput: mi.Color3f,
         fluence: mi.Float,
-        mis: tuple[mi.Float, mi.Float | RadiusFree],
+        mis: tuple[Carried, Carried],
         kind: mi.UInt32,
         active: mi.Bool,
         number: mi.UInt32,
@@ -159,11 +171,15 @@ class LightVertices:
         direction = si.to_world(si.wi)
         self._put(0, mi.Vector4f(si.p.x, si.p.y, si.p.z, tag), slot, active)
         flux = throughput if self.connected else throughput * fluence
-        self._put(1, mi.Vector4f(flux.x, flux.y, flux.z, mis[0]), slot, active)
-        d_vc = mis[1]
-        if self._slopes is not None:
-            dr.scatter(self._slopes, d_vc.b, slot, active)
-            d_vc = d_vc.a
+        d_vcm, d_vc = mis
+        if self._more is not None:
+            assert isinstance(d_vcm, Linear) and isinstance(d_vc, Linear)
+            packet = mi.Vector4f(d_vcm.end, d_vc.connection, d_vc.merge, 0.0)
+            dr.scatter(self._more, packet, slot, active)
+            d_vcm, d_vc = d_vcm.connection, d_vc.end
+        self._put(1, mi.Vector4f(flux.x, flux.y, flux.z, d_vcm), slot, active)
+        if self._owners is not None:
+            dr.scatter(self._owners, path, slot, active)
         lit = dr.select(dr.dot(si.n, direction) < 0.0, -si.n, si.n)
         self._put(2, mi.Vector4f(*packed_direction(direction), packed_normal(lit), d_vc), slot, active)
         if not self.connected:
@@ -186,7 +202,7 @@ class LightVertices:
 
     def launch(self) -> None:
         """Launch the walk's kernel, and all that is scheduled."""
-        dr.eval(self.wanted, self._records, self._stored, self._slopes)
+        dr.eval(self.wanted, self._records, self._stored, self._more, self._owners)
 
     @property
     def count(self) -> mi.UInt32:
@@ -228,6 +244,7 @@ class LightVertices:
         position, throughput, direction, first, second, owner = (self._get(i, slot, active) for i in range(_PACKETS))
         bsdf = dr.reinterpret_array(mi.BSDFPtr, _as_uint(owner.x))
         world = unpacked_direction(direction.x, direction.y)
+        d_vcm, d_vc = weighting(throughput.w, direction.w, self._more, slot, active)
         p = mi.Point3f(position.x, position.y, position.z)
         si = self._recompute(p, world, first, second, active) if self.indexed else _framed(p, first, second)
         si.wi = si.to_local(world)
@@ -236,10 +253,11 @@ class LightVertices:
             bsdf=bsdf,
             direction=world,
             throughput=mi.Color3f(throughput.x, throughput.y, throughput.z),
-            d_vcm=throughput.w,
-            d_vc=_d_vc(direction.w, self._slopes, slot, active),
+            d_vcm=d_vcm,
+            d_vc=d_vc,
             depth=depth_of(position.w, self._depth_bits),
             number=number_of(position.w, self._depth_bits),
+            path=_as_uint(owner.y),
         )
 
     def _recompute(
@@ -275,12 +293,15 @@ class LightVertices:
             first = mi.Vector4f(first.x * fluence, first.y * fluence, first.z * fluence, first.w)
         dr.scatter(flux, first, 2 * destination, held)
         dr.scatter(flux, self._get(2, slot, held), 2 * destination + 1, held)
-        slopes = None
-        if self._slopes is not None:
-            slopes = dr.empty(mi.Float, self.capacity)
-            dr.scatter(slopes, dr.gather(mi.Float, self._slopes, slot, held), destination, held)
-        dr.eval(position, flux, slopes)
-        return Photons(position, flux, slopes, self._depth_bits)
+        more, owners = None, None
+        if self._more is not None:
+            more = dr.empty(mi.Float, 4 * self.capacity)
+            dr.scatter(more, dr.gather(mi.Vector4f, self._more, slot, held), destination, held)
+        if self._owners is not None:
+            owners = dr.empty(mi.UInt32, self.capacity)
+            dr.scatter(owners, dr.gather(mi.UInt32, self._owners, slot, held), destination, held)
+        dr.eval(position, flux, more, owners)
+        return Photons(position, flux, more, self._depth_bits, owners)
 
 
 def _framed(p: mi.Point3f, first: mi.Vector4f, second: mi.Vector4f) -> mi.SurfaceInteraction3f:
@@ -291,10 +312,6 @@ def _framed(p: mi.Point3f, first: mi.Vector4f, second: mi.Vector4f) -> mi.Surfac
     si.n = mi.Normal3f(second.x, second.y, second.z)
     si.uv = mi.Point2f(first.w, second.w)
     return si
-
-
-def _d_vc(value: mi.Float, slopes: mi.Float | None, index: mi.UInt32, active: mi.Bool) -> mi.Float | RadiusFree:
-    return value if slopes is None else RadiusFree(value, dr.gather(mi.Float, slopes, index, active))
 
 
 def _as_float(bits: mi.UInt32 | mi.Float) -> mi.Float:

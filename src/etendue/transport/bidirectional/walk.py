@@ -11,10 +11,11 @@ import mitsuba as mi
 from etendue.core import SampleSource
 
 from ..camera import CameraSampler
+from ..guiding.emission import EmissionTraining
 from ..scattering import Scattered, shadow_roulette
 from ..vertex import WalkVertex
 from ..walk import SubPath, Walker, ones
-from .mis import Mis, RadiusFree
+from .mis import Carried, Linear, Mis
 from .pyramid import Pyramid
 from .sinks import Contribution, Sink
 
@@ -23,8 +24,8 @@ from .sinks import Contribution, Sink
 class BidirectionalPath(SubPath):
     """State of a sub-path whose vertices are connected to others; ``d_vcm`` and ``d_vc``: see :class:`Mis`."""
 
-    d_vcm: mi.Float
-    d_vc: mi.Float | RadiusFree
+    d_vcm: mi.Float | Linear
+    d_vc: mi.Float | Linear
     vertex: mi.UInt32 | None  #: as ``depth``, without null surfaces; None if it is not used
 
 
@@ -36,6 +37,7 @@ class BidirectionalWalk(Walker):
     mis: Mis
     dark: mi.Float  #: opaque; contributions below this radiance play roulette before their shadow ray
     sink: Sink | None
+    training: EmissionTraining | None = None  #: learns what light paths contribute
 
     @property
     def pyramid(self) -> Pyramid | None:
@@ -76,7 +78,7 @@ class BidirectionalWalk(Walker):
         vertex: WalkVertex,
         scattered: Scattered,
         source: SampleSource,
-        on_edge: tuple[mi.Float, mi.Float | RadiusFree],
+        on_edge: tuple[Carried, Carried],
         roulette_by: tuple[mi.Color3f, mi.Float] | None = None,
     ) -> None:
         """:meth:`Walker.advance`, with ``d_vcm`` and ``d_vc`` after scattering; ``on_edge``: the two before the vertex,

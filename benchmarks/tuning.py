@@ -1,0 +1,215 @@
+"""``auto`` beside the methods that a user could have chosen: their errors after the same CPU time.
+
+CPU time of all threads, so that other work on the machine counts little. Every outcome is a line of a file in the
+folder ``out``, and what is in it is not measured again: a run that was interrupted goes on.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import statistics
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from etendue import film, methods, scene
+from etendue.core import RELATIVE_EPSILON, Measurement, Replica
+
+from .choice import scaled_size, sources
+from .measuring import Record, console, verdict
+from .options import Methods, Names, Pixels, Seeds
+
+#: Geometric mean of the errors of ``auto`` over those of ``vcm``, and the worst error over that of the best method.
+BAR, WORST_BAR = 0.4, 1.1
+SCENES = (
+    "caustics,cornell-box,cornell-glass,ajar,skylight,stage,veach-bidir,water-caustic,grey-white-room,wooden-staircase"
+)
+#: Methods of the references; by default ``bpt``.
+REFERENCES: dict[str, tuple[str, dict[str, Any]]] = {
+    "caustics": ("vcm", {"radius": 0.002}),
+    "water-caustic": ("vcm", {"radius": 0.002}),
+    "stage": ("vcm", {"radius": 0.002}),
+    "cornell-glass": ("vcm", {"radius": 0.002}),
+    "grey-white-room": ("path", {}),
+    "wooden-staircase": ("path", {}),
+}
+#: Each half of a reference takes this many times the longest time.
+_HALF = 3.0
+#: Share of the brightest errors that is left out: one firefly must not decide.
+_TRIM = 0.001
+#: Seed of the passes that warm up.
+_WARM_UP = 1 << 20
+#: Passes that warm up: ``auto`` first learns.
+_WARM_PASSES = {"auto": 4}
+
+
+def measure(
+    names: Names = SCENES,
+    entrants: Methods = "auto,vcm,path,guided,bpt,bpm,sppm",
+    pixels: Pixels = 65536,
+    at: Annotated[str, typer.Option(metavar="S,...", help="CPU seconds, separated by commas.")] = "20,60",
+    seeds: Seeds = 3,
+    out: Annotated[Path, typer.Option(help="Folder of outcomes and references.")] = Path("tuning"),
+) -> list[Record]:
+    """A table for each time; the methods take turns pass by pass, the next is always the one with the least time."""
+    marks = sorted(float(word) for word in at.split(","))
+    known = sources()
+    out.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        if name not in known:
+            raise SystemExit(f"no test scene '{name}'; there are {', '.join(known)}")
+        size = scaled_size(known[name], pixels)
+        for seed in range(seeds):
+            done = {(row["method"], row["seed"]) for row in _rows(out, name, size, marks)}
+            if wanted := [entrant for entrant in entrants if (entrant, seed) not in done]:
+                _race(name, known[name], size, wanted, seed, marks, out)
+    return [_table(names, known, pixels, entrants, seeds, marks, mark, out) for mark in marks]
+
+
+def _file(out: Path) -> Path:
+    return out / "tuning.jsonl"
+
+
+def _rows(out: Path, name: str, size: Sequence[int], marks: Sequence[float]) -> list[dict[str, Any]]:
+    """What was measured of a scene."""
+    if not _file(out).is_file():
+        return []
+    rows = [json.loads(line) for line in _file(out).read_text().splitlines()]
+    return [row for row in rows if (row["scene"], row["size"], row["marks"]) == (name, list(size), list(marks))]
+
+
+class _Run:
+    """A method under way."""
+
+    def __init__(self, source: Any, size: tuple[int, int], name: str, seed: int) -> None:
+        problem = scene.load(source, size=size)
+        method = methods.get(name)
+        estimator = method(method.Settings(max_depth=problem.max_depth))
+        estimator.prepare(problem, seed + _WARM_UP)
+        warm = Replica(estimator, seed + _WARM_UP)
+        for iteration in range(_WARM_PASSES.get(name, 1)):
+            warm.step(iteration)
+        start = time.process_time()
+        estimator = method(method.Settings(max_depth=problem.max_depth))
+        estimator.prepare(problem, seed)
+        self.name, self.replica, self.passes = name, Replica(estimator, seed), 0
+        self.total: Measurement | None = None
+        self.seconds = time.process_time() - start
+        self.found: list[dict[str, Any]] = []
+
+    def go_on(self, marks: Sequence[float], halves: Sequence[np.ndarray]) -> None:
+        """A pass, and the errors at the marks that it reaches."""
+        start = time.process_time()
+        made = self.replica.step(self.passes)
+        self.total = made if self.total is None else self.total + made
+        self.seconds += time.process_time() - start
+        self.passes += 1
+        for _ in [mark for mark in marks[len(self.found) :] if mark <= self.seconds]:
+            result = self.replica.develop(self.total)
+            # The error of the last pass's picture, brought to the time of the mark.
+            mark = marks[len(self.found)]
+            error = _error(result.image, halves) * self.seconds / mark
+            chosen = result.metadata.get("chosen", self.name)
+            self.found.append({"error": error, "seconds": self.seconds, "passes": self.passes, "chosen": chosen})
+
+
+def _race(
+    name: str, source: Any, size: tuple[int, int], wanted: Iterable[str], seed: int, marks: Sequence[float], out: Path
+) -> None:
+    halves = _halves(name, source, size, _HALF * marks[-1], out)
+    runs = []
+    for method in wanted:
+        runs.append(_Run(source, size, method, seed))
+        gc.collect()
+    while going := [run for run in runs if len(run.found) < len(marks)]:
+        min(going, key=lambda run: run.seconds).go_on(marks, halves)
+    with _file(out).open("a") as lines:
+        for run in runs:
+            row = {"scene": name, "size": list(size), "marks": list(marks), "method": run.name, "seed": seed}
+            lines.write(json.dumps(row | {"found": run.found}) + "\n")
+            texts = [f"{found['error']:.3g} ({found['passes']})" for found in run.found]
+            console.print(
+                f"{name}, seed {seed}, {run.name}: {', '.join(texts)}; {run.found[-1]['chosen']}", style="dim"
+            )
+
+
+def _halves(name: str, source: Any, size: tuple[int, int], seconds: float, out: Path) -> list[np.ndarray]:
+    """The reference in two halves of so many CPU seconds, from its file if there is one."""
+    path = out / f"{name.replace(' ', '-')}-{size[0]}x{size[1]}.npz"
+    if not path.is_file():
+        method, settings = REFERENCES.get(name, ("bpt", {}))
+        console.print(f"reference of {name} by {method}, {2 * seconds:g} s", style="dim")
+        pictures = []
+        for half in range(2):
+            problem = scene.load(source, size=size)
+            cls = methods.get(method)
+            estimator = cls(cls.Settings(max_depth=problem.max_depth, **settings))
+            estimator.prepare(problem, 1000 + half)
+            replica, total, passes, start = Replica(estimator, 1000 + half), None, 0, time.process_time()
+            while time.process_time() - start < seconds:
+                made = replica.step(passes)
+                total, passes = made if total is None else total + made, passes + 1
+            assert total is not None
+            pictures.append(replica.develop(total).image)
+        np.savez(path, *pictures)
+    with np.load(path) as found:
+        return [found[key] for key in found.files]
+
+
+def _error(image: np.ndarray, halves: Sequence[np.ndarray]) -> float:
+    """Error against the mean of the halves, less that of the mean itself, which is a quarter of their difference's."""
+    mean = (halves[0] + halves[1]) / 2
+    own = film.relative_mse(halves[0], mean, trim=_TRIM)
+    return max(film.relative_mse(image, mean, trim=_TRIM) - own, 1e-9)
+
+
+def _table(
+    names: Sequence[str],
+    known: Mapping[str, Any],
+    pixels: int,
+    entrants: Sequence[str],
+    seeds: int,
+    marks: Sequence[float],
+    mark: float,
+    out: Path,
+) -> Record:
+    """Median errors at a mark, and the ratios of ``auto``."""
+    record = Record(
+        f"Tuning, about {pixels} pixels, {mark:g} s of CPU",
+        ("", *entrants, "auto / vcm", "auto / best other", "bar", "chosen"),
+    )
+    over_vcm, over_best = [], []
+    for name in names:
+        rows = [row for row in _rows(out, name, scaled_size(known[name], pixels), marks) if row["seed"] < seeds]
+        index = list(marks).index(mark)
+        found = {entrant: [row["found"][index] for row in rows if row["method"] == entrant] for entrant in entrants}
+        middle = {entrant: statistics.median(one["error"] for one in each) for entrant, each in found.items() if each}
+        others = {entrant: error for entrant, error in middle.items() if entrant != "auto"}
+        ratios = ["", "", "", ""]
+        if "auto" in middle and others:
+            best = middle["auto"] / min(others.values())
+            over_best.append(best)
+            if "vcm" in others:
+                over_vcm.append(middle["auto"] / others["vcm"])
+            by_vcm = f"{over_vcm[-1]:.2f}" if "vcm" in others else ""
+            chosen = ", ".join(dict.fromkeys(one["chosen"] for one in found["auto"]))
+            ratios = [by_vcm, f"{best:.2f}", verdict(best, WORST_BAR), chosen]
+        record.add(name, *(f"{middle[entrant]:.3g}" if entrant in middle else "" for entrant in entrants), *ratios)
+    if over_vcm:
+        mean = statistics.geometric_mean(over_vcm)
+        record.notes.append(f"geometric mean of auto / vcm: {mean:.2f}, {verdict(mean, BAR)}")
+    if over_best:
+        mean = statistics.geometric_mean(over_best)
+        record.notes.append(f"auto / best other: worst {max(over_best):.2f}, geometric mean {mean:.2f}")
+    record.notes += [
+        f"error: mean of (x - ref)² / (ref² + {RELATIVE_EPSILON:g}) without the worst 0.1 % of pixels, less that of "
+        "the reference, times the CPU seconds of the pass that reached the time over the time",
+        f"median of {seeds} seed{'s' if seeds > 1 else ''}; kernels are compiled before; preparation counts",
+        "references: " + ", ".join(f"{name} by {method[0]}" for name, method in REFERENCES.items()) + ", others by bpt",
+    ]
+    return record

@@ -1,0 +1,121 @@
+"""Which sample counts need the least time for a given error: errors from second moments, times from a cost model.
+
+The error of a candidate for the sample counts is that of a picture of one camera path per pixel,
+
+.. math:: E = \\mathrm{mean}_{tiles} \\frac{M - \\bar X^2}{\\bar I^2 + 0.01}
+
+with the second moment M and the mean X of its camera paths (:class:`etendue.transport.Moments`) and the picture I. Its
+cost is that of a camera path and its share of the light paths, in units of an edge of a path tracer, by the numbers of
+vertices, connections and photons that the passes have counted. No clock is read, so a seed determines the decisions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import RELATIVE_EPSILON, State
+from etendue.transport import TILE, Candidate
+
+#: Costs in units of an edge of a path tracer with its light point. Fitted to CPU times of passes of four bundled scenes
+#: (28 settings), which they predict to 30 %.
+CAMERA_EDGE = 1.2  #: an edge of a camera path, with the weights
+CONNECTING = 0.25  #: a vertex that is connected to light vertices
+CONNECTION = 0.4  #: each of its connections
+LIGHT_VERTEX = 1.55  #: a vertex of a light path, with its splat
+QUERY = 0.3  #: looking for photons at a vertex
+PHOTON = 0.105  #: merging one
+#: Cost of a pass that estimates moments, over that of the same pass without.
+LEARNING = 1.7
+
+
+@dataclass(frozen=True)
+class Work:
+    """What a pass has done, per camera path or light path."""
+
+    edges: float  #: of a camera path
+    smooth: float  #: vertices of a camera path that can be connected
+    photons: float  #: that a camera path merges, for one light path per camera path
+    vertices: float  #: of a light path
+
+    def cost(self, counts: Candidate) -> float:
+        """Cost of a camera path."""
+        if counts.light_paths == 0.0:
+            return self.edges
+        cost = CAMERA_EDGE * self.edges + LIGHT_VERTEX * counts.light_paths * self.vertices
+        if counts.connections:
+            cost += (CONNECTING + CONNECTION * counts.connections) * self.smooth
+        if counts.merging:
+            cost += QUERY * self.smooth + PHOTON * counts.light_paths * self.photons
+        return cost
+
+
+@dataclass(frozen=True)
+class Learned:
+    """Sums over the passes that have estimated moments. Arrays are never modified."""
+
+    passes: int
+    tiles: NDArray[np.float32]  #: (rows, columns, 2, candidates): moments, and means of camera paths, per camera path
+    picture: NDArray[np.float32]  #: (height, width), means over the channels
+    squares: NDArray[np.float32]  #: their squares
+    work: NDArray[np.float64]  #: fields of :class:`Work`
+
+    @classmethod
+    def none(cls) -> Learned:
+        """Before the first pass."""
+        nothing = np.zeros((0, 0), np.float32)
+        return cls(0, nothing.reshape(0, 0, 2, 0), nothing, nothing, np.zeros(4))
+
+    def after(self, tiles: NDArray[Any], picture: NDArray[Any], work: Sequence[float]) -> Learned:
+        """With one more pass: its ``tiles``, ``picture`` (height, width), and work."""
+        new = np.asarray(tiles, np.float32), np.asarray(picture, np.float32), np.square(picture, dtype=np.float32)
+        if self.passes:
+            new = self.tiles + new[0], self.picture + new[1], self.squares + new[2]
+        return Learned(self.passes + 1, *new, self.work + np.asarray(work, np.float64))
+
+    def errors(self) -> NDArray[np.float64]:
+        """Error of each candidate."""
+        n = self.passes
+        picture, squares = self.picture.astype(np.float64), self.squares.astype(np.float64)
+        moments, means = np.moveaxis(self.tiles.astype(np.float64) / n, 2, 0)
+        level = _tiled(picture / n)
+        # Mean of the squared means of the pixels, from products of different passes.
+        square = _tiled((np.square(picture) - squares) / (n * (n - 1))) if n > 1 else np.square(level)
+        share = np.clip(means / np.maximum(level, 1e-12)[..., None], 0.0, 1.0)
+        variance = moments - np.square(share) * square[..., None]
+        error = (variance / (np.square(level) + RELATIVE_EPSILON)[..., None]).mean(axis=(0, 1))
+        # Variances are differences, and may be lost in noise: no candidate is better than a thousandth of its moment.
+        least = 1e-3 * (moments / (np.square(level) + RELATIVE_EPSILON)[..., None]).mean(axis=(0, 1))
+        return np.maximum(error, least)
+
+    def mean_work(self) -> Work:
+        """Means over the passes."""
+        return Work(*(float(value) / max(1, self.passes) for value in self.work))
+
+    def state(self) -> State:
+        """As values of a method's state."""
+        return dict(vars(self))
+
+    @classmethod
+    def of(cls, state: State) -> Learned:
+        """Inverse of :meth:`state`."""
+        arrays = {name: np.asarray(state[name], np.float32) for name in ("tiles", "picture", "squares")}
+        return cls(int(state["passes"]), work=np.asarray(state["work"], np.float64), **arrays)
+
+
+def _tiled(image: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Means over tiles; those at the border are smaller."""
+    height, width = image.shape
+    rows, columns = np.arange(0, height, TILE), np.arange(0, width, TILE)
+    sums = np.add.reduceat(np.add.reduceat(image, rows, axis=0), columns, axis=1)
+    return sums / tile_pixels(height, width)
+
+
+def tile_pixels(height: int, width: int) -> NDArray[np.float64]:
+    """Number of pixels of each tile, (rows, columns)."""
+    sides = (np.minimum(TILE, side - np.arange(0, side, TILE)).astype(np.float64) for side in (height, width))
+    return np.outer(*sides)
