@@ -85,6 +85,7 @@ PROGRAMS = {
                 Benchmark("samplers", "samplers.measure", 3, "path by each sampler: error at equal samples, patterns."),
                 Benchmark("points", "sequences.measure", 1, "Points of sequences a second, beside scipy's qmc."),
                 Benchmark("integration", "integrals.measure", 1, "Vegas beside the vegas package: errors and speed."),
+                Benchmark("divisions", "divisions.measure", 3, "The dimension that recursive stratification divides."),
                 Benchmark("density", "densities.measure", 1, "Density estimates in the plane, beside gaussian_kde."),
                 Benchmark("radiosity", "exchanges.measure", 2, "Segments of global lines: cast, replayed and solved."),
                 Benchmark("view-factors", "view_factors.measure", 5, "View factors, beside pyViewFactor and View3D."),
