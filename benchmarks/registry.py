@@ -74,10 +74,10 @@ PROGRAMS = {
                 Benchmark(
                     "denoise", "denoising.measure", 45, "Denoised after 5 s against raw after 40 s.", in_all=False
                 ),
-                Benchmark("viewer", "viewing.measure", 2, "Pictures a second of the viewer while its camera moves."),
                 Benchmark(
                     "learned-light", "learned_light.measure", 75, "Learned emission, on beside off.", in_all=False
                 ),
+                Benchmark("viewer", "viewing.measure", 2, "Pictures a second of the viewer while its camera moves."),
                 Benchmark("guided", "guided.measure", 13, "Error times time of guided, beside path."),
                 Benchmark("ambient", "ambient.measure", 12, "Paths that end in an ambient term, beside whole paths."),
                 Benchmark("workers", "workers.measure", 5, "Worker processes beside unconnected ones.", in_all=False),
@@ -85,6 +85,7 @@ PROGRAMS = {
                 Benchmark("samplers", "samplers.measure", 3, "path by each sampler: error at equal samples, patterns."),
                 Benchmark("points", "sequences.measure", 1, "Points of sequences a second, beside scipy's qmc."),
                 Benchmark("integration", "integrals.measure", 1, "Vegas beside the vegas package: errors and speed."),
+                Benchmark("divisions", "divisions.measure", 3, "The dimension that recursive stratification divides."),
                 Benchmark("density", "densities.measure", 1, "Density estimates in the plane, beside gaussian_kde."),
                 Benchmark("radiosity", "exchanges.measure", 2, "Segments of global lines: cast, replayed and solved."),
                 Benchmark("view-factors", "view_factors.measure", 5, "View factors, beside pyViewFactor and View3D."),

@@ -120,7 +120,8 @@ class Spread(Crew[Chunk]):
 
     def _feed(self) -> None:
         """Send chunks to workers that have few."""
-        left = self._order.left()
+        # A run makes one pass at least: where preparation in the workers takes all of the time, too.
+        left = self._order.left() if self._shares else None
         if left is not None and left <= 0:
             return
         # First each worker has one chunk, then two. Only those with room are looked at: there may be thousands.
