@@ -293,7 +293,8 @@ def test_a_session_that_is_closed_releases_its_scene():
         await page.until("progress", lambda m: m["passes"] >= 2)
         page.send("lights.add", kind="sky", colour=[1, 1, 1])
         assert "give its file or its dictionary" in (await told(page))["text"]
-        return weakref.ref(session.problem), weakref.ref(session.main)
+        (moving,) = session._preview._made.values()
+        return weakref.ref(session.problem), weakref.ref(session.main), weakref.ref(moving)
 
     kept = talk(viewer, conversation)
     assert all(one() is not None for one in kept)

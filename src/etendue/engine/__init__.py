@@ -11,9 +11,10 @@ from .replicas import Replicated, replica_seed, replicated
 from .runner import Cancelled, RunError, Runner, RunResult
 from .saving import check_period, check_save_times
 from .session import Session, jit_flags, set_jit_flags
-from .stopping import CancelEvent
+from .stopping import LEAST_PASSES_FOR_ERROR, CancelEvent
 
 __all__ = [
+    "LEAST_PASSES_FOR_ERROR",
     "Budget",
     "CancelEvent",
     "Cancelled",

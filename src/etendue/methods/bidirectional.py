@@ -25,7 +25,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import Carrying, IndependentSource, OptionError, State, free_memory, logger
+from etendue.core import Carrying, IndependentSource, State, logger
 from etendue.density import HashGrid
 from etendue.film import COMPONENTS, REFLECTED
 from etendue.scene import Problem
@@ -63,7 +63,7 @@ from .base import (
     with_image,
 )
 from .bidirectional_settings import BidirectionalSettings, BpmSettings, BptSettings
-from .store import STORE_SHARE, VertexRoom
+from .store import VertexRoom, check_pyramid
 
 
 @dataclass
@@ -129,7 +129,8 @@ class Bidirectional(Carrying, ImageMethod):
             )
         self._factors = (1.0, *radii.factors(s.radii))
         self.one_place = s.pyramid  # the pictures of a pyramid are filtered once, at the end of a pass
-        self._check_pyramid(problem.memory)
+        if s.pyramid:
+            check_pyramid(self.techniques, s.pyramid_depth, self.camera, problem.memory)
         self._indexed = needs_interaction(problem.scene)
         self._box = corners(problem)
         self._paths = max(1, round(s.light_paths * self.camera.pixels * self.samples_per_iteration))
@@ -156,24 +157,6 @@ class Bidirectional(Carrying, ImageMethod):
     def full_lanes(self) -> int:
         """See :class:`ImageMethod`."""
         return STEP_LANES if self.settings.merging or self.settings.pyramid else super().full_lanes()
-
-    def _check_pyramid(self, memory: int | None) -> None:
-        """Raise :class:`OptionError` if the layers of the pyramid and the light vertices do not fit into memory."""
-        if not self.settings.pyramid:
-            return
-        depth, camera = self.settings.pyramid_depth, self.camera
-        needed = Pyramid.bytes(self.techniques, depth, camera.pixels)
-        what = f"a technique pyramid of depth {depth} at {camera.width}x{camera.height} needs {needed / 1e6:.0f} MB"
-        how = "lower pyramid_depth or the picture's size"
-        if memory is not None and needed > (1.0 - STORE_SHARE) * memory:
-            least = needed / (1.0 - STORE_SHARE) / 1e6
-            raise OptionError(
-                f"{what}, too much for a memory limit of {memory / 1e6:.0f} MB; {how}, or raise the limit to "
-                f"{least:.0f} MB"
-            )
-        free = free_memory()
-        if free is not None and needed > free:
-            raise OptionError(f"{what}, but only {free / 1e6:.0f} MB are free; {how}")
 
     # ------------------------------------------------------------------ pilots
 

@@ -1,7 +1,6 @@
 """Light transport for all methods: vertices, walks, emission, camera, scattering, MIS weights, vertex stores."""
 
 from . import dimensions
-from .ambient import AMBIENT_WALKS, AmbientScene, AmbientTable, ambient_scene
 from .bidirectional.camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
 from .bidirectional.light_walk import LightWalk
 from .bidirectional.mis import GRAZING, Counts, Mis, Techniques
@@ -14,7 +13,8 @@ from .bidirectional.vertices import Kind, LightVertex, LightVertices, needs_inte
 from .camera import CameraConnection, CameraSampler, SplatPlace, Splats
 from .direct import DirectWeights
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, sample_direct
-from .ending import EndingGuidedWalk, EndingWalker, light_of_map
+from .endings.ambient import AMBIENT_WALKS, AmbientScene, AmbientTable, ambient_scene
+from .endings.maps import EndingGuidedWalk, EndingWalker, light_of_map
 from .firsthits import FirstHits, shapes_seen
 from .functions import TransportFunctions, film_picture
 from .guiding.emission import EmissionGuide, EmissionSums, EmissionTraining

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import weakref
 import webbrowser
 from collections.abc import Mapping
 from html import escape
@@ -17,8 +19,16 @@ from etendue.engine import Budget
 from .server import Server
 from .session import Asked, Session
 
+#: Viewers that are open. A process that ends in the middle of a kernel may crash, so they are closed before.
+_open: weakref.WeakSet[Viewer] = weakref.WeakSet()
 #: Height of the frame in a notebook, in pixels.
 _HEIGHT = 720
+
+
+@atexit.register
+def _close_all() -> None:
+    for viewer in list(_open):
+        viewer.close()
 
 
 class Viewer:
@@ -38,6 +48,7 @@ class Viewer:
         except BaseException:
             self._session.close()
             raise
+        _open.add(self)
 
     @property
     def url(self) -> str:

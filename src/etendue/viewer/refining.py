@@ -8,7 +8,7 @@ from typing import Any
 
 from etendue import methods
 from etendue.core import Measurement, Replica, Result, Settings
-from etendue.engine import Budget, Task, task_settings, versions
+from etendue.engine import LEAST_PASSES_FOR_ERROR, Budget, Task, task_settings, versions
 from etendue.scene import Problem
 
 #: Growth of the number of passes between two estimates of the noise.
@@ -60,8 +60,14 @@ class Refinement:
         return (
             (most is not None and self.passes >= most)
             or (self.budget.seconds is not None and self.seconds >= self.budget.seconds)
-            or (self.budget.error is not None and self.noise is not None and self.noise <= self.budget.error)
+            or self._is_quiet
         )
+
+    @property
+    def _is_quiet(self) -> bool:
+        """Whether the noise is that of the budget, by an estimate of enough passes."""
+        known = self.budget.error is not None and self.noise is not None and self.passes >= LEAST_PASSES_FOR_ERROR
+        return known and self.noise <= self.budget.error  # type: ignore[operator]
 
     def step(self) -> None:
         """Make a pass and add it."""

@@ -33,7 +33,7 @@ def save(session: Session, what: str, name: str) -> Path:
         raise OptionError(f"what can be saved is {', '.join(KINDS)}, not '{what}'")
     endings = KINDS[what]
     name = name.strip() or f"view{endings[0]}"
-    if Path(name).name != name or name.startswith(".") or "\\" in name:
+    if name.startswith(".") or any(c in '/\\:*?"<>|' or ord(c) < 32 for c in name):
         raise OptionError(
             f"give a file name without a folder, not '{name}': files are written to {session.asked.folder}"
         )

@@ -42,7 +42,7 @@ Picture = NDArray[np.float32]
 #: The camera is at rest so many seconds after its last movement.
 _REST = 0.25
 #: Pixels of the picture if no size is asked for.
-_PIXELS = 320_000
+_PIXELS = 262_144
 #: Least seconds between two pictures of the refinement, and the share of the time that showing them may take.
 _EVERY, _SHARE = 0.1, 0.15
 #: Name of the session's thread.
@@ -200,7 +200,6 @@ class Session:
 
     def open(self, asked: Asked, keep_pose: bool = False) -> None:
         """Load a scene and show it. Raises the errors of loading; the scene of before stays then."""
-        begin = time.perf_counter()
         problem = _loaded(asked, lambda state: self._change(asked, state))
         pose = Pose.of(problem)
         if keep_pose and self.pose is not None and self.problem is not None:
@@ -211,12 +210,12 @@ class Session:
             self.views, self.home = [], pose
         self.asked, self.problem = asked, problem
         self._preview, self.layers = Preview(problem), {}
-        self.compared = None
+        self.main = self.compared = None
+        for panel in self.panels.values():  # which let go of the scene of before
+            self._guarded(panel.scene_loaded)
+        gc.collect()  # a scene that is alive is a part of every later kernel
         self.move(pose)
         self._moving_until = 0.0
-        for panel in self.panels.values():
-            self._guarded(panel.scene_loaded)
-        logger.debug("viewer: the scene was loaded in %.2f s", time.perf_counter() - begin)
 
     def _change(self, asked: Asked, state: mi.parser.ParserState) -> None:
         """Change a parsed scene before its objects are built: names for all, lights, and the edits of panels."""
@@ -230,10 +229,7 @@ class Session:
 
     def _work(self) -> None:
         try:
-            set_jit_flags(self._flags)
-            use_variant()
-            self.panels = panels(self)
-            self._guarded(lambda: self.open(self.asked), fatal=True)
+            self._guarded(self._begin, fatal=True)
             self.opened.set()
             while not self._closing.is_set():
                 busy = self._guarded(self._advance)
@@ -247,14 +243,23 @@ class Session:
             gc.collect()
             self.ended.set()
 
+    def _begin(self) -> None:
+        set_jit_flags(self._flags)
+        use_variant()
+        self.panels = panels(self)
+        self.open(self.asked)
+
     def _take_messages(self, wait: bool) -> None:
-        """Handle all messages there are; ``wait`` for the first one."""
-        until_rest = self._moving_until - time.monotonic()
+        """Handle all messages there are; ``wait`` for the first one, or until the camera is at rest."""
+        rests = self.main is None and self.problem is not None and bool(self.clients)
+        until = (
+            max(self._moving_until - time.monotonic(), 1e-3) if rests and not (self.paused or self.trouble) else None
+        )
         with contextlib.suppress(queue.Empty):
             if wait:
-                self._inbox.get(timeout=until_rest if until_rest > 0 else None)()
+                self._guarded(self._inbox.get(timeout=until))
             while not self._closing.is_set():
-                self._inbox.get_nowait()()
+                self._guarded(self._inbox.get_nowait())
 
     def _handle(self, client: Client, message: Mapping[str, Any]) -> None:
         try:
@@ -385,7 +390,7 @@ class Session:
 def _loaded(asked: Asked, change: Change) -> Problem:
     """The scene with a sensor of the session's own, at the size that is asked for or one of a moderate size."""
     options: dict[str, Any] = {"sensor": asked.sensor, "parameters": asked.parameters, "memory": asked.memory}
-    if is_described(asked.scene):
+    if is_described(asked.scene) or asked.lights:  # which a scene in memory refuses
         options["change"] = change
     problem = load(asked.scene, size=asked.size, **options)
     width, height = problem.size

@@ -36,6 +36,7 @@ def state(session: Session) -> dict[str, Any]:
         "scene_settings": session.main.settings.to_dict() if session.main is not None else {},
         "budget": asked.budget.to_dict(),
         "paused": session.paused,
+        "preparing": problem is not None and (session.main is None or not session.main.passes),
         "show": vars(session.show),
         "layers": layer_names(session.layers) or ["image"],
         "compared": session.compared.state() if session.compared is not None else None,

@@ -72,6 +72,7 @@ connection.on('state', (message) => {
   $('pause').setAttribute('aria-pressed', message.paused);
   $('pause').textContent = message.paused ? 'Go on' : 'Pause';
   wait(message.trouble || (message.loaded ? '' : 'Loading the scene…'));
+  if (message.preparing && !message.paused && !message.trouble) $('progress').textContent = `${message.method} is prepared…`;
   const other = compared && (compared.method || compared.reference.split('/').at(-1));
   stage.compare(Boolean(compared));
   $('tag-a').hidden = $('tag-b').hidden = !compared;

@@ -20,7 +20,7 @@ export default function (host) {
       for (const { heading, columns, rows } of view.triangles) {
         element.append(make('h3', {}, heading), make('div', { class: 'scroll' }, make('table', {},
           make('thead', {}, make('tr', {}, make('td'), ...columns.map((s) => make('th', { scope: 'col' }, `s = ${s}`)))),
-          make('tbody', {}, ...rows.map(([edges, row]) => make('tr', {}, make('th', { scope: 'row' }, `${edges} edges`), ...row.map((one) => make('td', {}, figure(one)))))))));
+          make('tbody', {}, ...rows.map(([edges, row]) => make('tr', {}, make('th', { scope: 'row' }, `${edges} ${edges === 1 ? "edge" : "edges"}`), ...row.map((one) => make('td', {}, figure(one)))))))));
       }
       if (view.longer) element.append(figure(view.longer));
     }

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from etendue.core import Array, SampleSource, copied_to_device
 from etendue.surfaces import AmbientTerm, class_weights, incoming
 
-from .direct import DirectWeights
-from .vertex import WalkVertex
-from .walk import CameraPath, Walker, ones
+from ..direct import DirectWeights
+from ..vertex import WalkVertex
+from ..walk import CameraPath, Walker, ones
 
 Mask = NDArray[np.bool_]
 

@@ -21,12 +21,12 @@ from etendue.core import SampleSource
 from etendue.scene import LightTable
 from etendue.surfaces import SurfaceMap
 
-from .emission import DirectSample
-from .guiding.lights import LocalLights
-from .guiding.walk import GuidedWalk
-from .scattering import Scattered
-from .vertex import WalkVertex
-from .walk import CameraPath, MapEnd, SubPath, Walker, ones
+from ..emission import DirectSample
+from ..guiding.lights import LocalLights
+from ..guiding.walk import GuidedWalk
+from ..scattering import Scattered
+from ..vertex import WalkVertex
+from ..walk import CameraPath, MapEnd, SubPath, Walker, ones
 
 
 def light_of_map(surface_map: SurfaceMap, end: MapEnd) -> tuple[mi.Color3f, mi.Bool]:
