@@ -44,8 +44,8 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "pssmlt bidirectional": ("pssmlt", {"bootstrap": 1 << 14, "estimator": "bidirectional"}),
     "mmlt": ("mmlt", {"bootstrap": 1 << 14}),
 }
-#: Methods whose passes depend on each other: independent runs have the variance.
-DEPENDENT = ("guided", "vegas", "pssmlt", "mmlt")
+#: Methods whose passes depend on each other, or share their camera rays: independent runs have the variance.
+DEPENDENT = ("guided", "vegas", "pssmlt", "mmlt", "ppm")
 FAST = ("path", "light", "bpt", "sppm")
 
 
@@ -121,7 +121,7 @@ def test_components_of_all_methods_agree(name):
     for layer in COMPONENTS:
         a, b = (np.where(hidden, 0.0, layers[layer]) for layers in (found, expected))
         # A caustic of a lamp is light that path finds rarely.
-        assert_agree(a, b, (name, layer), precision=0.08 if layer == "caustic" else 0.03)
+        assert_agree(a, b, (name, layer), precision=0.15 if layer == "caustic" else 0.03)
 
 
 def test_a_mirror_shows_the_components_of_what_is_in_it():
@@ -160,7 +160,7 @@ def test_first_hits_are_recorded_by_the_walk(name):
     traced, _ = runner.first_layers(0, 1, 8)
     assert sorted(traced) == ["albedo", "depth", "emitted", "normal"]
     for layer, expected in traced.items():
-        np.testing.assert_array_equal(measured.sums[layer], expected, err_msg=layer)
+        np.testing.assert_allclose(measured.mean(layer), expected / 8.0, rtol=1e-6, err_msg=layer)
     np.testing.assert_allclose(measured.mean("emitted"), measured.mean(), rtol=1e-5, atol=1e-6)
     assert measured.mean().any()
 

@@ -40,8 +40,9 @@ KEYS = {
 class Browser:
     """One tab. Use as ``async with Browser(width, height) as tab``."""
 
-    def __init__(self, width=1280, height=800, dark=False, touch=False):
+    def __init__(self, width=1280, height=800, dark=False, touch=False, more=()):
         self.size, self.dark, self.touch = (width, height), dark, touch
+        self.more = more  # further options of Chromium
         self.errors = []
         self._numbers = itertools.count(1)
         self._answers = {}
@@ -51,6 +52,7 @@ class Browser:
         self.process = await asyncio.create_subprocess_exec(
             PROGRAM,
             *FLAGS,
+            *self.more,
             f"--user-data-dir={self.folder}",
             "about:blank",
             stdout=asyncio.subprocess.DEVNULL,

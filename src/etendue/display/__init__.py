@@ -30,9 +30,11 @@ from .report import (
     fact_table,
     fitted,
     flatten,
+    in_pyramid,
     machine,
     number_text,
     over_seeds,
+    pyramids,
     render_page,
     render_report,
     time_text,
@@ -40,7 +42,6 @@ from .report import (
     viewer_data,
     write_report,
 )
-from .report.pyramid import in_pyramid, pyramids
 from .scatter import Projection, projection_plot
 from .tev import TevDisplay
 from .tonemap import auto_exposure, check_tone, tonemap

@@ -45,10 +45,10 @@ class _LogAxis:
         return self.start + share * (self.end - self.start)
 
     def ticks(self) -> list[tuple[float, bool]]:
-        """(value, labelled) at the decades, and at their 2 and 5 where there are few of them."""
+        """(value, labelled) at the decades, and at their 2 and 5, or all, where there are few of them."""
         first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
         decades = math.log10(self.high / self.low)
-        steps = (1, 2, 5) if decades < 2.5 else (1,)
+        steps = range(1, 10) if decades < 0.8 else (1, 2, 5) if decades < 2.5 else (1,)
         every = 1 if decades <= 6 else 2
         found = []
         for exponent in range(first, last + 1):
@@ -78,7 +78,7 @@ def convergence_plot(
     curves = [(index, s.name, points) for index, s in enumerate(series) if (points := s.drawable())]
     if not curves:
         return ""
-    left, right, bottom = 62.0, 14.0, 44.0
+    left, right, bottom = 68.0, 14.0, 44.0
     unit = "s" if x_label == "seconds" else x_label
     legend, top = _legend([(index, name) for index, name, _ in curves], left, width - right)
     x_axis = _axis([x for _, _, points in curves for x, _, _ in points], left, width - right)

@@ -148,6 +148,8 @@ class ImageMethod(ABC):
     one_place = False
     #: An instance of ``Settings``.
     settings: Any
+    #: The layer of shapes and their names, if it is asked for; subclasses may have a ``prepare`` of their own.
+    _shapes: Any = None
 
     def __init__(self, settings: ImageSettings | None = None) -> None:
         self.settings = settings if settings is not None else self.Settings()

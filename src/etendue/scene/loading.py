@@ -142,9 +142,6 @@ def _checked_size(size: Sequence[int]) -> Size:
     return width, height
 
 
-# -- XML and dictionaries --------------------------------------------------------------------------------------------
-
-
 _NO_VARIABLES = "parameters replace $variables of an XML file; this scene is not an XML file"
 
 
@@ -277,9 +274,6 @@ def _remedy(text: str) -> str:
         if re.search(pattern, text):
             return remedy
     return "correct the scene"
-
-
-# -- loaded scenes ---------------------------------------------------------------------------------------------------
 
 
 def _from_scene(scene: mi.Scene, size: Size | None, sensor: int, memory: int | None, check: bool) -> Problem:

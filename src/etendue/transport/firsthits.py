@@ -42,15 +42,28 @@ class FirstHits:
 
     def record(self, vertex: WalkVertex, emitted: mi.Color3f, active: mi.Bool) -> None:
         """Record the ends of first edges and the emission there, inside the walk."""
-        assert self._ray is not None
-        si, n, hit = vertex.si, vertex.si.sh_frame.n, active & vertex.valid
-        albedo = dr.select(hit, vertex.bsdf.eval_diffuse_reflectance(si, hit), 0.0)
-        # A packed normal is always finite; a depth of NaN tells of one that is not.
-        depth = dr.select(hit, dr.select(dr.all(dr.isfinite(n)), si.t, dr.nan), 0.0)
-        first = mi.Vector4f(albedo.x, albedo.y, albedo.z, depth)
-        second = mi.Vector4f(emitted.x, emitted.y, emitted.z, packed_normal(n))
-        for number, packet in enumerate((first, second)):
-            dr.scatter(self._packets, packet, self._ray * _PACKETS + number, active)
+
+        def put(
+            ray: mi.UInt32,
+            si: mi.SurfaceInteraction3f,
+            bsdf: mi.BSDFPtr,
+            emitted: mi.Color3f,
+            hit: mi.Bool,
+            active: mi.Bool,
+        ) -> mi.Bool:
+            n = si.sh_frame.n
+            albedo = dr.select(hit, bsdf.eval_diffuse_reflectance(si, hit), 0.0)
+            # A packed normal is always finite; a depth of NaN tells of one that is not.
+            depth = dr.select(hit, dr.select(dr.all(dr.isfinite(n)), si.t, dr.nan), 0.0)
+            first = mi.Vector4f(albedo.x, albedo.y, albedo.z, depth)
+            second = mi.Vector4f(emitted.x, emitted.y, emitted.z, packed_normal(n))
+            for number, packet in enumerate((first, second)):
+                dr.scatter(self._packets, packet, ray * _PACKETS + number, active)
+            return active
+
+        # A branch, because only one of the edges of a path is the first.
+        arguments = self._ray, vertex.si, vertex.bsdf, emitted, active & vertex.valid, active
+        dr.if_stmt(arguments, active, put, lambda *_: _[-1], label="first hit")
 
     def found(self) -> tuple[dict[str, Any], int]:
         """(layers by name, one lane a ray, depth in units of the render space; number of values that were not finite

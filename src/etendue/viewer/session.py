@@ -211,11 +211,14 @@ class Session:
         self.asked, self.problem = asked, problem
         self._preview, self.layers = Preview(problem), {}
         self.main = self.compared = None
+        for panel in self.panels.values():  # which let go of the scene of before
+            self._guarded(panel.scene_loaded)
         gc.collect()  # a scene that is alive is a part of every later kernel
         self.move(pose)
         self._moving_until = 0.0
         for panel in self.panels.values():
             self._guarded(panel.scene_loaded)
+        logger.debug("viewer: the scene was loaded in %.2f s", time.perf_counter() - begin)
 
     def _change(self, asked: Asked, state: mi.parser.ParserState) -> None:
         """Change a parsed scene before its objects are built: names for all, lights, and the edits of panels."""

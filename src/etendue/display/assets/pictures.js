@@ -32,6 +32,7 @@ const makeCanvas = (label) => {
 export const pictureViewer = async (root, data, thumbnails = []) => {
   const { width, height, pictures, reference } = data, names = pictures.map((p) => p.name);
   const part = (name) => root.querySelector(`[data-part="${name}"]`);
+  const pair = data.pair ?? names.length > 1;
   const hasReference = reference !== null && reference !== undefined;
 
   // ---------------------------------------------------------------- layers
@@ -88,7 +89,9 @@ export const pictureViewer = async (root, data, thumbnails = []) => {
   if (hasReference && names.length > 1) layerNames.push(ERROR);
   for (const name of layerNames) controls.layer.add(new Option(name));
   controls.curve.value = data.curve;
-  root.classList.toggle("single", names.length < 2);
+  root.classList.toggle("single", !pair);
+  if (!pair) part("left-name").textContent = "View";
+  controls.left.parentElement.hidden = names.length < 2;
   root.querySelector(".layers").hidden = layerNames.length < 2;
   const note = [];
   const blocks = new Set(pictures.map((p) => p.layers[0].block)), most = Math.max(...blocks);
@@ -108,10 +111,19 @@ export const pictureViewer = async (root, data, thumbnails = []) => {
     const layer = chosenLayer(picture);
     return layer === pictures[picture].layers[0] ? names[picture] : `${names[picture]} · ${layer.name}`;
   };
+  /** The part of the stage that is in view, across. */
+  const inView = () => {
+    const box = stage.getBoundingClientRect(), view = frame.getBoundingClientRect();
+    const left = Math.max(box.left, view.left), right = Math.min(box.right, view.left + frame.clientWidth);
+    return { box, left, width: Math.max(right - left, 1) };
+  };
   const arrange = () => {
-    const share = state.flipping ? 100 : state.divided;
-    front.style.clipPath = `inset(0 ${100 - share}% 0 0)`;
-    divider.style.left = `${share}%`;
+    // The divider is at a share of what is in view, also while a magnified picture is scrolled.
+    const { box, left, width: across } = inView();
+    const place = (100 * (left + (state.divided / 100) * across - box.left)) / Math.max(box.width, 1);
+    const share = state.flipping || !pair ? 100 : place;
+    front.style.clipPath = `inset(0 ${(100 - share).toFixed(2)}% 0 0)`;
+    divider.style.left = `${share.toFixed(2)}%`;
     divider.hidden = state.flipping;
     part("position-row").hidden = state.flipping;
     controls.divide.setAttribute("aria-pressed", String(!state.flipping));
@@ -121,6 +133,7 @@ export const pictureViewer = async (root, data, thumbnails = []) => {
   };
   /** Which pictures are at the front and at the back. */
   const sides = () => {
+    if (!pair) return [Number(controls.left.value), Number(controls.left.value)];
     if (!state.flipping) return [Number(controls.left.value), Number(controls.right.value)];
     const all = round(), shown = all[state.shown % all.length];
     return [shown, shown];
@@ -134,7 +147,7 @@ export const pictureViewer = async (root, data, thumbnails = []) => {
     front.setAttribute("aria-label", label(a));
     back.setAttribute("aria-label", label(b));
     part("left-tag").textContent = label(a);
-    part("right-tag").textContent = state.flipping || names.length < 2 ? "" : label(b);
+    part("right-tag").textContent = state.flipping || !pair ? "" : label(b);
     controls.flip.textContent = state.flipping ? `Flip: ${names[a]}` : "Flip";
     const scalar = layers.find((l) => l.range), scale = part("scale");
     scale.hidden = !scalar;
@@ -233,8 +246,8 @@ export const pictureViewer = async (root, data, thumbnails = []) => {
   };
   const divide = () => { state.flipping = false; return show(); };
   const dragDivider = (event) => {
-    const box = stage.getBoundingClientRect();
-    state.divided = Math.min(Math.max((100 * (event.clientX - box.left)) / box.width, 0), 100);
+    const { left, width: across } = inView();
+    state.divided = Math.min(Math.max((100 * (event.clientX - left)) / across, 0), 100);
     controls.position.value = state.divided;
     arrange();
   };
@@ -252,7 +265,7 @@ export const pictureViewer = async (root, data, thumbnails = []) => {
   let held = null;
   stage.addEventListener("pointerdown", (event) => {
     const zoomed = Number(controls.zoom.value) > 0, near = Math.abs(event.clientX - divider.getBoundingClientRect().left) < 24;
-    const kind = !state.flipping && names.length > 1 && (!zoomed || near) ? "divider" : zoomed && event.pointerType === "mouse" ? "picture" : null;
+    const kind = !state.flipping && pair && (!zoomed || near) ? "divider" : zoomed && event.pointerType === "mouse" ? "picture" : null;
     held = { kind, x: event.clientX, y: event.clientY, moved: false };
     if (kind) stage.setPointerCapture(event.pointerId);
     if (kind === "divider") dragDivider(event);
@@ -269,6 +282,7 @@ export const pictureViewer = async (root, data, thumbnails = []) => {
     if (state.flipping && !held?.moved) flip();
     held = null;
   });
+  frame.addEventListener("scroll", arrange, { passive: true });
   frame.addEventListener("wheel", (event) => {
     if (!event.ctrlKey) return; // also a pinch on a touch pad
     event.preventDefault();
@@ -284,7 +298,7 @@ export const pictureViewer = async (root, data, thumbnails = []) => {
   });
   const step = (control, by) => { by > 0 ? control.stepUp(by) : control.stepDown(-by); return redevelop(); };
   const keys = {
-    f: flip, d: divide, "]": () => step(controls.exposure, 2), "[": () => step(controls.exposure, -2),
+    ...(pair ? { f: flip, d: divide } : {}), "]": () => step(controls.exposure, 2), "[": () => step(controls.exposure, -2),
     "+": () => zoomBy(1), "=": () => zoomBy(1), "-": () => zoomBy(-1),
     l: () => { controls.layer.selectedIndex = (controls.layer.selectedIndex + 1) % layerNames.length; return show(); },
   };
@@ -292,7 +306,7 @@ export const pictureViewer = async (root, data, thumbnails = []) => {
     if (event.ctrlKey || event.metaKey || event.altKey || event.target.matches("select, textarea, input:not([type='range'])")) return;
     const digit = Number(event.key), act = keys[event.key.toLowerCase()];
     if (act) act();
-    else if (digit >= 1 && digit <= names.length) { controls.right.value = String(digit - 1); show(); }
+    else if (digit >= 1 && digit <= names.length) { controls[pair ? "right" : "left"].value = String(digit - 1); show(); }
     else return;
     event.preventDefault();
   });

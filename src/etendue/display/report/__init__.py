@@ -8,6 +8,7 @@ from .machine import machine
 from .packing import Layer, shared_exponent
 from .pages import render_page
 from .parts import Command, Facts, Failure, Figures, Folded, Measures, Page, Part, Plot, Scale, Section, Text
+from .pyramid import in_pyramid, pyramids
 from .race import Reached, equal_errors, equal_times, error_at, over_seeds, time_to
 from .stacks import Stack, viewer_data
 from .tables import Column, fact_table, flatten, number_text, time_text, value_text
@@ -38,9 +39,11 @@ __all__ = [
     "fact_table",
     "fitted",
     "flatten",
+    "in_pyramid",
     "machine",
     "number_text",
     "over_seeds",
+    "pyramids",
     "render_page",
     "render_report",
     "shared_exponent",

@@ -44,6 +44,8 @@ from .stacks import ERROR_RANGE, Stack, viewer_data
 from .tables import Column, FactTable, fact_table, flatten, number_text, settings_tables, time_text
 
 _TRIM = 0.001
+#: Metadata that are not facts of a run: those with tables of their own, and names of the shapes of a layer.
+_ELSEWHERE = ("settings", "versions", "shapes")
 #: Characters for pictures, error maps and layers as figures, each; and for pyramids. The data of the viewer get what is
 #: left of a page.
 _FIGURE_ROOM, _PYRAMID_ROOM = 420_000, 800_000
@@ -95,7 +97,7 @@ def render_report(
     page.add("Technique pyramid", *_pyramids(entries, exposure, curve))
     page.add("Layers", *_layers(entries, exposure, curve))
     page.add("Settings", *_settings(entries))
-    page.add("Runs", *_facts(entries, lambda m: {k: v for k, v in m.items() if k not in ("settings", "versions")}))
+    page.add("Runs", *_facts(entries, lambda m: {k: v for k, v in m.items() if k not in _ELSEWHERE}))
     page.add("Versions and machine", *_facts(entries, lambda m: m.get("versions", {})), _machine())
     page.add("How to repeat it", *repeat, *_commands(entries))
     stacks = _stacks(entries, reference)

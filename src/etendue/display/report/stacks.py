@@ -23,12 +23,12 @@ class Stack:
 
 
 def viewer_data(
-    stacks: Sequence[Stack], exposure: float, curve: str, room: int, reference: int | None = None
+    stacks: Sequence[Stack], exposure: float, curve: str, room: int, reference: int | None = None, pair: bool = True
 ) -> dict[str, Any]:
     """Data for ``pictures.js`` in about ``room`` characters.
 
     ``stacks`` are of one size. ``reference`` is the number of the one with which others are compared. Layers that do
-    not fit are left out and named in ``missing``.
+    not fit are left out and named in ``missing``. Without ``pair`` one picture is shown at a time.
     """
     height, width = stacks[0].layers[0].values.shape[:2]
     pictures = [stack.layers[0] for stack in stacks]
@@ -46,6 +46,7 @@ def viewer_data(
         "height": height,
         "pictures": [{"name": s.name, "layers": made} for s, made in zip(stacks, layers, strict=True)],
         "reference": reference,
+        "pair": pair and len(stacks) > 1,
         "left": 0,
         "right": min(1, len(stacks) - 1),
         "exposure": exposure,

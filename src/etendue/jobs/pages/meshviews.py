@@ -22,7 +22,10 @@ _DIRECTIONS = {"from the front": (-0.5, 0.75, -0.55), "from the back": (0.5, -0.
 def mesh_views(patches: Patches, problem: Problem | None, aspect: float) -> list[MeshView]:
     """The camera's view, if the scene has a perspective one, and two from outside."""
     camera = None if problem is None else camera_view(problem)
-    frame = np.eye(3) if camera is None else _frame(camera)
+    if camera is not None:
+        frame = _frame(camera)
+    else:  # patches of scenes have named shapes, and mostly y up; other meshes have z up
+        frame = np.eye(3)[:, [0, 2, 1]] * [1.0, -1.0, 1.0] if patches.shape_names else np.eye(3)
     outside = [
         MeshView.around(name, patches.vertices, frame @ np.array(direction), frame[:, 2], aspect)
         for name, direction in _DIRECTIONS.items()

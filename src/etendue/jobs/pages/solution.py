@@ -47,8 +47,8 @@ if TYPE_CHECKING:
 PAGE_FILES = {".html": "page with pictures, tables and plots"}
 #: Width of the pictures of the mesh.
 _WIDTH = 640
-#: Rows of the tables of patches.
-_WORST = 10
+#: Rows of the tables of patches, and the share of the largest radiosity below which a value is rounding.
+_WORST, _ROUNDING = 10, 1e-12
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def render_solution_page(
     page.add("Run", _facts("value", {k: v for k, v in flatten(metadata).items() if k != "software"}))
     page.add("Versions and machine", _facts("this machine", {**versions(), **machine()}))
     page.add("How to repeat it", Command(making.command) if making.command else None)
-    return render_page(page, lambda room: viewer_data(stacks, exposure, "srgb", room))
+    return render_page(page, lambda room: viewer_data(stacks, exposure, "srgb", room, pair=False))
 
 
 def _height(problem: Problem | None) -> int:
@@ -163,14 +163,15 @@ def _subtitle(solution: Solution) -> str:
 
 
 def _key_figures(solution: Solution, error: Array | None) -> str:
-    parts = [f"Imbalance of power {100 * solution.imbalance:.2g} %"]
+    parts = [f"imbalance of power {100 * solution.imbalance:.2g} %"]
     areas = solution.patches.areas[:, None]
     if error is not None and (light := float((areas * solution.irradiance).sum())) > 0.0:
-        parts.insert(0, f"Standard error of irradiance {100 * float((areas * error).sum()) / light:.2g} % in the mean")
+        parts.insert(0, f"standard error of irradiance {100 * float((areas * error).sum()) / light:.2g} % in the mean")
     if solution.residuals:
         count = len(solution.residuals)
         parts.append(f"residual {solution.residual:.1g} after {count} iteration{'' if count == 1 else 's'}")
-    return "; ".join(parts) + "."
+    text = "; ".join(parts)
+    return f"{text[0].upper()}{text[1:]}."
 
 
 _POWERS = {"emitted": "emitted", "from_sky": "from the sky", "absorbed": "absorbed", "to_sky": "to the sky"}
@@ -206,7 +207,7 @@ def _about_balance(solution: Solution) -> str:
 def _convergence(solution: Solution, making: Making) -> list[Part]:
     parts: list[Part] = []
     steps = [(float(i), r) for i, r in enumerate(solution.residuals, 1)]
-    if (plot := _plot("residual", steps, "iterations", 0.0)) is not None and len(steps) > 1:
+    if (plot := _plot("residual", steps, "iterations", 0.0)) is not None:
         parts += [plot, Text("The largest residual of the system, in units of the largest emission.")]
     if (plot := _plot("standard error of irradiance", making.history, making.unit, 0.5)) is not None:
         parts += [plot, Text("Mean over the surface, relative to the mean irradiance, as estimated during the run.")]
@@ -214,6 +215,8 @@ def _convergence(solution: Solution, making: Making) -> list[Part]:
 
 
 def _plot(name: str, points: Sequence[tuple[float, float]], unit: str, rate: float) -> Plot | None:
+    if len(points) < 2:
+        return None
     options: dict[str, Any] = {"x_label": unit, "y_label": name, "title": f"{name} over {unit}", "rate": rate}
     wide = convergence_plot([Series(name, points)], **options)
     return Plot(wide, convergence_plot([Series(name, points)], width=360, height=320, **options)) if wide else None
@@ -223,7 +226,7 @@ def _worst(caption: str, heading: str, values: Array, solution: Solution) -> Mea
     """The patches with the largest ``values``."""
     patches = solution.patches
     numbers = np.argsort(-np.nan_to_num(values), kind="stable")[:_WORST]
-    numbers = numbers[values[numbers] > 0.0]
+    numbers = numbers[values[numbers] > _ROUNDING * np.abs(solution.radiosity).max(initial=0.0)]
     if not len(numbers):
         return None
     columns = [
@@ -231,7 +234,7 @@ def _worst(caption: str, heading: str, values: Array, solution: Solution) -> Mea
         Column("radiosity", [number_text(float(solution.radiosity[i].mean())) for i in numbers]),
         Column("irradiance", [number_text(float(solution.irradiance[i].mean())) for i in numbers]),
         Column("area", [number_text(float(patches.areas[i])) for i in numbers]),
-        Column("centre", [", ".join(f"{x:.3g}" for x in patches.centres[i]) for i in numbers]),
+        Column("centre", [", ".join(f"{x:.3g}" for x in np.round(patches.centres[i], 6) + 0.0) for i in numbers]),
     ]
     if patches.shapes is not None and patches.shape_names:
         columns.append(Column("shape", [_shape(patches.shapes[i], patches.shape_names) for i in numbers]))
