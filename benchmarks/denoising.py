@@ -117,19 +117,21 @@ def _scene(
 
     add(f"raw, {long:g} {unit}", raw.image)
     for reconstruction in ("neighbours", "independent"):
-        own = {"aovs": True, "reconstruction": reconstruction, "samples_per_pass": _SAMPLES}
+        own = {"aovs": True, "components": True, "reconstruction": reconstruction, "samples_per_pass": _SAMPLES}
         made = _run(source, method, size, short, cpu, _SEED, own)
         film.write_exr(folder / f"{name}-{reconstruction}.exr", Result(made.layers, made.metadata))
         add(f"raw, {short:g} {unit}, {reconstruction}", made.image)
         row = [made.image]
         for kind in denoisers:
             try:
-                image = display.develop(made.layers, kind)
+                image = display.develop(made.layers, kind, components=["image"])
             except (BackendError, OptionError) as error:
                 console.print(str(error), style="dim")
                 continue
             add(f"{kind}, {reconstruction}", image, barred=True)
             row.append(image)
+            if display.denoiser(kind).by_component:
+                add(f"{kind} by component, {reconstruction}", display.develop(made.layers, kind), barred=True)
         exposure = display.auto_exposure(truth)
         pixels = np.concatenate([display.tonemap(image, exposure, "agx") for image in row], axis=1)
         display.write_png(folder / f"{name}-{reconstruction}.png", pixels)

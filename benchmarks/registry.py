@@ -69,9 +69,14 @@ PROGRAMS = {
                 Benchmark("tuning", "tuning.measure", 300, "Error of auto beside other methods.", in_all=False),
                 Benchmark("mitsuba-path", "mitsuba_path.measure", 90, "path beside Mitsuba's path.", in_all=False),
                 Benchmark("filters", "filters.measure", 3, "Cost of a pass by filter, and edges after few samples."),
+                Benchmark("layers", "layers.measure", 3, "Cost of layers of first hits and of components."),
                 Benchmark("filters-display", "denoising.filters", 1, "Time of the filters of pictures."),
                 Benchmark(
                     "denoise", "denoising.measure", 45, "Denoised after 5 s against raw after 40 s.", in_all=False
+                ),
+                Benchmark("viewer", "viewing.measure", 2, "Pictures a second of the viewer while its camera moves."),
+                Benchmark(
+                    "learned-light", "learned_light.measure", 75, "Learned emission, on beside off.", in_all=False
                 ),
                 Benchmark("guided", "guided.measure", 13, "Error times time of guided, beside path."),
                 Benchmark("ambient", "ambient.measure", 12, "Paths that end in an ambient term, beside whole paths."),

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from .mapping import map_particles
     from .solving import compute_form_factors, solve_radiosity, start_form_factors, start_radiosity
     from .tracing import read_particles, trace_particles
+    from .viewer import Viewer, view
 else:
     #: What pictures do not need; imported when it is used.
     _LATER = {
@@ -40,6 +41,7 @@ else:
             ("compute_form_factors", "solve_radiosity", "start_form_factors", "start_radiosity"), "solving"
         ),
         **dict.fromkeys(("read_particles", "trace_particles"), "tracing"),
+        **dict.fromkeys(("Viewer", "view"), "viewer"),
     }
 
     def __getattr__(name):
@@ -66,6 +68,7 @@ __all__ = [
     "Session",
     "UnsupportedError",
     "Update",
+    "Viewer",
     "check",
     "compute_form_factors",
     "map_particles",
@@ -78,4 +81,5 @@ __all__ = [
     "start_form_factors",
     "start_radiosity",
     "trace_particles",
+    "view",
 ]

@@ -82,19 +82,24 @@ def start(
     save: PathLike | Sequence[PathLike] = (),
     checkpoint: PathLike | None = None,
     save_every: float | None = None,
+    cluster: Any = None,
+    workers: int | None = None,
     **settings: Any,
 ) -> Session[Rendering]:
     """Start :func:`render` in the background: a thread loads the scene, renders it and calls ``callback``.
 
     The session has the current picture in ``image`` and the progress in ``progress``. ``cancel()`` ends the run after
     the current pass and waits for it. ``wait()`` and ``result`` raise the error of the run. Options and budgets are
-    checked before this function returns.
+    checked, and workers are started, before this function returns; they end with the session.
     """
+    from etendue.distributed import open_cluster
+
     budget, outputs = Budget(seconds, samples, None, error), Outputs.of(save, checkpoint, save_every)
     use_variant(variant)
     chosen = choose_method(method, scene, parameters)
     task = Task(scene, chosen, _named(settings), seed, budget, size, sensor, parameters, memory)
-    return start_job(lambda: Job.open(task), outputs, callback)
+    opened = open_cluster(cluster, workers)
+    return start_job(lambda: Job.open(task), outputs, callback, opened, ends=True)
 
 
 def resume(
@@ -163,13 +168,19 @@ def _named(settings: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def start_job(
-    open_job: Callable[[], Job], outputs: Writer, callback: Callback | None = None, cluster: Cluster | None = None
+    open_job: Callable[[], Job],
+    outputs: Writer,
+    callback: Callback | None = None,
+    cluster: Cluster | None = None,
+    ends: bool = False,
 ) -> Session[Rendering]:
     """A session that opens a job in its thread, runs it and writes ``outputs``, also if a pass fails.
 
-    ``callback`` is called in that thread after each pass. ``cluster`` makes the passes, and stays open.
+    ``callback`` is called in that thread after each pass. ``cluster`` makes the passes; with ``ends`` it ends with the
+    session.
     """
-    return start_work(lambda: PictureWork(open_job(), outputs, cluster), _watch(callback))
+    close = cluster.close if ends and cluster is not None else _nothing
+    return start_work(lambda: PictureWork(open_job(), outputs, cluster), _watch(callback), close)
 
 
 def _run(
@@ -179,6 +190,9 @@ def _run(
 
     with opened_cluster(cluster, workers) as opened:
         return run_work(PictureWork(open_job(), outputs, opened), _watch(callback))
+
+
+def _nothing() -> None: ...
 
 
 def _watch(callback: Callback | None) -> Callable[[Progress, Runner], object] | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from etendue.core import OptionError, Progress, use_variant
-from etendue.distributed import opened_cluster
+from etendue.distributed import open_cluster, opened_cluster
 from etendue.engine import Checkpoint, Runner, Session
 from etendue.jobs import FormFactorResult, PathLike, RadiosityResult, listed, run_work, start_work
 
@@ -98,9 +98,13 @@ def start_form_factors(
     checkpoint: PathLike | None = None,
     save_every: float | None = None,
     resume: PathLike | None = None,
+    cluster: Any = None,
+    workers: int | None = None,
 ) -> Session[FormFactorResult]:
     """Start :func:`compute_form_factors` in the background; see :func:`start_radiosity`."""
-    return start_work(*_form_factors(**locals()))
+    asked = locals()
+    device = asked.pop("cluster"), asked.pop("workers")
+    return _start(*_form_factors(**asked), *device)
 
 
 def solve_radiosity(
@@ -219,18 +223,23 @@ def start_radiosity(
     checkpoint: PathLike | None = None,
     save_every: float | None = None,
     resume: PathLike | None = None,
+    cluster: Any = None,
+    workers: int | None = None,
 ) -> Session[RadiosityResult]:
     """Start :func:`solve_radiosity` in the background: a thread reads the scene, casts lines, calls ``callback`` after
     each pass, solves and writes.
 
     The session's ``progress`` is that of the casting. ``cancel()`` ends the casting after the current pass, and returns
     when the solution from the lines so far is written. ``wait()`` and ``result`` raise the error of the run. Options,
-    budgets and names of files are checked before this function returns.
+    budgets and names of files are checked, and workers are started, before this function returns; they end with the
+    session.
     """
-    request, open_work, watch = _radiosity(**locals())
+    asked = locals()
+    device = asked.pop("cluster"), asked.pop("workers")
+    request, open_work, watch = _radiosity(**asked)
     if request.is_instant:
         raise OptionError("an ambient solution is there at once: take solve_radiosity, or give bounces=")
-    return start_work(open_work, watch)
+    return _start(open_work, watch, *device)
 
 
 def _run(open_work: Callable[[], Any], watch: Any, cluster: Any, workers: int | None) -> Any:
@@ -238,6 +247,17 @@ def _run(open_work: Callable[[], Any], watch: Any, cluster: Any, workers: int | 
         work = open_work()
         work.cluster = opened
         return run_work(work, watch)
+
+
+def _start(open_work: Callable[[], Any], watch: Any, cluster: Any, workers: int | None) -> Session[Any]:
+    opened = open_cluster(cluster, workers)
+
+    def with_workers() -> Any:
+        work = open_work()
+        work.cluster = opened
+        return work
+
+    return start_work(with_workers, watch, opened.close if opened is not None else lambda: None)
 
 
 def _form_factors(

@@ -9,6 +9,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from etendue.core import OptionError, Progress, use_variant
+from etendue.distributed import opened_cluster
 from etendue.engine import Budget
 from etendue.jobs import ParticleRequest, ParticleResult, ParticleWork, PathLike, run_work
 from etendue.methods import ParticleTracing
@@ -33,6 +34,9 @@ def trace_particles(
     codec: str | None = None,
     method: str | None = None,
     resume: PathLike | None = None,
+    cluster: Any = None,
+    workers: int | None = None,
+    boxes: tuple[int, int, int] | None = None,
     **settings: Any,
 ) -> ParticleResult:
     """Trace light paths of a scene, whose hits on surfaces are particles.
@@ -47,12 +51,40 @@ def trace_particles(
     file to go on with; limits in paths and particles are those of the whole file, ``scene`` may be ``None`` if it was a
     file or a bundled one, and all else is that of the file.
     ``callback`` is called with a :class:`etendue.core.Progress` after each pass; ``False`` ends the run. At Ctrl-C, or
-    if a pass fails, the file has the passes before.
+    if a pass fails, the file has the passes before. ``cluster`` and ``workers`` trace the paths as for
+    :func:`etendue.render`; the particles are the same. ``boxes`` cuts the scene into so many boxes along x, y and z, of
+    which a worker loads one at a time; paths go from worker to worker. See docs/cluster.md.
 
     Raises :class:`OptionError`, :class:`SceneError`, :class:`OutputError`, and :class:`CheckpointError` if a file
     cannot be resumed.
     """
     use_variant(variant)
+    if boxes is not None and cluster is None and workers is None:
+        raise OptionError("a scene is divided among workers: give workers= or cluster= with boxes=")
+    with opened_cluster(cluster, workers) as opened:
+        work = _opened(
+            scene, paths, particles, seconds, seed, parameters, memory, save, codec, method, resume, boxes, settings
+        )
+        work.cluster = opened
+        return run_work(work, None if callback is None else lambda progress, _: callback(progress))
+
+
+def _opened(
+    scene: Any,
+    paths: int | None,
+    particles: int | None,
+    seconds: float | None,
+    seed: int | None,
+    parameters: Mapping[str, Any] | None,
+    memory: int | None,
+    save: PathLike | None,
+    codec: str | None,
+    method: str | None,
+    resume: PathLike | None,
+    boxes: tuple[int, int, int] | None,
+    settings: Mapping[str, Any],
+) -> ParticleWork:
+    """The work of the arguments of :func:`trace_particles`."""
     if resume is not None:
         given = {
             "seed": seed,
@@ -61,27 +93,27 @@ def trace_particles(
             "save": save,
             "codec": codec,
             "method": method,
-        } | settings
+            "boxes": boxes,
+        } | dict(settings)
         ignored = [f"{name}=" for name, value in given.items() if value is not None]
         if ignored:
             raise OptionError(f"a resumed file has {', '.join(ignored)} of its own; leave them out, or trace anew")
-        work = ParticleWork.resume(Path(resume), Budget(seconds, paths), particles, scene)
-    else:
-        request = ParticleRequest(
-            scene=scene,
-            output=None if save is None else Path(save),
-            paths=paths,
-            particles=particles,
-            seconds=seconds,
-            codec=codec or "packed",
-            method=method or ParticleTracing.name,
-            settings=settings,
-            seed=0 if seed is None else seed,
-            parameters=parameters,
-            memory=memory,
-        )
-        work = ParticleWork.open(request)
-    return run_work(work, None if callback is None else lambda progress, _: callback(progress))
+        return ParticleWork.resume(Path(resume), Budget(seconds, paths), particles, scene)
+    request = ParticleRequest(
+        scene=scene,
+        output=None if save is None else Path(save),
+        paths=paths,
+        particles=particles,
+        seconds=seconds,
+        codec=codec or "packed",
+        method=method or ParticleTracing.name,
+        boxes=boxes,
+        settings=settings,
+        seed=0 if seed is None else seed,
+        parameters=parameters,
+        memory=memory,
+    )
+    return ParticleWork.open(request)
 
 
 def read_particles(

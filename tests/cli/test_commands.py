@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import os
 import re
 import resource
@@ -15,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import passes
+from support.tev import fake_tev
 
 from etendue import api, film, methods
 from etendue.cli import options
@@ -46,13 +48,19 @@ def test_a_pyramid_in_the_file_and_on_the_page(folder, capsys):
 
 
 def test_render_writes_picture_and_checkpoint_with_metadata(folder, capsys):
-    assert run("render cornell-box -m path --size 16x12 --spp 4 --seed 9 -o a.exr -o a.png --aovs -D rr_depth=3") == 0
+    asked = "--spp 4 --seed 9 -o a.exr -o a.png --aovs --components -D rr_depth=3"
+    with fake_tev() as tev:
+        assert run(f"render cornell-box -m path --size 16x12 {asked} --tev {tev.address}") == 0
     out, err = capsys.readouterr()
     assert out == "a.exr\na.png\na.checkpoint\n"
     assert "path: 1 pass, 4 spp" in err
     result = film.read_exr("a.exr")
     assert result.image.shape == (12, 16, 3)
-    assert {"albedo", "normal", "depth"} <= result.layers.keys()
+    assert {"albedo", "normal", "depth", "emitted"} <= result.layers.keys()
+    total = sum(result.layers[name] for name in film.COMPONENTS)
+    np.testing.assert_allclose(total, result.image, rtol=1e-5, atol=1e-6)
+    np.testing.assert_array_equal(np.stack([tev.images["a"][c] for c in "RGB"], -1), result.image)
+    np.testing.assert_array_equal(tev.images["a"]["depth.Z"], result.layers["depth"][..., 0])
     m = result.metadata
     assert (m["method"], m["seed"], m["samples"], m["scene"]) == ("path", 9, 4, "cornell-box")
     assert m["settings"]["rr_depth"] == 3
@@ -64,8 +72,9 @@ def test_render_writes_picture_and_checkpoint_with_metadata(folder, capsys):
 
 
 def test_names_of_outputs_come_from_scene_and_method(folder, capsys):
-    assert run("render cornell-box -m path --size 8x8 --spp 1 --no-checkpoint") == 0
+    assert run("render cornell-box -m path --size 8x8 --spp 1 --no-checkpoint --tev localhost:1") == 0
     assert os.listdir(folder) == ["cornell-box-path.exr"]
+    assert "no tev at localhost:1 (Connection refused)" in capsys.readouterr().err
 
 
 def test_resume_goes_on(folder, capsys):
@@ -148,13 +157,32 @@ def test_settings_of_one_method_win_over_those_of_all():
         }
 
 
-def test_compare_keeps_what_is_finished_if_a_later_method_fails(folder, capsys, monkeypatch):
+def test_compare_tells_the_error_of_a_method_in_its_place(folder, capsys, monkeypatch):
     passes.fail(monkeypatch, "bpt", at=0)
-    assert run("compare cornell-box -m path -m bpt --size 8x8 --spp 1 -o out") == 70
+    assert run("compare cornell-box -m bpt -m path --size 8x8 --spp 1 -o out") == 70
     out, err = capsys.readouterr()
     assert out == f"{Path('out/index.html')}\n"
     assert "out of memory" in err
     assert sorted(os.listdir("out")) == ["index.html", "path.exr", "path.png"]
+    page = Path("out/index.html").read_text("utf-8")
+    assert "<strong>bpt</strong> failed: " in page and "out of memory" in page
+    assert "etendue compare cornell-box -m bpt -m path --size 8x8 --spp 1 -o out" in page
+
+
+def test_the_page_names_a_command_that_makes_the_same_picture(folder):
+    """Also of a run that was ended by its time: with as many passes and the samples of a pass that it had."""
+    assert run("compare cornell-box -m path --seed 7 --size 12x8 --time 0.2 --max-depth 3 -o out") == 0
+    page = html.unescape(Path("out/index.html").read_text("utf-8"))
+    words = shlex.split(re.search(r"<code>(etendue render .*?)</code>", page)[1])
+    assert main([*words[1:], "--no-checkpoint"]) == 0
+    np.testing.assert_array_equal(film.read_image("path.exr"), film.read_image("out/path.exr"))
+
+
+def test_compare_averages_errors_over_seeds(folder, capsys):
+    api.render("cornell-box", "path", samples=16, size=(8, 8), save="reference.exr")
+    assert run("compare cornell-box -m path --size 8x8 --spp 4 --seeds 3 --reference reference.exr -o out") == 0
+    assert {"path.exr", "path-seed-1.exr", "path-seed-2.exr"} <= set(os.listdir("out"))
+    assert "Bars are standard errors over seeds" in Path("out/index.html").read_text("utf-8")
 
 
 def test_compare_refuses_a_reference_of_another_size_before_rendering(folder, capsys):

@@ -48,6 +48,17 @@ def test_a_picture_with_its_error(capsys, variant):
     assert made.metadata["solver"] == "conjugate-gradient" and made.metadata["samples"] == 4
 
 
+def test_a_page_beside_the_solution_and_later(capsys, variant):
+    assert run("-o s.npz --page", variant) == 0
+    assert capsys.readouterr().out == "s.npz\ns.html\n"
+    page = Path("s.html").read_text("utf-8")
+    for words in ("Radiosity of scene.xml", "Energy balance", "residual over iterations", "Largest standard errors"):
+        assert words in page
+    assert "etendue radiosity scene.xml --bundles 32 --max-area 0.5" in page and '"name": "camera"' in page
+    assert run("-o again.html --solution s.npz", variant) == 0
+    assert "Energy balance" in Path("again.html").read_text("utf-8")
+
+
 def test_an_eight_bit_picture_and_its_error(capsys, variant):
     assert run("-o p.png --error-picture --flat --spp 2", variant) == 0
     out, err = capsys.readouterr()

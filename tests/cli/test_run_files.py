@@ -50,7 +50,7 @@ def test_a_run_keeps_pictures_at_their_times_and_the_error_over_time(folder, cap
     assert main(["run", "a.toml"]) == 0
     out, err = capsys.readouterr()
     names = [f"box{stamp}.{suffix}" for stamp in ("", "-0.5s", "-1.5s") for suffix in ("exr", "png")]
-    names += ["box.log", "box.csv", "box.checkpoint"]
+    names += ["box.log", "box.csv", "box.checkpoint", "box.html"]
     assert sorted(os.listdir("out/deep")) == sorted(names)
     assert sorted(out.split()) == sorted(str(Path("out/deep") / name) for name in names)
 
@@ -86,6 +86,10 @@ def test_a_run_keeps_pictures_at_their_times_and_the_error_over_time(folder, cap
     ]
     assert "relMSE" in log[-1]
     assert "autosave 0.5 s: " in err
+    page = Path("out/deep/box.html").read_text("utf-8")
+    for words in ("Error over time", "Error against the reference", "etendue run a.toml", "[autosave]", "split layers"):
+        assert words in page
+    assert f"after {end['seconds']:.3g} s" in page  # the last point of the plot is the end of the run
 
 
 def test_paths_are_relative_to_the_file_and_the_example_of_the_manual_runs(folder, capsys, monkeypatch):
@@ -100,7 +104,7 @@ def test_paths_are_relative_to_the_file_and_the_example_of_the_manual_runs(folde
     assert main(["run", "experiments/glass.toml"]) == 0
     written = sorted(os.listdir(home / "results"))
     assert {"glass.exr", "glass-merge.exr", "glass-0.1s.exr", "glass-0.1s-merge.exr", "glass-0.3s.png"} <= set(written)
-    assert {"glass.log", "glass.csv", "glass.checkpoint"} <= set(written)
+    assert {"glass.log", "glass.csv", "glass.checkpoint", "glass.html"} <= set(written)
     named = capsys.readouterr().out.split()
     assert sorted(Path(name).name for name in named) == written
     merge = film.read_exr(home / "results" / "glass-merge.exr")
@@ -130,7 +134,7 @@ def test_periodic_saves_and_warnings_are_in_the_log(folder, capsys, monkeypatch)
     passes.taint(monkeypatch, "path", 1.0)
     Path("a.toml").write_text(
         BOX + "settings = {samples_per_pass = 1}\n[budget]\nsamples = 20\n[autosave]\nevery = 0.1\n"
-        "[output]\ncheckpoint = false\n"
+        "[output]\ncheckpoint = false\npage = false\n"
     )
     assert main(["run", "a.toml"]) == 0
     assert sorted(os.listdir(folder)) == ["a.csv", "a.exr", "a.log", "a.toml"]
@@ -176,7 +180,7 @@ def test_ctrl_c_keeps_everything(folder):
     process.send_signal(signal.SIGINT)
     out, _ = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert set(out.split()) == {"a.log", "a.csv", "a-0.2s.exr", "a.exr", "a.checkpoint"}
+    assert set(out.split()) == {"a.log", "a.csv", "a-0.2s.exr", "a.exr", "a.checkpoint", "a.html"}
     assert film.read_exr("a.exr").metadata["stopped_by"] == "cancel"
     assert Checkpoint.read("a.checkpoint").stopped_by == "cancel"
     rows = table("a.csv")

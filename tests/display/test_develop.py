@@ -105,6 +105,7 @@ def test_components_are_the_layers_whose_sum_is_the_picture():
     rng = np.random.default_rng(5)
     emission, merge = rng.random((2, HEIGHT, WIDTH, 3)).astype(np.float32)
     layers = {"image": emission + merge, "emission": emission, "merge": merge, "albedo": emission}
+    layers["emitted"] = emission  # of first surfaces
     assert component_names(layers) == ("emission", "merge")
     assert component_names(layers | {"other": merge}) == ("image",)
     assert component_names(layers, ["merge"]) == ("merge",)

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 from collections import deque
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
-from etendue.core import ClusterError, Iterations, Measurement, Pass, SceneError
-from etendue.distributed import Arrival, Lost, Recipe, Spread
+from etendue.core import ClusterError, Iterations, Measurement, OptionError, Pass, SceneError
+from etendue.distributed import SCHEDULES, Arrival, Lost, Recipe, Spread
+from etendue.distributed import crew as crew_module
 from etendue.distributed import spread as spread_module
 from etendue.distributed.content import Offered
-from etendue.distributed.worker import Failed, Needs, _Desk, _Run
+from etendue.distributed.pool import Delivered
+from etendue.distributed.schedules import Static, Stealing
+from etendue.distributed.worker import Failed, Needs, _Desk, _Run, merge_outcomes
 from etendue.engine import Budget, InTurn, Replicated, RunError, Runner
 
 
@@ -123,27 +128,53 @@ class Simulated:
         at = self.random.randrange(len(self.sent)) if self.kind is Powers else 0
         worker, ticket, chunk = self.sent[at]
         del self.sent[at]
+        if isinstance(chunk, (Delivered, Lost)):
+            return Arrival(ticket, chunk)
         if worker not in self.desks:
             # It died earlier: what it had never arrives, or arrives as lost.
             return Arrival(ticket, Lost("died")) if self.random.random() < 0.5 else None
         if self.random.random() < self.faults:
-            what = self.random.randrange(4)
+            what = self.random.randrange(6 if self.kind is Powers else 4)
             if what == 0:  # killed before the sum arrived, another one takes its place
                 del self.desks[worker]
                 self.deaths += 1
                 self.join()
                 return Arrival(ticket, Lost("killed")) if self.random.random() < 0.5 else None
             if what == 1:
-                return Arrival(ticket, Needs(("a file",)))
+                return Arrival(ticket, Needs((f"file {ticket}",)))
             if what == 2:  # the time ended in the middle
                 made = self.outcome(worker, _shorter(chunk, self.random))
                 return Arrival(ticket, made)
+            if what >= 4:
+                return self.bundle(worker, ticket, chunk, what)
             self.join()  # one more, late
         return Arrival(ticket, self.outcome(worker, chunk))
 
-    def deliver(self, worker, offered, digest):
+    def bundle(self, worker, ticket, chunk, what):
+        """Sums that workers merge; with one that is forgotten, or all of them lost."""
+        others = [
+            entry
+            for entry in list(self.sent)[:2]
+            if entry[0] in self.desks and not isinstance(entry[2], (Delivered, Lost))
+        ]
+        for entry in others:
+            self.sent.remove(entry)
+        if what == 4:
+            for lost in others:
+                self.sent.append((lost[0], lost[1], Lost("merged", worker_is_there=True)))
+            return Arrival(ticket, Lost("merged", worker_is_there=True))
+        if len(others) > 1 and self.random.random() < 0.3:  # its worker dies before the sum arrives
+            self.desks.pop(others[0][0], None)
+            self.join()
+        made = merge_outcomes(self._made(worker, chunk), *(self._made(w, c) for w, _, c in others))
+        return Arrival(ticket, made, 0.0, tuple(entry[1] for entry in others))
+
+    def _made(self, worker, chunk):
+        return self.outcome(worker, chunk) if worker in self.desks else Lost("died")
+
+    def deliver(self, worker, ticket, offered, digest):
         self.delivered.append((worker, digest))
-        return None
+        self.sent.append((worker, ticket, Delivered()))
 
     def end_run(self, run) -> None: ...
 
@@ -161,12 +192,12 @@ def _shorter(chunk, source):
 
 @pytest.fixture(autouse=True)
 def _at_once(monkeypatch):
-    monkeypatch.setattr(spread_module, "_LOOK", 0.0)
+    monkeypatch.setattr(crew_module, "_LOOK", 0.0)
     monkeypatch.setattr(spread_module, "_TICK", 0.0)
     monkeypatch.setattr(spread_module, "_SHORTEST", 1e-4)
 
 
-def run(pool, method, passes, start=None, state=None, seed=5):
+def run(pool, method, passes, start=None, state=None, seed=5, schedule="demand"):
     method.prepare(None, seed)
     runner = Runner(
         method,
@@ -174,7 +205,7 @@ def run(pool, method, passes, start=None, state=None, seed=5):
         budget=Budget(iterations=passes),
         start=start,
         state=state,
-        executor=lambda order: Spread(pool, Recipe("recipe", Offered(), method.carries_on), order),
+        executor=lambda order: Spread(pool, Recipe("recipe", Offered(), method.carries_on), order, schedule=schedule),
     )
     return runner.run()
 
@@ -234,6 +265,34 @@ def test_chunks_are_no_longer_than_the_work_that_is_left_and_shares_add_up():
     assert sum(seen[-1].shares.values()) == 100
     assert len(seen[-1].shares) == 3
     assert max(seen[-1].shares.values()) < 60
+
+
+@pytest.mark.parametrize("schedule", SCHEDULES)
+def test_every_schedule_makes_each_pass_once(schedule):
+    for seed in range(5):
+        made = run(Simulated(Powers, 3, seed, faults=0.3), Powers(), 90, schedule=schedule)
+        assert made.measurement.iterations.to_json() == [[0, 0, 90]]
+    with pytest.raises(OptionError, match="there is no schedule 'statik'"):
+        run(Simulated(Powers, 1), Powers(), 10, schedule="statik")
+
+
+def test_a_worker_with_nothing_left_steals_in_the_ratio_of_what_was_made():
+    work = Stealing(itertools.count(), 100)
+    names = ["fast", "slow"]
+
+    def make(name, count):
+        first, n, *_ = work.take(name, count, names)
+        chunk = SimpleNamespace(first=first, count=n)
+        work.after(name, chunk, SimpleNamespace(passes=n))
+        return first, n
+
+    assert make("slow", 9) == (50, 9)
+    assert [make("fast", 25) for _ in range(2)] == [(0, 25), (25, 25)]
+    # 41 are left to the slow one, which has made 9 and the fast one 50.
+    first, _ = make("fast", 100)
+    assert first == 100 - round(41 * 51 / 61)
+    static = Static(itertools.count(), 100)
+    assert static.take("fast", 100, names)[:2] == (0, 50) and static.take("fast", 1, names) is None
 
 
 class Refusing(Simulated):

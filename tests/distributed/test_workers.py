@@ -120,20 +120,44 @@ def test_nothing_answers_at_an_address(monkeypatch):
 @pytest.mark.slow
 def test_fifty_kills_lose_nothing(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("etendue.distributed.spread._SHORTEST", 0.1)
-    source, kills, last = random.Random(7), [0], [0.0]
-    passes = 1200
+    # Chunks of one pass, and a kill for each that arrives, so that the workers are hardly ever whole.
+    monkeypatch.setattr("etendue.distributed.spread._SHORTEST", 0.0)
+    source, kills = random.Random(7), [0]
+    passes = 80
     expected = rendered(Job.open(task(passes=passes)))
 
     def watch(progress, runner):
-        if kills[0] < 50 and time.monotonic() - last[0] > 0.3:
+        if kills[0] < 50:
             kills[0] += kill_one(cluster.pool, source)
-            last[0] = time.monotonic()
 
     with Cluster(DaskPool(workers=2, threads=2)) as cluster:
         made = rendered(Job.open(task(passes=passes)), cluster, watch=watch)
     assert kills[0] == 50
     assert made.metadata["passes"] == passes
+    assert made.metadata["rays"] == expected.metadata["rays"]
+    close(made.image, expected.image)
+
+
+@pytest.mark.slow
+def test_sums_that_are_merged_among_workers_lose_nothing(monkeypatch):
+    pytest.importorskip("distributed")
+    from etendue.distributed import dask
+    from etendue.distributed.gathering import Gathering
+
+    # As if the client could never keep up.
+    monkeypatch.setattr(dask, "Gathering", lambda: Gathering(fan_in=2, fetches=1, least=-1.0))
+    monkeypatch.setattr("etendue.distributed.spread._SHORTEST", 0.0)
+    source, kills = random.Random(5), [0]
+    expected = rendered(Job.open(task(passes=60)))
+
+    def watch(progress, runner):
+        if kills[0] < 4 and progress.passes > 10 * kills[0]:
+            kills[0] += kill_one(cluster.pool, source)
+
+    with Cluster(DaskPool(workers=3, threads=3)) as cluster:
+        made = rendered(Job.open(task(passes=60)), cluster, watch=watch)
+        assert cluster.pool._gathering.merges > 0
+    assert made.metadata["passes"] == 60
     assert made.metadata["rays"] == expected.metadata["rays"]
     close(made.image, expected.image)
 

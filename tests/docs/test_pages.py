@@ -18,7 +18,7 @@ import etendue
 from etendue import api, display, methods
 from etendue.cli import options, rendering, solutions
 from etendue.cli.experiments import compare
-from etendue.cli.inspection import doctor
+from etendue.cli.inspection import doctor, viewing
 from etendue.cli.main import main
 from etendue.radiosity import ABuffer
 
@@ -166,6 +166,7 @@ def test_commands_are_understood(command, folder, monkeypatch, capsys):
     for name in ("solution_to_files", "exact_to_files"):
         monkeypatch.setattr(solutions, name, lambda *arguments: begun.append(arguments))
     monkeypatch.setattr(display, "develop", lambda layers, *_, **__: begun.append(layers) or layers["image"])
+    monkeypatch.setattr(viewing, "show", lambda *arguments: begun.append(arguments) or 0)
     monkeypatch.setattr(doctor, "run_doctor", lambda *arguments: begun.append(arguments) or 0)
     words = shlex.split(command, comments=True)[1:]
     if words[:2] == ["particles", "trace"]:  # refuses to overwrite the file that the others read
@@ -188,4 +189,5 @@ def test_there_are_commands_of_every_kind():
         "radiosity",
         "form-factors",
         "particles",
+        "view",
     } <= {command.split()[1] for command in COMMANDS}

@@ -208,6 +208,22 @@ def test_a_filter_that_misses_samples_leaves_pixels_alone(mi, narrow):
     np.testing.assert_array_equal(pixel_filter.spread(mi.Float(values), corner, corner).numpy(), values)
 
 
+@pytest.mark.parametrize("name", ["gaussian", "lanczos"])
+def test_layers_are_filtered_together_as_one_by_one(mi, name):
+    """One sample a pixel, and several whose reach begins at different pixels; a film that is not square."""
+    from etendue.film import PixelFilter
+
+    pixel_filter, rng = PixelFilter(make_filter(mi, name), 11, 7), np.random.default_rng(4)
+    for samples in (1, 5):
+        u1, u2 = (mi.Float(rng.random(samples).astype(np.float32)) for _ in range(2))
+        numbers = rng.random((4, 11 * 7 * samples)).astype(np.float32)
+        layers = [mi.Color3f(*numbers[:3]), mi.Float(numbers[3])]
+        together = pixel_filter.spread_together(layers, u1, u2)
+        for layer, found in zip(layers, together, strict=True):
+            expected = pixel_filter.spread(layer, u1, u2).numpy()
+            np.testing.assert_allclose(found.numpy(), expected, rtol=1e-5, atol=1e-5)
+
+
 def test_samples_of_colours_and_of_one_place_may_be_added_first(mi):
     """Two samples a pixel at one place are one sample of their sum; colours are filtered channel by channel."""
     from etendue.film import PixelFilter

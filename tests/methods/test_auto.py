@@ -10,9 +10,8 @@ from support.statistics import assert_agree
 from support.tables import thinned
 
 from etendue.core import CheckpointError
-from etendue.methods import auto
-from etendue.methods.auto import CANDIDATES, FIXED, LEARNER, describe
-from etendue.methods.efficiency import Learned, Work
+from etendue.methods.auto import CANDIDATES, FIXED, LEARNER, Learned, Work, describe
+from etendue.methods.auto import method as auto
 from etendue.transport import TILE, Candidate
 
 PATH = FIXED["path"]

@@ -12,7 +12,7 @@ from support.statistics import assert_agree
 
 from etendue.core import OptionError
 from etendue.film import LONGER, Technique
-from etendue.methods import bidirectional
+from etendue.methods import store
 
 METHODS = {
     "bpt cache": ("bpt", {}),
@@ -170,7 +170,7 @@ def test_memory_is_checked_first(monkeypatch):
     with pytest.raises(OptionError, match=r"depth 5 at 16x12 needs 1 MB, too much for a memory limit of 2 MB.*to 2 MB"):
         prepared(problem, "vcm", pyramid=True)
     problem.memory = None
-    monkeypatch.setattr(bidirectional, "free_memory", lambda: 500_000)
+    monkeypatch.setattr(store, "free_memory", lambda: 500_000)
     with pytest.raises(OptionError, match="needs 1 MB, but only 0 MB are free; lower pyramid_depth"):
         prepared(problem, "vcm", pyramid=True)
     prepared(problem, "vcm", pyramid=True, pyramid_depth=1)

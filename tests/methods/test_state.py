@@ -23,14 +23,16 @@ from etendue.methods.adaptive.vegas import VegasPath
 from etendue.methods.auto import Auto
 from etendue.methods.bidirectional import Bidirectional
 from etendue.methods.guided import Guided
+from etendue.methods.learned_emission import LearnedEmission
 from etendue.methods.metropolis.method import MetropolisMethod
 from etendue.methods.photon.progressive import Sppm
 from etendue.methods.store import VertexRoom
-from etendue.transport import LightChoice
+from etendue.transport import EmissionGuide, LightChoice
 
 PASSES = 6
 GUIDED = {"samples_per_pass": 16, "cell_samples": 200}
 PSSMLT = {"samples_per_pass": 8, "bootstrap": 1 << 12}
+BPT = {"samples_per_pass": 8, "guide_emission": "on"}
 VEGAS = {"samples_per_pass": 16, "update": 2}
 #: By name: method, settings, what learns, at which of its calls a pass fails, and how. Passes of ``guided`` that end a
 #: generation are the first and the third.
@@ -45,6 +47,8 @@ LEARNERS: dict[str, tuple[str, dict[str, Any], type, str, int, type[BaseExceptio
     "sppm": ("sppm", {"samples_per_pass": 2, "radius": 0.05}, Sppm, "finish", 4, KeyboardInterrupt),
     "ppm": ("ppm", {"samples_per_pass": 2, "radius": 0.05}, Sppm, "finish", 4, RuntimeError),
     "pssmlt": ("pssmlt", PSSMLT, MetropolisMethod, "_tune", 3, KeyboardInterrupt),
+    "bpt within a generation": ("bpt", BPT, LearnedEmission, "end_pass", 5, KeyboardInterrupt),
+    "bpt at the end of one": ("bpt", BPT, EmissionGuide, "learn", 2, RuntimeError),
 }
 #: Bytes: enough for the light vertices of a pass, and not for six times as many.
 MEMORY = 1_200_000
@@ -116,7 +120,11 @@ def test_a_pass_that_fails_as_it_learns(name, monkeypatch, tmp_path):
         left = broken_off(new())
     assert 0 < left.passes < PASSES
     assert_goes_on(
-        new, left, whole, tmp_path / "a", **(IN_ANY_ORDER if owner in (Sppm, MetropolisMethod, Auto) else {})
+        new,
+        left,
+        whole,
+        tmp_path / "a",
+        **(IN_ANY_ORDER if owner in (Sppm, MetropolisMethod, Auto, LearnedEmission, EmissionGuide) else {}),
     )
 
 
@@ -187,6 +195,8 @@ CARRYING = {
     "ppm": ("ppm", {"samples_per_pass": 2, "radius": 0.05}, IN_ANY_ORDER),
     "auto": ("auto", {"samples_per_pass": 4}, IN_ANY_ORDER),
     "bpt": ("bpt", {"samples_per_pass": 4}, IN_ANY_ORDER),
+    "bpt that learns": ("bpt", BPT, IN_ANY_ORDER),
+    "vcm that learns": ("vcm", BPT, IN_ANY_ORDER),
     "pssmlt": ("pssmlt", PSSMLT, IN_ANY_ORDER),
     "pssmlt bidirectional": ("pssmlt", PSSMLT | {"estimator": "bidirectional"}, IN_ANY_ORDER),
     "mmlt": ("mmlt", PSSMLT, IN_ANY_ORDER),

@@ -3,6 +3,7 @@ for each path of a floor, a wall and a point light, and summed by quadrature."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -12,11 +13,13 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from support import scenes
+from support.guides import taught
 from support.running import prepared
 from support.statistics import assert_agree
 
 from etendue.core import IndependentSource
 from etendue.film import Technique
+from etendue.methods.learned_emission import GENERATIONS
 
 LIGHT = np.array([0.9, 1.2, 0.3])
 FLOOR, WALL = 0.6, 0.8  # albedos
@@ -87,15 +90,23 @@ def shares(densities: dict[Technique, Any], beta: int) -> dict[Technique, Any]:
     return {technique: value**beta / total for technique, value in densities.items()}
 
 
-def by_quadrature(problem: Any, counts: Counts) -> dict[str, np.ndarray]:
-    """The weighted layer of every technique that makes paths of two or three edges."""
+def evenly(direction: np.ndarray) -> np.ndarray:
+    """Density of emission from the point light over that of the uniform sphere."""
+    return np.ones(direction.shape[:-1])
+
+
+def by_quadrature(
+    problem: Any, counts: Counts, relative: Callable[[np.ndarray], np.ndarray] = evenly
+) -> dict[str, np.ndarray]:
+    """The weighted layer of every technique that makes paths of two or three edges. ``relative``: as
+    :func:`evenly`."""
     x1, by_camera = seen_points(problem)
     up, out = (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)
     # camera, x1, light
     offset = LIGHT - x1
     square = (offset**2).sum(-1)
     cos = offset[..., 1] / np.sqrt(square)
-    by_light = cos / (4.0 * np.pi * square)
+    by_light = cos / (4.0 * np.pi * square) * relative(-offset / np.sqrt(square)[..., None])
     two = {
         Technique(False, 1, 2): counts.next_event * by_camera,
         Technique(False, 2, 1): counts.splat * by_light,
@@ -114,7 +125,7 @@ def by_quadrature(problem: Any, counts: Counts) -> dict[str, np.ndarray]:
     offset = LIGHT - x2
     square = (offset**2).sum(-1)
     cos = offset[..., 0] / np.sqrt(square)
-    by_light = cos / (4.0 * np.pi * square)
+    by_light = cos / (4.0 * np.pi * square) * relative(-offset / np.sqrt(square)[..., None])
     there, back = cos1 / np.pi * cos2 / square12, cos2 / np.pi * cos1 / square12  # x1 to x2, x2 to x1: areas
     three = {
         Technique(False, 1, 3): counts.next_event * by_camera * there,
@@ -146,20 +157,20 @@ ROWS: dict[str, tuple[str, dict[str, Any], Counts]] = {
 def test_the_share_of_every_technique(name):
     method, settings, counts = ROWS[name]
     problem = floor_and_wall()
+    runner = prepared(problem, method, **asked(settings, counts))
+    assert_shares([runner.step(i, 1) for i in range(6)], by_quadrature(problem, counts), name)
+
+
+def asked(settings: dict[str, Any], counts: Counts) -> dict[str, Any]:
+    """All settings of a run of these counts."""
     if counts.merge:
         settings = settings | {"radius": RADIUS, "radius_unit": "absolute", "alpha": 1.0, "eta_discount": DISCOUNT}
-    runner = prepared(
-        problem,
-        method,
-        samples_per_pass=SAMPLES,
-        light_paths=LIGHT_PATHS,
-        max_depth=3,
-        pyramid=True,
-        pyramid_depth=3,
-        **settings,
-    )
-    steps = [runner.step(i, 1) for i in range(6)]
-    expected = by_quadrature(problem, counts)
+    length = {"max_depth": 3, "pyramid": True, "pyramid_depth": 3}
+    return {"samples_per_pass": SAMPLES, "light_paths": LIGHT_PATHS} | length | settings
+
+
+def assert_shares(steps: list[Any], expected: dict[str, np.ndarray], name: Any) -> None:
+    """Every layer of the passes is what quadrature says."""
     whole = sum(expected.values())
     for layer, values in (expected | {"image": whole}).items():
         if not values.any():
@@ -168,6 +179,28 @@ def test_the_share_of_every_technique(name):
             found = np.stack([step.mean(layer) for step in steps])
             true = np.tile(values[None, :, :, None], (2, 1, 1, 3))
             assert_agree(found, true, (name, layer), precision=0.05)
+
+
+@pytest.mark.parametrize("name", ["bpt", pytest.param("vcm late power", marks=pytest.mark.slow)])
+def test_the_share_of_every_technique_with_learned_emission(name):
+    method, settings, counts = ROWS[name]
+    problem, guide = floor_and_wall(), taught(floor_and_wall(), 5)
+    runner = prepared(problem, method, **asked(settings, counts), guide_emission="on")
+    state = runner.state()
+    learned = state["emission"] | {"guide": guide.state(), "generation": GENERATIONS}
+    learned["sums"] = {
+        key: np.zeros(old.size if key in ("count", "direct", "moments") else guide.places)
+        for key, old in state["emission"]["sums"].items()
+    }
+    runner.restore({**state, "emission": learned})
+
+    def relative(direction: np.ndarray) -> np.ndarray:
+        flat = direction.reshape(-1, 3).astype(np.float32)
+        world = mi.Vector3f(*(mi.Float(np.ascontiguousarray(flat[:, i])) for i in range(3)))
+        mixed = guide.departures.at(mi.UInt32(0), mi.Bool(True)).mixed(world, mi.Float(0.25 / np.pi), mi.Bool(True))
+        return 4.0 * np.pi * np.array(mixed, np.float64).reshape(direction.shape[:-1])
+
+    assert_shares([runner.step(i, 1) for i in range(6)], by_quadrature(problem, counts, relative), name)
 
 
 @lru_cache(maxsize=1)

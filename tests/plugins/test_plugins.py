@@ -158,15 +158,16 @@ def test_first_hit_channels():
     ("settings", "parts"),
     [
         ({"split_layers": True}, r"emission|next_event|connection|splat|merge"),
+        ({"components": True}, r"emission|direct|caustic|indirect"),
         ({"pyramid": True, "pyramid_depth": 3, "aovs": True}, r"[sm]\d_t\d|longer"),
     ],
-    ids=["split_layers", "pyramid"],
+    ids=["split_layers", "components", "pyramid"],
 )
 def test_layers_are_channels_of_the_film(settings, parts, tmp_path):
     scene = mi.load_dict(box({"type": "vcm", "max_depth": 4} | settings, component_format="float32"))
     integrator, film = scene.integrator(), scene.sensors()[0].film()
     before = integrator.aov_names()
-    assert len(before) == (7 if "aovs" in settings else 0)
+    assert len(before) == (11 if "aovs" in settings else 12 if "components" in settings else 0)
     picture = np.array(mi.render(scene, spp=4, seed=1))
     names = integrator.aov_names()
     assert names[: len(before)] == before
@@ -175,7 +176,7 @@ def test_layers_are_channels_of_the_film(settings, parts, tmp_path):
     layers = read_exr(tmp_path / "film.exr").layers
     np.testing.assert_array_equal(layers["image"], picture[..., :3])
     summed = [name for name in layers if re.fullmatch(parts, name)]
-    assert len(summed) > 4
+    assert len(summed) >= 4
     np.testing.assert_allclose(sum(layers[name] for name in summed), layers["image"], rtol=1e-4, atol=1e-6)
     for name in summed:
         first = 3 + names.index(f"{name}.R")

@@ -4,9 +4,11 @@ error."""
 from __future__ import annotations
 
 import logging
+import shlex
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextvars import ContextVar
 from types import TracebackType
 from typing import Any, Self
 
@@ -18,6 +20,20 @@ from etendue.core import Progress
 
 #: In a pipe, a line of progress is printed when the time has grown by this factor, and at least this often.
 _LINE_RATIO, _LINE_EVERY = 1.5, 60.0
+
+
+#: The arguments of the command that runs.
+_ARGUMENTS: ContextVar[Sequence[str]] = ContextVar("arguments", default=())
+
+
+def remember_arguments(words: Sequence[str]) -> None:
+    """Keep the arguments of the command for :func:`command_line`."""
+    _ARGUMENTS.set(tuple(words))
+
+
+def command_line() -> str:
+    """The command that runs, as it could be typed."""
+    return shlex.join(["etendue", *_ARGUMENTS.get()])
 
 
 def error_console() -> Console:

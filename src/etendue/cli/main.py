@@ -19,9 +19,10 @@ from etendue.core import EtendueError, OptionError, describe, logger
 
 from . import options as opt
 from .boxes import HIERARCHY, resume_hierarchy
-from .console import ConsoleHandler, error_console, note, print_error, say
+from .console import ConsoleHandler, error_console, note, print_error, remember_arguments, say
 from .developing import develop
 from .film_picture import film_picture
+from .inspection.viewing import view
 from .particle_maps import app as particles
 from .particles import resume_particles
 from .pictures import compare, demo, render, run
@@ -42,6 +43,7 @@ _UsageError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c._
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; ``arguments`` are those of the process by default. Returns the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    remember_arguments(words)
     debug = "--debug" in words  # read here, since it also applies to errors in other options
     handler = ConsoleHandler(error_console(), logging.DEBUG if debug else logging.WARNING)
     level = logger.level
@@ -150,7 +152,8 @@ def resume(
     if is_particle_file(checkpoint):
         if (spp, error, bundles, points, output, method, define) != (None,) * 7:
             raise OptionError(f"{checkpoint} has particles: only --paths, --particles, --time and --scene apply")
-        return resume_particles(checkpoint, scene, paths, particles, time, variant, threads)
+        device = opt.Device(variant, threads, cluster, workers)
+        return resume_particles(checkpoint, scene, paths, particles, time, device)
     if (paths, particles) != (None, None):
         raise OptionError(f"{checkpoint} is no file of particles: --paths and --particles do not apply")
     device = opt.Device(variant, threads, cluster, workers)
@@ -182,7 +185,7 @@ def resume(
             return job
 
         with recorder, device.opened() as opened:
-            return render_to_files(open_job, recorder, saved.method, opened)
+            return render_to_files(open_job, recorder, saved.method, opened, recorder.watch)
     beside = [checkpoint.with_suffix(suffix) for suffix in (".exr", ".png")]
     outputs = Outputs.of(
         output or [p for p in beside if p.exists()] or beside[:1], checkpoint, save_every, False, tone, exposure
@@ -199,6 +202,7 @@ app.command()(run)
 app.command()(compare)
 app.command()(demo)
 app.command()(develop)
+app.command()(view)
 
 
 @app.command()

@@ -139,6 +139,7 @@ def settings(
     pyramid: bool = False,
     pyramid_depth: int | None = None,
     no_bsdf_sampling: bool = False,
+    components: bool = False,
 ) -> dict[str, Any]:
     """The settings from -D and from options for settings; a pyramid depth also enables the pyramid. Raises
     :class:`OptionError` if a setting is given twice."""
@@ -146,6 +147,7 @@ def settings(
     said = {
         "max_depth": max_depth,
         "aovs": aovs or None,
+        "components": components or None,
         "pyramid": pyramid or pyramid_depth is not None or None,
         "pyramid_depth": pyramid_depth,
         "bsdf_sampling": False if no_bsdf_sampling else None,
@@ -224,6 +226,10 @@ MaxDepth = Annotated[
     typer.Option("--max-depth", help="Longest path in edges, -1 for unlimited; by default the scene's.", metavar="N"),
 ]
 Threads = Annotated[int | None, typer.Option("--threads", help="CPU threads to use.", metavar="N")]
+Tev = Annotated[
+    str | None,
+    typer.Option("--tev", help="Show the layers in the image viewer tev, as localhost:14158.", metavar="HOST:PORT"),
+]
 Cluster = Annotated[
     str | None,
     typer.Option(
@@ -272,7 +278,10 @@ Exposure = Annotated[
 Folder = Annotated[
     Path, typer.Option("-o", "--output", help="Folder for pictures and page; created if needed.", metavar="DIR")
 ]
-Aovs = Annotated[bool, typer.Option("--aovs", help="Add layers for denoisers: albedo, normal, depth; variance.")]
+Aovs = Annotated[bool, typer.Option("--aovs", help="Add layers: albedo, normal, depth, emission; variance.")]
+Components = Annotated[
+    bool, typer.Option("--components", help="Add layers of emission, direct, caustic and indirect light.")
+]
 Pyramid = Annotated[
     bool, typer.Option("--pyramid", help="Add a layer for each technique (s, t), weighted and unweighted.")
 ]

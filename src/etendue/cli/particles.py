@@ -73,6 +73,16 @@ def trace(
     variant: opt.Variant = None,
     memory: opt.Memory = None,
     threads: opt.Threads = None,
+    cluster: opt.Cluster = None,
+    workers: opt.Workers = None,
+    boxes: Annotated[
+        str | None,
+        typer.Option(
+            "--boxes",
+            help="With workers: cut the scene into boxes along x, y and z, of which a worker loads one at a time.",
+            metavar="NxNxN",
+        ),
+    ] = None,
     debug: opt.Debug = False,
 ) -> int:
     """Trace light paths, and write their hits on surfaces to a file while tracing.
@@ -82,8 +92,6 @@ def trace(
     """
     from etendue.jobs import ParticleRequest, ParticleWork
     from etendue.scene import locate
-
-    from .rendering import choose_device
 
     settings: dict[str, Any] = dict(opt.parse_pairs(define, "-D"))
     short = {"keep": keep, "after": after, "specular": specular or None}
@@ -99,14 +107,26 @@ def trace(
         seconds=time,
         codec=codec,
         method=method,
+        boxes=_boxes(boxes, (cluster, workers) != (None, None)),
         settings=settings,
         seed=seed,
         parameters=opt.parse_pairs(param, "-P"),
         memory=memory,
         wording=Options(),
     )
-    choose_device(variant, threads)
-    return _run(lambda: ParticleWork.open(request), output)
+    device = opt.Device(variant, threads, cluster, workers)
+    return _run(lambda: ParticleWork.open(request), output, device)
+
+
+def _boxes(text: str | None, has_workers: bool) -> tuple[int, int, int] | None:
+    if text is None:
+        return None
+    numbers = [int(word) for word in text.lower().replace("×", "x").split("x") if word.strip().isdecimal()]
+    if len(numbers) != 3 or text.lower().replace("×", "x").count("x") != 2:
+        raise OptionError(f"--boxes needs three numbers such as 2x2x1, not '{text}'")
+    if not has_workers:
+        raise OptionError("a scene is divided among workers: give --workers or --cluster with --boxes")
+    return numbers[0], numbers[1], numbers[2]
 
 
 def resume_particles(
@@ -115,17 +135,13 @@ def resume_particles(
     paths: int | None,
     particles: int | None,
     time: float | None,
-    variant: str | None,
-    threads: int | None,
+    device: opt.Device,
 ) -> int:
     """Go on with a file of particles."""
     from etendue.engine import Budget
     from etendue.jobs import ParticleWork
 
-    from .rendering import choose_device
-
-    choose_device(variant, threads)
-    return _run(lambda: ParticleWork.resume(path, Budget(time, paths), particles, scene), path)
+    return _run(lambda: ParticleWork.resume(path, Budget(time, paths), particles, scene), path, device)
 
 
 @app.command()
@@ -210,7 +226,7 @@ def compress(
     return 0
 
 
-def _run(open_work: Callable[[], ParticleWork], output: Path) -> int:
+def _run(open_work: Callable[[], ParticleWork], output: Path, device: opt.Device) -> int:
     """Trace, report and print the path of the file. Returns the exit status."""
     from etendue.engine import RunError
     from etendue.jobs import start_work
@@ -218,8 +234,16 @@ def _run(open_work: Callable[[], ParticleWork], output: Path) -> int:
     from .rendering import follow
 
     console = error_console()
+    device.choose()
     try:
-        outcome = follow(lambda: start_work(open_work), console, "particles", _words)
+        with device.opened() as cluster:
+
+            def with_workers() -> ParticleWork:
+                work = open_work()
+                work.cluster = cluster
+                return work
+
+            outcome = follow(lambda: start_work(with_workers), console, "particles", _words)
     except RunError:
         say(str(output))  # it has the passes before the failure
         raise

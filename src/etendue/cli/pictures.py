@@ -41,6 +41,7 @@ def render(
     threads: opt.Threads = None,
     memory: opt.Memory = None,
     aovs: opt.Aovs = False,
+    components: opt.Components = False,
     pyramid: opt.Pyramid = False,
     pyramid_depth: opt.PyramidDepth = None,
     no_bsdf_sampling: opt.NoBsdfSampling = False,
@@ -52,6 +53,7 @@ def render(
     no_checkpoint: Annotated[bool, typer.Option("--no-checkpoint", help="Write no checkpoint.")] = False,
     tone: opt.Tone = "srgb",
     exposure: opt.Exposure = "auto",
+    tev: opt.Tev = None,
     cluster: opt.Cluster = None,
     workers: opt.Workers = None,
     debug: opt.Debug = False,
@@ -66,12 +68,12 @@ def render(
     from etendue.jobs import Outputs
     from etendue.scene import locate
 
-    from .rendering import choose_device, default_name, render_to_files
+    from .rendering import choose_device, default_name, render_to_files, shown_in_tev
 
     if no_checkpoint and checkpoint is not None:
         raise OptionError("--checkpoint and --no-checkpoint exclude each other; give one of them")
     budget = opt.budget(time, spp, error)
-    settings = opt.settings(define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling)
+    settings = opt.settings(define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling, components)
     parameters = opt.parse_pairs(param, "-P")
     choose_device(variant, threads)
     notes: list[str] = []  # shown after all checks
@@ -88,8 +90,9 @@ def render(
             note(error_console(), text)
         return job
 
-    with opt.Device(variant, threads, cluster, workers).opened() as opened:
-        return render_to_files(open_job, outputs, chosen.name, opened)
+    device = opt.Device(variant, threads, cluster, workers)
+    with shown_in_tev(tev, pictures[0].stem) as callback, device.opened() as opened:
+        return render_to_files(open_job, outputs, chosen.name, opened, callback)
 
 
 def run(
@@ -128,7 +131,7 @@ def run(
         say(f"{file} is in order: {wanted.describe(open_job())}")
         return 0
     with recorder, opt.Device(wanted.variant, wanted.threads, cluster, workers).opened() as opened:
-        return render_to_files(open_job, recorder, task.method.name, opened)
+        return render_to_files(open_job, recorder, task.method.name, opened, recorder.watch)
 
 
 def compare(
@@ -152,9 +155,14 @@ def compare(
     max_depth: opt.MaxDepth = None,
     threads: opt.Threads = None,
     memory: opt.Memory = None,
+    aovs: opt.Aovs = False,
+    components: opt.Components = False,
     pyramid: opt.Pyramid = False,
     pyramid_depth: opt.PyramidDepth = None,
     no_bsdf_sampling: opt.NoBsdfSampling = False,
+    seeds: Annotated[
+        int, typer.Option("--seeds", help="Render so many times, for the error of the error.", min=1, metavar="N")
+    ] = 1,
     cluster: opt.Cluster = None,
     workers: opt.Workers = None,
     debug: opt.Debug = False,
@@ -174,7 +182,7 @@ def compare(
     wanted = tasks(
         locate(scene, notes.append),
         method or ["path", "vcm"],
-        opt.settings(define, max_depth, False, pyramid, pyramid_depth, no_bsdf_sampling),
+        opt.settings(define, max_depth, aovs, pyramid, pyramid_depth, no_bsdf_sampling, components),
         seed=seed,
         budget=budget,
         size=size,
@@ -187,7 +195,7 @@ def compare(
     for text in notes:
         note(console, text)
     with opt.Device(variant, threads, cluster, workers).opened() as opened:
-        return Comparison(wanted, output, reference, cluster=opened).run(console)
+        return Comparison(wanted, output, reference, seeds=seeds, cluster=opened).run(console)
 
 
 def demo(

@@ -16,7 +16,7 @@ from etendue.jobs import DEFAULT_POINTS
 from . import options as opt
 from . import radiosity_outputs as out
 from .boxes import box_settings
-from .console import error_console, note, say
+from .console import command_line, error_console, note, say
 from .radiosity_options import (
     Ambient,
     Bounces,
@@ -142,7 +142,8 @@ def radiosity(
         typer.Option(
             "-o",
             "--output",
-            help=".vtu (ParaView), .ply, .glb, .gltf (vertex colours), .npz, .nc (arrays); .exr, .png (a picture).",
+            help=".vtu (ParaView), .ply, .glb, .gltf (vertex colours), .npz, .nc (arrays); .exr, .png (a picture); "
+            ".html (a page).",
             metavar="FILE",
         ),
     ] = Path("solution.vtu"),
@@ -203,6 +204,7 @@ def radiosity(
     error_picture: out.ErrorPicture = False,
     lightmap: out.LightmapSize = None,
     uv: out.TextureCoordinates = None,
+    page: out.WithPage = False,
     solution: out.Solved = None,
     checkpoint: CheckpointFile = None,
     save_every: opt.SaveEvery = 60.0,
@@ -225,7 +227,8 @@ def radiosity(
         source=scene,
         solver=solver,
         outputs=SolutionOutputs(
-            files=(output,) if lightmap is None else (),
+            files=out.with_page((output,) if lightmap is None else (), output, page),
+            command=command_line() if page or output.suffix == ".html" else "",
             size=size,
             sensor=sensor,
             gather=gather,

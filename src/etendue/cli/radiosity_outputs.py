@@ -45,12 +45,21 @@ TextureCoordinates = Annotated[
 ]
 
 
+WithPage = Annotated[
+    bool, typer.Option("--page", help="Beside the output, a page (.html): pictures of the mesh, errors, tables.")
+]
 Solved = Annotated[
     Path | None,
     typer.Option(
         "--solution", help="A solution of this scene, .npz or .nc, to write in other formats.", metavar="FILE"
     ),
 ]
+
+
+def with_page(files: tuple[Path, ...], output: Path, page: bool) -> tuple[Path, ...]:
+    """The files, and the page beside ``output`` if it is wanted."""
+    beside = output.with_suffix(".html")
+    return (*files, beside) if page and beside not in files else files
 
 
 class Options(Wording):

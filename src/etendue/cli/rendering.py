@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Generic, TypeVar
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from etendue.api import start_job
+from etendue.api import Callback, start_job
 from etendue.core import OptionError, OutputError, Progress, format_rate, format_seconds, set_threads, use_variant
 from etendue.engine import Cancelled, Job, RunError, Session
 from etendue.jobs import Rendering, Writer
@@ -77,12 +78,18 @@ def follow(
     return Outcome(session.result, interrupts.exit_code)
 
 
-def render_to_files(open_job: Callable[[], Job], outputs: Writer, label: str, cluster: Cluster | None = None) -> int:
-    """Render, write ``outputs`` and print their paths on standard output, one per line; ``cluster`` makes the passes.
-    Returns the exit status."""
+def render_to_files(
+    open_job: Callable[[], Job],
+    outputs: Writer,
+    label: str,
+    cluster: Cluster | None = None,
+    callback: Callback | None = None,
+) -> int:
+    """Render, write ``outputs`` and print their paths on standard output, one per line; ``cluster`` makes the passes,
+    ``callback`` is called after each. Returns the exit status."""
     console = error_console()
     try:
-        outcome = follow(lambda: start_job(open_job, outputs, cluster=cluster), console, label)
+        outcome = follow(lambda: start_job(open_job, outputs, callback, cluster), console, label)
     except RunError:
         _name_files(outputs)  # they contain the passes before the failure
         raise
@@ -90,6 +97,19 @@ def render_to_files(open_job: Callable[[], Job], outputs: Writer, label: str, cl
         note(console, summary(outcome.result))
         _name_files(outputs)
     return outcome.exit_code
+
+
+@contextmanager
+def shown_in_tev(address: str | None, name: str) -> Iterator[Callback | None]:
+    """A callback of runs that shows their layers in tev, if there is an address. Raises :class:`OptionError` for text
+    that is no address."""
+    if address is None:
+        yield None
+        return
+    from etendue.display import TevDisplay  # imported late: most of the room is for pages and plots
+
+    with TevDisplay(address, name) as display:
+        yield lambda update: display.offer(lambda: update.layers)
 
 
 def _name_files(outputs: Writer) -> None:

@@ -20,6 +20,7 @@ from .log import logger
 from .measurement import CONTRAST, RELATIVE_EPSILON, Array, Iterations, Measurement, warn_of_nonfinite
 from .memory import free_memory
 from .method import Carrying, Method, Pass, Replica, Result, State
+from .notebooks import InNotebooks
 from .progress import Progress, format_rate, format_seconds, format_shares
 from .records import PassKey, Record, RecordFile
 from .samples import (
@@ -43,6 +44,7 @@ __all__ = [
     "CheckpointError",
     "ClusterError",
     "EtendueError",
+    "InNotebooks",
     "IndependentSource",
     "Iterations",
     "Measurement",

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .measurement import Measurement
+from .notebooks import InNotebooks
 from .settings import Settings as AnySettings
 
 
 @dataclass
-class Result:
+class Result(InNotebooks):
     """A developed measurement: layers of shape (height, width, channels), float32. ``layers["image"]`` is the picture;
     other layers, if requested, are technique families, whose sum is the picture, and first-hit layers."""
 

@@ -6,7 +6,7 @@ sequences, Markov chains) can replace independent numbers.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, Self
 
 import drjit as dr
 
@@ -90,12 +90,20 @@ class IndependentSource:
     """
 
     def __init__(self, lane: mi.UInt32, seed: int, role: str, iteration: int, high: mi.UInt32 | None = None) -> None:
-        uint32 = type(lane)
         key0, key1 = seed_key(seed, role, iteration)
-        k0, k1 = dr.opaque(uint32, key0), dr.opaque(uint32, key1)
+        self._mix(lane, dr.opaque(type(lane), key0), dr.opaque(type(lane), key1), high)
+
+    @classmethod
+    def of_key(cls, lane: mi.UInt32, key0: mi.UInt32, key1: mi.UInt32) -> Self:
+        """The source of a key of :func:`seed_key` that is on the device already, as in a frozen function."""
+        source = cls.__new__(cls)
+        source._mix(lane, key0, key1, None)
+        return source
+
+    def _mix(self, lane: mi.UInt32, key0: mi.UInt32, key1: mi.UInt32, high: mi.UInt32 | None) -> None:
         # The pair of keys is unique for (high, lane): the second word is a bijection of the lane, given the first.
-        self._key0 = hash_mix(lane + k0 if high is None else lane + k0 + hash_mix(high))
-        self._key1 = hash_mix((lane ^ self._key0) + k1)
+        self._key0 = hash_mix(lane + key0 if high is None else lane + key0 + hash_mix(high))
+        self._key1 = hash_mix((lane ^ self._key0) + key1)
 
     def _bits(self, vertex: mi.UInt32 | int, component: int) -> mi.UInt32:
         if not 0 <= component < COMPONENTS_PER_VERTEX:

@@ -16,7 +16,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import copied_to_device
+from etendue.core import Array, copied_to_device
 
 #: Number of facings: plus and minus x, y, z.
 FACINGS = 6
@@ -56,6 +56,11 @@ class Cells:
     def count(self) -> int:
         """Number of cells."""
         return len(self.level)
+
+    def boxes(self) -> tuple[Array, Array]:
+        """Corners of all cells: (cells, 3) each, in scene units."""
+        origin, scale = (np.array(v, np.float64).ravel() for v in (self._origin, self._scale))
+        return origin + self.corner / scale, origin + (self.corner + self._sizes[self.level]) / scale
 
     def split(self, samples: NDArray[np.integer[Any]], most: float) -> NDArray[np.int64]:
         """Halve every cell with more than ``most`` samples, and recursively its halves, each of which is assumed to

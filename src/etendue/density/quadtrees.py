@@ -79,9 +79,10 @@ class Quadtrees:
         mass[empty] = self.mass[empty]
         return Quadtrees(self.tree, self.level, self.parent, self.child, mass)
 
-    def refined(self, source: NDArray[np.int64], share: float) -> Quadtrees:
-        """Trees of the same densities, divided wherever a quadrant holds more than ``share`` of its tree's mass and
-        nowhere else. ``source``: for each new tree, the old one that it is made from."""
+    def refined(self, source: NDArray[np.int64], share: float | Array) -> Quadtrees:
+        """Trees of the same densities, divided wherever a quadrant holds more than ``share`` of its tree's mass, a
+        number or one for each tree, and nowhere else. ``source``: for each new tree, the old one that it is made
+        from."""
         levels = []
         tree = np.arange(len(source))
         old, mass, parent = source.copy(), self.mass[source], np.full(len(source), -1)

@@ -1,33 +1,104 @@
-"""Display: denoising, tone curves, PNG, convergence plots, projections of points, the comparison page."""
+"""Display: denoising, tone curves, PNG, tev, convergence plots, projections of points, pages of runs."""
 
-from .colours import false_colour
+from .colours import css_gradient, false_colour
 from .curves import CURVES, ToneCurve
 from .denoising import DENOISERS, Denoiser, denoiser
 from .develop import develop
+from .meshes import MeshView, mesh_picture
+from .pages import asset_text, page
 from .plots import Series, convergence_plot
 from .png import encode_png, write_png
-from .report import Entry, render_report, write_report
+from .report import (
+    Column,
+    Command,
+    Entry,
+    Facts,
+    Failure,
+    Figure,
+    Figures,
+    Folded,
+    Layer,
+    Measures,
+    Page,
+    Part,
+    Plot,
+    Scale,
+    Section,
+    Stack,
+    Text,
+    card,
+    fact_table,
+    fitted,
+    flatten,
+    in_pyramid,
+    machine,
+    number_text,
+    over_seeds,
+    pyramids,
+    render_page,
+    render_report,
+    time_text,
+    value_text,
+    viewer_data,
+    write_report,
+)
 from .scatter import Projection, projection_plot
+from .tev import TevDisplay
 from .tonemap import auto_exposure, check_tone, tonemap
 
 __all__ = [
     "CURVES",
     "DENOISERS",
+    "Column",
+    "Command",
     "Denoiser",
     "Entry",
+    "Facts",
+    "Failure",
+    "Figure",
+    "Figures",
+    "Folded",
+    "Layer",
+    "Measures",
+    "MeshView",
+    "Page",
+    "Part",
+    "Plot",
     "Projection",
+    "Scale",
+    "Section",
     "Series",
+    "Stack",
+    "TevDisplay",
+    "Text",
     "ToneCurve",
+    "asset_text",
     "auto_exposure",
+    "card",
     "check_tone",
     "convergence_plot",
+    "css_gradient",
     "denoiser",
     "develop",
     "encode_png",
+    "fact_table",
     "false_colour",
+    "fitted",
+    "flatten",
+    "in_pyramid",
+    "machine",
+    "mesh_picture",
+    "number_text",
+    "over_seeds",
+    "page",
     "projection_plot",
+    "pyramids",
+    "render_page",
     "render_report",
+    "time_text",
     "tonemap",
+    "value_text",
+    "viewer_data",
     "write_png",
     "write_report",
 ]

@@ -38,6 +38,11 @@ def false_colour(values: ArrayLike, low: float, high: float) -> NDArray[np.uint8
     return np.round(rgb).astype(np.uint8)
 
 
+def false_colour_stops() -> list[list[int]]:
+    """The colours of the scale at equal distances, as sRGB bytes."""
+    return [[int(value) for value in row] for row in _INFERNO]
+
+
 def css_gradient() -> str:
     """The same scale as a CSS gradient from left to right."""
     colours = ", ".join("rgb({:.0f} {:.0f} {:.0f})".format(*row) for row in _INFERNO)

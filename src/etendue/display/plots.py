@@ -1,4 +1,7 @@
-"""Convergence plots as inline SVG: log-log, legible on light and dark pages, without colour, and by screen readers."""
+"""Convergence plots as inline SVG: log-log, legible on light and dark pages, without colour, and by screen readers.
+
+A pointer on a data point shows its numbers.
+"""
 
 from __future__ import annotations
 
@@ -14,14 +17,20 @@ _DASHES = ("", "7 3", "2 3", "9 3 2 3", "4 2", "1 2")
 
 @dataclass(frozen=True)
 class Series:
-    """A named curve; points are (x, y), both positive. Others are left out of the plot."""
+    """A named curve; points are (x, y), both positive, or (x, y, standard error of y), which gets a bar. Others are
+    left out of the plot."""
 
     name: str
-    points: Sequence[tuple[float, float]]
+    points: Sequence[tuple[float, ...]]
 
-    def drawable(self) -> list[tuple[float, float]]:
-        """The points that a logarithmic plot can show."""
-        return [(x, y) for x, y in self.points if x > 0.0 and y > 0.0 and math.isfinite(x) and math.isfinite(y)]
+    def drawable(self) -> list[tuple[float, float, float]]:
+        """The points that a logarithmic plot can show, with 0 for an error that is not known."""
+        rows = [(*point, 0.0)[:3] for point in self.points]
+        return [
+            (x, y, error if math.isfinite(error) else 0.0)
+            for x, y, error in rows
+            if x > 0.0 and y > 0.0 and math.isfinite(x) and math.isfinite(y)
+        ]
 
 
 @dataclass(frozen=True)
@@ -36,10 +45,10 @@ class _LogAxis:
         return self.start + share * (self.end - self.start)
 
     def ticks(self) -> list[tuple[float, bool]]:
-        """(value, labelled) at the decades, and at their 2 and 5 where there are few of them."""
+        """(value, labelled) at the decades, and at their 2 and 5, or all, where there are few of them."""
         first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
         decades = math.log10(self.high / self.low)
-        steps = (1, 2, 5) if decades < 2.5 else (1,)
+        steps = range(1, 10) if decades < 0.8 else (1, 2, 5) if decades < 2.5 else (1,)
         every = 1 if decades <= 6 else 2
         found = []
         for exponent in range(first, last + 1):
@@ -63,21 +72,23 @@ def convergence_plot(
     """Error over time, both logarithmic, as one ``<svg>`` element; an empty string if no series has a point.
 
     Text takes the colour of its surroundings (``currentColor``), so the plot fits a light and a dark page. A thin line
-    shows how the error of an unbiased estimator falls, as 1/t^``rate``: 1 for squared errors, 0.5 for their root.
+    shows how the error of an unbiased estimator falls, as 1/t^``rate``: 1 for squared errors, 0.5 for their root; 0 for
+    no line.
     """
     curves = [(index, s.name, points) for index, s in enumerate(series) if (points := s.drawable())]
     if not curves:
         return ""
-    left, right, bottom = 62.0, 14.0, 44.0
+    left, right, bottom = 68.0, 14.0, 44.0
+    unit = "s" if x_label == "seconds" else x_label
     legend, top = _legend([(index, name) for index, name, _ in curves], left, width - right)
-    x_axis = _axis([x for _, _, points in curves for x, _ in points], left, width - right)
-    y_axis = _axis([y for _, _, points in curves for _, y in points], height - bottom, top)
+    x_axis = _axis([x for _, _, points in curves for x, _, _ in points], left, width - right)
+    y_axis = _axis([end for _, _, points in curves for _, y, e in points for end in _bar(y, e)], height - bottom, top)
     parts = _frame(x_axis, y_axis, x_label, y_label)
     parts += _slope_guide(x_axis, y_axis, curves[0][2], rate)
     for index, name, points in curves:
-        parts.append(_curve(index, name, [(x_axis(x), y_axis(y)) for x, y in points]))
+        parts.append(_curve(index, name, points, x_axis, y_axis, (x_label, y_label)))
     parts += legend
-    ends = "; ".join(f"{name}: {points[-1][1]:.3g} after {points[-1][0]:.3g} s" for _, name, points in curves)
+    ends = "; ".join(f"{name}: {points[-1][1]:.3g} after {points[-1][0]:.3g} {unit}" for _, name, points in curves)
     return (
         f'<svg class="plot" viewBox="0 0 {width} {height}" role="img" aria-label="{escape(f"{title}. {ends}.")}" '
         f'font-family="inherit" font-size="13" fill="currentColor">{"".join(parts)}</svg>'
@@ -110,9 +121,9 @@ def _frame(x_axis: _LogAxis, y_axis: _LogAxis, x_label: str, y_label: str) -> li
     return parts
 
 
-def _slope_guide(x_axis: _LogAxis, y_axis: _LogAxis, points: list[tuple[float, float]], rate: float) -> list[str]:
+def _slope_guide(x_axis: _LogAxis, y_axis: _LogAxis, points: Sequence[tuple[float, ...]], rate: float) -> list[str]:
     """A line of slope -``rate`` through the lower left of the frame, clipped to it."""
-    if len(points) < 2:
+    if len(points) < 2 or not rate:
         return []
     product = y_axis.low * x_axis.low**rate * (y_axis.high / y_axis.low) ** 0.42
     x_low = max(x_axis.low, (product / y_axis.high) ** (1.0 / rate))
@@ -128,14 +139,44 @@ def _slope_guide(x_axis: _LogAxis, y_axis: _LogAxis, points: list[tuple[float, f
     ]
 
 
-def _curve(index: int, name: str, points: list[tuple[float, float]]) -> str:
-    path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in points)
-    dots = "".join(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.6"/>' for x, y in points)
+def _curve(
+    index: int,
+    name: str,
+    points: Sequence[tuple[float, float, float]],
+    x_axis: _LogAxis,
+    y_axis: _LogAxis,
+    labels: tuple[str, str],
+) -> str:
+    """The line, the bars of the errors, and a dot for each point with its numbers as a tip."""
+    places = [(x_axis(x), y_axis(y)) for x, y, _ in points]
+    path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in places)
+    bars = "".join(
+        f"M{px:.1f} {y_axis(high):.1f}V{y_axis(low):.1f}"
+        for (px, _), (_, y, e) in zip(places, points, strict=True)
+        if e > 0.0
+        for low, high in (_bar(y, e),)
+    )
+    dots = "".join(
+        f'<circle cx="{px:.1f}" cy="{py:.1f}" r="3.2"><title>{escape(_tip(name, point, labels))}</title></circle>'
+        for (px, py), point in zip(places, points, strict=True)
+    )
     return (
         f'<g style="stroke:{_colour(index)};fill:{_colour(index)}"><title>{escape(name)}</title>'
         f'<path d="{path}" fill="none" stroke-width="2"{_dash(index)}/>'
+        f'{f"""<path d="{bars}" stroke-width="1.5" stroke-opacity=".7"/>""" if bars else ""}'
         f'<g stroke="none">{dots}</g></g>'
     )
+
+
+def _bar(y: float, error: float) -> tuple[float, float]:
+    """Ends of the bar of a standard error; at most down to a tenth of the value, for the logarithmic axis."""
+    return max(y - error, 0.1 * y), y + error
+
+
+def _tip(name: str, point: tuple[float, float, float], labels: tuple[str, str]) -> str:
+    x, y, error = point
+    spread = f" ± {error:.2g}" if error > 0.0 else ""
+    return f"{name}: {labels[1]} {y:.3g}{spread} at {x:.3g} {labels[0]}"
 
 
 def _legend(entries: list[tuple[int, str]], left: float, right: float) -> tuple[list[str], float]:

@@ -1,19 +1,24 @@
 """Distributed: passes of a run in several processes, on this machine or on a cluster of Dask."""
 
-from .cluster import Cluster, opened_cluster
+from .cluster import Cluster, open_cluster, opened_cluster
 from .content import Entry, Offered, Store
 from .dask import DaskPool
+from .divided import BOX_SCHEDULES, Divided, Traffic
 from .pool import Arrival, Lost, Pool
 from .processes import ProcessPool
-from .recipe import Ingredients, Recipe, recipe, scene_ingredients
+from .recipe import Ingredients, Recipe, part_ingredients, recipe, scene_ingredients
+from .schedules import SCHEDULES
 from .spread import Spread
 from .worker import Chunk
 
 __all__ = [
+    "BOX_SCHEDULES",
+    "SCHEDULES",
     "Arrival",
     "Chunk",
     "Cluster",
     "DaskPool",
+    "Divided",
     "Entry",
     "Ingredients",
     "Lost",
@@ -23,7 +28,10 @@ __all__ = [
     "Recipe",
     "Spread",
     "Store",
+    "Traffic",
+    "open_cluster",
     "opened_cluster",
+    "part_ingredients",
     "recipe",
     "scene_ingredients",
 ]

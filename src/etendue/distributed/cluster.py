@@ -23,18 +23,20 @@ class Cluster:
     def __init__(self, pool: Pool) -> None:
         self.pool = pool
 
-    def rendering(self, job: Job) -> MakeExecutor:
-        """The executor of a picture. Passes of a method that carries on from each other become those of replicas, one a
-        worker: the method of the job is then that of replicas. Raises :class:`SceneError` for a scene in memory."""
+    def rendering(self, job: Job, longest: int | None = None) -> MakeExecutor:
+        """The executor of a job with a scene. Passes of a method that carries on from each other become those of
+        replicas, one a worker: the method of the job is then that of replicas. ``longest``: most passes that a worker
+        adds up before it sends them. Raises :class:`SceneError` for a scene in memory, :class:`OptionError` for a
+        method that cannot be divided."""
         if job.task is None:
             raise SceneError("a scene in memory cannot be sent to workers; give its file or its dictionary")
         plain: Any = job.method.method if isinstance(job.method, Replicated) else job.method
         if not getattr(plain, "divides", True):
-            raise OptionError(f"'{plain.name}' cannot be divided among workers yet; render it without them")
+            raise OptionError(f"'{plain.name}' cannot be divided among workers yet; run it without them")
         made = recipe(scene_ingredients(job.task), plain, job.problem.fingerprint)
         done = Iterations() if job.start is None else job.start.iterations
         job.method, job.state = self.replicate(job.method, job.problem, job.seed, job.state, done)
-        return self.executor(made)
+        return self.executor(made, longest=longest)
 
     def replicate(
         self, method: Method, problem: Any, seed: int, state: State | None, done: Iterations
@@ -48,11 +50,13 @@ class Cluster:
         count = len(self.pool.workers()) if state is None else 1
         return Replicated(method, problem, seed, count), state  # type: ignore[return-value]
 
-    def executor(self, made: Recipe, attributes: Mapping[str, Any] | None = None) -> MakeExecutor:
+    def executor(
+        self, made: Recipe, attributes: Mapping[str, Any] | None = None, longest: int | None = None
+    ) -> MakeExecutor:
         """The executor of a run; ``attributes`` are set on its method in the workers."""
 
         def make(order: Order) -> Executor:
-            return Spread(self.pool, made, order, attributes)
+            return Spread(self.pool, made, order, attributes, longest=longest)
 
         return make
 
@@ -78,8 +82,16 @@ def opened_cluster(
 
     Raises :class:`OptionError`, :class:`BackendError` if Dask is not installed, :class:`ClusterError`.
     """
-    if cluster is None and workers is None:
+    opened = open_cluster(cluster, workers, threads)
+    if opened is None:
         yield None
         return
-    with Cluster(DaskPool(cluster, workers=workers, threads=threads)) as opened:
+    with opened:
         yield opened
+
+
+def open_cluster(cluster: Any = None, workers: int | None = None, threads: int | None = None) -> Cluster | None:
+    """As :func:`opened_cluster`; the caller closes it."""
+    if cluster is None and workers is None:
+        return None
+    return Cluster(DaskPool(cluster, workers=workers, threads=threads))

@@ -62,6 +62,11 @@ class Offered:
             return Entry(digest, len(content))
         return Entry(digest, content.stat().st_size, str(content.absolute()))
 
+    def size(self, digest: str) -> int:
+        """Bytes of a file."""
+        content = self.contents[digest]
+        return len(content) if isinstance(content, bytes) else content.stat().st_size
+
     def pieces(self, digest: str) -> Iterator[tuple[int, bytes, bool]]:
         """Offset and bytes of each piece, and whether it is the last."""
         content = self.contents[digest]

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import logging
 import queue
+import threading
 import time
+import uuid
+from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import wait as wait_for
 from functools import partial
@@ -13,12 +16,15 @@ from typing import Any
 from etendue.core import ClusterError, OptionError, describe, is_whole, library, logger
 
 from .content import Offered
-from .pool import Arrival, Lost
-from .worker import Chunk, Outcome, end_run, introduce, make_passes, receive
+from .gathering import Bundle, Gathering
+from .pool import Arrival, Delivered, Lost
+from .worker import Chunk, Task, end_run, introduce, make_passes, merge_outcomes, receive
 
 #: Seconds to wait for a scheduler, for the first worker, and for an answer of a worker.
 _CONNECT, _FIRST_WORKER, _ANSWER = "10s", 60.0, 60.0
 _LIST_EVERY = 0.5
+#: Bytes of a file from which on workers take it from each other.
+_SHARED = 1 << 20
 #: Threads for transfers and questions.
 _HELPERS = 16
 
@@ -58,6 +64,11 @@ class DaskPool:
             for name in ("distributed", "distributed.client"):
                 logging.getLogger(name).setLevel(logging.CRITICAL)
         self._futures: dict[int, Any] = {}
+        self._gathering, self._lock = Gathering(), threading.Lock()
+        self._bundles: set[Bundle] = set()  # of several chunks, which have not arrived
+        self._sharing = threading.Lock()
+        self._pieces: dict[str, list[tuple[int, Any, bool]]] = {}  # of files that are being sent
+        self._sending: dict[str, int] = {}  # to how many workers
         self._arrived: queue.SimpleQueue[Arrival] = queue.SimpleQueue()
         self._helpers = ThreadPoolExecutor(_HELPERS, thread_name_prefix="etendue-cluster")
         self._known: dict[str, int | None] = {}
@@ -84,22 +95,71 @@ class DaskPool:
         self._known = {name: threads for name, threads in there.items() if name in self.pids}
         return dict(self._known)
 
-    def send(self, worker: str, ticket: int, chunk: Chunk) -> None:
+    def send(self, worker: str, ticket: int, task: Task) -> None:
         """See :class:`Pool`."""
         future = self._client.submit(
-            make_passes, chunk, key=f"etendue-{chunk.run}-{ticket}", workers=[worker], pure=False
+            make_passes, task, key=f"etendue-{task.run}-{ticket}", workers=[worker], pure=False
         )
         self._futures[ticket] = future
-        # In a thread, since the transfer takes time, and does not end if the worker dies before: `forget` ends it.
-        future.add_done_callback(lambda future: self._helpers.submit(self._fetch, ticket, future))
+        merges = isinstance(task, Chunk) and task.replica is None
+        self._when_done(Bundle((ticket,), worker, future), merges)
 
-    def _fetch(self, ticket: int, future: Any) -> None:
+    def _when_done(self, bundle: Bundle, merges: bool) -> None:
+        # In threads, since a transfer takes time, and does not end if the worker dies before: `forget` ends it.
+        land = self._land if merges else self._fetch
+        bundle.where.add_done_callback(lambda _: self._helpers.submit(land, bundle))
+
+    def _land(self, bundle: Bundle) -> None:
+        """A sum waits at a worker: it is fetched, or merged there with others."""
+        if bundle.where.status != "finished":
+            self._fetch(bundle)  # the error
+            return
+        with self._lock:
+            if len(bundle.tickets) > 1 and bundle not in self._bundles:  # forgotten meanwhile
+                return
+            self._gathering.put(bundle)
+        self._advance()
+
+    def _advance(self) -> None:
+        with self._lock:
+            while (chosen := self._gathering.next()) is not None:
+                if len(chosen) == 1:
+                    self._helpers.submit(self._fetch_next, chosen[0])
+                    continue
+                tickets, worker = sum((bundle.tickets for bundle in chosen), ()), chosen[0].worker
+                key = f"etendue-sum-{uuid.uuid4().hex}"
+                parts = [bundle.where for bundle in chosen]
+                future = self._client.submit(merge_outcomes, *parts, key=key, workers=[worker], pure=False)
+                self._bundles.add(merged := Bundle(tickets, worker, future))
+                self._when_done(merged, True)
+
+    def _fetch_next(self, bundle: Bundle) -> None:
+        begin = time.perf_counter()
+        self._fetch(bundle)
+        with self._lock:
+            self._gathering.fetched(time.perf_counter() - begin)
+        self._advance()
+
+    def _fetch(self, bundle: Bundle) -> None:
         begin = time.perf_counter()
         try:
-            outcome: Outcome | Lost = future.result()
+            outcome: Any = bundle.where.result()
         except BaseException as error:
             outcome = Lost(_short(error))
-        self._arrived.put(Arrival(ticket, outcome, time.perf_counter() - begin))
+        with self._lock:
+            several = len(bundle.tickets) > 1
+            if several and bundle not in self._bundles:  # forgotten meanwhile
+                return
+            self._bundles.discard(bundle)
+        if several and isinstance(outcome, Lost):
+            self._lose(bundle.tickets, outcome.reason)
+            return
+        self._arrived.put(Arrival(bundle.tickets[0], outcome, time.perf_counter() - begin, bundle.tickets[1:]))
+
+    def _lose(self, tickets: Iterable[int], why: str) -> None:
+        """A sum of several chunks is lost; nobody knows with which worker."""
+        for ticket in tickets:
+            self._arrived.put(Arrival(ticket, Lost(why, worker_is_there=True)))
 
     def wait(self, seconds: float) -> Arrival | None:
         """See :class:`Pool`."""
@@ -107,19 +167,64 @@ class DaskPool:
             arrival = self._arrived.get(timeout=seconds)
         except queue.Empty:
             return None
-        if self._futures.pop(arrival.ticket, None) is None:
+        if isinstance(arrival.outcome, Delivered):
+            return arrival
+        # Chunks of a sum that were forgotten are told to the executor, which cannot use the sum then.
+        known = [self._futures.pop(ticket, None) for ticket in (arrival.ticket, *arrival.others)]
+        if not any(future is not None for future in known):
             return None
         if isinstance(arrival.outcome, Lost) and self._client.status != "running":
             raise ClusterError(f"the scheduler of {self.name} no longer answers")
         return arrival
 
-    def deliver(self, worker: str, offered: Offered, digest: str) -> str | None:
-        """See :class:`Pool`."""
+    def deliver(self, worker: str, ticket: int, offered: Offered, digest: str) -> None:
+        """See :class:`Pool`. Workers take the pieces of a large file from each other."""
+        self._helpers.submit(self._deliver, worker, ticket, offered, digest)
+
+    def _deliver(self, worker: str, ticket: int, offered: Offered, digest: str) -> None:
+        problem: str | None = None
+        try:
+            if offered.size(digest) >= _SHARED:
+                problem = self._from_others(worker, offered, digest)
+            else:
+                problem = self._directly(worker, offered, digest)
+        except Exception as error:
+            problem = _short(error)
+        self._arrived.put(Arrival(ticket, Delivered(problem)))
+
+    def _directly(self, worker: str, offered: Offered, digest: str) -> str | None:
         for offset, piece, is_last in offered.pieces(digest):
             answers = self._ask(receive, digest, offset, piece, is_last, workers=[worker])
             if (problem := answers.get(worker, "it does not answer")) is not None:
                 return describe(problem) if isinstance(problem, Exception) else str(problem)
         return None
+
+    def _from_others(self, worker: str, offered: Offered, digest: str) -> str | None:
+        """Send the pieces of a file once, as data of the cluster: a worker that needs them takes them from any that has
+        them, and keeps them for others until all have the file."""
+        with self._sharing:
+            self._sending[digest] = self._sending.get(digest, 0) + 1
+            if digest not in self._pieces:
+                self._pieces[digest] = [
+                    (offset, self._client.scatter(piece, workers=[worker], hash=False), is_last)
+                    for offset, piece, is_last in offered.pieces(digest)
+                ]
+            pieces = self._pieces[digest]
+        try:
+            for offset, piece, is_last in pieces:
+                task = self._client.submit(receive, digest, offset, piece, is_last, workers=[worker], pure=False)
+                if (problem := task.result(timeout=_ANSWER)) is not None:
+                    return str(problem)
+            return None
+        except Exception:  # a worker that had a piece has ended
+            with self._sharing:
+                self._pieces.pop(digest, None)
+            return self._directly(worker, offered, digest)
+        finally:
+            with self._sharing:
+                self._sending[digest] -= 1
+                if not self._sending[digest]:
+                    self._pieces.pop(digest, None)
 
     def end_run(self, run: str) -> None:
         """See :class:`Pool`."""
@@ -129,6 +234,12 @@ class DaskPool:
     def forget(self, tickets: list[int]) -> None:
         """See :class:`Pool`."""
         futures = [self._futures.pop(ticket) for ticket in tickets if ticket in self._futures]
+        with self._lock:
+            self._gathering.drop(set(tickets))
+            for bundle in [bundle for bundle in self._bundles if set(tickets) & set(bundle.tickets)]:
+                self._bundles.remove(bundle)
+                futures.append(bundle.where)
+                self._lose(set(bundle.tickets) - set(tickets), "it was merged with one that is lost")
         if futures and self._client.status == "running":
             self._client.cancel(futures, force=True)
 

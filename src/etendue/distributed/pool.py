@@ -6,43 +6,54 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from .content import Offered
-from .worker import Chunk, Outcome
+from .worker import Merged, Outcome, Task
 
 
 @dataclass(frozen=True)
 class Lost:
-    """The end of a chunk whose worker has ended, or cannot be reached."""
+    """The end of a task that was not done, because its worker has ended or cannot be reached. ``worker_is_there``: the
+    outcome is lost, but not the worker."""
 
     reason: str = ""
+    worker_is_there: bool = False
+
+
+@dataclass(frozen=True)
+class Delivered:
+    """A file has arrived, or there was a problem."""
+
+    problem: str | None = None
 
 
 @dataclass(frozen=True)
 class Arrival:
-    """The end of a chunk. ``seconds``: what it took to bring the outcome here."""
+    """The end of a task. ``seconds``: what it took to bring the outcome here."""
 
     ticket: int
-    outcome: Outcome | Lost
+    outcome: Outcome | Lost | Delivered | Merged
     seconds: float = 0.0
+    #: Tickets of further chunks of a :class:`Merged` outcome.
+    others: tuple[int, ...] = ()
 
 
 class Pool(Protocol):
-    """Worker processes. A worker makes one chunk at a time, in the order in which they were sent to it."""
+    """Worker processes. A worker does one task at a time, in the order in which they were sent to it."""
 
     def workers(self) -> dict[str, int | None]:
         """The workers there are now: name, and threads that Dr.Jit shall use, ``None`` for all. Workers may come and
         go; the names of new ones are new. Raises :class:`ClusterError` if the cluster is gone."""
         ...
 
-    def send(self, worker: str, ticket: int, chunk: Chunk) -> None:
-        """Send a chunk; it arrives later, or :class:`Lost` does."""
+    def send(self, worker: str, ticket: int, task: Task) -> None:
+        """Send a task; its outcome arrives later, or :class:`Lost` does."""
         ...
 
     def wait(self, seconds: float) -> Arrival | None:
         """The next arrival, waiting at most so long."""
         ...
 
-    def deliver(self, worker: str, offered: Offered, digest: str) -> str | None:
-        """Send a file; returns what went wrong."""
+    def deliver(self, worker: str, ticket: int, offered: Offered, digest: str) -> None:
+        """Send a file; :class:`Delivered` arrives later."""
         ...
 
     def end_run(self, run: str) -> None:
@@ -50,7 +61,7 @@ class Pool(Protocol):
         ...
 
     def forget(self, tickets: list[int]) -> None:
-        """Cancel chunks that did not begin; their arrivals, if any, are ignored."""
+        """Cancel tasks that did not begin; their arrivals, if any, are ignored."""
         ...
 
     def close(self) -> None:

@@ -12,8 +12,8 @@ from typing import Any
 from etendue.core import EtendueError, describe
 
 from .content import Offered, Store
-from .pool import Arrival, Lost
-from .worker import Chunk, ends_by, introduce, make_passes
+from .pool import Arrival, Delivered, Lost
+from .worker import Task, ends_by, introduce, make_passes
 
 
 class ProcessPool:
@@ -34,11 +34,11 @@ class ProcessPool:
         """See :class:`Pool`."""
         return dict.fromkeys(self._processes, self._threads)
 
-    def send(self, worker: str, ticket: int, chunk: Chunk) -> None:
+    def send(self, worker: str, ticket: int, task: Task) -> None:
         """See :class:`Pool`."""
         future: Future[Any] = Future()
         try:
-            future = self._processes[worker].submit(make_passes, chunk)
+            future = self._processes[worker].submit(make_passes, task)
         except (BrokenProcessPool, KeyError) as error:  # it has ended, and may have been replaced
             future.set_exception(error)
         self._futures[ticket] = future
@@ -61,14 +61,18 @@ class ProcessPool:
                 self._start()
             return Arrival(ticket, Lost(describe(error)))
 
-    def deliver(self, worker: str, offered: Offered, digest: str) -> str | None:
+    def deliver(self, worker: str, ticket: int, offered: Offered, digest: str) -> None:
         """See :class:`Pool`. All processes share the folder of this one."""
+        problem = None
         try:
             for offset, piece, is_last in offered.pieces(digest):
                 Store().receive(digest, offset, piece, is_last)
         except EtendueError as error:
-            return str(error)
-        return None
+            problem = str(error)
+        done: Future[Any] = Future()
+        self._futures[ticket] = done
+        done.set_result(Delivered(problem))
+        self._done.put((ticket, worker))
 
     def end_run(self, run: str) -> None:
         """See :class:`Pool`."""

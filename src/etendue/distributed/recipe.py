@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from etendue.core import ClusterError, Method, use_variant
 from etendue.engine import Task, versions
-from etendue.scene import Camera, PortableScene, load, portable, restored
+from etendue.scene import Camera, PortableScene, load, load_part, part_files, portable, restored
 
 from .content import Entry, Offered, Store
 
@@ -48,12 +48,13 @@ class Recipe:
 def recipe(
     ingredients: Ingredients,
     method: Method,
-    fingerprint: str,
+    fingerprint: str | None,
     arguments: Mapping[str, NDArray[Any]] | None = None,
     make: str | None = None,
 ) -> Recipe:
     """The recipe of a prepared method. Workers make it from its settings; if its class takes more than these, ``make``
-    names a function ``module:name`` of (settings, problem, **arguments) that makes it. Raises :class:`ClusterError` for
+    names a function ``module:name`` of (settings, problem, **arguments) that makes it. ``fingerprint``: that of the
+    problem, ``None`` for one that the client has not loaded. Raises :class:`ClusterError` for
     a method that workers cannot import."""
     offered, kind = Offered(), type(method)
     if kind.__module__ == "__main__":
@@ -112,7 +113,7 @@ class OpenRecipe:
         finally:
             if files:  # all is read
                 shutil.rmtree(folder, ignore_errors=True)
-        if self.problem.fingerprint != manifest["fingerprint"]:
+        if manifest["fingerprint"] not in (None, self.problem.fingerprint):
             raise ClusterError("the scene is another one there: its files or plugins differ")
         store.tidy()
 
@@ -162,7 +163,19 @@ def scene_ingredients(task: Task) -> Ingredients:
     values = {"scene": scene.description, "sensor": task.sensor, "size": task.size, "memory": task.memory}
     if task.camera is not None:
         values["camera"] = task.camera.to_dict()
+    if not task.merge:
+        values["merge"] = False
     return Ingredients(f"{__name__}:open_scene", values, scene.arrays, scene.files)
+
+
+def part_ingredients(task: Task, shapes: Collection[str]) -> Ingredients:
+    """Those of a part of a scene: the shapes with these ids, and the files that they need. Errors as
+    :func:`scene_ingredients`."""
+    scene = portable(task.scene, task.parameters)
+    files = part_files(scene, task.scene, shapes, task.parameters)
+    return Ingredients(
+        f"{__name__}:open_scene", {"scene": scene.description, "part": sorted(shapes)}, scene.arrays, files
+    )
 
 
 def open_scene(ingredients: Ingredients, folder: Path) -> Any:
@@ -170,6 +183,8 @@ def open_scene(ingredients: Ingredients, folder: Path) -> Any:
     values = ingredients.values
     scene = PortableScene(values["scene"], ingredients.arrays)
     source, parameters = restored(scene, folder)
+    if "part" in values:
+        return load_part(source, values["part"], parameters or None)
     return load(
         source,
         size=None if values["size"] is None else tuple(values["size"]),
@@ -177,4 +192,5 @@ def open_scene(ingredients: Ingredients, folder: Path) -> Any:
         parameters=parameters or None,
         memory=values["memory"],
         camera=Camera(**values["camera"]) if "camera" in values else None,
+        merge=values.get("merge", True),
     )

@@ -1,4 +1,4 @@
-"""What runs in the process of a worker: it makes chunks of passes and sends their sum."""
+"""What runs in a worker: it makes chunks of passes and sends their sum, or carries paths through a box."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ import time
 from collections import OrderedDict, deque
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import ClusterError, EtendueError, Measurement, Method, State, describe, set_threads
 from etendue.engine import replica_seed
@@ -50,6 +51,36 @@ class Chunk:
     threads: int | None = None
 
 
+@dataclass(frozen=True)
+class Errand:
+    """Paths of a pass that a worker carries through one box of a divided scene, whose recipe it has."""
+
+    run: str
+    recipe: str  #: digest
+    seed: int
+    iteration: int
+    #: Records of paths; or the first path and the number of those that begin.
+    paths: NDArray[np.uint32] | tuple[int, int]
+    #: Boxes whose scenes the worker keeps, the latest ones.
+    kept: int = 1
+    threads: int | None = None
+
+
+#: What a worker is asked to do.
+Task = Chunk | Errand
+
+
+@dataclass
+class Carried:
+    """The outcome of an errand: what was measured, and records of the paths that go on in other boxes."""
+
+    product: NDArray[np.uint32]
+    leaving: NDArray[np.uint32]
+    counters: dict[str, float]
+    seconds: float
+    loaded: bool  #: whether the scene of the box had to be loaded
+
+
 @dataclass
 class Made:
     """The sum of the passes of a chunk, which may be fewer than requested if time or the run has ended."""
@@ -78,12 +109,39 @@ class Failed:
     refused: bool = False
 
 
-Outcome = Made | Needs | Failed
+Outcome = Made | Carried | Needs | Failed
 
 
-def make_passes(chunk: Chunk) -> Outcome:
-    """Make a chunk in this process."""
-    return _desk().make(chunk)
+@dataclass
+class Merged:
+    """Outcomes of several chunks, in the order of their tickets. Those that were made have no measurement: their sum is
+    ``total``."""
+
+    outcomes: list[Outcome]
+    total: Measurement | None = None
+
+
+def merge_outcomes(*outcomes: Outcome | Merged) -> Merged:
+    """Add up sums in a worker, before one of them goes to the client."""
+    result = Merged([])
+    for outcome in outcomes:
+        if isinstance(outcome, Merged):
+            result.outcomes += outcome.outcomes
+            more = outcome.total
+        elif isinstance(outcome, Made):
+            result.outcomes.append(replace(outcome, measurement=None))
+            more = outcome.measurement
+        else:
+            result.outcomes.append(outcome)
+            continue
+        if more is not None:
+            result.total = more.copy() if result.total is None else _sum(result.total, more)
+    return result
+
+
+def make_passes(task: Task) -> Outcome:
+    """Do a task in this process."""
+    return _desk().make(task)
 
 
 def receive(digest: str, offset: int, piece: bytes, is_last: bool) -> str | None:
@@ -155,10 +213,10 @@ class _Desk:
     def store() -> Store:
         return Store()
 
-    def make(self, chunk: Chunk) -> Outcome:
-        if chunk.left is not None:
-            self.end(chunk.run, chunk.left)
-        return self._thread.submit(self._make, chunk).result()
+    def make(self, task: Task) -> Outcome:
+        if isinstance(task, Chunk) and task.left is not None:
+            self.end(task.run, task.left)
+        return self._thread.submit(self._make, task).result()
 
     def end(self, run: str, seconds: float) -> None:
         with self._lock:
@@ -167,28 +225,40 @@ class _Desk:
             while len(self._ends) > 64:
                 self._ends.pop(next(iter(self._ends)))
 
-    def _make(self, chunk: Chunk) -> Outcome:
+    def _make(self, task: Task) -> Outcome:
         try:
             try:
-                run = self._run(chunk)
+                run = self._run(task)
             except Lacking as lacking:
                 return Needs(tuple(lacking.digests))
             except Exception as error:
                 return _failed(error, refused=True)
-            return self._passes(chunk, run)
+            return self._passes(task, run) if isinstance(task, Chunk) else self._carry(task, run)
         except Exception as error:
             return _failed(error)
 
-    def _run(self, chunk: Chunk) -> _Run:
-        set_threads(chunk.threads)
-        if chunk.run in self._runs:
-            self._runs.move_to_end(chunk.run)
-            return self._runs[chunk.run]
-        same = [run.opened for run in self._runs.values() if run.opened.digest == chunk.recipe]
-        while len(self._runs) >= _KEPT:
+    def _run(self, task: Task) -> _Run:
+        set_threads(task.threads)
+        name = task.run if isinstance(task, Chunk) else f"{task.run} {task.recipe}"
+        if name in self._runs:
+            self._runs.move_to_end(name)
+            return self._runs[name]
+        same = [run.opened for run in self._runs.values() if run.opened.digest == task.recipe]
+        while len(self._runs) >= (_KEPT if isinstance(task, Chunk) else max(1, task.kept)):
             self._runs.popitem(last=False)
-        self._runs[chunk.run] = run = _Run(same[0] if same else OpenRecipe(self.store(), chunk.recipe))
+        self._runs[name] = run = _Run(same[0] if same else OpenRecipe(self.store(), task.recipe))
         return run
+
+    def _carry(self, task: Errand, run: _Run) -> Carried:
+        begin, loaded = time.monotonic(), -1 not in run.methods
+        if loaded:
+            run.methods[-1] = run.opened.method(task.seed), 0, {}
+        method: Any = run.methods[-1][0]
+        if isinstance(task.paths, tuple):
+            product, leaving, counters = method.emit(task.iteration, task.seed, *task.paths)
+        else:
+            product, leaving, counters = method.carry(task.iteration, task.seed, task.paths)
+        return Carried(product, leaving, counters, time.monotonic() - begin, loaded)
 
     def _passes(self, chunk: Chunk, run: _Run) -> Outcome:
         replica = -1 if chunk.replica is None else chunk.replica

@@ -33,8 +33,11 @@ class Executor(Protocol):
     one sum.
     """
 
-    #: Whether it makes only passes that end within ``Order.left``. Otherwise the runner predicts the time of a pass.
-    keeps_time: ClassVar[bool]
+    @property
+    def keeps_time(self) -> bool:
+        """Whether it makes only passes that end within ``Order.left``. Otherwise the runner predicts the time of a
+        pass."""
+        ...
 
     def next(self) -> Pass | None:
         """The next finished passes; ``None`` if none has finished for a moment, so that the run may be cancelled

@@ -56,6 +56,7 @@ class Task:
     parameters: Mapping[str, Any] | None = None
     memory: int | None = None
     camera: Camera | None = None
+    merge: bool = True  #: see ``scene.load``
 
     def __post_init__(self) -> None:
         for what, value, least in (
@@ -85,6 +86,8 @@ class Task:
             place["parameters"] = {k: str(v) for k, v in self.parameters.items()}
         if self.camera is not None:
             place["camera"] = self.camera.to_dict()
+        if not self.merge:
+            place["merge"] = False
         return place
 
 
@@ -131,10 +134,11 @@ class Job:
             parameters=task.parameters,
             memory=task.memory,
             camera=task.camera,
+            merge=task.merge,
         )
         begin = time.perf_counter()
         budget = task.budget or Budget(samples=max(1, problem.spp))
-        method: Method = task.method(_settings(task, problem))
+        method: Method = task.method(task_settings(task, problem))
         method.prepare(problem, task.seed)
         if budget.samples is not None:
             method = fit_samples(method, budget.samples, problem, task.seed)
@@ -164,7 +168,9 @@ class Job:
         if scene is None and not {"source", "bundled"} & place.keys():
             raise CheckpointError("the checkpoint was made from a scene in memory; give the scene to resume it with")
         budget = budget or remaining(checkpoint)
-        wanted: dict[str, Any] = {k: place[k] for k in ("size", "sensor", "parameters", "memory") if k in place}
+        wanted: dict[str, Any] = {
+            k: place[k] for k in ("size", "sensor", "parameters", "memory", "merge") if k in place
+        }
         if "size" in wanted:
             wanted["size"] = tuple(wanted["size"])
         if "camera" in place:
@@ -263,7 +269,7 @@ def versions() -> dict[str, str]:
     return {"etendue": own, "mitsuba": mi.__version__, "drjit": dr.__version__, "variant": mi.variant() or ""}
 
 
-def _settings(task: Task, problem: Problem) -> Settings:
+def task_settings(task: Task, problem: Problem) -> Settings:
     """The settings of a method: given ones first, then those of the scene's integrator, then the defaults."""
     known = task.method.Settings.names()
     from_scene: dict[str, Any] = {"max_depth": problem.max_depth}

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Progress, describe, logger
+from etendue.core import InNotebooks, Progress, describe, logger
 
 from .runner import Cancelled, RunError, Runner, RunResult
 
@@ -22,31 +22,38 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-class Session(Generic[T]):
+class Session(InNotebooks, Generic[T]):
     """A run in its own thread. All members may be used from any thread.
 
     ``build(cancel)`` is called in the new thread and returns a :class:`Runner` that checks ``cancel``; ``finish``
-    computes :attr:`result` from the measurement. Dr.Jit's flags belong to a thread: those of the creating thread are
-    copied. The variant of Mitsuba is global and must not be changed while a session runs.
+    computes :attr:`result` from the measurement; ``at_end`` is called last in any case. Dr.Jit's flags belong to a
+    thread: those of the creating thread are copied. The variant of Mitsuba is global and must not be changed while a
+    session runs.
 
     As a context manager, a session is cancelled at the end of the block; the error of the run is raised there.
     """
 
-    def __init__(self, build: Callable[[threading.Event], Runner], finish: Callable[[RunResult], T]) -> None:
+    def __init__(
+        self,
+        build: Callable[[threading.Event], Runner],
+        finish: Callable[[RunResult], T],
+        at_end: Callable[[], object] = lambda: None,
+    ) -> None:
         self._build = build
         self._finish = finish
+        self._at_end = at_end
         self._stop = threading.Event()
         self._done = threading.Event()
         self._runner: Runner | None = None
         self._result: list[T] = []
         self._error: BaseException | None = None
-        self._flags = _jit_flags()
+        self._flags = jit_flags()
         self._thread = threading.Thread(target=self._work, name="etendue-session", daemon=True)
         self._thread.start()
 
     def _work(self) -> None:
         try:
-            _set_jit_flags(self._flags)
+            set_jit_flags(self._flags)
             self._runner = self._build(self._stop)
             self._result.append(self._finish(self._runner.run()))
         except RunError as error:
@@ -55,6 +62,10 @@ class Session(Generic[T]):
         except BaseException as error:  # raised by `wait`
             self._error = error
         finally:
+            try:
+                self._at_end()
+            except Exception as error:
+                logger.warning("after the run: %s", describe(error))
             self._done.set()
 
     def _keep(self, run: RunResult) -> None:
@@ -131,7 +142,8 @@ class Session(Generic[T]):
         return f"<etendue.Session {'running' if self.running else 'done'}: {self.progress}>"
 
 
-def _jit_flags() -> dict[dr.JitFlag, bool]:
+def jit_flags() -> dict[dr.JitFlag, bool]:
+    """Dr.Jit's flags of this thread, for another one (see :func:`set_jit_flags`)."""
     if "drjit" not in sys.modules:
         return {}
     import drjit as dr
@@ -141,7 +153,8 @@ def _jit_flags() -> dict[dr.JitFlag, bool]:
     return {flag: dr.flag(flag) for flag in dr.JitFlag if flag.name not in own}
 
 
-def _set_jit_flags(flags: dict[dr.JitFlag, bool]) -> None:
+def set_jit_flags(flags: dict[dr.JitFlag, bool]) -> None:
+    """Set Dr.Jit's flags in this thread."""
     if flags:
         import drjit as dr
 

@@ -1,6 +1,15 @@
-"""Film: reconstruction filters, error measures, multi-layer OpenEXR."""
+"""Film: reconstruction filters, error measures, components of a picture, multi-layer OpenEXR."""
 
 from .cells import CellGrid
+from .components import (
+    COMPONENTS,
+    REFLECTED,
+    Component,
+    after_light_scattering,
+    after_scattering,
+    by_component,
+    reflected,
+)
 from .developing import ESTIMATORS, FILM_COLUMNS, Development
 from .errors import (
     LUMINANCE,
@@ -11,22 +20,29 @@ from .errors import (
     relative_squared_error,
     rmse,
 )
-from .exr import layer_path, read_exr, read_image, write_exr, write_layers
+from .exr import channel_names, layer_path, read_exr, read_image, write_exr, write_layers
 from .filters import PixelFilter
 from .flip import flip, flip_error, flip_is_installed
 from .output import check_writable, replacing, write_bytes
 from .pyramid import LONGER, Technique
 
 __all__ = [
+    "COMPONENTS",
     "ESTIMATORS",
     "FILM_COLUMNS",
     "LONGER",
     "LUMINANCE",
+    "REFLECTED",
     "CellGrid",
+    "Component",
     "Development",
     "PixelFilter",
     "Technique",
+    "after_light_scattering",
+    "after_scattering",
     "block_average",
+    "by_component",
+    "channel_names",
     "check_writable",
     "flip",
     "flip_error",
@@ -35,6 +51,7 @@ __all__ = [
     "luminance_rmse",
     "read_exr",
     "read_image",
+    "reflected",
     "relative_bias",
     "relative_mse",
     "relative_squared_error",

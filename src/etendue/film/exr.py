@@ -45,8 +45,7 @@ def write_exr(path: str | os.PathLike[str], result: Result) -> None:
         size = size or values.shape[:2]
         if values.ndim != 3 or values.shape[:2] != size:
             raise OutputError(f"cannot write '{path}': layer '{name}' has shape {values.shape}, the picture {size}")
-        for suffix, index in zip(_suffixes(name, values.shape[2], path), range(values.shape[2]), strict=True):
-            channel = suffix if name == "image" else f"{name}.{suffix}"
+        for index, channel in enumerate(channel_names(name, values.shape[2], path)):
             channels[channel] = np.ascontiguousarray(values[:, :, index])
     if not channels:
         raise OutputError(f"cannot write '{path}': the result has no layers")
@@ -137,14 +136,17 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     return np.ascontiguousarray(pixels[:, :, :3], dtype=np.float32)
 
 
-def _suffixes(name: str, count: int, path: str | os.PathLike[str]) -> str:
+def channel_names(layer: str, count: int, path: str | os.PathLike[str] = "the picture") -> list[str]:
+    """Names of the ``count`` channels of a layer. Raises :class:`OutputError` unless there are 1, 3 or 4."""
     if count == 1:
-        return "Z" if name in _DEPTH_LAYERS else "Y"
-    if count == 3:
-        return "XYZ" if name in _VECTOR_LAYERS else "RGB"
-    if count == 4:
-        return "RGBA"
-    raise OutputError(f"cannot write '{path}': layer '{name}' has {count} channels; 1, 3 or 4 can be stored")
+        suffixes = "Z" if layer in _DEPTH_LAYERS else "Y"
+    elif count == 3:
+        suffixes = "XYZ" if layer in _VECTOR_LAYERS else "RGB"
+    elif count == 4:
+        suffixes = "RGBA"
+    else:
+        raise OutputError(f"cannot write '{path}': layer '{layer}' has {count} channels; 1, 3 or 4 can be stored")
+    return [suffix if layer == "image" else f"{layer}.{suffix}" for suffix in suffixes]
 
 
 def _encode(value: Any) -> str:

@@ -35,7 +35,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import OptionError, on_device
+from etendue.core import OptionError, copied_to_device, on_device
 
 from .cells import PER_PIXEL, CellAxis, CellGrid, cell_weights
 
@@ -208,6 +208,33 @@ class _Axis:
             result = result + value * dr.gather(mi.Float, weights, sample)
         return result
 
+    def near(
+        self, values: list[V], spread: Spread, sample: mi.UInt32, pixel: mi.UInt32, place: mi.UInt32, count: mi.UInt32
+    ) -> list[V]:
+        """As :meth:`convolve` of several layers, of sample ``sample`` of each pixel alone: one lane a pixel, with
+        ``count`` samples each."""
+        kinds: list[type[mi.Color3f]] = [type(layer) for layer in values]
+        last, size = dr.gather(mi.Int32, spread.last, sample), dr.opaque(mi.Int32, self.size)
+        results: list[V] = [kind(0.0) for kind in kinds]
+        for index, weights in enumerate(spread.values):
+            shift = last - (self.candidates - 1 - index)
+            source, weight = mi.Int32(place) - shift, dr.gather(mi.Float, weights, sample)
+            at, on_film = mi.UInt32(mi.Int32(pixel) - shift) * count + sample, (source >= 0) & (source < size)
+            results = [
+                result + dr.gather(kind, layer, at, on_film) * weight
+                for kind, layer, result in zip(kinds, values, results, strict=True)
+            ]
+        return results
+
+    def table(self, spread: Spread) -> tuple[mi.Float, range]:
+        """(weights by sample and offset of a pixel from the sample's own one, row by row; the offsets)."""
+        last, rows = np.array(spread.last), np.array([np.array(weights) for weights in spread.values]).T
+        offsets = range(int(last.min()) - self.candidates + 1, int(last.max()) + 1)
+        dense = np.zeros((len(last), len(offsets)), np.float32)
+        for row, end, weights in zip(dense, last - offsets.start + 1, rows, strict=True):
+            row[end - self.candidates : end] = weights
+        return on_device(mi.Float, dense.ravel()), offsets
+
     def reached(self, spread: Spread) -> NDArray[np.float32]:
         """Sum of the filter over the samples within the radius that are on the film, for each number of a sample and
         each pixel of the axis, (samples, pixels); 1 away from the border."""
@@ -278,6 +305,44 @@ class PixelFilter:
             weight = dr.gather(mi.Float, mi.Float(weights.ravel()), pixel)
             values = self._y.convolve(rows, down, sample, y, count * width) / weight
         return dr.block_sum(values, samples) if samples > 1 else values
+
+    def spread_together(self, values: list[V], u1: mi.Float, u2: mi.Float) -> list[V]:
+        """As :meth:`spread`, of several layers: in about the time that one takes there.
+
+        Samples of a pixel are added before the columns are filtered, one sum for each neighbour that they reach."""
+        samples = dr.width(u1)
+        if len(values) == 1 or self.is_box or self.has_gaps:
+            return [self.spread(layer, u1, u2) for layer in values]
+        kinds: list[type[mi.Color3f]] = [type(layer) for layer in values]
+        count, width, height = (dr.opaque(mi.UInt32, n) for n in (samples, self.width, self.height))
+        pixel = dr.arange(mi.UInt32, self.width * self.height)
+        y = pixel // width
+        x = pixel - y * width
+        across, down = self._x.offsets(u1), self._y.offsets(u2)
+        table, offsets = self._y.table(down)
+
+        def add(sample: mi.UInt32, sums: list[list[V]]) -> tuple[mi.UInt32, list[list[V]]]:
+            rows = self._x.near(values, across, sample, pixel, x, count)
+            weights = [dr.gather(mi.Float, table, sample * len(offsets) + place) for place in range(len(offsets))]
+            return sample + 1, [
+                [total + row * weight for total, weight in zip(each, weights, strict=True)]
+                for each, row in zip(sums, rows, strict=True)
+            ]
+
+        empty: list[list[V]] = [[kind(0.0) for _ in offsets] for kind in kinds]
+        _, sums = dr.while_loop((mi.UInt32(0), empty), lambda sample, _: sample < count, add, label="filter")
+        dr.eval(sums)
+        reached = self._y.reached(down).T @ self._x.reached(across) / np.float32(samples)
+        inverse = copied_to_device(mi.Float, 1.0 / reached.ravel())
+        results: list[V] = [kind(0.0) for kind in kinds]
+        for place, offset in enumerate(offsets):
+            source = mi.Int32(y) - offset
+            at, on_film = mi.UInt32(mi.Int32(pixel) - offset * mi.Int32(width)), source < mi.Int32(height)
+            for number, (kind, each) in enumerate(zip(kinds, sums, strict=True)):
+                results[number] = results[number] + dr.gather(kind, each[place], at, (source >= 0) & on_film)
+        results = [result * inverse for result in results]
+        dr.eval(results)
+        return results
 
     def taps(self, x: mi.Float, y: mi.Float) -> list[tuple[mi.UInt32, mi.Float, mi.Bool]]:
         """The pixels of a contribution at film position (``x``, ``y``): a list of (pixel index ``y * width + x``,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from etendue.core import OptionError, SceneError, logger
+from etendue.core import InNotebooks, OptionError, SceneError, logger
 from etendue.engine import Budget, Checkpoint, remaining
 from etendue.radiosity import (
     HierarchicalMultipath,
@@ -52,6 +52,10 @@ class HierarchyRequest(RadiosityRequest):
         """Of the method. Raises :class:`OptionError` for unknown ones, and values out of range."""
         given = dict(self.hierarchy) if self.shot else {"shot": 0} | dict(self.hierarchy)
         return HierarchicalMultipathSettings.from_mapping(given, owner="hierarchical multipath")
+
+    @property
+    def _unit(self) -> str:
+        return "lines"
 
     @property
     def name(self) -> str:
@@ -114,7 +118,7 @@ class HierarchyRequest(RadiosityRequest):
 
 
 @dataclass
-class HierarchyResult:
+class HierarchyResult(InNotebooks):
     """A solution by hierarchical multipath. ``parts``: of every copy. ``patches`` and ``solution`` in one mesh, and the
     standard error of its irradiance; ``None`` for a scene with copies, unless files of it were asked for."""
 
@@ -182,8 +186,9 @@ class HierarchyWork(RequestedWork[HierarchyRequest, HierarchyResult]):
             result.solution = parts.on(result.patches, is_joined)
             result.irradiance_error = parts.irradiance_on(result.patches, is_joined)[1]
             known = self._metadata(passes=result.passes, solver=self.method.name, imbalance=result.solution.imbalance)
+            making = request.making(self.history)
             shown = request.outputs.write(
-                *(writing, self.problem, result.solution, result.irradiance_error, known, request.wording, tell)
+                *(writing, self.problem, result.solution, result.irradiance_error, known, request.wording, tell, making)
             )
             result.picture, result.lightmap = shown.picture, shown.lightmap
         return result

@@ -85,6 +85,11 @@ class LinesRequest(ABC):
         """Whether form factors are computed from the lines, which takes memory."""
 
     @property
+    def is_watched(self) -> bool:
+        """Whether errors are estimated during the run even if no budget asks for them."""
+        return False
+
+    @property
     def stores_lines(self) -> bool:
         """Whether lines are stored, in memory and in the records of a checkpoint."""
         return True

@@ -47,7 +47,7 @@ class MultipathWork(PatchWork[RadiosityRequest, RadiosityResult]):
     ) -> None:
         super().__init__(request, saved, tell)
         self.method = MultipathPasses(self._settings())
-        self._watched = is_watched
+        self._watched = is_watched or request.is_watched
 
     def runner(self, **options: Any) -> Runner:
         """Prepare the method; ``options`` are those of :class:`Runner`.
@@ -87,7 +87,9 @@ class MultipathWork(PatchWork[RadiosityRequest, RadiosityResult]):
         known = self._metadata(
             points=run.samples, solver=self.request.chosen_solver, imbalance=solution.imbalance, unshot=unshot
         )
-        shown = self.request.outputs.write(writing, self.problem, solution, error, known, self.request.wording, tell)
+        request = self.request
+        making = request.making(self.history)
+        shown = request.outputs.write(writing, self.problem, solution, error, known, request.wording, tell, making)
         return RadiosityResult(
             patches=self.patches,
             stopped_by=run.stopped_by,

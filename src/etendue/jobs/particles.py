@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import time
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from etendue.core import (
     CheckpointError,
+    InNotebooks,
     Iterations,
     Measurement,
     OptionError,
@@ -30,6 +31,7 @@ from etendue.engine import (
     Checkpoint,
     InTurn,
     Job,
+    MakeExecutor,
     Order,
     Runner,
     RunResult,
@@ -38,11 +40,21 @@ from etendue.engine import (
     settle_samples,
 )
 from etendue.film import replacing
-from etendue.methods import MetropolisParticles, ParticleTracing
-from etendue.particles import Codec, ParticleFile, Particles, ParticleWriter
-from etendue.scene import load
+from etendue.methods import (
+    MetropolisParticles,
+    ParticleTracing,
+    box_arguments,
+    check_divisible,
+    gathered,
+    make_box_tracing,
+)
+from etendue.particles import BoxGrid, Codec, ParticleFile, Particles, ParticleWriter
+from etendue.scene import load, shape_boxes
 
 from .wording import PYTHON, Wording
+
+if TYPE_CHECKING:
+    from etendue.distributed import Cluster, Traffic
 
 #: Light paths, if no budget is given.
 DEFAULT_PATHS = 1_000_000
@@ -63,6 +75,8 @@ class ParticleRequest:
     seconds: float | None = None
     codec: str = "packed"
     method: str = ParticleTracing.name  #: one of :data:`TRACINGS`
+    #: With workers: cut the scene into so many boxes along x, y and z; a worker loads one at a time.
+    boxes: tuple[int, int, int] | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0
     parameters: Mapping[str, Any] | None = None
@@ -92,7 +106,7 @@ class ParticleRequest:
 
 
 @dataclass
-class ParticleResult:
+class ParticleResult(InNotebooks):
     """What a run has traced. ``particles`` are in memory; ``None`` if they are in the file."""
 
     particles: Particles | None
@@ -101,6 +115,7 @@ class ParticleResult:
     passes: int
     stopped_by: str
     elapsed: float
+    traffic: Traffic | None = None  #: of a scene in boxes: what the workers did
 
 
 class ParticleWork:
@@ -111,13 +126,17 @@ class ParticleWork:
 
     def __init__(self, job: Job, writer: ParticleWriter | None) -> None:
         self._job, self._writer = job, writer
+        self.cluster: Cluster | None = None  #: traces the paths; without it this process does
+        self.boxes: tuple[int, int, int] | None = None  #: of a divided scene
+        self._traffic: Traffic | None = None
 
     @classmethod
     def open(cls, request: ParticleRequest) -> ParticleWork:
         """Load the scene, prepare the tracing and make the file."""
         from etendue.engine import Task, versions
 
-        problem = load(request.scene, parameters=request.parameters, memory=request.memory)
+        merge = request.boxes is None
+        problem = load(request.scene, parameters=request.parameters, memory=request.memory, merge=merge)
         begin = time.perf_counter()
         kind = TRACINGS[request.method]
         tracing: Any = kind(kind.Settings.from_mapping(request.settings))
@@ -131,11 +150,12 @@ class ParticleWork:
         if budget.samples is not None:
             tracing = fit_samples(tracing, budget.samples, problem, request.seed)
         settle_samples(tracing)
-        task = Task(request.scene, kind, seed=request.seed, parameters=request.parameters, memory=request.memory)
+        given: dict[str, Any] = {"parameters": request.parameters, "memory": request.memory, "merge": merge}
+        task = Task(request.scene, kind, seed=request.seed, **given)
         spent = time.perf_counter() - begin
-        job = Job(problem, tracing, seed=request.seed, budget=budget, place=task.place(), preparation=spent)
+        job = Job(problem, tracing, seed=request.seed, budget=budget, place=task.place(), preparation=spent, task=task)
         if request.output is None:
-            return cls(job, None)
+            return cls(job, None)._cut(request.boxes)
         header = {
             "scene": problem.source,
             "fingerprint": problem.fingerprint,
@@ -146,9 +166,15 @@ class ParticleWork:
             "settings": tracing.settings.to_json(),
             "paths_per_pass": tracing.samples_per_iteration,
             "versions": versions(),
-        }
+        } | ({} if request.boxes is None else {"boxes": list(request.boxes)})
         codec = Codec.parse(request.codec)
-        return cls(job, ParticleWriter.create(request.output, header, tracing.surfaces, codec))
+        return cls(job, ParticleWriter.create(request.output, header, tracing.surfaces, codec))._cut(request.boxes)
+
+    def _cut(self, boxes: Sequence[int] | None) -> ParticleWork:
+        if boxes is not None:
+            x, y, z = boxes
+            self.boxes = x, y, z
+        return self
 
     @classmethod
     def resume(cls, path: Path, budget: Budget, particles: int | None = None, scene: Any = None) -> ParticleWork:
@@ -163,13 +189,51 @@ class ParticleWork:
             budget = Budget(budget.seconds, max(1, round(particles / per_path)))
         budget = budget or remaining(saved, "--paths, --particles or --time")
         job = Job.resume(saved, TRACINGS[saved.method], budget=budget, scene=scene)
-        return cls(job, ParticleWriter.resume(known))
+        return cls(job, ParticleWriter.resume(known))._cut(known.header.get("boxes"))
 
     def runner(self, **options: Any) -> Runner:
         """See :class:`Work`."""
-        if self._writer is not None:
-            options["executor"] = partial(_Written, self._writer, self._job)
+        make: MakeExecutor = InTurn
+        if self.boxes is not None and self.cluster is None and self._job.start is None:
+            logger.info("without workers the scene is not divided into boxes")
+        if self.cluster is not None:
+            try:
+                make = self._divided(self.cluster)
+            except Exception:
+                if self._writer is not None and not self._writer.passes:
+                    self._writer.discard()
+                raise
+        options["executor"] = make if self._writer is None else partial(_Written, self._writer, self._job, make)
         return self._job.runner(**options)
+
+    def _divided(self, cluster: Cluster) -> MakeExecutor:
+        """The executor of the workers, who send each pass by itself: the file has passes one by one."""
+        if self._job.method.carries_on:
+            raise OptionError(
+                f"'{self._job.method.name}' cannot be divided among workers, because its chains go on from pass to "
+                f"pass; trace by '{ParticleTracing.name}', or without workers"
+            )
+        if self.boxes is None:
+            return cluster.rendering(self._job, longest=1)
+        return self._in_boxes(cluster, self.boxes)
+
+    def _in_boxes(self, cluster: Cluster, boxes: tuple[int, int, int]) -> MakeExecutor:
+        """The executor of a divided scene."""
+        from etendue.distributed import Divided, Traffic, part_ingredients, recipe
+
+        job, tracing = self._job, self._job.method
+        assert isinstance(tracing, ParticleTracing) and job.task is not None
+        check_divisible(tracing)
+        ids, bounds = shape_boxes(job.problem)
+        grid = BoxGrid.even(bounds, boxes)
+        recipes = []
+        for box in range(len(grid)):
+            part = part_ingredients(job.task, {ids[k] for k in grid.touching(box, bounds)})
+            make = f"{make_box_tracing.__module__}:{make_box_tracing.__name__}"
+            recipes.append(recipe(part, tracing, None, box_arguments(grid, box, ids), make))
+        self._traffic = traffic = Traffic()
+        paths = tracing.samples_per_iteration
+        return lambda order: Divided(cluster.pool, recipes, order, paths, gathered, traffic=traffic)
 
     def keep(self, run: RunResult) -> None:
         """See :class:`Work`: passes are in the file already."""
@@ -189,6 +253,7 @@ class ParticleWork:
             run.passes,
             str(run.stopped_by),
             run.elapsed,
+            self._traffic,
         )
 
     def _ending(self, run: RunResult) -> dict[str, Any]:
@@ -200,24 +265,42 @@ class ParticleWork:
         }
 
 
-class _Written(InTurn):
-    """Makes passes and writes their particles, which then leave the measurement."""
+class _Written:
+    """Takes passes of an executor and writes their particles, which then leave the measurement."""
 
-    def __init__(self, writer: ParticleWriter, job: Job, order: Order) -> None:
-        super().__init__(order)
+    def __init__(self, writer: ParticleWriter, job: Job, make: MakeExecutor, order: Order) -> None:
+        self._inner = make(order)
         self._writer, self._job = writer, job
-        self._began = time.perf_counter() - job.preparation
+        self._last = time.perf_counter()
+        self._began = self._last - job.preparation
 
-    def next(self) -> Pass:
+    @property
+    def keeps_time(self) -> bool:
         """See :class:`Executor`."""
-        begin = time.perf_counter()
-        made = super().next()
-        measurement = made.measurement
+        return self._inner.keeps_time
+
+    def next(self) -> Pass | None:
+        """See :class:`Executor`."""
+        made = self._inner.next()
+        return None if made is None else self._write(made)
+
+    def rest(self) -> Iterator[Pass]:
+        """See :class:`Executor`."""
+        return map(self._write, self._inner.rest())
+
+    def shares(self) -> dict[str, int]:
+        """Passes of each worker."""
+        shares = getattr(self._inner, "shares", dict)
+        return dict(shares())
+
+    def _write(self, made: Pass) -> Pass:
+        measurement, begin = made.measurement, self._last
         ((key, rows),) = ((key, measurement.records[_ROWS][key]) for key in measurement.records[_ROWS].passes)
         # A run that is killed goes on with the rest of this budget.
         known = {"budget": self._job.budget.to_dict(), "earlier": self._job.earlier}
-        elapsed = round(time.perf_counter() - self._began, 3)
-        counters = measurement.counters | {"seconds": time.perf_counter() - begin}
+        self._last = time.perf_counter()
+        elapsed = round(self._last - self._began, 3)
+        counters = measurement.counters | {"seconds": self._last - begin}
         self._writer.add(key[1], rows, counters, elapsed=elapsed, **known)
         if made.state:
             _save_state(self._writer.path, made.state)
@@ -227,7 +310,7 @@ class _Written(InTurn):
 
     def close(self) -> None:
         """See :class:`Executor`: a run that ends before its first pass leaves no file."""
-        super().close()
+        self._inner.close()
         if not self._writer.passes:
             self._writer.discard()
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue import film
-from etendue.core import OptionError, Progress, Result, warn_of_nonfinite
+from etendue.core import InNotebooks, OptionError, Progress, Result, warn_of_nonfinite
 from etendue.engine import Checkpoint, Job, Runner, RunResult, check_period
 
 from .files import PathLike, Write, Writing, check_files, listed, rescued
@@ -24,7 +24,7 @@ Image = NDArray[np.float32]
 
 
 @dataclass(repr=False)
-class Rendering:
+class Rendering(InNotebooks):
     """A picture with its layers and metadata.
 
     ``layers`` are float32 arrays (height, width, channels), linear RGB: ``image``; with the setting ``split_layers``
@@ -70,9 +70,14 @@ class Update:
     @property
     def image(self) -> Image:
         """The current picture, developed at each access."""
+        return self.layers["image"]
+
+    @property
+    def layers(self) -> dict[str, Image]:
+        """The current picture with its layers, developed at each access."""
         snapshot = self._runner.snapshot()
         assert snapshot is not None  # a callback follows a pass
-        return snapshot.image
+        return snapshot.layers
 
 
 class Writer(Protocol):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import MISSING, Field, dataclass, field, fields
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -37,6 +37,7 @@ from etendue.scene import Problem
 
 from .hierarchies import GROUPINGS, HIERARCHY_OPTIONS, HierarchyOptions, check_array, objects_by
 from .linesrequest import NOTE, LinesRequest
+from .pages.solution import Making
 from .results import DEFAULT_POINTS
 from .solutions import SolutionOutputs
 
@@ -125,6 +126,25 @@ class RadiosityRequest(LinesRequest):
     work: ClassVar[str] = "radiosity"
     #: Whether the work groups objects to boxes in any case.
     is_grouping: ClassVar[bool] = False
+
+    @property
+    def is_watched(self) -> bool:
+        """See :class:`LinesRequest`: for the convergence plot of a page."""
+        return bool(self.outputs.pages)
+
+    def making(self, history: Sequence[tuple[float, float]] = ()) -> Making:
+        """What a page says of the run, with its errors by number of lines."""
+        settings = {
+            field.name: value
+            for field in fields(self)
+            if field.name not in _NOT_SETTINGS and (value := getattr(self, field.name)) != _default(field)
+        }
+        return Making(_listed(settings), history, self._unit)
+
+    @property
+    def _unit(self) -> str:
+        """What the progress of a run counts."""
+        return "lines" if self.chosen_solver == MULTIPATH else "bundles"
 
     @property
     def chosen_solver(self) -> str:
@@ -292,6 +312,22 @@ class RadiosityRequest(LinesRequest):
 
     def _noted_outputs(self) -> dict[str, Any]:
         return {"parameters": self._plain_parameters, "outputs": self.outputs.to_dict()}
+
+
+#: Fields of a request that are told elsewhere on a page, or nowhere.
+_NOT_SETTINGS = ("source", "outputs", "checkpoint", "save_every", "wording")
+
+
+def _default(field: Field[Any]) -> Any:
+    return field.default if field.default_factory is MISSING else field.default_factory()
+
+
+def _listed(settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings of mappings beside the others, without those that were left out."""
+    flat: dict[str, Any] = {}
+    for name, value in settings.items():
+        flat |= value if isinstance(value, Mapping) else {name: value}
+    return {name: value for name, value in flat.items() if value is not None and value is not False}
 
 
 def asked_before(

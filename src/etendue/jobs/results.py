@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from etendue.core import InNotebooks
+
 if TYPE_CHECKING:
     from etendue.core import Array, Result
     from etendue.radiosity import FirstShot, FormFactors, Lightmap, Patches, Segments, Solution
@@ -16,7 +18,7 @@ DEFAULT_POINTS = 1 << 22
 
 
 @dataclass(kw_only=True)
-class LinesResult:
+class LinesResult(InNotebooks):
     """What every cast of lines returns."""
 
     patches: Patches

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 from etendue.core import EtendueError, Progress, describe, logger
 from etendue.engine import RunError, Runner, RunResult, Session
+
+if TYPE_CHECKING:
+    from .pages.notebook import LiveProgress
 
 T = TypeVar("T")
 T_co = TypeVar("T_co", covariant=True)
@@ -18,7 +22,8 @@ Watch = Callable[[Progress, Runner], object]
 
 
 class Work(Protocol[T_co]):
-    """Work that makes passes and a result."""
+    """Work that makes passes and a result. If it has a method ``observe``, that is called with the progress after each
+    pass."""
 
     def runner(self, **options: Any) -> Runner:
         """The runner of the passes and of intermediate saves; ``options`` are further options of :class:`Runner`."""
@@ -44,6 +49,10 @@ class Passes:
         """See :class:`Work`."""
         return self.work.runner(**options)
 
+    def observe(self, progress: Progress) -> None:
+        """See :class:`Work`."""
+        _observe(self.work, progress)
+
     def keep(self, run: RunResult) -> None:
         """See :class:`Work`."""
         self.work.keep(run)
@@ -57,7 +66,8 @@ class Passes:
 
 def run_work(work: Work[T], watch: Watch | None = None) -> T:
     """Run in this thread, so that ``watch`` may plot or raise."""
-    runner = _watched(work, threading.Event(), watch)
+    live = _live()
+    runner = _watched(work, threading.Event(), watch if live is None else _both(live.update, watch))
     try:
         run = runner.run()
     except RunError as failure:
@@ -67,11 +77,33 @@ def run_work(work: Work[T], watch: Watch | None = None) -> T:
         if (done := runner.interrupted()) is not None:
             _keep(work, done)
         raise
+    if live is not None:
+        live.update(runner.progress, last=True)
     return work.finish(run)
 
 
-def start_work(open_work: Callable[[], Work[T]], watch: Watch | None = None) -> Session[T]:
-    """A session that opens, runs and finishes the work in its thread, and saves it if a pass fails."""
+def _live() -> LiveProgress | None:
+    """Progress below the cell of a notebook; ``None`` elsewhere."""
+    if "IPython" not in sys.modules:
+        return None
+    from .pages.notebook import LiveProgress  # imported late: most of it is for pages and plots
+
+    return LiveProgress.in_notebook("étendue")
+
+
+def _both(show: Callable[[Progress], object], watch: Watch | None) -> Watch:
+    def after_pass(progress: Progress, runner: Runner) -> object:
+        show(progress)
+        return None if watch is None else watch(progress, runner)
+
+    return after_pass
+
+
+def start_work(
+    open_work: Callable[[], Work[T]], watch: Watch | None = None, at_end: Callable[[], object] = lambda: None
+) -> Session[T]:
+    """A session that opens, runs and finishes the work in its thread, and saves it if a pass fails. ``at_end`` is
+    called last in any case."""
     works: list[Work[T]] = []
 
     def build(stop: threading.Event) -> Runner:
@@ -82,18 +114,24 @@ def start_work(open_work: Callable[[], Work[T]], watch: Watch | None = None) -> 
         # The result of a failed run is not used: the session raises the failure.
         return works[0].keep(run) if run.stopped_by == "failure" else works[0].finish(run)
 
-    return Session(build, finish)
+    return Session(build, finish, at_end)
 
 
 def _watched(work: Work[Any], stop: threading.Event, watch: Watch | None) -> Runner:
     runner = work.runner(cancel=stop)
 
     def after_pass(progress: Progress) -> None:
+        _observe(work, progress)
         if watch is not None and watch(progress, runner) is False:
             stop.set()
 
     runner.on_progress = after_pass
     return runner
+
+
+def _observe(work: Work[Any], progress: Progress) -> None:
+    if (observe := getattr(work, "observe", None)) is not None:
+        observe(progress)
 
 
 def _keep(work: Work[Any], run: RunResult) -> None:

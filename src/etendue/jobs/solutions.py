@@ -35,6 +35,7 @@ from etendue.scene import Problem
 
 from .files import Writing
 from .gathering import PICTURE_FILES, picture
+from .pages.solution import PAGE_FILES, Making, write_solution_page
 from .pictures import save_result
 from .wording import Wording
 
@@ -58,8 +59,8 @@ class Shown:
 
 @dataclass(frozen=True)
 class SolutionOutputs:
-    """The requested outputs of a solution. ``files`` are solutions or pictures (.exr, .png), depending on their
-    suffixes."""
+    """The requested outputs of a solution. ``files`` are solutions, pictures (.exr, .png) or pages (.html), depending
+    on their suffixes."""
 
     files: tuple[Path, ...] = ()
     # Of pictures.
@@ -72,12 +73,18 @@ class SolutionOutputs:
     # Of a lightmap.
     lightmap: Path | None = None  #: an .exr file, or a mesh file with the .exr beside it
     lightmap_size: int = 1024  #: largest number of texels of a side
+    command: str = ""  #: one that makes a page again
     uv: str | None = None  #: a glTF file with TEXCOORD_1, or "scene" for the scene's own; None makes an atlas
 
     @property
     def pictures(self) -> tuple[Path, ...]:
         """The files that are pictures."""
         return tuple(path for path in self.files if path.suffix.lower() in PICTURE_FILES)
+
+    @property
+    def pages(self) -> tuple[Path, ...]:
+        """The files that are pages."""
+        return tuple(path for path in self.files if path.suffix.lower() in PAGE_FILES)
 
     @property
     def error_pictures(self) -> tuple[Path, ...]:
@@ -109,7 +116,7 @@ class SolutionOutputs:
         out of range, ``RadiosityError`` for an unknown suffix, ``BackendError`` for a missing library."""
         option = wording.option
         for path in self.files:
-            check_file(path, SOLUTION_FILES | PICTURE_FILES)
+            check_file(path, SOLUTION_FILES | PICTURE_FILES | PAGE_FILES)
         if self.lightmap is not None:
             check_file(self.lightmap, {".exr": "lightmap"} | LIGHTMAP_MESHES)
         for name, least in (("sensor", 0), ("gather", 0), ("samples", 1), ("lightmap_size", _LEAST_TEXELS)):
@@ -160,12 +167,13 @@ class SolutionOutputs:
         metadata: Mapping[str, Any],
         wording: Wording,
         tell: Callable[[str], object],
+        making: Making | None = None,
     ) -> Shown:
         """Write all files. ``error``: of the irradiance, if known. ``tell`` receives a description of the current
-        step."""
+        step. ``making``: what a page says of the run."""
         shown = Shown()
         for path in self.files:
-            if path not in self.pictures:
+            if path not in (*self.pictures, *self.pages):
                 with writing.attempt(f"write '{path}'"):
                     save_solution(path, solution, irradiance_error=error, metadata=metadata)
         if self.pictures:
@@ -178,6 +186,11 @@ class SolutionOutputs:
             with writing.attempt("make the lightmap"):
                 tell("making the lightmap")
                 shown.lightmap = self._write_lightmap(problem, solution, metadata)
+        for path in self.pages:
+            with writing.attempt(f"write '{path}'"):
+                tell("writing the page")
+                made = replace(making or Making(), command=self.command)
+                write_solution_page(path, solution, error, metadata, problem, made, shown.picture)
         return shown
 
     def _picture(

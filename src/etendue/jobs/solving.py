@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
@@ -65,6 +66,8 @@ class RequestedWork(ABC, Generic[Q, R]):
         self._checkpoint: Path | None = None  # written, with all that was cast
         self._job: Job | None = None
         self.budget = request.budget(saved)
+        #: Lines, and the standard error by then, each time it is estimated anew.
+        self.history: list[tuple[float, float]] = []
         self.notes = request.notes() or ({} if saved is None else dict(saved.notes))
 
     @abstractmethod
@@ -75,6 +78,14 @@ class RequestedWork(ABC, Generic[Q, R]):
         """All that is needed to resume ``run`` later."""
         assert self._job is not None, "there is no run without a runner"
         return self._job.checkpoint(run)
+
+    def observe(self, progress: Progress) -> None:
+        """Note the error after a pass. See :class:`Work`."""
+        if progress.relative_error is None:
+            return
+        error = math.sqrt(progress.relative_error)
+        if not self.history or error != self.history[-1][1]:
+            self.history.append((float(progress.samples), error))
 
     @abstractmethod
     def progress_text(self, progress: Progress) -> str:
@@ -200,7 +211,7 @@ class LinesWork(PatchWork[Q, R]):
                 objects=self._objects(),
                 hierarchy=self._hierarchy,
                 to_error=to_error,
-                is_watched=is_watched,
+                is_watched=is_watched or request.is_watched,
                 needs_matrix=request.needs_matrix,
                 checkpoint=request.checkpoint,
                 notes=self.notes,
@@ -319,7 +330,8 @@ class RadiosityWork(LinesWork[RadiosityRequest, RadiosityResult]):
         solution = solve(self.patches, transport, solver, shot=shot, **rest)  # type: ignore[arg-type]
         error = solution.irradiance_error(segments) if segments.batch_count > 1 else None
         known = self._metadata(bundles=lines.count, solver=solver, imbalance=solution.imbalance)
-        shown = request.outputs.write(writing, self.problem, solution, error, known, request.wording, tell)
+        making = request.making(self.history)
+        shown = request.outputs.write(writing, self.problem, solution, error, known, request.wording, tell, making)
         return RadiosityResult(
             **self._cast(run, lines, segments),
             solution=solution,
@@ -354,7 +366,7 @@ def solve_ambient(
     elapsed = time.perf_counter() - begin
     source = request.name if problem is None else problem.source
     known, writing = about(source, solver=f"ambient, {request.ambient}", imbalance=solution.imbalance), Writing()
-    shown = request.outputs.write(writing, problem, solution, None, known, request.wording, tell)
+    shown = request.outputs.write(writing, problem, solution, None, known, request.wording, tell, request.making())
     writing.finish()
     return RadiosityResult(
         patches=patches,

@@ -20,11 +20,19 @@ from .photon.progressive import Ppm, Sppm
 from .registry import by_plugin, get, register, table
 
 if TYPE_CHECKING:
+    from .box_tracing import box_arguments, check_divisible, gathered, make_box_tracing
     from .metropolis.particles import MetropolisParticles
     from .particles import ParticleTracing
 else:
     #: Modules of methods that make no picture; imported when one of their names is used.
-    _LATER = {"MetropolisParticles": "metropolis.particles", "ParticleTracing": "particles"}
+    _LATER = {
+        "MetropolisParticles": "metropolis.particles",
+        "ParticleTracing": "particles",
+        "box_arguments": "box_tracing",
+        "check_divisible": "box_tracing",
+        "gathered": "box_tracing",
+        "make_box_tracing": "box_tracing",
+    }
 
     def __getattr__(name):
         """See :data:`_LATER`."""
@@ -54,8 +62,12 @@ __all__ = [
     "StratifiedPath",
     "Vcm",
     "VegasPath",
+    "box_arguments",
     "by_plugin",
+    "check_divisible",
+    "gathered",
     "get",
+    "make_box_tracing",
     "photon_hits",
     "register",
     "table",

@@ -23,6 +23,7 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import IndependentSource, SampleSource, setting
+from etendue.film import Component
 from etendue.scene import LightTable, Problem
 from etendue.surfaces import AMBIENT_TERMS
 from etendue.transport import (
@@ -153,7 +154,11 @@ class AmbientLight(_Ambient, LightTracing):
         dr.eval(radiance, path.rays, bad)
         counters["rays"] += total(path.rays)
         counters["nonfinite"] += total(bad)
-        return {"ambient": self.image(radiance, seed, iteration)} | layers, counters
+        ambient = self.image(radiance, seed, iteration)
+        if self.settings.components:
+            layers["indirect"] = layers["indirect"] + ambient
+            return layers, counters
+        return {"ambient": ambient} | layers, counters
 
 
 def _seen(s: CameraPath, walker: Walker, ambient: AmbientTable, source: SampleSource) -> CameraPath:
@@ -204,7 +209,7 @@ class _EndingWalker(Walker):
         assert isinstance(s, CameraPath)
         is_after = vertex.number >= _AFTER
         is_last = ~scattered.is_delta & ~is_after & (vertex.number >= self.bounces)
-        s.radiance += reflected(s, vertex, scattered, self.ambient) & is_last
+        s.add(reflected(s, vertex, scattered, self.ambient), is_last, Component.INDIRECT)
         factor = super().advance(s, vertex, scattered, source, roulette_by)
         s.active &= scattered.is_delta | ~is_after
         s.depth += dr.select(is_last, mi.UInt32(_AFTER), 0)

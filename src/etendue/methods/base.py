@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import functools
 import math
+import operator
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar
 
@@ -27,9 +29,19 @@ from etendue.core import (
     free_memory,
     setting,
 )
+from etendue.film import COMPONENTS
 from etendue.points import OwenSobolSource
 from etendue.scene import LightTable, Problem
-from etendue.transport import CameraSampler, Splats, Visibility, Walker
+from etendue.transport import (
+    CameraPath,
+    CameraSampler,
+    FirstHits,
+    Splats,
+    Visibility,
+    Walker,
+    component_fields,
+    shapes_seen,
+)
 from etendue.transport import dimensions as dim
 
 from .numbers import Lanes as Lanes
@@ -98,8 +110,13 @@ class ImageSettings(Settings):
     )
     aovs: bool = setting(
         False,
-        "add layers of the first surfaces hit by camera rays: albedo, shading normal, depth (distance in scene units); "
-        "and, after two passes, the variance of the picture's pixels, estimated from the passes",
+        "add layers of the first surfaces hit by camera rays: albedo, shading normal, depth (distance in scene units), "
+        "emitted radiance, number of the shape; and, after two passes, the variance of the picture's pixels, estimated "
+        "from the passes",
+    )
+    components: bool = setting(
+        False,
+        "add layers of the components of light: emission, direct, caustic and indirect, whose sum is the picture",
     )
 
 
@@ -131,6 +148,8 @@ class ImageMethod(ABC):
     one_place = False
     #: An instance of ``Settings``.
     settings: Any
+    #: The layer of shapes and their names, if it is asked for; subclasses may have a ``prepare`` of their own.
+    _shapes: Any = None
 
     def __init__(self, settings: ImageSettings | None = None) -> None:
         self.settings = settings if settings is not None else self.Settings()
@@ -152,8 +171,10 @@ class ImageMethod(ABC):
         self.camera = CameraSampler(problem, self.settings.reconstruction == "independent")
         self.lights = LightTable(problem.scene)
         self.visibility = Visibility(problem.scene)
+        self._hits: FirstHits | None = None  # of the pass that is being made
         #: :meth:`max_edges` on the device, opaque.
         self.edges = dr.opaque(mi.UInt32, self.max_edges())
+        self._shapes = shapes_seen(problem) if self.settings.aovs else None
         self._most_cell_bytes = _CELL_SHARE * (problem.memory or free_memory() or math.inf)
 
     def bind(self, scene: mi.Scene | None) -> None:
@@ -192,10 +213,13 @@ class ImageMethod(ABC):
 
     def _step(self, iteration: int, seed: int) -> Measurement:
         samples = self.samples_per_iteration
+        self._hits = FirstHits(self.camera.pixels * samples) if self.settings.aovs else None
         layers, counters = self.render_pass(iteration, seed, samples)
         layers = with_image(layers)
+        if self.settings.components and not layers.keys() >= set(COMPONENTS):
+            raise OptionError(f"'{self.name}' does not keep the components of light apart; leave out components")
         if self.settings.aovs:
-            first, bad = self._first_hits(iteration, seed, samples)
+            first, bad = self.first_layers(iteration, seed, samples)
             layers |= first
             counters["nonfinite"] += bad
         return Measurement(
@@ -216,9 +240,12 @@ class ImageMethod(ABC):
         """Mean over the passes, layer by layer. With ``aovs`` and two passes, the variance of this mean is a layer."""
         names = (name for name in measurement.sums if not name.endswith(CONTRAST))
         layers = {name: measurement.mean(name).astype(np.float32) for name in names}
+        metadata: dict[str, Any] = {"method": self.name, "settings": self.settings.to_dict()}
+        if self._shapes is not None:
+            layers["shape"], metadata["shapes"] = self._shapes
         if self.settings.aovs and len(measurement.iterations) > 1:
             layers["variance"] = measurement.variance_of_mean().astype(np.float32)
-        return Result(layers, {"method": self.name, "settings": self.settings.to_dict()})
+        return Result(layers, metadata)
 
     # ------------------------------------------------------------------ helpers of the subclasses
 
@@ -227,9 +254,9 @@ class ImageMethod(ABC):
         return self.settings.max_depth if self.settings.max_depth >= 0 else 1 << 30
 
     def walker(self, kind: type[W], **own: Any) -> W:
-        """A walker of class ``kind`` for the prepared scene; ``own``: the fields that the class adds."""
+        """A walker of class ``kind`` for the prepared scene; ``own``: the fields that the class adds, or others."""
         common = {"visibility": self.visibility, "lights": self.lights, "max_edges": self.edges}
-        return kind(**common, rr_depth=self.settings.rr_depth, **own)
+        return kind(**(common | own), rr_depth=self.settings.rr_depth)
 
     def camera_numbers(
         self, lanes: mi.UInt32, samples: int, seed: int, iteration: int, role: str = "camera"
@@ -256,16 +283,8 @@ class ImageMethod(ABC):
             number, samples = mi.UInt32(0), 1
         if self.settings.sampler == "independent":
             return OwenSobolSource(mi.UInt32(0), number, seed, role + " film", dr.opaque(mi.UInt32, iteration))
-        return camera_numbers(
-            self.settings.sampler,
-            self.settings.scrambling,
-            mi.UInt32(0),
-            number,
-            samples,
-            seed,
-            iteration,
-            role + " film",
-        )
+        first, o = mi.UInt32(0), self.settings
+        return camera_numbers(o.sampler, o.scrambling, first, number, samples, seed, iteration, role + " film")
 
     def light_numbers(self, lanes: Lanes, paths: int, seed: int, iteration: int, role: str = "light") -> SampleSource:
         """See :func:`light_numbers`."""
@@ -278,47 +297,80 @@ class ImageMethod(ABC):
         in_cells = in_cells and _CELL_BYTES * self.camera.pixels * images <= self._most_cell_bytes
         return Splats(self.camera, images, shift if in_cells else None)
 
+    def path_fields(self) -> dict[str, Any]:
+        """What the state of a camera path has in addition, for ``CameraPath.start``."""
+        return component_fields() if self.settings.components else {}
+
     def kept(self, radiance: mi.Color3f) -> tuple[mi.Color3f, mi.Bool]:
         """(radiance of camera paths, clamped, 0 where it is not finite; mask of lanes where it is not finite). For
         methods with :class:`CameraSettings`."""
         radiance, bad = keep_finite(radiance)
         if self.settings.clamp > 0.0:
-            most = dr.opaque(mi.Float, self.settings.clamp)
-            radiance *= most / dr.maximum(dr.max(radiance), most)
+            radiance *= self._clamping(radiance)
         return radiance, bad
 
-    def image(self, values: mi.Color3f | mi.Normal3f | mi.Float, seed: int, iteration: int) -> Layer:
-        """Image (height, width, channels) of the filtered sums over a pass's camera paths. ``values``: colours or
-        scalars, one lane a path, the paths of a pixel consecutive."""
+    def _clamping(self, radiance: mi.Color3f) -> mi.Float:
+        """Factor on the radiance of camera paths."""
+        most = dr.opaque(mi.Float, self.settings.clamp)
+        return most / dr.maximum(dr.max(radiance), most)
+
+    def kept_together(self, parts: dict[str, mi.Color3f]) -> tuple[dict[str, mi.Color3f], mi.Bool]:
+        """As :meth:`kept`, of the layers whose sum is the radiance: all have the same factor."""
+        whole, bad = keep_finite(functools.reduce(operator.add, parts.values()))
+        factor = self._clamping(whole) if self.settings.clamp > 0.0 else mi.Float(1.0)
+        return {name: dr.select(bad, 0.0, part * factor) for name, part in parts.items()}, bad
+
+    def kept_layers(self, path: CameraPath) -> tuple[dict[str, mi.Color3f], mi.Bool]:
+        """As :meth:`kept`, of what camera paths have found: the layer ``image``, or one for each component."""
+        if path.by_component:
+            return self.kept_together(dict(zip(COMPONENTS, path.by_component, strict=True)))
+        radiance, bad = self.kept(path.radiance)
+        return {"image": radiance}, bad
+
+    def image(self, values: mi.Color3f, seed: int, iteration: int) -> Layer:
+        """Image (height, width, channels) of the filtered sums over a pass's camera paths. ``values``: vectors, one
+        lane a path, the paths of a pixel consecutive."""
+        return self.images({"": values}, seed, iteration)[""]
+
+    def images(self, layers: Mapping[str, Any], seed: int, iteration: int) -> dict[str, Layer]:
+        """:meth:`image` of each layer, in one kernel."""
         width, height = self.problem.size
-        samples = max(1, dr.width(values) // (height * width))
-        if self.camera.independent:
-            pixels = dr.block_sum(values, samples) if samples > 1 else values
-        else:
-            if self.one_place and samples > 1:
-                values, samples = dr.block_sum(values, samples), 1
+        values = list(layers.values())
+        samples = max(1, dr.width(values[0]) // (height * width))
+        if self.one_place or self.camera.independent:
+            values, samples = [dr.block_sum(layer, samples) if samples > 1 else layer for layer in values], 1
+        if not self.camera.independent:
             number = dr.arange(mi.UInt32, samples)
             places = self._film_numbers(number, samples, seed, iteration, "camera").next_2d(0, dim.FILM)
             dr.eval(values, places)
-            pixels = self.camera.filter.spread(values, *places)
-        # A copy, because the device reuses the memory of the raveled array.
-        return np.array(dr.ravel(pixels), np.float32).reshape(height, width, -1)
+            values = self.camera.filter.spread_together(values, *places)
+        # Copies, because the device reuses the memory of the raveled arrays.
+        arrays = [np.array(dr.ravel(layer), np.float32).reshape(height, width, -1) for layer in values]
+        return dict(zip(layers, arrays, strict=True))
 
-    def _first_hits(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], float]:
-        """(albedo, shading normal and distance of the first surfaces, 0 where a ray hits none; number of values that
-        were not finite)."""
-        lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
-        source = self.camera_numbers(lanes, samples, seed, iteration)
-        ray, _, _ = self.camera.primary(lanes // samples, source)
-        si = self.scene.ray_intersect(ray)
-        hit = si.is_valid()
-        albedo, bad_albedo = keep_finite(si.bsdf(ray).eval_diffuse_reflectance(si, hit) & hit)
-        normal, bad_normal = keep_finite(dr.select(hit, si.sh_frame.n, 0.0))
-        depth = dr.select(hit, si.t / self.problem.space.scale, 0.0)
-        dr.eval(albedo, normal, depth, bad_albedo, bad_normal)
-        found = {"albedo": albedo, "normal": normal, "depth": depth}
-        layers = {name: self.image(values, seed, iteration) for name, values in found.items()}
-        return layers, total(bad_albedo) + total(bad_normal)
+    def first_hits(self, lanes: mi.UInt32, iteration: int) -> FirstHits | None:
+        """The recorder for a walk along the camera rays ``lanes`` of a pass; None unless ``aovs`` are wanted.
+        ``iteration``: the pass whose film positions the rays have."""
+        return None if self._hits is None else self._hits.of(lanes, iteration)
+
+    def first_layers(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], int]:
+        """(layers of what was met first by the camera paths of a pass, or by camera rays where the pass has traced
+        none; number of values that were not finite)."""
+        hits, self._hits = self._hits or FirstHits(self.camera.pixels * samples), None
+        if not hits.recorded:
+            lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
+            source = self.camera_numbers(lanes, samples, seed, iteration)
+            ray, _, _ = self.camera.primary(lanes // samples, source)
+            recorder = hits.of(lanes, iteration)
+            walker = Walker(
+                visibility=self.visibility, lights=self.lights, max_edges=self.edges, rr_depth=1, first=recorder
+            )
+            path = CameraPath.start(ray, mi.UInt32(1))
+            walker.emission(path, walker.arrive(path))
+        found, bad = hits.found()
+        layers = self.images(found, seed, hits.iteration)
+        layers["depth"] /= np.float32(self.problem.space.scale)
+        return layers, bad
 
 
 def keep_finite(value: V) -> tuple[V, mi.Bool]:

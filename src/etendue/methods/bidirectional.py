@@ -19,14 +19,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import Carrying, IndependentSource, OptionError, State, free_memory, logger
+from etendue.core import Carrying, IndependentSource, State, logger
 from etendue.density import HashGrid
+from etendue.film import COMPONENTS, REFLECTED
 from etendue.scene import Problem
 from etendue.transport import (
     PICK_BLOCK,
@@ -60,7 +61,8 @@ from .base import (
     with_image,
 )
 from .bidirectional_settings import BidirectionalSettings, BpmSettings, BptSettings
-from .store import STORE_SHARE, VertexRoom
+from .learned_emission import LearnedEmission, learned_emission
+from .store import VertexRoom, check_pyramid
 
 
 @dataclass
@@ -98,10 +100,18 @@ class Bidirectional(Carrying, ImageMethod):
     #: Numbers of the light paths' sequence that a pass takes, if it is more than there are paths.
     light_stride = 0
 
+    _learning: LearnedEmission | None = None
+
+    @property
+    def carries_on(self) -> bool:  # type: ignore[override]
+        """Whether passes learn from those before; known once it is prepared."""
+        return self._learning is not None
+
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. A pilot pass measures the number of light vertices and the mean radiance."""
         self._forget_states()
         super().prepare(problem, seed)
+        self._learning = learned_emission(self)
         s = self.settings
         self.techniques = Techniques(
             emission=int(s.connecting),
@@ -119,13 +129,17 @@ class Bidirectional(Carrying, ImageMethod):
             )
         self._factors = (1.0, *radii.factors(s.radii))
         self.one_place = s.pyramid  # the pictures of a pyramid are filtered once, at the end of a pass
-        self._check_pyramid(problem.memory)
+        if s.pyramid:
+            check_pyramid(self.techniques, s.pyramid_depth, self.camera, problem.memory)
         self._indexed = needs_interaction(problem.scene)
         self._box = corners(problem)
         self._paths = max(1, round(s.light_paths * self.camera.pixels * self.samples_per_iteration))
         self._first_radius = radii.absolute_radius(self, s.radius, s.radius_unit, seed) if s.merging else 0.0
         bytes_per_vertex = LightVertices.bytes_per_vertex(
-            bool(self.techniques.connection), self.techniques.merge, bool(self._more_radii) or self.light_stride > 0
+            bool(self.techniques.connection),
+            self.techniques.merge,
+            bool(self._more_radii) or self.light_stride > 0,
+            bool(self._learning),
         )
         floats = LightVertices.floats_per_vertex(bool(self.techniques.connection))
         self._room = VertexRoom(bytes_per_vertex, floats, problem.memory)
@@ -148,24 +162,6 @@ class Bidirectional(Carrying, ImageMethod):
         """See :class:`ImageMethod`."""
         return STEP_LANES if self.settings.merging or self.settings.pyramid else super().full_lanes()
 
-    def _check_pyramid(self, memory: int | None) -> None:
-        """Raise :class:`OptionError` if the layers of the pyramid and the light vertices do not fit into memory."""
-        if not self.settings.pyramid:
-            return
-        depth, camera = self.settings.pyramid_depth, self.camera
-        needed = Pyramid.bytes(self.techniques, depth, camera.pixels)
-        what = f"a technique pyramid of depth {depth} at {camera.width}x{camera.height} needs {needed / 1e6:.0f} MB"
-        how = "lower pyramid_depth or the picture's size"
-        if memory is not None and needed > (1.0 - STORE_SHARE) * memory:
-            least = needed / (1.0 - STORE_SHARE) / 1e6
-            raise OptionError(
-                f"{what}, too much for a memory limit of {memory / 1e6:.0f} MB; {how}, or raise the limit to "
-                f"{least:.0f} MB"
-            )
-        free = free_memory()
-        if free is not None and needed > free:
-            raise OptionError(f"{what}, but only {free / 1e6:.0f} MB are free; {how}")
-
     # ------------------------------------------------------------------ pilots
 
     def _pilot(self, seed: int) -> None:
@@ -184,11 +180,14 @@ class Bidirectional(Carrying, ImageMethod):
         own = [value for name, value in radiance.items() if name not in self._more_radii]
         mean = sum(float(np.asarray(v, np.float64).mean()) for v in own)
         if splats:
-            splatted = splats.sums()[0]
-            mean += float(splatted.mean(dtype=np.float64)) / paths
+            images = splats.sums()
+            splatted = images[: len(images) - len(self._more_radii)]
+            mean += float(splatted.mean(dtype=np.float64)) * len(splatted) / paths
         # Rounded to steps, so that the order of atomic additions in the pilot does not change the picture.
         brightness = 2.0 ** (round(4.0 * math.log2(mean)) / 4.0) if mean > 0.0 else 0.0
         self._dark = self.settings.shadow_roulette * brightness
+        if self._learning:
+            self._learning.measure(brightness)
 
     @property
     def _more_radii(self) -> tuple[str, ...]:
@@ -199,7 +198,8 @@ class Bidirectional(Carrying, ImageMethod):
         if not self.techniques.splat:
             return None
         # The pictures of a pyramid add up to that of the pass, so they are made in one way: without cells.
-        return self.splats(seed, iteration, len(self._factors), role, in_cells=not self.settings.pyramid)
+        images = (len(REFLECTED) if self.settings.components else 1) + len(self._more_radii)
+        return self.splats(seed, iteration, images, role, in_cells=not self.settings.pyramid)
 
     def _count_groups(self) -> int:
         """Number of groups into which the light paths of a pass are divided, so that the vertices of a group fit into
@@ -212,10 +212,13 @@ class Bidirectional(Carrying, ImageMethod):
 
     def _left(self) -> State:
         """Number of groups and vertices of a light path, which change if the capacity was too small for a pass."""
-        return {"groups": self._groups, "vertices_per_path": self._room.per_path}
+        learned = {"emission": self._learning.state()} if self._learning else {}
+        return {"groups": self._groups, "vertices_per_path": self._room.per_path} | learned
 
     def _take(self, state: State) -> None:
         self._groups, self._room.per_path = int(state["groups"]), float(state["vertices_per_path"])
+        if self._learning:
+            self._learning.restore(state["emission"])
 
     # ------------------------------------------------------------------ a pass
 
@@ -226,6 +229,9 @@ class Bidirectional(Carrying, ImageMethod):
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         radius = self.radius(iteration) if self.techniques.merge else 0.0
+        if self._learning:
+            # As many light vertices to a disc as without learning: more take time, and a smaller disc blurs less.
+            radius /= math.sqrt(self._learning.guide.crowding)
         splats = self._splats(seed, iteration)
         s = self.settings
         pyramid = Pyramid(self.techniques, s.pyramid_depth, self.camera.pixels) if s.pyramid else None
@@ -241,21 +247,26 @@ class Bidirectional(Carrying, ImageMethod):
             run = _Run("", iteration, seed, radius, light, camera, pixel, samples, *films)
             radiance, counts = self._trace(run)
             if not self._room.held(counts["light_vertices"], light.count):
+                if self._learning:
+                    self._learning.drop()
                 self._groups = self._count_groups()  # the capacity was too small: repeat the whole pass
                 return self.render_pass(iteration, seed, samples)
             parts.append(radiance)
             counters = {name: value + counts[name] for name, value in counters.items()}
 
         radiance = {name: _concatenated([part[name] for part in parts]) for name in parts[0]}
-        layers = {name: self.image(values, seed, iteration) for name, values in radiance.items()}
+        layers = self.images(radiance, seed, iteration)
         counters["paths"] = float(self.camera.pixels * samples + self._paths)
         if splats:
             # Splats are sums over N light paths; the weight of the layers is the number of samples.
             splatted = splats.sums() * (samples / self._paths)
-            names = ("splat" if s.split_layers else "image", *self._more_radii)
+            own = REFLECTED if s.components else ("splat" if s.split_layers else "image",)
+            names = (*own, *self._more_radii)
             for name, image in zip(names, splatted, strict=True):
                 layers[name] = layers[name] + image if name in layers else image
         more = {name: layers.pop(name) for name in self._more_radii}
+        if self._learning:
+            self._learning.end_pass(with_image(layers)["image"], samples)
         if pyramid:
             more |= pyramid.layers(lambda values: self.image(values, seed, iteration))
         return with_image(layers) | more, counters
@@ -277,14 +288,22 @@ class Bidirectional(Carrying, ImageMethod):
         dr.make_opaque(run.camera, run.pixel)  # so that pilot and passes share kernels
         mis = self._mis(run.radius, paths, run.moments)
         dark = dr.opaque(mi.Float, self._dark)
-        common = {"camera": self.camera, "mis": mis, "dark": dark, "moments": run.moments}
+        common: dict[str, Any] = {"camera": self.camera, "mis": mis, "dark": dark, "moments": run.moments}
+        if self._learning:
+            common |= self._learning.fields(not run.role)
         connecting = self.techniques.connection > 0
         numbered = run.pyramid is not None and self.visibility.transparent
         vertices, sink = None, None
         if connecting or self.techniques.merge:
-            vertices = LightVertices(run.capacity, paths, self._indexed, connecting, numbered, mis.linear)
+            owned = common.get("training") is not None
+            vertices = LightVertices(run.capacity, paths, self._indexed, connecting, numbered, mis.linear, owned)
         if run.splats:
-            sink = SplatSink(pyramid=run.pyramid, splats=run.splats, paths_per_sample=mis.paths_per_sample)
+            sink = SplatSink(
+                pyramid=run.pyramid,
+                splats=run.splats,
+                paths_per_sample=mis.paths_per_sample,
+                components=self.settings.components,
+            )
         stride = self._paths if self.settings.sampler == "hammersley" else max(self._paths, self.light_stride)
         source = self.light_numbers(run.light, stride, run.seed, run.iteration, run.role + "light")
         light_rays, light_bad = self.walker(LightWalk, **common, sink=sink).trace(paths, source, vertices)
@@ -298,18 +317,27 @@ class Bidirectional(Carrying, ImageMethod):
 
         picks = IndependentSource(run.camera // PICK_BLOCK, run.seed, run.role + "connect", run.iteration)
         cache, gather = self._cache(vertices, paths, picks), self._gather(vertices, paths, run.radius)
-        layers = CameraSink(pyramid=run.pyramid, split_layers=self.settings.split_layers, more_radii=self._more_radii)
-        walk = self.walker(CameraWalk, **common, sink=layers, cache=cache, gather=gather)
+        s = self.settings
+        layers = CameraSink(
+            pyramid=run.pyramid, split_layers=s.split_layers, components=s.components, more_radii=self._more_radii
+        )
+        first = self.first_hits(run.camera, run.iteration)
+        walk = self.walker(CameraWalk, **common, sink=layers, cache=cache, gather=gather, first=first)
         source = self.camera_numbers(run.camera, run.samples, run.seed, run.iteration, run.role + "camera")
         radiance, rays = walk.trace(run.pixel, source)
         bad = {}
-        for name, value in radiance.items():
-            radiance[name], bad[name] = self.kept(value)
+        if s.components:
+            together, bad["components"] = self.kept_together({name: radiance[name] for name in COMPONENTS})
+            radiance |= together
+        for name in self._more_radii if s.components else tuple(radiance):
+            radiance[name], bad[name] = self.kept(radiance[name])
         if run.pyramid:
             dr.schedule(run.pyramid.array)
         if run.moments:
             run.moments.schedule()
         dr.eval(radiance, rays, bad)  # one kernel
+        if self._learning and not run.role:
+            self._learning.add(common["training"])
         return radiance, {
             "rays": total(rays) + total(light_rays),
             "light_vertices": float(vertices.wanted[0]) if vertices else 0.0,

@@ -9,6 +9,7 @@ from etendue.transport import PYRAMID_MAX, dimensions
 
 from . import radius as radii
 from .base import CameraSettings
+from .learned_emission import GUIDE, GUIDE_CHOICES
 
 _CONNECTING = "connect vertices: hits on lights, next event, connections of light and camera vertices, camera splats"
 _MERGING = "merge camera vertices with the light vertices within the merge radius (photon density estimation)"
@@ -67,6 +68,7 @@ class BidirectionalSettings(CameraSettings):
         "contribution is cast; 0: all shadow rays are cast",
         minimum=0.0,
     )
+    guide_emission: str = setting("auto", GUIDE, choices=GUIDE_CHOICES)
     split_layers: bool = setting(
         False, "add a layer for each family of techniques; their sum is the image; takes 5 to 10 % more time"
     )
@@ -77,6 +79,8 @@ class BidirectionalSettings(CameraSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.split_layers and self.components:
+            raise OptionError("split_layers and components divide the picture in two ways; leave out one of them")
         if radii.factors(self.radii) and not self.merging:
             raise OptionError(f"option 'radii={self.radii}' needs merging, which is off; leave it out")
 

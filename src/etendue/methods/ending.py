@@ -62,7 +62,12 @@ class EndsInMap(ImageMethod):
                 self._digest = hashlib.file_digest(file, "sha256").hexdigest()
         elif self.map is not None and self.map.space != problem.space:
             raise OptionError("the map was made for this scene in other coordinates: make it with the loaded scene")
-        self._after = dr.opaque(mi.UInt32, getattr(self.settings, "map_after", 0))
+        after = getattr(self.settings, "map_after", 0)
+        if self.settings.components and self.map is not None and after == 0:
+            raise OptionError(
+                "a map does not tell direct light from other light; set map_after=1 or more, or leave out components"
+            )
+        self._after = dr.opaque(mi.UInt32, after)
 
     def start(self) -> State:
         """The digest of the map's file."""
@@ -83,9 +88,9 @@ class EndsInMap(ImageMethod):
         walker: Any = super().walker(_ENDING[kind], after=self._after, **own)
         return walker
 
-    def ending_state(self) -> dict[str, MapEnd]:
-        """What the state of a path has in addition."""
-        return {} if self.map is None else {"end": MapEnd.none()}
+    def path_fields(self) -> dict[str, Any]:
+        """See :class:`ImageMethod`."""
+        return super().path_fields() | ({} if self.map is None else {"end": MapEnd.none()})
 
     def light_of_map(self, path: CameraPath) -> mi.Color3f | None:
         """Light of the map at the ends of paths, whose loop is evaluated first; None without a map.

@@ -24,6 +24,7 @@ import mitsuba as mi
 import numpy as np
 
 from etendue.core import Carrying, CheckpointError, Measurement, Result, State, copied_to_device, setting
+from etendue.film import Component
 from etendue.scene import Problem
 from etendue.transport import FOUND_UNITS, Guide, GuidedWalk, TrainingSamples
 
@@ -103,6 +104,11 @@ class Guided(Carrying, EndsInMap):
         self._seen = dr.zeros(mi.UInt32, self._guide.places)
         self._brought = dr.zeros(mi.UInt64, self._guide.cells * max(1, self._guide.light_count))
 
+    @property
+    def guide(self) -> Guide:
+        """The guide as it is after the latest pass."""
+        return self._guide
+
     # ------------------------------------------------------------------ a pass
 
     def _step(self, iteration: int, seed: int) -> Measurement:
@@ -121,18 +127,24 @@ class Guided(Carrying, EndsInMap):
         collected = TrainingSamples(self._guide, lanes, self._stride(len(lanes)), self._unit, training)
         o = self.settings
         walk = self.walker(
-            GuidedWalk, proposal=o.proposal, guide=self._guide, weights=o.direct_weights, training=collected
+            GuidedWalk,
+            proposal=o.proposal,
+            guide=self._guide,
+            weights=o.direct_weights,
+            training=collected,
+            first=self.first_hits(lanes, iteration),
         )
-        path = walk.trace(ray, source, **self.ending_state())
+        path = walk.trace(ray, source, **self.path_fields())
         if (light := self.light_of_map(path)) is not None:
-            walk.add(path, light, mi.Bool(True))
-        radiance, bad = self.kept(path.radiance * importance)
+            walk.add(path, light, mi.Bool(True), Component.INDIRECT)
+        path.weigh(importance)
+        radiance, bad = self.kept_layers(path)
         found = dr.select(dr.isfinite(path.found), path.found, 0.0)
         dr.eval(radiance, path.rays, bad, found)
         if training:
             self._learn(collected, found)
         counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
-        return {"image": self.image(radiance, seed, iteration)}, counters
+        return self.images(radiance, seed, iteration), counters
 
     def _stride(self, lanes: int) -> int:
         """One path in so many gives training samples."""

@@ -16,14 +16,17 @@ from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
-from etendue.core import SampleSource, UnsupportedError, setting
+from etendue.core import Carrying, SampleSource, State, UnsupportedError, setting
+from etendue.film import REFLECTED, Component
 from etendue.scene import Problem
 from etendue.transport import Contribution, LightWalk, Mis, SplatSink, Techniques, ones, point_on
 from etendue.transport import dimensions as dim
 
 from . import base
 from .base import ImageMethod, ImageSettings, Lanes, Layer, total
+from .learned_emission import GUIDE, GUIDE_CHOICES, LearnedEmission, learned_emission
 
 #: Part of its length by which a shadow ray ends before a light.
 _SHADOW_EPSILON = 1e-3
@@ -34,9 +37,10 @@ class LightSettings(ImageSettings):
     """Settings of ``light``."""
 
     light_paths: float = setting(1.0, "light paths per pixel and sample; more: less noise", above=0.0, maximum=64.0)
+    guide_emission: str = setting("auto", GUIDE, choices=GUIDE_CHOICES)
 
 
-class LightTracing(ImageMethod):
+class LightTracing(Carrying, ImageMethod):
     """Light tracing: every vertex of every light path is splatted."""
 
     name: ClassVar[str] = "light"
@@ -47,38 +51,63 @@ class LightTracing(ImageMethod):
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. Raises :class:`UnsupportedError` for a sensor that points cannot be connected
         to."""
+        self._forget_states()
         super().prepare(problem, seed)
+        self._learning = learned_emission(self)
         if not self.camera.can_splat:
             raise UnsupportedError(
                 "light paths cannot be connected to this sensor, so 'light' would render a black picture; use another "
                 "method"
             )
 
+    _learning: LearnedEmission | None = None
+
+    @property
+    def carries_on(self) -> bool:  # type: ignore[override]
+        """Whether passes learn from those before; known once it is prepared."""
+        return self._learning is not None
+
+    def _left(self) -> State:
+        return {"emission": self._learning.state()} if self._learning else {}
+
+    def _take(self, state: State) -> None:
+        if self._learning:
+            self._learning.restore(state["emission"])
+
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         paths = max(1, round(self.settings.light_paths * self.camera.pixels * samples))
         techniques = Techniques(emission=0, next_event=0, connection=0, splat=True, merge=False)
         mis = Mis(techniques, [0.0], dr.opaque(mi.Float, paths / samples))
+        own = REFLECTED if self.settings.components else ("splat",)
         scattered, seen = (
-            SplatSink(splats=self.splats(seed, iteration), paths_per_sample=mis.paths_per_sample) for _ in range(2)
+            SplatSink(
+                splats=self.splats(seed, iteration, len(each)),
+                paths_per_sample=mis.paths_per_sample,
+                components=len(each) > 1,
+            )
+            for each in (own, ("emission",))
         )
-        walk = self.walker(LightWalk, camera=self.camera, mis=mis, dark=mi.Float(0.0), sink=scattered)
         counters = {"rays": 0.0, "paths": float(paths), "nonfinite": 0.0}
         groups = -(-paths // base.MOST_LIGHT_LANES)
         for group in range(groups):
             lanes = Lanes(0, paths).part(group, groups)
+            guided = self._learning.fields(True) if self._learning else {}
+            walk = self.walker(LightWalk, camera=self.camera, mis=mis, dark=mi.Float(0.0), sink=scattered, **guided)
             rays, bad = walk.trace(lanes.count, self.light_numbers(lanes, paths, seed, iteration))
             dr.eval(rays, bad, scattered.splats.array)
+            if self._learning:
+                self._learning.add(guided["training"])
             source = self.light_numbers(lanes, paths, seed, iteration, "visible light")
             seen_rays, seen_bad = self._seen_directly(source, lanes.count, seen)
             dr.eval(seen_rays, seen_bad, seen.splats.array)
             counters["rays"] += total(rays) + total(seen_rays)
             counters["nonfinite"] += total(bad) + total(seen_bad)
 
-        layers = {
-            name: sink.splats.sums()[0] * (samples / paths) for name, sink in (("splat", scattered), ("emission", seen))
-        }
-        return layers, counters
+        images = [image * (samples / paths) for image in (*scattered.splats.sums(), *seen.splats.sums())]
+        if self._learning:
+            self._learning.end_pass(np.sum(images[:-1], axis=0), samples)
+        return dict(zip((*own, "emission"), images, strict=True)), counters
 
     def _seen_directly(self, source: SampleSource, paths: int, sink: SplatSink) -> tuple[mi.UInt32, mi.Bool]:
         """Connect points on the lights to the camera (s = 1, t = 1). Returns (rays, non-finite values)."""
@@ -123,4 +152,5 @@ class LightTracing(ImageMethod):
         crossings = dr.opaque(mi.UInt32, max(self.max_edges() - 1, 0))
         active, transmittance = self.visibility.along(ray, crossings, active)
         contribution *= transmittance
-        return rays, sink.add(mi.UInt32(1), place, Contribution([contribution], contribution, active, active))
+        found = Contribution([contribution], contribution, active, active)
+        return rays, sink.add(mi.UInt32(1), place, found, mi.UInt32(Component.EMISSION))

@@ -59,10 +59,25 @@ def light_numbers(
     scrambling: str = "digits",
 ) -> SampleSource:
     """Random numbers of the light paths ``lanes``; ``paths``: all light paths of a pass."""
+    number = dr.arange(mi.UInt32, lanes.count)
+    return path_numbers(sampler, number, paths, seed, iteration, role, scrambling, lanes.first)
+
+
+def path_numbers(
+    sampler: str,
+    number: mi.UInt32,
+    paths: int,
+    seed: int,
+    iteration: int,
+    role: str = "light",
+    scrambling: str = "digits",
+    first: int = 0,
+) -> SampleSource:
+    """Random numbers of the light paths ``first + number``, one lane each."""
     if sampler == "independent":
-        lane, high = lanes.numbers()
+        lane, high = places(number, first)
         return IndependentSource(lane, seed, role, iteration, high)
-    index, high = lanes.numbers(0 if sampler == "hammersley" else iteration * paths)
+    index, high = places(number, first + (0 if sampler == "hammersley" else iteration * paths))
     sequence = dr.zeros(mi.UInt32)
     if sampler == "owen":
         return OwenSobolSource(sequence, index, seed, role, high)

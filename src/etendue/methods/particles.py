@@ -22,6 +22,7 @@ from etendue.core import (
     Pass,
     Record,
     Result,
+    SampleSource,
     SceneError,
     Settings,
     State,
@@ -45,7 +46,8 @@ from etendue.transport import (
     scatter_uniform,
 )
 
-from .base import MOST_LIGHT_LANES, PILOT_PATHS, Lanes, light_numbers, total
+from .base import MOST_LIGHT_LANES, PILOT_PATHS, total
+from .numbers import path_numbers
 
 #: Particles of a pass, if the number of paths is not given; they take 64 bytes on the device, and as many when sorted.
 _PASS_PARTICLES = 1 << 20
@@ -125,23 +127,7 @@ class ParticleTracing:
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """Build the tables, and trace pilots. Raises :class:`SceneError` if they have no particle."""
-        settings = self.settings
-        self.problem = problem
-        self.lights = LightTable(problem.scene)
-        self._table = SurfaceTable(problem)
-        keep = Keep(settings.keep)
-        self._walk = ParticleWalk(
-            visibility=Visibility(problem.scene),
-            lights=self.lights,
-            max_edges=dr.opaque(mi.UInt32, settings.max_bounces if settings.max_bounces >= 0 else 1 << 30),
-            # The absorbed flux is estimated where roulette ends a path, so it plays from the first hit on.
-            rr_depth=1 if keep is Keep.ABSORBED else settings.rr_depth,
-            keep=keep,
-            after=dr.opaque(mi.UInt32, settings.after),
-            specular=settings.specular,
-            scheme=self._emission(seed),
-            proposal=scatter_light if settings.bsdf_sampling else scatter_uniform,
-        )
+        self._build(problem, seed)
         paths, found = PILOT_PATHS, 0
         for attempt in range(_PILOTS):
             found = self._trace("pilot ", attempt, seed, paths, 64 * PILOT_PATHS)[0].count
@@ -154,6 +140,28 @@ class ParticleTracing:
                 "surfaces that are asked for; look at the lights, and at keep, after, specular and max_bounces"
             )
         self.per_path = self._room = found / paths
+
+    def _build(self, problem: Problem, seed: int) -> None:
+        settings = self.settings
+        self.problem = problem
+        self.lights = LightTable(problem.scene)
+        self._table = SurfaceTable(problem)
+        keep = Keep(settings.keep)
+        self._walk = self._walk_of(
+            visibility=Visibility(problem.scene),
+            lights=self.lights,
+            max_edges=dr.opaque(mi.UInt32, settings.max_bounces if settings.max_bounces >= 0 else 1 << 30),
+            # The absorbed flux is estimated where roulette ends a path, so it plays from the first hit on.
+            rr_depth=1 if keep is Keep.ABSORBED else settings.rr_depth,
+            keep=keep,
+            after=dr.opaque(mi.UInt32, settings.after),
+            specular=settings.specular,
+            scheme=self._emission(seed),
+            proposal=scatter_light if settings.bsdf_sampling else scatter_uniform,
+        )
+
+    def _walk_of(self, **options: Any) -> ParticleWalk:
+        return ParticleWalk(**options)
 
     def _emission(self, seed: int) -> EmissionScheme:
         settings = self.settings
@@ -238,17 +246,22 @@ class ParticleTracing:
         """(store, rays, non-finite particles) of the paths of a pass."""
         store = ParticleStore(capacity, self._table)
         number = dr.arange(mi.UInt32, paths)
-        sampler = self.settings.sampler
-        kind = "independent" if sampler == "strata" else sampler
-        source = light_numbers(kind, Lanes(0, paths), paths, seed, iteration, role + "light")
-        if sampler == "strata":
-            # Emission by importance draws more than the light from the number of the light.
-            one_light = self.lights.count == 1 and self.settings.emission != "importance"
-            source = StratifiedSource(source, number, paths, EMISSION[one_light:] + FIRST_BOUNCE)
+        source = self._source(number, paths, seed, iteration, role)
         rays, bad = self._walk.trace(paths, source, number, store)
         dr.schedule(rays, bad)
         store.launch()
         return store, total(rays), total(bad)
+
+    def _source(self, number: mi.UInt32, paths: int, seed: int, iteration: int, role: str = "") -> SampleSource:
+        """Random numbers of the paths ``number`` of a pass."""
+        sampler = self.settings.sampler
+        kind = "independent" if sampler == "strata" else sampler
+        source = path_numbers(kind, number, paths, seed, iteration, role + "light")
+        if sampler == "strata":
+            # Emission by importance draws more than the light from the number of the light.
+            one_light = self.lights.count == 1 and self.settings.emission != "importance"
+            source = StratifiedSource(source, number, paths, EMISSION[one_light:] + FIRST_BOUNCE)
+        return source
 
     def _in_scene(self, rows: Rows) -> Rows:
         """Rows of the render space in the scene's units."""

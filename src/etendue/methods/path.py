@@ -20,7 +20,8 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource, setting
-from etendue.transport import CameraPath, DirectWeights, Proposal, Walker, scatter_camera, scatter_uniform
+from etendue.film import Component
+from etendue.transport import CameraPath, DirectWeights, FirstHits, Proposal, Walker, scatter_camera, scatter_uniform
 
 from .base import CameraSettings, ImageSettings, Layer, total
 from .ending import EndingSettings, EndsInMap
@@ -75,15 +76,21 @@ class Path(EndsInMap):
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         source = self.camera_numbers(lanes, samples, seed, iteration)
         ray, importance, _ = self.camera.primary(lanes // samples, source)
-        walker, weights = self.walker(Walker, proposal=self.settings.proposal), self.settings.direct_weights
-        path = CameraPath.start(ray, walker.max_edges, **self.ending_state())
-        path = walker.walk(path, lambda s: edge(s, walker, weights, source), "path")
+        path = self.trace(ray, source, self.first_hits(lanes, iteration))
         if (light := self.light_of_map(path)) is not None:
-            path.radiance += light
-        radiance, bad = self.kept(path.radiance * importance)
+            path.add(light, mi.Bool(True), Component.INDIRECT)
+        path.weigh(importance)
+        radiance, bad = self.kept_layers(path)
         dr.eval(radiance, path.rays, bad)  # in one kernel; the sums below would launch it several times
         counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
-        return {"image": self.image(radiance, seed, iteration)}, counters
+        return self.images(radiance, seed, iteration), counters
+
+    def trace(self, ray: mi.Ray3f, source: SampleSource, first: FirstHits | None = None) -> CameraPath:
+        """Camera paths that begin with ``ray``, after their last edge; their first hits are added to ``first``."""
+        walker = self.walker(Walker, proposal=self.settings.proposal, first=first)
+        weights = self.settings.direct_weights
+        path = CameraPath.start(ray, walker.max_edges, **self.path_fields())
+        return walker.walk(path, lambda s: edge(s, walker, weights, source), "path")
 
 
 def edge(s: CameraPath, walker: Walker, weights: DirectWeights, source: SampleSource) -> CameraPath:
@@ -92,7 +99,7 @@ def edge(s: CameraPath, walker: Walker, weights: DirectWeights, source: SampleSo
 
     # ---- Emission: alpha_j w^e_j L_e(z_j)
     hit = walker.emission(s, vertex)
-    s.radiance[hit.active] += s.throughput * hit.radiance * weights.hit(s.pdf, hit.direct_pdf)
+    s.add(s.throughput * hit.radiance * weights.hit(s.pdf, hit.direct_pdf), hit.active, s.seen)
     s.active &= vertex.valid & (s.depth < walker.max_edges)
 
     # ---- Sample a light point y and a direction; one call of the BSDF for both
@@ -102,7 +109,7 @@ def edge(s: CameraPath, walker: Walker, weights: DirectWeights, source: SampleSo
     # ---- Next event: alpha_j w^d_j f_s(z_j) |cos| L_e(y) / p(y), if y is visible
     for light, f in zip(lights, evaluated, strict=True):
         contribution, visible = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
-        s.radiance[visible] += contribution
+        s.add(contribution, visible, s.lit)
 
     # ---- Advance: alpha_j+1 = alpha_j f_s(z_j) |cos| / p_s(z_j+1), and Russian roulette
     s.pdf = walker.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))

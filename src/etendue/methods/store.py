@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from etendue.core import OptionError
+from etendue.core import OptionError, free_memory
+from etendue.transport import CameraSampler, Pyramid, Techniques
 
 #: Memory for light vertices in bytes, if the run has no memory limit; and their share of a limit.
 _BYTES = 600e6
@@ -66,3 +67,18 @@ class VertexRoom:
             given, least = (share / STORE_SHARE / 1e6 for share in (self._bytes, 4 * pad))
             raise OptionError(f"a memory limit of {given:.2g} MB is too small; give at least {least:.1f} MB")
         return min(max(1, math.ceil(self.bytes(paths) / (self._bytes - pad))), paths)
+
+
+def check_pyramid(techniques: Techniques, depth: int, camera: CameraSampler, memory: int | None) -> None:
+    """Raise :class:`OptionError` if the layers of a technique pyramid and the light vertices do not fit into memory."""
+    needed = Pyramid.bytes(techniques, depth, camera.pixels)
+    what = f"a technique pyramid of depth {depth} at {camera.width}x{camera.height} needs {needed / 1e6:.0f} MB"
+    how = "lower pyramid_depth or the picture's size"
+    if memory is not None and needed > (1.0 - STORE_SHARE) * memory:
+        least = needed / (1.0 - STORE_SHARE) / 1e6
+        raise OptionError(
+            f"{what}, too much for a memory limit of {memory / 1e6:.0f} MB; {how}, or raise the limit to {least:.0f} MB"
+        )
+    free = free_memory()
+    if free is not None and needed > free:
+        raise OptionError(f"{what}, but only {free / 1e6:.0f} MB are free; {how}")

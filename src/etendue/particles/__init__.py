@@ -1,5 +1,7 @@
 """Particles on surfaces: records of light paths, their files and codecs."""
 
+from .boxes import RECORD_WORDS, BoxGrid, BoxWalk
+from .coherence import distinct_in_windows, lru_misses, visits
 from .errors import ParticleError
 from .files import ParticleFile, is_particle_file
 from .layouts import RECORDS, merged, of_strips, records, strips
@@ -8,7 +10,7 @@ from .packing.coders import coder, coder_names
 from .packing.grid import Grid
 from .particles import LAYOUT, RAW_BYTES, WORDS, Particles, Rows, columns_of
 from .surfaces import Surfaces, SurfaceTable
-from .walk import Keep, ParticleStore, ParticleWalk
+from .walk import Keep, ParticleStore, ParticleWalk, in_path_order
 from .writer import ParticleWriter
 
 __all__ = [
@@ -16,7 +18,10 @@ __all__ = [
     "LAYOUTS",
     "RAW_BYTES",
     "RECORDS",
+    "RECORD_WORDS",
     "WORDS",
+    "BoxGrid",
+    "BoxWalk",
     "Codec",
     "Grid",
     "Keep",
@@ -33,10 +38,14 @@ __all__ = [
     "coder_names",
     "columns_of",
     "decode",
+    "distinct_in_windows",
     "encode",
+    "in_path_order",
     "is_particle_file",
+    "lru_misses",
     "merged",
     "of_strips",
     "records",
     "strips",
+    "visits",
 ]

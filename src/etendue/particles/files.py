@@ -15,7 +15,7 @@ import drjit as dr
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import Array, logger, suggest
+from etendue.core import Array, InNotebooks, logger, suggest
 from etendue.scene import Problem
 
 from . import blocks
@@ -39,7 +39,7 @@ def is_particle_file(path: PathLike) -> bool:
         return False
 
 
-class ParticleFile:
+class ParticleFile(InNotebooks):
     """The particles of a file. Heads are read when it is opened, particles when they are asked for.
 
     A file that was cut off has the particles of its whole passes. Raises :class:`ParticleError` if there is no file, if

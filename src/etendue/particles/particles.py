@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from etendue.core import InNotebooks
+
 from .errors import ParticleError
 
 #: Type and shape of a row of each field, in the order of the fields.
@@ -43,7 +45,7 @@ def columns_of(name: str) -> slice:
 
 
 @dataclass(frozen=True)
-class Particles:
+class Particles(InNotebooks):
     """Hits of light paths on surfaces. The sum of the power of those on a surface estimates its incident flux.
 
     Attributes

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import SampleSource, on_device
 from etendue.transport import (
@@ -40,7 +41,7 @@ class Keep(enum.Enum):
 
 
 @dataclass(kw_only=True)
-class _State(SubPath):
+class LightPath(SubPath):
     """Loop state, one lane a path."""
 
     bounce: mi.UInt32  #: as ``depth``, without null surfaces
@@ -97,10 +98,19 @@ class ParticleStore:
 
     def rows(self) -> Rows:
         """The particles in the order of their paths, in the units of the render space."""
+        return in_path_order(self.numbered())
+
+    def numbered(self) -> NDArray[np.uint32]:
+        """The particles in any order, each with the number of its vertex in one more column."""
         rows = np.asarray(self._data).view(np.uint32).reshape(-1, _STORED)[: self.count]
-        # By path and vertex: before and behind a null surface the bounce is the same.
-        order = np.argsort((rows[:, WORDS - 2].astype(np.uint64) << np.uint64(32)) | rows[:, WORDS])
-        return np.ascontiguousarray(rows[order, :WORDS])
+        return rows[:, : WORDS + 1]
+
+
+def in_path_order(numbered: NDArray[np.uint32]) -> Rows:
+    """Numbered particles as rows in the order of their paths."""
+    # By path and vertex: before and behind a null surface the bounce is the same.
+    order = np.argsort((numbered[:, WORDS - 2].astype(np.uint64) << np.uint64(32)) | numbered[:, WORDS])
+    return np.ascontiguousarray(numbered[order, :WORDS])
 
 
 @dataclass(kw_only=True)
@@ -118,8 +128,13 @@ class ParticleWalk(Walker):
     ) -> tuple[mi.UInt32, mi.UInt32]:
         """Trace ``paths`` light paths, with the numbers ``number``, into ``store``. Returns (rays, non-finite
         particles, which are left out), one lane a path, not yet evaluated."""
+        state = self.follow(self.start(paths, source), source, number, store)
+        return state.rays, state.nonfinite
+
+    def start(self, paths: int, source: SampleSource) -> LightPath:
+        """Light paths before their first edge."""
         emitted = self.scheme(self.lights, source, dr.full(mi.Bool, True, paths))
-        state = _State(
+        return LightPath(
             active=emitted.active & (self.max_edges > 0),
             ray=emitted.ray,
             throughput=emitted.throughput,
@@ -131,10 +146,12 @@ class ParticleWalk(Walker):
             met=dr.full(mi.Bool, False, paths),
             nonfinite=dr.zeros(mi.UInt32, paths),
         )
-        state = self.walk(state, lambda s: self._edge(s, number, source, store), "particle walk")
-        return state.rays, state.nonfinite
 
-    def _edge(self, s: _State, number: mi.UInt32, source: SampleSource, store: ParticleStore) -> _State:
+    def follow(self, state: LightPath, source: SampleSource, number: mi.UInt32, store: ParticleStore) -> LightPath:
+        """Trace light paths to their ends, not yet evaluated."""
+        return self.walk(state, lambda s: self._edge(s, number, source, store), "particle walk")
+
+    def _edge(self, s: LightPath, number: mi.UInt32, source: SampleSource, store: ParticleStore) -> LightPath:
         """Trace one edge; scatter and store at its end."""
         vertex = self.arrive(s)
         s.active &= vertex.valid

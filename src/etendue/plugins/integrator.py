@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from etendue.core import EtendueError, Method, UnsupportedError, check_variant, warn_of_nonfinite
 from etendue.engine import Budget, RunError, Runner, RunResult
-from etendue.film import LONGER, PixelFilter, Technique
+from etendue.film import COMPONENTS, LONGER, PixelFilter, Technique
 from etendue.methods import ImageMethod
 from etendue.scene import Problem
 
@@ -26,6 +26,8 @@ _AOV_CHANNELS = {
     "albedo": ("albedo.R", "albedo.G", "albedo.B"),
     "normal": ("sh_normal.X", "sh_normal.Y", "sh_normal.Z"),
     "depth": ("depth.T",),
+    "emitted": ("emitted.R", "emitted.G", "emitted.B"),
+    "shape": ("shape_index.I",),
 }
 #: Rays per pixel in one part of the coverage estimate for alpha channels, and the number of parts.
 _ALPHA_RAYS = 8
@@ -59,7 +61,7 @@ def _integrator_class(method: type[ImageMethod], variant: str) -> type:
             self.timeout = float(props.get("timeout", -1.0))
             self._cancelled = False
             self._runner: Runner | None = None
-            self._layers = list(_AOV_CHANNELS) if self.options["aovs"] else []  # of the film, without the picture
+            self._layers = _requested(self.options, ())  # of the film, without the picture
             super().__init__(props)
 
         def render(
@@ -178,13 +180,14 @@ def _no_gradients(name: str) -> EtendueError:
 
 
 def _requested(options: dict[str, Any], layers: Iterable[str]) -> list[str]:
-    """Those of ``layers`` that the settings request: first hits, families of techniques, the technique pyramid,
-    additional merge radii."""
+    """Those of ``layers`` that the settings request: families of techniques, the technique pyramid, additional merge
+    radii; after first hits and components, which every picture has then."""
     names = list(_AOV_CHANNELS) if options["aovs"] else []
+    names += COMPONENTS if options["components"] else ()
     for name in layers:
         in_pyramid = name == LONGER or Technique.of_layer(name) is not None
         setting = "pyramid" if in_pyramid else "radii" if name.startswith("radius_") else "split_layers"
-        if name not in ("image", *_AOV_CHANNELS) and options.get(setting):
+        if name not in ("image", *names) and options.get(setting):
             names.append(name)
     return names
 

@@ -25,6 +25,7 @@ class _Kept:
     sensor: mi.Sensor  #: referenced, so that its id() is not used again
     seen: Parameters  #: parameters of the sensor at the time of the preparation
     method: ImageMethod  #: prepared, unless each run needs a new preparation
+    carries_on: bool  #: whether it does; some methods carry on in some scenes
 
 
 class Prepared:
@@ -53,12 +54,12 @@ class Prepared:
             warn_of_offsets(problem.scene, problem.sensor, "the scene")
             kept = self._prepare(problem, seed, seen)
             self._scene = parameters(problem.scene)  # traversing an emitter turns its scalars into variables
-        elif self._kind.carries_on:
+        elif kept.carries_on:
             kept.method.prepare(problem, seed)
         else:
             kept.method.bind(problem.scene)
         yield kept.method
-        if self._kind.carries_on:
+        if kept.carries_on:
             kept.method = self._kind(kept.method.settings)  # the settings contain the samples of a pass
         else:
             kept.method.bind(None)
@@ -68,9 +69,9 @@ class Prepared:
 
     def _prepare(self, problem: Problem, seed: int, seen: Parameters) -> _Kept:
         method, problem = self._kind(self._settings), replace(problem)  # a copy, because bind() changes its scene
-        if not self._kind.carries_on:
+        if not method.carries_on:
             seed = _PILOT_SEED
         method.prepare(problem, seed)
         fitted: Any = fit_samples(method, problem.spp, problem, seed)
         settle_samples(fitted)
-        return _Kept(problem.sensor, seen, fitted)
+        return _Kept(problem.sensor, seen, fitted, bool(fitted.carries_on))

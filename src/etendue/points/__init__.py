@@ -3,6 +3,7 @@
 from .discrepancy import l2_discrepancy, star_discrepancy, star_discrepancy_bounds
 from .independent import Independent, LatinHypercube
 from .kronecker import ExactPiPowers, PiPowers, Weyl
+from .mixed_radix import MixedRadix
 from .owen import OwenSobolSource, sobol_2d
 from .pointset import PointSet, PointSetError, RandomShift
 from .radical import FaureBlockHalton, FaureHalton, Halton, Hammersley, faure_permutation, radical_inverse
@@ -20,6 +21,7 @@ __all__ = [
     "Hammersley",
     "Independent",
     "LatinHypercube",
+    "MixedRadix",
     "OwenSobol",
     "OwenSobolSource",
     "PiPowers",

@@ -67,7 +67,7 @@ from .hierarchical_factors.segments import PartialSegments, partial_form_factors
 from .hierarchical_factors.tree import SphereTree, sphere_tree
 from .hierarchical_multipath.grouping import GroupSettings, grouped
 from .hierarchical_multipath.method import HierarchicalMultipath, HierarchicalMultipathSettings, PartProblem
-from .hierarchical_multipath.parts import Part
+from .hierarchical_multipath.parts import Part, part_boxes
 from .hierarchical_multipath.reading import instanced_patches, part_of, scene_part
 from .hierarchical_multipath.solution import HierarchicalSolution, relative_error
 from .lightmaps import lightmap
@@ -187,6 +187,7 @@ __all__ = [
     "multipath",
     "multipath_bundles",
     "pair_errors",
+    "part_boxes",
     "part_of",
     "partial_form_factors",
     "radiosity_on",

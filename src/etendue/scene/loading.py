@@ -10,18 +10,15 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
-import numpy as np
-
-from etendue.core import OptionError, SceneError, UnsupportedError, logger, suggest, use_variant
+from etendue.core import EtendueError, OptionError, SceneError, UnsupportedError, logger, suggest, use_variant
 
 from .builtin.table import BundledScene, bundled
 from .camera import Camera, check_movable
 from .capability import check as check_scene
-from .graph import contents, plugin_name
+from .editing import Change
 from .moving import Described, moved
 from .parsing import (
     Size,
@@ -29,20 +26,18 @@ from .parsing import (
     check_films,
     merge_meshes,
     resize,
-    scaled_window,
     take_integrator,
     texture_details,
 )
 from .problem import Problem
+from .resizing import resized_sensor
 from .space import RenderSpace, warn_of_offsets
 
 if TYPE_CHECKING:
     import mitsuba as mi
 
-#: A device array has fewer than 2^32 entries, and a film has four channels.
-MOST_PIXELS = 1 << 30
-#: File name of the scene in a folder.
-_SCENE_FILE = "scene.xml"
+MOST_PIXELS = 1 << 30  #: a device array has fewer than 2^32 entries, and a film has four channels
+_SCENE_FILE = "scene.xml"  #: of a folder
 
 #: What :func:`load` accepts as a scene.
 Source: TypeAlias = "str | os.PathLike[str] | BundledScene | Mapping[str, Any] | mi.Scene"
@@ -57,6 +52,8 @@ def load(
     memory: int | None = None,
     camera: Camera | None = None,
     check: bool = True,
+    change: Change | None = None,
+    merge: bool = True,
 ) -> Problem:
     """Load a scene; returns the :class:`Problem` of rendering it through one of its sensors.
 
@@ -66,7 +63,9 @@ def load(
     with that size (a loaded scene does not know its ``fov_axis``: its horizontal field of view is kept). A loaded scene
     is not changed. ``sensor`` is an index into the scene's sensors; ``camera`` moves it, except in loaded scenes.
     ``parameters`` gives values to ``$variables`` of an XML file. The scene's integrator is reported, not built. Without
-    ``check`` unsupported elements raise no error.
+    ``check`` unsupported elements raise no error. Without ``merge`` meshes of one material keep their names and order,
+    and rays are slightly slower. ``change`` (as :class:`LightEdits`) changes the parsed scene before its objects are
+    built; elements that look alike are then not merged.
 
     Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for a scene that cannot be read or is broken,
     :class:`UnsupportedError` for elements that cannot be rendered, :class:`OptionError` for arguments out of range.
@@ -79,9 +78,11 @@ def load(
         raise OptionError(f"a memory bound must be above zero bytes, not {memory}")
     if not _is_loaded(source):
         found = locate(source) if isinstance(source, (str, os.PathLike)) else source
-        return _from_parser(found, *_parse(found, parameters), size, sensor, memory, camera, check)
+        return _from_parser(found, *_parse(found, parameters), size, sensor, memory, camera, check, merge, change)
     if parameters:
         raise OptionError(_NO_VARIABLES)
+    if change is not None:
+        raise OptionError("lights of a loaded scene cannot be added or removed; give its file or its dictionary")
     if camera is not None:
         raise OptionError("the camera of a loaded scene cannot be moved; load the scene with that camera")
     return _from_scene(source, size, sensor, memory, check)
@@ -141,9 +142,6 @@ def _checked_size(size: Sequence[int]) -> Size:
     return width, height
 
 
-# -- XML and dictionaries --------------------------------------------------------------------------------------------
-
-
 _NO_VARIABLES = "parameters replace $variables of an XML file; this scene is not an XML file"
 
 
@@ -183,10 +181,15 @@ def _from_parser(
     memory: int | None,
     camera: Camera | None,
     check: bool,
+    merge: bool,
+    change: Change | None,
+    moves: bool = True,
 ) -> Problem:
     import mitsuba as mi
 
     with _resolving(path), _mitsuba_errors(name):
+        if change is not None:
+            change(state)
         integrator, depth, options = take_integrator(state)
         if size is not None:
             resize(state, size)
@@ -194,9 +197,11 @@ def _from_parser(
             camera.move_sensors(state)
         check_films(state, name)
         details = texture_details(state)
-        mi.parser.transform_merge_equivalent(config, state)
+        if change is None:
+            mi.parser.transform_merge_equivalent(config, state)
         unmerged = mi.parser.ParserState(state)
-        merge_meshes(state)
+        if merge and change is None:
+            merge_meshes(state)
         scene = mi.parser.instantiate(config, state)
 
     chosen = _sensor(scene, sensor, name)
@@ -211,7 +216,9 @@ def _from_parser(
                 scene = mi.parser.instantiate(config, unmerged)
             check_scene(scene, _sensor(scene, sensor, name))
             raise
-    space = RenderSpace.of(scene, chosen)
+    space = RenderSpace.of(scene, chosen) if moves else RenderSpace()
+    if not space.is_own and not merge:
+        raise UnsupportedError(f"{name} is rendered in other coordinates than its own, which its parts cannot share")
     if not space.is_own:
         with _resolving(path), _mitsuba_errors(name):
             scene, space = moved(scene, chosen, space, source, name, config, unmerged)
@@ -243,7 +250,7 @@ def _mitsuba_errors(name: str) -> Iterator[None]:
     """Convert Mitsuba's exceptions to errors of étendue, with a remedy."""
     try:
         yield
-    except SceneError:
+    except EtendueError:
         raise
     except (RuntimeError, ValueError, TypeError, KeyError) as error:
         # The error of a Python plugin contains its traceback: keep only the message in its last line.
@@ -269,9 +276,6 @@ def _remedy(text: str) -> str:
     return "correct the scene"
 
 
-# -- loaded scenes ---------------------------------------------------------------------------------------------------
-
-
 def _from_scene(scene: mi.Scene, size: Size | None, sensor: int, memory: int | None, check: bool) -> Problem:
     import mitsuba as mi
 
@@ -282,7 +286,7 @@ def _from_scene(scene: mi.Scene, size: Size | None, sensor: int, memory: int | N
     chosen = _sensor(scene, sensor, "the scene")
     warn_of_offsets(scene, chosen, "the scene")
     if size is not None and size != tuple(int(v) for v in chosen.film().size()):
-        chosen = _resized_sensor(chosen, size)
+        chosen = resized_sensor(chosen, size)
     if check:
         check_scene(scene, chosen)
     integrator = scene.integrator()
@@ -297,63 +301,6 @@ def _sensor(scene: mi.Scene, index: int, name: str) -> mi.Sensor:
     if not 0 <= index < len(sensors):
         raise OptionError(f"{name} has no sensor {index}; choose one of 0 to {len(sensors) - 1}")
     return sensors[index]
-
-
-def resized(problem: Problem, size: Size) -> Problem:
-    """The same view of the same scene on a film whose window has (width, height) ``size``, without loading again."""
-    film = [int(v) for v in problem.sensor.film().size()]
-    whole = tuple(max(1, round(f * s / w)) for f, s, w in zip(film, size, problem.size, strict=True))
-    sensor = _resized_sensor(problem.sensor, (whole[0], whole[1]))
-    width, height = (int(v) for v in sensor.film().crop_size())
-    return replace(problem, sensor=sensor, size=(width, height))
-
-
-def _resized_sensor(sensor: mi.Sensor, size: Size) -> mi.Sensor:
-    """A copy of a sensor with a film of another size.
-
-    Changing the film through ``mi.traverse`` would alter the user's scene and leave the sensor with its old resolution.
-    """
-    import mitsuba as mi
-
-    kind = plugin_name(sensor)
-    if kind not in ("perspective", "thinlens", "orthographic", "spherical"):
-        raise OptionError(
-            f"a '{kind}' sensor of a loaded scene cannot be given another size; load the scene at that size"
-        )
-    film = sensor.film()
-    old = int(film.size()[0]), int(film.size()[1])
-    window = [int(v) for v in (*film.crop_offset(), *film.crop_size())]
-    x, y, width, height = scaled_window(window, old, size)
-    values = dict(contents(sensor).values)
-    matrix = np.asarray(values.pop("to_world").matrix, dtype=np.float64).reshape(4, 4)
-    plain: dict[str, Any] = {
-        k: float(np.asarray(v).ravel()[0]) for k, v in values.items() if k not in ("x_fov", "shutter_open_time")
-    }
-    plain["shutter_close"] = plain.get("shutter_open", 0.0) + float(values["shutter_open_time"])
-    if "x_fov" in values:
-        plain |= {"fov": float(np.asarray(values["x_fov"]).ravel()[0]), "fov_axis": "x"}
-    pixel_format = re.search(r"pixel_format = (\w+)", str(film))
-    return mi.load_dict(
-        {
-            "type": kind,
-            "to_world": mi.ScalarTransform4f(matrix),
-            "sampler": sensor.sampler().clone(),
-            "film": {
-                "type": "hdrfilm",
-                "width": size[0],
-                "height": size[1],
-                "crop_offset_x": x,
-                "crop_offset_y": y,
-                "crop_width": width,
-                "crop_height": height,
-                "sample_border": bool(film.sample_border()),
-                "pixel_format": pixel_format.group(1) if pixel_format else "rgb",
-                "component_format": "float32",
-                "filter": film.rfilter(),
-            },
-            **plain,
-        }
-    )
 
 
 def _problem(

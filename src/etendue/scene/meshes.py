@@ -15,12 +15,22 @@ Points = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 
-def mesh(name: str, points: Points, faces: Faces, bsdf: dict[str, Any], normals: Points | None = None) -> mi.Mesh:
-    """A mesh from (n, 3) points, (m, 3) faces and, for smooth shading, (n, 3) normals."""
+def mesh(
+    name: str,
+    points: Points,
+    faces: Faces,
+    bsdf: dict[str, Any],
+    normals: Points | None = None,
+    emitter: dict[str, Any] | None = None,
+) -> mi.Mesh:
+    """A mesh from (n, 3) points, (m, 3) faces and, for smooth shading, (n, 3) normals; ``emitter``: radiance of a mesh
+    that is a light."""
     import mitsuba as mi
 
     properties = mi.Properties()
     properties["mesh_bsdf"] = mi.load_dict(bsdf)
+    if emitter is not None:
+        properties["mesh_emitter"] = mi.load_dict({"type": "area", "radiance": emitter})
     result = mi.Mesh(name, len(points), len(faces), has_vertex_normals=normals is not None, props=properties)
     parameters = mi.traverse(result)
     parameters["vertex_positions"] = np.ascontiguousarray(points, np.float32).ravel()
@@ -29,6 +39,16 @@ def mesh(name: str, points: Points, faces: Faces, bsdf: dict[str, Any], normals:
         parameters["vertex_normals"] = np.ascontiguousarray(normals, np.float32).ravel()
     parameters.update()
     return result
+
+
+def cuboids(lower: Points, upper: Points) -> tuple[Points, Faces]:
+    """Boxes with these corners, (n, 3) each, as one mesh whose faces look outwards."""
+    corner = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], bool)
+    points = np.where(corner[None], np.asarray(upper)[:, None], np.asarray(lower)[:, None])
+    sides = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+    triangles = np.array([side for a, b, c, d in sides for side in ((a, b, c), (a, c, d))])
+    faces = 8 * np.arange(len(points))[:, None, None] + triangles[None]
+    return points.reshape(-1, 3), faces.reshape(-1, 3)
 
 
 def lathe(profile: Points, segments: int, closed: bool) -> tuple[Points, Faces, Points]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from typing import TYPE_CHECKING, Any
 
 from etendue.core import SceneError
@@ -134,6 +135,19 @@ def merge_meshes(state: mi.parser.ParserState) -> None:
     index = len(state.nodes)
     state.nodes.append(merge)
     state.root.props["_etendue_merged"] = mi.Properties.ResolvedReference(index)
+
+
+def keep_shapes(state: mi.parser.ParserState, wanted: Collection[str]) -> None:
+    """Remove all shapes from a parsed scene but those with an id in ``wanted``, those that emit or carry a sensor, and
+    groups, which their instances need."""
+    import mitsuba as mi
+
+    for key, node in _children(state.root, mi.ObjectType.Shape, state):
+        own = read_properties(node.props).values()
+        types = {state.nodes[v.index()].type for v in own if isinstance(v, mi.Properties.ResolvedReference)}
+        needed = {mi.ObjectType.Emitter, mi.ObjectType.Sensor} & types or node.props.plugin_name() == "shapegroup"
+        if not needed and node.props.id() not in wanted:
+            del state.root.props[key]
 
 
 def read_properties(props: mi.Properties) -> dict[str, Any]:

@@ -41,6 +41,7 @@ from .rays.sources import BATCH, RaySource, columns, cosine_lanes, even_lanes, p
 from .readers.meshfiles import read_patches
 from .readers.sceneparts import has_instances, scene_parts
 from .readers.scenepatches import scene_patches
+from .readers.tessellation import shape_triangles
 from .smoothing import VertexRadiosity, face_sides, vertex_radiosity
 from .solids import box, joined
 from .spheres import bounding_sphere, joint_sphere
@@ -115,6 +116,7 @@ __all__ = [
     "scene_mesh",
     "scene_parts",
     "scene_patches",
+    "shape_triangles",
     "shown_exposure",
     "solution_map",
     "thermal",

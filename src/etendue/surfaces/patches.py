@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import Array, free_memory
+from etendue.core import Array, InNotebooks, free_memory
 from etendue.scene import warn_of_steps
 
 from .errors import PatchError
@@ -27,7 +27,7 @@ _ARRAYS = (
 )
 
 
-class Patches:
+class Patches(InNotebooks):
     """Patches of constant radiosity, each made of flat triangles and quadrilaterals.
 
     A face has two sides. Its front, from which the corners are seen counterclockwise, belongs to a patch; its back

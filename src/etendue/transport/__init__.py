@@ -1,7 +1,6 @@
 """Light transport for all methods: vertices, walks, emission, camera, scattering, MIS weights, vertex stores."""
 
 from . import dimensions
-from .ambient import AMBIENT_WALKS, AmbientScene, AmbientTable, ambient_scene
 from .bidirectional.camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
 from .bidirectional.light_walk import LightWalk
 from .bidirectional.mis import GRAZING, Counts, Mis, Techniques
@@ -13,13 +12,17 @@ from .bidirectional.sinks import CameraSink, Contribution, Sink, SplatSink
 from .bidirectional.vertices import Kind, LightVertex, LightVertices, needs_interaction
 from .camera import CameraConnection, CameraSampler, SplatPlace, Splats
 from .direct import DirectWeights
-from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, point_on, sample_direct
-from .ending import EndingGuidedWalk, EndingWalker, light_of_map
+from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, sample_direct
+from .endings.ambient import AMBIENT_WALKS, AmbientScene, AmbientTable, ambient_scene
+from .endings.maps import EndingGuidedWalk, EndingWalker, light_of_map
+from .firsthits import FirstHits, shapes_seen
 from .functions import TransportFunctions, film_picture
+from .guiding.emission import BLOCK, EmissionGuide, EmissionSums, EmissionTraining
 from .guiding.guide import NOWHERE, Guide, GuidedScattered, direction_of, square_of
 from .guiding.lights import MOST_LIGHTS, LightChoice, LocalLights
 from .guiding.walk import FOUND_UNITS, GuidedPath, GuidedWalk, TrainingSamples
 from .irradiance import CacheMap, IrradianceCache, irradiance_gradients, stratified_hemispheres
+from .on_lights import point_on
 from .scattering import (
     Evaluated,
     Proposal,
@@ -40,17 +43,20 @@ from .schemes.cells import CellEmission, ImportancePilot
 from .schemes.numbers import BlindEmission, GivenNumbers, UniformLights
 from .schemes.numbers import Emission as EmissionScheme
 from .schemes.strata import EMISSION, FIRST_BOUNCE, StratifiedSource
+from .tracks import MOST_PATHS, Event, PathRecorder, Tracks
 from .vertex import Joined, Vertex, WalkVertex
 from .visibility import Visibility
-from .walk import CameraPath, Emission, MapEnd, SubPath, Walker, ones
+from .walk import CameraPath, Emission, MapEnd, SubPath, Walker, component_fields, ones
 
 __all__ = [
     "AMBIENT_WALKS",
+    "BLOCK",
     "EMISSION",
     "FIRST_BOUNCE",
     "FOUND_UNITS",
     "GRAZING",
     "MOST_LIGHTS",
+    "MOST_PATHS",
     "NOWHERE",
     "PICK_BLOCK",
     "PYRAMID_MAX",
@@ -71,11 +77,16 @@ __all__ = [
     "DirectSample",
     "DirectWeights",
     "Emission",
+    "EmissionGuide",
     "EmissionScheme",
+    "EmissionSums",
+    "EmissionTraining",
     "EmittedRay",
     "EndingGuidedWalk",
     "EndingWalker",
     "Evaluated",
+    "Event",
+    "FirstHits",
     "Gather",
     "GivenNumbers",
     "Guide",
@@ -95,6 +106,7 @@ __all__ = [
     "MapEnd",
     "Mis",
     "Moments",
+    "PathRecorder",
     "Photon",
     "Photons",
     "Proposal",
@@ -109,6 +121,7 @@ __all__ = [
     "StratifiedSource",
     "SubPath",
     "Techniques",
+    "Tracks",
     "TrainingSamples",
     "TransportFunctions",
     "UniformLights",
@@ -117,6 +130,7 @@ __all__ = [
     "WalkVertex",
     "Walker",
     "ambient_scene",
+    "component_fields",
     "cosine_ratio",
     "dimensions",
     "direction_of",
@@ -140,6 +154,7 @@ __all__ = [
     "scatter_light",
     "scatter_uniform",
     "shadow_roulette",
+    "shapes_seen",
     "square_of",
     "stratified_hemispheres",
     "unfolded",

@@ -79,9 +79,9 @@ class Splats:
         taps = camera.filter.taps(x, y) if self._grid is None else [(self._grid.cell(x, y), mi.Float(1.0), on_film)]
         return SplatPlace(taps, mi.Float(1.0), on_film)
 
-    def add(self, place: SplatPlace, values: Sequence[mi.Color3f], active: mi.Bool) -> None:
-        """Add a colour to each image, in each active lane."""
-        for image, value in enumerate(values):
+    def add(self, place: SplatPlace, values: Sequence[mi.Color3f], active: mi.Bool, first: int = 0) -> None:
+        """Add a colour to each image from number ``first`` on, in each active lane."""
+        for image, value in enumerate(values, first):
             self.add_to(image, place, value, active)
 
     def add_to(self, image: mi.UInt32 | int, place: SplatPlace, value: mi.Color3f, active: mi.Bool) -> None:

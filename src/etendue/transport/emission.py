@@ -9,10 +9,12 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
-from etendue.scene import Light, LightTable, graph, sphere_point, surface_point, uniform_point, varies
+from etendue.scene import Light, LightTable, sphere_point, sphere_point_facing
 
 from . import dimensions as dim
+from .guiding.departure import Departure, Departures
 from .guiding.lights import LocalLights
+from .on_lights import area_density_on, departing, is_sphere, light_point, of_emission, of_next_event, place_on
 from .spheres import cone_of, point_in, seen_density
 
 
@@ -23,6 +25,8 @@ class EmittedRay:
     ray: mi.Ray3f
     light: mi.UInt32  #: number of the light
     throughput: mi.Color3f  #: emitted radiance times cosine over the density, a flux
+    direction_pdf: mi.Float  #: solid-angle density of the direction at the light; 1 for infinite lights and beams
+    own_pdf: mi.Float  #: the same without learned directions
     #: Density of the light point under next event, light selection included (infinite lights: of the direction). For a
     #: spherical light this is the density under emission, because that of next event depends on the lit point (see
     #: :mod:`.spheres`).
@@ -48,9 +52,10 @@ class DirectSample:
     active: mi.Bool
 
 
-def emit(lights: LightTable, source: SampleSource, active: mi.Bool) -> EmittedRay:
-    """Sample a ray from the lights: the emitter by power, then point and direction by the emitter's kind."""
-    light = lights.pick(source.next_1d(0, dim.LIGHT_PICK), active)
+def emit(lights: LightTable, source: SampleSource, active: mi.Bool, departures: Departures | None = None) -> EmittedRay:
+    """Sample a ray from the lights: the emitter by the table's probabilities, then point and direction by the emitter's
+    kind. ``departures``: learned directions, with which those of the kinds are mixed."""
+    light = lights.pick_emitting(source.next_1d(0, dim.LIGHT_PICK), active)
     u_point = mi.Point2f(*source.next_2d(0, dim.LIGHT_POINT))
     u_direction = mi.Point2f(*source.next_2d(0, dim.LIGHT_DIRECTION))
     n = dr.width(u_point)
@@ -58,6 +63,8 @@ def emit(lights: LightTable, source: SampleSource, active: mi.Bool) -> EmittedRa
         ray=dr.zeros(mi.Ray3f, n),
         light=light.row,
         throughput=dr.zeros(mi.Color3f, n),
+        direction_pdf=dr.full(mi.Float, 1.0, n),
+        own_pdf=dr.full(mi.Float, 1.0, n),
         area_density=dr.full(mi.Float, 1.0, n),
         emission_density=dr.full(mi.Float, 1.0, n),
         cos_light=dr.full(mi.Float, 1.0, n),
@@ -65,10 +72,13 @@ def emit(lights: LightTable, source: SampleSource, active: mi.Bool) -> EmittedRa
         is_infinite=mi.Bool(light.is_infinite),
         active=mi.Bool(active),
     )
+    learned = None
+    if departures is not None:
+        learned = departures.sample(light.row, u_direction, source.decide(0, dim.LIGHT_GUIDE), active)
     if lights.has_area:
-        _emit_area(result, lights, light, u_point, u_direction, active & light.is_area)
+        _emit_area(result, lights, light, u_point, u_direction, learned, active & light.is_area)
     if lights.has_point:
-        _emit_point(result, light, u_direction, active & light.is_point)
+        _emit_point(result, light, u_direction, learned, active & light.is_point)
     if lights.has_infinite:
         _emit_infinite(result, lights, light, u_point, u_direction, active & light.is_infinite)
     if lights.has_beam:
@@ -78,86 +88,82 @@ def emit(lights: LightTable, source: SampleSource, active: mi.Bool) -> EmittedRa
 
 
 def _emit_area(
-    out: EmittedRay, lights: LightTable, light: Light, u_point: mi.Point2f, u_direction: mi.Point2f, mask: mi.Bool
+    out: EmittedRay,
+    lights: LightTable,
+    light: Light,
+    u_point: mi.Point2f,
+    u_direction: mi.Point2f,
+    learned: Departure | None,
+    mask: mi.Bool,
 ) -> None:
-    place, triangle, area_density = _place(lights, light, u_point, mask)
-    local = light.direction(u_direction)
-    cos = mi.Frame3f.cos_theta(local)
-    direction_pdf = light.direction_pdf(cos)
+    place, triangle, area_density = place_on(lights, light, light.emitted, u_point, mask)
+    own = light.direction(u_direction)
+    guided: list[Any] = []
+    if learned is not None:
+        # The normal of the point of a sphere around the direction, as directions are around the normal of a point.
+        normal = mi.Frame3f(learned.direction).to_world(light.direction(u_point))
+        guided = [learned.direction, learned.applies, normal, learned.applies & learned.is_round]
 
     def emitted(
-        emitter: mi.Emitter, triangle: mi.UInt32, place: mi.Point2f, wi: mi.Vector3f, mask: mi.Bool
-    ) -> tuple[mi.Point3f, mi.Normal3f, mi.Color3f]:
-        si = _light_point(emitter, triangle, place, mask)
-        si.wi = wi
-        return si.p, si.n, emitter.eval(si, mask)
+        emitter: mi.Emitter, triangle: mi.UInt32, place: mi.Point2f, own: mi.Vector3f, guided: list[Any], mask: mi.Bool
+    ) -> tuple[mi.Point3f, mi.Normal3f, mi.Vector3f, mi.Color3f]:
+        si = light_point(emitter, triangle, place, mask)
+        if guided and is_sphere(emitter):
+            si = dr.select(guided[3], sphere_point_facing(emitter.get_shape(), guided[2], si), si)
+        si.wi = dr.select(guided[1], mi.Frame3f(si.n).to_local(guided[0]), own) if guided else own
+        return si.p, si.n, si.wi, emitter.eval(si, mask)
 
-    p, n, radiance = dr.dispatch(light.emitter, emitted, triangle, place, local, mask)
+    p, n, local, radiance = dr.dispatch(light.emitter, emitted, triangle, place, own, guided, mask)
     si = dr.zeros(mi.SurfaceInteraction3f)
     si.p, si.n, si.sh_frame = p, n, mi.Frame3f(n)
+    cos = mi.Frame3f.cos_theta(local)
+    direction_pdf = light.direction_pdf(cos)
+    out.own_pdf[mask] = direction_pdf
+    if learned is not None:
+        mask = mask & (cos > 0.0)
+        direction_pdf = learned.mixed(si.to_world(local), dr.maximum(direction_pdf, 0.0), mask)
+        direction_pdf = dr.select(direction_pdf > 0.0, direction_pdf, 1.0)
     out.ray[mask] = si.spawn_ray(si.to_world(local))
     out.throughput[mask] = radiance * (cos / (area_density * direction_pdf))
-    out.area_density[mask] = area_density
+    out.direction_pdf[mask] = direction_pdf
+    out.area_density[mask] = of_next_event(light, area_density)
     out.emission_density[mask] = area_density * direction_pdf
     out.cos_light[mask] = cos
     out.active &= ~mask | (cos > 0.0)
 
 
-def point_on(
-    lights: LightTable, light: Light, u: mi.Point2f, mask: mi.Bool
-) -> tuple[mi.SurfaceInteraction3f, mi.Float]:
-    """A point on an area light, sampled as for emission: (interaction, area density with light selection)."""
-    place, triangle, density = _place(lights, light, u, mask)
-
-    def point(
-        emitter: mi.Emitter, triangle: mi.UInt32, place: mi.Point2f, mask: mi.Bool
-    ) -> tuple[mi.Point3f, mi.Normal3f, mi.Point2f, mi.UInt32]:
-        si = _light_point(emitter, triangle, place, mask)
-        return si.p, si.n, si.uv, si.prim_index
-
-    si = dr.zeros(mi.SurfaceInteraction3f, dr.width(u))
-    si.p, si.n, si.uv, si.prim_index = dr.dispatch(light.emitter, point, triangle, place, mask)
-    if lights.points is not None:  # the radiance may be an attribute of the mesh
-        si.shape = light.emitter.get_shape()
-    return si, density
-
-
-def _place(
-    lights: LightTable | LocalLights, light: Light, u: mi.Point2f, mask: mi.Bool
-) -> tuple[mi.Point2f, mi.UInt32, mi.Float]:
-    """The point of an area light that ``u`` selects: (place, triangle, area density with light selection)."""
-    density = light.pick * light.area_density
-    if lights.points is None:
-        return u, mi.UInt32(0), density
-    place, triangle, factor = lights.points.draw(light.row, u, mask)
-    return place, triangle, density * factor
-
-
-def _light_point(emitter: mi.Emitter, triangle: mi.UInt32, place: mi.Point2f, mask: mi.Bool) -> mi.SurfaceInteraction3f:
-    """A point of an emitter's shape."""
-    shape = emitter.get_shape()  # None for some emitters: Dr.Jit traces the call for each emitter of the scene
-    if shape is None:
-        return dr.zeros(mi.SurfaceInteraction3f)
-    if varies(emitter):
-        return surface_point(shape, triangle, place, mask)
-    return uniform_point(shape, place, mask)
-
-
-def _emit_point(out: EmittedRay, light: Light, u_direction: mi.Point2f, mask: mi.Bool) -> None:
-
+def _emit_point(
+    out: EmittedRay, light: Light, u_direction: mi.Point2f, learned: Departure | None, mask: mi.Bool
+) -> None:
     ray, weight = _own_ray(light, mi.EmitterFlags.DeltaPosition, u_direction, mask)
+    direction_density = light.direction_density
+    out.own_pdf[mask] = direction_density
+    if learned is not None:
+        # The intensity is that at distance 1; the density is not of the emitter's own directions where it is unused.
+        probe = dr.zeros(mi.Interaction3f)
+        probe.p = ray.o + learned.direction
+        guided = mask & learned.applies
+        ds, intensity = light.emitter.sample_direction(probe, u_direction, guided)
+        weight = dr.select(guided, intensity * dr.square(ds.dist), weight * direction_density)
+        ray.d = dr.select(guided, learned.direction, ray.d)
+        lit = dr.any(weight > 0.0)  # a spot light has no density outside its cone
+        direction_density = learned.mixed(ray.d, dr.select(lit, direction_density, 0.0), mask)
+        direction_density = dr.select(direction_density > 0.0, direction_density, 1.0)
+        weight /= direction_density
+        ray = mi.Ray3f(ray.o, ray.d)
     out.ray[mask] = ray
-    out.throughput[mask] = weight / light.pick
+    out.throughput[mask] = weight / light.emitted
+    out.direction_pdf[mask] = direction_density
     out.area_density[mask] = light.pick
-    out.emission_density[mask] = light.pick * light.direction_density
+    out.emission_density[mask] = light.emitted * direction_density
 
 
 def _emit_beam(out: EmittedRay, light: Light, u_point: mi.Point2f, mask: mi.Bool) -> None:
     ray, weight = _own_ray(light, mi.EmitterFlags.DeltaDirection, u_point, mask)
     out.ray[mask] = ray
-    out.throughput[mask] = weight / light.pick
+    out.throughput[mask] = weight / light.emitted
     out.area_density[mask] = 0.0  # next event cannot sample a beam
-    out.emission_density[mask] = light.pick * light.area_density
+    out.emission_density[mask] = light.emitted * light.area_density
 
 
 def _own_ray(light: Light, kind: mi.EmitterFlags, u: mi.Point2f, mask: mi.Bool) -> tuple[mi.Ray3f, mi.Color3f]:
@@ -182,11 +188,11 @@ def _emit_infinite(
     disc = mi.warp.square_to_uniform_disk_concentric(u_point) * lights.radius
     frame = mi.Frame3f(ds.d)
     origin = centre.p + frame.to_world(mi.Vector3f(disc.x, disc.y, lights.radius))
-    direction_density = light.pick * ds.pdf
+    direction_density = light.emitted * ds.pdf
     usable = mask & (ds.pdf > 0.0)
     out.ray[usable] = mi.Ray3f(origin, -ds.d)
-    out.throughput[usable] = weight / (light.pick * light.area_density)
-    out.area_density[usable] = direction_density
+    out.throughput[usable] = weight / (light.emitted * light.area_density)
+    out.area_density[usable] = light.pick * ds.pdf
     out.emission_density[usable] = direction_density * light.area_density
 
 
@@ -197,8 +203,10 @@ def sample_direct(
     vertex: mi.UInt32,
     index: int,
     active: mi.Bool,
+    departures: Departures | None = None,
 ) -> DirectSample:
-    """Sample a light point at the surface point ``si``: the ``index``-th next-event sample of ``vertex``."""
+    """Sample a light point at the surface point ``si``: the ``index``-th next-event sample of ``vertex``.
+    ``departures``: those of :func:`emit`, for the density of emission."""
     component = dim.NEXT_EVENT + 4 * index
     u_point = mi.Point2f(*source.next_2d(vertex, component + 1))
     light = lights.pick(source.next_1d(vertex, component), active)
@@ -214,9 +222,9 @@ def sample_direct(
         active=mi.Bool(active),
     )
     if lights.has_area:
-        _direct_area(result, lights, light, si, u_point, active & light.is_area)
+        _direct_area(result, lights, light, si, u_point, departures, active & light.is_area)
     if lights.has_point:
-        _direct_point(result, light, si, u_point, active & light.is_point)
+        _direct_point(result, light, si, u_point, departures, active & light.is_point)
     if lights.has_infinite:
         _direct_infinite(result, light, si, u_point, active & light.is_infinite)
     result.active &= ~dr.all(result.radiance == 0.0)
@@ -229,17 +237,18 @@ def _direct_area(
     light: Light,
     si: mi.SurfaceInteraction3f,
     u_point: mi.Point2f,
+    departures: Departures | None,
     mask: mi.Bool,
 ) -> None:
-    place, triangle, area_density = _place(lights, light, u_point, mask)
+    place, triangle, area_density = place_on(lights, light, light.pick, u_point, mask)
     cone = cone_of(light, si.p) if lights.has_sphere else None
     seen = [*point_in(cone, light, u_point), cone.applies] if cone else []
 
     def lit(
         emitter: mi.Emitter, p: mi.Point3f, triangle: mi.UInt32, place: mi.Point2f, seen: list[Any], mask: mi.Bool
     ) -> tuple[mi.Point3f, mi.Point2f, mi.Vector3f, mi.Float, mi.Float, mi.Color3f]:
-        at_light = _light_point(emitter, triangle, place, mask)
-        if seen and _is_sphere(emitter):
+        at_light = light_point(emitter, triangle, place, mask)
+        if seen and is_sphere(emitter):
             at_light = dr.select(seen[2], sphere_point(emitter.get_shape(), seen[0], seen[1], at_light), at_light)
         offset = at_light.p - p
         distance_squared = dr.squared_norm(offset)
@@ -253,9 +262,10 @@ def _direct_area(
     target, uv, direction, distance_squared, cos, radiance = found
     mask = mask & (cos > 0.0)
     pdf = area_density * distance_squared / dr.select(mask, cos, 1.0)
-    ratio = light.direction_pdf(cos) / distance_squared
+    direction_pdf = departing(departures, light, light.direction_pdf(cos), -direction, mask)
+    ratio = of_emission(light, direction_pdf / distance_squared)
     if cone:
-        emission = _area_density(lights, light, uv, mi.UInt32(0), mask) * light.direction_pdf(cos)
+        emission = area_density_on(lights, light, light.emitted, uv, mi.UInt32(0), mask) * direction_pdf
         pdf = dr.select(cone.applies, light.pick * cone.density, pdf)
         ratio = dr.select(cone.applies, emission / (pdf * cos), ratio)
     out.direction[mask] = direction
@@ -265,21 +275,13 @@ def _direct_area(
     out.light_ratio[mask] = ratio
 
 
-def _is_sphere(emitter: mi.Emitter) -> bool:
-    shape = emitter.get_shape()
-    return shape is not None and graph.plugin_name(shape) == "sphere"
-
-
-def _area_density(
-    lights: LightTable | LocalLights, light: Light, uv: mi.Point2f, triangle: mi.UInt32, mask: mi.Bool
-) -> mi.Float:
-    """Area density, light selection included, with which emission samples a point of an area light."""
-    density = light.pick * light.area_density
-    return density if lights.points is None else density * lights.points.factor(light.row, uv, triangle, mask)
-
-
 def _direct_point(
-    out: DirectSample, light: Light, si: mi.SurfaceInteraction3f, u_point: mi.Point2f, mask: mi.Bool
+    out: DirectSample,
+    light: Light,
+    si: mi.SurfaceInteraction3f,
+    u_point: mi.Point2f,
+    departures: Departures | None,
+    mask: mi.Bool,
 ) -> None:
     ds, weight = light.emitter.sample_direction(si, u_point, mask)
     distance_squared = dr.square(ds.dist)
@@ -287,7 +289,8 @@ def _direct_point(
     out.target[mask] = ds.p
     out.radiance[mask] = weight / light.pick
     out.pdf[mask] = light.pick * distance_squared
-    out.light_ratio[mask] = light.direction_density / distance_squared
+    direction_density = departing(departures, light, light.direction_density, -ds.d, mask)
+    out.light_ratio[mask] = of_emission(light, direction_density / distance_squared)
 
 
 def _direct_infinite(
@@ -299,7 +302,7 @@ def _direct_infinite(
     out.target[usable] = ds.p
     out.radiance[usable] = weight / light.pick
     out.pdf[usable] = light.pick * ds.pdf
-    out.light_ratio[usable] = light.area_density
+    out.light_ratio[usable] = of_emission(light, light.area_density)
 
 
 def is_emissive(scene: mi.Scene, si: mi.SurfaceInteraction3f) -> mi.Bool:
@@ -313,6 +316,7 @@ def emission_of_hit(
     si: mi.SurfaceInteraction3f,
     active: mi.Bool,
     distance: mi.Float | None = None,
+    departures: Departures | None = None,
 ) -> tuple[mi.Color3f, mi.Float, mi.Float]:
     """Emission towards the origin of a ray that hit ``si``: (radiance, area density, emission density).
 
@@ -323,8 +327,10 @@ def emission_of_hit(
     emitter = si.emitter(scene)
     light = lights.of(emitter, active)
     radiance = emitter.eval(si, active)
-    area_density = point_density = _area_density(lights, light, si.uv, si.prim_index, active)
-    emission_density = point_density * light.direction_pdf(dr.maximum(mi.Frame3f.cos_theta(si.wi), 0.0))
+    area_density = point_density = area_density_on(lights, light, light.pick, si.uv, si.prim_index, active)
+    own = light.direction_pdf(dr.maximum(mi.Frame3f.cos_theta(si.wi), 0.0))
+    direction_pdf = departing(departures, light, own, si.to_world(si.wi), active & light.is_area)
+    emission_density = of_emission(light, point_density * direction_pdf)
     if lights.has_sphere:
         back, length = si.to_world(si.wi), si.t if distance is None else distance
         area_density = seen_density(light, si.p + back * length, -back, length, point_density)
@@ -335,5 +341,6 @@ def emission_of_hit(
         reference = dr.zeros(mi.Interaction3f)
         direction_density = light.pick * emitter.pdf_direction(reference, ds, infinite)
         area_density = dr.select(infinite, direction_density, area_density)
-        emission_density = dr.select(infinite, direction_density * light.area_density, emission_density)
+        by_disc = of_emission(light, direction_density * light.area_density)
+        emission_density = dr.select(infinite, by_disc, emission_density)
     return radiance, area_density, emission_density

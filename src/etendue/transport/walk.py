@@ -12,18 +12,21 @@ A method writes the body of the loop over the edges of its paths. Each iteration
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Self, TypeVar
 
 import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
+from etendue.film import COMPONENTS, Component, after_scattering, reflected
 from etendue.scene import LightTable
 
 from . import dimensions as dim
 from .emission import DirectSample, emission_of_hit, is_emissive, sample_direct
+from .firsthits import FirstHits
+from .guiding.departure import Departures
 from .guiding.lights import LocalLights
 from .scattering import Evaluated, Proposal, Scattered, roulette, scatter_camera
 from .vertex import WalkVertex
@@ -41,6 +44,23 @@ class SubPath:
     depth: mi.UInt32  #: number of edges, including the next one
     travelled: mi.Float  #: length of the next edge up to the last null surface that it has crossed
     rays: mi.UInt32  #: rays cast so far, including shadow rays
+    #: Of a camera path, the ``film.Component`` of a light at the end of the next edge; None where nobody asks.
+    seen: mi.UInt32 | None = None
+
+    def components_of(self, values: Sequence[mi.Color3f]) -> list[tuple[mi.UInt32 | None, mi.Color3f]]:
+        """(component, light) that the vertex at the end of the edge reflects. ``values``: all light as one value, or
+        with ``seen`` that of each of ``film.REFLECTED``, as an eye has them that sees the vertex directly."""
+        if self.seen is None:
+            (value,) = values
+            return [(None, value)]
+        directly, indirect = self.seen == int(Component.EMISSION), mi.UInt32(Component.INDIRECT)
+        numbered = enumerate(values, int(Component.DIRECT))
+        return [(dr.select(directly, mi.UInt32(number), indirect), value) for number, value in numbered]
+
+    @property
+    def lit(self) -> mi.UInt32 | None:
+        """Component of light that the vertex at the end of the edge reflects straight from a lamp."""
+        return None if self.seen is None else reflected(self.seen)
 
 
 @dataclass
@@ -67,6 +87,22 @@ class CameraPath(SubPath):
     radiance: mi.Color3f  #: sum of the contributions
     pdf: mi.Float  #: solid-angle density of the next edge's direction; 0 where only a hit can find a light
     end: MapEnd | None = None  #: where the path ends in a map, if paths do
+    by_component: list[mi.Color3f] = field(default_factory=list)  #: ``radiance`` by component; empty without ``seen``
+
+    def add(self, value: mi.Color3f, active: mi.Bool, component: mi.UInt32 | int | None) -> None:
+        """Add a contribution. ``component``: of a light at the end of the edge ``seen``, of a light point at the vertex
+        there :attr:`lit`."""
+        self.radiance[active] += value
+        for number, part in enumerate(self.by_component):
+            if not isinstance(component, int):
+                part[active & (component == number)] += value
+            elif component == number:
+                part[active] += value
+
+    def weigh(self, importance: mi.Color3f) -> None:
+        """Multiply all that was found by the weight of the camera ray."""
+        self.radiance = self.radiance * importance
+        self.by_component = [part * importance for part in self.by_component]
 
     @classmethod
     def start(cls, ray: mi.Ray3f, max_edges: mi.UInt32, **own: Any) -> Self:
@@ -83,6 +119,13 @@ class CameraPath(SubPath):
             "pdf": mi.Float(0.0),
         }
         return cls(**fields | own)
+
+
+def component_fields() -> dict[str, Any]:
+    """What the state of a camera path has in addition if its contributions are kept by component, for ``start``."""
+    # Opaque, because Dr.Jit fails on literal zeros in a loop if no material of the scene adds to them.
+    parts = [mi.Color3f(dr.opaque(mi.Float, 0.0)) for _ in COMPONENTS]
+    return {"seen": mi.UInt32(Component.EMISSION), "by_component": parts}
 
 
 S = TypeVar("S", bound=SubPath)
@@ -109,6 +152,8 @@ class Walker:
     max_edges: mi.UInt32  #: opaque
     rr_depth: int
     proposal: Proposal = scatter_camera  #: samples directions
+    first: FirstHits | None = None  #: records what the first edges meet
+    departures: Departures | None = None  #: learned directions of emission, for its densities
 
     def walk(self, path: S, edge: Callable[[S], S], label: str) -> S:
         """Run the loop over the edges until all sub-paths have ended. ``edge`` is the body of the loop."""
@@ -141,9 +186,11 @@ class Walker:
         start of the edge, if they were not the table's."""
         si, scene = vertex.si, self.visibility.scene
         active = s.active & is_emissive(scene, si)
-        found = emission_of_hit(lights or self.lights, scene, si, active, vertex.distance)
+        found = emission_of_hit(lights or self.lights, scene, si, active, vertex.distance, self.departures)
         per_area = dr.square(vertex.distance) / dr.abs(dr.dot(si.n, vertex.incoming))
         direct_pdf = found[1] * dr.select(vertex.valid, per_area, 1.0)
+        if self.first is not None:
+            self.first.record(vertex, dr.select(active, found[0], 0.0), s.active & (s.depth == 1))
         return Emission(*found, direct_pdf, active)
 
     def light_point(
@@ -155,7 +202,7 @@ class Walker:
         lights: LightTable | LocalLights | None = None,
     ) -> DirectSample:
         """Sample the ``index``-th light point of a vertex. ``lights`` replaces the light table."""
-        return sample_direct(lights or self.lights, vertex.si, source, vertex.number, index, active)
+        return sample_direct(lights or self.lights, vertex.si, source, vertex.number, index, active, self.departures)
 
     def next_event(
         self,
@@ -208,6 +255,8 @@ class Walker:
         alive, factor = roulette(by, eta, vertex.number, self.rr_depth, u)
         s.throughput = s.throughput * factor
         s.depth = vertex.number + 1
+        if s.seen is not None:
+            s.seen = self.keep_if_null(scattered, s.seen, after_scattering(s.seen, scattered.is_delta))
         s.active &= scattered.active & alive
         return factor
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,23 +13,25 @@ from rich.console import Console
 
 from etendue import display, film, methods
 from etendue.api import start_job
-from etendue.core import OptionError
+from etendue.core import BackendError, ClusterError, OptionError, OutputError, SceneError, UnsupportedError, describe
 from etendue.engine import Budget, Job, Task
-from etendue.jobs import Outputs, Update
+from etendue.jobs import Outputs, Rendering
 from etendue.scene import bundled
 
-from ..console import note, say
+from ..console import command_line, note, say
 from ..options import settings_by_method
-from ..rendering import check_reference, follow, make_folder, summary
+from ..rendering import Outcome, check_reference, follow, make_folder, summary
+from .history import History
+from .repeating import defaults_of, picture_command
 
 if TYPE_CHECKING:
     from etendue.distributed import Cluster
 
 Image = NDArray[np.float32]
 
-#: Ratio of the times of consecutive points of the error plot.
-_HISTORY_RATIO = 1.25
 _PAGE = "index.html"
+#: Errors that all methods would meet: before the first picture they end a comparison.
+_OF_ALL = (OptionError, OutputError, BackendError, ClusterError, SceneError)
 
 
 def tasks(scene: Any, names: Sequence[str], settings: Mapping[str, Any], **common: Any) -> list[Task]:
@@ -41,7 +43,8 @@ def tasks(scene: Any, names: Sequence[str], settings: Mapping[str, Any], **commo
 
 @dataclass
 class Comparison:
-    """The methods to compare, and the outputs."""
+    """The methods to compare, and the outputs. With several ``seeds``, each method renders so many pictures, whose
+    errors are averaged; the first is shown."""
 
     tasks: list[Task]
     output: Path
@@ -49,82 +52,104 @@ class Comparison:
     reference_note: str = ""
     title: str = ""
     subtitle: str = ""
+    seeds: int = 1
     cluster: Cluster | None = None  #: makes the passes
     _reference: Image | None = field(default=None, init=False)
+    _entries: list[display.Entry] = field(default_factory=list, init=False)
+    _failures: list[display.Failure] = field(default_factory=list, init=False)
 
     def run(self, console: Console) -> int:
-        """Render the methods in turn, write the page with those that succeeded and print its path. Returns the exit
-        status.
+        """Render the methods in turn, write the page and print its path. Returns the exit status.
 
-        The reference and the output folder are checked before rendering.
+        The reference and the output folder are checked before rendering. A method that fails is named on the page, and
+        its error raised when the others are done.
         """
         if self.reference is not None:
             self._reference = film.read_image(self.reference)
         make_folder(self.output)
         film.check_writable(self.output / _PAGE)
-        entries: list[display.Entry] = []
+        first: Exception | None = None
+        exit_code = 0
         try:
             for task in self.tasks:
-                if exit_code := self._render(task, entries, console):
-                    return exit_code
+                try:
+                    exit_code = self._render(task, console)
+                except Exception as error:
+                    if not self._entries and isinstance(error, _OF_ALL) and not isinstance(error, UnsupportedError):
+                        raise
+                    first = first or error
+                    self._failures.append(display.Failure(task.method.name, describe(error)))
+                    note(console, f"{task.method.name} failed: {describe(error)}", "red")
+                if exit_code:
+                    break
         finally:
-            if entries:
-                self._write(entries)
-        return 0
+            if self._entries:
+                self._write()
+        if first is not None:
+            raise first
+        return exit_code
 
-    def _render(self, task: Task, entries: list[display.Entry], console: Console) -> int:
-        """Render ``task`` and append its picture to ``entries``. Returns the exit status."""
-        name = task.method.name
-        outputs = Outputs.of([self.output / f"{name}.exr"])
-        history = _History()
+    def _render(self, task: Task, console: Console) -> int:
+        """Render ``task`` with each seed, and note the picture of the first. Returns the exit status."""
+        name, made, curves, exit_code = task.method.name, None, [], 0
+        for index in range(self.seeds):
+            label = name if index == 0 else f"{name}-seed-{task.seed + index}"
+            history = History(self._reference)
+            outcome = self._follow(replace(task, seed=task.seed + index), label, history, console)
+            if outcome.result is not None:
+                note(console, summary(outcome.result))
+                curves.append(display.Series(label, history.errors(outcome.result.image)))
+                made = made or outcome.result
+            if exit_code := outcome.exit_code:
+                break
+        if made is not None:
+            self._entries.append(self._entry(task, made, curves))
+        return exit_code
+
+    def _follow(self, task: Task, label: str, history: History, console: Console) -> Outcome[Rendering]:
+        outputs = Outputs.of([self.output / f"{label}.exr"])
 
         def open_job() -> Job:
             job = Job.open(task)
             check_reference(self._reference, job.problem.size, "--size {}x{}")
             return job
 
-        watch = history.record if self._reference is not None else None
-        outcome = follow(lambda: start_job(open_job, outputs, watch, self.cluster), console, name)
-        if outcome.result is not None:
-            note(console, summary(outcome.result))
-            layers = {k: v for k, v in outcome.result.layers.items() if k != "image"}
-            errors = history.errors(self._reference)
-            entries.append(display.Entry(name, outcome.result.image, outcome.result.metadata, errors, layers))
-        return outcome.exit_code
+        return follow(lambda: start_job(open_job, outputs, history.record, self.cluster), console, label)
 
-    def _write(self, entries: list[display.Entry]) -> None:
+    def _entry(self, task: Task, made: Rendering, curves: Sequence[display.Series]) -> display.Entry:
+        height, width = made.image.shape[:2]
+        known = made.metadata
+        return display.Entry(
+            task.method.name,
+            made.image,
+            known,
+            display.over_seeds(curves) if len(curves) > 1 else curves[0].points,
+            {k: v for k, v in made.layers.items() if k != "image"},
+            defaults_of(task.method),
+            picture_command(task, known["settings"], known["samples"], (width, height)),
+        )
+
+    def _write(self) -> None:
         """Write the pictures at one exposure, so that they can be compared, and the page."""
+        entries = self._entries
         exposure = display.auto_exposure(self._reference if self._reference is not None else entries[0].image)
         for entry in entries:
             display.write_png(self.output / f"{entry.name}.png", display.tonemap(entry.image, exposure))
         page = self.output / _PAGE
+        names = [task.method.name for task in self.tasks]
         display.write_report(
             page,
             entries,
             self._reference,
-            title=self.title or f"{Path(str(self.tasks[0].scene)).name}: {', '.join(e.name for e in entries)}",
+            title=self.title or f"{Path(str(self.tasks[0].scene)).name}: {', '.join(names)}",
             subtitle=self.subtitle,
             reference_note=self.reference_note or (str(self.reference) if self.reference else ""),
             exposure=exposure,
+            error_name=History(self._reference).error_name,
+            failures=self._failures,
+            repeat=[display.Command(command_line(), f"This page, from {Path.cwd()}")],
         )
         say(str(page))
-
-
-class _History:
-    """Pictures at times that grow by a ratio; they are compared with the reference after rendering."""
-
-    def __init__(self) -> None:
-        self._pictures: list[tuple[float, Image]] = []
-
-    def record(self, update: Update) -> None:
-        elapsed = update.progress.elapsed
-        if not self._pictures or elapsed >= self._pictures[-1][0] * _HISTORY_RATIO:
-            self._pictures.append((elapsed, update.image))
-
-    def errors(self, reference: Image | None) -> list[tuple[float, float]]:
-        if reference is None:
-            return []
-        return [(elapsed, film.relative_mse(picture, reference)) for elapsed, picture in self._pictures]
 
 
 def demonstration(output: Path, budget: Budget, size: tuple[int, int] | None) -> Comparison:

@@ -1,8 +1,10 @@
-"""The records of a run file: pictures at given times, a log, and a table of the error over time."""
+"""The records of a run file: pictures at given times, a log, a table of the error over time, and a page."""
 
 from __future__ import annotations
 
+import csv
 import logging
+import shlex
 from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -12,12 +14,14 @@ from typing import Any, Literal, Self, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue import film, methods
+from etendue import display, film, methods
 from etendue.core import CheckpointError, OutputError, describe, logger
 from etendue.engine import Checkpoint, Job, RunResult, versions
-from etendue.jobs import Outputs, Rendering
+from etendue.jobs import Outputs, Rendering, Update
 
 from ..rendering import check_reference, make_folder
+from .history import History
+from .repeating import defaults_of, picture_command
 from .run_file import RunFile
 
 #: Checkpoint key for the path of the run file.
@@ -73,6 +77,7 @@ class Recorder:
         self._log: TextIO | None = None
         self._table: TextIO | None = None
         self._handler: logging.Handler | None = None
+        self._history = History(self._reference)
         self._earlier = 0.0  # seconds of the run before it was resumed
         self._save_at: dict[float, float] = {}  # remaining times: those of the runner, and those requested
         self._written: dict[Path, None] = {}  # in the order of first writing
@@ -89,6 +94,8 @@ class Recorder:
     def __enter__(self) -> Self:
         make_folder(self._run.folder)
         self._outputs(self._run.name)  # checks that it can be written
+        if self._run.page:
+            film.check_writable(self._run.page_path)
         return self
 
     def __exit__(
@@ -101,6 +108,11 @@ class Recorder:
         for file in (self._log, self._table):
             if file is not None:
                 file.close()
+
+    def watch(self, update: Update) -> None:
+        """A callback of the run: notes errors for the page."""
+        if self._run.page:
+            self._history.record(update)
 
     def saving(self, job: Job) -> dict[str, Any]:
         """See ``jobs.Writer``. Starts or continues log and table."""
@@ -120,7 +132,46 @@ class Recorder:
         rendering = self._keep(job, run, self._outputs(self._run.name), None, f"end ({run.stopped_by})")
         if self._save_at:
             self._line(self._log, f"the run ended before its autosave at {_times(list(self._save_at.values()))} s")
+        if self._run.page:
+            self._write_page(job, rendering)
         return rendering
+
+    def _write_page(self, job: Job, made: Rendering) -> None:
+        run, known = self._run, made.metadata
+        height, width = made.image.shape[:2]
+        name = known["method"]
+        task = job.task
+        entry = display.Entry(
+            name,
+            made.image,
+            known,
+            self._history.errors(made.image, self._earlier_errors(), self._earlier),
+            {k: v for k, v in made.layers.items() if k != "image"},
+            defaults_of(methods.get(name)),
+            "" if task is None else picture_command(task, known["settings"], known["samples"], (width, height)),
+        )
+        display.write_report(
+            run.page_path,
+            [entry],
+            self._reference,
+            title=f"{run.name}: {name} on {run.scene}",
+            reference_note=str(run.reference or ""),
+            error_name=self._history.error_name,
+            repeat=[
+                display.Command(shlex.join(["etendue", "run", str(run.path)]), f"This page, from {Path.cwd()}"),
+                display.Command(run.path.read_text("utf-8", "replace"), f"The run file {run.path}"),
+            ],
+        )
+        self._written[run.page_path] = None
+
+    def _earlier_errors(self) -> list[tuple[float, float]]:
+        """Rows of the table from before the run was resumed."""
+        if not self._earlier:
+            return []
+        column = "noise" if self._reference is None else "relmse"
+        with open(self._run.folder / f"{self._run.name}.csv", encoding="utf-8") as file:
+            rows = [(float(row["seconds"]), row[column]) for row in csv.DictReader(file)]
+        return [(seconds, float(error)) for seconds, error in rows if error and seconds <= self._earlier]
 
     def _save(self, job: Job, run: RunResult) -> None:
         for time in map(self._save_at.pop, run.save_times):

@@ -59,7 +59,14 @@ TABLES: Mapping[str, Mapping[str, _Kind]] = {
     "method": {"name": _TEXT, "settings": _OPEN},
     "budget": {"seconds": _NUMBER, "samples": _COUNT, "error": _NUMBER},
     "autosave": {"times": _TIMES, "exit_after_last": _SWITCH, "every": _TIME},
-    "output": {"folder": _TEXT, "name": _TEXT, "layers": _LAYERS, "png": _SWITCH, "checkpoint": _SWITCH},
+    "output": {
+        "folder": _TEXT,
+        "name": _TEXT,
+        "layers": _LAYERS,
+        "png": _SWITCH,
+        "checkpoint": _SWITCH,
+        "page": _SWITCH,
+    },
     "reference": {"file": _TEXT, "trim": _SHARE},
 }
 
@@ -88,6 +95,7 @@ class RunFile:
     layers: Literal["together", "separate"]
     png: bool
     checkpoint: bool
+    page: bool
     reference: Path | None
     trim: float
 
@@ -136,6 +144,7 @@ class RunFile:
             layers=output.get("layers", "together"),
             png=output.get("png", False),
             checkpoint=output.get("checkpoint", True),
+            page=output.get("page", True),
             reference=picture,
             trim=reference.get("trim", 0.001),
         )
@@ -144,6 +153,11 @@ class RunFile:
     def checkpoint_path(self) -> Path:
         """Path of the checkpoint, if the run writes one."""
         return self.folder / f"{self.name}.checkpoint"
+
+    @property
+    def page_path(self) -> Path:
+        """Path of the page, if the run writes one."""
+        return self.folder / f"{self.name}.html"
 
     def task(self, tell: Callable[[str], object]) -> Task:
         """The task of the engine. A Mitsuba variant must be set. ``tell`` as for ``api.choose_method``."""

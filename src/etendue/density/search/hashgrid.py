@@ -13,6 +13,8 @@ from typing import TypeVar
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import Array
 
@@ -76,6 +78,17 @@ class HashGrid:
         dr.eval(rank, population)
         self._start = dr.prefix_reduce(dr.ReduceOp.Add, population, exclusive=True)
         self.destination = dr.gather(mi.UInt32, self._start, bucket, active) + rank
+
+    def occupied(self, points: mi.Point3f) -> tuple[Array, Array, NDArray[np.int64]]:
+        """(lower corner, upper corner, number of points) of every cell that holds some of ``points``, on the host:
+        (cells, 3), (cells, 3), (cells,)."""
+        x, y, z = self._cell(points)
+        dr.eval(x, y, z)
+        places = np.stack([np.array(v, np.int64) for v in (x, y, z)], axis=1)
+        cells, counts = np.unique(places, axis=0, return_counts=True)
+        side = 1.0 / float(np.array(self._inverse_cell, dtype=np.float64).ravel()[0])
+        lower = np.array(self._origin, dtype=np.float64).ravel() + side * cells
+        return lower, lower + side, counts
 
     def _cell(self, p: mi.Point3f, offset: float = 0.0) -> tuple[mi.Int32, mi.Int32, mi.Int32]:
         q = (p - self._origin) * self._inverse_cell - offset

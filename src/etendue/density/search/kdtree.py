@@ -19,20 +19,21 @@ from typing import TypeVar
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array
 
 from .halving import LEAF, highest, lowest, sorted_into_halves
 
 #: State of a search: any state of a Dr.Jit loop.
 S = TypeVar("S")
-#: Thresholds at which one search counts.
-_THRESHOLDS = 8
-#: Number of sorted distances that the last search keeps.
-_KEPT = 8
+_THRESHOLDS = 8  #: at which one search counts
+_KEPT = 8  #: sorted distances that the last search keeps
 #: Factor of the first threshold. Below the k-th distance it costs another search, far above it the first search is
 #: slower.
 _MARGIN = 1.1
-#: Upper bound of finite squared distances; that of an empty place is infinite.
-_LARGEST = 3.4e38
+_LARGEST = 3.4e38  #: bound of finite squared distances; that of an empty place is infinite
 _UNKNOWN = 0xFFFFFFFF
 
 
@@ -187,6 +188,12 @@ class KdTree:
         """Squared distance of ``point`` from the point at ``place``; all searches compare exactly this value."""
         position = dr.gather(mi.Vector4f, self._points, place, active)
         return _squared_norm(position.x - point.x, position.y - point.y, position.z - point.z)
+
+    def boxes(self) -> tuple[NDArray[np.int64], Array, Array]:
+        """(level, lower corner, upper corner) of every node with points, on the host: (nodes,), (nodes, 3) each."""
+        corners = np.array(self._boxes, dtype=np.float64).reshape(-1, 2, 4)[1:, :, :3]
+        held = np.flatnonzero(np.isfinite(corners).all(axis=(1, 2)))
+        return np.log2(held + 1).astype(np.int64), corners[held, 0], corners[held, 1]
 
     # Traversal
 

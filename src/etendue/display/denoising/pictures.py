@@ -18,6 +18,8 @@ Picture = NDArray[np.float32]
 _ALBEDO: Final = ("albedo", "alb", "albedos")
 _NORMAL: Final = ("normal", "normals", "sh_normal", "nn", "sn")
 _VARIANCE: Final = "variance"
+#: Emission of first surfaces, which guides no denoiser.
+_EMITTED: Final = "emitted"
 #: Largest difference between a picture and the sum of its components, relative to the picture's mean.
 _SUM_TOLERANCE: Final = 1e-3
 
@@ -66,7 +68,7 @@ def find_features(layers: Mapping[str, Picture], albedo: str | None = None, norm
 
 def component_names(layers: Mapping[str, Picture], chosen: Sequence[str] = ()) -> tuple[str, ...]:
     """Layers that are filtered each and then summed: those ``chosen``, or those whose sum is the picture (such as
-    ``split_layers`` makes), or the picture alone.
+    ``components`` or ``split_layers`` make), or the picture alone.
 
     Raises :class:`OptionError` for a layer that does not exist or is no colour, and if there is no picture.
     """
@@ -90,7 +92,7 @@ def component_names(layers: Mapping[str, Picture], chosen: Sequence[str] = ()) -
 
 
 def _is_part(name: str, layer: Picture) -> bool:
-    features = ("image", _VARIANCE, *_ALBEDO, *_NORMAL)
+    features = ("image", _VARIANCE, _EMITTED, *_ALBEDO, *_NORMAL)
     return _is_colour(layer) and name not in features and Technique.of_layer(name) is None
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias, get_args
 
-from etendue.core import Array, OptionError, free_memory
+from etendue.core import Array, InNotebooks, OptionError, free_memory
 from etendue.particles import Particles
 from etendue.scene import Problem, load
 from etendue.surfaces import (
@@ -56,7 +56,7 @@ class MapOptions:
 
 
 @dataclass(frozen=True)
-class MadeMap:
+class MadeMap(InNotebooks):
     """A map, the surfaces it was made on, and the number of particles."""
 
     map: PatchMap | NearestMap

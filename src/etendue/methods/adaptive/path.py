@@ -17,8 +17,9 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import OptionError, setting
+from etendue.film import Component
 from etendue.scene import Problem
-from etendue.transport import CameraPath, CameraSampler, Walker, WalkVertex
+from etendue.transport import CameraPath, CameraSampler, FirstHits, Walker, WalkVertex
 from etendue.transport import dimensions as dim
 
 from .. import radius as radii
@@ -100,7 +101,7 @@ class AdaptivePath(EndsInMap):
         shot = self._tracer.shoot(iteration, seed, self._light_paths)
         positions, _, held = shot.vertices.positions()
         radius = radii.reduced(self._first_radius, iteration, self.settings.alpha)
-        self._maps = PhotonGrid(shot, positions, held, radius, self._box)
+        self._maps = PhotonGrid(shot, positions, held, radius, self._box, by_kind=self.settings.components)
         self._limit = dr.opaque(mi.Float, radius * radius)
         return shot.rays
 
@@ -119,18 +120,24 @@ class AdaptivePath(EndsInMap):
 
     # ------------------------------------------------------------------ camera paths
 
-    def trace(self, pixel: mi.UInt32, source: NumberedSource, learning: bool = False) -> NumberedPath:
+    def trace(
+        self,
+        pixel: mi.UInt32,
+        source: NumberedSource,
+        learning: bool = False,
+        first: FirstHits | None = None,
+    ) -> NumberedPath:
         """Trace a path through each pixel (indices y * width + x), not yet evaluated. ``learning``: compute
-        ``parts``."""
+        ``parts``; ``first``: records first hits."""
         ray, importance, _ = self.camera.primary(pixel, source)
-        walker = self.walker(Walker, proposal=self.settings.proposal)
+        walker = self.walker(Walker, proposal=self.settings.proposal, first=first)
         parts = [mi.Float(0.0) for _ in source.drawn] if learning else []
-        path = NumberedPath.start(ray, walker.max_edges, parts=parts, **self.ending_state())
+        path = NumberedPath.start(ray, walker.max_edges, parts=parts, **self.path_fields())
         path = walker.walk(path, lambda s: self._edge(s, walker, source), "path of given numbers")
         if (light := self.light_of_map(path)) is not None and path.end is not None:
             path.depth = path.end.depth
-            _count(path, source, light, path.end.reached, by_light_point=False)
-        path.radiance *= importance
+            _count(path, source, light, path.end.reached, Component.INDIRECT, by_light_point=False)
+        path.weigh(importance)
         return path
 
     def _edge(self, s: NumberedPath, walker: Walker, source: NumberedSource) -> NumberedPath:
@@ -140,15 +147,15 @@ class AdaptivePath(EndsInMap):
         # ---- Emission
         hit = walker.emission(s, vertex)
         weight = weights.hit(s.pdf, hit.direct_pdf)
-        _count(s, source, s.throughput * hit.radiance * weight, hit.active, by_light_point=False)
+        _count(s, source, s.throughput * hit.radiance * weight, hit.active, s.seen, by_light_point=False)
         s.active &= vertex.valid & (s.depth < walker.max_edges) & source.goes_on(s.depth)
 
         # ---- After ``maps`` vertices, photon density estimation replaces the rest of the path at a smooth surface
         done = mi.Bool(False)
         if self._maps is not None:
             done = s.active & vertex.smooth & (s.depth > self.settings.maps)
-            reflected = self._mapped(s, walker, vertex, done)
-            _count(s, source, s.throughput * reflected, done, by_light_point=False)
+            for component, reflected in self._mapped(s, walker, vertex, done):
+                _count(s, source, s.throughput * reflected, done, component, by_light_point=False)
 
         # ---- Next event
         smooth = s.active & ~done & vertex.smooth
@@ -157,27 +164,34 @@ class AdaptivePath(EndsInMap):
         for light, f in zip(lights, evaluated, strict=True):
             weight, wanted = weights.light_point(light, f.pdf), source.counts(s.depth + 1)
             contribution, visible = walker.next_event(s, vertex, light, f, weight, wanted)
-            _count(s, source, contribution, visible, by_light_point=True)
+            _count(s, source, contribution, visible, s.lit, by_light_point=True)
 
         s.pdf = walker.keep_if_null(scattered, s.pdf, dr.select(scattered.is_delta, 0.0, scattered.pdf))
         walker.advance(s, vertex, scattered, source)
         s.active &= ~done | scattered.is_delta
         return s
 
-    def _mapped(self, s: NumberedPath, walker: Walker, vertex: WalkVertex, active: mi.Bool) -> mi.Color3f:
-        """Reflected radiance at a vertex by density estimation."""
+    def _mapped(
+        self, s: NumberedPath, walker: Walker, vertex: WalkVertex, active: mi.Bool
+    ) -> list[tuple[mi.UInt32 | None, mi.Color3f]]:
+        """(component, reflected radiance) at a vertex by density estimation."""
         assert self._maps is not None
         reflected, _ = self._maps.reflected(vertex, walker.max_edges - s.depth, self._limit, active)
-        return reflected
+        return s.components_of(reflected)
 
 
 def _count(
-    s: NumberedPath, source: NumberedSource, contribution: mi.Color3f, active: mi.Bool, by_light_point: bool
+    s: NumberedPath,
+    source: NumberedSource,
+    contribution: mi.Color3f,
+    active: mi.Bool,
+    component: mi.UInt32 | int | None,
+    by_light_point: bool,
 ) -> None:
     """Add a contribution at the end of edge ``s.depth``, divided by the density of the numbers on which it depends."""
     active = active & source.counts(s.depth + 1 if by_light_point else s.depth)
     contribution = contribution * source.weight(s.depth, by_light_point)
-    s.radiance[active] += contribution
+    s.add(contribution, active, component)
     if s.parts:
         luminance = mi.luminance(contribution)
         s.parts = [

@@ -129,8 +129,8 @@ class StratifiedPath(AdaptivePath):
         lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
         base = self._even_choice(self.camera_numbers(lanes, samples, seed, iteration), lanes, samples)
         source = AdaptiveSource(base, self._groups, [[r] for r in regions], mi.UInt32(0), self.left_by_pick())
-        state = self.trace(lanes // samples, source)
-        radiance, bad = self.kept(state.radiance)
+        state = self.trace(lanes // samples, source, first=self.first_hits(lanes, iteration))
+        radiance, bad = self.kept_layers(state)
         dr.eval(radiance, state.rays, bad)
         counters = {
             "rays": total(state.rays) + self._explored + mapping_rays,
@@ -138,7 +138,7 @@ class StratifiedPath(AdaptivePath):
             "nonfinite": total(bad),
             "regions": float(sum(map(len, regions))),
         }
-        return {"image": self.image(radiance, seed, iteration)}, counters
+        return self.images(radiance, seed, iteration), counters
 
     def _even_choice(self, base: SampleSource, lanes: mi.UInt32, samples: int) -> SampleSource:
         """Random numbers of which the one that selects a region is stratified over the samples of a pixel. With

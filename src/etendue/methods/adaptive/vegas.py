@@ -148,14 +148,14 @@ class VegasPath(Carrying, AdaptivePath):
         pixel = lanes // samples
         base = self.camera_numbers(lanes, samples, seed, iteration)
         source = AdaptiveSource(base, self._groups, self._densities, self._row(pixel), self.left_by_pick())
-        state = self.trace(pixel, source, learning=True)
-        radiance, bad = self.kept(state.radiance)
+        state = self.trace(pixel, source, learning=True, first=self.first_hits(lanes, iteration))
+        radiance, bad = self.kept_layers(state)
         parts = [dr.select(dr.isfinite(part), part, 0.0) for part in state.parts]
         found = [(drawn.group, drawn.bin, part) for drawn, part in zip(source.drawn, parts, strict=True)]
         dr.eval(radiance, state.rays, bad, found)
         self._learn(found)
         counters = {"rays": total(state.rays) + mapping_rays, "paths": float(len(lanes)), "nonfinite": total(bad)}
-        return {"image": self.image(radiance, seed, iteration)}, counters
+        return self.images(radiance, seed, iteration), counters
 
     def _row(self, pixel: mi.UInt32) -> mi.UInt32:
         """Number of a pixel's tile."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +12,7 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
+from etendue.film import COMPONENTS, Component
 from etendue.integration import Layout
 from etendue.transport import (
     CameraConnection,
@@ -45,12 +48,14 @@ class SplatList(Sink):
     camera: Any
     count: int
     u: mi.Float
+    components: bool = False  #: whether the component of each splat is kept, too
 
     def __post_init__(self) -> None:
         lanes = dr.width(self.u)
         self._lane = dr.arange(mi.UInt32, lanes)
         self._kept = mi.UInt32(dr.maximum(-dr.floor(dr.log2(1.0 - self.u)), 1.0)) - 1  # J - 1
-        self.array = dr.zeros(mi.Float, 5 * lanes * (self.count + 1))
+        self._rows = 6 if self.components else 5
+        self.array = dr.zeros(mi.Float, self._rows * lanes * (self.count + 1))
         self._lanes = lanes
 
     @property
@@ -64,7 +69,7 @@ class SplatList(Sink):
         on_film = (p.x >= 0.0) & (p.x < float(self.camera.width)) & (p.y >= 0.0) & (p.y < float(self.camera.height))
         return SplatPlace([], mi.Float(1.0), on_film)
 
-    def add(self, s: mi.UInt32, place: SplatPlace, contribution: Weighted) -> mi.Bool:
+    def add(self, s: mi.UInt32, place: SplatPlace, contribution: Weighted, kind: mi.UInt32) -> mi.Bool:
         """Keep the splat of a light sub-path of ``s >= 2`` vertices. Returns the mask of values that are not finite,
         which are not kept."""
         value, finite = contribution.weighted[0], dr.all(dr.isfinite(contribution.weighted[0]))
@@ -72,8 +77,11 @@ class SplatList(Sink):
         further = slot - dr.minimum(slot, self.count)
         wanted = (slot < self.count) | (further == self._kept)
         scale = dr.select(slot < self.count, 1.0, dr.power(2.0, mi.Float(further) + 1.0)) / self.camera.pixels
-        first = dr.minimum(slot, self.count) * 5 * self._lanes + self._lane
-        for row, number in enumerate((self._position.x, self._position.y, *(value * scale))):
+        first = dr.minimum(slot, self.count) * self._rows * self._lanes + self._lane
+        numbers = [self._position.x, self._position.y, *(value * scale)]
+        if self.components:
+            numbers.append(mi.Float(dr.maximum(kind, mi.UInt32(Component.DIRECT))))
+        for row, number in enumerate(numbers):
             dr.scatter(self.array, number, first + row * self._lanes, contribution.active & finite & wanted)
         return contribution.active & ~finite
 
@@ -81,11 +89,18 @@ class SplatList(Sink):
         """What was kept, after the walk."""
 
         def row(slot: int, index: int) -> mi.Float:
-            return dr.gather(mi.Float, self.array, self._lane + (5 * slot + index) * self._lanes)
+            return dr.gather(mi.Float, self.array, self._lane + (self._rows * slot + index) * self._lanes)
 
-        return [
+        found = [
             Contribution(mi.Point2f(row(i, 0), row(i, 1)), mi.Color3f(row(i, 2), row(i, 3), row(i, 4)))
             for i in range(self.count + 1)
+        ]
+        if not self.components:
+            return found
+        return [
+            Contribution(one.position, dr.select(row(i, 5) == float(number), one.value, 0.0), number)
+            for i, one in enumerate(found)
+            for number in range(Component.DIRECT, len(COMPONENTS))
         ]
 
 
@@ -114,7 +129,7 @@ class PairTarget:
             splats = None
             if self._techniques.splat:
                 u = sources["light"].next_1d(0, dim.SPLAT_SHADOW)  # without a place in the layout
-                splats = SplatList(camera=camera, count=self._vertices, u=u)
+                splats = SplatList(camera=camera, count=self._vertices, u=u, components=method.settings.components)
             capacity = int(self._per_path * lanes) + 16
             vertices = LightVertices(capacity, lanes, self._indexed, connected=True)
             walk: LightWalk = method.walker(LightWalk, **common, sink=splats)
@@ -128,12 +143,14 @@ class PairTarget:
         vertices.number(by_path=True)
         one = dr.full(mi.Float, 1.0)
         cache = LightCache(vertices, mi.UInt32(vertices.count), one, dr.opaque(mi.UInt32, lanes), None)
-        sink = CameraSink(split_layers=False)
+        sink = CameraSink(split_layers=False, components=method.settings.components)
         eye: CameraWalk = method.walker(CameraWalk, **common, sink=sink, cache=cache)
         place = film_place(method, sources["camera"])
         primary = camera.through(place, sources["camera"])
         radiance, rays = eye.follow(primary, dr.zeros(mi.UInt32, lanes), sources["camera"])
-        image, bad = keep_finite(radiance["image"])
-        contributions = [Contribution(place, image), *(splats.contributions() if splats else [])]
+        whole, bad = keep_finite(functools.reduce(operator.add, radiance.values()))
+        parts = [dr.select(bad, 0.0, part) for part in radiance.values()] if len(radiance) > 1 else [whole]
+        contributions = [Contribution(place, part, number) for number, part in enumerate(parts)]
+        contributions += splats.contributions() if splats else []
         nonfinite = light_bad + dr.select(bad, mi.UInt32(1), 0)
         return Traced(contributions, rays + light_rays, nonfinite)

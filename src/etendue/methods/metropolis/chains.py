@@ -43,6 +43,8 @@ CORRELATED = 0.25
 #: The bootstrap ends with this many samples that find light, or when it has grown by this factor; by the second one as
 #: long as only one of the halves has found light.
 _ENOUGH_LIT, _MOST_GROWTH, _ONE_SIDED_GROWTH = 1 << 12, 8, 64
+#: Images of the splats of a component: of the chains and of large steps, for each half.
+IMAGES = 4
 #: Bytes of a sample of the bootstrap on the host: a contribution, and the target.
 _CONTRIBUTION_BYTES, _TARGET_BYTES = 12, 24
 #: Most samples of the bootstrap that are traced together.
@@ -83,12 +85,13 @@ class Progressed:
 @dataclass
 class PassResult:
     """A pass of all chains: the pictures of the two halves, (2, height, width, 3), as sums over one sample per pixel,
-    and counts; ``None`` without splats."""
+    and counts; ``None`` without splats. ``parts``: the pictures of each component, if they are kept apart."""
 
     pictures: NDArray[np.float64] | None
     counters: dict[str, float]
     #: For each half, the factor on what chains have splatted, as it is known after the pass.
     factors: Array
+    parts: NDArray[np.float64] | None = None
 
 
 @dataclass
@@ -226,7 +229,8 @@ class Runner:
     # ------------------------------------------------------------------ steps
 
     def run(self, carried: Progressed, steps: int, seed: int, splats: Splats | None) -> tuple[Progressed, PassResult]:
-        """``steps`` steps of all chains. ``splats``: four empty images; ``None`` if only :attr:`record` is wanted."""
+        """``steps`` steps of all chains. ``splats``: :data:`IMAGES` empty images, or so many for each component;
+        ``None`` if only :attr:`record` is wanted."""
         owed = carried.owed + carried.share * steps
         large_steps = min(int(owed + 1e-9), steps)
         carried = replace(carried, owed=owed - large_steps)
@@ -296,7 +300,8 @@ class _Walk:
         for index, one in enumerate(contributions):
             place = self.splats.at(one.position, number.next_2d(index, 0))
             value = one.value * (weight * place.weight)
-            self.splats.add_to(self.runner._half + image, place, value, place.on_film & ~dr.all(value == 0.0))
+            number_of = self.runner._half + (image + IMAGES * one.component)
+            self.splats.add_to(number_of, place, value, place.on_film & ~dr.all(value == 0.0))
 
     def step(self, seed: int, is_large: bool) -> None:
         """Move all chains."""
@@ -317,10 +322,7 @@ class _Walk:
         places = IndependentSource(runner._numbers, seed, "filter", carried.steps)
         stay, go = (1.0 - chance) * self._weight(old.target), chance * self._weight(target)
         # One path is splatted now: the old one if it is left for good, or else the proposal.
-        left = [
-            Contribution(dr.select(accepted, a.position, b.position), dr.select(accepted, a.value, b.value))
-            for a, b in zip(old.contributions, traced.contributions, strict=True)
-        ]
+        left = [a.where(accepted, b) for a, b in zip(old.contributions, traced.contributions, strict=True)]
         self._splat(0, left, dr.select(accepted, self.waiting + stay, go), places)
         self.waiting = dr.select(accepted, go, self.waiting + stay)
         if is_large:
@@ -336,10 +338,7 @@ class _Walk:
         rejected = dr.select(accepted, mi.UInt32(0), old.rejected + 1)
         self._longest = dr.maximum(self._longest, rejected)
         self._rays, self._bad = self._rays + traced.rays, self._bad + traced.nonfinite
-        new = [
-            Contribution(dr.select(accepted, b.position, a.position), dr.select(accepted, b.value, a.value))
-            for a, b in zip(old.contributions, traced.contributions, strict=True)
-        ]
+        new = [b.where(accepted, a) for a, b in zip(old.contributions, traced.contributions, strict=True)]
         kept = dr.select(accepted, target, old.target)
         if self.splats is not None:
             dr.schedule(self.splats.array)
@@ -366,11 +365,13 @@ class _Walk:
         found = carried.found + np.concatenate([count, new]).T
         mean = found[:, 1] / found[:, 0]
         factors = CORRELATED * mean / carried.unit
-        pictures = None
+        pictures = parts = None
         if self.splats is not None:
             images = self.splats.sums().astype(np.float64)
+            images = images.reshape(-1, IMAGES, *images.shape[1:])
             scale = runner.size[0] * runner.size[1] / (steps * runner.chains / 2)
-            pictures = scale * (images[:2] * factors[:, None, None, None] + images[2:])
+            parts = scale * (images[:, :2] * factors[:, None, None, None] + images[:, 2:])
+            pictures = parts.sum(axis=0)
         counters = {
             "rays": total(self._rays),
             "paths": float(steps * runner.chains),
@@ -381,4 +382,4 @@ class _Walk:
             "small steps accepted": total(self._accepted[False]),
         }
         longest = max(carried.longest, int(np.array(self._longest).max()))
-        return replace(carried, found=found, longest=longest), PassResult(pictures, counters, factors)
+        return replace(carried, found=found, longest=longest), PassResult(pictures, counters, factors, parts)

@@ -21,7 +21,18 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, Measurement, Record, Result, SampleSource, SceneError, State, logger, setting
+from etendue.core import (
+    Array,
+    Measurement,
+    OptionError,
+    Record,
+    Result,
+    SampleSource,
+    SceneError,
+    State,
+    logger,
+    setting,
+)
 from etendue.film import ESTIMATORS, FILM_COLUMNS, Development
 from etendue.integration import Layout
 from etendue.scene import Problem
@@ -74,6 +85,11 @@ class FilmSettings(MetropolisSettings):
         0.7, "standard deviation of kernel, and at the mean density of variable, in pixels", above=0.0, maximum=1000.0
     )
     neighbours: int = setting(50, "samples of nearest", minimum=1)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.components:
+            raise OptionError("film_metropolis keeps samples of whole paths, not of components; use pssmlt for them")
 
 
 class _LeftOut(DirectWeights):

@@ -24,10 +24,11 @@ from etendue.core import (
     free_memory,
     setting,
 )
+from etendue.film import COMPONENTS
 from etendue.scene import Problem
 
 from ..base import ImageMethod, ImageSettings, Layer
-from .chains import ChainStates, PassResult, Progressed, Runner
+from .chains import IMAGES, ChainStates, PassResult, Progressed, Runner
 from .film import BrightnessMap
 from .targets import Contribution, Target
 
@@ -145,7 +146,7 @@ class MetropolisMethod(Carrying, ImageMethod):
         sums = {name: layer * samples for name, layer in layers.items()}
         weights = dict.fromkeys(sums, samples)
         if self.settings.aovs:
-            first, bad = self._first_hits(iteration, seed, self.samples_per_iteration)
+            first, bad = self.first_layers(iteration, seed, self.samples_per_iteration)
             sums |= {name: layer.astype(np.float64) for name, layer in first.items()}
             weights |= dict.fromkeys(first, float(self.samples_per_iteration))
             made.counters["nonfinite"] += bad
@@ -159,13 +160,17 @@ class MetropolisMethod(Carrying, ImageMethod):
 
     def _run(self, iteration: int, seed: int) -> PassResult:
         """Move the chains."""
-        self._carried, made = self.runner.run(self._carried, self._steps, seed, self.splats(seed, iteration, 4))
+        images = IMAGES * (len(COMPONENTS) if self.settings.components else 1)
+        self._carried, made = self.runner.run(self._carried, self._steps, seed, self.splats(seed, iteration, images))
         return made
 
     def _layers(self, iteration: int, seed: int, made: PassResult) -> tuple[dict[str, Array], dict[str, Record]]:
         """(mean picture of a pass and its contrast, records) of what the chains have splatted."""
-        assert made.pictures is not None
-        return halves_as_layers(made.pictures), {}
+        assert made.pictures is not None and made.parts is not None
+        layers = halves_as_layers(made.pictures)
+        if self.settings.components:
+            layers |= zip(COMPONENTS, made.parts.mean(axis=1), strict=True)
+        return layers, {}
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """Not used: a pass is :meth:`_step`."""
@@ -244,8 +249,10 @@ class MetropolisMethod(Carrying, ImageMethod):
         states = ChainStates(
             {name: copied_to_device(mi.Float, values) for name, values in numbers.items()},
             [
-                Contribution(mi.Point2f(*floats(place)), mi.Color3f(*floats(value)))
-                for place, value in zip(state["places"], state["values"], strict=True)
+                Contribution(mi.Point2f(*floats(place)), mi.Color3f(*floats(value)), one.component)
+                for place, value, one in zip(
+                    state["places"], state["values"], self._carried.states.contributions, strict=True
+                )
             ],
             floats([state["target"]])[0],
             copied_to_device(mi.UInt32, np.asarray(state["rejected"])),

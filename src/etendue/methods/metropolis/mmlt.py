@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import IndependentSource, OptionError, SampleSource, on_device
+from etendue.film import COMPONENTS
 from etendue.integration import Layout, Slot
 from etendue.transport import Mis, SingleContribution, SingleTechnique, Techniques
 from etendue.transport import dimensions as dim
@@ -59,6 +60,7 @@ class SingleTarget:
             camera=method.camera,
             mis=Mis(techniques, [0.0], dr.opaque(mi.Float, float(method.camera.pixels))),
             max_edges=method.edges,
+            components=method.settings.components,
         )
         self._last = 1 if can_splat else 0  # techniques of k >= 2 edges beyond k
         depth = method.settings.max_depth
@@ -95,7 +97,7 @@ class SingleTarget:
         lane = dr.arange(mi.UInt32, _PILOT)
         sources = {name: IndependentSource(lane, seed, f"pilot {name}", 0) for name in self.layouts}
         length, _ = self._length(sources["camera"].next_1d(0, dim.LENGTH))
-        found = mi.luminance(self.trace(sources, _PILOT).contributions[0].value)
+        found = sum(mi.luminance(one.value) for one in self.trace(sources, _PILOT).contributions)
         dr.eval(length, found)
         values = np.array(found, np.float64)
         values = np.minimum(values, 100.0 * max(values.mean(), 0.0))
@@ -140,7 +142,13 @@ class SingleTarget:
         length, probability = self._length(camera.next_1d(0, dim.LENGTH))
         found, count = self.single(sources, length, film_place(self._method, camera), lanes)
         value, bad = keep_finite(found.value * (count / probability))
-        return Traced([Contribution(found.position, value)], found.rays, dr.select(bad, mi.UInt32(1), 0))
+        contributions = [Contribution(found.position, value)]
+        if found.component is not None:
+            contributions = [
+                Contribution(found.position, dr.select(found.component == number, value, 0.0), number)
+                for number in range(len(COMPONENTS))
+            ]
+        return Traced(contributions, found.rays, dr.select(bad, mi.UInt32(1), 0))
 
 
 class Mmlt(MetropolisMethod):

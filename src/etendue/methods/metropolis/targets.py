@@ -29,6 +29,12 @@ class Contribution:
 
     position: mi.Point2f  #: on the film, in pixels
     value: mi.Color3f  #: as the radiance of a camera path that is uniform on the film; 0 where there is none
+    component: int = 0  #: ``film.Component``, the same in all lanes; 0 where components are not kept apart
+
+    def where(self, mask: mi.Bool, other: Contribution) -> Contribution:
+        """This one where the mask holds, else another one of its component."""
+        position, value = dr.select(mask, self.position, other.position), dr.select(mask, self.value, other.value)
+        return Contribution(position, value, self.component)
 
 
 @dataclass
@@ -93,6 +99,15 @@ def light_slots(method: ImageMethod) -> tuple[list[Slot], list[Slot]]:
 ROULETTE = Slot(dim.ROULETTE, decided=True)
 
 
+def found_by(path: CameraPath, place: mi.Point2f) -> tuple[list[Contribution], mi.Bool]:
+    """(contributions of camera paths: one, or one for each component; mask of lanes that are not finite and 0)."""
+    radiance, bad = keep_finite(path.radiance)
+    if not path.by_component:
+        return [Contribution(place, radiance)], bad
+    parts = enumerate(path.by_component)
+    return [Contribution(place, dr.select(bad, 0.0, part), number) for number, part in parts], bad
+
+
 class PathTarget:
     """A camera path with next event estimation and multiple importance sampling, as of ``path``. A vertex has 6
     numbers, 7 in a scene with several lights."""
@@ -108,7 +123,8 @@ class PathTarget:
         place = film_place(method, source)
         ray, importance, _ = method.camera.through(place, source)
         walker, weights = method.walker(Walker), DirectWeights()
-        path = CameraPath.start(ray, walker.max_edges)
+        path = CameraPath.start(ray, walker.max_edges, **method.path_fields())
         path = walker.walk(path, lambda s: edge(s, walker, weights, source), "path of a chain")
-        radiance, bad = keep_finite(path.radiance * importance)
-        return Traced([Contribution(place, radiance)], path.rays, dr.select(bad, mi.UInt32(1), 0))
+        path.weigh(importance)
+        contributions, bad = found_by(path, place)
+        return Traced(contributions, path.rays, dr.select(bad, mi.UInt32(1), 0))

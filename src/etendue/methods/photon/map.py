@@ -24,7 +24,7 @@ from etendue.transport import Kind, Photons, WalkVertex
 from .. import radius as radii
 from ..base import ImageSettings
 from .mapping import GatherPath, PhotonMapping, PhotonSettings
-from .photons import PhotonShot, photon_room, reflected_by
+from .photons import PhotonShot, add_by_kind, no_light, photon_room, reflected_by
 
 #: Most light paths per photon of the setting ``photons``, for scenes in which light paths store few photons.
 _MOST_PATHS_PER_PHOTON = 20
@@ -87,13 +87,14 @@ class Pm(PhotonMapping):
     def build(self, shot: PhotonShot, iteration: int, seed: int) -> None:
         """Build the two maps."""
         positions, kind, held = shot.vertices.positions()
-        caustic = held & (kind == mi.UInt32(Kind.CAUSTIC))
+        is_caustic = (kind == mi.UInt32(Kind.CAUSTIC)) | (kind == mi.UInt32(Kind.BEAM))
+        caustic = held & is_caustic
         if self.final_gather:
             rest = held  # at the second surface, photons of all kinds are indirect light of the first
         elif self.settings.direct == "next_event":
             rest = held & (kind == mi.UInt32(Kind.INDIRECT))
         else:
-            rest = held & (kind != mi.UInt32(Kind.CAUSTIC))
+            rest = held & ~is_caustic
         self._caustic, self._global = (self._map(shot, positions, mask) for mask in (caustic, rest))
 
         self._paths = dr.opaque(mi.Float, shot.paths)
@@ -106,31 +107,31 @@ class Pm(PhotonMapping):
         dr.scatter(destination, place, dr.gather(mi.UInt32, tree.order, place))
         return _Map(tree, shot.vertices.sorted_by(destination, mask))
 
-    def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[mi.Color3f, mi.UInt32]:
+    def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[list[mi.Color3f], mi.UInt32]:
         """See :class:`PhotonMapping`."""
-        if not self.final_gather:
-            caustic, _ = self._nearest(self._caustic, s, vertex, active)
-            rest, found = self._nearest(self._global, s, vertex, active)
-            return caustic + rest, found
-        caustic, _ = self._nearest(self._caustic, s, vertex, active & ~s.beyond)
-        rest, found = self._nearest(self._global, s, vertex, active & s.beyond)
-        return caustic + rest, found
+        here, beyond = (active & ~s.beyond, active & s.beyond) if self.final_gather else (active, active)
+        caustic, _ = self._nearest(self._caustic, s, vertex, here)
+        rest, found = self._nearest(self._global, s, vertex, beyond)
+        return [a + b for a, b in zip(caustic, rest, strict=True)], found
 
     def _nearest(
         self, photon_map: _Map, s: GatherPath, vertex: WalkVertex, active: mi.Bool
-    ) -> tuple[mi.Color3f, mi.UInt32]:
-        """(radiance, photons) from the nearest photons of one map."""
+    ) -> tuple[list[mi.Color3f], mi.UInt32]:
+        """(radiance as :meth:`gather` returns it, photons) from the nearest photons of one map."""
         tree, photons, si = photon_map.tree, photon_map.photons, vertex.si
         limit = tree.kth_distance_squared(si.p, self._neighbours, self._limit, active)
         # The farthest photon defines the disc; counting it would make the estimate too bright by k / (k - 1).
         rim = dr.select(limit < self._limit, limit * _INSIDE, dr.inf)
 
-        def visit(photon: mi.UInt32, _: mi.Float, state: tuple[mi.Color3f, mi.UInt32]) -> tuple[mi.Color3f, mi.UInt32]:
+        def visit(
+            photon: mi.UInt32, _: mi.Float, state: tuple[list[mi.Color3f], mi.UInt32]
+        ) -> tuple[list[mi.Color3f], mi.UInt32]:
             flux, found = state
             position, depth = photons.position(photon, active)
             allowed = (depth + s.depth <= self.edges) & (dr.squared_norm(position - si.p) < rim)
             value = reflected_by(photons, photon, vertex, limit, self.settings.kernel, active)
-            return flux + dr.select(allowed, value, 0.0), found + 1
+            return add_by_kind(flux, dr.select(allowed, value, 0.0), photons, photon, active), found + 1
 
-        flux, found = tree.within(si.p, limit, (mi.Color3f(0.0), mi.UInt32(0)), visit, active)
-        return dr.select(limit > 0.0, flux / (dr.pi * limit * self._paths), 0.0), found
+        start = no_light(self.settings.components), mi.UInt32(0)
+        flux, found = tree.within(si.p, limit, start, visit, active)
+        return [dr.select(limit > 0.0, part / (dr.pi * limit * self._paths), 0.0) for part in flux], found

@@ -106,8 +106,9 @@ class PhotonMapping(ImageMethod):
         """Prepare the photons of a pass for :meth:`gather`."""
 
     @abstractmethod
-    def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[mi.Color3f, mi.UInt32]:
-        """(reflected radiance at a vertex by density estimation, number of photons found)."""
+    def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[list[mi.Color3f], mi.UInt32]:
+        """(reflected radiance at a vertex by density estimation, one value or with ``components`` that of each of
+        ``film.REFLECTED``; number of photons found)."""
 
     def finish(self, found: mi.UInt32) -> None:
         """Called after a pass with the number of photons that each path found at its first gather point."""
@@ -123,16 +124,16 @@ class PhotonMapping(ImageMethod):
         shot = self.shoot(iteration, seed)
         self.build(shot, iteration, seed)
         path = self._trace("", iteration, seed, samples)
-        radiance, bad = self.kept(path.radiance)
+        radiance, bad = self.kept_layers(path)
         dr.eval(radiance, path.rays, path.found, bad)
         self.finish(path.found)
         counters = {
             "rays": total(path.rays) + shot.rays,
-            "paths": float(len(radiance[0]) + shot.paths),
+            "paths": float(dr.width(path.rays) + shot.paths),
             "photons": float(shot.vertices.wanted[0]),
             "nonfinite": total(bad),
         }
-        return {"image": self.image(radiance, seed, 0 if self.fixed_points else iteration)}, counters
+        return self.images(radiance, seed, 0 if self.fixed_points else iteration), counters
 
     def _trace(self, role: str, iteration: int, seed: int, samples: int) -> GatherPath:
         """Camera paths, not yet evaluated."""
@@ -140,10 +141,11 @@ class PhotonMapping(ImageMethod):
         fresh = self.camera_numbers(lanes, samples, seed, iteration, role + "camera")
         fixed = self.camera_numbers(lanes, samples, seed, 0, role + "camera") if self.fixed_points else fresh
         ray, importance, _ = self.camera.primary(lanes // samples, fixed)
-        walker = self.walker(Walker)
+        walker = self.walker(Walker, first=self.first_hits(lanes, 0 if self.fixed_points else iteration))
         path = GatherPath.start(
             ray,
             walker.max_edges,
+            **self.path_fields(),
             radiance=mi.Color3f(dr.opaque(mi.Float, 0.0)),  # not literal, for scenes without smooth surfaces
             beyond=mi.Bool(False),
             found=mi.UInt32(0),
@@ -151,7 +153,7 @@ class PhotonMapping(ImageMethod):
             lane=mi.UInt32(lanes),
         )
         path = walker.walk(path, lambda s: self._edge(s, walker, fresh, fixed), "photon gathering")
-        path.radiance *= importance
+        path.weigh(importance)
         return path
 
     def _edge(self, s: GatherPath, walker: Walker, fresh: SampleSource, fixed: SampleSource) -> GatherPath:
@@ -164,7 +166,7 @@ class PhotonMapping(ImageMethod):
         hit = walker.emission(s, vertex)
         shared = weights.hit(s.pdf, hit.direct_pdf) if next_event else mi.Float(0.0)
         weight = dr.select(s.beyond, dr.select(s.pdf > 0.0, shared, 0.0), 1.0)
-        s.radiance[hit.active & (weight > 0.0)] += s.throughput * hit.radiance * weight
+        s.add(s.throughput * hit.radiance * weight, hit.active & (weight > 0.0), s.seen)
         # The edge after a smooth surface is for emission only, unless photons are gathered at its end.
         s.active &= vertex.valid & (s.depth < walker.max_edges)
         if not self.final_gather and not self.visibility.transparent:
@@ -174,7 +176,8 @@ class PhotonMapping(ImageMethod):
         smooth = s.active & vertex.smooth
         here = smooth if self.final_gather else smooth & ~s.beyond
         reflected, found = self.gather(s, vertex, here)
-        s.radiance[here] += s.throughput * reflected
+        for component, value in s.components_of(reflected):
+            s.add(s.throughput * value, here, component)
         s.found = dr.select(here & s.first, found, s.found)
         s.first &= ~here
 
@@ -184,7 +187,7 @@ class PhotonMapping(ImageMethod):
         scattered, evaluated = vertex.sample(source, s.active, lights)
         for light, f in zip(lights, evaluated, strict=True):
             contribution, visible = walker.next_event(s, vertex, light, f, weights.light_point(light, f.pdf))
-            s.radiance[visible] += contribution
+            s.add(contribution, visible, s.lit)
 
         # ---- Advance: through specular components, and for one edge after a smooth one
         rough = ~scattered.is_delta

@@ -14,6 +14,7 @@ import mitsuba as mi
 
 from etendue.core import Array, logger
 from etendue.density import KERNELS, HashGrid
+from etendue.film import REFLECTED, by_component
 from etendue.scene import Problem
 from etendue.transport import Gather, LightVertices, LightWalk, Mis, Photons, Techniques, Vertex, unfolded
 
@@ -92,6 +93,21 @@ def reflected_by(
     return dr.select(distance_squared <= limit, value * weight, 0.0)
 
 
+def no_light(by_kind: bool) -> list[mi.Color3f]:
+    """Sums for :func:`add_by_kind`: of all light, or with ``by_kind`` of each of ``film.REFLECTED``."""
+    return [mi.Color3f(0.0) for _ in (REFLECTED if by_kind else "1")]
+
+
+def add_by_kind(
+    sums: list[mi.Color3f], value: mi.Color3f, photons: Photons, photon: mi.UInt32, active: mi.Bool
+) -> list[mi.Color3f]:
+    """The sums with the light of a photon added."""
+    if len(sums) == 1:
+        return [sums[0] + value]
+    values = by_component(value, photons.component(photon, active))
+    return [part + value for part, value in zip(sums, values, strict=True)]
+
+
 class PhotonGrid:
     """Photons of a pass in a grid, for density estimation with radii up to ``radius``.
 
@@ -102,6 +118,7 @@ class PhotonGrid:
     radius: largest radius, in units of the render space.
     box: lower and upper corner of the scene.
     kernel: name of the kernel.
+    by_kind: keep light of different components apart.
     """
 
     def __init__(
@@ -112,22 +129,26 @@ class PhotonGrid:
         radius: float,
         box: tuple[Array, Array],
         kernel: str = "uniform",
+        by_kind: bool = False,
     ) -> None:
         grid = HashGrid(positions, radius, *box, held)
         self._gather = Gather(grid, shot.vertices.sorted_by(grid.destination, held), (), ())
         self._paths = dr.opaque(mi.Float, shot.paths)
-        self._kernel = kernel
+        self._kernel, self._by_kind = kernel, by_kind
 
     def reflected(
         self, vertex: Vertex, edges: mi.UInt32, limit: mi.Float, active: mi.Bool
-    ) -> tuple[mi.Color3f, mi.UInt32]:
-        """(reflected radiance at a vertex, number of photons that contribute to it), from the photons with a depth of
-        at most ``edges`` within a squared radius ``limit``."""
+    ) -> tuple[list[mi.Color3f], mi.UInt32]:
+        """(reflected radiance at a vertex, or with ``by_kind`` that of each of ``film.REFLECTED``; number of photons
+        that contribute to it), from the photons with a depth of at most ``edges`` within a squared radius ``limit``."""
+        photons = self._gather.photons
 
-        def visit(photon: mi.UInt32, state: tuple[mi.Color3f, mi.UInt32]) -> tuple[mi.Color3f, mi.UInt32]:
+        def visit(photon: mi.UInt32, state: tuple[list[mi.Color3f], mi.UInt32]) -> tuple[list[mi.Color3f], mi.UInt32]:
             flux, found = state
-            value = reflected_by(self._gather.photons, photon, vertex, limit, self._kernel, active)
-            return flux + value, found + dr.select(dr.all(value == 0.0), mi.UInt32(0), mi.UInt32(1))
+            value = reflected_by(photons, photon, vertex, limit, self._kernel, active)
+            found = found + dr.select(dr.all(value == 0.0), mi.UInt32(0), mi.UInt32(1))
+            return add_by_kind(flux, value, photons, photon, active), found
 
-        flux, found = self._gather.around(vertex.position, edges, visit, (mi.Color3f(0.0), mi.UInt32(0)), active, limit)
-        return flux / (dr.pi * limit * self._paths), found
+        start = no_light(self._by_kind), mi.UInt32(0)
+        flux, found = self._gather.around(vertex.position, edges, visit, start, active, limit)
+        return [part / (dr.pi * limit * self._paths) for part in flux], found

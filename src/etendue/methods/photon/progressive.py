@@ -34,7 +34,7 @@ from etendue.transport import Kind, WalkVertex
 from .. import radius as radii
 from ..base import ImageSettings, corners
 from .mapping import GatherPath, PhotonMapping, PhotonSettings
-from .photons import PhotonGrid, PhotonShot
+from .photons import PhotonGrid, PhotonShot, no_light
 
 #: Least first radius over the largest, squared.
 _LEAST_SHARE = 1e-6
@@ -122,13 +122,14 @@ class Sppm(Carrying, PhotonMapping):
         """Sort the photons into a grid for the largest radius."""
         positions, held = self._wanted(shot)
         largest = float(np.sqrt(np.asarray(self._radius_squared).max()))
-        self._photons = PhotonGrid(shot, positions, held, largest, self._box, self.settings.kernel)
+        o = self.settings
+        self._photons = PhotonGrid(shot, positions, held, largest, self._box, o.kernel, o.components)
 
-    def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[mi.Color3f, mi.UInt32]:
+    def gather(self, s: GatherPath, vertex: WalkVertex, active: mi.Bool) -> tuple[list[mi.Color3f], mi.UInt32]:
         """See :class:`PhotonMapping`."""
         if self._tree is not None:  # called by _begin_with_nearest, which reads the distance from the photon count
             squared = self._tree.kth_distance_squared(vertex.position, self.settings.neighbours, self._limit, active)
-            return mi.Color3f(0.0), dr.reinterpret_array(mi.UInt32, squared)
+            return no_light(self.settings.components), dr.reinterpret_array(mi.UInt32, squared)
         limit = dr.gather(mi.Float, self._radius_squared, s.lane // self._sharing, active)
         return self._photons.reflected(vertex, self.edges - s.depth, limit, active)
 

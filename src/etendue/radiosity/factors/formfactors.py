@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import Array, free_memory, sparse
+from etendue.core import Array, InNotebooks, free_memory, sparse
 
 from ..errors import RadiosityError
 from ..lines.segments import Segments
@@ -24,7 +24,7 @@ ESTIMATORS: tuple[Estimator, ...] = ("F1", "F2", "F3", "F4", "reciprocal", "pool
 
 
 @dataclass(frozen=True)
-class FormFactors:
+class FormFactors(InNotebooks):
     """F_ij, the share of the light that leaves patch ``i`` and arrives at patch ``j`` directly.
 
     ``matrix``, ``errors``: (n, n) CSR arrays of SciPy: F, and the standard error of each entry, with the same

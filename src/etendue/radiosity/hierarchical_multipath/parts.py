@@ -242,6 +242,15 @@ class Tree:
         return np.concatenate(rows)
 
 
+def part_boxes(root: Part) -> tuple[Index, Array]:
+    """(level, corners) of the box of every copy, the root first: (m,), (m, 8, 3) in the scene. Corner k has the upper
+    end of the axes whose bits are set in k."""
+    tree = Tree(root)
+    level = np.concatenate([np.full(len(nodes), k) for k, nodes in enumerate(tree.levels)])
+    bounds = [_corners(*tree.parts[kind].bounds) for kind in tree.part]
+    return level, np.array([_placed(corners, world) for corners, world in zip(bounds, tree.world, strict=True)])
+
+
 def box_area(low: Array, high: Array) -> float:
     """Surface of a box."""
     x, y, z = high - low

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
-from etendue.core import Array, free_memory
+from etendue.core import Array, InNotebooks, free_memory
 from etendue.surfaces import AmbientTerm, Patches
 
 from ..ambient.spreading import spread
@@ -46,7 +46,7 @@ class Transport(Protocol):
 
 
 @dataclass(frozen=True)
-class Solution:
+class Solution(InNotebooks):
     """Radiosities of patches.
 
     ``radiosity``: (n, c) light that leaves, per area. ``irradiance``: (n, c) light that arrives. ``sky_share``: (n,).

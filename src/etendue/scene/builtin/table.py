@@ -14,7 +14,9 @@ from etendue.core import SceneError, suggest
 
 from .ajar import ajar
 from .caustics import caustics
+from .flat import flat
 from .gaps import gaps
+from .street import street
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -57,6 +59,8 @@ def bundled() -> dict[str, BundledScene]:
         ("cornell-glass", "the Cornell box with a glass ball and a box of rough gold", cornell_glass),
         ("ajar", "a room lit through a half-open door, by a lamp in the next room that faces a wall", ajar),
         ("gaps", "a room lit through two small gaps, from a lamp in the second chamber behind its wall", gaps),
+        ("flat", "a living room lit through a hall, by a lamp in the bedroom behind it", flat),
+        ("street", "a street at night among 1,024 lanterns, most of them hidden by houses", street),
         ("skylight", "frosted glass and lacquer under a sky with a low sun, through a thin lens", skylight),
         ("stage", "glass, plastic and steel under two spot lights and a point light", stage),
     )

@@ -115,6 +115,15 @@ def sphere_point(
     return si
 
 
+def sphere_point_facing(shape: mi.Shape, normal: mi.Vector3f, like: mi.SurfaceInteraction3f) -> mi.SurfaceInteraction3f:
+    """The point of a spherical light whose normal, on the side that emits, is ``normal``; ``like``: another point of
+    it."""
+    to_world = dict(contents(shape).values)["to_world"]
+    offset = like.p - to_world @ mi.Point3f(0.0)
+    outward = dr.select(dr.dot(like.n, offset) < 0.0, -normal, normal)
+    return sphere_point(shape, to_world @ mi.Point3f(0.0) + outward * dr.norm(offset), outward, like)
+
+
 def place_of(surface: str, uv: mi.Point2f) -> mi.Point2f:
     """Where in the unit square a hit of texture coordinates ``uv`` on one of ``SURFACES`` lies."""
     match surface:

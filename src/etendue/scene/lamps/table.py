@@ -24,13 +24,14 @@ share.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import SceneError, on_device
+from etendue.core import Array, SceneError, copied_to_device, on_device
 
 from ..graph import as_array, contents, plugin_name
 from ..plugins.warps import square_to_cosine_power, square_to_cosine_power_pdf
@@ -49,7 +50,8 @@ class Light:
 
     row: mi.UInt32  #: number of the light
     emitter: mi.EmitterPtr
-    pick: mi.Float  #: probability of picking it
+    pick: mi.Float  #: probability with which next event picks it
+    emitted: mi.Float  #: probability with which emission picks it; the same, unless both have been learned
     area_density: mi.Float  #: 1/A of an area emitter or a beam, 1 of a point-like one, 1/(pi R^2) of an infinite one
     direction_density: mi.Float  #: of a point-like emitter, per solid angle; 0 for the others
     is_delta: mi.Bool  #: no ray can hit it: point-like emitters, beams, and those with one direction
@@ -116,6 +118,14 @@ class LightTable:
         #: Point sampling on area lights whose radiance varies; None if the scene has no such light.
         self.points = LightPoints([r.cells for r in rows]) if any(r.cells for r in rows) else None
         self._cdf = mi.DiscreteDistribution(on_device(mi.Float, pick))
+        self._emitted, self._emitted_cdf = self._pick, self._cdf
+        #: Whether the probabilities are not those by power.
+        self.is_learned = False
+        #: (count,) whether rays leave a light in directions that :class:`Light` has a density of, so that they can be
+        #: sampled from others; on the host.
+        self.has_directions = np.array([r.kind in ("area", "point") and not r.is_projector for r in rows])
+        #: (count,) whether a light is a sphere of even radiance, from which as many rays leave in all directions.
+        self.is_round = np.array([r.sphere[3] > 0.0 and r.cells is None for r in rows])
         self._middle = on_device(mi.Float, np.cumsum(pick) - 0.5 * pick)
         # A hit has only a pointer to its emitter: registry numbers map it to rows.
         ids = np.asarray(dr.reinterpret_array(mi.UInt32, self._emitters))
@@ -128,6 +138,24 @@ class LightTable:
         if self.count == 1:
             return self.row(dr.zeros(mi.UInt32, dr.width(u)), active)
         return self.row(self._cdf.sample(u, active), active)
+
+    def pick_emitting(self, u: mi.Float, active: mi.Bool | bool = True) -> Light:
+        """Pick an emitter for emission."""
+        if self.count == 1:
+            return self.row(dr.zeros(mi.UInt32, dr.width(u)), active)
+        return self.row(self._emitted_cdf.sample(u, active), active)
+
+    def picked_by(self, direct: Array, emitted: Array) -> LightTable:
+        """The same lights, picked with other probabilities, (count,) each: by next event, and by emission. They are
+        rounded to multiples of 2^-23, as random numbers are; a positive one remains positive."""
+        table = copy.copy(self)
+        table.is_learned = True
+        table.probabilities = _in_steps(direct)
+        table._pick, table._emitted = (
+            copied_to_device(mi.Float, _in_steps(p).astype(np.float32)) for p in (direct, emitted)
+        )
+        table._cdf, table._emitted_cdf = mi.DiscreteDistribution(table._pick), mi.DiscreteDistribution(table._emitted)
+        return table
 
     def left_by_pick(self, u: mi.Float) -> mi.Float:
         """The remainder of a number that picks an emitter: uniform in [0, 1), independent of the emitter."""
@@ -152,7 +180,8 @@ class LightTable:
         return Light(
             row=row,
             emitter=dr.gather(mi.EmitterPtr, self._emitters, row, active),
-            pick=dr.gather(mi.Float, self._pick, row, active),
+            pick=(pick := dr.gather(mi.Float, self._pick, row, active)),
+            emitted=pick if self._emitted is self._pick else dr.gather(mi.Float, self._emitted, row, active),
             area_density=dr.gather(mi.Float, self._area_density, row, active),
             direction_density=dr.gather(mi.Float, self._direction_density, row, active),
             is_delta=dr.gather(mi.Bool, self._is_delta, row, active),
@@ -168,6 +197,15 @@ class LightTable:
 _KINDS = ("area", "point", "infinite", "beam")
 
 
+def _in_steps(probability: Array) -> Array:
+    """Probabilities as multiples of 2^-23 whose sum is one."""
+    steps = np.where(probability > 0.0, 1.0, 0.0)
+    steps += np.floor(probability / probability.sum() * (2.0**23 - steps.sum()))
+    steps[np.argmax(steps)] += 2.0**23 - steps.sum()
+    result: Array = steps / 2.0**23
+    return result
+
+
 @dataclass
 class _Row:
     name: str
@@ -177,6 +215,7 @@ class _Row:
     direction_density: float = 0.0
     is_delta: bool = False
     exponent: float = 0.0
+    is_projector: bool = False
     cells: RadianceCells | None = None  #: of an area light whose radiance varies
     sphere: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)  #: centre and radius of a spherical one
 
@@ -188,7 +227,8 @@ def _describe(emitter: mi.Emitter, scene_radius: float) -> _Row:
     if mi.has_flag(flags, mi.EmitterFlags.Infinite):
         return _Row(name, "infinite", _power(emitter), 1.0 / (np.pi * scene_radius**2), is_delta=one_direction)
     if mi.has_flag(flags, mi.EmitterFlags.DeltaPosition):
-        return _Row(name, "point", _power(emitter), 1.0, _cone_density(emitter), is_delta=True)
+        projects = "irradiance" in mi.traverse(emitter)
+        return _Row(name, "point", _power(emitter), 1.0, _cone_density(emitter), is_delta=True, is_projector=projects)
     area = float(np.asarray(emitter.get_shape().surface_area()).ravel()[0])
     if not area > 0:
         raise SceneError(f"area emitter '{name}' is on a shape without area; remove it or repair the shape")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import Array, is_whole, use_variant
+from etendue.core import Array, InNotebooks, is_whole, use_variant
 from etendue.scene import RenderSpace
 
 from ..errors import SurfaceError
@@ -26,7 +26,7 @@ GROUPS = 8
 _HASH = 2654435761
 
 
-class PatchMap:
+class PatchMap(InNotebooks):
     """Irradiance of patches: cells with particles, or a radiosity solution.
 
     Parameters

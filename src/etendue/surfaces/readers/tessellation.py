@@ -30,6 +30,40 @@ def tessellate(shape: mi.Shape, segments: int) -> tuple[Array, Index, mi.Surface
     import mitsuba as mi
 
     kind = shape.shape_type()
+    points, faces, cells = _faces(shape, segments)
+    if cells is not None:
+        at = shape.eval_parameterization(mi.Point2f(*_in_cells(cells, is_disk=kind == mi.ShapeType.Disk)))
+        if kind == mi.ShapeType.Rectangle:  # its parameterisation ignores flipped normals
+            at.n = shape.sample_position(0.0, mi.Point2f(0.5, 0.5)).n
+    else:
+        at = _of_mesh(shape, len(faces))
+    at.wi = mi.Vector3f(0, 0, 1)
+    normals = face_means(at.n, len(faces))
+    a, b, c, d = (points[faces[:, i]] for i in range(4))
+    is_turned = (np.cross(c - a, d - b) * normals).sum(axis=1) < 0
+    faces[is_turned] = faces[is_turned][:, [0, 3, 2, 1]]
+    triangle = is_turned & (faces[:, 2] == faces[:, 1])  # the repeated corner of a triangle is now the second
+    faces[triangle] = faces[triangle][:, [0, 1, 3, 3]]
+    return points, faces, at
+
+
+def shape_triangles(shape: mi.Shape, segments: int = 32) -> Array:
+    """Triangles (n, 3, 3) of a shape, counterclockwise from the side of its normal. Errors as :func:`tessellate`."""
+    points, faces, cells = _faces(shape, segments)
+    if cells is None:
+        corners = faces[:, [0, 2, 1]] if shape.has_flipped_normals() else faces[:, :3]
+        return np.asarray(points[corners])
+    points, faces, _ = tessellate(shape, segments)  # which turns faces to the normal
+    first = np.where((faces[:, 1] == faces[:, 2])[:, None], faces[:, [0, 1, 3]], faces[:, :3])
+    second = faces[(faces[:, 2] != faces[:, 3]) & (faces[:, 1] != faces[:, 2])][:, [0, 2, 3]]
+    return np.asarray(points[np.concatenate([first, second])])
+
+
+def _faces(shape: mi.Shape, segments: int) -> tuple[Array, Index, Array | None]:
+    """(vertices, faces, parameters of the faces); ``None`` for those of a mesh."""
+    import mitsuba as mi
+
+    kind = shape.shape_type()
     grids = {
         mi.ShapeType.Rectangle: lambda: _grid(1, 1),
         mi.ShapeType.Disk: lambda: _disk(segments),
@@ -39,26 +73,13 @@ def tessellate(shape: mi.Shape, segments: int) -> tuple[Array, Index, mi.Surface
     if kind in grids:
         uv, faces, cells = grids[kind]()
         matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
-        points = _local(kind, uv) @ matrix[:3, :3].T + matrix[:3, 3]
-        at = shape.eval_parameterization(mi.Point2f(*_in_cells(cells, is_disk=kind == mi.ShapeType.Disk)))
-        if kind == mi.ShapeType.Rectangle:  # its parameterisation ignores flipped normals
-            at.n = shape.sample_position(0.0, mi.Point2f(0.5, 0.5)).n
-    elif shape.is_mesh():
+        return _local(kind, uv) @ matrix[:3, :3].T + matrix[:3, 3], faces, cells
+    if shape.is_mesh():
         points = np.array(shape.vertex_positions_buffer(), dtype=np.float64).reshape(-1, 3)
-        faces = np.array(shape.faces_buffer(), dtype=np.int64).reshape(-1, 3)[:, [0, 1, 2, 2]]
-        at = _of_mesh(shape, len(faces))
-    else:
-        raise UnsupportedError(
-            f"{graph.describe(shape, 'shape')} has no flat faces and is not tessellated; replace it by a mesh"
-        )
-    at.wi = mi.Vector3f(0, 0, 1)
-    normals = face_means(at.n, len(faces))
-    a, b, c, d = (points[faces[:, i]] for i in range(4))
-    is_turned = (np.cross(c - a, d - b) * normals).sum(axis=1) < 0
-    faces[is_turned] = faces[is_turned][:, [0, 3, 2, 1]]
-    triangle = is_turned & (faces[:, 2] == faces[:, 1])  # the repeated corner of a triangle is now the second
-    faces[triangle] = faces[triangle][:, [0, 1, 3, 3]]
-    return points, faces, at
+        return points, np.array(shape.faces_buffer(), dtype=np.int64).reshape(-1, 3)[:, [0, 1, 2, 2]], None
+    raise UnsupportedError(
+        f"{graph.describe(shape, 'shape')} has no flat faces and is not tessellated; replace it by a mesh"
+    )
 
 
 def face_means(values: mi.Color3f, faces: int) -> Array:

@@ -11,6 +11,7 @@ import mitsuba as mi
 
 from etendue.core import SampleSource
 from etendue.density import HashGrid
+from etendue.film import REFLECTED, Component, by_component
 
 from .. import dimensions as dim
 from ..emission import DirectSample
@@ -34,6 +35,7 @@ class _State(BidirectionalPath):
     lane: mi.UInt32  #: number of the camera path; does not change
     layers: dict[str, mi.Color3f]  #: technique family -> radiance
     sums: Sums | None  #: of ``moments``
+    worth: mi.Float | None  #: factor on contributions to its pixel, for a guide of emission; None without
 
 
 @dataclass
@@ -131,9 +133,11 @@ class CameraWalk(BidirectionalWalk):
             vertex=mi.UInt32(1),
             travelled=lead,
             rays=dr.zeros(mi.UInt32, lanes),
+            seen=mi.UInt32(Component.EMISSION) if self.sink.components else None,
             lane=dr.arange(mi.UInt32, lanes),
             layers=self.sink.begin(self.mis.techniques, pixel, importance),
             sums=self.moments.begin(lanes, importance) if self.moments else None,
+            worth=None if self.training is None else self.training.worth_of_lane(pixel, dr.arange(mi.UInt32, lanes)),
         )
         state = self.walk(state, lambda s: self._edge(s, source), "camera walk")
         if self.moments and state.sums:
@@ -174,7 +178,7 @@ class CameraWalk(BidirectionalWalk):
             u = source.decide(s.depth, dim.CONNECT + index)
             contribution, weights, rays = self._connection(s, vertex, joined, evaluated[len(lights) + index], u)
             s.rays += rays
-            self.sink.add(s.layers, "connection", contribution, joined.active)
+            self.sink.add(s.layers, "connection", contribution, joined.active, Component.INDIRECT)
             connections.append((contribution[0], weights.ratios, joined.active))
         if self.moments and s.sums:
             self.moments.add_connections(s.sums, connections)
@@ -194,7 +198,7 @@ class CameraWalk(BidirectionalWalk):
         weights = self.mis.emission_weight(number, s.d_vcm, s.d_vc, hit.area_density, hit.emission_density)
         alone = s.throughput * hit.radiance
         values = [alone * weight for weight in weights]
-        self.sink.add(s.layers, "emission", values, hit.active)
+        self.sink.add(s.layers, "emission", values, hit.active, s.seen)
         if self.moments and s.sums:
             self.moments.add(s.sums, "emission", values[0], weights.ratios, hit.active)
         self.sink.show(mi.UInt32(0), number + 1, Contribution(values, alone, hit.active, hit.active))
@@ -214,9 +218,11 @@ class CameraWalk(BidirectionalWalk):
         )
         s.rays += rays
         self.sink.show(mi.UInt32(1), number + 1, contribution)
-        self.sink.add(s.layers, "next_event", contribution.weighted, contribution.active)
+        self.sink.add(s.layers, "next_event", contribution.weighted, contribution.active, s.lit)
         if self.moments and s.sums:
             self.moments.add(s.sums, "next_event", contribution.weighted[0], weights.ratios, contribution.active)
+        if self.training is not None:
+            self.training.add_light(light.light, contribution.weighted[0], s.worth, contribution.active)
 
     def _pick_vertices(self, s: _State, vertex: WalkVertex, active: mi.Bool) -> list[_Joined]:
         """Edges from a camera vertex to light vertices sampled from the cache."""
@@ -254,11 +260,11 @@ class CameraWalk(BidirectionalWalk):
             label="connect",
         )
         s.rays += rays
-        self.sink.add(s.layers, "connection", totals, active)
+        self.sink.add(s.layers, "connection", totals, active, Component.INDIRECT)
 
-    def _blank(self, lanes: int) -> list[mi.Color3f]:
-        """Zero radiance for each radius."""
-        return [dr.zeros(mi.Color3f, lanes) for _ in range(1 + len(self.sink.more_radii))]
+    def _blank(self, lanes: int, parts: int = 1) -> list[mi.Color3f]:
+        """Zero radiance for each radius, in so many parts for the first one."""
+        return [dr.zeros(mi.Color3f, lanes) for _ in range(parts + len(self.sink.more_radii))]
 
     def _join(self, s: _State, vertex: WalkVertex, number: mi.UInt32, active: mi.Bool) -> _Joined:
         """The edge between a camera vertex and light vertex ``number``."""
@@ -295,6 +301,8 @@ class CameraWalk(BidirectionalWalk):
         edges = other.depth + s.depth + 1
         contribution, rays = self.connect(vertex, other.position, edges, values, alone, self.dark, u, active)
         self.sink.show(other.number + 1, number + 1, contribution)
+        if self.training is not None:
+            self.training.add(other.path, contribution.weighted[0], s.worth, contribution.active)
         return [dr.select(contribution.active, value, 0.0) for value in contribution.weighted], weights, rays
 
     def _merge(self, s: _State, vertex: WalkVertex, active: mi.Bool) -> None:
@@ -303,7 +311,7 @@ class CameraWalk(BidirectionalWalk):
         if not self.mis.techniques.merge_first:
             active = active & (self.number(s) > 1)
 
-        factors = self.gather.factors
+        parts, photons, factors = 1 if s.seen is None else len(REFLECTED), self.gather.photons, self.gather.factors
 
         def visit(
             photon: mi.UInt32, found: tuple[list[mi.Color3f], Sums | None]
@@ -313,12 +321,16 @@ class CameraWalk(BidirectionalWalk):
             if self.moments and sums:
                 sums.photons = sums.photons + 1
                 self.moments.add(sums, "merge", s.throughput * values[0] * factors[0], weights.ratios, active)
+            if s.seen is not None:
+                values[:1] = by_component(values[0], photons.component(photon, active))
             return [total + value for total, value in zip(totals, values, strict=True)], sums
 
-        found = self._blank(1), s.sums
+        found = self._blank(1, parts), s.sums
         totals, s.sums = self.gather.around(vertex.position, self.max_edges - s.depth, visit, found, active)
-        values = [s.throughput * total * factor for total, factor in zip(totals, factors, strict=True)]
-        self.sink.add(s.layers, "merge", values, active)
+        for component, total in s.components_of(totals[:parts]):
+            self.sink.add_first(s.layers, "merge", s.throughput * total * factors[0], active, component)
+        more = [s.throughput * total * factor for total, factor in zip(totals[parts:], factors[1:], strict=True)]
+        self.sink.add_more(s.layers, more, active)
 
     def _merged(
         self, s: _State, vertex: WalkVertex, photon: mi.UInt32, active: mi.Bool
@@ -337,4 +349,7 @@ class CameraWalk(BidirectionalWalk):
             here = active & inside[0]
             merged = Contribution([alone * weights[0]], alone, here, here)
             self.sink.show(photons.number(photon, active) + 1, number + 1, merged, merged=True)
+        if self.training is not None:
+            credit = value * s.throughput * (self.gather.factors[0] * weights[0])
+            self.training.add(photons.path(photon, active), credit, s.worth, active & inside[0])
         return [dr.select(ok, value * w, 0.0) for ok, w in zip(inside, weights, strict=True)], weights

@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
+from etendue.film import after_light_scattering
 
 from .. import dimensions as dim
 from ..camera import CameraConnection
@@ -34,6 +35,8 @@ class LightPath(BidirectionalPath):
     light: mi.UInt32 | None  #: number of the light that the path left; None where no light is spherical
     waiting: mi.Float | None  #: area density that :meth:`Mis.lit` corrects at the end of the first edge; 0 after it
     nonfinite: mi.UInt32
+    found: mi.Float | None  #: contributions by splats so far, for a guide of emission; None without
+    flux: mi.Float | None  #: flux at the start, to which roulette compares; None: the power of all lights
 
 
 @dataclass(kw_only=True)
@@ -55,12 +58,16 @@ class LightWalk(BidirectionalWalk):
         state = self.walk(state, lambda s: self._edge(s, path, source, vertices), "light walk")
         if vertices is not None:
             vertices.close_paths(path, state.stored)
+        if self.training is not None:
+            self.training.splatted(state.found)
         return state.rays, state.nonfinite
 
     def begin(self, paths: int, source: SampleSource, numbered: bool = False, **own: Any) -> LightPath:
         """The state before the first edge of ``paths`` sub-paths. ``numbered``: vertices are counted without null
         surfaces; ``own``: fields of a subclass of the state ``kind``."""
-        emitted = emit(self.lights, source, mi.Bool(True))
+        emitted = emit(self.lights, source, mi.Bool(True), self.departures)
+        if self.training is not None:
+            self.training.begin(emitted)
         d_vcm, d_vc = self.mis.start_light(
             emitted.area_density, emitted.emission_density, emitted.cos_light, emitted.is_delta
         )
@@ -77,14 +84,16 @@ class LightWalk(BidirectionalWalk):
             depth=dr.full(mi.UInt32, 1, paths),
             vertex=mi.UInt32(1) if numbered else None,
             stored=dr.zeros(mi.UInt32, paths),
-            # Next event cannot sample a beam, so light of a beam counts as a caustic.
-            kind=dr.select(emitted.area_density > 0.0, mi.UInt32(Kind.DIRECT), mi.UInt32(Kind.CAUSTIC)),
+            kind=dr.select(emitted.area_density > 0.0, mi.UInt32(Kind.DIRECT), mi.UInt32(Kind.BEAM)),
             from_infinity=emitted.is_infinite,
             light=mi.UInt32(emitted.light) if waits else None,
             waiting=mi.Float(emitted.area_density) if waits else None,
             travelled=mi.Float(0.0),
             rays=dr.zeros(mi.UInt32, paths),
             nonfinite=dr.zeros(mi.UInt32, paths),
+            found=None if self.training is None else dr.zeros(mi.Float, paths),
+            # Learned emission gives little flux to paths that are worth much.
+            flux=dr.mean(emitted.throughput) if self.lights.is_learned or self.departures is not None else None,
         )
 
     def _edge(self, s: LightPath, path: mi.UInt32, source: SampleSource, vertices: LightVertices | None) -> LightPath:
@@ -142,13 +151,11 @@ class LightWalk(BidirectionalWalk):
         """Leave a vertex; ``on_edge`` and ``light_cos`` are those of :meth:`land`."""
         sampled = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
         s.d_vcm, s.d_vc = self.mis.scatter_light(s.d_vcm, s.d_vc, light_cos, *sampled)
-        after_delta = dr.select(s.kind == mi.UInt32(Kind.INDIRECT), s.kind, mi.UInt32(Kind.CAUSTIC))
-        kind = dr.select(scattered.is_delta, after_delta, mi.UInt32(Kind.INDIRECT))
-        s.kind = self.keep_if_null(scattered, s.kind, kind)
+        s.kind = self.keep_if_null(scattered, s.kind, after_light_scattering(s.kind, scattered.is_delta))
         s.from_infinity = self.keep_if_null(scattered, s.from_infinity, mi.Bool(False))
         if s.waiting is not None:
             s.waiting = self.keep_if_null(scattered, s.waiting, mi.Float(0.0))
-        relative = s.throughput * scattered.weight / self.lights.total_power
+        relative = s.throughput * scattered.weight / (self.lights.total_power if s.flux is None else s.flux)
         self.leave(s, vertex, scattered, source, on_edge, roulette_by=(relative, 1.0))
 
     def _splat(
@@ -177,4 +184,9 @@ class LightWalk(BidirectionalWalk):
         s.rays += rays
         if self.moments:
             self.moments.splat(joined.position, contribution.weighted[0], weights.ratios, contribution.active)
-        s.nonfinite += ones(sink.add(self.number(s) + 1, place, contribution))
+        s.nonfinite += ones(sink.add(self.number(s) + 1, place, contribution, s.kind))
+        if self.training is not None:
+            x, y = (mi.UInt32(dr.maximum(coordinate, 0.0)) for coordinate in joined.position)
+            worth = self.training.worth(y * self.camera.width + x, contribution.active)
+            value = mi.luminance(contribution.weighted[0]) * worth / self.mis.paths_per_sample
+            s.found = s.found + dr.select(contribution.active & dr.isfinite(value), value, 0.0)

@@ -21,6 +21,8 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
+from etendue.film import Component
+
 from .mis import Carried, Linear
 
 #: Least 1 + cos of the angle between the normals of two surfaces whose photons are merged: 120 degrees.
@@ -47,6 +49,7 @@ class Photons:
     _flux: mi.Float
     _more: mi.Float | None  #: further coefficients of d_vcm and d_vc
     _depth_bits: int  #: bits of a tag that hold the depth; if fewer than 16, the next four hold the vertex number
+    _owners: mi.UInt32 | None = None  #: number of the light path of each
 
     def position(self, index: mi.UInt32, active: mi.Bool) -> tuple[mi.Point3f, mi.UInt32]:
         """(position, depth)."""
@@ -56,6 +59,16 @@ class Photons:
     def number(self, index: mi.UInt32, active: mi.Bool) -> mi.UInt32:
         """Number of the vertex on its path (see :class:`LightVertex`)."""
         return number_of(dr.gather(mi.Float, self._position, 4 * index + 3, active), self._depth_bits)
+
+    def component(self, index: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """The ``film.Component`` of the photon's light to an eye that sees the surface."""
+        # As in `position`, so that both are one gather.
+        return component_of(dr.gather(mi.Vector4f, self._position, index, active).w)
+
+    def path(self, index: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """Number of the light path, if vertices are ``owned``."""
+        assert self._owners is not None
+        return dr.gather(mi.UInt32, self._owners, index, active)
 
     def read(self, index: mi.UInt32, active: mi.Bool) -> Photon:
         """All but position and depth."""
@@ -138,6 +151,11 @@ def unpacked_normal(packed: mi.Float) -> mi.Vector3f:
 def depth_of(tag: mi.Float, bits: int) -> mi.UInt32:
     """Edges from the light."""
     return dr.reinterpret_array(mi.UInt32, tag) & ((1 << bits) - 1)
+
+
+def component_of(tag: mi.Float) -> mi.UInt32:
+    """The ``film.Component`` by the kind of a vertex; that of a beam is DIRECT."""
+    return dr.maximum(dr.reinterpret_array(mi.UInt32, tag) >> 30, mi.UInt32(Component.DIRECT))
 
 
 def number_of(tag: mi.Float, bits: int) -> mi.UInt32:

@@ -16,6 +16,7 @@ import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
+from etendue.film import Component
 from etendue.scene import LightTable
 
 from .. import dimensions as dim
@@ -91,9 +92,11 @@ class _CameraSide(BidirectionalWalk):
         emissive: mi.Bool,
         primary: tuple[mi.Ray3f, mi.Color3f, mi.Point2f],
         source: SampleSource,
+        components: bool,
     ) -> _CameraEnding:
         """Sub-paths of ``edges`` edges each, 0 for none, those to lights ``emissive``; ``primary``: camera rays, as of
-        ``CameraSampler``. The last edge may have missed the scene, where the environment is seen."""
+        ``CameraSampler``. The last edge may have missed the scene, where the environment is seen. ``components``:
+        whether the state tells what a light at the end would be ``seen`` as."""
         lanes = dr.width(edges)
         ray, importance, aperture = primary
         density, lead = self.camera.density(ray, aperture)
@@ -109,6 +112,7 @@ class _CameraSide(BidirectionalWalk):
             vertex=mi.UInt32(1),
             travelled=lead,
             rays=dr.zeros(mi.UInt32, lanes),
+            seen=mi.UInt32(Component.EMISSION) if components else None,
             wanted=edges,
             emissive=emissive,
             hit=dr.zeros(mi.PreliminaryIntersection3f, lanes),
@@ -135,7 +139,10 @@ def _no(lanes: int) -> mi.Bool:
 
 
 #: What a sub-path that does not scatter at a vertex keeps.
-_KEPT = ("ray", "throughput", "d_vcm", "d_vc", "depth", "travelled", "vertex", "eta", "from_infinity", "waiting")
+_KEPT = (
+    *("ray", "throughput", "d_vcm", "d_vc", "depth", "travelled", "vertex", "eta", "from_infinity", "waiting"),
+    *("seen", "kind"),
+)
 
 
 @dataclass
@@ -197,6 +204,7 @@ class SingleContribution:
     value: mi.Color3f  #: with its weight; times the number of techniques of its length, an estimate of all of them
     alone: mi.Color3f  #: without the weight
     rays: mi.UInt32
+    component: mi.UInt32 | None = None  #: ``film.Component``, if asked for
 
 
 @dataclass(kw_only=True)
@@ -211,6 +219,7 @@ class SingleTechnique:
     camera: CameraSampler
     mis: Mis
     max_edges: mi.UInt32  #: opaque; null surfaces that a path crosses count
+    components: bool = False  #: whether to tell the component of a contribution
 
     def trace(
         self, s: mi.UInt32, t: mi.UInt32, place: mi.Point2f, camera: SampleSource, light: SampleSource
@@ -229,7 +238,7 @@ class SingleTechnique:
         }
         eye_walk, light_walk = _CameraSide(proposal=scatter_camera, **common), _LightSide(**common)
         primary = self.camera.through(place, camera)
-        eye = eye_walk.trace_to(t - 1, s == 0, primary, camera)
+        eye = eye_walk.trace_to(t - 1, s == 0, primary, camera, self.components)
         lit = light_walk.trace_to(dr.select(s >= 2, s - 1, 0), light)
         eye_end, light_end = self._end(eye), self._end(lit)
         # Edges of both sub-paths, crossings of null surfaces included, and of the one between their ends.
@@ -306,7 +315,12 @@ class SingleTechnique:
         # A sub-path without an end is connected from the origin, where the projection may be undefined.
         position = dr.select((t == 1) & sensor.active, sensor.position, place)
         rays = eye.rays + lit.rays + ones(tested)
-        return SingleContribution(position, weighted + by_hit[0], alone + by_hit[1], rays)
+        component = None
+        if eye.seen is not None and eye.lit is not None:
+            component = dr.select(s == 1, eye.lit, mi.UInt32(Component.INDIRECT))
+            component = dr.select(t == 1, dr.maximum(lit.kind, mi.UInt32(Component.DIRECT)), component)
+            component = dr.select(s == 0, eye.seen, component)
+        return SingleContribution(position, weighted + by_hit[0], alone + by_hit[1], rays, component)
 
     def _connect(self, vertex: WalkVertex, source: SampleSource, active: mi.Bool) -> CameraConnection:
         """A light vertex connected to the sensor."""

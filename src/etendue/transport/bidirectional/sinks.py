@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
+from etendue.film import COMPONENTS, REFLECTED, Component
+
 from ..camera import SplatPlace, Splats
 from .mis import Techniques
 from .pyramid import Pyramid
@@ -35,6 +37,7 @@ class CameraSink(Sink):
     """Adds contributions of camera paths to layers of radiance, which are part of the loop state."""
 
     split_layers: bool  #: a layer for each technique family
+    components: bool = False  #: a layer for each component
     more_radii: tuple[str, ...] = ()  #: names of the layers of the merging radii after the first
 
     def begin(self, techniques: Techniques, pixel: mi.UInt32, importance: mi.Color3f) -> dict[str, mi.Color3f]:
@@ -46,15 +49,47 @@ class CameraSink(Sink):
 
     def families(self, techniques: Techniques) -> tuple[str, ...]:
         """Names of the layers whose sum is the picture."""
+        if self.components:
+            return COMPONENTS
         if not self.split_layers:
             return ("image",)
         t = techniques
         used = (("next_event", t.next_event), ("connection", t.connection), ("merge", t.merge))
         return ("emission", *(name for name, on in used if on))
 
-    def add(self, layers: dict[str, mi.Color3f], family: str, values: Sequence[mi.Color3f], active: mi.Bool) -> None:
-        """Add values of a technique family, one a radius."""
-        for name, value in zip((family if self.split_layers else "image", *self.more_radii), values, strict=True):
+    def add(
+        self,
+        layers: dict[str, mi.Color3f],
+        family: str,
+        values: Sequence[mi.Color3f],
+        active: mi.Bool,
+        component: mi.UInt32 | int | None,
+    ) -> None:
+        """Add values of a technique family and a component, one a radius."""
+        self.add_first(layers, family, values[0], active, component)
+        self.add_more(layers, values[1:], active)
+
+    def add_first(
+        self,
+        layers: dict[str, mi.Color3f],
+        family: str,
+        value: mi.Color3f,
+        active: mi.Bool,
+        component: mi.UInt32 | int | None,
+    ) -> None:
+        """Add a value of the first radius."""
+        if not self.components:
+            layers[family if self.split_layers else "image"][active] += value
+            return
+        for number, name in enumerate(COMPONENTS):
+            if not isinstance(component, int):
+                layers[name][active & (component == number)] += value
+            elif component == number:
+                layers[name][active] += value
+
+    def add_more(self, layers: dict[str, mi.Color3f], values: Sequence[mi.Color3f], active: mi.Bool) -> None:
+        """Add values of the radii after the first."""
+        for name, value in zip(self.more_radii, values, strict=True):
             layers[name][active] += value
 
     def show(self, s: mi.UInt32, t: mi.UInt32, contribution: Contribution, merged: bool = False) -> None:
@@ -75,10 +110,11 @@ class SplatSink(Sink):
 
     splats: Splats
     paths_per_sample: mi.Float  #: light paths per camera path of a pixel, by which splats in the pyramid are divided
+    components: bool = False  #: the first images are those of ``film.REFLECTED``, and not one of all light
 
-    def add(self, s: mi.UInt32, place: SplatPlace, contribution: Contribution) -> mi.Bool:
-        """Add the splat of a light sub-path of ``s`` vertices. Returns the mask of values that are not finite and
-        therefore not added."""
+    def add(self, s: mi.UInt32, place: SplatPlace, contribution: Contribution, kind: mi.UInt32) -> mi.Bool:
+        """Add the splat of a light sub-path of ``s`` vertices, the last of which is of a ``kind``. Returns the mask of
+        values that are not finite and therefore not added."""
         if self.pyramid is not None:
             scale = dr.rcp(self.paths_per_sample)
             weighted = dr.select(contribution.active, contribution.weighted[0] * scale, 0.0)
@@ -86,5 +122,11 @@ class SplatSink(Sink):
         finite = mi.Bool(True)
         for value in contribution.weighted:
             finite &= dr.all(dr.isfinite(value))
-        self.splats.add(place, contribution.weighted, contribution.active & finite)
+        active = contribution.active & finite
+        if self.components:
+            image = dr.maximum(kind, mi.UInt32(Component.DIRECT)) - int(Component.DIRECT)
+            self.splats.add_to(image, place, contribution.weighted[0], active)
+            self.splats.add(place, contribution.weighted[1:], active, first=len(REFLECTED))
+        else:
+            self.splats.add(place, contribution.weighted, active)
         return contribution.active & ~finite

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import drjit as dr
 import mitsuba as mi
 
+from etendue.film import Component
 from etendue.scene import materials
 
 from ..scattering import Evaluated, evaluate_light_end
@@ -53,11 +54,13 @@ def needs_interaction(scene: mi.Scene) -> bool:
 
 
 class Kind(enum.IntEnum):
-    """Light paths that end at a vertex, in Heckbert's notation [Heckbert 1990]."""
+    """What a light path brings to a vertex: the ``film.Component`` of its light to an eye that sees the vertex. Light
+    straight from a beam, which next event cannot sample, is told from other direct light."""
 
-    INDIRECT = 0  #: L...D...D
-    DIRECT = 1  #: LD
-    CAUSTIC = 2  #: LS+D
+    BEAM = 0
+    DIRECT = Component.DIRECT
+    CAUSTIC = Component.CAUSTIC
+    INDIRECT = Component.INDIRECT
 
 
 @dataclass(kw_only=True)
@@ -70,6 +73,7 @@ class LightVertex(Vertex):
     d_vc: mi.Float | Linear
     depth: mi.UInt32  #: edges from the light
     number: mi.UInt32  #: as ``depth``, without null surfaces if the store is ``numbered``
+    path: mi.UInt32  #: number of its light path
 
     def evaluate(self, direction: mi.Vector3f, active: mi.Bool) -> Evaluated:
         """The BSDF for a world direction of the eye side; the value times :func:`cosine_ratio` is the adjoint BSDF
@@ -89,6 +93,7 @@ class LightVertices:
     indexed: the layout that recomputes surface interactions (see above).
     connected: vertices are used for connections; if not, only the data for merging is stored.
     linear: d_vcm and d_vc are :class:`Linear`.
+    owned: store the path of each vertex, also for merging.
     numbered: store the number of each vertex on its path, up to 15; the light point is 0. Without, the depth is used,
         which differs from the number after null surfaces.
     """
@@ -101,6 +106,7 @@ class LightVertices:
         connected: bool,
         numbered: bool = False,
         linear: bool = False,
+        owned: bool = False,
     ) -> None:
         self.capacity = capacity
         self.indexed = indexed
@@ -115,16 +121,17 @@ class LightVertices:
         self._limit = dr.opaque(mi.UInt32, capacity)  # opaque, because the capacity depends on the seed
         self._records = dr.empty(mi.Float, 4 * self._packets * capacity)
         self._more = dr.empty(mi.Float, 4 * capacity) if linear else None  # further coefficients of d_vcm and d_vc
+        self._owners = dr.empty(mi.UInt32, capacity) if owned else None
         padded = -(-paths // _BLOCK) * _BLOCK
         self._stored = dr.zeros(mi.UInt32, padded if connected else 1)  # vertices of each path
         self._order: mi.UInt32 | None = None
         self._start: mi.UInt32 | None = None
 
     @staticmethod
-    def bytes_per_vertex(connected: bool, merged: bool, linear: bool = False) -> int:
+    def bytes_per_vertex(connected: bool, merged: bool, linear: bool = False, owned: bool = False) -> int:
         """Device memory of a stored vertex in bytes, including the copy and the grid for merging."""
         bytes_ = 16 * (_PACKETS if connected else _PHOTON_PACKETS) + (4 if connected else 0)
-        return bytes_ + (48 + 24 if merged else 0) + (32 if linear else 0)
+        return bytes_ + (48 + 24 if merged else 0) + (32 if linear else 0) + (8 if owned else 0)
 
     @staticmethod
     def floats_per_vertex(connected: bool) -> int:
@@ -171,6 +178,8 @@ class LightVertices:
             dr.scatter(self._more, packet, slot, active)
             d_vcm, d_vc = d_vcm.connection, d_vc.end
         self._put(1, mi.Vector4f(flux.x, flux.y, flux.z, d_vcm), slot, active)
+        if self._owners is not None:
+            dr.scatter(self._owners, path, slot, active)
         lit = dr.select(dr.dot(si.n, direction) < 0.0, -si.n, si.n)
         self._put(2, mi.Vector4f(*packed_direction(direction), packed_normal(lit), d_vc), slot, active)
         if not self.connected:
@@ -193,7 +202,7 @@ class LightVertices:
 
     def launch(self) -> None:
         """Launch the walk's kernel, and all that is scheduled."""
-        dr.eval(self.wanted, self._records, self._stored, self._more)
+        dr.eval(self.wanted, self._records, self._stored, self._more, self._owners)
 
     @property
     def count(self) -> mi.UInt32:
@@ -248,6 +257,7 @@ class LightVertices:
             d_vc=d_vc,
             depth=depth_of(position.w, self._depth_bits),
             number=number_of(position.w, self._depth_bits),
+            path=_as_uint(owner.y),
         )
 
     def _recompute(
@@ -283,12 +293,15 @@ class LightVertices:
             first = mi.Vector4f(first.x * fluence, first.y * fluence, first.z * fluence, first.w)
         dr.scatter(flux, first, 2 * destination, held)
         dr.scatter(flux, self._get(2, slot, held), 2 * destination + 1, held)
-        more = None
+        more, owners = None, None
         if self._more is not None:
             more = dr.empty(mi.Float, 4 * self.capacity)
             dr.scatter(more, dr.gather(mi.Vector4f, self._more, slot, held), destination, held)
-        dr.eval(position, flux, more)
-        return Photons(position, flux, more, self._depth_bits)
+        if self._owners is not None:
+            owners = dr.empty(mi.UInt32, self.capacity)
+            dr.scatter(owners, dr.gather(mi.UInt32, self._owners, slot, held), destination, held)
+        dr.eval(position, flux, more, owners)
+        return Photons(position, flux, more, self._depth_bits, owners)
 
 
 def _framed(p: mi.Point3f, first: mi.Vector4f, second: mi.Vector4f) -> mi.SurfaceInteraction3f:

@@ -11,6 +11,7 @@ import mitsuba as mi
 from etendue.core import SampleSource
 
 from ..camera import CameraSampler
+from ..guiding.emission import EmissionTraining
 from ..scattering import Scattered, shadow_roulette
 from ..vertex import WalkVertex
 from ..walk import SubPath, Walker, ones
@@ -36,6 +37,7 @@ class BidirectionalWalk(Walker):
     mis: Mis
     dark: mi.Float  #: opaque; contributions below this radiance play roulette before their shadow ray
     sink: Sink | None
+    training: EmissionTraining | None = None  #: learns what light paths contribute
 
     @property
     def pyramid(self) -> Pyramid | None:

@@ -22,7 +22,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import SampleSource, copied_to_device
+from etendue.core import Array, SampleSource, copied_to_device
 from etendue.density import Cells, Quadtrees, QuadtreeSampler
 from etendue.scene import LightTable
 
@@ -102,6 +102,27 @@ class Guide:
     def places(self) -> int:
         """Leaves of the quadtrees of all cells."""
         return self._trees.places
+
+    def boxes(self) -> tuple[Array, Array, NDArray[np.int64]]:
+        """(lower corner, upper corner, facing) of all cells: (cells, 3), (cells, 3), (cells,); a facing is 0 to 5 for
+        +x, -x, +y, -y, +z, -z."""
+        return *self._cells.boxes(), self._cells.facing
+
+    def cell_at(self, position: Sequence[float], normal: Sequence[float]) -> int:
+        """The cell of a surface point that faces along ``normal``."""
+        cell = self._cells.find(mi.Point3f(*position), mi.Normal3f(*normal))
+        return int(np.asarray(cell).ravel()[0])
+
+    def picture(self, cell: int, height: int = 64) -> Array:
+        """The learned density of a cell, per steradian, over all directions: (height, 2 height), the polar angle from
+        +z downwards, the azimuth from +x over +y to the right."""
+        y, x = (np.arange(n) + 0.5 for n in (height, 2 * height))
+        polar, azimuth = np.meshgrid(np.pi * y / height, np.pi * x / height, indexing="ij")
+        sine = np.sin(polar).ravel()
+        ways = [sine * np.cos(azimuth).ravel(), sine * np.sin(azimuth).ravel(), np.cos(polar).ravel()]
+        direction = mi.Vector3f(*(copied_to_device(mi.Float, way.astype(np.float32)) for way in ways))
+        density, _ = self._sampler.find(dr.full(mi.UInt32, cell, 2 * height * height), square_of(direction))
+        return np.array(density, dtype=np.float64).reshape(height, 2 * height) * _PER_STERADIAN
 
     # ------------------------------------------------------------------ on the device
 

@@ -136,7 +136,7 @@ class GuidedWalk(Walker):
 
         # ---- Emission, weighted by the light choice of the cell where the edge begins
         hit = self.emission(s, vertex, self.guide.lights_at(s.cell, self.lights))
-        self.add(s, s.throughput * hit.radiance * self.weights.hit(s.pdf, hit.direct_pdf), hit.active)
+        self.add(s, s.throughput * hit.radiance * self.weights.hit(s.pdf, hit.direct_pdf), hit.active, s.seen)
         s.active &= vertex.valid & (s.depth < self.max_edges)
 
         # ---- Light point and direction by the cell of the vertex
@@ -148,7 +148,7 @@ class GuidedWalk(Walker):
         scattered, evaluated = vertex.sample(source, s.active, lights, guided)
         for light, f in zip(lights, evaluated, strict=True):
             contribution, visible = self.next_event(s, vertex, light, f, self.weights.light_point(light, f.pdf))
-            self.add(s, contribution, visible)
+            self.add(s, contribution, visible, s.lit)
             self.training.record_light(s, cell, light, contribution, visible)
 
         # ---- Advance; roulette by expected light
@@ -167,8 +167,8 @@ class GuidedWalk(Walker):
         s.expected = s.expected * self.advance(s, vertex, scattered, source, (by, eta))
         return s
 
-    def add(self, s: GuidedPath, contribution: mi.Color3f, active: mi.Bool) -> None:
-        """Add a contribution."""
-        s.radiance[active] += contribution
+    def add(self, s: GuidedPath, contribution: mi.Color3f, active: mi.Bool, component: mi.UInt32 | int | None) -> None:
+        """Add a contribution; see :meth:`CameraPath.add`."""
+        s.add(contribution, active, component)
         # The light of a map may be negative, by a correction at edges; a guide learns from the rest.
         s.found = s.found + dr.select(active, dr.maximum(mi.luminance(contribution), 0.0), 0.0)

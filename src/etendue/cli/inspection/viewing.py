@@ -1,0 +1,93 @@
+"""The command `view`: a scene live in the browser."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from etendue.core import OptionError, SceneError
+
+from .. import options as opt
+from ..console import error_console, note, say
+
+if TYPE_CHECKING:
+    from etendue.viewer import Asked
+
+
+def view(
+    scene: opt.Scene,
+    method: Annotated[
+        str | None,
+        typer.Option(
+            "--method",
+            "-m",
+            help="See `etendue methods`; by default the scene's integrator if it is one of them, else path.",
+            metavar="NAME",
+        ),
+    ] = None,
+    define: opt.Define = None,
+    size: opt.PictureSize = None,
+    sensor: opt.Sensor = 0,
+    time: opt.Time = None,
+    spp: opt.Spp = None,
+    error: opt.Error = None,
+    seed: opt.Seed = 0,
+    param: opt.Param = None,
+    max_depth: opt.MaxDepth = None,
+    memory: opt.Memory = None,
+    variant: opt.Variant = None,
+    threads: opt.Threads = None,
+    host: Annotated[
+        str, typer.Option("--host", help="Address to listen at; 0.0.0.0 for all of this machine.", metavar="NAME")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int, typer.Option("--port", help="Port to listen at; 0 for any that is free.", min=0, max=65535, metavar="N")
+    ] = 0,
+    tev: opt.Tev = None,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the address.")] = False,
+    debug: opt.Debug = False,
+) -> int:
+    """Show a scene live in the browser: move the camera, change lights and methods, compare, save.
+
+    The address has a token, without which nothing is answered. Ctrl-C ends the session.
+    """
+    from etendue import methods
+    from etendue.scene import integrator_of, locate
+    from etendue.viewer import Asked
+
+    from ..rendering import choose_device
+
+    settings = opt.settings(define, max_depth)
+    budget = opt.budget(time, spp, error)
+    parameters = opt.parse_pairs(param, "-P")
+    console = error_console()
+    found = locate(scene, lambda text: note(console, text))
+    choose_device(variant, threads)
+    if method is None:
+        with suppress(SceneError):  # which the page tells
+            named = methods.by_plugin(integrator_of(found, parameters))
+            method = named.name if named is not None else "path"
+    if not host.strip():
+        raise OptionError("--host is an address of this machine, such as 127.0.0.1 or 0.0.0.0")
+    asked = Asked(found, methods.get(method or "path").name, settings, budget, size, sensor, parameters, memory, seed)
+    return show(asked, host.strip(), port, not no_browser, tev)
+
+
+def show(asked: Asked, host: str, port: int, in_browser: bool, tev: str | None = None) -> int:
+    """Run a session until a page or Ctrl-C ends it."""
+    from etendue.viewer import Viewer
+
+    console = error_console()
+    with Viewer(asked, host, port, tev) as viewer:
+        note(console, "open this address in a browser; Ctrl-C ends the session:")
+        say(viewer.url)
+        if in_browser and not viewer.show():
+            note(console, "no browser was found on this machine")
+        try:
+            while not viewer.wait(0.5):
+                pass
+        except KeyboardInterrupt:
+            note(console, "ended")
+    return 0

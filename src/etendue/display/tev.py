@@ -1,0 +1,195 @@
+"""Pictures in the image viewer tev, over its network protocol.
+
+A packet is its own length as a 32-bit number, a byte for its kind, and fields: numbers are little-endian, texts end
+with a zero byte. :func:`create_packet`, :func:`update_packet` and :func:`close_packet` make packets;
+:class:`TevDisplay` sends the layers of a run while it renders.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import OptionError, describe, logger
+from etendue.film import channel_names
+
+Layers = Mapping[str, NDArray[np.float32]]
+
+#: The port on which tev listens by default.
+PORT = 14158
+#: Kinds of packets.
+_CLOSE, _CREATE, _UPDATE = 2, 4, 6
+#: Most bytes of pixels in a packet, so that a slow display is not sent a whole picture at once.
+_PACKET_BYTES = 1 << 22
+#: Seconds to wait for a connection, and for a display that does not read what it is sent.
+_PATIENCE = 5.0
+#: Least seconds between two pictures, and the largest share of the time in which pictures are developed and sent.
+_LEAST_PAUSE, _LARGEST_SHARE = 0.5, 0.1
+
+
+def parse_address(text: str) -> tuple[str, int]:
+    """Host and port from ``HOST:PORT``, ``HOST`` or ``:PORT``; an IPv6 address with a port stands in brackets.
+
+    Raises :class:`OptionError`."""
+    text = text.strip()
+    host, colon, port = text.rpartition(":") if text.count(":") == 1 or "]:" in text else (text, "", "")
+    try:
+        number = int(port) if colon else PORT
+        if not text or not 0 < number < 1 << 16:
+            raise ValueError
+    except ValueError:
+        raise OptionError(f"--tev needs HOST:PORT such as localhost:{PORT}, not '{text}'") from None
+    return host.strip("[]") or "localhost", number
+
+
+def close_packet(name: str) -> bytes:
+    """Closes the image ``name``; without effect if there is none."""
+    return _packet(_CLOSE, _text(name))
+
+
+def create_packet(name: str, width: int, height: int, channels: Sequence[str], focus: bool = True) -> bytes:
+    """Makes a black image. ``focus``: whether tev shows it at once."""
+    size = struct.pack("<iii", width, height, len(channels))
+    return _packet(_CREATE, bytes([focus]), _text(name), size, *map(_text, channels))
+
+
+def update_packet(name: str, channels: Sequence[str], x: int, y: int, pixels: NDArray[np.float32]) -> bytes:
+    """Sets the pixels (height, width, channels) of an image from column ``x`` and row ``y`` on."""
+    height, width, count = pixels.shape
+    fields = struct.pack("<iiii", x, y, width, height)
+    places = struct.pack(f"<{2 * count}q", *range(count), *[count] * count)  # offsets and strides, in numbers
+    data = np.ascontiguousarray(pixels, "<f4").tobytes()
+    head = bytes([False]), _text(name), struct.pack("<i", count)
+    return _packet(_UPDATE, *head, *map(_text, channels), fields, places, data)
+
+
+def picture_packets(name: str, layers: Layers, known: Layout | None = None) -> tuple[list[bytes], Layout]:
+    """Packets that show ``layers`` (height, width, channels) as one image, with the channel names of OpenEXR, and their
+    layout. The image is made anew unless its layout is ``known``."""
+    planes = {key: np.atleast_3d(np.asarray(layer, np.float32)) for key, layer in layers.items()}
+    height, width = next(iter(planes.values())).shape[:2]
+    channels = {key: channel_names(key, plane.shape[2]) for key, plane in planes.items()}
+    layout: Layout = (width, height, tuple(name for names in channels.values() for name in names))
+    packets = [] if layout == known else [close_packet(name), create_packet(name, *layout)]
+    for key, plane in planes.items():
+        for y, rows in _bands(plane):
+            packets.append(update_packet(name, channels[key], 0, y, rows))
+    return packets, layout
+
+
+#: Width, height and channels of an image.
+Layout = tuple[int, int, tuple[str, ...]]
+
+
+class TevDisplay:
+    """Shows the newest layers of a run in tev.
+
+    A thread develops and sends them, so that a slow display does not slow the rendering: pictures that it has no time
+    for are left out. If tev cannot be reached, or goes away, ``tell`` receives one line, and nothing more is sent. As a
+    context manager, the last layers are sent at the end of the block.
+
+    Parameters
+    ----------
+    address: ``HOST:PORT``.
+    name: of the image in tev.
+    """
+
+    def __init__(self, address: str, name: str, tell: Callable[[str], object] = logger.warning) -> None:
+        self._host, self._port = parse_address(address)
+        self._name, self._tell = name, tell
+        self._socket: socket.socket | None = None
+        self._layout: Layout | None = None
+        self._newest: Callable[[], Layers] | None = None
+        self._changed = threading.Condition()
+        self._closing = False
+        self._thread: threading.Thread | None = None
+
+    def connect(self) -> bool:
+        """Connect; returns whether tev answers."""
+        try:
+            self._socket = socket.create_connection((self._host, self._port), timeout=_PATIENCE)
+        except OSError as error:
+            reason = error.strerror or describe(error)
+            self._tell(f"no tev at {self._host}:{self._port} ({reason}); the picture is not shown there")
+            return False
+        self._thread = threading.Thread(target=self._work, name="etendue-tev", daemon=True)
+        self._thread.start()
+        return True
+
+    def offer(self, layers: Callable[[], Layers]) -> None:
+        """Show what ``layers()`` returns, once there is time. It is called in the thread of the display."""
+        with self._changed:
+            self._newest = layers
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Send the last layers that were offered, and disconnect."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+        if self._thread is not None:
+            self._thread.join()
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def __enter__(self) -> Self:
+        self.connect()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _work(self) -> None:
+        try:
+            while (layers := self._next()) is not None:
+                begin = time.monotonic()
+                self._show(layers())
+                self._rest(max(_LEAST_PAUSE, (time.monotonic() - begin) / _LARGEST_SHARE))
+        except OSError as error:
+            self._tell(f"tev at {self._host}:{self._port} has gone ({error.strerror or describe(error)})")
+        except Exception as error:
+            self._tell(f"the picture cannot be shown in tev: {describe(error)}")
+
+    def _next(self) -> Callable[[], Layers] | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._newest is not None or self._closing)
+            layers, self._newest = self._newest, None
+            return layers
+
+    def _rest(self, seconds: float) -> None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._closing, seconds)
+
+    def _show(self, layers: Layers) -> None:
+        assert self._socket is not None
+        packets, self._layout = picture_packets(self._name, layers, self._layout)
+        for packet in packets:
+            self._socket.sendall(packet)
+
+
+def _packet(kind: int, *fields: bytes) -> bytes:
+    body = bytes([kind]) + b"".join(fields)
+    return struct.pack("<I", 4 + len(body)) + body
+
+
+def _text(text: str) -> bytes:
+    return text.replace("\0", " ").encode() + b"\0"
+
+
+def _bands(pixels: NDArray[np.float32]) -> Iterator[tuple[int, NDArray[np.float32]]]:
+    """(first row, rows) of the parts of a layer, a packet each."""
+    height, width, count = pixels.shape
+    rows = max(1, _PACKET_BYTES // (4 * width * count))
+    for y in range(0, height, rows):
+        yield y, pixels[y : y + rows]

@@ -1,0 +1,194 @@
+"""The workers of a run: who is there, who is left out and why, what each has to do, and what was sent to it."""
+
+from __future__ import annotations
+
+import itertools
+import time
+import uuid
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
+
+from etendue import core
+from etendue.core import ClusterError, EtendueError, logger
+
+from .content import Offered
+from .pool import Arrival, Delivered, Lost, Pool
+from .worker import Failed, Needs, Task
+
+#: Seconds between looks at the list of workers, and until a cluster without workers is given up.
+_LOOK, _PATIENCE = 0.5, 60.0
+#: Tasks that are lost one after the other before the run fails.
+_MOST_LOST = 12
+#: How often a file is sent to a worker.
+_MOST_SENT = 4
+
+T = TypeVar("T", bound=Task)
+
+
+@dataclass
+class Member:
+    """What is known of a worker."""
+
+    threads: int | None
+    flights: set[int] = field(default_factory=set)
+    pace: float | None = None  #: seconds of a pass
+    coming: dict[int, str] = field(default_factory=dict)  #: digests of files that are being sent, by ticket
+
+
+class Crew(ABC, Generic[T]):
+    """Sends tasks to workers and takes what comes back. What a lost worker had is given back to the subclass.
+
+    offered: the files that workers may ask for."""
+
+    def __init__(self, pool: Pool, offered: Offered, clock: Callable[[], float] = time.monotonic) -> None:
+        self._pool, self._offered, self._clock = pool, offered, clock
+        self._run, self._tickets = uuid.uuid4().hex, itertools.count()
+        self._workers: dict[str, Member] = {}
+        self._refused: dict[str, str] = {}
+        self._flights: dict[int, tuple[str, T]] = {}
+        self._lost = 0  # tasks, since the last one that was finished
+        self._sent: dict[tuple[str, str], int] = {}  # how often, by worker and digest
+        self._deliveries: dict[int, str] = {}  # worker, by ticket
+        self._looked = self._alive = clock()
+
+    # ------------------------------------------------------------------ for the subclass
+
+    @abstractmethod
+    def _joined(self, name: str) -> None:
+        """A worker is there."""
+
+    @abstractmethod
+    def _gone(self, name: str) -> None:
+        """A worker is gone; its tasks were given back."""
+
+    @abstractmethod
+    def _not_made(self, task: T) -> None:
+        """A task must be sent again."""
+
+    # ------------------------------------------------------------------ workers
+
+    def _look(self, now: bool = False) -> None:
+        """Look which workers there are; take back what lost ones had."""
+        time_ = self._clock()
+        if not now and time_ - self._looked < _LOOK:
+            return
+        self._looked = time_
+        there = {name: n for name, n in self._pool.workers().items() if name not in self._refused}
+        for name in self._workers.keys() - there.keys():
+            logger.info("worker %s is gone; what it had is made again", name)
+            self._drop(name)
+        for name in sorted(there.keys() - self._workers.keys()):
+            self._workers[name] = Member(there[name])
+            self._joined(name)
+        if there:
+            self._alive = time_
+        elif self._refused:
+            name, why = next(iter(self._refused.items()))
+            raise ClusterError(f"no worker can be used; {name}: {why}")
+        elif time_ - self._alive > _PATIENCE:
+            raise ClusterError(f"the cluster has had no worker for {_PATIENCE:.0f} seconds; start one")
+
+    def _drop(self, name: str) -> None:
+        """Send no more to a worker, and take back what it had."""
+        worker = self._workers.pop(name, None)
+        if worker is not None:
+            tickets = sorted(worker.flights)
+            self._pool.forget([*tickets, *worker.coming])
+            for ticket in tickets:
+                self._not_made(self._flights.pop(ticket)[1])
+            for ticket in worker.coming:
+                self._deliveries.pop(ticket, None)
+        self._gone(name)
+
+    def _refuse(self, name: str, why: str) -> None:
+        """Leave a worker out."""
+        self._refused[name] = why
+        self._drop(name)
+        if self._workers:
+            logger.warning("worker %s is left out: %s", name, why)
+        else:
+            raise ClusterError(f"no worker can be used; {name}: {why}")
+
+    # ------------------------------------------------------------------ tasks
+
+    def _send(self, name: str, task: T) -> None:
+        ticket = next(self._tickets)
+        self._flights[ticket] = name, task
+        self._workers[name].flights.add(ticket)
+        self._pool.send(name, ticket, task)
+
+    def _take(self, arrival: Arrival) -> tuple[str, T, Any] | None:
+        """(worker, task, outcome) of a task that was made. Others are given back. Raises the error of a task."""
+        if isinstance(arrival.outcome, Delivered):
+            self._delivered(arrival.ticket, arrival.outcome)
+        if arrival.ticket not in self._flights:
+            return None
+        name, task = self._flights.pop(arrival.ticket)
+        if (worker := self._workers.get(name)) is not None:
+            worker.flights.discard(arrival.ticket)
+            if not worker.coming:
+                self._joined(name)  # there is room for the next one
+        outcome: Any = arrival.outcome
+        if not isinstance(outcome, (Lost, Needs, Failed)):
+            self._lost = 0
+            return name, task, outcome
+        self._not_made(task)
+        if isinstance(outcome, Lost) and outcome.worker_is_there:
+            return None
+        if isinstance(outcome, Lost):
+            self._lost += 1
+            self._drop(name)  # the next look tells whether it is still there
+            if self._lost > _MOST_LOST:
+                raise ClusterError(
+                    f"workers have ended {self._lost} times without finishing a pass; the last was {name}"
+                    f"{f' ({outcome.reason})' if outcome.reason else ''}: see its log, its memory may be too small"
+                )
+        elif isinstance(outcome, Needs):
+            self._deliver(name, outcome)
+        elif outcome.refused:
+            self._refuse(name, outcome.message)
+        else:
+            raise _error(outcome, name)
+        return None
+
+    def _deliver(self, name: str, needs: Needs) -> None:
+        """Send files; the worker gets no task until they are there."""
+        for digest in needs.digests:
+            worker = self._workers.get(name)
+            if worker is None or digest in worker.coming.values():
+                continue
+            times = self._sent[name, digest] = self._sent.get((name, digest), 0) + 1
+            if times > _MOST_SENT:
+                self._refuse(name, "it does not keep the files that it is sent")
+                return
+            ticket = next(self._tickets)
+            worker.coming[ticket], self._deliveries[ticket] = digest, name
+            self._pool.deliver(name, ticket, self._offered, digest)
+
+    def _delivered(self, ticket: int, outcome: Delivered) -> None:
+        name = self._deliveries.pop(ticket, None)
+        worker = None if name is None else self._workers.get(name)
+        if name is None or worker is None:
+            return
+        worker.coming.pop(ticket, None)
+        if outcome.problem is not None:
+            self._refuse(name, outcome.problem)
+        elif not worker.coming:
+            self._joined(name)
+
+    def _cancel(self) -> None:
+        """Forget all tasks."""
+        if self._flights:
+            with suppress(EtendueError):  # the cluster may be gone, and the run has an error of its own
+                self._pool.end_run(self._run)
+                self._pool.forget(list(self._flights))
+            self._flights.clear()
+
+
+def _error(failed: Failed, worker: str) -> EtendueError:
+    kind: Any = getattr(core, failed.kind, EtendueError)
+    error: EtendueError = kind(f"{failed.message} (on worker {worker})")
+    return error

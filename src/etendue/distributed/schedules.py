@@ -1,0 +1,259 @@
+"""Schedules: which worker makes which passes of a run."""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter, deque
+from collections.abc import Collection, Iterator
+from itertools import islice
+from typing import Any, ClassVar, Protocol
+
+from etendue.core import OptionError, State, suggest
+from etendue.engine import Order
+
+from .worker import Chunk, Made
+
+#: Chunks of a worker at a time: while one is made, the next one is there.
+_IN_FLIGHT = 2
+
+#: First iteration, number of passes, replica and state of a chunk.
+Next = tuple[int, int, int | None, State | None]
+
+
+class Schedule(Protocol):
+    """Hands out passes, each once. A task is a range of iterations: two integers."""
+
+    in_flight: ClassVar[int]  #: chunks that a worker may have at a time
+
+    def take(self, worker: str, count: int, workers: Collection[str]) -> Next | None:
+        """Up to ``count`` consecutive passes for one of ``workers``; ``None`` if there is nothing for it until passes
+        are given back or other workers leave."""
+        ...
+
+    def give_back(self, chunk: Chunk, first: int) -> None:
+        """The passes of a chunk from ``first`` on were not made."""
+        ...
+
+    def after(self, worker: str, chunk: Chunk, made: Made) -> State | None:
+        """The state of the run after a chunk, ``None`` for methods without state."""
+        ...
+
+    def lost(self, worker: str) -> None:
+        """A worker is gone."""
+        ...
+
+
+class OnDemand:
+    """Passes in their order, to whoever asks."""
+
+    in_flight: ClassVar[int] = _IN_FLIGHT
+
+    def __init__(self, missing: Iterator[int]) -> None:
+        self._missing = missing
+        self._again: list[int] = []  # given back, a heap
+
+    def take(self, worker: str, count: int, workers: Collection[str]) -> Next | None:
+        """See :class:`Schedule`."""
+        first = self._pop()
+        end = first + 1
+        while end - first < count:
+            following = self._pop()
+            if following != end:
+                heapq.heappush(self._again, following)
+                break
+            end += 1
+        return first, end - first, None, None
+
+    def _pop(self) -> int:
+        return heapq.heappop(self._again) if self._again else next(self._missing)
+
+    def give_back(self, chunk: Chunk, first: int) -> None:
+        """See :class:`Schedule`."""
+        for iteration in range(first, chunk.first + chunk.count):
+            heapq.heappush(self._again, iteration)
+
+    def after(self, worker: str, chunk: Chunk, made: Made) -> None:
+        """See :class:`Schedule`: there is no state."""
+
+    def lost(self, worker: str) -> None:
+        """See :class:`Schedule`: what it had is given back chunk by chunk."""
+
+
+class Static:
+    """Equal shares of all passes from the beginning, one a worker. What a worker that is gone had goes to whoever has
+    nothing left; workers that come late have nothing else."""
+
+    in_flight: ClassVar[int] = _IN_FLIGHT
+
+    def __init__(self, missing: Iterator[int], count: int) -> None:
+        self._all = _ranges(islice(missing, count))
+        self._queues: dict[str, deque[range]] = {}
+        self._loose: deque[range] = deque()
+        self._made: Counter[str] = Counter()
+        self._begun = False
+
+    def take(self, worker: str, count: int, workers: Collection[str]) -> Next | None:
+        """See :class:`Schedule`."""
+        if not self._begun:
+            self._begun = True
+            names = sorted(workers)
+            for name, share in zip(names, _shares(self._all, len(names)), strict=True):
+                self._queues[name] = share
+        queue = self._queues.setdefault(worker, deque())
+        if not queue:
+            if self._loose:
+                queue.append(self._loose.popleft())
+            elif not self._refill(worker, queue):
+                return None
+        first = queue.popleft()
+        if len(first) > count:
+            queue.appendleft(first[count:])
+            first = first[:count]
+        return first.start, len(first), None, None
+
+    def _refill(self, worker: str, queue: deque[range]) -> bool:
+        return False
+
+    def give_back(self, chunk: Chunk, first: int) -> None:
+        """See :class:`Schedule`."""
+        if first < chunk.first + chunk.count:
+            self._loose.append(range(first, chunk.first + chunk.count))
+
+    def after(self, worker: str, chunk: Chunk, made: Made) -> None:
+        """See :class:`Schedule`."""
+        self._made[worker] += made.passes
+
+    def lost(self, worker: str) -> None:
+        """See :class:`Schedule`."""
+        self._loose.extend(self._queues.pop(worker, ()))
+
+
+class Stealing(Static):
+    """Equal shares at first. A worker that has nothing left takes from the one that has most, in the ratio of the
+    passes that both have made [Leeson 2001, sec. 5.6.4]."""
+
+    def _refill(self, worker: str, queue: deque[range]) -> bool:
+        victim = max(self._queues, key=lambda name: sum(map(len, self._queues[name])))
+        rest = self._queues[victim]
+        left = sum(map(len, rest))
+        if not left:
+            return False
+        mine, other = self._made[worker] + 1, self._made[victim] + 1
+        wanted = max(1, round(left * mine / (mine + other)))
+        while wanted:
+            last = rest.pop()  # the victim goes on at the front
+            if len(last) > wanted:
+                rest.append(last[:-wanted])
+                last = last[-wanted:]
+            queue.appendleft(last)
+            wanted -= len(last)
+        return True
+
+
+class Replicas:
+    """Passes of replicas, each of which is at one worker at a time."""
+
+    in_flight: ClassVar[int] = 1
+
+    def __init__(self, order: Order) -> None:
+        self._states: list[State | None] = list(order.state["replicas"])
+        self._passes: list[int] = list(order.state["passes"])
+        self._homes: dict[int, str] = {}
+        #: Worker and iteration of the state that it holds.
+        self._held: dict[int, tuple[str, int]] = {}
+        self._busy: set[int] = set()
+        self._most = order.most
+
+    def take(self, worker: str, count: int, workers: Collection[str]) -> Next | None:
+        """The next passes of the replica that lives at a worker, or of one whose worker is gone."""
+        owners = Counter(home for home in self._homes.values() if home in workers)
+        own, fewest = owners[worker], 0 if len(owners) < len(workers) else min(owners.values())
+        mine = [
+            r
+            for r in range(len(self._states))
+            if r not in self._busy
+            and (self._homes.get(r) == worker or (self._homes.get(r) not in workers and own <= fewest))
+        ]
+        for replica in sorted(mine, key=lambda r: self._passes[r]):
+            at = self._passes[replica]
+            if self._most is not None:
+                count = min(count, self._quota(replica) - at)
+            if count > 0:
+                self._homes[replica] = worker
+                self._busy.add(replica)
+                has_it = self._held.get(replica) == (worker, at) or at == 0
+                return at, count, replica, None if has_it else self._states[replica]
+        return None
+
+    def _quota(self, replica: int) -> int:
+        """Passes of a replica, if all replicas share the limit evenly."""
+        assert self._most is not None
+        size = len(self._states)
+        return self._most // size + (replica < self._most % size)
+
+    def give_back(self, chunk: Chunk, first: int) -> None:
+        """See :class:`Schedule`."""
+        assert chunk.replica is not None
+        self._busy.discard(chunk.replica)
+        if first == chunk.first:
+            self._held.pop(chunk.replica, None)  # the next chunk takes the state along
+
+    def after(self, worker: str, chunk: Chunk, made: Made) -> State:
+        """See :class:`Schedule`."""
+        replica = chunk.replica
+        assert replica is not None
+        self._states[replica] = made.state
+        self._passes[replica] = chunk.first + made.passes
+        self._held[replica] = self._homes[replica], self._passes[replica]
+        return {"replicas": list(self._states), "passes": list(self._passes)}
+
+    def lost(self, worker: str) -> None:
+        """See :class:`Schedule`: another worker takes its replica."""
+
+
+#: Schedules of passes that do not depend on each other.
+SCHEDULES = ("demand", "static", "stealing")
+
+
+def schedule_of(name: str, order: Order, carries_on: bool) -> Schedule:
+    """The schedule of a run. Raises :class:`OptionError` for a name that is not in :data:`SCHEDULES`, and for shares of
+    an unlimited run."""
+    if name not in SCHEDULES:
+        raise OptionError(f"there is no schedule '{name}'; {suggest(name, SCHEDULES)}")
+    if carries_on:
+        return Replicas(order)
+    if name == "demand":
+        return OnDemand(order.done.missing())
+    if order.most is None:
+        raise OptionError(f"the schedule '{name}' divides a number of passes: limit them, or take the schedule demand")
+    kind: Any = {"static": Static, "stealing": Stealing}[name]
+    return kind(order.done.missing(), max(0, order.most - len(order.done)))
+
+
+def _ranges(numbers: Iterator[int]) -> list[range]:
+    """Ascending numbers as ranges of consecutive ones."""
+    found: list[range] = []
+    for number in numbers:
+        if found and found[-1].stop == number:
+            found[-1] = range(found[-1].start, number + 1)
+        else:
+            found.append(range(number, number + 1))
+    return found
+
+
+def _shares(ranges: list[range], parts: int) -> list[deque[range]]:
+    """The numbers of ranges in ``parts`` equal parts, as far as they can be divided."""
+    total, shares = sum(map(len, ranges)), []
+    rest = deque(ranges)
+    for part in range(parts):
+        wanted = total * (part + 1) // parts - total * part // parts
+        share: deque[range] = deque()
+        while wanted:
+            first = rest.popleft()
+            if len(first) > wanted:
+                rest.appendleft(first[wanted:])
+                first = first[:wanted]
+            share.append(first)
+            wanted -= len(first)
+        shares.append(share)
+    return shares

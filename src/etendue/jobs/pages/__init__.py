@@ -1,0 +1,1 @@
+"""Pages of solutions, and what results show of themselves in a notebook."""

@@ -1,0 +1,289 @@
+"""What results, sessions and runs show of themselves in a notebook."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from etendue.core import Array, Progress, describe, format_rate
+from etendue.display import Figure, card, false_colour, number_text, time_text, tonemap
+
+from .meshviews import mesh_views, on_pixels, seen_patches
+
+#: Size of the pictures of a mesh.
+_SIZE = 400, 300
+#: Seconds between updates of the progress of a run.
+_EVERY = 0.3
+#: The layers of a result that are shown, at most.
+_LAYERS = 6
+
+
+def html_of(thing: Any) -> str | None:
+    """HTML of a result, a session, a solution and so on; ``None`` for what is not known."""
+    for kind in type(thing).__mro__:
+        if kind.__name__ in _CARDS:
+            return _CARDS[kind.__name__](thing)
+    return None
+
+
+# ---------------------------------------------------------------- pictures
+
+
+def _result(result: Any) -> str:
+    """A picture with its metadata, and small pictures of its layers."""
+    known, image = result.metadata, result.layers.get("image")
+    facts = _of_run(known)
+    if image is None:
+        return card("Result", {**facts, "layers": ", ".join(result.layers) or "none"})
+    height, width = image.shape[:2]
+    layers = [name for name in result.layers if name != "image"]
+    if layers:
+        more = f" and {len(layers) - _LAYERS} more" if len(layers) > _LAYERS else ""
+        facts["layers"] = ", ".join(layers[:_LAYERS]) + more
+    return card(f"{known.get('method', 'picture')}, {width} × {height}", facts, [_figure(image, "picture")])
+
+
+def _figure(image: Any, alt: str, name: str = "") -> Figure:
+    return Figure(tonemap(image, "auto"), alt, name)
+
+
+def _of_run(known: Mapping[str, Any]) -> dict[str, Any]:
+    facts: dict[str, Any] = {}
+    for name, text in (("scene", str), ("passes", int), ("samples", int), ("seconds", lambda s: time_text(float(s)))):
+        if known.get(name) is not None:
+            facts["samples per pixel" if name == "samples" else name] = text(known[name])
+    if known.get("relative_error") is not None:
+        facts["estimated relMSE"] = number_text(float(known["relative_error"]))
+    if known.get("seconds") and known.get("rays"):
+        facts["speed"] = format_rate(float(known["rays"]) / float(known["seconds"]))
+    if known.get("nonfinite"):
+        facts["contributions not finite"] = int(known["nonfinite"])
+    return facts
+
+
+def _session(session: Any) -> str:
+    """How far a run is, with its picture so far; of one that has ended, its result or its error."""
+    if not session.running:
+        try:
+            result = session.result
+        except Exception as error:
+            return card("Session", {}, status=f"failed: {describe(error)}")
+        html = html_of(result)
+        return html if html is not None else card("Session", {}, status=f"done: {result!r}")
+    image = session.image
+    figures = [] if image is None else [_figure(image, "the picture so far")]
+    return card("Session", {}, figures, **_progress(session.progress, session.prepared))
+
+
+def _progress(progress: Progress, prepared: bool = True) -> dict[str, Any]:
+    if not progress.passes:
+        return {"status": "first pass, compiling" if prepared else "loading the scene"}
+    return {"status": str(progress), "fraction": progress.fraction}
+
+
+# ---------------------------------------------------------------- radiosity
+
+
+def _solution(solution: Any, more: Mapping[str, Any] | None = None, title: str = "Radiosity") -> str:
+    """The mesh with its radiosities, seen from both sides."""
+    facts = {
+        **(more or {}),
+        "patches": len(solution.patches),
+        "iterations": len(solution.residuals) or None,
+        "residual": f"{solution.residual:.2g}" if solution.residuals else None,
+        "imbalance of power": f"{100 * solution.imbalance:.2g} %",
+    }
+    radiosity = solution.radiosity
+    colours = radiosity if radiosity.shape[1] == 3 else radiosity.mean(axis=1)
+    return card(title, facts, _mesh(solution.patches, colours))
+
+
+def _mesh(patches: Any, values: Array) -> list[Figure]:
+    """Views from outside: colours of (n, 3) values by a tone curve, of (n,) in false colours."""
+    figures, shown = [], []
+    for view in mesh_views(patches, None, _SIZE[0] / _SIZE[1]):
+        shown.append((view.name, on_pixels(values, seen_patches(patches, view, _SIZE))))
+    if values.ndim == 2:
+        return [Figure(tonemap(pixels, "auto"), f"mesh, {name}", name) for name, pixels in shown]
+    positive = values[values > 0.0]
+    low, high = np.percentile(positive, [1.0, 99.0]) if positive.size else (0.1, 1.0)
+    for name, pixels in shown:
+        figures.append(Figure(false_colour(pixels, 0.99 * low, 1.01 * high), f"mesh, {name}", name))
+    return figures
+
+
+def _patches(patches: Any) -> str:
+    facts = {
+        "patches": len(patches),
+        "faces": len(patches.faces),
+        "area": number_text(float(patches.areas.sum())),
+        "channels": patches.channels,
+        "emitters": int((patches.emission > 0).any(axis=1).sum()),
+    }
+    reflectance = patches.reflectance
+    return card("Patches", facts, _mesh(patches, reflectance if patches.channels == 3 else reflectance.mean(axis=1)))
+
+
+def _solved(result: Any) -> str:
+    """A result of radiosity: its picture, if it has one, and the solution."""
+    facts: dict[str, Any] = {"stopped by": result.stopped_by, "time": time_text(result.elapsed)}
+    for name in ("bundles", "points", "passes"):
+        if getattr(result, name, 0):
+            facts[name] = getattr(result, name)
+    if result.solution is None:  # copies that were not put into one mesh
+        return card("Radiosity", {**facts, "patches": result.parts.tree.total})
+    error, areas = result.irradiance_error, result.patches.areas[:, None]
+    light = float((areas * result.solution.irradiance).sum())
+    if error is not None and light > 0.0:
+        facts["standard error of irradiance"] = f"{100 * float((areas * error).sum()) / light:.2g} %"
+    return _solution(result.solution, facts)
+
+
+def _factors(factors: Any, more: Mapping[str, Any] | None = None) -> str:
+    sums = factors.row_sums()
+    facts = {
+        **(more or {}),
+        "patches": len(factors),
+        "factors above zero": factors.matrix.nnz,
+        "row sums with the sky": f"{sums.min():.6g} to {sums.max():.6g}",
+        "standard error of a row": number_text(float(factors.row_errors().mean()), 2),
+        "share of the sky": f"{100 * float((factors.areas * factors.sky).sum() / factors.areas.sum()):.3g} %",
+    }
+    figures = []
+    if factors.matrix.nnz:
+        figures = [Figure(_matrix(factors.matrix), "form factors, row over column", "F, logarithmic")]
+    return card("Form factors", facts, figures)
+
+
+def _matrix(matrix: Any) -> Any:
+    """A matrix in false colours, in blocks of rows and columns: their largest entries."""
+    side = min(matrix.shape[0], 256)
+    entries = matrix.tocoo()
+    block = [axis.astype(np.int64) * side // matrix.shape[0] for axis in entries.coords]
+    largest = np.zeros((side, side))
+    np.maximum.at(largest, tuple(block), entries.data)
+    return false_colour(largest, *(max(float(largest.max()), 1e-30) * np.array([1e-4, 1.0])))
+
+
+def _factor_result(result: Any) -> str:
+    more = {"bundles": result.bundles, "stopped by": result.stopped_by, "time": time_text(result.elapsed)}
+    return _factors(result.factors, more)
+
+
+# ---------------------------------------------------------------- particles and maps
+
+
+def _particles(particles: Any, more: Mapping[str, Any] | None = None) -> str:
+    """Where they are: a projection along the axis in which they extend least."""
+    facts: dict[str, Any] = {**(more or {}), "particles": len(particles)}
+    if not len(particles):
+        return card("Particles", facts)
+    power = np.asarray(particles.power, dtype=np.float64).sum(axis=0)
+    facts["power"] = ", ".join(number_text(float(p)) for p in power)
+    facts["bounces"] = f"up to {int(particles.bounce.max())}"
+    return card("Particles", facts, [Figure(_projected(particles), "where particles hit", "power, seen along an axis")])
+
+
+def _projected(particles: Any) -> Any:
+    """The power in squares of a projection, in false colours."""
+    position = np.asarray(particles.position, dtype=np.float64)
+    low, extent = position.min(axis=0), np.ptp(position, axis=0)
+    across, up = sorted(np.argsort(-extent, kind="stable")[:2])
+    scale = 256.0 / max(float(extent.max()), 1e-30)
+    size = [max(1, int(np.ceil(extent[axis] * scale))) for axis in (across, up)]
+    place = [
+        np.minimum(((position[:, axis] - low[axis]) * scale).astype(int), n - 1)
+        for axis, n in zip((across, up), size, strict=True)
+    ]
+    power = np.zeros(size[::-1])
+    np.add.at(power, (size[1] - 1 - place[1], place[0]), np.abs(particles.power).sum(axis=1))
+    positive = power[power > 0.0]
+    low_, high = np.percentile(positive, [5.0, 99.5]) if positive.size else (0.1, 1.0)
+    return false_colour(power, 0.5 * low_, 1.01 * high)
+
+
+def _particle_result(result: Any) -> str:
+    facts = {"passes": result.passes, "stopped by": result.stopped_by, "time": time_text(result.elapsed)}
+    facts |= {name: f"{count:.6g}" for name, count in result.counters.items()}
+    if result.particles is not None:
+        return _particles(result.particles, facts)
+    return card("Particles", {"file": str(result.file), **facts})
+
+
+def _particle_file(file: Any) -> str:
+    head = file.header
+    facts = {
+        "file": str(file.path),
+        "codec": head["codec"],
+        "passes": len(file.passes),
+        "size": f"{file.size / 1e6:.3g} MB",
+        "finished": file.is_finished,
+    }
+    return card("Particles", {**facts, **{k: f"{v:.6g}" for k, v in file.counters.items()}})
+
+
+def _patch_map(made: Any, more: Mapping[str, Any] | None = None) -> str:
+    patches = made.surfaces.patches
+    facts = {"kind": made.kind, **(more or {}), "cells": len(patches)}
+    return card("Map of irradiance", facts, _mesh(patches, np.asarray(made.values)))
+
+
+def _made_map(made: Any) -> str:
+    more = {"particles": made.particles}
+    if hasattr(made.map, "values"):
+        return _patch_map(made.map, more)
+    return card("Map of irradiance", {"kind": made.map.kind, **more})
+
+
+_CARDS: dict[str, Callable[[Any], str]] = {
+    "Result": _result,
+    "Rendering": _result,
+    "Session": _session,
+    "Solution": _solution,
+    "Patches": _patches,
+    "LinesResult": _solved,
+    "HierarchyResult": _solved,
+    "FormFactorResult": _factor_result,
+    "FormFactors": _factors,
+    "Particles": _particles,
+    "ParticleResult": _particle_result,
+    "ParticleFile": _particle_file,
+    "PatchMap": _patch_map,
+    "MadeMap": _made_map,
+}
+
+
+# ---------------------------------------------------------------- progress
+
+
+class LiveProgress:
+    """The progress of a run below its cell in a notebook."""
+
+    def __init__(self, title: str, display: Any, html: Any) -> None:
+        self._title, self._html = title, html
+        self._next = 0.0
+        self._handle = display(html(card(title, {}, status="starting")), display_id=True)
+
+    @classmethod
+    def in_notebook(cls, title: str) -> LiveProgress | None:
+        """One, if this is a notebook; ``None`` elsewhere, as in a terminal's IPython."""
+        if (module := sys.modules.get("IPython")) is None:
+            return None
+        shell = module.get_ipython()
+        if shell is None or getattr(shell, "kernel", None) is None:
+            return None
+        from importlib import import_module
+
+        shown: Any = import_module("IPython.display")
+        return cls(title, shown.display, shown.HTML)
+
+    def update(self, progress: Progress, last: bool = False) -> None:
+        """Show the progress, a few times a second."""
+        if self._handle is None or (not last and time.monotonic() < self._next):
+            return
+        self._next = time.monotonic() + _EVERY
+        self._handle.update(self._html(card(self._title, {}, **_progress(progress))))

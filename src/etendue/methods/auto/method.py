@@ -1,0 +1,323 @@
+r"""``vcm`` that chooses its sample counts while it renders: light paths per camera path, connections, merging or not.
+
+The first passes have many techniques, and estimate what the second moment of the picture would be for each of the
+:data:`CANDIDATES` (:class:`etendue.transport.Moments`). The counts whose product of error and cost is least
+(:mod:`.efficiency`) render the passes after. Without light paths a pass is one of ``path``. Such estimates are repeated
+during the run, at a bounded share of its cost, and the decision with them: light that is found late changes it.
+
+All passes are part of the picture, with equal weights: each is an estimate of the picture whatever the passes before
+have found, with a bias, where it merges, that vanishes as the radius shrinks.
+
+Nothing is learned in a run that is too short for it: below :data:`_LEAST` seconds, ``bpt`` renders scenes with mirrors
+or glass and lights that no ray can hit, whose caustics ``path`` never finds, and ``path`` renders the others. Up to
+:data:`_PER_KIND` seconds more for each kind of material, which all make kernels larger, ``vcm`` renders scenes with
+mirrors or glass and lights other than an environment, and ``path`` the others.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from dataclasses import dataclass
+from typing import ClassVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.core import Carrying, CheckpointError, Measurement, Result, State, logger, setting
+from etendue.film import COMPONENTS
+from etendue.scene import Problem, materials
+from etendue.transport import CameraPath, Candidate, DirectWeights, Moments, Walker
+
+from ..base import STEP_LANES, CameraSettings, ImageMethod, Layer, total
+from ..bidirectional import Vcm
+from ..bidirectional_settings import BidirectionalSettings
+from ..path import Path, edge
+from .efficiency import LEARNING, Learned, Work, tile_pixels
+
+#: Counts of the passes that estimate moments.
+LEARNER = Candidate(0.5, 2, True)
+_NONE = Candidate(0.0, 0, False)
+#: The counts to choose from. Around the best ones the product of error and cost is flat: a finer table would gain some
+#: per cent, and each candidate makes the kernels of passes that learn larger.
+CANDIDATES: tuple[Candidate, ...] = (
+    _NONE,
+    *(Candidate(n, k, False) for n, k in itertools.product((0.125, 0.5), (0, 1, 2, 4, 8))),
+    *(Candidate(n, k, True) for n, k in itertools.product((0.125, 0.5), (0, 1, 2, 4))),
+    Candidate(1.0, 0, True),
+    Candidate(1.0, 1, True),
+    Candidate(2.0, 1, True),
+)
+#: Counts that a user may choose.
+FIXED: dict[str, Candidate] = {
+    "path": _NONE,
+    "bpt": Candidate(0.5, 2, False),
+    "bpt with 6 connections": Candidate(0.5, 6, False),
+    "vcm": Candidate(0.5, 1, True),
+}
+#: Seconds of a run below which no light paths are traced, and seconds more for each kind of material below which
+#: nothing is learned: kernels may have to be compiled.
+_LEAST, _PER_KIND = 6.0, 1.5
+#: Share of a run's cost for passes that learn, after the first ones.
+_SHARE = 0.06
+#: Least ratio of products of error and cost at which the counts stay as they are.
+_WORTH_IT = 0.93
+#: If caustics are expected, products of candidates without light paths, and without merging, are multiplied by 1 plus
+#: this number over the number of passes that have learned: a caustic may be too small for all of them.
+_DOUBT = {"path": 1.0, "bpt": 0.4}
+
+
+@dataclass(frozen=True)
+class AutoSettings(CameraSettings):
+    """Settings of ``auto``."""
+
+    choice: str = setting(
+        "learn",
+        "sample counts of the passes: chosen while it renders (learn, probe), or those of path, bpt, bpt with "
+        "6 connections, or vcm",
+        choices=("learn", "probe", *FIXED),
+    )
+    probe_passes: int = setting(
+        2, "first passes, from which the first choice is made; more: a better choice", minimum=1, maximum=1000
+    )
+    radius: float = setting(0.006, "merge radius of the first pass, over half the diagonal of the scene", above=0.0)
+    alpha: float = setting(
+        0.75,
+        "reduction of the merge radius: that of pass i = 1, 2, ... is radius * i^((alpha - 1) / 2); 1: constant",
+        above=0.0,
+        maximum=1.0,
+    )
+
+
+class Auto(Carrying, ImageMethod):
+    """Vertex connection and merging with sample counts that are chosen while it renders."""
+
+    name: ClassVar[str] = "auto"
+    Settings: ClassVar[type[CameraSettings]] = AutoSettings
+    settings: AutoSettings
+    citations: ClassVar[tuple[str, ...]] = ("Grittmann2022", *Path.citations, *Vcm.citations)
+    carries_on: ClassVar[bool] = True
+
+    def prepare(self, problem: Problem, seed: int) -> None:
+        """See :class:`ImageMethod`. What only passes with light paths need is prepared by the first of them."""
+        self._forget_states()
+        super().prepare(problem, seed)
+        self._seed = seed
+        self._vcm: Vcm | None = None
+        self._vcm_state: State = {}
+        self._counts = FIXED.get(self.settings.choice, LEARNER)
+        self._learns = self.settings.choice not in FIXED
+        self._learned = Learned.none()
+        self._products: dict[str, float] = {}
+        self._spent = self._spent_learning = 0.0
+        self.setup_seconds = 0.0  #: of preparation and compilation within the first pass, for predictions of times
+        self._caustics = self._has_specular() and self._has_finite_light()
+        self.plan(None, None, None)
+
+    def bind(self, scene: mi.Scene | None) -> None:
+        """See :class:`ImageMethod`."""
+        super().bind(scene)
+        if self._vcm:
+            self._vcm.bind(scene)
+
+    def plan(self, seconds: float | None, passes: int | None, error: float | None) -> None:
+        """See :class:`Method`."""
+        self._seconds = seconds
+
+    def full_lanes(self) -> int:
+        """See :class:`ImageMethod`. Passes of path tracing are as small as those that merge."""
+        return STEP_LANES
+
+    # ------------------------------------------------------------------ passes
+
+    def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
+        """See :class:`ImageMethod`."""
+        if self._learns and not self._learned.passes and (fixed := self._without_learning()):
+            self._learns, self._counts = False, fixed
+        learning = self._learns and self._is_due()
+        if learning:
+            rendered = self._learn(iteration, seed, samples)
+        elif self._counts.light_paths == 0.0:
+            rendered = self._path(iteration, seed, samples)
+        else:
+            vcm = self._estimator()
+            vcm.use(self._counts)
+            rendered = vcm.render_pass(iteration, seed, samples)
+        cost = self._work().cost(LEARNER) * LEARNING if learning else self._work().cost(self._counts)
+        self._spent += cost
+        self._spent_learning += cost if learning else 0.0
+        return rendered
+
+    def _is_due(self) -> bool:
+        """Whether the next pass learns."""
+        if self._learned.passes < self.settings.probe_passes:
+            return True
+        cost = self._work().cost(LEARNER) * LEARNING
+        return self._spent_learning + cost <= _SHARE * self._spent
+
+    def _work(self) -> Work:
+        return self._learned.mean_work()
+
+    def _estimator(self) -> Vcm:
+        """The prepared estimator of passes with light paths."""
+        if self._vcm is None:
+            own = self.settings
+            names = ("max_depth", "samples_per_pass", "sampler", "scrambling", "reconstruction", "clamp", "components")
+            common = {name: getattr(own, name) for name in names} | {"samples_per_pass": self.samples_per_iteration}
+            counts = LEARNER if self._learns else self._counts
+            settings = BidirectionalSettings(
+                **common,
+                rr_depth=min(own.rr_depth, BidirectionalSettings.rr_depth),
+                radius=own.radius,
+                alpha=own.alpha,
+                light_paths=counts.light_paths,
+                connections=counts.connections,
+                merging=counts.merging,
+                shadow_roulette=0.05 if counts.connections > 2 else BidirectionalSettings.shadow_roulette,
+            )
+            begin = time.perf_counter()
+            vcm = Vcm(settings)
+            if self._learns:
+                vcm.moments = self._moments()
+                most = max(candidate.light_paths for candidate in CANDIDATES)
+                vcm.light_stride = round(most * self.camera.pixels * self.samples_per_iteration)
+            vcm.prepare(self.problem, self._seed)
+            vcm.moments = None
+            self.setup_seconds = time.perf_counter() - begin
+            self._vcm_first = vcm.start()
+            vcm.enter(self._vcm_state or self._vcm_first)
+            self._vcm = vcm
+        return self._vcm
+
+    def _path(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
+        """A pass of path tracing."""
+        lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
+        source = self.camera_numbers(lanes, samples, seed, iteration)
+        ray, importance, _ = self.camera.primary(lanes // samples, source)
+        walker, weights = self.walker(Walker, first=self.first_hits(lanes, iteration)), DirectWeights("mis", "balance")
+        path = CameraPath.start(ray, walker.max_edges, **self.path_fields())
+        path = walker.walk(path, lambda s: edge(s, walker, weights, source), "path")
+        path.weigh(importance)
+        radiance, bad = self.kept_layers(path)
+        dr.eval(radiance, path.rays, bad)
+        counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
+        return self.images(radiance, seed, iteration), counters
+
+    # ------------------------------------------------------------------ learning
+
+    def _learn(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
+        """A pass that estimates moments, and the decision after it."""
+        vcm = self._estimator()
+        vcm.use(LEARNER)
+        camera_paths = self.camera.pixels * samples
+        light_paths = LEARNER.light_paths * camera_paths
+        vcm.moments = self._moments()
+        try:
+            layers, counters = vcm.render_pass(iteration, seed, samples)
+            edges, smooth, photons = vcm.moments.walked() / camera_paths
+            work = edges, smooth, photons / LEARNER.light_paths, counters["light_vertices"] / light_paths
+            width, height = self.problem.size
+            tiles = vcm.moments.tiles() / (tile_pixels(height, width) * samples)[..., None, None]
+        finally:
+            vcm.moments = None
+        parts = [layers[name] for name in (COMPONENTS if self.settings.components else ("image",))]
+        picture = np.sum(parts, axis=0).mean(axis=2, dtype=np.float64) / samples
+        if np.isfinite(tiles).all() and np.isfinite(picture).all():
+            self._learned = self._learned.after(tiles, picture, work)
+        self._decide()
+        return layers, counters
+
+    def _moments(self) -> Moments:
+        """Estimates of the moments of a pass."""
+        light_paths = LEARNER.light_paths * self.camera.pixels  # over camera paths of a pixel
+        return Moments(
+            CANDIDATES, LEARNER, self.problem.size, 1.0 / light_paths, 1.0 / BidirectionalSettings.eta_discount
+        )
+
+    def _decide(self) -> None:
+        """Choose the counts of the next passes."""
+        if not self._learned.passes:
+            return
+        work = self._work()
+        products = {c: float(e) * work.cost(c) for c, e in zip(CANDIDATES, self._learned.errors(), strict=True)}
+        if self._caustics:
+            for candidate in products:
+                kind = "path" if candidate.light_paths == 0.0 else "bpt"
+                if not candidate.merging:
+                    products[candidate] *= 1.0 + _DOUBT[kind] / self._learned.passes
+        best = min(products, key=lambda c: products[c])
+        now = products.get(self._counts)
+        if now is None or self._learned.passes <= 1 or products[best] < _WORTH_IT * now:
+            self._counts = best
+        least = max(products[best], 1e-30)
+        told = {c: p / least for c, p in products.items() if c in (_NONE, LEARNER) or p < 1.3 * least}
+        self._products = {describe(c): round(p, 3) for c, p in told.items()}
+        logger.info("auto: %s", describe(self._counts))
+
+    # ------------------------------------------------------------------ state
+
+    def develop(self, measurement: Measurement, state: State) -> Result:
+        """Mean over the passes; the metadata contain the counts of the next pass, and the products of error and cost
+        of the best candidates over the least."""
+        result = super().develop(measurement, state)
+        result.metadata |= {"chosen": describe(Candidate(*state["counts"])), "products": dict(state["products"])}
+        return result
+
+    def _left(self) -> State:
+        """The counts, what has been learned, and the state of the estimator."""
+        counts = self._counts
+        return {
+            "counts": [counts.light_paths, counts.connections, counts.merging],
+            "learns": self._learns,
+            "learned": self._learned.state(),
+            "products": self._products,
+            "spent": [self._spent, self._spent_learning],
+            "vcm": self._vcm.left() if self._vcm else self._vcm_state,
+        }
+
+    def _take(self, state: State) -> None:
+        try:
+            paths, connections, merging = state["counts"]
+            learned = Learned.of(state["learned"])
+        except (KeyError, TypeError, ValueError):
+            raise CheckpointError("the checkpoint's auto chose by a probe; start a new run") from None
+        height, width = self.problem.size[::-1]
+        if learned.passes and learned.picture.shape != (height, width):
+            raise CheckpointError("what auto has learned is of another picture; start a new run")
+        self._counts = Candidate(float(paths), int(connections), bool(merging))
+        self._learns, self._learned, self._products = bool(state["learns"]), learned, dict(state["products"])
+        self._spent, self._spent_learning = (float(value) for value in state["spent"])
+        self._vcm_state = state["vcm"]
+        if self._vcm:
+            self._vcm.enter(self._vcm_state or self._vcm_first)
+
+    # ------------------------------------------------------------------ the scene
+
+    def _without_learning(self) -> Candidate | None:
+        """Counts for a run that is too short to learn."""
+        kinds = {m.class_name() for m in materials(self.scene) if isinstance(m, mi.BSDF)}
+        if self._seconds is None or self._seconds >= _LEAST + _PER_KIND * len(kinds):
+            return None
+        if self._seconds >= _LEAST:
+            return FIXED["vcm" if self._caustics else "path"]
+        delta = mi.EmitterFlags.DeltaPosition, mi.EmitterFlags.DeltaDirection
+        missed = self._has_specular() and any(mi.has_flag(e.flags(), f) for e in self.scene.emitters() for f in delta)
+        return FIXED["bpt" if missed and self.camera.can_splat else "path"]
+
+    def _has_finite_light(self) -> bool:
+        return any(not mi.has_flag(e.flags(), mi.EmitterFlags.Infinite) for e in self.scene.emitters())
+
+    def _has_specular(self) -> bool:
+        bsdfs = [m for m in materials(self.scene) if isinstance(m, mi.BSDF)]
+        specular = mi.BSDFFlags.DeltaReflection, mi.BSDFFlags.DeltaTransmission
+        return any(mi.has_flag(m.flags(), f) for m in bsdfs for f in specular)
+
+
+def describe(counts: Candidate) -> str:
+    """Counts in words."""
+    for name, fixed in FIXED.items():
+        if counts == fixed:
+            return name
+    name = "vcm" if counts.merging else "bpt"
+    return f"{name} with {counts.light_paths:g} light paths, {counts.connections} connections"

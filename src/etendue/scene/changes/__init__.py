@@ -1,0 +1,1 @@
+"""Changes of scenes: values of their parameters."""

@@ -1,0 +1,177 @@
+"""Changes to the lights of a parsed scene, and scenes written as XML."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from etendue.core import OptionError, SceneError, use_variant
+
+from .parsing import read_properties
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+#: Emitters that are plugins in Python: in a dictionary they have no type before they are built.
+_PYTHON_EMITTERS = ("focusarea",)
+
+#: A change of Mitsuba's parsed scene, before its objects are built.
+Change = Callable[["mi.parser.ParserState"], None]
+
+
+@dataclass(frozen=True)
+class LightEdits:
+    """Lights that are removed from a scene, by their number in its description, and dictionaries of plugins that are
+    added."""
+
+    removed: frozenset[int] = frozenset()
+    added: tuple[Mapping[str, Any], ...] = field(default=())
+
+    def __bool__(self) -> bool:
+        return bool(self.removed or self.added)
+
+    def __call__(self, state: mi.parser.ParserState) -> None:
+        """Apply to a parsed scene."""
+        for number, (owner, key, _) in enumerate(list(_emitters(state))):
+            if number in self.removed:
+                del (state.root if owner is None else owner).props[key]
+        for number, plugin in enumerate(self.added):
+            add_plugin(state, f"etendue_light_{number}", plugin)
+
+
+def described_lights(source: Any, parameters: Mapping[str, Any] | None = None) -> list[str]:
+    """A name for each light in a scene's description: its plugin, and its id or that of the shape that it is on.
+
+    Raises :class:`SceneError` for a loaded scene, and for one that cannot be parsed.
+    """
+    _, _, state = _described(source, parameters)
+    names = []
+    for owner, key, emitter in _emitters(state):
+        own = (_id(emitter.props) or _plain(key)) if owner is None else _id(owner.props)
+        names.append(f"{emitter.props.plugin_name()} {own}".strip())
+    return names
+
+
+def add_plugin(state: mi.parser.ParserState, key: str, plugin: Mapping[str, Any]) -> None:
+    """Add an object to a parsed scene by its dictionary. Raises :class:`SceneError` if Mitsuba cannot parse it."""
+    import mitsuba as mi
+
+    config = mi.parser.ParserConfig(mi.variant())
+    try:
+        own = mi.parser.parse_dict(config, {"type": "scene", key: dict(plugin)})
+        mi.parser.transform_resolve(config, own)
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise SceneError(f"'{plugin.get('type')}' cannot be added: {error}") from error
+    shift = len(state.nodes) - 1  # the root is left out
+    for node in list(own.nodes)[1:]:
+        _shift(node.props, shift)
+        state.nodes.append(node)
+    for name, value in read_properties(own.root.props).items():
+        if isinstance(value, mi.Properties.ResolvedReference):
+            state.root.props[name] = mi.Properties.ResolvedReference(value.index() + shift)
+
+
+def is_described(source: Any) -> bool:
+    """Whether a scene is a file, a bundled scene or a dictionary, not a loaded ``mi.Scene``."""
+    from .loading import _is_loaded
+
+    return not _is_loaded(source)
+
+
+def scene_xml(source: Any, parameters: Mapping[str, Any] | None = None, change: Change | None = None) -> str:
+    """The XML of a scene after a ``change``; names of files in it are absolute.
+
+    Raises :class:`SceneError` for a loaded scene, for one with objects in memory, and for one that cannot be parsed.
+    """
+    import mitsuba as mi
+
+    from .loading import _resolving
+
+    name, path, state = _described(source, parameters)
+    if change is not None:
+        change(state)
+    with _resolving(path):
+        _name_absolutely(state)
+        try:
+            return str(mi.parser.write_string(state))
+        except (RuntimeError, ValueError, TypeError) as error:
+            text = re.sub(r"\s+", " ", str(error)).strip()
+            raise SceneError(f"the scene {name} cannot be written as XML: {text}") from error
+
+
+def _described(source: Any, parameters: Mapping[str, Any] | None) -> tuple[str, Path | None, mi.parser.ParserState]:
+    """(name, file, parsed description) of a scene."""
+    from .loading import _is_loaded, _parse, locate
+
+    use_variant()
+    if _is_loaded(source):
+        raise SceneError("a scene in memory has no description; give its file or its dictionary")
+    found = locate(source, lambda _: None) if isinstance(source, (str, os.PathLike)) else source
+    name, path, _, state = _parse(found, parameters)
+    return name, path, state
+
+
+def _name_absolutely(state: mi.parser.ParserState) -> None:
+    import mitsuba as mi
+
+    resolver = mi.file_resolver()
+    for node in state.nodes:
+        for key, value in read_properties(node.props).items():
+            if isinstance(value, str) and 0 < len(value) < 4096 and Path(value).suffix:
+                found = Path(str(resolver.resolve(value)))
+                if found.is_file():
+                    node.props[key] = str(found.absolute())
+
+
+def _emitters(state: mi.parser.ParserState) -> Iterator[tuple[mi.parser.SceneNode | None, str, mi.parser.SceneNode]]:
+    """(shape, property, node) of the lights of a scene: those on no shape, then those of its shapes."""
+    import mitsuba as mi
+
+    shapes = []
+    for key, value in read_properties(state.root.props).items():
+        if isinstance(value, mi.Properties.ResolvedReference):
+            node = state.nodes[value.index()]
+            if _is_emitter(node):
+                yield None, key, node
+            elif node.type == mi.ObjectType.Shape:
+                shapes.append(node)
+    for shape in shapes:
+        for key, value in read_properties(shape.props).items():
+            if isinstance(value, mi.Properties.ResolvedReference) and _is_emitter(state.nodes[value.index()]):
+                yield shape, key, state.nodes[value.index()]
+
+
+def _is_emitter(node: mi.parser.SceneNode) -> bool:
+    import mitsuba as mi
+
+    unknown = node.type == mi.ObjectType.Unknown and node.props.plugin_name() in _PYTHON_EMITTERS
+    return unknown or node.type == mi.ObjectType.Emitter
+
+
+def _shift(props: mi.Properties, by: int) -> None:
+    import mitsuba as mi
+
+    for key, value in read_properties(props).items():
+        if isinstance(value, mi.Properties.ResolvedReference):
+            props[key] = mi.Properties.ResolvedReference(value.index() + by)
+
+
+def _id(props: mi.Properties) -> str:
+    return _plain(str(props.id()))
+
+
+def _plain(name: str) -> str:
+    """A name that the scene gave, "" for one that Mitsuba made up."""
+    return "" if name.startswith(("_unnamed", "_arg_", "__root__", "_etendue")) else name
+
+
+def colour(values: Any) -> dict[str, Any]:
+    """An RGB colour of a scene dictionary. Raises :class:`OptionError` for negative values."""
+    red, green, blue = (float(v) for v in values)
+    if min(red, green, blue) < 0.0:
+        raise OptionError(f"a colour of light is not negative, as {[red, green, blue]} is")
+    return {"type": "rgb", "value": [red, green, blue]}

@@ -1,0 +1,84 @@
+"""Parts of a scene: some of its shapes, for processes that do not load the whole."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from etendue.core import Array, SceneError, UnsupportedError, use_variant
+
+from .loading import Source, _from_parser, _is_loaded, _parse, locate
+from .parsing import keep_shapes, read_properties
+from .portable import PortableScene
+from .problem import Problem
+
+
+def load_part(source: Source, shapes: Collection[str], parameters: Mapping[str, Any] | None = None) -> Problem:
+    """Load a scene without most of its shapes: only those with ids in ``shapes``, those that emit and shape groups are
+    built, and their files read. Errors as :func:`load`."""
+    use_variant()
+    name, path, config, state = _parsed(source, parameters)
+    keep_shapes(state, shapes)
+    found: Any = path or source
+    return _from_parser(
+        found, name, path, config, state, None, 0, None, None, check=False, merge=False, change=None, moves=False
+    )
+
+
+def shape_boxes(problem: Problem) -> tuple[list[str], Array]:
+    """(ids, boxes (n, 6): lower and upper corner) of the shapes of a scene loaded without merging.
+
+    Raises :class:`UnsupportedError` for a scene whose shapes cannot be named, or whose coordinates were changed."""
+    shapes = list(problem.scene.shapes())
+    ids = [str(shape.id()) for shape in shapes]
+    if len(set(ids)) < len(ids):
+        twice = next(name for name in ids if ids.count(name) > 1)
+        raise UnsupportedError(f"{problem.source} has several shapes with the id '{twice}'; give each its own")
+    if not problem.space.is_own:
+        raise UnsupportedError(f"{problem.source} is rendered in other coordinates than its own, and cannot be cut")
+    boxes = [[*np.ravel(shape.bbox().min), *np.ravel(shape.bbox().max)] for shape in shapes]
+    return ids, np.array(boxes, np.float64).reshape(-1, 6)
+
+
+def part_files(
+    scene: PortableScene, source: Source, shapes: Collection[str], parameters: Mapping[str, Any] | None = None
+) -> dict[str, Path]:
+    """The files of a portable scene that a part of it needs."""
+    use_variant()
+    *_, whole = _parsed(source, parameters)
+    *_, part = _parsed(source, parameters)
+    keep_shapes(part, shapes)
+    reached = _reached(part)
+    every = [_texts(node) for node in whole.nodes]
+    needed = set().union(*(every[k] for k in reached))
+    dropped = {Path(text).name for text in set().union(*every) - needed}
+    kept = {Path(text).name for text in needed}
+    return {place: path for place, path in scene.files.items() if path.name not in dropped - kept}
+
+
+def _parsed(source: Source, parameters: Mapping[str, Any] | None) -> Any:
+    if _is_loaded(source):
+        raise SceneError("a scene in memory has no parts that can be loaded; give its file or its dictionary")
+    found = locate(source) if isinstance(source, (str, os.PathLike)) else source
+    return _parse(found, parameters)
+
+
+def _reached(state: Any) -> set[int]:
+    """Numbers of the nodes below the root."""
+    import mitsuba as mi
+
+    stack, reached = [state.root], set[int]()
+    while stack:
+        for value in read_properties(stack.pop().props).values():
+            if isinstance(value, mi.Properties.ResolvedReference) and value.index() not in reached:
+                reached.add(value.index())
+                stack.append(state.nodes[value.index()])
+    return reached
+
+
+def _texts(node: Any) -> set[str]:
+    return {value for value in read_properties(node.props).values() if isinstance(value, str) and value}

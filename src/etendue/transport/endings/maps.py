@@ -1,0 +1,99 @@
+r"""Camera paths that end in a map of irradiance.
+
+A path ends at the first diffuse surface after so many scatterings, with the light that a map has there,
+
+.. math:: alpha \, \rho(z) \, E(z) / \pi
+
+with the throughput alpha and the albedo rho. Mirrors, glass and null surfaces do not count as scatterings: what they
+show is as far from the map as what the path sees directly. Diffuse are materials without a glossy component; at others,
+and where their mirror or glass is sampled, the path goes on. No light point is sampled at the end, since the map
+has the direct light, too [Leeson 2001, sec. 5.7.3].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import drjit as dr
+import mitsuba as mi
+
+from etendue.core import SampleSource
+from etendue.scene import LightTable
+from etendue.surfaces import SurfaceMap
+
+from ..emission import DirectSample
+from ..guiding.lights import LocalLights
+from ..guiding.walk import GuidedWalk
+from ..scattering import Scattered
+from ..vertex import WalkVertex
+from ..walk import CameraPath, MapEnd, SubPath, Walker, ones
+
+
+def light_of_map(surface_map: SurfaceMap, end: MapEnd) -> tuple[mi.Color3f, mi.Bool]:
+    """(contribution of the map to paths whose loop has been evaluated, lanes that end where the map has no surface)."""
+    found = surface_map.irradiance(end.position, end.normal, end.reached)
+    light = end.throughput * found.value * dr.inv_pi
+    return dr.select(end.reached & found.known, light, 0.0), end.reached & ~found.known
+
+
+@dataclass(kw_only=True)
+class EndingWalker(Walker):
+    """Paths end in a map after ``after`` scatterings; the state of the walk has a :class:`MapEnd`."""
+
+    after: mi.UInt32  #: opaque
+
+    def arrive(self, s: SubPath) -> WalkVertex:
+        """See :class:`Walker`."""
+        assert isinstance(s, CameraPath) and s.end is not None
+        vertex = super().arrive(s)
+        vertex.scatterings = mi.UInt32(s.end.scatterings)
+        return vertex
+
+    def ends(self, vertex: WalkVertex) -> mi.Bool:
+        """See :class:`Walker`."""
+        flags = vertex.bsdf.flags()
+        is_diffuse = mi.has_flag(flags, mi.BSDFFlags.Diffuse) & ~mi.has_flag(flags, mi.BSDFFlags.Glossy)
+        return is_diffuse & (vertex.scatterings >= self.after)
+
+    def light_point(
+        self,
+        vertex: WalkVertex,
+        source: SampleSource,
+        active: mi.Bool,
+        index: int = 0,
+        lights: LightTable | LocalLights | None = None,
+    ) -> DirectSample:
+        """See :class:`Walker`."""
+        return super().light_point(vertex, source, active & ~self.ends(vertex), index, lights)
+
+    def advance(
+        self,
+        s: SubPath,
+        vertex: WalkVertex,
+        scattered: Scattered,
+        source: SampleSource,
+        roulette_by: tuple[mi.Color3f, mi.Float] | None = None,
+    ) -> mi.Float:
+        """See :class:`Walker`."""
+        assert isinstance(s, CameraPath) and s.end is not None
+        si, flags = vertex.si, vertex.bsdf.flags()
+        # Directions may come from a guide: only the choice between mirror and diffuse reflection is of interest.
+        has_choice = mi.has_flag(flags, mi.BSDFFlags.Delta)
+        reflects = (mi.Frame3f.cos_theta(si.wi) > 0.0) | mi.has_flag(flags, mi.BSDFFlags.BackSide)
+        chosen = scattered.active & ~scattered.is_delta & ~scattered.is_null
+        here = s.active & self.ends(vertex) & dr.select(has_choice, chosen, reflects)
+        albedo = vertex.bsdf.eval_diffuse_reflectance(si, here & ~has_choice)
+        albedo = dr.select(has_choice, scattered.weight, albedo)
+        towards = dr.select(dr.dot(si.n, vertex.incoming) > 0.0, -si.n, si.n)
+        depth = vertex.number + ones(has_choice)
+        count = s.end.scatterings + ones(chosen)
+        end = MapEnd(here, vertex.position, towards, s.throughput * albedo, depth, count)
+        s.end = dr.select(here, end, replace(s.end, scatterings=count))
+        factor = super().advance(s, vertex, scattered, source, roulette_by)
+        s.active &= ~here
+        return factor
+
+
+@dataclass(kw_only=True)
+class EndingGuidedWalk(EndingWalker, GuidedWalk):
+    """Guided paths that end in a map."""

@@ -1,0 +1,270 @@
+r"""Emission that learns: which light, and into which direction, by what light paths have contributed to the picture.
+
+Let c be the sum of the contributions of a light path, with their MIS weights, by splats, connections and merges. The
+variance of the picture's sum is least if a light l and a cell k of its directions have the probabilities
+
+.. math:: P_l \propto \sqrt{E[P_l^2 c^2 | l]},  \qquad p_k \propto \sqrt{\frac{1}{|k|} \int_k F^2 d\omega},
+          \qquad E[c^2 p] = \int F^2 d\omega
+
+where F = c p is what the direction would contribute if it were certain. Both expectations are sums over the light paths
+of earlier passes, whatever densities these had. P is mixed with the selection by power, and p with the directions of
+the light's kind, so that nothing has the probability zero, and an estimate that is wrong costs a bounded factor. The
+selection of lights by next event is learned alike, from the contributions of light points.
+
+Contributions count relative to the brightness of the picture around their pixel, as a relative error does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array, CheckpointError, copied_to_device
+from etendue.density import Quadtrees
+from etendue.scene import LightTable
+
+from ..emission import EmittedRay
+from .departure import Departures
+
+#: Share of the selection by power.
+_BY_POWER = 0.1
+#: Paths, of mean contribution, by which the estimate of a light is mixed with the mean of all lights.
+_PRIOR = 1.0
+#: Shares of learned directions that are weighed against each other; the least gain that is worth any; and the least
+#: effective number of contributing paths by which a gain is known.
+SHARES = (0.0, 0.25, 0.5, 0.75)
+_GAIN, _KNOWN = 0.9, 64.0
+#: Share of a light's density above which a leaf is divided, and least number of effective paths in a leaf.
+_LEAF_SHARE, _LEAF_PATHS = 0.01, 4.0
+#: Sums are of integers, so that they do not depend on the order of the additions: units of a contribution, and of its
+#: square, per mean contribution; and the largest contribution of a path, in mean ones.
+_UNITS, _SQUARES, _MOST = 1 << 16, 1 << 10, 1 << 10
+#: Camera paths are counted in blocks of lanes, one of so many.
+_BLOCK, _STRIDE = 16, 4
+#: Side of the blocks of pixels whose brightness is known.
+BLOCK = 16
+#: Share of the picture's mean brightness that is added to that of a block.
+_LEAST_LEVEL = 0.25
+
+
+@dataclass
+class EmissionSums:
+    """Sums over the light paths, and over the next-event samples, of some passes; integers, as float64."""
+
+    count: Array  #: (lights,) light paths
+    credit: Array  #: (places,) contributions
+    square: Array  #: (places,) squares of contributions
+    weighted: Array  #: (places,) squares of contributions times density of the direction
+    moments: Array  #: (lights * shares,) squares of contributions, had the directions had each of the shares
+    direct: Array  #: (lights,) squares of contributions of light points
+
+    @classmethod
+    def zero(cls, lights: int, places: int) -> EmissionSums:
+        """No paths."""
+        sizes = lights, places, places, places, lights * len(SHARES), lights
+        return cls(*(np.zeros(size) for size in sizes))
+
+    def __add__(self, other: EmissionSums) -> EmissionSums:
+        return EmissionSums(*(a + b for a, b in zip(self.arrays(), other.arrays(), strict=True)))
+
+    def arrays(self) -> tuple[Array, ...]:
+        """The sums in order."""
+        return self.count, self.credit, self.square, self.weighted, self.moments, self.direct
+
+
+class EmissionGuide:
+    """Learned selection of lights and directions for emission, and learned selection for next event.
+
+    plain: the scene's lights.
+    """
+
+    def __init__(self, plain: LightTable) -> None:
+        self._plain = plain
+        self.count = plain.count
+        #: (lights,) learned probabilities of next event and of emission, on the host.
+        self.direct = self.emitted = plain.probabilities
+        #: Learned densities of directions, one tree a light.
+        self.trees = Quadtrees.even(self.count)
+        self._share = np.zeros(self.count)
+        #: How many times as many light paths as without learning arrive where they contribute.
+        self.crowding = 1.0
+        self._upload()
+
+    def _upload(self) -> None:
+        #: The lights, with the learned selection.
+        self.lights = self._plain.picked_by(self.direct, self.emitted) if self.count > 1 else self._plain
+        self.departures = Departures(self.trees, self._share, self._plain.is_round)
+
+    @property
+    def departs(self) -> bool:
+        """Whether directions of any light are sampled from a learned density."""
+        return bool(self._share.any())
+
+    @property
+    def places(self) -> int:
+        """Leaves of the densities of all lights."""
+        return self.trees.places
+
+    def learn(self, sums: EmissionSums) -> None:
+        """Learn from the passes made with this guide since the last call."""
+        plain = self._plain.probabilities
+        tree = self.trees.tree_of_place()
+        square: Array = np.bincount(tree, sums.square, self.count).astype(np.float64)
+        credit: Array = np.bincount(tree, sums.credit, self.count).astype(np.float64)
+        if self.count > 1 and square.sum() > 0.0:
+            each = self.emitted**2 * square
+            prior = _PRIOR * each.sum() / sums.count.sum()
+            self.emitted = _mixed(np.sqrt((each + prior) / (sums.count + _PRIOR)) * (plain > 0.0), plain)
+            more = np.divide(self.emitted, plain, out=np.ones(self.count), where=plain > 0.0)
+            self.crowding = max(1.0, float((more * credit).sum() / credit.sum()))
+        if self.count > 1 and sums.direct.sum() > 0.0:
+            self.direct = _mixed(np.sqrt(self.direct * (sums.direct + 1e-3 * sums.direct.mean())), plain)
+        if sums.moments.any():
+            self._learn_directions(sums, tree, credit, square)
+        self._upload()
+
+    def _learn_directions(self, sums: EmissionSums, tree: NDArray[np.int64], credit: Array, square: Array) -> None:
+        """``tree``: of each place; ``credit`` and ``square``: sums of each light."""
+        usable = self._plain.has_directions & (square > 0.0)
+        paths = np.where(usable, (credit / _UNITS) ** 2 / np.where(usable, square / _SQUARES, 1.0), 0.0)
+        area = 0.25 ** (np.repeat(self.trees.level, 4) + 1.0)
+        self.trees = self.trees.with_mass(np.where(usable[tree], np.sqrt(sums.weighted * area), 0.0))
+        leaf = np.maximum(_LEAF_SHARE, _LEAF_PATHS / np.maximum(paths, 1.0))
+        self.trees = self.trees.refined(np.arange(self.count), np.where(paths > 0.0, leaf, 1.0))
+        # The moments tell of the densities that were sampled, and the new ones are better.
+        moments = sums.moments.reshape(self.count, -1)
+        best = moments.argmin(axis=1)
+        gains = usable & (paths >= _KNOWN) & (moments.min(axis=1) < _GAIN * moments[:, 0])
+        self._share = np.where(gains, np.array(SHARES)[best], 0.0)
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """What was learned, as arrays that are not modified later."""
+        return {
+            "direct": self.direct,
+            "emitted": self.emitted,
+            "share": self._share,
+            "crowding": self.crowding,
+            **self.trees.to_arrays(),
+        }
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """Set the state, as returned by :meth:`state`."""
+        self.direct, self.emitted, self._share = (
+            np.asarray(state[name], np.float64) for name in ("direct", "emitted", "share")
+        )
+        self.crowding, self.trees = float(state["crowding"]), Quadtrees.from_arrays(state)
+        if len(self.direct) != self.count or self.trees.count != self.count:
+            raise CheckpointError("the guide of emission in the checkpoint is damaged; start a new run")
+        self._upload()
+
+
+def _mixed(wanted: Array, plain: Array) -> Array:
+    """Probabilities in proportion to ``wanted``, mixed with ``plain``."""
+    result: Array = (1.0 - _BY_POWER) * wanted / wanted.sum() + _BY_POWER * plain
+    return result
+
+
+class EmissionTraining:
+    """Contributions of one group of light paths, while they and the camera paths are traced.
+
+    Parameters
+    ----------
+    guide: which emits the paths.
+    unit: mean contribution to a pixel.
+    levels: (blocks,) brightness of the picture in blocks of :data:`BLOCK` x :data:`BLOCK` pixels, relative to ``unit``.
+    width: of the picture, in pixels.
+    directions: whether directions are learned, too.
+    """
+
+    def __init__(self, guide: EmissionGuide, unit: float, levels: Array, width: int, directions: bool) -> None:
+        self._guide = guide
+        worth = 1.0 / (np.maximum(levels, 0.0) + _LEAST_LEVEL)
+        self._worth = copied_to_device(mi.Float, worth.astype(np.float32))
+        self._width, self._across = dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, -(-width // BLOCK))
+        self._unit = dr.opaque(mi.Float, 1.0 / unit if unit > 0.0 else 0.0)
+        self._directions = directions
+        #: (paths,) contributions in units; set by :meth:`begin`.
+        self.found = mi.UInt64(0)
+        #: (lights,) squares of contributions of light points, in units.
+        self.direct = dr.zeros(mi.UInt64, guide.count)
+
+    def begin(self, emitted: EmittedRay) -> None:
+        """Note how the light paths were emitted."""
+        self._light = mi.UInt32(emitted.light)
+        self._pdf = mi.Float(emitted.direction_pdf)
+        self._ratios: list[mi.Float] = []
+        if not self._directions:
+            self._place = 4 * emitted.light
+            return
+        active = emitted.active
+        departure = self._guide.departures.at(emitted.light, active)
+        learned, self._place = departure.learned(emitted.ray.d, emitted.own_pdf, active)
+        # Density of the direction over those with other shares.
+        self._ratios = [self._pdf / dr.maximum(a * learned + (1.0 - a) * emitted.own_pdf, 1e-20) for a in SHARES]
+
+    def splatted(self, found: mi.Float) -> None:
+        """Note the contributions of the light paths by splats, one lane a path."""
+        self.found = _units(found, _UNITS)
+        dr.schedule(self._light, self._pdf, self._place, self._ratios, self.found)
+
+    def worth_of_lane(self, pixel: mi.UInt32, lane: mi.UInt32) -> mi.Float:
+        """Factor on the luminance of contributions of camera paths to their pixels. Only blocks of lanes count, since
+        additions take time."""
+        counts = (lane // _BLOCK) % _STRIDE == 0
+        return dr.select(counts, _STRIDE * self.worth(pixel, counts), 0.0)
+
+    def worth(self, pixel: mi.UInt32, active: mi.Bool) -> mi.Float:
+        """Factor on the luminance of contributions to a pixel; 0 where not ``active``."""
+        y = pixel // self._width
+        block = (y // BLOCK) * self._across + (pixel - y * self._width) // BLOCK
+        return dr.select(active, dr.gather(mi.Float, self._worth, block, active) * self._unit, 0.0)
+
+    def add(self, path: mi.UInt32, value: mi.Color3f, worth: mi.Float, active: mi.Bool) -> None:
+        """Add a contribution of a light path."""
+        units = _units(mi.luminance(value) * worth, _UNITS)
+        dr.scatter_add(self.found, units, path, active & (units > 0), dr.ReduceMode.Direct)
+
+    def add_light(self, light: mi.UInt32, value: mi.Color3f, worth: mi.Float, active: mi.Bool) -> None:
+        """Add a contribution of a light point."""
+        if self._guide.count == 1:
+            return
+        units = _units(dr.square(_capped(mi.luminance(value) * worth)), _SQUARES)
+        dr.scatter_add(self.direct, units, light, active & (units > 0), dr.ReduceMode.Direct)
+
+    def sums(self) -> EmissionSums:
+        """The sums over the paths, once camera paths are done."""
+        guide = self._guide
+        count = dr.zeros(mi.UInt32, guide.count)
+        credit, square, weighted = (dr.zeros(mi.UInt64, guide.places) for _ in range(3))
+        dr.scatter_add(count, mi.UInt32(1), self._light, mode=dr.ReduceMode.Direct)
+        value = _capped(mi.Float(self.found) / _UNITS)
+        active = self.found > 0
+        for sums, amount in (
+            (credit, _units(value, _UNITS)),
+            (square, _units(dr.square(value), _SQUARES)),
+            (weighted, _units(dr.square(value) * dr.minimum(self._pdf, 1e3), _SQUARES)),
+        ):
+            dr.scatter_add(sums, amount, self._place, active, dr.ReduceMode.Direct)
+        moments = dr.zeros(mi.UInt64, guide.count * len(SHARES))
+        for number, ratio in enumerate(self._ratios):
+            amount = _units(dr.square(value) * dr.minimum(ratio, 1e3), _SQUARES)
+            place = self._light * len(SHARES) + number
+            dr.scatter_add(moments, amount, place, active, dr.ReduceMode.Direct)
+        found = count, credit, square, weighted, moments, self.direct
+        dr.eval(found)
+        return EmissionSums(*(np.array(array).astype(np.float64) for array in found))
+
+
+def _capped(value: mi.Float) -> mi.Float:
+    return dr.minimum(dr.select(value > 0.0, value, 0.0), float(_MOST))
+
+
+def _units(value: mi.Float, scale: int) -> mi.UInt64:
+    """A value that is not negative as an integer; 0 if it is not finite."""
+    return mi.UInt64(dr.select(dr.isfinite(value), dr.maximum(value, 0.0), 0.0) * float(scale))

@@ -1,0 +1,264 @@
+"""The camera of a session: its pose, movements, and the sensor that has it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from etendue.core import Array, OptionError
+from etendue.scene import Problem, graph
+
+from .protocol import number, numbers
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+#: Field of view in degrees that zooming stays within.
+_FOV = 1.0, 150.0
+#: Smallest angle between the view and the direction up when orbiting, in radians.
+_POLE = 0.02
+#: Smallest distance of the target relative to the scene's size.
+_NEAREST = 1e-4
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where the camera is, in render space.
+
+    ``up`` is the axis that orbiting turns around. ``own`` (3x3) is what the scene's transform has beside position and
+    direction (a roll, a mirror, a scale), and is kept. ``fov``: horizontal field of view in degrees; ``None`` for a
+    sensor without one.
+    """
+
+    origin: Array
+    target: Array
+    up: Array
+    own: Array
+    fov: float | None
+    size: float  #: half the diagonal of the scene
+
+    @classmethod
+    def of(cls, problem: Problem) -> Pose:
+        """The pose of the sensor of a scene. The target is what the middle of the picture shows."""
+        box = problem.scene.bbox()
+        low, high = (np.asarray(p, dtype=np.float64).ravel() for p in (box.min, box.max))
+        size = float(np.linalg.norm(high - low)) / 2
+        size = size if 0 < size < math.inf else 1.0
+        matrix = _matrix(problem.sensor)
+        origin, forward = matrix[:3, 3], _normalized(matrix[:3, 2])
+        camera_up = matrix[:3, 1]
+        axis = int(np.argmax(np.abs(camera_up)))
+        up = np.zeros(3)
+        up[axis] = math.copysign(1.0, camera_up[axis])
+        if abs(forward @ up) > math.cos(_POLE):
+            up = _normalized(camera_up)
+        values = dict(graph.contents(problem.sensor).values)
+        fov = float(np.asarray(values["x_fov"]).ravel()[0]) if "x_fov" in values else None
+        pose = cls(origin, origin + forward * _seen(problem, size), up, np.eye(3), fov, size)
+        own = np.asarray(np.linalg.solve(pose._frame(), matrix[:3, :3]), dtype=np.float64)
+        return replace(pose, own=own)
+
+    # ------------------------------------------------------------------ movements
+
+    def moved(self, message: Mapping[str, Any]) -> Pose:
+        """The pose after the movements of a ``camera`` message. Raises :class:`OptionError`."""
+        pose = self
+        if "orbit" in message:
+            pose = pose.orbited(*numbers(message, "orbit", 2))
+        if "look" in message:
+            pose = pose.turned(*numbers(message, "look", 2))
+        if "pan" in message:
+            right, up = numbers(message, "pan", 2)
+            pose = pose.shifted(right, up, 0.0)
+        if "fly" in message:
+            pose = pose.shifted(*numbers(message, "fly", 3))
+        if "dolly" in message:
+            pose = pose.approached(number(message, "dolly"))
+        if "zoom" in message:
+            pose = pose.zoomed(number(message, "zoom"))
+        if "roll" in message:
+            pose = pose.rolled(number(message, "roll"))
+        if not all(np.isfinite(v).all() for v in (pose.origin, pose.target, pose.up)):
+            raise OptionError("the camera cannot be moved that far")
+        return pose
+
+    def orbited(self, right: float, up: float) -> Pose:
+        """Around the target, the camera to the right and up."""
+        offset = _swung(self.origin - self.target, self.up, right, up)
+        return replace(self, origin=self.target + offset)
+
+    def turned(self, right: float, up: float) -> Pose:
+        """The direction, on the spot."""
+        view = _swung(self.target - self.origin, self.up, -right, up)
+        return replace(self, target=self.origin + view)
+
+    def shifted(self, right: float, up: float, forward: float) -> Pose:
+        """Camera and target, in units of their distance."""
+        left, above, ahead = self._frame().T
+        step = (-right * left + up * above + forward * ahead) * self.distance
+        return replace(self, origin=self.origin + step, target=self.target + step)
+
+    def approached(self, by: float) -> Pose:
+        """Nearer to the target: the logarithm of the distance becomes less ``by`` this."""
+        distance = max(self.distance * math.exp(-max(-50.0, min(50.0, by))), _NEAREST * self.size)
+        return replace(self, origin=self.target - _normalized(self.target - self.origin) * distance)
+
+    def zoomed(self, by: float) -> Pose:
+        """A smaller field of view. Sensors without one approach the target."""
+        if self.fov is None:
+            return self.approached(by)
+        low, high = _FOV
+        return replace(self, fov=min(max(self.fov * math.exp(-max(-50.0, min(50.0, by))), low), high))
+
+    def rolled(self, by: float) -> Pose:
+        """The axis that is up, around the view."""
+        return replace(self, up=_rotated(self.up, _normalized(self.target - self.origin), by))
+
+    @property
+    def distance(self) -> float:
+        """Of the target."""
+        return float(np.linalg.norm(self.target - self.origin))
+
+    # ------------------------------------------------------------------ for sensors and pages
+
+    def matrix(self) -> Array:
+        """The transform of the sensor, 4x4."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = self._frame() @ self.own
+        matrix[:3, 3] = self.origin
+        return matrix
+
+    def _frame(self) -> Array:
+        """Columns: left, up and forward, of length 1."""
+        forward = _normalized(self.target - self.origin)
+        left = np.cross(self.up, forward)
+        length = np.linalg.norm(left)
+        if length < 1e-9:  # along the axis: any direction
+            left = np.cross(np.eye(3)[int(np.argmin(np.abs(forward)))], forward)
+            length = np.linalg.norm(left)
+        left = left / length
+        return np.stack([left, np.cross(forward, left), forward], axis=1)
+
+    def plain(self, problem: Problem) -> dict[str, Any]:
+        """The pose in the scene's own coordinates, for pages and files."""
+        space = problem.space
+        up = self.matrix()[:3, 1]
+        return {
+            "origin": space.to_scene(self.origin).tolist(),
+            "target": space.to_scene(self.target).tolist(),
+            "up": _normalized(up).tolist(),
+            "fov": self.fov,
+        }
+
+    def placed(self, message: Mapping[str, Any], problem: Problem) -> Pose:
+        """The pose with values as :meth:`plain` gives them. Raises :class:`OptionError`."""
+        pose, space = self, problem.space
+        if "origin" in message:
+            pose = replace(pose, origin=space.from_scene(numbers(message, "origin", 3)))
+        if "target" in message:
+            pose = replace(pose, target=space.from_scene(numbers(message, "target", 3)))
+        if pose.distance < 1e-12 * pose.size:
+            raise OptionError("the camera's target is its origin; move one of them")
+        if "up" in message:
+            axis = np.array(numbers(message, "up", 3))
+            view = pose.target - pose.origin
+            if np.linalg.norm(np.cross(axis, view)) <= 1e-6 * np.linalg.norm(axis) * np.linalg.norm(view):
+                raise OptionError("the camera's up is zero or along its view; choose another one")
+            pose = replace(pose, up=_normalized(axis))
+        if message.get("fov") is not None and pose.fov is not None:
+            fov = number(message, "fov")
+            if not 0.0 < fov < 180.0:
+                raise OptionError(f"a camera's fov is an angle between 0 and 180 degrees, not {fov:g}")
+            pose = replace(pose, fov=fov)
+        return pose
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether position, target, up and field of view say all."""
+        own = self.own
+        return bool(np.allclose(own @ own.T, np.eye(3), atol=1e-4) and np.linalg.det(own) > 0)
+
+
+def place(sensor: mi.Sensor, pose: Pose) -> None:
+    """Give a sensor the pose. Its matrices stay variables of the kernels, which are not compiled again."""
+    import mitsuba as mi
+
+    parameters = mi.traverse(sensor)
+    parameters["to_world"] = mi.Transform4f(mi.ScalarTransform4f(pose.matrix()))
+    if pose.fov is not None and "x_fov" in parameters:
+        parameters["x_fov"] = mi.Float(pose.fov)
+    parameters.update()
+
+
+def projection(problem: Problem, pose: Pose) -> list[list[float]] | None:
+    """The matrix (4x4) from points in render space to pixels of the picture, in homogeneous coordinates (x, y, depth,
+    w); ``None`` for a sensor that has no such matrix."""
+    kind = graph.plugin_name(problem.sensor)
+    film = problem.sensor.film()
+    width, height = (float(v) for v in film.size())
+    x, y = (float(v) for v in film.crop_offset())
+    to_camera = np.linalg.inv(pose.matrix())
+    half = np.array([[width / 2, 0, 0, width / 2 - x], [0, width / 2, 0, height / 2 - y], [0, 0, 1, 0], [0, 0, 0, 1]])
+    if kind in ("perspective", "thinlens") and pose.fov is not None:
+        scale = 1.0 / math.tan(math.radians(pose.fov) / 2)
+        film_of = np.array([[-scale, 0, 0, 0], [0, -scale, 0, 0], [0, 0, 1, 0], [0, 0, 1, 0]])
+    elif kind == "orthographic":
+        film_of = np.diag([-1.0, -1.0, 1.0, 1.0])
+    else:
+        return None
+    matrix: list[list[float]] = (half @ film_of @ to_camera).tolist()
+    return matrix
+
+
+def vertical_fov(fov: float, size: tuple[int, int]) -> float:
+    """The vertical field of view of a film of (width, height), from the horizontal one, in degrees."""
+    return math.degrees(2 * math.atan(math.tan(math.radians(fov) / 2) * size[1] / size[0]))
+
+
+def _matrix(sensor: mi.Sensor) -> Array:
+    values = dict(graph.contents(sensor).values)
+    return np.array(graph.as_array(values["to_world"]), dtype=np.float64).reshape(4, 4)
+
+
+def _seen(problem: Problem, size: float) -> float:
+    """Distance of what the middle of the picture shows, or of the scene's middle."""
+    import mitsuba as mi
+
+    ray, _ = problem.sensor.sample_ray(0.0, 0.5, mi.Point2f(0.5), mi.Point2f(0.5))
+    hit = problem.scene.ray_intersect_preliminary(ray)
+    distance = float(np.asarray(hit.t).ravel()[0])
+    if 0 < distance < math.inf:
+        return distance
+    middle = np.asarray(problem.scene.bbox().center(), dtype=np.float64).ravel()
+    away = float(np.linalg.norm(middle - np.asarray(ray.o, dtype=np.float64).ravel()[:3]))
+    return away if 0 < away < math.inf else size
+
+
+def _swung(offset: Array, axis: Array, right: float, up: float) -> Array:
+    """A vector turned around the axis and towards it, but not over it."""
+    offset = _rotated(offset, axis, right)
+    length = float(np.linalg.norm(offset))
+    angle = math.acos(min(1.0, max(-1.0, float(offset @ axis) / length)))
+    side = np.cross(axis, offset)
+    if np.linalg.norm(side) < 1e-9 * length:
+        return offset
+    wanted = min(max(angle - up, _POLE), math.pi - _POLE)
+    return _rotated(offset, _normalized(side), wanted - angle)
+
+
+def _rotated(vector: Array, axis: Array, angle: float) -> Array:
+    """By Rodrigues' formula."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    turned: Array = vector * cos + np.cross(axis, vector) * sin + axis * (axis @ vector) * (1.0 - cos)
+    return turned
+
+
+def _normalized(vector: ArrayLike) -> Array:
+    v = np.asarray(vector, dtype=np.float64)
+    result: Array = v / np.linalg.norm(v)
+    return result

@@ -1,0 +1,252 @@
+"""What messages of pages do. All of it runs in the session's thread; errors are told in the page that asked."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from etendue import film, methods
+from etendue.core import OptionError, is_whole, suggest
+from etendue.engine import Budget
+from etendue.scene import BundledScene, graph
+
+from . import saving
+from .camera import place
+from .clients import Client
+from .comparing import Comparison
+from .protocol import number, text
+from .refining import checked
+
+if TYPE_CHECKING:
+    from .session import Session
+
+#: Largest and smallest side of a picture, in pixels.
+_SIDES = 16, 4096
+
+
+def handle(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+    """Do what a message asks for. Raises :class:`OptionError` for one that is not understood."""
+    kind = message["type"]
+    if kind not in COMMANDS:
+        raise OptionError(f"there is no message '{kind}'; {suggest(kind, COMMANDS)}")
+    COMMANDS[kind](session, client, message)
+
+
+def scene_name(source: Any) -> str:
+    """A scene as the page names it."""
+    if isinstance(source, (str, os.PathLike)):
+        return str(source)
+    if isinstance(source, BundledScene):
+        return source.name
+    return "" if source is None else "a scene in memory"
+
+
+def _camera(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+    problem, pose = _scene(session)
+    if message.get("reset"):
+        assert session.home is not None
+        pose = session.home
+    if "set" in message:
+        if not isinstance(message["set"], Mapping):
+            raise OptionError("a camera is set by origin, target, up and fov")
+        pose = pose.placed(message["set"], problem)
+    session.move(pose.moved(message))
+
+
+def _views(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+    _, pose = _scene(session)
+    views = session.views
+    if message.get("save"):
+        views.append(pose)
+    elif "remove" in message:
+        del views[_index(message["remove"], len(views))]
+    elif message.get("show") == "next":
+        if not views:
+            raise OptionError("there is no saved view; save one first")
+        places = [k for k, view in enumerate(views) if view is pose]
+        session.move(views[(places[0] + 1) % len(views) if places else 0])
+    elif "show" in message:
+        session.move(views[_index(message["show"], len(views))])
+    session.changed()
+
+
+def _pick(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+    import mitsuba as mi
+
+    problem, pose = _scene(session)
+    x, y = number(message, "x"), number(message, "y")
+    if not (0.0 <= x <= 1.0 and 0.0 <= y <= 1.0):
+        raise OptionError("a place in the picture has x and y from 0 to 1")
+    place(problem.sensor, pose)
+    ray, _ = problem.sensor.sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
+    si = problem.scene.ray_intersect(ray)
+    found: dict[str, Any] = {"x": x, "y": y, "radiance": _radiance(session, x, y), "shape": None}
+    if bool(np.asarray(si.is_valid()).ravel()[0]):
+        shape = _pointed(si.shape)
+        bsdf = shape.bsdf() if shape is not None else None
+        found |= {
+            "shape": graph.describe(shape, "shape") if shape is not None else "a shape",
+            "material": graph.describe(bsdf, "material") if bsdf is not None else "",
+            "emits": bool(shape is not None and shape.is_emitter()),
+            "position": problem.space.to_scene(_triple(si.p)).tolist(),
+            "point": _triple(si.p).tolist(),  # in render space, for `project`
+            "normal": _triple(si.sh_frame.n).tolist(),
+            "uv": np.asarray(si.uv, dtype=float).ravel().tolist(),
+            "depth": float(np.asarray(si.t).ravel()[0]) / problem.space.scale,
+            "triangle": int(np.asarray(si.prim_index).ravel()[0]),
+        }
+    client.send("picked", **found)
+
+
+def _render(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+    asked = session.asked
+    if "method" in message or "settings" in message:
+        method = methods.get(text(message, "method", asked.method)).name
+        settings = message.get("settings", asked.settings if method == asked.method else {})
+        asked = replace(asked, method=method, settings=_settings(session, method, settings))
+    if "budget" in message:
+        asked = replace(asked, budget=_budget(message["budget"]))
+    if "size" in message:
+        asked = replace(asked, size=_size(message["size"]))
+    resize = asked.size != session.asked.size
+    is_new = asked != session.asked
+    if resize:
+        _scene(session)
+        session.open(asked, keep_pose=True)
+    session.asked = asked
+    if "paused" in message:
+        session.paused = bool(message["paused"])
+    if is_new or message.get("again"):
+        session.again()
+    session.changed()
+
+
+def _show(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+    shown = session.show.changed(message)
+    if "layer" in message and shown.layer not in {"image", *session.layers}:
+        raise OptionError(f"there is no layer '{shown.layer}'; {suggest(shown.layer, session.layers)}")
+    session.show = shown
+    session.refresh()
+    session.changed()
+
+
+def _compare(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+    as_map = bool(message.get("map", session.compared.map if session.compared is not None else False))
+    if message.get("reference"):
+        name = text(message, "reference")
+        picture = film.read_image(name)
+        height, width = picture.shape[:2]
+        if session.problem is not None and session.problem.size != (width, height):
+            session.open(replace(session.asked, size=(width, height)))
+        elif session.home is not None:
+            session.move(session.home)  # which the reference was made with
+        session.compared = Comparison(name=name, reference=picture, map=as_map)
+    elif message.get("method"):
+        method = methods.get(text(message, "method")).name
+        settings = _settings(session, method, message.get("settings", {}))
+        before = session.compared
+        if before is not None and (before.method, before.settings) == (method, settings):
+            before.map = as_map
+        else:
+            session.compared = Comparison(method, settings, map=as_map)
+    else:
+        session.compared = None
+    session.refresh()
+    session.changed()
+
+
+def _open(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+    name = text(message, "scene").strip()
+    if not name:
+        raise OptionError("give a scene file or the name of a bundled scene")
+    fresh = type(session.asked.lights)()
+    session.open(replace(session.asked, scene=name, parameters=None, sensor=0, lights=fresh))
+    session.changed()
+
+
+def _save(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+    path = saving.save(session, text(message, "what"), text(message, "name", ""))
+    session.saved[path.name] = path
+    client.send("saved", path=str(path), file=path.name)
+
+
+def _quit(session: Session, client: Client, message: Mapping[str, Any]) -> None:
+    session.broadcast("note", text="The session has ended; this page can be closed.")
+    session.close(wait=False)
+
+
+COMMANDS: Final[dict[str, Callable[[Session, Client, Mapping[str, Any]], None]]] = {
+    "camera": _camera,
+    "views": _views,
+    "pick": _pick,
+    "render": _render,
+    "show": _show,
+    "compare": _compare,
+    "open": _open,
+    "save": _save,
+    "quit": _quit,
+}
+
+
+# -- values of messages ----------------------------------------------------------------------------------------------
+
+
+def _scene(session: Session) -> tuple[Any, Any]:
+    """(problem, pose). Raises :class:`OptionError` if no scene is loaded."""
+    if session.problem is None or session.pose is None:
+        raise OptionError("no scene is loaded; open one first")
+    return session.problem, session.pose
+
+
+def _settings(session: Session, method: str, values: Any) -> dict[str, Any]:
+    if not isinstance(values, Mapping):
+        raise OptionError("settings are names with values")
+    given = {str(name): value for name, value in values.items()}
+    kind = methods.get(method)
+    kind.Settings.from_mapping(given, owner=f"method '{method}'")
+    if session.problem is not None:
+        checked(session.problem, method, given)
+    return given
+
+
+def _budget(values: Any) -> Budget:
+    if not isinstance(values, Mapping) or values.keys() - {"seconds", "samples", "error"}:
+        raise OptionError("a budget has seconds, samples or error")
+    return Budget(values.get("seconds"), values.get("samples"), None, values.get("error"))
+
+
+def _size(values: Any) -> tuple[int, int]:
+    low, high = _SIDES
+    if not isinstance(values, list) or len(values) != 2 or not all(is_whole(v) and low <= v <= high for v in values):
+        raise OptionError(f"the sides of a picture are whole numbers from {low} to {high}, not {values!r}")
+    return int(values[0]), int(values[1])
+
+
+def _index(value: Any, count: int) -> int:
+    if not is_whole(value) or not 0 <= value < count:
+        raise OptionError(f"there is no view {value!r}; there are {count}")
+    return int(value)
+
+
+def _radiance(session: Session, x: float, y: float) -> list[float] | None:
+    if "image" not in session.layers:
+        return None
+    image = session.layers["image"]
+    height, width = image.shape[:2]
+    return [float(v) for v in image[min(int(y * height), height - 1), min(int(x * width), width - 1)]]
+
+
+def _pointed(shapes: Any) -> Any:
+    """The object of an array of one pointer."""
+    try:
+        return shapes[0]
+    except (TypeError, IndexError):
+        return None
+
+
+def _triple(vector: Any) -> Any:
+    return np.asarray(vector, dtype=np.float64).ravel()[:3]

@@ -1,0 +1,129 @@
+"""A solution of radiosity that is refined while it is shown."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array, Measurement, OptionError
+from etendue.film import LUMINANCE
+from etendue.radiosity import (
+    CastingSettings,
+    FirstShot,
+    LineCasting,
+    Patches,
+    PatchProblem,
+    Segments,
+    Solution,
+    scene_patches,
+    solve,
+)
+from etendue.scene import Problem
+
+#: Most patches that are solved for while one looks on.
+MOST_PATCHES = 20_000
+#: The system is solved again when the number of passes has grown by this factor.
+_GROWTH = 1.5
+#: Sequences of lines, whose variance gives the error.
+_REPLICATES = 8
+
+
+class LiveSolution:
+    """Lines cast in passes through the patches of a scene, and solutions on those so far.
+
+    max_area: of a patch, in scene units; ``None`` for one that makes about a thousand. Raises the errors of
+    :func:`etendue.radiosity.scene_patches`, and :class:`OptionError` for more than :data:`MOST_PATCHES`.
+    """
+
+    def __init__(self, problem: Problem, max_area: float | None = None, seed: int = 0) -> None:
+        patches = scene_patches(problem)
+        if max_area is None:
+            max_area = float(patches.areas.sum()) / 1000
+        if not max_area > 0:
+            raise OptionError(f"the area of a patch is above zero, not {max_area:g}")
+        if float(patches.areas.sum()) / max_area + len(patches) > 4 * MOST_PATCHES:
+            raise OptionError(f"patches of at most {max_area:g} would be too many to look on: give a larger area")
+        self.patches: Patches = patches.subdivided(max_area)
+        if len(self.patches) > MOST_PATCHES:
+            raise OptionError(f"{len(self.patches)} patches are more than {MOST_PATCHES}: give a larger area")
+        self.max_area, self._seed = max_area, seed
+        self._problem = problem
+        self._casting = LineCasting(CastingSettings(replicates=_REPLICATES))
+        self._casting.prepare(PatchProblem(self.patches, problem.source), seed)
+        self._measurement: Measurement | None = None
+        self._next = _REPLICATES  # passes at the next solution
+        self.passes = 0
+        self.solution: Solution | None = None
+        self.error: Array | None = None
+
+    @property
+    def bundles(self) -> int:
+        """Bundles of lines so far."""
+        return 0 if self._measurement is None else self._casting.bundles(self._measurement)
+
+    def step(self, seconds: float = 0.15) -> bool:
+        """Cast lines for so long; returns whether there is a new solution."""
+        end = time.perf_counter() + seconds
+        while time.perf_counter() < end and self.passes < self._next:
+            made = self._casting.step(self.passes, self._seed, {}).measurement
+            self._measurement = made if self._measurement is None else self._measurement + made
+            self.passes += 1
+        if self.passes < self._next or self._measurement is None:
+            return False
+        self._next = int(np.ceil(self._next * _GROWTH))
+        segments: Segments = self._casting.segments(self._measurement)
+        shot: FirstShot | None = self._casting.shot(self._measurement)
+        self.solution = solve(self.patches, segments, "conjugate-gradient", shot=shot)
+        self.error = self.solution.irradiance_error(segments)
+        return True
+
+    def mesh(self) -> dict[str, NDArray[Any]]:
+        """Triangles (n, 3, 3) in render space, and the patches (n,) of their fronts and backs; for a back that belongs
+        to none, the number of patches. Areas (patches,), and which patches emit light."""
+        patches = self.patches
+        second = np.flatnonzero(patches.faces[:, 2] != patches.faces[:, 3])
+        corners = np.concatenate([patches.faces[:, :3], patches.faces[second][:, [0, 2, 3]]])
+        face = np.concatenate([np.arange(len(patches.faces)), second])
+        back = np.where(patches.back < 0, len(patches), patches.back)
+        return {
+            "triangles": self._problem.space.from_scene(patches.vertices)[corners].astype(np.float32),
+            "front": patches.front[face].astype(np.uint32),
+            "back": back[face].astype(np.uint32),
+            "areas": patches.areas.astype(np.float32),
+            "emits": patches.emission.any(axis=1),
+        }
+
+    def values(self) -> dict[str, NDArray[Any]]:
+        """Of each patch, in W/m^2: radiosity (n, 3), and luminances (n,) of it, its standard error, its residual."""
+        assert self.solution is not None and self.error is not None
+        solution, patches = self.solution, self.patches
+        # The error of the light that a patch reflects; its own emission has none.
+        error = patches.reflectance * self.error
+        residual = solution.radiosity - patches.emission - patches.reflectance * solution.irradiance
+        return {
+            "radiosity": _coloured(solution.radiosity).astype(np.float32),
+            "luminance": _luminance(solution.radiosity).astype(np.float32),
+            "error": _luminance(error).astype(np.float32),
+            "residual": np.abs(_luminance(residual)).astype(np.float32),
+        }
+
+    def names(self) -> tuple[list[str], NDArray[np.uint32]]:
+        """Names of the shapes, and that of each patch."""
+        shapes = self.patches.shapes
+        assert shapes is not None
+        return list(self.patches.shape_names), shapes.astype(np.uint32)
+
+    def close(self) -> None:
+        """End the casting."""
+        self._casting.close()
+
+
+def _coloured(values: Array) -> Array:
+    return np.broadcast_to(values, (len(values), 3)) if values.shape[1] == 1 else values[:, :3]
+
+
+def _luminance(values: Array) -> Array:
+    return np.asarray(_coloured(values) @ np.asarray(LUMINANCE))

@@ -1,0 +1,140 @@
+"""Opening a viewer: a session and its server."""
+
+from __future__ import annotations
+
+import atexit
+import weakref
+import webbrowser
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from etendue import methods
+from etendue.core import OptionError, use_variant
+from etendue.display import TevDisplay
+from etendue.engine import Budget
+
+from .server import Server
+from .session import Asked, Session
+
+#: Viewers that are open. A process that ends in the middle of a kernel may crash, so they are closed before.
+_open: weakref.WeakSet[Viewer] = weakref.WeakSet()
+#: Height of the frame in a notebook, in pixels.
+_HEIGHT = 720
+
+
+@atexit.register
+def _close_all() -> None:
+    for viewer in list(_open):
+        viewer.close()
+
+
+class Viewer:
+    """A scene that is shown in browsers until :meth:`close`; in a notebook, below the cell. ``url``: its address."""
+
+    def __init__(self, asked: Asked, host: str = "127.0.0.1", port: int = 0, tev: str | None = None) -> None:
+        if not isinstance(port, int) or not 0 <= port < 1 << 16:
+            raise OptionError(f"a port is a whole number from 0 (any that is free) to 65535, not {port!r}")
+        methods.get(asked.method).Settings.from_mapping(asked.settings, owner=f"method '{asked.method}'")
+        self._second = None if tev is None else TevDisplay(tev, "etendue view")
+        self._session = Session(asked)
+        if self._second is not None and self._second.connect():
+            offer = self._second.offer
+            self._session.on_picture = lambda layers: offer(lambda: layers)
+        try:
+            self._server = Server(self._session, host, port)
+        except BaseException:
+            self._session.close()
+            raise
+        _open.add(self)
+
+    @property
+    def url(self) -> str:
+        """The address of the page, with the token without which nothing is answered."""
+        return self._server.url
+
+    def show(self) -> bool:
+        """Open the page in a browser; returns whether one was found."""
+        return webbrowser.open(self.url)
+
+    def loaded(self, timeout: float | None = None) -> bool:
+        """Wait until the scene is loaded, or could not be; returns whether it is so."""
+        return self._session.opened.wait(timeout)
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until the session is ended, by a page or by :meth:`close`; returns whether it is."""
+        return self._session.ended.wait(timeout)
+
+    def close(self) -> None:
+        """End the session, disconnect the pages and release the scene."""
+        self._session.close()
+        self._server.close()
+        if self._second is not None:
+            self._second.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        return f"<etendue.Viewer {'ended' if self._session.ended.is_set() else self.url}>"
+
+    def _repr_html_(self) -> str:
+        if self._session.ended.is_set():
+            return "<p>The viewer has ended.</p>"
+        return (
+            f'<iframe src="{escape(self.url)}" title="étendue viewer" style="width: 100%; height: {_HEIGHT}px; '
+            'border: 1px solid #8888; border-radius: 6px" allow="fullscreen"></iframe>'
+        )
+
+
+def view(
+    scene: Any,
+    method: str = "path",
+    *,
+    seconds: float | None = None,
+    samples: int | None = None,
+    error: float | None = None,
+    size: tuple[int, int] | None = None,
+    sensor: int = 0,
+    seed: int = 0,
+    parameters: Mapping[str, Any] | None = None,
+    memory: int | None = None,
+    variant: str | None = None,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    tev: str | None = None,
+    folder: str | Path = ".",
+    **settings: Any,
+) -> Viewer:
+    """Show ``scene`` live in the browser, and in a notebook below the cell. The arguments are those of
+    :func:`etendue.render`.
+
+    The server listens at ``host`` and ``port`` (0: any that is free); its address has a token. The session goes on in
+    the background until ``close()``; while it does, use no other Mitsuba or Dr.Jit code in this process, or pause it in
+    the page. Files that are saved are written to ``folder``. ``tev`` is the address of the image viewer tev, such as
+    ``localhost:14158``, which then shows the picture and its layers, too.
+
+    Raises :class:`OptionError` for an argument out of range, and :class:`BackendError` if tornado is not installed. A
+    scene that cannot be loaded is told in the page, where another can be opened.
+    """
+    use_variant(variant)
+    asked = Asked(
+        scene=scene,
+        method=method,
+        settings=settings,
+        budget=Budget(seconds, samples, None, error),
+        size=size,
+        sensor=sensor,
+        parameters=parameters,
+        memory=memory,
+        seed=seed,
+        folder=Path(folder).absolute(),
+    )
+    return Viewer(asked, host, port, tev)

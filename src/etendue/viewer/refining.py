@@ -1,0 +1,130 @@
+"""A picture that is refined pass by pass, by a method of the registry through the engine's protocol."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from etendue import methods
+from etendue.core import Measurement, Replica, Result, Settings
+from etendue.engine import LEAST_PASSES_FOR_ERROR, Budget, Task, task_settings, versions
+from etendue.scene import Problem
+
+#: Growth of the number of passes between two estimates of the noise.
+_CADENCE = 1.05
+
+
+class Refinement:
+    """Passes of one method on one view of a scene. Raises the errors of settings and preparation."""
+
+    def __init__(
+        self, problem: Problem, method: str, settings: Mapping[str, Any], budget: Budget, seed: int = 0
+    ) -> None:
+        begin = time.perf_counter()
+        kind = methods.get(method)
+        self.problem, self.budget, self.seed = problem, budget, seed
+        self.settings = checked(problem, method, settings)
+        # Few samples a pass, so that the camera does not wait long; passes of chosen sizes are for files.
+        one = self.settings if self.settings.samples_per_pass else self.settings.replace(samples_per_pass=1)
+        self._replica = Replica(self._prepared(kind, one), seed)
+        if (plan := getattr(self.method, "plan", None)) is not None:
+            plan(budget.seconds, budget.passes(self.method.samples_per_iteration), budget.error)
+        self.measurement: Measurement | None = None
+        #: Seconds of preparation and passes.
+        self.seconds = time.perf_counter() - begin
+        self.passes = 0
+        self.noise: float | None = None
+        self.rays_per_second: float | None = None
+        self._next_noise = 2.0
+
+    def _prepared(self, kind: type[Any], settings: Settings) -> Any:
+        method = kind(settings)
+        method.prepare(self.problem, self.seed)
+        return method
+
+    @property
+    def method(self) -> Any:
+        """The prepared method."""
+        return self._replica.method
+
+    @property
+    def samples(self) -> int:
+        """Camera paths per pixel so far."""
+        return self.passes * self.method.samples_per_iteration
+
+    @property
+    def is_done(self) -> bool:
+        """Whether the budget is used up."""
+        most = self.budget.passes(self.method.samples_per_iteration)
+        return (
+            (most is not None and self.passes >= most)
+            or (self.budget.seconds is not None and self.seconds >= self.budget.seconds)
+            or self._is_quiet
+        )
+
+    @property
+    def _is_quiet(self) -> bool:
+        """Whether the noise is that of the budget, by an estimate of enough passes."""
+        known = self.budget.error is not None and self.noise is not None and self.passes >= LEAST_PASSES_FOR_ERROR
+        return known and self.noise <= self.budget.error  # type: ignore[operator]
+
+    def step(self) -> None:
+        """Make a pass and add it."""
+        begin = time.perf_counter()
+        made = self._replica.step(self.passes)
+        seconds = time.perf_counter() - begin
+        self.seconds += seconds
+        rays = made.counters.get("rays", 0.0)
+        if self.measurement is None:
+            self.measurement = made
+        else:
+            self.measurement += made
+        self.passes += 1
+        self.rays_per_second = rays / seconds if rays and seconds > 0 else None
+        if self.passes >= self._next_noise:
+            self._next_noise = max(self.passes + 1, self.passes * _CADENCE)
+            self.noise = self._noise()
+
+    def _noise(self) -> float | None:
+        assert self.measurement is not None
+        estimate = getattr(self.method, "noise", None)
+        if estimate is not None:
+            return estimate(self.measurement)
+        return self.measurement.relative_error() if self.measurement.has_error() else None
+
+    def result(self) -> Result | None:
+        """The picture so far with its layers, ``None`` before the first pass."""
+        if self.measurement is None:
+            return None
+        result = self._replica.develop(self.measurement)
+        result.metadata |= {
+            "method": self.method.name,
+            "settings": self.method.settings.to_dict(),
+            "seed": self.seed,
+            "scene": self.problem.source,
+            "passes": self.passes,
+            "samples": self.samples,
+            "seconds": round(self.seconds, 3),
+            "rays": self.measurement.counters.get("rays", 0.0),
+            "relative_error": self.noise,
+            "versions": versions(),
+        }
+        return result
+
+    def progress(self) -> dict[str, Any]:
+        """For the page."""
+        return {
+            "method": self.method.name,
+            "passes": self.passes,
+            "samples": self.samples,
+            "seconds": self.seconds,
+            "rays_per_second": self.rays_per_second,
+            "noise": self.noise,
+            "done": self.is_done,
+        }
+
+
+def checked(problem: Problem, method: str, settings: Mapping[str, Any]) -> Any:
+    """The settings of a method on a scene: given ones, then those of the scene's integrator, then the defaults."""
+    return task_settings(Task(problem.scene, methods.get(method), settings), problem)

@@ -1,0 +1,260 @@
+"""The server: the page, its assets, saved files, and the WebSocket of a session, for those who know the token.
+
+Every address begins with the token (``/TOKEN/``), so that the relative addresses of the page have it, in a frame of a
+notebook as well, where cookies of another site are refused. A WebSocket is opened for pages of this server only, by the
+header Origin; one without it, from a program, needs the token alone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import ipaddress
+import secrets
+import socket
+import threading
+from collections.abc import Callable
+from importlib.resources import files
+from typing import Any, Protocol
+from urllib.parse import urlsplit
+
+from etendue.core import EtendueError, OptionError, describe, library, logger
+
+from .clients import Client
+from .protocol import LARGEST_MESSAGE, parsed
+
+_PURPOSE, _EXTRA = "the viewer", "viewer"
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; "
+    "connect-src 'self' ws: wss:; object-src 'none'; base-uri 'none'; form-action 'none'",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+}
+#: Names of this machine, for which a page may be opened if the server is bound to them.
+_LOCAL = ("localhost", "127.0.0.1", "::1")
+
+
+class Served(Protocol):
+    """What a server needs of a session. All of it may be called from any thread, and returns at once."""
+
+    def join(self, client: Client) -> None:
+        """A page has connected."""
+        ...
+
+    def leave(self, client: Client) -> None:
+        """A page is gone."""
+        ...
+
+    def post(self, client: Client, message: dict[str, Any]) -> None:
+        """A page has sent a message."""
+        ...
+
+    def file(self, name: str) -> bytes | None:
+        """A file that the session has saved."""
+        ...
+
+
+class Server:
+    """A server in a thread of its own. Raises :class:`OptionError` if the address cannot be used."""
+
+    def __init__(self, session: Served, host: str = "127.0.0.1", port: int = 0) -> None:
+        library("tornado", _PURPOSE, _EXTRA)
+        self.token = secrets.token_urlsafe(24)
+        self.host, self.port = host, port
+        self._session = session
+        self._sockets: set[Any] = set()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._stop: asyncio.Event | None = None
+        self._ready = threading.Event()
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name="etendue-viewer-server", daemon=True)
+        self._thread.start()
+        self._ready.wait()
+        if self._error is not None:
+            raise self._error
+
+    @property
+    def url(self) -> str:
+        """The address of the page, with the token."""
+        host = socket.gethostname() if is_everywhere(self.host) else self.host
+        return f"http://{f'[{host}]' if ':' in host else host}:{self.port}/{self.token}/"
+
+    def close(self) -> None:
+        """Disconnect all pages and end the thread."""
+        if self._loop is not None and self._stop is not None and self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._stop.set)
+        if threading.current_thread() is not self._thread:
+            self._thread.join(timeout=5.0)
+
+    def knows(self, token: str) -> bool:
+        """Whether ``token`` is that of the server, in the same time for any."""
+        return hmac.compare_digest(token.encode(), self.token.encode())
+
+    def trusts(self, origin: str, host: str) -> bool:
+        """Whether a page of ``origin`` may open the socket that it knows as ``host``: it came from this server, by a
+        name of this machine, or by any if the server is bound to all of its addresses."""
+        place = urlsplit(origin)
+        if place.scheme not in ("http", "https") or place.netloc.lower() != host.lower():
+            return False
+        return is_everywhere(self.host) or (place.hostname or "") in (*_LOCAL, self.host.lower())
+
+    # ------------------------------------------------------------------ in the server's thread
+
+    def _run(self) -> None:
+        try:
+            asyncio.run(self._serve())
+        except BaseException as error:
+            self._error = error
+        finally:
+            self._ready.set()
+
+    async def _serve(self) -> None:
+        from tornado.httpserver import HTTPServer
+        from tornado.netutil import bind_sockets
+
+        self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
+        try:
+            sockets = bind_sockets(self.port, self.host or "127.0.0.1")
+        except OSError as error:
+            raise OptionError(f"cannot listen at {self.host}:{self.port}: {_why(error, self.port)}") from None
+        except (UnicodeError, OverflowError) as error:
+            raise OptionError(f"cannot listen at {self.host}:{self.port}: {error}") from None
+        self.port = int(sockets[0].getsockname()[1])
+        server = HTTPServer(application(self), max_buffer_size=LARGEST_MESSAGE * 2)
+        server.add_sockets(sockets)
+        self._ready.set()
+        await self._stop.wait()
+        server.stop()
+        for opened in list(self._sockets):
+            opened.close(1001, "the viewer has ended")
+        await asyncio.sleep(0.05)  # lets the last messages leave
+        await server.close_all_connections()
+
+
+def is_everywhere(host: str) -> bool:
+    """Whether an address stands for all addresses of the machine."""
+    try:
+        return ipaddress.ip_address(host).is_unspecified
+    except ValueError:
+        return False
+
+
+def _why(error: OSError, port: int) -> str:
+    import errno
+
+    if error.errno == errno.EADDRINUSE:
+        return f"port {port} is taken; give another one by --port, or 0 for any that is free"
+    if error.errno == errno.EACCES:
+        return f"port {port} is reserved; give one above 1023 by --port"
+    return f"{error.strerror or error}; correct --host, or leave it out"
+
+
+def application(server: Server) -> Any:
+    """Tornado's application with the handlers of ``server``."""
+    from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandler
+    from tornado.websocket import WebSocketHandler
+
+    class Guarded(RequestHandler):
+        """Refuses those who do not know the token."""
+
+        def set_default_headers(self) -> None:
+            for name, value in _HEADERS.items():
+                self.set_header(name, value)
+
+        def prepare(self) -> None:
+            if not server.knows(self.path_args[0] if self.path_args else ""):
+                raise HTTPError(403, reason="The address needs the token that etendue view has printed")
+
+        def write_error(self, status_code: int, **_: Any) -> None:
+            self.set_header("Content-Type", "text/plain; charset=utf-8")
+            self.finish(f"{status_code}: {self._reason}\n")
+
+    class Bare(Guarded):
+        """The token without the slash after it, which relative addresses need."""
+
+        def get(self, token: str) -> None:
+            self.redirect(f"/{token}/")
+
+    class Page(Guarded):
+        def get(self, token: str) -> None:
+            self.set_header("Content-Type", "text/html; charset=utf-8")
+            self.write(files(__package__).joinpath("assets", "index.html").read_bytes())
+
+    class Asset(Guarded, StaticFileHandler):
+        async def get(self, token: str, path: str, include_body: bool = True) -> None:  # type: ignore[override]
+            await StaticFileHandler.get(self, path, include_body)
+
+        async def head(self, token: str, path: str) -> None:  # type: ignore[override]
+            await StaticFileHandler.get(self, path, False)
+
+        def get_cache_time(self, *_: Any) -> int:
+            return 0
+
+    class File(Guarded):
+        def get(self, token: str, name: str) -> None:
+            content = server._session.file(name)
+            if content is None:
+                raise HTTPError(404, reason="The session has saved no file of that name")
+            self.set_header("Content-Type", "application/octet-stream")
+            self.set_header("Content-Disposition", f'attachment; filename="{name}"')
+            self.write(content)
+
+    class Pages(WebSocketHandler):
+        """The socket of a page."""
+
+        client: Client | None = None
+
+        def prepare(self) -> None:
+            if not server.knows(self.path_args[0]):
+                raise HTTPError(403, reason="The address needs the token that etendue view has printed")
+
+        def check_origin(self, origin: str) -> bool:
+            return server.trusts(origin, self.request.headers.get("Host", ""))
+
+        def open(self, token: str) -> None:
+            self.set_nodelay(True)
+            self.client = Client(self, asyncio.get_running_loop())
+            server._sockets.add(self)
+            server._session.join(self.client)
+
+        def on_message(self, message: str | bytes) -> None:
+            if self.client is None:
+                return
+            try:
+                content = parsed(message)
+                if content["type"] == "drawn":
+                    frame = content.get("frame")
+                    if isinstance(frame, int):
+                        self.client.drawn(frame)
+                    return
+            except EtendueError as error:
+                self.client.send("error", text=describe(error))
+                return
+            server._session.post(self.client, content)
+
+        def on_close(self) -> None:
+            server._sockets.discard(self)
+            if self.client is not None:
+                self.client.close()
+                server._session.leave(self.client)
+
+    def quiet(handler: RequestHandler) -> None:
+        logger.debug("viewer: %s %s", handler.get_status(), handler.request.method)  # not the address: it has the token
+
+    assets = str(files(__package__).joinpath("assets"))
+    routes: list[tuple[Any, ...]] = [
+        (r"/([^/]*)/", Page),
+        (r"/([^/]*)/assets/(.+)", Asset, {"path": assets}),
+        (r"/([^/]*)/files/([^/]+)", File),
+        (r"/([^/]*)/socket", Pages),
+        (r"/(.*)", Bare),
+    ]
+    make: Callable[..., Any] = Application
+    return make(
+        routes,
+        log_function=quiet,
+        websocket_max_message_size=LARGEST_MESSAGE,
+        websocket_ping_interval=20,
+        compress_response=False,
+    )

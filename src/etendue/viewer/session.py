@@ -1,0 +1,401 @@
+"""A session: a scene, its camera and a picture of it that is refined, in a thread of its own.
+
+Only this thread uses Mitsuba and Dr.Jit. Between two passes it takes the messages of the pages; while the camera moves
+it makes small pictures, afterwards passes of the chosen method.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import queue
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue import film
+from etendue.core import EtendueError, describe, logger, use_variant
+from etendue.engine import Budget, jit_flags, set_jit_flags
+from etendue.scene import Change, LightEdits, Problem, is_described, load, name_elements, resized
+
+from . import commands, states
+from .camera import Pose, place
+from .clients import Client
+from .comparing import Comparison
+from .panels import Panel, panels
+from .preview import Preview
+from .protocol import packed
+from .refining import Refinement
+from .shown import Show, encoded, error_map
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+Picture = NDArray[np.float32]
+
+#: The camera is at rest so many seconds after its last movement.
+_REST = 0.25
+#: Pixels of the picture if no size is asked for.
+_PIXELS = 262_144
+#: Least seconds between two pictures of the refinement, and the share of the time that showing them may take.
+_EVERY, _SHARE = 0.1, 0.15
+#: Name of the session's thread.
+_THREAD = "etendue-viewer"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a session is asked to show."""
+
+    scene: Any = None  #: as for :func:`etendue.scene.load`
+    method: str = "path"
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    budget: Budget = field(default_factory=Budget)
+    size: tuple[int, int] | None = None
+    sensor: int = 0
+    parameters: Mapping[str, Any] | None = None
+    memory: int | None = None
+    seed: int = 0
+    lights: LightEdits = field(default_factory=LightEdits)
+    folder: Path = field(default_factory=Path.cwd)  #: for files that are saved
+
+
+class Session:
+    """See the module. The public attributes belong to the session's thread; :meth:`join`, :meth:`leave`, :meth:`post`,
+    :meth:`file`, :meth:`close`, :attr:`opened` and :attr:`ended` may be used from any."""
+
+    def __init__(self, asked: Asked) -> None:
+        self.asked = asked
+        self.problem: Problem | None = None
+        self.pose: Pose | None = None
+        self.views: list[Pose] = []
+        self.show = Show()
+        self.layers: Mapping[str, Picture] = {}  #: of the latest picture of the method, without data before it
+        self.main: Refinement | None = None
+        self.compared: Comparison | None = None
+        self.paused = False
+        self.trouble = ""  #: why there is no picture, or no more passes
+        self.saved: dict[str, Path] = {}
+        self.clients: list[Client] = []
+        self.panels: dict[str, Panel] = {}
+        self.opened, self.ended = threading.Event(), threading.Event()
+        self.on_picture: Callable[[Mapping[str, Picture]], object] | None = None  #: gets the layers that are shown
+        self.home: Pose | None = None  #: of the scene's own camera
+        self._preview: Preview | None = None
+        self._moving_until = 0.0
+        self._moved = False  # since the last moving picture
+        self._dirty = True  # something is to be shown
+        self._shown_at, self._show_seconds, self._stops = 0.0, 0.0, 0.0
+        self._frame = 0
+        self._frames: dict[str, tuple[int, bytes]] = {}
+        self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._closing = threading.Event()
+        self._flags = jit_flags()
+        self._thread = threading.Thread(target=self._work, name=_THREAD, daemon=True)
+        self._thread.start()
+
+    # ------------------------------------------------------------------ for other threads
+
+    def join(self, client: Client) -> None:
+        """A page has connected: it gets the state and the latest pictures."""
+
+        def welcome() -> None:
+            self.clients.append(client)
+            client.send("about", **states.about(self))
+            client.send("state", **self.state())
+            for side, (frame, message) in self._frames.items():
+                client.send_frame(side, frame, message)
+
+        self._inbox.put(welcome)
+
+    def leave(self, client: Client) -> None:
+        """A page is gone. Without pages no passes are made."""
+
+        def forget() -> None:
+            if client in self.clients:
+                self.clients.remove(client)
+
+        self._inbox.put(forget)
+
+    def post(self, client: Client, message: Mapping[str, Any]) -> None:
+        """Handle a message of a page, after the current pass."""
+        self._inbox.put(lambda: self._handle(client, message))
+
+    def file(self, name: str) -> bytes | None:
+        """A file that was saved, ``None`` for another one."""
+        path = self.saved.get(name)
+        with contextlib.suppress(OSError):
+            return path.read_bytes() if path is not None else None
+        return None
+
+    def close(self, wait: bool = True) -> None:
+        """End the thread after the current pass, and release the scene. May be called twice."""
+        self._closing.set()
+        self._inbox.put(lambda: None)
+        if wait and threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    # ------------------------------------------------------------------ for commands and panels
+
+    def state(self) -> dict[str, Any]:
+        """All that the controls of a page show."""
+        return states.state(self)
+
+    @property
+    def stops(self) -> float:
+        """The exposure of the picture that is shown."""
+        return self._stops
+
+    def changed(self) -> None:
+        """Tell the pages of a new state."""
+        state = self.state()
+        for client in self.clients:
+            client.send("state", **state)
+
+    def broadcast(self, kind: str, payload: bytes | None = None, /, **fields: Any) -> None:
+        """Send a message to all pages."""
+        for client in self.clients:
+            client.send(kind, payload, **fields)
+
+    def tell(self, error: BaseException | str, client: Client | None = None) -> None:
+        """Show an error in the page, or in all, and in the terminal."""
+        text = describe(error) if isinstance(error, BaseException) else error
+        logger.warning("%s", text)
+        if isinstance(error, BaseException):
+            logger.debug("viewer", exc_info=error)
+        for one in self.clients if client is None else [client]:
+            one.send("error", text=text)
+
+    def move(self, pose: Pose) -> None:
+        """Show the scene from another pose."""
+        self.pose = pose
+        self._moved = True
+        self._moving_until = time.monotonic() + _REST
+        self.again()
+
+    def again(self) -> None:
+        """What is rendered has changed: the picture starts anew."""
+        self.main = None
+        self.trouble = ""
+        if self.compared is not None:
+            self.compared.restart()
+
+    def refresh(self) -> None:
+        """What is shown of the picture has changed."""
+        self._dirty = True
+
+    def scene_edited(self) -> None:
+        """Parameters of the scene were changed in place (``mi.traverse``): nothing made from them is kept."""
+        self._preview = None
+        self._moved = True
+        for panel in self.panels.values():
+            self._guarded(panel.scene_edited)
+        self.again()
+
+    def open(self, asked: Asked, keep_pose: bool = False) -> None:
+        """Load a scene and show it. Raises the errors of loading; the scene of before stays then."""
+        problem = _loaded(asked, lambda state: self._change(asked, state))
+        pose = Pose.of(problem)
+        if keep_pose and self.pose is not None and self.problem is not None:
+            # In another render space an own roll of the camera is kept, and what was changed about it is not.
+            same = problem.space == self.problem.space
+            pose = self.pose if same else pose.placed(self.pose.plain(self.problem), problem)
+        else:
+            self.views, self.home = [], pose
+        self.asked, self.problem = asked, problem
+        self._preview, self.layers = Preview(problem), {}
+        self.main = self.compared = None
+        for panel in self.panels.values():  # which let go of the scene of before
+            self._guarded(panel.scene_loaded)
+        gc.collect()  # a scene that is alive is a part of every later kernel
+        self.move(pose)
+        self._moving_until = 0.0
+        for panel in self.panels.values():
+            self._guarded(panel.scene_loaded)
+        logger.debug("viewer: the scene was loaded in %.2f s", time.perf_counter() - begin)
+
+    def _change(self, asked: Asked, state: mi.parser.ParserState) -> None:
+        """Change a parsed scene before its objects are built: names for all, lights, and the edits of panels."""
+        name_elements(state)
+        asked.lights(state)
+        same = asked.scene is self.asked.scene and asked.parameters == self.asked.parameters
+        for panel in self.panels.values():
+            panel.loading(state, same)
+
+    # ------------------------------------------------------------------ the thread
+
+    def _work(self) -> None:
+        try:
+            self._guarded(self._begin, fatal=True)
+            self.opened.set()
+            while not self._closing.is_set():
+                busy = self._guarded(self._advance)
+                self._take_messages(wait=not busy)
+        finally:
+            for panel in self.panels.values():
+                self._guarded(panel.close)
+            self.problem = self.main = self.compared = self._preview = None
+            self.layers, self.panels, self.views, self._frames = {}, {}, [], {}
+            self.asked = Asked()
+            gc.collect()
+            self.ended.set()
+
+    def _begin(self) -> None:
+        set_jit_flags(self._flags)
+        use_variant()
+        self.panels = panels(self)
+        self.open(self.asked)
+
+    def _take_messages(self, wait: bool) -> None:
+        """Handle all messages there are; ``wait`` for the first one, or until the camera is at rest."""
+        rests = self.main is None and self.problem is not None and bool(self.clients)
+        until = (
+            max(self._moving_until - time.monotonic(), 1e-3) if rests and not (self.paused or self.trouble) else None
+        )
+        with contextlib.suppress(queue.Empty):
+            if wait:
+                self._guarded(self._inbox.get(timeout=until))
+            while not self._closing.is_set():
+                self._guarded(self._inbox.get_nowait())
+
+    def _handle(self, client: Client, message: Mapping[str, Any]) -> None:
+        try:
+            name, dot, verb = message["type"].partition(".")
+            if dot and name in self.panels:
+                self.panels[name].handle(verb, message, client)
+            else:
+                commands.handle(self, client, message)
+        except Exception as error:  # whatever a message leads to, the session lives on
+            self.tell(error, client)
+            client.send("state", **self.state())  # so that its fields show what holds
+
+    def _guarded(self, work: Callable[[], object], fatal: bool = False) -> bool:
+        """Run ``work``; its errors are told. Returns whether it returned something true."""
+        try:
+            return bool(work())
+        except Exception as error:
+            if fatal:
+                self.trouble = describe(error)
+            self.tell(error)
+            return False
+
+    def _advance(self) -> bool:
+        """Make the next small piece of the picture; returns whether there is more to do without a message."""
+        if self.problem is None or self.pose is None or not self.clients:
+            return False
+        if self._moved:
+            self._guarded(self._show_moving)
+            return True
+        if time.monotonic() < self._moving_until:
+            return False
+        working = any([self._guarded(panel.work) for panel in self.panels.values()])
+        if not (self.paused or self.trouble):
+            working |= self._refine()
+        if self._dirty:
+            self._publish()
+        return working
+
+    def _show_moving(self) -> None:
+        assert self.problem is not None and self.pose is not None
+        self._moved = False
+        if self._preview is None:
+            self._preview = Preview(self.problem)
+        try:
+            picture = self._preview.picture(self.pose)
+        except (RuntimeError, MemoryError) as error:
+            if not self._preview.coarser():
+                raise
+            self.tell(f"the moving picture failed, and is made coarser: {describe(error)}")
+            self._moved = True
+            return
+        if not self.layers or self._frame == 0:
+            self._stops = self.show.stops(picture)
+        layers = {"image": picture}
+        self._send_picture("a", replace(self.show, denoise="").colours(layers, self._stops), moving=True)
+        self.broadcast("camera", **states.camera(self.problem, self.pose))
+
+    def _refine(self) -> bool:
+        """A pass of the method, or of the one that it is compared with; returns whether there are more."""
+        assert self.problem is not None and self.pose is not None
+        try:
+            if self.main is None:
+                place(self.problem.sensor, self.pose)
+                self.problem = replace(self.problem)  # without what was computed from the sensor of before
+                asked = self.asked
+                self.main = Refinement(self.problem, asked.method, asked.settings, asked.budget, asked.seed)
+                self.changed()
+            other = self.compared.turn(self.main, self.asked.budget, self.asked.seed) if self.compared else None
+            if other is not None:
+                other.step()
+            elif not self.main.is_done:
+                self.main.step()
+            else:
+                return False
+        except Exception as error:
+            self.trouble = describe(error)
+            self.tell(error)
+            self.changed()
+            return False
+        now = time.monotonic()
+        if now - self._shown_at >= max(_EVERY, self._show_seconds / _SHARE) or self.main.is_done:
+            self._dirty = True
+        return True
+
+    def _publish(self) -> None:
+        """Show the picture as it is."""
+        if self.main is None or (result := self.main.result()) is None:
+            return
+        self._dirty = False
+        begin = time.perf_counter()
+        names = list(self.layers)
+        self.layers = result.layers
+        if self.on_picture is not None:
+            self.on_picture(result.layers)
+        self._stops = self.show.stops(result.image)
+        try:
+            self._send_picture("a", self.show.colours(result.layers, self._stops))
+        except EtendueError as error:  # such as a filter whose layer is missing
+            self.tell(error)
+            self.show = replace(self.show, denoise="", layer="image")
+            self._send_picture("a", self.show.colours(result.layers, self._stops))
+            self.changed()
+        compared: dict[str, Any] = {}
+        if self.compared is not None and (other := self.compared.layers()) is not None:
+            squared = film.relative_squared_error(result.image, other["image"])
+            self._send_picture("b", error_map(squared) if self.compared.map else self.show.colours(other, self._stops))
+            compared = self.compared.progress(squared)
+        if names != list(self.layers):
+            self.changed()
+        self.broadcast("progress", **self.main.progress(), exposure=self._stops, **compared)
+        for panel in self.panels.values():
+            self._guarded(panel.after_pass)
+        self._show_seconds = time.perf_counter() - begin
+        self._shown_at = time.monotonic()
+
+    def _send_picture(self, side: str, picture: NDArray[np.uint8], moving: bool = False) -> None:
+        data, mime = encoded(picture, moving)
+        self._frame += 1
+        height, width = picture.shape[:2]
+        fields = {"frame": self._frame, "side": side, "width": width, "height": height, "moving": moving}
+        message = packed("frame", data, format=mime, **fields)
+        assert isinstance(message, bytes)
+        self._frames[side] = self._frame, message
+        for client in self.clients:
+            client.send_frame(side, self._frame, message)
+
+
+def _loaded(asked: Asked, change: Change) -> Problem:
+    """The scene with a sensor of the session's own, at the size that is asked for or one of a moderate size."""
+    options: dict[str, Any] = {"sensor": asked.sensor, "parameters": asked.parameters, "memory": asked.memory}
+    if is_described(asked.scene) or asked.lights:  # which a scene in memory refuses
+        options["change"] = change
+    problem = load(asked.scene, size=asked.size, **options)
+    width, height = problem.size
+    factor = 1.0 if asked.size is not None else min(1.0, (_PIXELS / (width * height)) ** 0.5)
+    return resized(problem, (max(1, round(width * factor)), max(1, round(height * factor))))

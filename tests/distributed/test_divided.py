@@ -1,0 +1,164 @@
+"""A scene cut into boxes: paths go from box to box, and the particles are those of the whole scene."""
+
+from __future__ import annotations
+
+import itertools
+from collections import deque
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from etendue.core import OptionError, UnsupportedError
+from etendue.distributed import Arrival, Cluster, Lost, ProcessPool
+from etendue.distributed.content import Store
+from etendue.distributed.pool import Delivered
+from etendue.distributed.worker import _Desk
+from etendue.jobs import ParticleRequest, ParticleWork, run_work
+from etendue.particles import BoxGrid, Particles, distinct_in_windows, lru_misses, visits
+from etendue.scene import bundled_scene, load, load_part, shape_boxes
+
+PATHS = {"paths": 3000, "settings": {"samples_per_pass": 1500}, "seed": 4}
+
+
+class InProcess:
+    """A pool whose workers are in this process, each with a desk and a folder of its own. ``losses``: numbers of the
+    tasks in which a worker dies."""
+
+    def __init__(self, folder: Path, count: int = 2, losses: tuple[int, ...] = ()) -> None:
+        self._folder, self._losses, self._names = folder, losses, (f"worker {k}" for k in itertools.count())
+        self._desks: dict[str, _Desk] = {}
+        self._waiting: deque = deque()
+        self.done = 0
+        for _ in range(count):
+            self._join()
+
+    def _join(self) -> None:
+        name = next(self._names)
+        self._desks[name] = desk = _Desk()
+        store = Store(self._folder / name)
+        desk.store = lambda: store
+
+    def workers(self):
+        return dict.fromkeys(self._desks)
+
+    def send(self, worker, ticket, task):
+        self._waiting.append((worker, ticket, task))
+
+    def wait(self, seconds):
+        if not self._waiting:
+            return None
+        worker, ticket, task = self._waiting.popleft()
+        if isinstance(task, Delivered):
+            return Arrival(ticket, task)
+        if worker not in self._desks:
+            return Arrival(ticket, Lost("gone"))
+        self.done += 1
+        if self.done in self._losses:
+            del self._desks[worker]
+            self._join()
+            return Arrival(ticket, Lost("killed"))
+        return Arrival(ticket, self._desks[worker].make(task))
+
+    def deliver(self, worker, ticket, offered, digest):
+        for offset, piece, is_last in offered.pieces(digest):
+            self._desks[worker].store().receive(digest, offset, piece, is_last)
+        self._waiting.append((worker, ticket, Delivered()))
+
+    def end_run(self, run): ...
+
+    def forget(self, tickets):
+        self._waiting = deque(entry for entry in self._waiting if entry[1] not in tickets)
+
+    def close(self): ...
+
+
+def traced(scene, cluster=None, **options):
+    work = ParticleWork.open(ParticleRequest(scene=scene, **PATHS | options))
+    work.cluster = cluster
+    return run_work(work)
+
+
+def equal(a: Particles, b: Particles) -> None:
+    assert len(a) == len(b) > 1000
+    for name in ("path", "bounce", "position", "direction", "power"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+@pytest.mark.parametrize(
+    ("scene", "boxes"),
+    [
+        ("cornell-box", (2, 1, 1)),
+        pytest.param("cornell-box", (2, 2, 2), marks=pytest.mark.slow),
+        pytest.param("caustics", (2, 1, 2), marks=pytest.mark.slow),
+    ],
+)
+def test_particles_of_boxes_are_those_of_the_whole(scene, boxes, tmp_path):
+    whole = traced(scene)
+    parts = traced(scene, Cluster(InProcess(tmp_path)), boxes=boxes)
+    equal(parts.particles, whole.particles)
+    assert parts.counters["paths"] == whole.counters["paths"] == 3000
+    assert parts.traffic.received > 0
+    assert {visit.box for visit in parts.traffic.visits} == {-1, *range(np.prod(boxes))}
+    assert parts.traffic.loads == np.prod(boxes)  # each box once
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_changes_nothing(tmp_path):
+    whole = traced("cornell-box")
+    parts = traced("cornell-box", Cluster(InProcess(tmp_path, losses=(2, 5, 9, 10))), boxes=(2, 1, 1))
+    equal(parts.particles, whole.particles)
+
+
+@pytest.mark.slow
+def test_particles_of_boxes_in_processes(tmp_path):
+    whole = traced("caustics")
+    with Cluster(ProcessPool(2, threads=1)) as cluster:
+        equal(traced("caustics", cluster, boxes=(2, 1, 1)).particles, whole.particles)
+        # The same with workers that have the whole scene each.
+        equal(traced("caustics", cluster).particles, whole.particles)
+
+
+def test_a_part_has_the_shapes_of_its_box_only():
+    whole = load("cornell-box", merge=False)
+    ids, bounds = shape_boxes(whole)
+    grid = BoxGrid.even(bounds, (2, 1, 1))
+    wanted = {ids[k] for k in grid.touching(0, bounds)}
+    assert 0 < len(wanted) < len(ids)
+    part = load_part("cornell-box", wanted)
+    lamps = {str(shape.id()) for shape in whole.scene.shapes() if shape.emitter() is not None}
+    assert {str(shape.id()) for shape in part.scene.shapes()} == wanted | lamps
+
+
+def test_boxes_and_their_numbers():
+    bounds = np.array([[0.0, 0, 0, 4, 1, 1], [3, 0, 0, 4, 1, 1]])
+    grid = BoxGrid.even(bounds, (4, 1, 1))
+    assert len(grid) == 4
+    np.testing.assert_array_equal(grid.of_points([[-9.0, 0, 0], [1, 0, 0], [3.5, 9, 9]]), [0, 1, 3])
+    assert [list(grid.touching(box, bounds)) for box in range(4)] == [[0], [0], [0, 1], [0, 1]]
+    with pytest.raises(OptionError, match="three whole numbers of boxes"):
+        BoxGrid.even(bounds, (0, 1, 1))
+
+
+@pytest.mark.slow
+def test_what_cannot_be_divided_is_one_line(tmp_path):
+    with pytest.raises(UnsupportedError, match="sends rays from around the whole scene"):
+        traced("skylight", Cluster(InProcess(tmp_path)), boxes=(2, 1, 1))
+    with pytest.raises(OptionError, match="'metropolis_particles' cannot be divided among workers"):
+        traced("cornell-box", Cluster(InProcess(tmp_path)), method="metropolis_particles", settings={})
+
+
+def test_paths_in_strata_visit_boxes_together():
+    grid = BoxGrid.even(shape_boxes(load("cornell-box", merge=False))[1], (4, 4, 4))
+    found = {}
+    for sampler in ("independent", "strata"):
+        made = ParticleWork.open(
+            ParticleRequest(
+                scene=bundled_scene("cornell-box"), paths=20_000, settings={"sampler": sampler, "keep": "first"}
+            )
+        )
+        found[sampler] = visits(run_work(made).particles, grid)
+    assert distinct_in_windows(np.array([1, 1, 2, 3, 3, 3]), 3).tolist() == [2, 1]
+    assert lru_misses([1, 2, 1, 3, 2], 2) == 4
+    windows = {name: distinct_in_windows(boxes, 64).mean() for name, boxes in found.items()}
+    assert windows["strata"] < windows["independent"]

@@ -1,0 +1,149 @@
+"""Changes of scenes: in place, of the file, and written as XML, all the same picture."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from etendue import methods
+from etendue.core import OptionError
+from etendue.scene import LightEdits, ParameterChanges, Problem, SceneEditor, load
+
+
+def room() -> dict[str, Any]:
+    """Parameters of every kind: colours, numbers, transforms, a vector; with and without a name in the file."""
+    look = mi.ScalarTransform4f().look_at([0, 1, 5], [0, 1, 0], [0, 1, 0])
+    return {
+        "type": "scene",
+        "camera": {"type": "perspective", "fov": 50, "to_world": look, "film": {"type": "hdrfilm"}},
+        "white": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.6}}},
+        "floor": {
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f().rotate([1, 0, 0], -90).scale(4),
+            "bsdf": {"type": "ref", "id": "white"},
+        },
+        "ball": {"type": "sphere", "center": [0.8, 0.6, 0], "radius": 0.6, "bsdf": {"type": "dielectric"}},
+        "metal": {
+            "type": "sphere",
+            "center": [-0.8, 0.6, 0],
+            "radius": 0.6,
+            "bsdf": {"type": "roughconductor", "material": "Au", "alpha": 0.2},
+        },
+        "lamp": {
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f().translate([0, 3, 0]).rotate([1, 0, 0], 90).scale(0.5),
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": [8, 7, 6]}},
+        },
+        "bulb": {"type": "point", "position": [2, 2, 2], "intensity": {"type": "rgb", "value": 3}},
+    }
+
+
+VALUES: dict[str, Any] = {
+    "white.brdf_0.reflectance.value": [0.7, 0.2, 0.1],
+    "ball.bsdf.eta": 1.2,
+    "ball.to_world": [0.4, 0, 0, 0.8, 0, 0.4, 0, 0.9, 0, 0, 0.4, 0.2, 0, 0, 0, 1],
+    "metal.bsdf.alpha.value": 0.4,
+    "metal.bsdf.eta.value": [1.0, 2.0, 3.0],
+    "metal.bsdf.k.value": [4.0, 3.0, 2.0],
+    "lamp.emitter.radiance.value": [0.5, 0.0, 20.0],
+    "lamp.to_world": [1, 0, 0, 1, 0, 0, -1, 3.5, 0, 1, 0, 0, 0, 0, 0, 1],
+    "bulb.position": [-2.0, 1.0, 2.0],
+    "bulb.intensity.value": [0.0, 9.0, 1.0],
+}
+
+
+def picture(problem: Problem, method: str = "bpt", **settings: Any) -> np.ndarray:
+    kind = methods.get(method)
+    made = kind(kind.Settings(samples_per_pass=4, max_depth=4, **settings))
+    made.prepare(problem, 1)
+    return made.develop(made.step(0, 1, made.start()).measurement, {}).image
+
+
+@pytest.fixture(scope="module")
+def changed() -> np.ndarray:
+    """The picture of a scene that is read with the changes."""
+    return picture(load(room(), size=(24, 16), change=ParameterChanges(VALUES)))
+
+
+def test_values_in_place_give_the_picture_of_a_scene_read_with_them(changed: np.ndarray) -> None:
+    problem = load(room(), size=(24, 16), change=ParameterChanges())
+    before = picture(problem)
+    editor = SceneEditor(problem.scene)
+    assert {p.key for p in editor.list()} >= set(VALUES)
+    editor.set(VALUES)
+    after = picture(replace(problem))
+    np.testing.assert_allclose(after, changed, rtol=2e-4, atol=1e-5)
+    assert np.abs(after - before).max() > 0.1
+    editor.set({key: editor.original(key) for key in VALUES})
+    np.testing.assert_allclose(picture(replace(problem)), before, rtol=2e-4, atol=1e-5)
+
+
+def test_a_prepared_method_has_old_tables_of_lights() -> None:
+    """What a caller that does not prepare anew would get: the test above can fail."""
+    problem = load(room(), size=(24, 16), change=ParameterChanges())
+    kind = methods.get("bpt")
+    made = kind(kind.Settings(samples_per_pass=4, max_depth=4))
+    made.prepare(problem, 1)
+    SceneEditor(problem.scene).set({"lamp.to_world": VALUES["lamp.to_world"]})
+    stale = made.develop(made.step(0, 1, made.start()).measurement, {}).image
+    fresh = picture(replace(problem))
+    assert not np.allclose(stale, fresh, rtol=1e-2)
+
+
+def test_the_written_scene_has_the_changes(changed: np.ndarray, tmp_path: Path) -> None:
+    file = tmp_path / "room.xml"
+    mi.parser.write_file(_parsed(room(), ParameterChanges(VALUES)), str(file))
+    np.testing.assert_allclose(picture(load(file, size=(24, 16))), changed, rtol=2e-3, atol=1e-4)
+
+
+def _parsed(scene: dict[str, Any], change: ParameterChanges) -> mi.parser.ParserState:
+    config = mi.parser.ParserConfig(mi.variant())
+    state = mi.parser.parse_dict(config, scene)
+    mi.parser.transform_upgrade(config, state)
+    mi.parser.transform_resolve(config, state)
+    change(state)
+    return state
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("white.brdf_0.reflectance.value", [0.5, math.nan, 0.5], "numbers, not nan"),
+        ("white.brdf_0.reflectance.value", [0.5, 1.5, 0.5], "at most 1"),
+        ("white.brdf_0.reflectance.value", [0.5, 0.5], "3 numbers"),
+        ("lamp.emitter.radiance.value", [-1, 0, 0], "at least 0"),
+        ("metal.bsdf.alpha.value", 0.0, "above 0"),
+        ("metal.bsdf.alpha.value", "rough", "a number"),
+        ("ball.to_world", [0.0] * 15 + [1.0], "flat"),
+        ("white.brdf_0.reflektance", [1, 1, 1], "did you mean"),
+    ],
+)
+def test_a_value_that_is_refused_changes_nothing(key: str, value: Any, words: str) -> None:
+    problem = load(room(), size=(8, 8), change=ParameterChanges())
+    editor = SceneEditor(problem.scene)
+    before = [p.value for p in editor.list()]
+    with pytest.raises(OptionError, match=words) as error:
+        editor.set({"bulb.intensity.value": [1, 1, 1], key: value})
+    assert "\n" not in str(error.value)
+    assert [p.value for p in editor.list()] == before
+
+
+def test_elements_without_a_name_get_one_that_a_removed_light_does_not_change() -> None:
+    text = """<scene version="3.0.0"><sensor type="perspective"/>
+        <shape type="sphere"><emitter type="area"><rgb name="radiance" value="1"/></emitter></shape>
+        <emitter type="constant"/><emitter type="point"/>
+        <shape type="sphere"><bsdf type="diffuse"><rgb name="reflectance" value="0.5"/></bsdf></shape></scene>"""
+    for removed in (set(), {0}, {2}):  # the constant light, the first sphere's
+        state = mi.parser.parse_string(config := mi.parser.ParserConfig(mi.variant()), text)
+        mi.parser.transform_resolve(config, state)
+        LightEdits(frozenset(removed))(state)
+        ParameterChanges({"sphere-2.bsdf.reflectance.value": [0.1, 0.2, 0.3], "point-1.position": [1, 2, 3]})(state)
+        editor = SceneEditor(mi.parser.instantiate(config, state))
+        assert editor.get("sphere-2.bsdf.reflectance.value").value == pytest.approx([0.1, 0.2, 0.3])
+        assert editor.get("point-1.position").value == [1, 2, 3]

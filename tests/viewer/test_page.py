@@ -1,0 +1,129 @@
+"""The page in headless Chromium: it loads without an error, moves by keys, compares, tells errors, fits a phone."""
+
+import asyncio
+
+import pytest
+from support.browser import PROGRAM, Browser
+
+import etendue
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(PROGRAM is None, reason="no Chromium on this machine")]
+
+SHIFT = 8
+
+
+@pytest.fixture(scope="module")
+def viewer(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("page")
+    with etendue.view("cornell-box", "path", size=(64, 48), samples=8, max_depth=4, folder=folder) as made:
+        yield made
+
+
+def browse(viewer, visit, *size, **options):
+    async def go():
+        async with Browser(*size, **options) as tab:
+            await tab.open(viewer.url)
+            await tab.until("document.body.dataset.ready === 'true'")
+            await tab.until("document.getElementById('stage').dataset.frame > 0")
+            await visit(tab)
+            assert not tab.errors
+
+    asyncio.run(go())
+
+
+ORIGIN = "document.querySelector('aside details:nth-of-type(4) input').value"
+
+
+def test_by_keyboard_alone(viewer):
+    async def visit(tab):
+        seen = []
+        for _ in range(40):
+            await tab.press("Tab")
+            seen.append(await tab.value("document.activeElement.id || document.activeElement.tagName"))
+            style = "getComputedStyle(document.activeElement)"
+            # What has the focus shows it.
+            ring = f"{style}.outlineStyle !== 'none' && parseFloat({style}.outlineWidth) > 0"
+            assert seen[-1] == "BODY" or await tab.value(ring), await tab.value("document.activeElement.outerHTML")
+        assert {"open-name", "stage", "pause", "again"} <= set(seen) and seen.count("SUMMARY") >= 4
+        await tab.value("document.getElementById('stage').focus()")
+        before = await tab.value(ORIGIN)
+        await tab.press("ArrowLeft", hold=0.2)
+        await tab.until(f"{ORIGIN} !== '{before}'")
+        turned = await tab.value(ORIGIN)
+        await tab.press("ArrowRight", modifiers=SHIFT, hold=0.1)
+        await tab.until(f"{ORIGIN} !== '{turned}'")
+        await tab.press("KeyV")
+        await tab.until("document.querySelectorAll('aside details:nth-of-type(4) li').length === 1")
+        await tab.press("KeyP")
+        await tab.until("document.getElementById('picked').textContent.includes('material')")
+        await tab.press("Space")
+        await tab.until("document.getElementById('pause').getAttribute('aria-pressed') === 'true'")
+        await tab.press("Space")
+        await tab.press("Home")
+        await tab.until(f"{ORIGIN} === '{before}'")
+
+    browse(viewer, visit)
+
+
+def test_every_control_has_a_label(viewer):
+    async def visit(tab):
+        await tab.value("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
+        unnamed = await tab.value(
+            "[...document.querySelectorAll('input, select, button, canvas[tabindex]')].filter((e) => e.offsetParent "
+            "&& !(e.labels?.[0]?.textContent.trim() || e.getAttribute('aria-label') || e.textContent.trim()))"
+            ".map((e) => e.outerHTML)"
+        )
+        assert unnamed == []
+
+    browse(viewer, visit)
+
+
+def test_errors_are_told_and_fields_show_what_holds(viewer):
+    async def visit(tab):
+        field = "document.querySelector('[id^=field-max_depth]')"
+        await tab.until(f"{field} !== null")
+        await tab.value(f"{field}.value = 'NaN'; {field}.dispatchEvent(new Event('change'))")
+        await tab.until("document.querySelector('#messages .error')?.textContent.includes('whole number')")
+        await tab.value("document.getElementById('open-name').value = 'nowhere'")
+        await tab.value("document.getElementById('open').requestSubmit()")
+        await tab.until("document.querySelector('#messages .error')?.textContent.includes('nowhere')")
+        await tab.until("document.getElementById('waiting').hidden")
+        assert await tab.value("document.getElementById('scene').textContent") == "cornell-box"
+
+    browse(viewer, visit)
+
+
+def test_the_divider_between_two_pictures(viewer):
+    async def visit(tab):
+        select = (
+            "[...document.querySelectorAll('label')].find((l) => l.textContent.startsWith('Second method')).control"
+        )
+        await tab.value(f"{select}.value = 'light'; {select}.dispatchEvent(new Event('change'))")
+        await tab.until("document.getElementById('stage').dataset.bFrames > 0 && !document.getElementById('b').hidden")
+        await tab.until("document.getElementById('progress').textContent.includes('relMSE')")
+        await tab.value("document.getElementById('slider').focus()")
+        before = await tab.value("document.getElementById('b').style.clipPath")
+        await tab.press("ArrowRight")
+        assert await tab.value("document.getElementById('b').style.clipPath") != before
+        await tab.until("document.querySelectorAll('.plot path').length >= 1")
+        await tab.value(f"{select}.value = ''; {select}.dispatchEvent(new Event('change'))")
+        await tab.until("document.getElementById('b').hidden")
+
+    browse(viewer, visit)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
+def test_nothing_is_cut_off(viewer, width, height):
+    async def visit(tab):
+        await tab.value("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
+        assert await tab.value("document.documentElement.scrollWidth <= innerWidth")
+        wide = await tab.value(
+            "[...document.querySelectorAll('aside *')].filter((e) => e.getBoundingClientRect().right > innerWidth + 1)"
+            ".map((e) => e.outerHTML.slice(0, 80))"
+        )
+        assert wide == []
+        assert await tab.value("document.getElementById('picture').getBoundingClientRect().width") > 0.6 * min(
+            width, 900
+        )
+
+    browse(viewer, visit, width, height, touch=width < 500)

@@ -1,0 +1,146 @@
+"""The panels of the scene and of the 3-D view by a plain client: edits, what is drawn, and tev as a second display."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+
+import numpy as np
+import pytest
+from support.tev import fake_tev
+from support.viewing import Page
+
+import etendue
+from etendue import methods
+from etendue.film import read_exr
+from etendue.scene import load
+
+SIZE = (32, 24)
+
+
+@pytest.fixture(scope="module")
+def viewer(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("panels")
+    with etendue.view("cornell-glass", "path", size=SIZE, samples=4, max_depth=4, folder=folder) as made:
+        yield made, folder
+
+
+def talk(viewer, conversation):
+    async def go():
+        page = await Page.open(viewer.url)
+        try:
+            return await conversation(page)
+        finally:
+            page.close()
+
+    return asyncio.run(go())
+
+
+async def state(page, test=lambda own: True):
+    found, _ = await page.until("state", lambda m: m["loaded"] and test(m["panels"]["parameters"]))
+    return found["panels"]
+
+
+async def done(page):
+    return (await page.until("progress", lambda m: m["done"]))[0]
+
+
+def arrays(message, data):
+    found = {}
+    for row in message["arrays"]:
+        count = math.prod(row["shape"])
+        kind = {"float32": "<f4", "uint32": "<u4", "uint8": "u1", "int8": "i1"}[row["type"]]
+        found[row["name"]] = np.frombuffer(data, kind, count, row["offset"]).reshape(row["shape"])
+    return found
+
+
+def test_an_edit_is_in_the_picture_in_the_file_and_after_a_light_is_added(viewer):
+    """The picture after an edit is that of the written scene, read by a fresh method: no table of lights is old."""
+    made, folder = viewer
+    lamp, metal = "light.emitter.radiance.value", "large-box.bsdf.alpha.value"
+
+    async def conversation(page):
+        own = (await state(page))["parameters"]
+        values = {p["key"]: p["value"] for p in own["parameters"]}
+        assert values[metal] == 0.15 and own["changes"] == {}
+        for key, value, words in (
+            (lamp, [1, None, 1], "numbers"),
+            (lamp, [1, -1, 1], "at least 0"),
+            (metal, 3, "at most 1"),
+            ("nobody.home", 1, "no parameter"),
+        ):
+            page.send("parameters.set", key=key, value=value)
+            error, _ = await page.until("error")
+            assert words in error["text"] and "\n" not in error["text"]
+            assert (await state(page))["parameters"]["changes"] == {}
+        page.send("parameters.set", key=lamp, value=[2.0, 30.0, 1.0])
+        page.send("parameters.set", key=metal, value=0.5)
+        own = (await state(page, lambda own: len(own["changes"]) == 2))["parameters"]
+        assert own["own"][metal] == 0.15
+        page.send("lights.add", kind="point", position=[0, 0.5, 0.5], colour=[1, 1, 1], strength=0.2)
+        own = (await state(page))["parameters"]
+        assert {p["key"]: p["value"] for p in own["parameters"]}[lamp] == [2.0, 30.0, 1.0]
+        await done(page)
+        for what, name in (("picture", "edited.exr"), ("scene", "edited.xml")):
+            page.send("save", what=what, name=name)
+            await page.until("saved")
+        page.send("parameters.reset")
+        own = (await state(page, lambda own: own["changes"] == {}))["parameters"]
+        assert {p["key"]: p["value"] for p in own["parameters"]}[lamp] == values[lamp]
+
+    talk(made, conversation)
+    shown = read_exr(folder / "edited.exr").image
+    problem = load(folder / "edited.xml", size=SIZE)
+    kind = methods.get("path")
+    method = kind(kind.Settings(max_depth=4, samples_per_pass=1))
+    method.prepare(problem, 0)
+    made_anew = method.start(), [method.step(i, 0, {}).measurement for i in range(4)]
+    total = made_anew[1][0]
+    for more in made_anew[1][1:]:
+        total = total + more
+    np.testing.assert_allclose(method.develop(total, {}).image, shown, rtol=2e-3, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_what_the_3d_view_asks_for(viewer):
+    made, _ = viewer
+
+    async def conversation(page):
+        page.send("space.mesh")
+        message, data = await page.until("space.mesh")
+        mesh = arrays(message, data)
+        assert mesh["triangles"].shape[1:] == (3, 3) and mesh["shape"].max() < len(message["names"])
+        page.send("space.paths", source="camera", x=0.5, y=0.5, count=20, depth=4)
+        message, data = await page.until("space.paths")
+        assert len(arrays(message, data)["edges"]) >= 20
+        page.send("space.photons", count=200, file="")
+        message, data = await page.until("space.photons")
+        found = arrays(message, data)
+        assert found["power"].sum(axis=0).mean() == pytest.approx(message["total"], rel=1e-4)
+        page.send("space.tree", kind="kd-tree", count=200)
+        message, data = await page.until("space.trees")
+        boxes = arrays(message, data)["corners"]
+        assert boxes.shape[1:] == (8, 3)
+        for verb, fields, words in (
+            ("paths", {"count": 0}, "number of paths"),
+            ("paths", {"count": 5, "x": 7}, "off the film"),
+            ("paths", {"count": 5, "source": "9"}, "no light 9"),
+            ("photons", {"count": 5, "file": "missing.particles"}, "no file"),
+            ("tree", {"kind": "oak", "count": 5}, "no tree 'oak'"),
+            ("guide", {"position": [0, 0, 0], "normal": [0, 0, 1]}, "no guide"),
+            ("solve", {}, "transmits"),  # the glass ball
+            ("dance", {}, "space.dance"),
+        ):
+            page.send(f"space.{verb}", **fields)
+            error, _ = await page.until("error")
+            assert words in error["text"], error["text"]
+
+    talk(made, conversation)
+
+
+def test_tev_shows_what_the_viewer_shows():
+    small = {"size": (16, 12), "samples": 2}
+    with fake_tev() as server, etendue.view("cornell-box", "path", tev=server.address, **small) as made:
+        talk(made, done)
+    shown = server.images["etendue view"]["R"]
+    assert shown.shape == (12, 16) and shown.mean() > 0
