@@ -259,7 +259,7 @@ def choices(names: Names = SCENES, pixels: Pixels = 16384, passes: Annotated[int
         gc.collect()
     record.notes.append(
         f"products of variance between {passes} passes, relative to the picture, without the worst 0.1 % of pixels, "
-        "and CPU seconds of a pass, over that of vcm; foreseen: by the moments and the model of costs. The variance of so "
-        "few passes does not show light that a method rarely finds"
+        "and CPU seconds of a pass, over that of vcm; foreseen: by the moments and the model of costs. The variance of "
+        "so few passes does not show light that a method rarely finds"
     )
     return record
