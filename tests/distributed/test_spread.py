@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import random
+import time
 from collections import deque
 from dataclasses import dataclass
 from types import SimpleNamespace
@@ -334,6 +335,34 @@ def test_a_run_whose_workers_always_die_ends():
 
     with pytest.raises(ClusterError, match=r"without finishing a pass; the last was worker .* its memory may be too"):
         run(Deadly(Powers, 2), Powers(), 50)
+
+
+def test_one_pass_is_made_where_preparation_takes_all_of_the_time():
+    """A run without a pass does not end, and workers must not wait for it, nor it for workers."""
+
+    class Slow(Powers):
+        def prepare(self, problem: Any, seed: int) -> None:
+            super().prepare(problem, seed)
+            time.sleep(0.05)
+
+    class Watched(Simulated):
+        idle = 0
+
+        def outcome(self, worker, chunk):
+            if chunk.left is not None:
+                self.desks[worker].end(chunk.run, chunk.left)
+            return super().outcome(worker, chunk)
+
+        def wait(self, seconds):
+            self.idle += 1
+            assert self.idle < 1000, "the run waits for ever"
+            return super().wait(seconds)
+
+    method, pool = Powers(), Watched(Slow, 2)
+    method.prepare(None, 5)
+    make = lambda order: Spread(pool, Recipe("recipe", Offered(), False), order)  # noqa: E731
+    made = Runner(method, seed=5, budget=Budget(seconds=0.02), executor=make).run()
+    assert 1 <= made.passes <= 4 and made.stopped_by == "seconds"  # each worker has two chunks at a time
 
 
 def test_an_interrupted_run_keeps_what_has_arrived():

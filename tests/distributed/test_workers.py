@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 import etendue
-from etendue.cli.main import main
 from etendue.core import ClusterError, SceneError
 from etendue.distributed import Cluster, DaskPool, ProcessPool
-from etendue.engine import Budget, Checkpoint, Job, Task
+from etendue.engine import Budget, Checkpoint, Job, Replicated, Task
 from etendue.jobs import Outputs, PictureWork, run_work
 from etendue.methods import get
 
@@ -22,10 +21,8 @@ SMALL = {"scene": "caustics", "size": (24, 16)}
 PASSES = 40
 
 
-def task(method="path", passes=PASSES, **options):
-    return Task(
-        SMALL["scene"], get(method), {"samples_per_pass": 1}, 3, Budget(iterations=passes), SMALL["size"], **options
-    )
+def task(method="path", passes=PASSES, settings=(("samples_per_pass", 1),)):
+    return Task(SMALL["scene"], get(method), dict(settings), 3, Budget(iterations=passes), SMALL["size"])
 
 
 def rendered(job, cluster=None, outputs=None, watch=None):
@@ -87,6 +84,17 @@ def test_replicas_in_processes_are_those_in_turn_and_are_resumed(processes, tmp_
     there = rendered(Job.resume(saved, get("guided"), budget=more), processes)
     close(here.image, there.image)
     assert here.metadata["passes"] == there.metadata["passes"] == 11
+
+
+def test_chains_in_processes_are_those_in_turn(processes):
+    """Their states come back from the workers."""
+    small = {"samples_per_pass": 16, "bootstrap": 1 << 12}
+    there = rendered(Job.open(task("mmlt", 5, small)), processes)
+    here = Job.open(task("mmlt", 5, small))
+    here.method = Replicated(here.method, here.problem, here.seed, 2)
+    here = rendered(here)
+    assert there.metadata["replicas"] == here.metadata["replicas"] == 2
+    np.testing.assert_allclose(there.image, here.image, rtol=1e-3, atol=1e-5)
 
 
 def test_a_scene_in_memory_is_refused(processes):
@@ -160,9 +168,3 @@ def test_sums_that_are_merged_among_workers_lose_nothing(monkeypatch):
     assert made.metadata["passes"] == 60
     assert made.metadata["rays"] == expected.metadata["rays"]
     close(made.image, expected.image)
-
-
-def test_chains_are_refused_before_they_start(capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert main(["render", "cornell-box", "--method", "mmlt", "--workers", "1", "--spp", "1", "-o", "a.png"]) != 0
-    assert "'mmlt' cannot be divided among workers yet" in capsys.readouterr().err

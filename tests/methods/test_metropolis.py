@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from support import scenes
 from support.running import go, prepared, run
-from support.tables import thinned
 
 from etendue.core import SceneError
 from etendue.integration import Layout, Slot
@@ -45,7 +44,7 @@ OTHERWISE = [
 ]
 
 
-@pytest.mark.parametrize("row", thinned(OTHERWISE, OTHERWISE[:1]))
+@pytest.mark.parametrize("row", [OTHERWISE[0], *(pytest.param(r, marks=pytest.mark.slow) for r in OTHERWISE[1:])])
 def test_the_mean_is_that_of_path(row):
     """Whatever the factor by brightness, the numbers that a chain keeps, and the steps."""
     method, settings = row
@@ -67,7 +66,7 @@ def test_facts():
     assert abs(luminance - facts["mean_luminance"]) < 6.0 * facts["mean_luminance_error"] + 0.02 * luminance
     assert facts["mean_luminance_error"] < 0.02 * facts["mean_luminance"]
     assert 0.1 < facts["accepted_small"] < 1.0 and 0.1 < facts["accepted_large"] < 1.0
-    assert 0 < facts["longest_stay"] < facts["steps"] and facts["startup_bias"] < 0.01
+    assert 0 < facts["longest_stay"] <= facts["steps"] and facts["startup_bias"] < 0.01
 
 
 def test_the_factor_by_brightness():
@@ -166,7 +165,7 @@ def test_the_bias_of_the_start_is_of_the_target():
     runner = prepared(scenes.room("rectangle", scenes.FEW), "pssmlt", **SMALL)
     found = runner._carried.found
     target = np.minimum(*[np.full(4, v) for v in (1.0, 2.0)])  # of four values, whose mean square is 1
-    state = runner.start() | {"found": np.tile([4.0, target.sum(), 40.0, 1e4, (target**2).sum()], (2, 1))}
+    state = runner.start() | {"found": np.tile([4.0, target.sum(), (target**2).sum()], (2, 1))}
     facts = runner.facts(runner.step(0, 1), state)
     assert facts["startup_bias"] == pytest.approx(1.0 / found[:, 0].sum())
 

@@ -222,6 +222,11 @@ def test_groups_have_surfaces_of_their_own():
     assert len(thing) > 100 and (thing.position[:, 0] < 0.0).all()
     offset = (thing.position - [-1.0, 1.0, 0.0]) / 0.4
     np.testing.assert_allclose(np.arccos(np.clip(offset[:, 2], -1, 1)) / np.pi, thing.uv[:, 1], atol=2e-3)
+    # The primitives of a group are numbered as where independent particles are stored.
+    traced = ParticleTracing(ParticleTracing.Settings(samples_per_pass=1 << 12))
+    traced.prepare(problem, 1)
+    stored = traced.particles(traced.step(0, 1, {}).measurement)
+    assert set(thing.primitive) == set(stored.primitive[stored.shape == method.surfaces.names.index("thing")]) != {0}
 
 
 def test_a_path_that_is_lost_leaves_no_particle():

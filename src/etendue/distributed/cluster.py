@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self
 
-from etendue.core import Iterations, Method, OptionError, SceneError, State
+from etendue.core import Iterations, Method, SceneError, State
 from etendue.engine import Executor, Job, MakeExecutor, Order, Replicated
 
 from .dask import DaskPool
@@ -26,13 +26,10 @@ class Cluster:
     def rendering(self, job: Job, longest: int | None = None) -> MakeExecutor:
         """The executor of a job with a scene. Passes of a method that carries on from each other become those of
         replicas, one a worker: the method of the job is then that of replicas. ``longest``: most passes that a worker
-        adds up before it sends them. Raises :class:`SceneError` for a scene in memory, :class:`OptionError` for a
-        method that cannot be divided."""
+        adds up before it sends them. Raises :class:`SceneError` for a scene in memory."""
         if job.task is None:
             raise SceneError("a scene in memory cannot be sent to workers; give its file or its dictionary")
         plain: Any = job.method.method if isinstance(job.method, Replicated) else job.method
-        if not getattr(plain, "divides", True):
-            raise OptionError(f"'{plain.name}' cannot be divided among workers yet; run it without them")
         made = recipe(scene_ingredients(job.task), plain, job.problem.fingerprint)
         done = Iterations() if job.start is None else job.start.iterations
         job.method, job.state = self.replicate(job.method, job.problem, job.seed, job.state, done)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array, OptionError, free_memory, is_number, is_whole
-from etendue.density import NearestNeighbours, Samples
+from etendue.density import NearestNeighbours, Samples, relative_widths
 
 from .errors import LUMINANCE
 
@@ -128,11 +128,11 @@ class Development:
         lit = (counts > 0) & (density > 0.0)
         if not lit.any():
             return self._pixels(sums, pad)
-        mean = np.exp(np.average(np.log(density[lit]), weights=counts[lit]))
-        ratio = np.sqrt(mean / np.maximum(density, 1e-30))
-        level = np.round(np.log(np.clip(ratio, 1.0 / _WIDEST, _WIDEST)) / math.log(_STEP)).astype(int)
+        ratio = np.clip(relative_widths(density[lit], counts[lit]), 1.0 / _WIDEST, _WIDEST)
+        level = np.full(density.shape, round(math.log(_WIDEST) / math.log(_STEP)))
+        level[lit] = np.round(np.log(ratio) / math.log(_STEP))
         total = np.zeros_like(sums)
-        for one in np.unique(level[lit]):
+        for one in np.unique(level[counts > 0]):
             chosen = (level == one)[:, :, None] * sums
             total += blurred(chosen, self.bandwidth * _STEP**one * _FINE, pad)
         return self._pixels(total, pad)

@@ -8,7 +8,7 @@ large batches.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -109,6 +109,17 @@ class RecursiveStratified(Integrator):
         self.metric, self.divisions, self.weights, self.initial_depth = metric, divisions, weights, initial_depth
         self.dither, self.borders, self.exploration, self.reuse = dither, borders, exploration, reuse
         self.exponent, self.minimum, self.depth = exponent, minimum, depth
+
+    def gains(self, metrics: Array, after: Array, means: Callable[[], Array]) -> Array:
+        """What a division along each dimension is worth, (d, regions) above zero: the share of the variation that it
+        removes. The dimension with the largest product of weight and gain is divided.
+
+        ``metrics``, and ``means`` if it is called: the metric and the mean of the function in each part, (d, regions,
+        parts). ``after``: the variation that remains, (d, regions).
+        """
+        whole = np.maximum(metrics.mean(axis=2).max(axis=0), np.finfo(float).tiny)
+        gains: Array = np.maximum(1.0 - after / whole, 1e-12)
+        return gains
 
     def _integrate(self, work: Work, samples: int) -> Estimate:
         run = _Run(self, work)
@@ -274,8 +285,14 @@ class _Run:
             # The variation that remains after the division, with the samples distributed over the parts.
             after[a] = ((width**2 * metrics[a]) ** power).sum(axis=1) ** (1 + o.exponent)
             after[a] /= (width ** (2 * power)).sum(axis=1) ** (1 + o.exponent)
-        whole = np.maximum(metrics.mean(axis=2).max(axis=0), np.finfo(float).tiny)
-        axis = np.argmax(self.weights[:, None] * np.maximum(1.0 - after / whole, 1e-12), axis=0)
+
+        def means() -> Array:
+            sums = [
+                np.bincount(b, values, count * n) / np.maximum(np.bincount(b, minlength=count * n), 1) for b in bins
+            ]
+            return np.reshape(sums, (self.d, count, n))
+
+        axis = np.argmax(self.weights[:, None] * o.gains(metrics, after, means), axis=0)
         metric = metrics[axis, np.arange(count)]
         dear = np.ones((count, n))
         if cost is not None:

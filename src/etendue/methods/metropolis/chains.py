@@ -11,11 +11,11 @@ density t / b with b the integral of t; the two are combined by the balance heur
    + a \frac{c(x')}{q(x')} \right) + \ell \, \frac{c(x')}{q(x')} \right), \qquad q = \kappa t / b_0 + p
 
 where l is 1 in large steps, else 0, b_0 is the estimate of b by the bootstrap, and kappa < 1 is the weight of a step of
-a chain, whose neighbours are correlated. The weights are exact for any fixed b_0 and kappa; b is the mean of t over the
-bootstrap and all large steps so far.
+a chain, whose neighbours are correlated. The weights are exact for any fixed b_0 and kappa. Large steps tell b, but
+badly where they find light rarely: the two terms are kept apart, and b is left to :mod:`.blend`.
 
-The chains, the samples of the bootstrap and the estimates of b are two independent *halves*, so the difference of
-their pictures measures the error, whatever the correlation along chains.
+The chains and the samples of the bootstrap are two independent *halves*, so the difference of their pictures measures
+the error, whatever the correlation along chains.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Progressed:
     factors: BrightnessMap
     unit: float  #: b_0
     cap: float
-    #: For each half: samples, and the sums of the target, the luminance and their squares over them.
+    #: For each half: samples of the bootstrap and of large steps, and the sums of the target and of its square.
     found: Array
     steps: int = 0  #: steps so far
     large: int = 0  #: large ones among them
@@ -84,14 +84,17 @@ class Progressed:
 
 @dataclass
 class PassResult:
-    """A pass of all chains: the pictures of the two halves, (2, height, width, 3), as sums over one sample per pixel,
-    and counts; ``None`` without splats. ``parts``: the pictures of each component, if they are kept apart."""
+    """A pass of all chains.
 
-    pictures: NDArray[np.float64] | None
+    ``chained``, ``large``: pictures, (parts, 2, height, width, 3), of each component of light, or of the only one, and
+    of the two halves: of the chains without the factor kappa b / b_0, and of the large steps as independent samples;
+    ``None`` without splats. ``factors``: an estimate of that factor by the bootstrap and all large steps, of each half.
+    """
+
+    chained: NDArray[np.float64] | None
+    large: NDArray[np.float64] | None
     counters: dict[str, float]
-    #: For each half, the factor on what chains have splatted, as it is known after the pass.
     factors: Array
-    parts: NDArray[np.float64] | None = None
 
 
 @dataclass
@@ -182,9 +185,7 @@ class Runner:
         targets = _by_half([(luminance * factors.on_host(x, y)).sum(axis=0) for x, y, luminance in parts])
         cap = largest_target(targets)
         targets = np.minimum(targets, cap)
-        bright = _by_half([part[2].sum(axis=0, dtype=np.float64) for part in parts])
-        sums = [targets, bright, np.square(bright), np.square(targets)]
-        found = np.stack([np.full(2, samples), *(v.sum(axis=1) for v in sums)], axis=1)
+        found = np.stack([np.full(2, samples), targets.sum(axis=1), np.square(targets).sum(axis=1)], axis=1)
         states = self._first_states(seed, targets, factors, cap)
         return Progressed(states, factors, float(targets.mean()), cap, found, large=samples)
 
@@ -282,7 +283,7 @@ class _Walk:
         carried, chains = self.carried, self.runner.chains
         self._inverse_unit, self._share = (dr.opaque(mi.Float, v) for v in (1.0 / carried.unit, self.share))
         self._longest = dr.zeros(mi.UInt32, chains)
-        self._sums = [dr.zeros(mi.Float, chains) for _ in range(4)]  # over large steps: as in Progressed.found
+        self._sums = [dr.zeros(mi.Float, chains) for _ in range(2)]  # over large steps: as in Progressed.found
         self._accepted = {large: dr.zeros(mi.UInt32, chains) for large in (True, False)}
         self._tried = {True: 0, False: 0}
         self._rays = self._bad = dr.zeros(mi.UInt32, chains)
@@ -327,12 +328,7 @@ class _Walk:
         self.waiting = dr.select(accepted, go, self.waiting + stay)
         if is_large:
             self._splat(2, traced.contributions, self._weight(target), places)
-            bright = mi.Float(0.0)
-            for one in traced.contributions:
-                bright = bright + mi.luminance(one.value)
-            self._sums = [
-                a + b for a, b in zip(self._sums, (target, bright, bright * bright, target * target), strict=True)
-            ]
+            self._sums = [self._sums[0] + target, self._sums[1] + target * target]
         self._accepted[is_large] = self._accepted[is_large] + dr.select(accepted, mi.UInt32(1), 0)
         self._tried[is_large] += 1
         rejected = dr.select(accepted, mi.UInt32(0), old.rejected + 1)
@@ -365,13 +361,12 @@ class _Walk:
         found = carried.found + np.concatenate([count, new]).T
         mean = found[:, 1] / found[:, 0]
         factors = CORRELATED * mean / carried.unit
-        pictures = parts = None
+        chained = large = None
         if self.splats is not None:
-            images = self.splats.sums().astype(np.float64)
-            images = images.reshape(-1, IMAGES, *images.shape[1:])
             scale = runner.size[0] * runner.size[1] / (steps * runner.chains / 2)
-            parts = scale * (images[:, :2] * factors[:, None, None, None] + images[:, 2:])
-            pictures = parts.sum(axis=0)
+            images = scale * self.splats.sums().astype(np.float64)
+            images = images.reshape(-1, IMAGES, *images.shape[1:])
+            chained, large = images[:, :2], images[:, 2:]
         counters = {
             "rays": total(self._rays),
             "paths": float(steps * runner.chains),
@@ -382,4 +377,4 @@ class _Walk:
             "small steps accepted": total(self._accepted[False]),
         }
         longest = max(carried.longest, int(np.array(self._longest).max()))
-        return replace(carried, found=found, longest=longest), PassResult(pictures, counters, factors, parts)
+        return replace(carried, found=found, longest=longest), PassResult(chained, large, counters, factors)

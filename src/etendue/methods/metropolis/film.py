@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -59,7 +61,14 @@ class BrightnessMap:
         found = np.asarray(sums * (rows * columns / samples), np.float64).reshape(rows, columns)
         return cls((1.0 / np.sqrt(_blurred(found) ** 2 + RELATIVE_EPSILON)).astype(np.float32), size)
 
-    def on_host(self, x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float64]:
+    @cached_property
+    def of_pixels(self) -> NDArray[np.float64]:
+        """The factor at the centres of the pixels, (height, width)."""
+        width, height = self._size
+        x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+        return self.on_host(x, y)
+
+    def on_host(self, x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float64]:
         """The factor at film positions."""
         rows, columns = self.values.shape
         axes = zip((x, y), (columns, rows), self._size, strict=True)

@@ -13,7 +13,7 @@ the region of the film where lights are seen are independent ones (``split``).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import drjit as dr
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from etendue.core import (
     Array,
+    IndependentSource,
     Measurement,
     OptionError,
     Record,
@@ -33,16 +34,17 @@ from etendue.core import (
     logger,
     setting,
 )
-from etendue.film import ESTIMATORS, FILM_COLUMNS, Development
+from etendue.film import ESTIMATORS, FILM_COLUMNS, Development, PixelFilter
 from etendue.integration import Layout
 from etendue.scene import Problem
 from etendue.transport import CameraPath, DirectWeights, Walker
 from etendue.transport import dimensions as dim
 
-from ..base import ImageSettings, keep_finite, total
+from ..base import ImageMethod, ImageSettings, keep_finite, total
 from ..path import edge
+from .blend import Blend, brightness, luminance
 from .chains import PassResult, numbers_of
-from .method import MetropolisMethod, MetropolisSettings, halves_as_layers
+from .method import MetropolisMethod, MetropolisSettings, beside_paths
 from .targets import ROULETTE, Contribution, Target, Traced, camera_slots
 
 Rows = NDArray[np.float32]
@@ -51,6 +53,8 @@ Rows = NDArray[np.float32]
 FILM = "film"
 #: Independent samples of lights, per step of a chain.
 _PAINTED = 0.25
+#: Paths of a pixel that look for lights.
+_PILOT = 16
 
 
 @dataclass(frozen=True)
@@ -206,7 +210,43 @@ class FilmMetropolis(MetropolisMethod):
             super().prepare(problem, seed)
             logger.info("no light but that of lights that are seen: lights=chain instead of %s", self.settings.lights)
 
-    def _run(self, iteration: int, seed: int) -> PassResult:
+    def beside(self) -> type[ImageMethod]:
+        """See :class:`MetropolisMethod`."""
+        return beside_paths(self)
+
+    def _begin_blend(self) -> None:
+        """See :class:`MetropolisMethod`. The independent estimator tells the scale and takes no part in the picture,
+        which is one of samples; it has the pixels of their histogram."""
+        super()._begin_blend()
+        self._blend = Blend.empty(0, 0)
+        camera = self._beside.method.camera
+        camera.filter = PixelFilter(mi.load_dict({"type": "box"}), camera.width, camera.height)
+        camera.independent = True
+        self._dim = self._without_lights()
+
+    def _without_lights(self) -> Array:
+        """1 for pixels in and around which a few paths see no light that is painted, (height, width). They tell the
+        scale: the noise of a lamp would hide what chains bring. Any choice made before the passes is right."""
+        width, height = self.camera.width, self.camera.height
+        every = np.ones((height, width))
+        if self.seen_lights == "chain":
+            return every
+        lane = dr.arange(mi.UInt32, _PILOT * width * height)
+        place, value, _ = self._film.painted(IndependentSource(lane, 0, "seen lights", 0))
+        lit = np.array(dr.any(value > 0.0))
+        column, row = (np.floor(np.array(p)[lit]).astype(int) for p in (place.x, place.y))
+        bright = np.zeros((height + 2, width + 2), bool)  # with a border
+        inside = (column >= -1) & (column <= width) & (row >= -1) & (row <= height)
+        bright[row[inside] + 1, column[inside] + 1] = True
+        around = [bright[i : i + height, j : j + width] for i in range(3) for j in range(3)]
+        dim_places = every * ~np.any(around, axis=0)
+        return dim_places if dim_places.any() else every
+
+    def _planned(self) -> int:
+        """See :class:`MetropolisMethod`."""
+        return self._steps
+
+    def _run(self, iteration: int, seed: int, steps: int) -> PassResult:
         """See :class:`MetropolisMethod`. Samples are kept, and nothing is splatted."""
         self._found: list[tuple[bool, mi.Point2f, mi.Color3f]] = []
 
@@ -218,30 +258,44 @@ class FilmMetropolis(MetropolisMethod):
 
         self.runner.record = record
         try:
-            self._carried, made = self.runner.run(self._carried, self._steps, seed, None)
+            self._carried, made = self.runner.run(self._carried, steps, seed, None)
         finally:
             self.runner.record = None
         return made
 
-    def _layers(self, iteration: int, seed: int, made: PassResult) -> tuple[dict[str, Array], dict[str, Record]]:
-        """See :class:`MetropolisMethod`."""
-        count = float(self._steps * self.runner.chains)
+    def _pictures(
+        self, iteration: int, seed: int, made: PassResult, independent: Array, steps: int
+    ) -> tuple[Array, dict[str, Record]]:
+        """See :class:`MetropolisMethod`. Samples have the scale that is known when they are made."""
+        count = float(steps * self.runner.chains)
         made.counters["film samples"] = count
-        halves: tuple[list[Rows], list[Rows]] = ([], [])
-        for independent, place, value in self._found:
-            rows = self._rows(place, value)
-            for half, part in enumerate(np.split(rows, 2)):
-                part[:, 2:] *= 1.0 if independent else made.factors[half]
-                halves[half].append(part)
+        parts: dict[bool, list[Rows]] = {True: [], False: []}  # whether they are independent
+        for kind, place, value in self._found:
+            parts[kind].append(self._rows(place, value))
         del self._found
         if self.seen_lights != "chain":
-            for half, part in enumerate(np.split(self._painted(iteration, seed, count, made.counters), 2)):
-                halves[half].append(part)
-        joined = [np.concatenate(parts) for parts in halves]
-        kept = np.concatenate([rows[(rows[:, 2:] != 0.0).any(axis=1)] for rows in joined])
+            parts[True].append(self._painted(iteration, seed, count, made.counters))
+        halves = {kind: self._by_half(rows) for kind, rows in parts.items()}
         size = Development((self.camera.width, self.camera.height))
-        pictures = np.stack([size.picture([rows], 0.5 * count).astype(np.float64) for rows in joined])
-        return halves_as_layers(pictures), {FILM: Record.single(kept, iteration)}
+        chained, others = (
+            np.stack([size.picture([rows], 0.5 * count).astype(np.float64) for rows in halves[kind]])
+            for kind in (False, True)
+        )
+        factors = self._carried.factors.of_pixels * self._dim
+        sums = np.stack([brightness(p, factors) for p in (chained, others, independent[0])], axis=1)
+        scale = self._blend.scale.after(sums, luminance(independent[0]).mean(axis=(1, 2)), made.factors)
+        self._blend = replace(self._blend, scale=scale)
+        for half, rows in enumerate(halves[False]):
+            rows[:, 2:] *= scale.scale[half]
+        kept = np.concatenate([rows[(rows[:, 2:] != 0.0).any(axis=1)] for kind in halves for rows in halves[kind]])
+        picture = chained * scale.scale[:, None, None, None] + others
+        return picture[None], {FILM: Record.single(kept, iteration)}
+
+    @staticmethod
+    def _by_half(parts: Sequence[Rows]) -> list[Rows]:
+        """The rows of each half; the first part of each array is of the first one."""
+        empty = np.zeros((0, FILM_COLUMNS), np.float32)
+        return [np.concatenate([empty, *(np.split(rows, 2)[half] for rows in parts)]) for half in range(2)]
 
     def _painted(self, iteration: int, seed: int, count: float, counters: dict[str, float]) -> Rows:
         """Rows of independent samples of the light that chains leave out, weighted as samples of chains; those of each

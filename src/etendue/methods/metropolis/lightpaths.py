@@ -24,6 +24,8 @@ from etendue.scene import LightTable
 from etendue.transport import EmittedRay, GivenNumbers, Proposal, Vertex, emit, scatter_light
 from etendue.transport import dimensions as dim
 
+from .. import base
+
 #: Component of the number of roulette, edges from which on it plays, and largest probability to survive it.
 _ROULETTE, _ROULETTE_FROM, _LIVES = 62, 4, 0.95
 #: Component of the number that picks one of the edges of an independent path.
@@ -125,7 +127,7 @@ class LightPaths:
         dr.eval(direct, s["total"], s["last"], s["colour"], s["edges"], s["rays"])
         total, first, last = (np.array(x, np.float64) for x in (s["total"], direct, s["last"]))
         colour = np.array(dr.ravel(s["colour"]), np.float64).reshape(n, 3)
-        return Independent(total, first, last, colour, np.array(s["edges"], np.uint32), summed(s["rays"]))
+        return Independent(total, first, last, colour, np.array(s["edges"], np.uint32), base.total(s["rays"]))
 
     def from_independent(self, lanes: mi.UInt32, edges: mi.UInt32, seed: int, role: str, iteration: int) -> PathNumbers:
         """The state of the first ``edges`` edges of the independent paths ``lanes``."""
@@ -184,8 +186,3 @@ class LightPaths:
         finite = dr.all(dr.isfinite(flux))
         arrives = active & hit.is_valid() & finite
         return End(ray, hit, dr.select(arrives, flux, 0.0), active & ~finite)
-
-
-def summed(values: mi.UInt32) -> float:
-    """Sum over all lanes."""
-    return float(np.array(values).sum(dtype=np.float64))

@@ -22,12 +22,16 @@ from etendue.core import (
     State,
     copied_to_device,
     free_memory,
+    logger,
     setting,
 )
 from etendue.film import COMPONENTS
 from etendue.scene import Problem
 
 from ..base import ImageMethod, ImageSettings, Layer
+from ..bidirectional import Bpt
+from ..path import Path
+from .blend import Beside, Blend, Grid
 from .chains import IMAGES, ChainStates, PassResult, Progressed, Runner
 from .film import BrightnessMap
 from .targets import Contribution, Target
@@ -43,8 +47,23 @@ TUNING = 16
 _ACCEPTED, _SIZES = 0.5, (2.0**-12, 0.25)
 #: Numbers that chains carry on, beside arrays.
 _PLAIN = ("unit", "cap", "steps", "large", "longest", "size", "share", "owed")
-#: Least share of large steps: they tell the scale of the picture, whose error dominates where light is found rarely.
+#: Least share of large steps, which bring chains to light that they have not found yet.
 _LEAST_LARGE = 0.25
+#: Effective number of samples of the bootstrap below which there is a warning.
+_FEW = 100
+#: Camera paths of the independent estimator for each half, to steps of chains in the first pass.
+_BESIDE = 0.25
+#: Share of the work of a pass that chains have, at least and at most, and what a ray of theirs costs relative to one of
+#: the independent estimator.
+_SHARES, _RAY = (0.25, 0.8), 1.5
+#: Most steps of a pass, relative to the first.
+_LONGEST = 16
+
+
+def beside_paths(method: ImageMethod) -> type[ImageMethod]:
+    """The estimator beside chains over camera paths: ``bpt``, but not where it finds more light than these, that of
+    lights which no ray hits through mirrors and glass."""
+    return Path if method.lights.has_delta else Bpt
 
 
 def halves_as_layers(pictures: Array) -> dict[str, Array]:
@@ -93,12 +112,15 @@ class MetropolisMethod(Carrying, ImageMethod):
     Settings: ClassVar[type[ImageSettings]] = MetropolisSettings
     settings: MetropolisSettings
     carries_on: ClassVar[bool] = True
-    #: Whether replicas may run in other processes: states of chains do not come back from them yet.
-    divides: ClassVar[bool] = False
 
     @abstractmethod
     def make_target(self, seed: int) -> Target:
         """The function of random numbers that the chains sample. The scene's tables are ready."""
+
+    def beside(self) -> type[ImageMethod]:
+        """The independent estimator that tells the scale of the picture. It finds the light that chains find, and no
+        other."""
+        return Bpt
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. Independent samples find the first states of the chains. Raises
@@ -106,7 +128,8 @@ class MetropolisMethod(Carrying, ImageMethod):
         self._forget_states()
         super().prepare(problem, seed)
         s = self.settings
-        paths = self.camera.pixels * self._samples(problem)
+        samples = self._samples(problem)
+        paths = self.camera.pixels * samples
         chains = s.chains or min(_MOST_CHAINS, max(paths // _STEPS, 1))
         chains += chains % 2
         self._steps, self._chains = max(2, -(-paths // chains)), chains
@@ -120,11 +143,39 @@ class MetropolisMethod(Carrying, ImageMethod):
             _BOOTSTRAP_SHARE * (problem.memory or free_memory() or math.inf),
         )
         self._carried = self.runner.start(seed)
-        self._bootstrapped = float(self._carried.found[:, 0].sum())
+        count, target, squares = self._carried.found.sum(axis=0)
+        self._bootstrapped = float(count)
+        if target**2 < _FEW * squares:
+            logger.warning(
+                "few paths find light: the picture and its brightness depend on about %d of the %d samples of the "
+                "bootstrap; raise bootstrap, and do not rely on the reported error",
+                max(1, round(target**2 / squares)),
+                count,
+            )
         self._carried = replace(
             self._carried, size=s.step_size or self._carried.size, share=s.large_steps or self._carried.share
         )
         self._passes = 0
+        kind = self.beside()
+        shared = ("max_depth", "sampler", "scrambling", "reconstruction", "components")
+        same = {name: getattr(s, name) for name in shared}
+        independent = kind(kind.Settings(samples_per_pass=max(1, round(_BESIDE * samples)), **same))
+        independent.prepare(problem, seed)
+        self._parts = COMPONENTS if s.components else ("image",)
+        self._beside = Beside(independent, self._parts)
+        self._besides = self._beside.start()
+        self._begin_blend()
+
+    def _begin_blend(self) -> None:
+        """The picture before the first pass."""
+        self._grid = Grid(self.camera.width, self.camera.height)
+        self._blend = Blend.empty(self.camera.width, self.camera.height, len(self._parts))
+        self._work = (0.0, 0.0)  # rays: of a step, and of the independent estimator in a pass
+
+    def bind(self, scene: mi.Scene | None) -> None:
+        """See :class:`ImageMethod`."""
+        super().bind(scene)
+        self._beside.method.bind(scene)
 
     @property
     def samples_per_iteration(self) -> int:
@@ -138,17 +189,25 @@ class MetropolisMethod(Carrying, ImageMethod):
     # ------------------------------------------------------------------ a pass
 
     def _step(self, iteration: int, seed: int) -> Measurement:
-        made = self._run(iteration, seed)
+        steps = self._planned()
+        made = self._run(iteration, seed, steps)
+        independent, self._besides, counts = self._beside.step(iteration, seed, self._besides)
+        self._work = made.counters["rays"] / steps, counts["rays"]
+        for name in counts:
+            made.counters[name] += counts[name]
         self._tune(made)
         self._passes += 1
-        layers, records = self._layers(iteration, seed, made)
-        samples = self._steps * self._chains / self.camera.pixels
+        pictures, records = self._pictures(iteration, seed, made, independent, steps)
+        samples = float(self.samples_per_iteration)
+        layers = halves_as_layers(pictures.sum(axis=0))
+        if self.settings.components:
+            layers |= zip(COMPONENTS, pictures.mean(axis=1), strict=True)
         sums = {name: layer * samples for name, layer in layers.items()}
         weights = dict.fromkeys(sums, samples)
         if self.settings.aovs:
             first, bad = self.first_layers(iteration, seed, self.samples_per_iteration)
             sums |= {name: layer.astype(np.float64) for name, layer in first.items()}
-            weights |= dict.fromkeys(first, float(self.samples_per_iteration))
+            weights |= dict.fromkeys(first, samples)
             made.counters["nonfinite"] += bad
         return Measurement(
             sums=sums,
@@ -158,19 +217,35 @@ class MetropolisMethod(Carrying, ImageMethod):
             records=records,
         )
 
-    def _run(self, iteration: int, seed: int) -> PassResult:
+    def _planned(self) -> int:
+        """Steps of the next pass: where chains have less variance for their work than the independent estimator, they
+        have the larger share of the work."""
+        if not self._passes:
+            return self._steps
+        by_chains, by_paths = (v.mean() for v in self._blend.variances(self._grid))
+        step, paths = _RAY * self._work[0], self._work[1]
+        chains, other = (by_paths * paths) ** 2, (by_chains * step) ** 2
+        share = float(np.clip(chains / (chains + other), *_SHARES)) if chains + other > 0.0 else 0.5
+        return max(2, min(round(share / (1.0 - share) * paths / step), _LONGEST * self._steps))
+
+    def _run(self, iteration: int, seed: int, steps: int) -> PassResult:
         """Move the chains."""
-        images = IMAGES * (len(COMPONENTS) if self.settings.components else 1)
-        self._carried, made = self.runner.run(self._carried, self._steps, seed, self.splats(seed, iteration, images))
+        splats = self.splats(seed, iteration, IMAGES * len(self._parts))
+        self._carried, made = self.runner.run(self._carried, steps, seed, splats)
         return made
 
-    def _layers(self, iteration: int, seed: int, made: PassResult) -> tuple[dict[str, Array], dict[str, Record]]:
-        """(mean picture of a pass and its contrast, records) of what the chains have splatted."""
-        assert made.pictures is not None and made.parts is not None
-        layers = halves_as_layers(made.pictures)
-        if self.settings.components:
-            layers |= zip(COMPONENTS, made.parts.mean(axis=1), strict=True)
-        return layers, {}
+    def _pictures(
+        self, iteration: int, seed: int, made: PassResult, independent: Array, steps: int
+    ) -> tuple[Array, dict[str, Record]]:
+        """(what a pass adds to the picture, (parts, 2, height, width, 3); records). ``independent``: the picture beside
+        the chains."""
+        assert made.chained is not None and made.large is not None
+        weights = self._blend.weights(self._grid, steps)
+        factors = self._carried.factors.of_pixels
+        self._blend, added = self._blend.after(
+            made.chained, made.large, independent, weights, factors, made.factors, steps
+        )
+        return added, {}
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """Not used: a pass is :meth:`_step`."""
@@ -193,16 +268,16 @@ class MetropolisMethod(Carrying, ImageMethod):
 
     def develop(self, measurement: Measurement, state: State) -> Result:
         """See :class:`ImageMethod`; the metadata tell how the chains move, and the mean luminance of the independent
-        samples with its standard error."""
+        estimator with its standard error."""
         result = super().develop(measurement, state)
         result.metadata["chains"] = self.facts(measurement, state)
         return result
 
     def facts(self, measurement: Measurement, state: State) -> dict[str, Any]:
         """Plain facts about the chains of a measurement."""
-        count, target, bright, squares, target_squares = np.asarray(state["found"]).sum(0)
-        variance = max(squares / count - (bright / count) ** 2, 0.0)
-        spread = max(target_squares * count / target**2 - 1.0, 0.0)
+        count, target, squares = np.asarray(state["found"]).sum(0)
+        spread = max(squares * count / target**2 - 1.0, 0.0)
+        mean, error = Blend.of(state["blend"]).scale.luminance()
         c = measurement.counters
         return {
             "number": self.runner.chains,
@@ -212,8 +287,8 @@ class MetropolisMethod(Carrying, ImageMethod):
             "large_steps": c["large steps"] / (c["large steps"] + c["small steps"]),
             "accepted_small": c["small steps accepted"] / max(c["small steps"], 1.0),
             "accepted_large": c["large steps accepted"] / max(c["large steps"], 1.0),
-            "mean_luminance": float(bright / count),
-            "mean_luminance_error": float(np.sqrt(variance / count)),
+            "mean_luminance": mean,
+            "mean_luminance_error": error,
             "startup_bias": float((1.0 + spread) / self._bootstrapped),
         }
 
@@ -230,6 +305,9 @@ class MetropolisMethod(Carrying, ImageMethod):
             "factors": c.factors.values,
             "found": c.found,
             "passes": self._passes,
+            "work": list(self._work),
+            "beside": list(self._besides),
+            "blend": self._blend.left(),
             **{name: getattr(c, name) for name in _PLAIN},
         }
 
@@ -238,9 +316,9 @@ class MetropolisMethod(Carrying, ImageMethod):
         rows = {name: layout.size * chains for name, layout in target.layouts.items()}
         numbers = {name: np.asarray(values) for name, values in state["numbers"].items()}
         contributions = len(self._carried.states.contributions)
-        found = np.asarray(state["found"], np.float64)
+        found, blend = np.asarray(state["found"], np.float64), Blend.of(state.get("blend", {}))
         fits = {k: v.size for k, v in numbers.items()} == rows and len(state["values"]) == contributions
-        if not fits or found.shape != self._carried.found.shape:
+        if not fits or found.shape != self._carried.found.shape or blend.shapes != self._blend.shapes:
             raise CheckpointError("the chains in the checkpoint do not fit this picture and these settings; start anew")
 
         def floats(values: Any) -> list[mi.Float]:
@@ -257,7 +335,8 @@ class MetropolisMethod(Carrying, ImageMethod):
             floats([state["target"]])[0],
             copied_to_device(mi.UInt32, np.asarray(state["rejected"])),
         )
-        self._passes = int(state["passes"])
+        self._passes, self._blend = int(state["passes"]), blend
+        self._work, self._besides = tuple(state["work"]), list(state["beside"])
         self._carried = Progressed(
             states,
             BrightnessMap(np.asarray(state["factors"], np.float32), (self.camera.width, self.camera.height)),

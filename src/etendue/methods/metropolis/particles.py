@@ -304,6 +304,7 @@ class _RowMaker:
         self.surfaces = table.surfaces
         self._number = table.number_of_pointer
         self._is_mesh = on_device(mi.UInt32, table.is_mesh_pointer.astype(np.uint32))
+        self._first = on_device(mi.UInt32, table.first_of_pointer)
         self._all_meshes = all(table.is_mesh_pointer[1:])
         shapes = problem.scene.shapes()
         #: Whether the shapes have a diffuse or glossy part, but for those inside groups.
@@ -323,7 +324,7 @@ class _RowMaker:
         )
         uv, smooth_inside = mi.Point2f(position.w, direction.w), dr.full(mi.Bool, False, dr.width(slot))
         if not self._all_meshes:
-            # The parameters of other shapes are not those of the preliminary intersection.
+            # The parameters of other shapes are not those of the preliminary intersection, nor is the shape in a group.
             hit = dr.zeros(mi.PreliminaryIntersection3f, dr.width(slot))
             hit.valid = dr.full(mi.Bool, True, dr.width(slot))
             hit.shape, hit.instance = (dr.reinterpret_array(mi.ShapePtr, number) for number in (shape, instance))
@@ -331,9 +332,11 @@ class _RowMaker:
             hit.prim_uv, hit.prim_index, hit.t = uv, primitive, mi.Float(0.0)
             other = dr.gather(mi.UInt32, self._is_mesh, shape) == 0
             si = hit.compute_surface_interaction(ray, active=other)
-            uv = dr.select(other, si.uv, uv)
+            inner = dr.select(other, dr.reinterpret_array(mi.UInt32, si.shape), shape)
+            is_mesh = dr.gather(mi.UInt32, self._is_mesh, inner) != 0
+            uv = dr.select(is_mesh, uv, si.uv)
             smooth_inside = mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Smooth)
-            primitive = dr.select(other, mi.UInt32(0), primitive)
+            primitive = dr.gather(mi.UInt32, self._first, inner) + dr.select(is_mesh, primitive, 0)
         repeats = dr.gather(mi.UInt32, walked.counts, slot)
         colour = mi.Color3f(flux.x, flux.y, flux.z)
         colour *= mi.Float(repeats) / mi.luminance(colour)

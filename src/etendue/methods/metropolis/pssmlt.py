@@ -14,9 +14,10 @@ from typing import ClassVar
 
 from etendue.core import setting
 
-from ..base import ImageSettings
+from ..base import ImageMethod, ImageSettings
+from ..bidirectional import Bpt
 from .bidirectional import PairTarget
-from .method import MetropolisMethod, MetropolisSettings
+from .method import MetropolisMethod, MetropolisSettings, beside_paths
 from .targets import PathTarget, Target
 
 
@@ -45,6 +46,10 @@ class Pssmlt(MetropolisMethod):
         "Hoberock2010",
         "Andrieu2009",
     )
+
+    def beside(self) -> type[ImageMethod]:
+        """See :class:`MetropolisMethod`."""
+        return Bpt if self.settings.estimator == "bidirectional" else beside_paths(self)
 
     def make_target(self, seed: int) -> Target:
         """See :class:`MetropolisMethod`."""

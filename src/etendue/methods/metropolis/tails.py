@@ -30,7 +30,8 @@ import mitsuba as mi
 from etendue.core import IndependentSource, SampleSource
 from etendue.transport import ones
 
-from .lightpaths import End, LightPaths, PathNumbers, summed
+from ..base import total
+from .lightpaths import End, LightPaths, PathNumbers
 
 #: Components of the random numbers of a step: its kind, whether it draws anew, numbers of the edge, acceptance.
 _KIND, _ANEW, _NUMBERS, _ACCEPT = 0, 1, 2, 7
@@ -177,8 +178,8 @@ class TailChains:
         left = self._left(chain, lane, n)
         dr.eval(left.length, left.first, left.later, counts, what, traces, *rows)
         dr.eval(chain.rebuilt, chain.rays, chain.accepted, chain.bad)
-        rays = summed(chain.rays), summed(chain.rebuilt)
-        return Walked(left, counts, *rows, what, traces, *rays, summed(chain.accepted), summed(chain.bad))
+        rays = total(chain.rays), total(chain.rebuilt)
+        return Walked(left, counts, *rows, what, traces, *rays, total(chain.accepted), total(chain.bad))
 
     def _begun(self, state: PathNumbers, lane: mi.UInt32) -> _Chain:
         """The chains before the paths of ``state`` are found again."""

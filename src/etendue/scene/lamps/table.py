@@ -113,6 +113,8 @@ class LightTable:
         focused = any(r.exponent for r in rows)
         self._exponent = on_device(mi.Float, [r.exponent for r in rows]) if focused else None
         self._is_delta = on_device(mi.Bool, [r.is_delta for r in rows])
+        #: Whether there are lights that no ray can hit.
+        self.has_delta = any(r.is_delta for r in rows)
         self.has_sphere = any(r.sphere[3] for r in rows)
         self._sphere = on_device(mi.Float, np.ravel([r.sphere for r in rows])) if self.has_sphere else None
         #: Point sampling on area lights whose radiance varies; None if the scene has no such light.

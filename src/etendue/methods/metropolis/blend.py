@@ -1,0 +1,232 @@
+r"""The picture of chains and that of an independent estimator as one.
+
+Chains tell how light is distributed on the film, not how much there is. Each pass also has a picture P of an
+independent, unbiased estimator, which tells the scale and takes part in the result. With the pictures of pass i, C of
+the chains without their scale, L of the large steps as independent samples, and a weight a for each pixel, the picture
+of n passes is
+
+.. math:: S_n = s_n D_n + R_n + B_n, \quad
+   D_n = \sum_i (1 - a_i) C_i, \; R_n = \sum_i (1 - a_i) L_i, \; B_n = \sum_i a_i P_i,
+
+over n, where the scale s_n makes the brightness of the picture that of the independent estimator,
+
+.. math:: s_n = \frac{\Phi(\sum_i P_i) - \Phi(R_n) - \Phi(B_n)}{\Phi(D_n)}
+
+with a weighted mean luminance Phi. A pass adds the difference of S_n and S_{n-1} to the sum of the run. The weights of
+a pass are those of least variance, a = v_C / (v_C + v_P), by the variances that the passes before it have shown; they
+do not depend on the pass itself. Chains and independent samples are two independent halves each; everything here is
+done for each half by itself, so that the difference of the halves measures the error, that of the scale included.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import RELATIVE_EPSILON, Array, State, seed_key
+from etendue.film import LUMINANCE
+
+from ..base import ImageMethod
+
+#: Side of a cell in which variances are measured, in pixels, and the weight of the independent estimator before they
+#: are known.
+_CELL, _FIRST = 24, 0.5
+#: Largest and least weight, so that both are known.
+_LEAST, _MOST = 0.02, 0.98
+Pictures = NDArray[np.floating[Any]]
+#: The arrays of :class:`Blend`.
+_ARRAYS = ("chained", "large", "spread", "kept", "scatter")
+
+
+@dataclass(frozen=True)
+class Scale:
+    """The scale of the chains of each half, and what it is computed from.
+
+    ``sums``: (halves, 3), brightness of D, of R + B and of the sum of P. ``scale``: (halves,). ``told``: number of the
+    pictures P of all halves and passes, and sums of their mean luminance and of its square.
+    """
+
+    sums: Array
+    scale: Array
+    told: Array
+
+    @classmethod
+    def unknown(cls) -> Scale:
+        """Before the first pass."""
+        return cls(np.zeros((2, 3)), np.zeros(2), np.zeros(3))
+
+    def after(self, brightness: Array, luminance: Array, otherwise: Array) -> Scale:
+        """The scale with a further pass: ``brightness`` as ``sums``; ``luminance`` of P, (halves,). ``otherwise``: the
+        scale of each half by the large steps, for a half in which P has not found more light than they have."""
+        sums = self.sums + brightness
+        rest = sums[:, 2] - sums[:, 1]
+        known = (rest > 0.0) & (sums[:, 0] > 0.0)
+        scale = np.where(known, rest / np.where(sums[:, 0] > 0.0, sums[:, 0], 1.0), otherwise)
+        told = np.array([len(luminance), luminance.sum(), np.square(luminance).sum()])
+        return Scale(sums, scale, self.told + told)
+
+    def luminance(self) -> tuple[float, float]:
+        """Mean luminance of the picture, and its standard error; NaN before the first pass."""
+        count, total, squares = self.told
+        if not count:
+            return np.nan, np.nan
+        mean = total / count
+        return float(mean), float(np.sqrt(max(squares / count - mean * mean, 0.0) / (count - 1.0)))
+
+
+class Grid:
+    """Cells of a picture, between whose centres values are linear."""
+
+    def __init__(self, width: int, height: int) -> None:
+        self._columns, self._rows = _tents(width), _tents(height)
+        self._area = np.outer(self._rows.sum(0), self._columns.sum(0))
+
+    def means(self, values: Pictures) -> Array:
+        """Means of (height, width) values around the centres of the cells."""
+        result: Array = self._rows.T @ values @ self._columns / self._area
+        return result
+
+    def spread(self, cells: Array) -> Array:
+        """(height, width) values between those of the cells."""
+        result: Array = self._rows @ cells @ self._columns.T
+        return result
+
+
+def _tents(pixels: int) -> Array:
+    """Shares of the cells in each pixel along an axis, (pixels, cells)."""
+    count = max(1, round(pixels / _CELL))
+    place = np.clip((np.arange(pixels) + 0.5) * (count / pixels) - 0.5, 0.0, count - 1.0)
+    return np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(count)))
+
+
+def luminance(pictures: Pictures) -> Array:
+    """Luminance of (..., 3) linear RGB."""
+    result: Array = np.asarray(pictures, np.float64) @ np.array(LUMINANCE)
+    return result
+
+
+def brightness(pictures: Pictures, factors: Array) -> Array:
+    """Mean over the pixels of luminance times ``factors``, (height, width), of each of some pictures."""
+    result: Array = np.tensordot(luminance(pictures), factors, 2) / factors.size
+    return result
+
+
+@dataclass(frozen=True)
+class Blend:
+    """What is carried on from pass to pass; arrays are replaced, never modified.
+
+    ``chained``: D of each part and half, (parts, 2, height, width, 3); a picture is the sum of its parts, which are the
+    components of light, or one. ``large``: R of each half. ``spread``: sum over the passes of the squared half
+    difference of the luminance of P, (height, width). ``kept``, ``scatter``: sums of 1 - a, and of its square over the
+    steps of the pass, (height, width).
+    """
+
+    scale: Scale
+    chained: NDArray[np.float32]
+    large: NDArray[np.float32]
+    spread: NDArray[np.float32]
+    kept: NDArray[np.float32]
+    scatter: NDArray[np.float32]
+    passes: int = 0
+
+    @classmethod
+    def empty(cls, width: int, height: int, parts: int = 1) -> Blend:
+        """Before the first pass."""
+        halves = np.zeros((parts, 2, height, width, 3), np.float32)
+        one = np.zeros((height, width), np.float32)
+        return cls(Scale.unknown(), halves, halves[0], one, one, one)
+
+    @classmethod
+    def of(cls, state: State) -> Blend:
+        """The inverse of :meth:`left`."""
+        scale = {name: np.asarray(values, np.float64) for name, values in state.get("scale", {}).items()}
+        arrays = {name: np.asarray(state.get(name, ()), np.float32) for name in _ARRAYS}
+        return cls(Scale(**scale) if scale else Scale.unknown(), **arrays, passes=int(state.get("passes", 0)))
+
+    def left(self) -> State:
+        """As a state."""
+        return vars(self) | {"scale": dict(vars(self.scale))}
+
+    @property
+    def shapes(self) -> list[tuple[int, ...]]:
+        """Shapes of the arrays."""
+        return [getattr(self, name).shape for name in _ARRAYS]
+
+    def variances(self, grid: Grid) -> tuple[Array, Array]:
+        """Relative variance around each cell: of the chains' picture after one step, and of P after one pass."""
+        chained = self.scale.scale[:, None, None, None] * self.chained.sum(axis=0) + self.large
+        first, second = luminance(chained)
+        inverse = 1.0 / (np.square(0.5 * (first + second) / self.kept) + RELATIVE_EPSILON)
+        # The sum over passes of 1 - a times a picture whose variance is that of a step over the number of steps.
+        by_chains = grid.means(0.25 * np.square(first - second) / self.scatter * inverse)
+        return by_chains, grid.means(self.spread / self.passes * inverse)
+
+    def weights(self, grid: Grid, steps: int) -> Array:
+        """a of the next pass, of so many steps."""
+        if self.passes == 0:
+            return np.full(self.kept.shape, _FIRST)
+        by_chains, by_paths = self.variances(grid)
+        by_chains = by_chains / steps
+        total = by_chains + by_paths
+        cells = np.where(total > 0.0, by_chains / np.where(total > 0.0, total, 1.0), _FIRST)
+        return grid.spread(np.clip(cells, _LEAST, _MOST))
+
+    def after(
+        self,
+        chained: Pictures,
+        large: Pictures,
+        independent: Pictures,
+        weights: Array,
+        factors: Array,
+        otherwise: Array,
+        steps: int,
+    ) -> tuple[Blend, Array]:
+        """(what is carried on after a pass with the pictures C, L and P, what the pass adds to the picture); pictures
+        are (parts, 2, height, width, 3). ``factors``: of the brightness; ``otherwise``: as of :meth:`Scale.after`."""
+        kept = (1.0 - weights)[:, :, None]
+        chained, large, blended = kept * chained, kept * large, weights[:, :, None] * independent
+        wholes = (chained.sum(axis=0), (large + blended).sum(axis=0), independent.sum(axis=0))
+        sums = np.stack([brightness(p, factors) for p in wholes], axis=1)
+        lit = luminance(wholes[2])
+        scale = self.scale.after(sums, lit.mean(axis=(1, 2)), otherwise)
+        new, old = (v[:, None, None, None] for v in (scale.scale, self.scale.scale))
+        added = new * chained + (new - old) * self.chained + large + blended
+        return replace(
+            self,
+            scale=scale,
+            chained=(self.chained + chained).astype(np.float32),
+            large=(self.large + large.sum(axis=0)).astype(np.float32),
+            spread=(self.spread + 0.25 * np.square(lit[0] - lit[1])).astype(np.float32),
+            kept=(self.kept + kept[:, :, 0]).astype(np.float32),
+            scatter=(self.scatter + np.square(kept[:, :, 0]) / steps).astype(np.float32),
+            passes=self.passes + 1,
+        ), added
+
+
+class Beside:
+    """An independent estimator beside the chains, prepared: its passes for each half. ``parts``: layers of the pictures
+    that it makes."""
+
+    def __init__(self, method: ImageMethod, parts: Sequence[str]) -> None:
+        self.method, self._parts = method, parts
+
+    def start(self) -> list[State]:
+        """The state of each half."""
+        return [self.method.start()] * 2
+
+    def step(
+        self, iteration: int, seed: int, states: list[State]
+    ) -> tuple[NDArray[np.float64], list[State], Mapping[str, float]]:
+        """(pictures of a pass, (parts, 2, height, width, 3), states after it, counts)."""
+        pictures, left, counters = [], [], {"rays": 0.0, "nonfinite": 0.0}
+        for half, state in enumerate(states):
+            high, low = seed_key(seed, "beside", half)
+            made = self.method.step(iteration, (high << 32 | low) & 0x7FFFFFFFFFFFFFFF, state)
+            pictures.append([made.measurement.mean(name) for name in self._parts])
+            left.append(made.state)
+            counters = {name: count + made.measurement.counters[name] for name, count in counters.items()}
+        return np.stack(pictures, axis=1), left, counters

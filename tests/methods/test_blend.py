@@ -1,0 +1,81 @@
+"""The picture of chains with the scale of an independent estimator: sums of passes, brightness, weights, error."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from support import scenes
+from support.running import go, prepared
+
+from etendue.core import RELATIVE_EPSILON
+from etendue.methods.metropolis.blend import Blend, Grid, brightness
+
+WIDTH, HEIGHT, FACTOR = 48, 24, 0.37
+OTHERWISE = np.array([1.0, 1.0])
+
+
+def image(rng, level, noise):
+    """Halves of a picture that is brighter on the right, with noise."""
+    mean = level * np.linspace(0.5, 1.5, WIDTH)[None, None, :, None] * np.array([1.0, 0.8, 0.5])
+    return mean * (1.0 + noise * rng.standard_normal((2, HEIGHT, WIDTH, 1)))
+
+
+def blended(passes, chain_noise, path_noise, seed=1, steps=4):
+    """Passes of chains whose pictures are too bright by a factor that only the other estimator tells."""
+    rng, grid, blend = np.random.default_rng(seed), Grid(WIDTH, HEIGHT), Blend.empty(WIDTH, HEIGHT)
+    factors, total = 1.0 + 0.1 * rng.random((HEIGHT, WIDTH)), np.zeros((2, HEIGHT, WIDTH, 3))
+    paths = np.zeros_like(total)
+    for _ in range(passes):
+        chained = image(rng, 0.7 / FACTOR, chain_noise)
+        large, independent = image(rng, 0.3, chain_noise), image(rng, 1.0, path_noise)
+        weights = blend.weights(grid, steps)
+        blend, added = blend.after(chained[None], large[None], independent[None], weights, factors, OTHERWISE, steps)
+        total, paths = total + added[0], paths + independent
+    return blend, total, paths, factors
+
+
+def test_passes_add_up_to_the_picture_with_the_scale_of_all_of_them():
+    blend, total, paths, factors = blended(6, 0.2, 0.5)
+    np.testing.assert_allclose(brightness(total, factors), brightness(paths, factors), rtol=1e-5)
+    np.testing.assert_allclose(blend.scale.scale, FACTOR, rtol=0.05)
+    # What is left without the parts that need no scale is the sum of the chains' pictures, with the last scale.
+    again = Blend.of(blend.left())
+    assert again.shapes == blend.shapes and again.passes == 6
+    np.testing.assert_array_equal(again.chained, blend.chained)
+    mean, error = blend.scale.luminance()
+    assert abs(mean - brightness(paths, np.ones_like(factors)).mean() / 6) < 1e-6 and 0.0 < error < 0.02
+
+
+def test_the_better_estimator_has_the_larger_weight():
+    """In proportion to the inverse variances; and the picture is better than either."""
+    for chain_noise, path_noise in ((0.1, 0.4), (0.4, 0.1)):
+        blend, total, _, _ = blended(40, chain_noise, path_noise, steps=1)
+        share = 1.0 - blend.kept.mean() / 40
+        # The chains' picture is the sum of two, with seven and three tenths of the light.
+        by_chains, by_paths = (0.7**2 + 0.3**2) * chain_noise**2, path_noise**2
+        assert share == pytest.approx(by_chains / (by_chains + by_paths), abs=0.05)
+        reference = image(np.random.default_rng(0), 1.0, 0.0)
+        error = np.mean((total / 40 - reference) ** 2 / (reference**2 + RELATIVE_EPSILON))
+        assert error < 1.2 / (1.0 / by_chains + 1.0 / by_paths) / 40
+
+
+def test_no_light_of_the_independent_estimator_leaves_the_scale_to_the_large_steps():
+    blend, one = Blend.empty(WIDTH, HEIGHT), np.ones((1, 2, HEIGHT, WIDTH, 3))
+    factors = np.ones((HEIGHT, WIDTH))
+    blend, added = blend.after(one, 0.0 * one, 0.0 * one, 0.5 * factors, factors, np.array([2.0, 3.0]), 4)
+    np.testing.assert_array_equal(blend.scale.scale, [2.0, 3.0])
+    np.testing.assert_array_equal(added[0, :, 0, 0, 0], [1.0, 1.5])
+
+
+@pytest.mark.parametrize("method", ["mmlt", "pssmlt", "film_metropolis"])
+def test_the_scale_is_not_that_of_the_large_steps(method):
+    """Chains that have been told a wrong mean of the target make the same picture."""
+    problem = scenes.room("rectangle", scenes.FEW)
+    settings = {"samples_per_pass": 32, "bootstrap": 1 << 12}
+    pictures = []
+    for factor in (1.0, 3.0):
+        runner = prepared(problem, method, **settings)
+        found = runner.start()["found"] * np.array([1.0, factor, 1.0])
+        runner.restore(dict(runner.start()) | {"found": found})
+        pictures.append(go(runner, 2).mean)
+    np.testing.assert_allclose(pictures[1], pictures[0], rtol=1e-4, atol=1e-6)
