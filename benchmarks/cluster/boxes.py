@@ -35,7 +35,7 @@ def coherence(
             f"different in {_WINDOW}",
             "/ random",
             *(f"misses, {c} kept" for c in _CACHES),
-            "bounce 1 only, / random",
+            "first hits, / random",
         ),
     )
     for scene in ("cornell-box", "caustics"):
@@ -43,7 +43,7 @@ def coherence(
         base: list[float] = []
         for name, sampler in (("random", "independent"), ("in strata", "strata")):
             particles = _traced(scene, paths, sampler)
-            every, first = visits(particles, grid), visits(particles[particles.bounce == 1], grid)
+            every, first = visits(particles, grid), visits(particles[particles.bounce == particles.bounce.min()], grid)
             found = [float(distinct_in_windows(boxes, _WINDOW).mean()) for boxes in (every, first)]
             base = base or found
             counts = np.bincount(every, minlength=len(grid))

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from ..measuring import Record
-from ..options import whole_numbers
+from ..options import named, whole_numbers
 from .simulated import Outcome, Site, simulate
 
 #: Pictures with squares for the noise in single precision, and seconds of a pass of a worker of 16 threads.
@@ -23,10 +23,14 @@ def _bytes(pixels: int, width: int = 4) -> float:
 
 def measure(
     workers: Annotated[Any, typer.Option(parser=whole_numbers, metavar="N,...")] = "1,10,100,1000,10000",
+    pictures: Annotated[
+        Any, typer.Option(parser=named(_PICTURES, "picture"), metavar="WxH,...")
+    ] = "3840x2160,1920x1080,256x256",
     minutes: Annotated[float, typer.Option(help="Of a simulated run with workers that never wait.")] = 5.0,
 ) -> Iterator[Record]:
     """The executors' own policies under a simulated clock."""
-    for name, (pixels, seconds) in _PICTURES.items():
+    for name in pictures:
+        pixels, seconds = _PICTURES[name]
         record = Record(
             f"Simulated cluster: {name}, passes of {seconds:g} s, scene of 1 GB",
             (
@@ -47,7 +51,7 @@ def measure(
         )
         for count in workers:
             passes = max(count, round(count * 60 * minutes / seconds))
-            passes = min(passes, (150 if count <= 1000 else 60) * count)
+            passes = min(passes, 150 * count)
             site = Site(count, seconds, _bytes(pixels), _SCENE)
             made = simulate(site, passes)
             p = made.pool

@@ -14,7 +14,7 @@ import etendue
 from etendue.core import ClusterError, SceneError
 from etendue.distributed import Cluster, DaskPool, ProcessPool
 from etendue.engine import Budget, Checkpoint, Job, Replicated, Task
-from etendue.jobs import Outputs, PictureWork, run_work
+from etendue.jobs import Outputs, PictureWork, run_work, start_work
 from etendue.methods import get
 
 SMALL = {"scene": "caustics", "size": (24, 16)}
@@ -103,6 +103,29 @@ def test_a_scene_in_memory_is_refused(processes):
     scene = mi.load_dict(mi.cornell_box())
     with pytest.raises(SceneError, match="a scene in memory cannot be sent to workers"):
         rendered(Job.open(Task(scene, get("path"), budget=Budget(iterations=1))), processes)
+
+
+def test_what_a_session_has_opened_is_closed_also_if_its_work_fails():
+    ended = []
+
+    def fail():
+        raise SceneError("no such scene")
+
+    session = start_work(fail, at_end=lambda: ended.append(True))
+    with pytest.raises(SceneError, match="no such scene"):
+        session.wait()
+    assert ended == [True]
+
+
+@pytest.mark.slow
+def test_sessions_have_workers_of_their_own(alone):
+    pytest.importorskip("distributed")
+    options = {"size": SMALL["size"], "samples_per_pass": 1, "seed": 3}
+    made = etendue.start(SMALL["scene"], "path", samples=PASSES, workers=1, **options).result
+    close(made.image, alone.image)
+    solved = etendue.start_radiosity("cornell-box", bundles=8, workers=1).result
+    here = etendue.solve_radiosity("cornell-box", bundles=8)
+    np.testing.assert_allclose(solved.solution.radiosity, here.solution.radiosity, rtol=1e-5)
 
 
 @pytest.mark.slow
