@@ -74,13 +74,13 @@ PROGRAMS = {
                 Benchmark(
                     "denoise", "denoising.measure", 45, "Denoised after 5 s against raw after 40 s.", in_all=False
                 ),
-                Benchmark("viewer", "viewing.measure", 2, "Pictures a second of the viewer while its camera moves."),
                 Benchmark(
                     "learned-light", "learned_light.measure", 75, "Learned emission, on beside off.", in_all=False
                 ),
+                Benchmark("viewer", "viewing.measure", 2, "Pictures a second of the viewer while its camera moves."),
                 Benchmark("guided", "guided.measure", 13, "Error times time of guided, beside path."),
                 Benchmark("ambient", "ambient.measure", 12, "Paths that end in an ambient term, beside whole paths."),
-                Benchmark("workers", "workers.measure", 15, "Worker processes beside unconnected ones.", in_all=False),
+                Benchmark("workers", "workers.measure", 5, "Worker processes beside unconnected ones.", in_all=False),
                 Benchmark("knn", "neighbours.measure", 1, "A kd-tree and nearest neighbours, beside scipy's cKDTree."),
                 Benchmark("samplers", "samplers.measure", 3, "path by each sampler: error at equal samples, patterns."),
                 Benchmark("points", "sequences.measure", 1, "Points of sequences a second, beside scipy's qmc."),
@@ -125,6 +125,16 @@ PROGRAMS = {
                 Benchmark("against", "against.measure", 8, "Standard and Metropolis particles: who wins where."),
                 Benchmark("steps", "steps.measure", 4, "The size of steps of Metropolis particles."),
                 Benchmark("emission", "emission.measure", 3, "Variance of flux by the way lights are sampled."),
+            ),
+        ),
+        Program(
+            "benchmarks.cluster",
+            "How far clusters scale, and the experiments of a thesis on parallel tracing.",
+            (
+                Benchmark("simulate", "scaling.measure", 4, "1 to 10,000 workers under a simulated clock."),
+                Benchmark("schedules", "scaling.schedules", 1, "Static, on demand, stealing: 1 to 16 processors."),
+                Benchmark("coherence", "boxes.coherence", 1, "Boxes that paths visit, random and in strata."),
+                Benchmark("divided", "boxes.divided", 3, "A scene in boxes: what is sent, and whether it is the same."),
             ),
         ),
         Program(

@@ -13,9 +13,10 @@ from typing import Annotated, Any
 import typer
 
 from etendue import methods
-from etendue.core import set_threads, use_variant
+from etendue.core import ClusterError, set_threads, use_variant
 from etendue.distributed import Cluster, DaskPool
 from etendue.engine import Budget, Job, Task
+from etendue.jobs import FormFactorRequest, FormFactorWork
 
 from .measuring import Record, spread, verdict
 from .options import Methods, Rounds
@@ -25,14 +26,19 @@ OVERHEAD_BAR, EFFICIENCY_BAR = 1.05, 0.95
 _SIZE = (256, 256)
 
 
+#: What else is measured: lines through a room by the A-buffer, whose passes are divided by their directions.
+LINES, _BUNDLES, _AREA = "a-buffer", 8, 4e-3
+
+
 def measure(
-    chosen: Methods = "path,bpt,vcm",
-    time_: Annotated[float, typer.Option("--time", help="Seconds of a run, about.", metavar="SECONDS")] = 20.0,
-    rounds: Rounds = 5,
+    chosen: Methods = "bpt,vcm",
+    lines: Annotated[bool, typer.Option("--lines/--no-lines", help="Also form factors by the A-buffer.")] = True,
+    time_: Annotated[float, typer.Option("--time", help="Seconds of a run, about.", metavar="SECONDS")] = 6.0,
+    rounds: Rounds = 3,
 ) -> Record:
     """Seconds of passes in processes of one thread: alone, and as workers of a cluster."""
     record = Record(
-        "Worker processes of one thread, cornell-glass 256x256",
+        "Worker processes of one thread, cornell-glass 256x256, and form factors of cornell-box",
         ("", "passes", "one worker / one alone", "bar", "two alone / two workers", "bar"),
     )
     spawn = multiprocessing.get_context("spawn")
@@ -43,10 +49,12 @@ def measure(
         ProcessPoolExecutor(1, spawn) as second,
     ):
         alone = [first, second]
-        for name in chosen:
+        for pool in (one.pool, two.pool):
+            _until(pool, 1 if pool is one.pool else 2)
+        for name in [*chosen, LINES] if lines else chosen:
             few = 4
-            for executor in alone:
-                executor.submit(alone_seconds, name, few).result()
+            for future in [executor.submit(alone_seconds, name, few) for executor in alone]:
+                future.result()  # compiles
             pace = first.submit(alone_seconds, name, few).result() / few
             passes = max(few, round(time_ / pace))
             for cluster in (one, two):
@@ -55,6 +63,7 @@ def measure(
             for _ in range(rounds):
                 mine = first.submit(alone_seconds, name, passes).result()
                 costs.append(cluster_seconds(one, name, passes) / mine)
+                # Both begin when both are ready, and the later one counts.
                 begin = time.perf_counter()
                 for future in [executor.submit(alone_seconds, name, passes) for executor in alone]:
                     future.result()
@@ -86,8 +95,31 @@ def _problem() -> Any:
     return Job.open(_task("path", 1)).problem
 
 
+def _until(pool: DaskPool, count: int) -> None:
+    """Wait until so many workers are there."""
+    end = time.monotonic() + 120
+    while len(pool.workers()) < count:
+        if time.monotonic() > end:
+            raise ClusterError(f"{count} workers did not start in two minutes; try on an idle machine")
+        time.sleep(0.2)
+
+
+def _lines(passes: int, cluster: Cluster | None = None) -> float:
+    request = FormFactorRequest(source="cornell-box", bundles=passes * _BUNDLES, max_area=_AREA)
+    work = FormFactorWork(request, None)
+    work.cluster = cluster
+    runner = work.runner()
+    begin = time.perf_counter()
+    runner.run()
+    return time.perf_counter() - begin
+
+
 def alone_seconds(name: str, passes: int) -> float:
     """Seconds of passes in this process."""
+    if name == LINES:
+        use_variant("llvm_ad_rgb")
+        set_threads(1)
+        return _lines(passes)
     task, problem = _task(name, passes), _problem()
     begin = time.perf_counter()
     method = task.method(task.method.Settings(samples_per_pass=1))
@@ -98,6 +130,8 @@ def alone_seconds(name: str, passes: int) -> float:
 
 def cluster_seconds(cluster: Cluster, name: str, passes: int) -> float:
     """Seconds of passes on a cluster."""
+    if name == LINES:
+        return _lines(passes, cluster)
     job = _job(name)
     job.budget = Budget(iterations=passes)
     runner = job.runner(executor=cluster.rendering(job))

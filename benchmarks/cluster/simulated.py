@@ -21,6 +21,9 @@ from etendue.distributed.pool import Delivered
 from etendue.distributed.worker import Chunk, Made, Needs, merge_outcomes
 from etendue.engine import Budget, Order, Runner
 
+#: Seconds that two looks at the CPU clock take.
+_CLOCK = min(-time.thread_time() + time.thread_time() for _ in range(200))
+
 
 @dataclass(frozen=True)
 class Site:
@@ -92,7 +95,7 @@ class SimulatedPool:
     def wait(self, seconds: float) -> Arrival | None:
         """See :class:`Pool`."""
         if self._left is not None:
-            spent = time.thread_time() - self._left
+            spent = max(0.0, time.thread_time() - self._left - _CLOCK)
             self.now += spent
             self.deciding += spent
         limit = self.now + seconds

@@ -105,7 +105,7 @@ def test_page_is_well_formed_and_complete(comparison):
         assert number_text(relative_mse(entry.image, reference, trim=0.001)) in text
     assert "vcm has the smallest error" in text
     # Settings that have their defaults are in the folded table only.
-    changed, every = re.findall(r"<h2>Settings</h2>(.*?)<details>(.*?)</details>", page, re.DOTALL)[0]
+    changed, every = re.findall(r"<h2>Settings</h2>(.*?)<details[^>]*>(.*?)</details>", page, re.DOTALL)[0]
     assert "10 (default -1)" in changed and "2 (default 1)" in changed and "max depth" in every
     rows = re.findall(r'<tr class="differs">.*?</tr>', changed)
     assert len(rows) == 1 and "samples per pass" in rows[0]

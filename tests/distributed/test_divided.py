@@ -16,7 +16,7 @@ from etendue.distributed.pool import Delivered
 from etendue.distributed.worker import _Desk
 from etendue.jobs import ParticleRequest, ParticleWork, run_work
 from etendue.particles import BoxGrid, Particles, distinct_in_windows, lru_misses, visits
-from etendue.scene import bundled_scene, load, load_part, shape_boxes
+from etendue.scene import bundled_scene, load, load_part, shape_boxes, unmerged
 
 PATHS = {"paths": 3000, "settings": {"samples_per_pass": 1500}, "seed": 4}
 
@@ -120,7 +120,7 @@ def test_particles_of_boxes_in_processes(tmp_path):
 
 
 def test_a_part_has_the_shapes_of_its_box_only():
-    whole = load("cornell-box", merge=False)
+    whole = load("cornell-box", change=unmerged)
     ids, bounds = shape_boxes(whole)
     grid = BoxGrid.even(bounds, (2, 1, 1))
     wanted = {ids[k] for k in grid.touching(0, bounds)}
@@ -149,7 +149,7 @@ def test_what_cannot_be_divided_is_one_line(tmp_path):
 
 
 def test_paths_in_strata_visit_boxes_together():
-    grid = BoxGrid.even(shape_boxes(load("cornell-box", merge=False))[1], (4, 4, 4))
+    grid = BoxGrid.even(shape_boxes(load("cornell-box", change=unmerged))[1], (4, 4, 4))
     found = {}
     for sampler in ("independent", "strata"):
         made = ParticleWork.open(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from bisect import bisect_left
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
@@ -31,6 +32,7 @@ class Iterations:
 
     def __init__(self, intervals: dict[int, list[tuple[int, int]]] | None = None) -> None:
         self._intervals = {r: list(v) for r, v in (intervals or {}).items() if v}
+        self._count = sum(b - a for spans in self._intervals.values() for a, b in spans)
 
     @classmethod
     def single(cls, iteration: int, replica: int = 0) -> Iterations:
@@ -38,7 +40,7 @@ class Iterations:
         return cls({replica: [(iteration, iteration + 1)]})
 
     def __len__(self) -> int:
-        return sum(b - a for spans in self._intervals.values() for a, b in spans)
+        return self._count
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
         for replica, spans in sorted(self._intervals.items()):
@@ -68,20 +70,30 @@ class Iterations:
 
     def union(self, other: Iterations) -> Iterations:
         """Disjoint union. Raises :class:`EtendueError` if an iteration is in both."""
-        merged: dict[int, list[tuple[int, int]]] = {}
-        for replica in self._intervals.keys() | other._intervals.keys():
-            spans: list[tuple[int, int]] = []
-            for a, b in sorted(self._intervals.get(replica, []) + other._intervals.get(replica, [])):
-                if spans and a < spans[-1][1]:
+        result = Iterations()
+        result._intervals = dict(self._intervals)
+        for replica, more in other._intervals.items():
+            mine = self._intervals.get(replica, [])
+            # Runs of thousands of workers have as many intervals, to which few are added at a time.
+            few, many = sorted((mine, more), key=len)
+            spans = list(many)
+            for a, b in few:
+                i = j = bisect_left(spans, (a, b))
+                before = spans[i - 1] if i else (a - 1, a - 1)
+                behind = spans[i] if i < len(spans) else (b + 1, b + 1)
+                if before[1] > a or behind[0] < b:
+                    twice = a if before[1] > a else behind[0]
                     raise EtendueError(
-                        f"iteration {a} of replica {replica} is in both measurements; each pass may be added once"
+                        f"iteration {twice} of replica {replica} is in both measurements; each pass may be added once"
                     )
-                if spans and a == spans[-1][1]:
-                    spans[-1] = (spans[-1][0], b)
-                else:
-                    spans.append((a, b))
-            merged[replica] = spans
-        return Iterations(merged)
+                if before[1] == a:
+                    i, a = i - 1, before[0]
+                if behind[0] == b:
+                    j, b = j + 1, behind[1]
+                spans[i:j] = [(a, b)]
+            result._intervals[replica] = spans
+        result._count = self._count + other._count
+        return result
 
     def to_json(self) -> list[list[int]]:
         """Rows ``[replica, first, end]``, ``end`` excluded."""

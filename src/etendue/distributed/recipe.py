@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from etendue.core import ClusterError, Method, use_variant
 from etendue.engine import Task, versions
-from etendue.scene import Camera, PortableScene, load, load_part, part_files, portable, restored
+from etendue.scene import Camera, PortableScene, load, load_part, part_files, portable, restored, unmerged
 
 from .content import Entry, Offered, Store
 
@@ -192,5 +192,5 @@ def open_scene(ingredients: Ingredients, folder: Path) -> Any:
         parameters=parameters or None,
         memory=values["memory"],
         camera=Camera(**values["camera"]) if "camera" in values else None,
-        merge=values.get("merge", True),
+        change=None if values.get("merge", True) else unmerged,
     )

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, ClassVar
 
+import numpy as np
+
 from etendue.core import Measurement, Pass, State
 from etendue.engine import Order
 
@@ -13,7 +15,7 @@ from .crew import Crew, Member
 from .pool import Arrival, Lost, Pool
 from .recipe import Recipe
 from .schedules import schedule_of
-from .worker import Chunk, Made, Merged
+from .worker import Chunk, Made, Merged, widened
 
 #: Seconds of a chunk: at least, and at most.
 _SHORTEST, _LONGEST = 1.0, 60.0
@@ -221,8 +223,10 @@ class Spread(Crew[Chunk]):
 
 
 def _writable(measurement: Measurement) -> Measurement:
-    """The measurement, or a copy if its arrays lie in a received message and cannot be added to."""
+    """The measurement, or a copy if its arrays lie in a received message or are in single precision, so that nothing
+    can be added to them."""
     tables = (measurement.sums, measurement.squares, measurement.products)
-    if all(array.flags.writeable for table in tables for array in table.values()):
+    arrays = [array for table in tables for array in table.values()]
+    if all(array.flags.writeable and array.dtype == np.float64 for array in arrays):
         return measurement
-    return measurement.copy()
+    return widened(measurement)

@@ -18,12 +18,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import ClusterError, EtendueError, Measurement, Method, State, describe, set_threads
+from etendue.core import Array, ClusterError, EtendueError, Measurement, Method, State, describe, set_threads
 from etendue.engine import replica_seed
 
 from .content import Store
 from .recipe import Lacking, OpenRecipe
 
+#: Bytes of an array from which on it is sent in single precision, and the largest number that then may be in it.
+_LARGE, _LARGEST = 1 << 20, 1e30
 #: Runs whose methods a worker keeps, the latest ones.
 _KEPT = 2
 
@@ -135,8 +137,38 @@ def merge_outcomes(*outcomes: Outcome | Merged) -> Merged:
             result.outcomes.append(outcome)
             continue
         if more is not None:
-            result.total = more.copy() if result.total is None else _sum(result.total, more)
+            result.total = widened(more) if result.total is None else _sum(result.total, more)
+    if result.total is not None:
+        result.total = narrowed(result.total)
     return result
+
+
+def narrowed(measurement: Measurement) -> Measurement:
+    """The measurement with large arrays in single precision, half as many bytes to send: rounded by 6e-8. Arrays with
+    values that single precision does not have stay as they are."""
+
+    def few(array: Array) -> Array:
+        if array.dtype != np.float64 or array.nbytes < _LARGE:
+            return array
+        size = np.abs(array)
+        if not np.isfinite(size).all() or size.max() > _LARGEST:
+            return array
+        return array.astype(np.float32)
+
+    tables: dict[str, Any] = {
+        name: {key: few(array) for key, array in getattr(measurement, name).items()}
+        for name in ("sums", "squares", "products")
+    }
+    return replace(measurement, **tables)
+
+
+def widened(measurement: Measurement) -> Measurement:
+    """A copy in double precision."""
+    copy = measurement.copy()
+    for table in (copy.sums, copy.squares, copy.products):
+        for name, array in table.items():
+            table[name] = np.asarray(array, np.float64)
+    return copy
 
 
 def make_passes(task: Task) -> Outcome:
@@ -291,6 +323,7 @@ class _Desk:
         if chunk.replica is not None and total is not None:
             total.assign(chunk.replica)
         kept = None if chunk.replica is None else on_host(state)
+        total = None if total is None else narrowed(total)
         return Made(total, kept, passes, time.monotonic() - began, is_new)
 
     def _may_begin(self, run: str, seconds: float) -> bool:

@@ -26,7 +26,7 @@ from etendue.core import (
     is_whole,
     logger,
 )
-from etendue.scene import BundledScene, Camera, Problem, bundled_scene, load, locate
+from etendue.scene import BundledScene, Camera, Problem, bundled_scene, load, locate, unmerged
 
 from .budget import Budget
 from .checkpoint import Checkpoint
@@ -56,7 +56,7 @@ class Task:
     parameters: Mapping[str, Any] | None = None
     memory: int | None = None
     camera: Camera | None = None
-    merge: bool = True  #: see ``scene.load``
+    merge: bool = True  #: whether meshes may be merged; if not, shapes keep their names and order
 
     def __post_init__(self) -> None:
         for what, value, least in (
@@ -134,7 +134,7 @@ class Job:
             parameters=task.parameters,
             memory=task.memory,
             camera=task.camera,
-            merge=task.merge,
+            change=None if task.merge else unmerged,
         )
         begin = time.perf_counter()
         budget = task.budget or Budget(samples=max(1, problem.spp))
@@ -168,16 +168,15 @@ class Job:
         if scene is None and not {"source", "bundled"} & place.keys():
             raise CheckpointError("the checkpoint was made from a scene in memory; give the scene to resume it with")
         budget = budget or remaining(checkpoint)
-        wanted: dict[str, Any] = {
-            k: place[k] for k in ("size", "sensor", "parameters", "memory", "merge") if k in place
-        }
+        wanted: dict[str, Any] = {k: place[k] for k in ("size", "sensor", "parameters", "memory") if k in place}
+        merge = bool(place.get("merge", True))
         if "size" in wanted:
             wanted["size"] = tuple(wanted["size"])
         if "camera" in place:
             wanted["camera"] = Camera(**place["camera"])
         try:
             source = scene if scene is not None else place.get("source") or bundled_scene(place["bundled"])
-            problem = load(source, **wanted)
+            problem = load(source, **wanted, change=None if merge else unmerged)
         except SceneError as error:
             raise CheckpointError(f"the scene of the checkpoint cannot be loaded: {error}") from error
         checkpoint.require_scene(problem.fingerprint)
@@ -187,7 +186,7 @@ class Job:
         instance = replicated(instance, checkpoint.state, problem, checkpoint.seed)
         instance.enter(checkpoint.state)
         preparation = time.perf_counter() - begin
-        task = Task(source, method, seed=checkpoint.seed, **wanted)
+        task = Task(source, method, seed=checkpoint.seed, **wanted, merge=merge)
         return cls(
             problem,
             instance,

@@ -49,7 +49,7 @@ from etendue.methods import (
     make_box_tracing,
 )
 from etendue.particles import BoxGrid, Codec, ParticleFile, Particles, ParticleWriter
-from etendue.scene import load, shape_boxes
+from etendue.scene import load, shape_boxes, unmerged
 
 from .wording import PYTHON, Wording
 
@@ -136,7 +136,8 @@ class ParticleWork:
         from etendue.engine import Task, versions
 
         merge = request.boxes is None
-        problem = load(request.scene, parameters=request.parameters, memory=request.memory, merge=merge)
+        change = None if merge else unmerged
+        problem = load(request.scene, parameters=request.parameters, memory=request.memory, change=change)
         begin = time.perf_counter()
         kind = TRACINGS[request.method]
         tracing: Any = kind(kind.Settings.from_mapping(request.settings))

@@ -99,7 +99,6 @@ class Bidirectional(Carrying, ImageMethod):
     moments: Moments | None = None
     #: Numbers of the light paths' sequence that a pass takes, if it is more than there are paths.
     light_stride = 0
-
     _learning: LearnedEmission | None = None
 
     @property
@@ -135,14 +134,10 @@ class Bidirectional(Carrying, ImageMethod):
         self._box = corners(problem)
         self._paths = max(1, round(s.light_paths * self.camera.pixels * self.samples_per_iteration))
         self._first_radius = radii.absolute_radius(self, s.radius, s.radius_unit, seed) if s.merging else 0.0
-        bytes_per_vertex = LightVertices.bytes_per_vertex(
-            bool(self.techniques.connection),
-            self.techniques.merge,
-            bool(self._more_radii) or self.light_stride > 0,
-            bool(self._learning),
-        )
-        floats = LightVertices.floats_per_vertex(bool(self.techniques.connection))
-        self._room = VertexRoom(bytes_per_vertex, floats, problem.memory)
+        kinds = bool(self.techniques.connection), self.techniques.merge
+        linear = bool(self._more_radii) or self.light_stride > 0
+        bytes_per_vertex = LightVertices.bytes_per_vertex(*kinds, linear, bool(self._learning))
+        self._room = VertexRoom(bytes_per_vertex, LightVertices.floats_per_vertex(kinds[0]), problem.memory)
         self._pilot(seed)
         self._groups = self._count_groups()
 
@@ -247,8 +242,6 @@ class Bidirectional(Carrying, ImageMethod):
             run = _Run("", iteration, seed, radius, light, camera, pixel, samples, *films)
             radiance, counts = self._trace(run)
             if not self._room.held(counts["light_vertices"], light.count):
-                if self._learning:
-                    self._learning.drop()
                 self._groups = self._count_groups()  # the capacity was too small: repeat the whole pass
                 return self.render_pass(iteration, seed, samples)
             parts.append(radiance)
@@ -290,7 +283,7 @@ class Bidirectional(Carrying, ImageMethod):
         dark = dr.opaque(mi.Float, self._dark)
         common: dict[str, Any] = {"camera": self.camera, "mis": mis, "dark": dark, "moments": run.moments}
         if self._learning:
-            common |= self._learning.fields(not run.role)
+            common |= self._learning.fields(not run.role, run.light)
         connecting = self.techniques.connection > 0
         numbered = run.pyramid is not None and self.visibility.transparent
         vertices, sink = None, None
@@ -336,7 +329,7 @@ class Bidirectional(Carrying, ImageMethod):
         if run.moments:
             run.moments.schedule()
         dr.eval(radiance, rays, bad)  # one kernel
-        if self._learning and not run.role:
+        if self._learning:
             self._learning.add(common["training"])
         return radiance, {
             "rays": total(rays) + total(light_rays),

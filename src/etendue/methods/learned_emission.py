@@ -16,7 +16,7 @@ import numpy as np
 from etendue.core import Array, CheckpointError
 from etendue.transport import BLOCK, EmissionGuide, EmissionSums, EmissionTraining
 
-from .base import ImageMethod, Layer
+from .base import ImageMethod, Lanes, Layer
 
 #: Lights of a scene from which on ``auto`` learns their selection.
 MANY = 8
@@ -60,8 +60,10 @@ class LearnedEmission:
         """Whether the guide learns from the next pass."""
         return self._generation < GENERATIONS
 
-    def fields(self, recording: bool) -> dict[str, Any]:
+    def fields(self, recording: bool, paths: Lanes) -> dict[str, Any]:
         """The fields of the walkers of a group of light paths. What is not used is left out, because it takes time."""
+        if paths.first == 0:
+            self.drop()  # what a pass has added that is repeated
         width, training = self._method.camera.width, None
         if recording and self.trains and self.unit > 0.0:
             training = EmissionTraining(self.guide, self.unit, self._levels, width, self._directions)

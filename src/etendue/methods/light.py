@@ -16,7 +16,6 @@ from typing import ClassVar
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from etendue.core import Carrying, SampleSource, State, UnsupportedError, setting
 from etendue.film import REFLECTED, Component
@@ -92,7 +91,7 @@ class LightTracing(Carrying, ImageMethod):
         groups = -(-paths // base.MOST_LIGHT_LANES)
         for group in range(groups):
             lanes = Lanes(0, paths).part(group, groups)
-            guided = self._learning.fields(True) if self._learning else {}
+            guided = self._learning.fields(True, lanes) if self._learning else {}
             walk = self.walker(LightWalk, camera=self.camera, mis=mis, dark=mi.Float(0.0), sink=scattered, **guided)
             rays, bad = walk.trace(lanes.count, self.light_numbers(lanes, paths, seed, iteration))
             dr.eval(rays, bad, scattered.splats.array)
@@ -104,10 +103,11 @@ class LightTracing(Carrying, ImageMethod):
             counters["rays"] += total(rays) + total(seen_rays)
             counters["nonfinite"] += total(bad) + total(seen_bad)
 
-        images = [image * (samples / paths) for image in (*scattered.splats.sums(), *seen.splats.sums())]
+        images = (*scattered.splats.sums(), *seen.splats.sums())
+        layers = {name: image * (samples / paths) for name, image in zip((*own, "emission"), images, strict=True)}
         if self._learning:
-            self._learning.end_pass(np.sum(images[:-1], axis=0), samples)
-        return dict(zip((*own, "emission"), images, strict=True)), counters
+            self._learning.end_pass(sum(layers[name] for name in own[1:]) + layers[own[0]], samples)
+        return layers, counters
 
     def _seen_directly(self, source: SampleSource, paths: int, sink: SplatSink) -> tuple[mi.UInt32, mi.Bool]:
         """Connect points on the lights to the camera (s = 1, t = 1). Returns (rays, non-finite values)."""

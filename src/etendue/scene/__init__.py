@@ -12,7 +12,7 @@ from .graph import materials
 from .lamps.radiance import sphere_point, sphere_point_facing, surface_point, uniform_point, varies
 from .lamps.table import Light, LightTable
 from .loading import Source, integrator_of, load, locate
-from .parts import load_part, part_files, shape_boxes
+from .parts import load_part, part_files, shape_boxes, unmerged
 from .plugins import composed_bsdf, register
 from .portable import PortableScene, portable, restored
 from .problem import Problem
@@ -64,6 +64,7 @@ __all__ = [
     "sphere_point_facing",
     "surface_point",
     "uniform_point",
+    "unmerged",
     "varies",
     "view",
     "warn_of_offsets",

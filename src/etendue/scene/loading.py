@@ -53,7 +53,6 @@ def load(
     camera: Camera | None = None,
     check: bool = True,
     change: Change | None = None,
-    merge: bool = True,
 ) -> Problem:
     """Load a scene; returns the :class:`Problem` of rendering it through one of its sensors.
 
@@ -63,9 +62,8 @@ def load(
     with that size (a loaded scene does not know its ``fov_axis``: its horizontal field of view is kept). A loaded scene
     is not changed. ``sensor`` is an index into the scene's sensors; ``camera`` moves it, except in loaded scenes.
     ``parameters`` gives values to ``$variables`` of an XML file. The scene's integrator is reported, not built. Without
-    ``check`` unsupported elements raise no error. Without ``merge`` meshes of one material keep their names and order,
-    and rays are slightly slower. ``change`` (as :class:`LightEdits`) changes the parsed scene before its objects are
-    built; elements that look alike are then not merged.
+    ``check`` unsupported elements raise no error. ``change`` (as :class:`LightEdits`) changes the parsed scene before
+    its objects are built; elements that look alike are then not merged.
 
     Sets a Mitsuba variant if none is set. Raises :class:`SceneError` for a scene that cannot be read or is broken,
     :class:`UnsupportedError` for elements that cannot be rendered, :class:`OptionError` for arguments out of range.
@@ -78,7 +76,7 @@ def load(
         raise OptionError(f"a memory bound must be above zero bytes, not {memory}")
     if not _is_loaded(source):
         found = locate(source) if isinstance(source, (str, os.PathLike)) else source
-        return _from_parser(found, *_parse(found, parameters), size, sensor, memory, camera, check, merge, change)
+        return _from_parser(found, *_parse(found, parameters), size, sensor, memory, camera, check, change)
     if parameters:
         raise OptionError(_NO_VARIABLES)
     if change is not None:
@@ -181,9 +179,7 @@ def _from_parser(
     memory: int | None,
     camera: Camera | None,
     check: bool,
-    merge: bool,
     change: Change | None,
-    moves: bool = True,
 ) -> Problem:
     import mitsuba as mi
 
@@ -200,7 +196,7 @@ def _from_parser(
         if change is None:
             mi.parser.transform_merge_equivalent(config, state)
         unmerged = mi.parser.ParserState(state)
-        if merge and change is None:
+        if change is None:
             merge_meshes(state)
         scene = mi.parser.instantiate(config, state)
 
@@ -216,9 +212,7 @@ def _from_parser(
                 scene = mi.parser.instantiate(config, unmerged)
             check_scene(scene, _sensor(scene, sensor, name))
             raise
-    space = RenderSpace.of(scene, chosen) if moves else RenderSpace()
-    if not space.is_own and not merge:
-        raise UnsupportedError(f"{name} is rendered in other coordinates than its own, which its parts cannot share")
+    space = RenderSpace.of(scene, chosen)
     if not space.is_own:
         with _resolving(path), _mitsuba_errors(name):
             scene, space = moved(scene, chosen, space, source, name, config, unmerged)

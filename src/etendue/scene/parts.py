@@ -11,8 +11,8 @@ import numpy as np
 
 from etendue.core import Array, SceneError, UnsupportedError, use_variant
 
-from .loading import Source, _from_parser, _is_loaded, _parse, locate
-from .parsing import keep_shapes, read_properties
+from .loading import Source, _is_loaded, _mitsuba_errors, _parse, _problem, _resolving, _sensor, locate
+from .parsing import keep_shapes, read_properties, take_integrator
 from .portable import PortableScene
 from .problem import Problem
 
@@ -21,12 +21,20 @@ def load_part(source: Source, shapes: Collection[str], parameters: Mapping[str, 
     """Load a scene without most of its shapes: only those with ids in ``shapes``, those that emit and shape groups are
     built, and their files read. Errors as :func:`load`."""
     use_variant()
+    import mitsuba as mi
+
     name, path, config, state = _parsed(source, parameters)
     keep_shapes(state, shapes)
-    found: Any = path or source
-    return _from_parser(
-        found, name, path, config, state, None, 0, None, None, check=False, merge=False, change=None, moves=False
-    )
+    with _resolving(path), _mitsuba_errors(name):
+        integrator, depth, options = take_integrator(state)
+        scene = mi.parser.instantiate(config, state)
+    # In the coordinates of the whole scene, whatever suits the part.
+    return _problem(scene, _sensor(scene, 0, name), integrator, depth, options, name, None, "", check=False)
+
+
+def unmerged(state: Any) -> None:
+    """A change of :func:`load` that changes nothing: the shapes of a changed scene are not merged, so that they keep
+    their names and order."""
 
 
 def shape_boxes(problem: Problem) -> tuple[list[str], Array]:

@@ -152,8 +152,8 @@ class Walker:
     max_edges: mi.UInt32  #: opaque
     rr_depth: int
     proposal: Proposal = scatter_camera  #: samples directions
-    first: FirstHits | None = None  #: records what the first edges meet
     departures: Departures | None = None  #: learned directions of emission, for its densities
+    first: FirstHits | None = None  #: records what the first edges meet
 
     def walk(self, path: S, edge: Callable[[S], S], label: str) -> S:
         """Run the loop over the edges until all sub-paths have ended. ``edge`` is the body of the loop."""

@@ -216,9 +216,6 @@ class Session:
         gc.collect()  # a scene that is alive is a part of every later kernel
         self.move(pose)
         self._moving_until = 0.0
-        for panel in self.panels.values():
-            self._guarded(panel.scene_loaded)
-        logger.debug("viewer: the scene was loaded in %.2f s", time.perf_counter() - begin)
 
     def _change(self, asked: Asked, state: mi.parser.ParserState) -> None:
         """Change a parsed scene before its objects are built: names for all, lights, and the edits of panels."""

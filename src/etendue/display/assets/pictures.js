@@ -229,8 +229,13 @@ export const pictureViewer = async (root, data, thumbnails = []) => {
     mark();
     tell();
   };
+  const middleInView = () => {
+    const box = stage.getBoundingClientRect(), view = frame.getBoundingClientRect();
+    const x = (view.left + view.width / 2 - box.left) / box.width, y = (view.top + view.height / 2 - box.top) / box.height;
+    return [Math.floor(Math.min(x, 1) * width), Math.floor(Math.min(y, 1) * height)];
+  };
   const moveProbe = (dx, dy) => {
-    const [x, y] = state.pixel ?? [Math.floor(width / 2), Math.floor(height / 2)];
+    const [x, y] = state.pixel ?? middleInView();
     state.pixel = [Math.min(Math.max(x + dx, 0), width - 1), Math.min(Math.max(y + dy, 0), height - 1)];
     mark();
     tell();

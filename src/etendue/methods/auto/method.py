@@ -8,8 +8,10 @@ during the run, at a bounded share of its cost, and the decision with them: ligh
 All passes are part of the picture, with equal weights: each is an estimate of the picture whatever the passes before
 have found, with a bias, where it merges, that vanishes as the radius shrinks.
 
-With a time limit of less than :data:`_LEAST` seconds nothing is learned: ``bpt`` renders scenes with mirrors or glass
-and lights that no ray can hit, whose caustics ``path`` never finds, and ``path`` renders the others.
+Nothing is learned in a run that is too short for it: below :data:`_LEAST` seconds, ``bpt`` renders scenes with mirrors
+or glass and lights that no ray can hit, whose caustics ``path`` never finds, and ``path`` renders the others. Up to
+:data:`_PER_KIND` seconds more for each kind of material, which all make kernels larger, ``vcm`` renders scenes with
+mirrors or glass and lights other than an environment, and ``path`` the others.
 """
 
 from __future__ import annotations
@@ -37,12 +39,14 @@ from .efficiency import LEARNING, Learned, Work, tile_pixels
 #: Counts of the passes that estimate moments.
 LEARNER = Candidate(0.5, 2, True)
 _NONE = Candidate(0.0, 0, False)
-#: The counts to choose from.
+#: The counts to choose from. Around the best ones the product of error and cost is flat: a finer table would gain some
+#: per cent, and each candidate makes the kernels of passes that learn larger.
 CANDIDATES: tuple[Candidate, ...] = (
     _NONE,
-    *(Candidate(n, k, False) for n, k in itertools.product((0.125, 0.25, 0.5, 1.0), (0, 1, 2, 4, 8))),
-    *(Candidate(n, k, True) for n, k in itertools.product((0.125, 0.25, 0.5, 1.0), (0, 1, 2, 4))),
-    Candidate(2.0, 0, True),
+    *(Candidate(n, k, False) for n, k in itertools.product((0.125, 0.5), (0, 1, 2, 4, 8))),
+    *(Candidate(n, k, True) for n, k in itertools.product((0.125, 0.5), (0, 1, 2, 4))),
+    Candidate(1.0, 0, True),
+    Candidate(1.0, 1, True),
     Candidate(2.0, 1, True),
 )
 #: Counts that a user may choose.
@@ -52,8 +56,9 @@ FIXED: dict[str, Candidate] = {
     "bpt with 6 connections": Candidate(0.5, 6, False),
     "vcm": Candidate(0.5, 1, True),
 }
-#: Seconds of a run below which nothing is learned.
-_LEAST = 6.0
+#: Seconds of a run below which no light paths are traced, and seconds more for each kind of material below which
+#: nothing is learned: kernels may have to be compiled.
+_LEAST, _PER_KIND = 6.0, 1.5
 #: Share of a run's cost for passes that learn, after the first ones.
 _SHARE = 0.06
 #: Least ratio of products of error and cost at which the counts stay as they are.
@@ -118,7 +123,7 @@ class Auto(Carrying, ImageMethod):
 
     def plan(self, seconds: float | None, passes: int | None, error: float | None) -> None:
         """See :class:`Method`."""
-        self._short = seconds is not None and seconds < _LEAST
+        self._seconds = seconds
 
     def full_lanes(self) -> int:
         """See :class:`ImageMethod`. Passes of path tracing are as small as those that merge."""
@@ -128,8 +133,8 @@ class Auto(Carrying, ImageMethod):
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
-        if self._short and self._learns and not self._learned.passes:
-            self._learns, self._counts = False, self._simple()
+        if self._learns and not self._learned.passes and (fixed := self._without_learning()):
+            self._learns, self._counts = False, fixed
         learning = self._learns and self._is_due()
         if learning:
             rendered = self._learn(iteration, seed, samples)
@@ -289,8 +294,13 @@ class Auto(Carrying, ImageMethod):
 
     # ------------------------------------------------------------------ the scene
 
-    def _simple(self) -> Candidate:
-        """Counts for work that is too short to learn."""
+    def _without_learning(self) -> Candidate | None:
+        """Counts for a run that is too short to learn."""
+        kinds = {m.class_name() for m in materials(self.scene) if isinstance(m, mi.BSDF)}
+        if self._seconds is None or self._seconds >= _LEAST + _PER_KIND * len(kinds):
+            return None
+        if self._seconds >= _LEAST:
+            return FIXED["vcm" if self._caustics else "path"]
         delta = mi.EmitterFlags.DeltaPosition, mi.EmitterFlags.DeltaDirection
         missed = self._has_specular() and any(mi.has_flag(e.flags(), f) for e in self.scene.emitters() for f in delta)
         return FIXED["bpt" if missed and self.camera.can_splat else "path"]

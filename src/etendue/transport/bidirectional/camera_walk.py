@@ -34,8 +34,8 @@ class _State(BidirectionalPath):
 
     lane: mi.UInt32  #: number of the camera path; does not change
     layers: dict[str, mi.Color3f]  #: technique family -> radiance
-    sums: Sums | None  #: of ``moments``
     worth: mi.Float | None  #: factor on contributions to its pixel, for a guide of emission; None without
+    sums: Sums | None  #: of ``moments``
 
 
 @dataclass
@@ -136,8 +136,8 @@ class CameraWalk(BidirectionalWalk):
             seen=mi.UInt32(Component.EMISSION) if self.sink.components else None,
             lane=dr.arange(mi.UInt32, lanes),
             layers=self.sink.begin(self.mis.techniques, pixel, importance),
-            sums=self.moments.begin(lanes, importance) if self.moments else None,
             worth=None if self.training is None else self.training.worth_of_lane(pixel, dr.arange(mi.UInt32, lanes)),
+            sums=self.moments.begin(lanes, importance) if self.moments else None,
         )
         state = self.walk(state, lambda s: self._edge(s, source), "camera walk")
         if self.moments and state.sums:

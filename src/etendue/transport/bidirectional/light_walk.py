@@ -184,9 +184,9 @@ class LightWalk(BidirectionalWalk):
         s.rays += rays
         if self.moments:
             self.moments.splat(joined.position, contribution.weighted[0], weights.ratios, contribution.active)
-        s.nonfinite += ones(sink.add(self.number(s) + 1, place, contribution, s.kind))
         if self.training is not None:
             x, y = (mi.UInt32(dr.maximum(coordinate, 0.0)) for coordinate in joined.position)
             worth = self.training.worth(y * self.camera.width + x, contribution.active)
             value = mi.luminance(contribution.weighted[0]) * worth / self.mis.paths_per_sample
             s.found = s.found + dr.select(contribution.active & dr.isfinite(value), value, 0.0)
+        s.nonfinite += ones(sink.add(self.number(s) + 1, place, contribution, s.kind))

@@ -60,15 +60,15 @@ class Photons:
         """Number of the vertex on its path (see :class:`LightVertex`)."""
         return number_of(dr.gather(mi.Float, self._position, 4 * index + 3, active), self._depth_bits)
 
-    def component(self, index: mi.UInt32, active: mi.Bool) -> mi.UInt32:
-        """The ``film.Component`` of the photon's light to an eye that sees the surface."""
-        # As in `position`, so that both are one gather.
-        return component_of(dr.gather(mi.Vector4f, self._position, index, active).w)
-
     def path(self, index: mi.UInt32, active: mi.Bool) -> mi.UInt32:
         """Number of the light path, if vertices are ``owned``."""
         assert self._owners is not None
         return dr.gather(mi.UInt32, self._owners, index, active)
+
+    def component(self, index: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """The ``film.Component`` of the photon's light to an eye that sees the surface."""
+        # As in `position`, so that both are one gather.
+        return component_of(dr.gather(mi.Vector4f, self._position, index, active).w)
 
     def read(self, index: mi.UInt32, active: mi.Bool) -> Photon:
         """All but position and depth."""

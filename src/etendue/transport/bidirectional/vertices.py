@@ -171,6 +171,8 @@ class LightVertices:
         direction = si.to_world(si.wi)
         self._put(0, mi.Vector4f(si.p.x, si.p.y, si.p.z, tag), slot, active)
         flux = throughput if self.connected else throughput * fluence
+        if self._owners is not None:
+            dr.scatter(self._owners, path, slot, active)
         d_vcm, d_vc = mis
         if self._more is not None:
             assert isinstance(d_vcm, Linear) and isinstance(d_vc, Linear)
@@ -178,8 +180,6 @@ class LightVertices:
             dr.scatter(self._more, packet, slot, active)
             d_vcm, d_vc = d_vcm.connection, d_vc.end
         self._put(1, mi.Vector4f(flux.x, flux.y, flux.z, d_vcm), slot, active)
-        if self._owners is not None:
-            dr.scatter(self._owners, path, slot, active)
         lit = dr.select(dr.dot(si.n, direction) < 0.0, -si.n, si.n)
         self._put(2, mi.Vector4f(*packed_direction(direction), packed_normal(lit), d_vc), slot, active)
         if not self.connected:
@@ -293,10 +293,11 @@ class LightVertices:
             first = mi.Vector4f(first.x * fluence, first.y * fluence, first.z * fluence, first.w)
         dr.scatter(flux, first, 2 * destination, held)
         dr.scatter(flux, self._get(2, slot, held), 2 * destination + 1, held)
-        more, owners = None, None
+        more = None
         if self._more is not None:
             more = dr.empty(mi.Float, 4 * self.capacity)
             dr.scatter(more, dr.gather(mi.Vector4f, self._more, slot, held), destination, held)
+        owners = None
         if self._owners is not None:
             owners = dr.empty(mi.UInt32, self.capacity)
             dr.scatter(owners, dr.gather(mi.UInt32, self._owners, slot, held), destination, held)
