@@ -23,11 +23,10 @@ from etendue.methods.adaptive.vegas import VegasPath
 from etendue.methods.auto import Auto
 from etendue.methods.bidirectional import Bidirectional
 from etendue.methods.guided import Guided
-from etendue.methods.learned_emission import LearnedEmission
 from etendue.methods.metropolis.method import MetropolisMethod
 from etendue.methods.photon.progressive import Sppm
 from etendue.methods.store import VertexRoom
-from etendue.transport import EmissionGuide, LightChoice
+from etendue.transport import EmissionGuide, LearnedEmission, LightChoice
 
 PASSES = 6
 GUIDED = {"samples_per_pass": 16, "cell_samples": 200}

@@ -19,7 +19,7 @@ from support.statistics import assert_agree
 
 from etendue.core import IndependentSource
 from etendue.film import Technique
-from etendue.methods.learned_emission import GENERATIONS
+from etendue.transport import GENERATIONS
 
 LIGHT = np.array([0.9, 1.2, 0.3])
 FLOOR, WALL = 0.6, 0.8  # albedos

@@ -13,7 +13,7 @@ import pytest
 
 from etendue import methods
 from etendue.core import OptionError
-from etendue.scene import LightEdits, ParameterChanges, Problem, SceneEditor, load
+from etendue.scene import LightEdits, ParameterChanges, Problem, SceneEditor, load, scene_xml
 
 
 def room() -> dict[str, Any]:
@@ -102,6 +102,13 @@ def test_the_written_scene_has_the_changes(changed: np.ndarray, tmp_path: Path) 
     np.testing.assert_allclose(picture(load(file, size=(24, 16))), changed, rtol=2e-3, atol=1e-4)
 
 
+def test_plugins_in_python_are_written() -> None:
+    scene = room() | {"integrator": {"type": "vcm", "max_depth": 5}}
+    scene["metal"]["bsdf"] = {"type": "phong"}
+    text = scene_xml(scene, None, ParameterChanges({"bulb.position": [1.0, 2.0, 3.0]}))
+    assert '<integrator type="vcm"' in text and '<bsdf type="phong"' in text
+
+
 def _parsed(scene: dict[str, Any], change: ParameterChanges) -> mi.parser.ParserState:
     config = mi.parser.ParserConfig(mi.variant())
     state = mi.parser.parse_dict(config, scene)
@@ -147,3 +154,22 @@ def test_elements_without_a_name_get_one_that_a_removed_light_does_not_change() 
         editor = SceneEditor(mi.parser.instantiate(config, state))
         assert editor.get("sphere-2.bsdf.reflectance.value").value == pytest.approx([0.1, 0.2, 0.3])
         assert editor.get("point-1.position").value == [1, 2, 3]
+
+
+def test_a_texture_by_file(tmp_path: Path) -> None:
+    """The picture of a texture in a changed scene is that of a scene with the other file; and of a sky."""
+    scene = room()
+    for name, value in (("dark", 0.1), ("red", 0.8)):
+        pixels = np.full((4, 8, 3), value, np.float32) * [1.0, 0.2, 0.1]
+        mi.Bitmap(pixels.astype(np.float32)).write(str(tmp_path / f"{name}.exr"))
+    dark, red = (str(tmp_path / f"{name}.exr") for name in ("dark", "red"))
+    scene["white"]["bsdf"]["reflectance"] = {"type": "bitmap", "filename": dark}
+    scene["sky"] = {"type": "envmap", "filename": dark}
+    editor = SceneEditor(load(scene, size=(8, 8), change=ParameterChanges()).scene)
+    texture, sky = "white.brdf_0.reflectance.data", "sky.data"
+    assert (editor.get(texture).kind, editor.get(texture).value) == ("texture", "8 x 4")
+    with pytest.raises(OptionError, match="no"):
+        editor.check(texture, str(tmp_path / "missing.png"))
+    changed = load(scene, size=(8, 8), change=ParameterChanges({texture: red, sky: red}))
+    scene["white"]["bsdf"]["reflectance"]["filename"] = scene["sky"]["filename"] = red
+    np.testing.assert_allclose(picture(changed, "path"), picture(load(scene, size=(8, 8)), "path"), rtol=1e-3)

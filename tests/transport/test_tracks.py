@@ -84,21 +84,33 @@ def test_what_camera_paths_find_is_the_radiance_of_the_pixel() -> None:
 
 def test_light_paths_carry_the_power_of_their_light() -> None:
     """A closed room: the flux of the first edges is the light's power; all paths stay inside."""
-    problem = load("caustics", size=(16, 16))
+    scene = {
+        "type": "scene",
+        "camera": {"type": "perspective", "film": {"type": "hdrfilm", "width": 8, "height": 8}},
+        "room": {"type": "cube", "flip_normals": True, "bsdf": {"type": "diffuse"}},
+        "lamp": {
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f().translate([0, 0.8, 0]).rotate([1, 0, 0], 90).scale(0.2),
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 5}},
+        },
+        "bulb": {"type": "point", "position": [0.5, 0, 0], "intensity": {"type": "rgb", "value": 0.3}},
+    }
+    problem = load(scene)
     table = LightTable(problem.scene)
     recorder = PathRecorder(problem, 5)
     tracks = recorder.from_light(None, 4000)
     check_edges(problem, tracks)
     # The throughput of emission is the power times a cosine over its density: its mean over channels is the power.
     assert tracks.throughput[:, 0].mean() == pytest.approx(table.total_power, rel=0.05)
-    for light in range(table.count):
+    assert not (tracks.events == Event.LEFT).any()
+    for light, emitter in enumerate(problem.scene.emitters()):
         own = recorder.from_light(light, 500)
+        box = emitter.bbox()
+        low, high = np.array(box.min).ravel(), np.array(box.max).ravel()
         origins = own.positions[own.events[:, 0] == Event.START, 0]
-        shape = problem.scene.emitters()[light].get_shape()
-        if shape is not None:
-            box = shape.bbox()
-            low, high = np.array(box.min).ravel(), np.array(box.max).ravel()
-            assert ((origins > low - 1e-2) & (origins < high + 1e-2)).all()
+        assert len(origins) and ((origins > low - 1e-2) & (origins < high + 1e-2)).all()
+        share = float(table.probabilities[light]) * table.total_power
+        assert own.throughput[:, 0].mean() == pytest.approx(share, rel=0.1)
 
 
 def test_what_cannot_be_recorded_is_refused(glass: Problem) -> None:

@@ -14,6 +14,7 @@ from support.viewing import Page
 import etendue
 from etendue import film
 from etendue.cli.experiments.run_file import RunFile
+from etendue.cli.main import main
 from etendue.scene import load
 from etendue.viewer.opening import Viewer
 
@@ -248,6 +249,11 @@ def test_the_run_file_and_the_scene_repeat_the_picture(viewer, folder):
     # The XML has the numbers of the camera in decimal.
     assert film.relative_mse(made.image, wanted) < 1e-3
     assert np.mean(made.image) == pytest.approx(np.mean(wanted), rel=1e-3)
+    for name, again in (("lit", made.image), ("plain", None)):
+        assert main(["run", str(folder / f"{name}.toml")]) == 0
+        image = film.read_image(folder / f"{name}-run.exr")
+        assert image.shape[1::-1] == SIZE
+        assert again is None or np.mean(image) == pytest.approx(np.mean(again), rel=0.05)  # other samples a pass
 
 
 def test_a_scene_that_fails_to_load_says_so_and_another_can_be_opened(folder):

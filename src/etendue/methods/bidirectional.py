@@ -35,6 +35,7 @@ from etendue.transport import (
     CameraWalk,
     Candidate,
     Gather,
+    LearnedEmission,
     LightCache,
     LightVertices,
     LightWalk,
@@ -44,6 +45,7 @@ from etendue.transport import (
     Splats,
     SplatSink,
     Techniques,
+    learned_emission,
     needs_interaction,
 )
 
@@ -61,7 +63,6 @@ from .base import (
     with_image,
 )
 from .bidirectional_settings import BidirectionalSettings, BpmSettings, BptSettings
-from .learned_emission import LearnedEmission, learned_emission
 from .store import VertexRoom, check_pyramid
 
 
@@ -110,7 +111,7 @@ class Bidirectional(Carrying, ImageMethod):
         """See :class:`ImageMethod`. A pilot pass measures the number of light vertices and the mean radiance."""
         self._forget_states()
         super().prepare(problem, seed)
-        self._learning = learned_emission(self)
+        self._learning = learned_emission(self.settings.guide_emission, self.lights, problem.size)
         s = self.settings
         self.techniques = Techniques(
             emission=int(s.connecting),
@@ -283,7 +284,7 @@ class Bidirectional(Carrying, ImageMethod):
         dark = dr.opaque(mi.Float, self._dark)
         common: dict[str, Any] = {"camera": self.camera, "mis": mis, "dark": dark, "moments": run.moments}
         if self._learning:
-            common |= self._learning.fields(not run.role, run.light)
+            common |= self._learning.fields(not run.role, run.light.first)
         connecting = self.techniques.connection > 0
         numbered = run.pyramid is not None and self.visibility.transparent
         vertices, sink = None, None

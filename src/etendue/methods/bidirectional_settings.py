@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from etendue.core import OptionError, setting
-from etendue.transport import PYRAMID_MAX, dimensions
+from etendue.transport import GUIDE, GUIDE_CHOICES, PYRAMID_MAX, dimensions
 
 from . import radius as radii
 from .base import CameraSettings
-from .learned_emission import GUIDE, GUIDE_CHOICES
 
 _CONNECTING = "connect vertices: hits on lights, next event, connections of light and camera vertices, camera splats"
 _MERGING = "merge camera vertices with the light vertices within the merge radius (photon density estimation)"

@@ -20,12 +20,23 @@ import mitsuba as mi
 from etendue.core import Carrying, SampleSource, State, UnsupportedError, setting
 from etendue.film import REFLECTED, Component
 from etendue.scene import Problem
-from etendue.transport import Contribution, LightWalk, Mis, SplatSink, Techniques, ones, point_on
+from etendue.transport import (
+    GUIDE,
+    GUIDE_CHOICES,
+    Contribution,
+    LearnedEmission,
+    LightWalk,
+    Mis,
+    SplatSink,
+    Techniques,
+    learned_emission,
+    ones,
+    point_on,
+)
 from etendue.transport import dimensions as dim
 
 from . import base
 from .base import ImageMethod, ImageSettings, Lanes, Layer, total
-from .learned_emission import GUIDE, GUIDE_CHOICES, LearnedEmission, learned_emission
 
 #: Part of its length by which a shadow ray ends before a light.
 _SHADOW_EPSILON = 1e-3
@@ -52,7 +63,7 @@ class LightTracing(Carrying, ImageMethod):
         to."""
         self._forget_states()
         super().prepare(problem, seed)
-        self._learning = learned_emission(self)
+        self._learning = learned_emission(self.settings.guide_emission, self.lights, problem.size)
         if not self.camera.can_splat:
             raise UnsupportedError(
                 "light paths cannot be connected to this sensor, so 'light' would render a black picture; use another "
@@ -91,7 +102,7 @@ class LightTracing(Carrying, ImageMethod):
         groups = -(-paths // base.MOST_LIGHT_LANES)
         for group in range(groups):
             lanes = Lanes(0, paths).part(group, groups)
-            guided = self._learning.fields(True, lanes) if self._learning else {}
+            guided = self._learning.fields(True, lanes.first) if self._learning else {}
             walk = self.walker(LightWalk, camera=self.camera, mis=mis, dark=mi.Float(0.0), sink=scattered, **guided)
             rays, bad = walk.trace(lanes.count, self.light_numbers(lanes, paths, seed, iteration))
             dr.eval(rays, bad, scattered.splats.array)

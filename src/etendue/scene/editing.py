@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from etendue.core import OptionError, SceneError, use_variant
 
 from .parsing import read_properties
+from .plugins import object_type
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -96,11 +97,28 @@ def scene_xml(source: Any, parameters: Mapping[str, Any] | None = None, change: 
         change(state)
     with _resolving(path):
         _name_absolutely(state)
+        _give_types(state)
         try:
             return str(mi.parser.write_string(state))
         except (RuntimeError, ValueError, TypeError) as error:
             text = re.sub(r"\s+", " ", str(error)).strip()
             raise SceneError(f"the scene {name} cannot be written as XML: {text}") from error
+
+
+def _give_types(state: mi.parser.ParserState) -> None:
+    """Give plugins in Python, whose types are not known before they are built, the types that XML needs."""
+    import mitsuba as mi
+
+    integrators = {
+        value.index()
+        for key, value in read_properties(state.root.props).items()
+        if key == "integrator" and isinstance(value, mi.Properties.ResolvedReference)
+    }
+    for index, node in enumerate(state.nodes):
+        if node.type == mi.ObjectType.Unknown:
+            known = object_type(node.props.plugin_name())
+            if known is not None or index in integrators:
+                node.type = mi.ObjectType.Integrator if known is None else known
 
 
 def _described(source: Any, parameters: Mapping[str, Any] | None) -> tuple[str, Path | None, mi.parser.ParserState]:

@@ -17,12 +17,13 @@ from .endings.ambient import AMBIENT_WALKS, AmbientScene, AmbientTable, ambient_
 from .endings.maps import EndingGuidedWalk, EndingWalker, light_of_map
 from .firsthits import FirstHits, shapes_seen
 from .functions import TransportFunctions, film_picture
-from .guiding.emission import BLOCK, EmissionGuide, EmissionSums, EmissionTraining
+from .guiding.emission import EmissionGuide, EmissionSums, EmissionTraining
 from .guiding.guide import NOWHERE, Guide, GuidedScattered, direction_of, square_of
+from .guiding.learning import GENERATIONS, GUIDE, GUIDE_CHOICES, LearnedEmission, learned_emission
 from .guiding.lights import MOST_LIGHTS, LightChoice, LocalLights
 from .guiding.walk import FOUND_UNITS, GuidedPath, GuidedWalk, TrainingSamples
 from .irradiance import CacheMap, IrradianceCache, irradiance_gradients, stratified_hemispheres
-from .on_lights import point_on
+from .lamps.points import point_on
 from .scattering import (
     Evaluated,
     Proposal,
@@ -50,11 +51,13 @@ from .walk import CameraPath, Emission, MapEnd, SubPath, Walker, component_field
 
 __all__ = [
     "AMBIENT_WALKS",
-    "BLOCK",
     "EMISSION",
     "FIRST_BOUNCE",
     "FOUND_UNITS",
+    "GENERATIONS",
     "GRAZING",
+    "GUIDE",
+    "GUIDE_CHOICES",
     "MOST_LIGHTS",
     "MOST_PATHS",
     "NOWHERE",
@@ -97,6 +100,7 @@ __all__ = [
     "IrradianceCache",
     "Joined",
     "Kind",
+    "LearnedEmission",
     "LightCache",
     "LightChoice",
     "LightVertex",
@@ -144,6 +148,7 @@ __all__ = [
     "irradiance_gradients",
     "is_emissive",
     "is_smooth",
+    "learned_emission",
     "light_of_map",
     "needs_interaction",
     "ones",

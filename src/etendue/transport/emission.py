@@ -14,8 +14,8 @@ from etendue.scene import Light, LightTable, sphere_point, sphere_point_facing
 from . import dimensions as dim
 from .guiding.departure import Departure, Departures
 from .guiding.lights import LocalLights
-from .on_lights import area_density_on, departing, is_sphere, light_point, of_emission, of_next_event, place_on
-from .spheres import cone_of, point_in, seen_density
+from .lamps.points import area_density_on, departing, is_sphere, light_point, of_emission, of_next_event, place_on
+from .lamps.spheres import cone_of, point_in, seen_density
 
 
 @dataclass
@@ -29,7 +29,7 @@ class EmittedRay:
     own_pdf: mi.Float  #: the same without learned directions
     #: Density of the light point under next event, light selection included (infinite lights: of the direction). For a
     #: spherical light this is the density under emission, because that of next event depends on the lit point (see
-    #: :mod:`.spheres`).
+    #: :mod:`.lamps.spheres`).
     area_density: mi.Float
     emission_density: mi.Float  #: density of point and direction, light selection included
     cos_light: mi.Float  #: cosine at the light; 1 where the light has no surface

@@ -106,11 +106,11 @@ def _save_run(session: Session, path: Path) -> None:
         write_bytes(scene, scene_text(session).encode())
         session.saved[scene.name] = scene
         own = {"file": scene.name}
-    write_bytes(path, run_text(session, own).encode())
+    write_bytes(path, run_text(session, own, f"{path.stem}-run").encode())
 
 
-def run_text(session: Session, scene: Mapping[str, Any]) -> str:
-    """The text of a run file that repeats the session's picture."""
+def run_text(session: Session, scene: Mapping[str, Any], name: str) -> str:
+    """The text of a run file that repeats the session's picture, in files of that name."""
     assert session.problem is not None and session.pose is not None
     asked, problem = session.asked, session.problem
     camera = session.pose.plain(problem)
@@ -126,7 +126,7 @@ def run_text(session: Session, scene: Mapping[str, Any]) -> str:
         "camera": camera if graph.plugin_name(problem.sensor) in ("perspective", "thinlens") else {},
         "method": {"name": asked.method, "settings": asked.settings},
         "budget": budget,
-        "output": {"png": True},
+        "output": {"name": name, "png": True},
     }
     if scene.get("file", "").endswith("-scene.xml"):  # which has the camera
         tables["camera"] = {}

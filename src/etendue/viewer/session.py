@@ -251,10 +251,8 @@ class Session:
 
     def _take_messages(self, wait: bool) -> None:
         """Handle all messages there are; ``wait`` for the first one, or until the camera is at rest."""
-        rests = self.main is None and self.problem is not None and bool(self.clients)
-        until = (
-            max(self._moving_until - time.monotonic(), 1e-3) if rests and not (self.paused or self.trouble) else None
-        )
+        rests = not (self.main or self.problem is None or self.paused or self.trouble) and self.clients
+        until = max(self._moving_until - time.monotonic(), 1e-3) if rests else None
         with contextlib.suppress(queue.Empty):
             if wait:
                 self._guarded(self._inbox.get(timeout=until))

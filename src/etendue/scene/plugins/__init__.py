@@ -43,6 +43,15 @@ def register() -> None:
             announce(name, _constructor(make))
 
 
+def object_type(name: str) -> mi.ObjectType | None:
+    """What kind of object a plugin of étendue makes; ``None`` for other names. Mitsuba knows it only once it is
+    built."""
+    import mitsuba as mi
+
+    types = ((_BSDFS, mi.ObjectType.BSDF), (_EMITTERS, mi.ObjectType.Emitter), (_SENSORS, mi.ObjectType.Sensor))
+    return next((kind for table, kind in types if name in table), None)
+
+
 def _constructor(make: Callable[[], type]) -> Callable[[mi.Properties], mi.Object]:
     def construct(props: mi.Properties) -> mi.Object:
         import mitsuba as mi

@@ -14,8 +14,8 @@ from etendue.film import after_light_scattering
 from .. import dimensions as dim
 from ..camera import CameraConnection
 from ..emission import emit
+from ..lamps.spheres import seen_density
 from ..scattering import Evaluated, Proposal, Scattered, cosine_ratio, geometric_cos, scatter_light
-from ..spheres import seen_density
 from ..vertex import WalkVertex
 from ..walk import ones
 from .mis import Carried

@@ -106,7 +106,7 @@ class CellEmission:
 
 @dataclass(kw_only=True)
 class _State(SubPath):
-    seen: mi.Float  #: luminance of the flux that has arrived at points that the camera sees
+    arrived: mi.Float  #: luminance of the flux that has arrived at points that the camera sees
 
 
 @dataclass(kw_only=True)
@@ -155,9 +155,9 @@ class ImportancePilot(Walker):
             depth=dr.full(mi.UInt32, 1, rays),
             travelled=mi.Float(0.0),
             rays=dr.zeros(mi.UInt32, rays),
-            seen=dr.zeros(mi.Float, rays),
+            arrived=dr.zeros(mi.Float, rays),
         )
-        return self.walk(state, lambda s: self._edge(s, source), "importance pilot").seen
+        return self.walk(state, lambda s: self._edge(s, source), "importance pilot").arrived
 
     def _edge(self, s: _State, source: IndependentSource) -> _State:
         vertex: WalkVertex = self.arrive(s)
@@ -166,7 +166,7 @@ class ImportancePilot(Walker):
         x, y = joined.position
         on_film = (x >= 0.0) & (x < self.camera.width) & (y >= 0.0) & (y < self.camera.height)
         visible, _ = self.visible(vertex, joined.target, s.depth + 1, joined.active & on_film)
-        s.seen += dr.select(visible, mi.luminance(s.throughput), 0.0)
+        s.arrived += dr.select(visible, mi.luminance(s.throughput), 0.0)
         s.active &= s.depth < self.max_edges
         scattered, _ = vertex.sample(source, s.active, proposal=scatter_light)
         relative = s.throughput * scattered.weight / self.lights.total_power

@@ -37,11 +37,15 @@ function wait(text) {
 // ---- messages of the session
 
 function say(text, kind = 'note', link = null) {
-  const line = make('p', { class: kind }, text);
-  if (link) line.append(' ', make('a', { href: `files/${encodeURIComponent(link)}`, download: link }, 'Download'));
-  $('messages').hidden = false;
-  $('messages').prepend(line);
-  while ($('messages').children.length > 30) $('messages').lastChild.remove();
+  const log = $('messages');
+  const remove = () => { line.remove(); log.hidden = !log.children.length; };
+  const line = make('p', { class: kind }, make('span', {}, text),
+    link ? make('a', { href: `files/${encodeURIComponent(link)}`, download: link }, 'Download') : null,
+    make('button', { type: 'button', 'aria-label': 'Remove this message', click: remove }, '×'));
+  log.hidden = false;
+  log.prepend(line);
+  while (log.children.length > 30) log.lastChild.remove();
+  if (kind === 'note') setTimeout(remove, link ? 60000 : 20000); // errors stay until they are removed
 }
 
 connection.on('error', ({ text }) => say(text, 'error'));

@@ -72,7 +72,7 @@ export default function (host) {
     details('Trees and grids', row(tree.element, radius.element), make('label', {}, make('span', {}, 'Level'), level),
       make('label', { class: 'check' }, levels, make('span', {}, 'All levels up to this one')),
       row(button('Show', () => host.send('tree', { kind: tree.input.value, count: Number(photons.input.value), radius: Number(radius.input.value) })), button('Clear', () => clear('trees'))), treesNote),
-    details('Radiosity', row(area.element), row(run, quantity.element), solveNote, patch),
+    details('Radiosity', row(area.element), row(run, quantity.element), row(button('Clear', () => { if (state?.panels.space.solving) host.send('stop'); held.values = null; solveNote.textContent = patch.textContent = ''; clear('solution'); })), solveNote, patch),
     details("Guide's directions", guideNote, guidePicture));
 
   function clear(name) {
@@ -124,7 +124,14 @@ export default function (host) {
     treesNote.textContent = `${found.level.length} ${found.centres ? 'spheres' : 'boxes'}, levels 0 to ${deepest}.`;
   });
   take('solution', () => { held.values = null; });
-  take('values', (values) => { solveNote.textContent = `${held.solution.areas.length} patches, ${values.bundles} bundles of lines, error ${short(100 * values.relative)} %.`; });
+  take('values', (values) => {
+    if (!held.solution) { // of a solution that was begun before this page was opened
+      held.values = null;
+      if (!held.asked && state?.panels.space.solving) { held.asked = true; host.send('mesh'); }
+      return;
+    }
+    solveNote.textContent = `${held.solution.areas.length} patches, ${values.bundles} bundles of lines, error ${short(100 * values.relative)} %.`;
+  });
   host.on('guide', (message, data) => {
     const { density } = unpacked(message.arrays, data);
     const [low, high] = span(density);

@@ -11,8 +11,8 @@ import mitsuba as mi
 
 from etendue.scene import Light, LightTable, graph, surface_point, uniform_point, varies
 
-from .guiding.departure import Departures
-from .guiding.lights import LocalLights
+from ..guiding.departure import Departures
+from ..guiding.lights import LocalLights
 
 
 def point_on(

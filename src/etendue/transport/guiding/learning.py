@@ -12,11 +12,12 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from etendue.core import Array, CheckpointError
-from etendue.transport import BLOCK, EmissionGuide, EmissionSums, EmissionTraining
+from etendue.scene import LightTable
 
-from .base import ImageMethod, Lanes, Layer
+from .emission import BLOCK, EmissionGuide, EmissionSums, EmissionTraining
 
 #: Lights of a scene from which on ``auto`` learns their selection.
 MANY = 8
@@ -33,17 +34,23 @@ _UNTIL = 3
 
 
 class LearnedEmission:
-    """The guide of a prepared method, its training, and the brightness of the picture so far. ``directions``: whether
-    those are learned, too."""
+    """A guide, its training, and the brightness of the picture so far.
 
-    def __init__(self, method: ImageMethod, directions: bool) -> None:
-        self._method, self._directions = method, directions
-        self.guide = EmissionGuide(method.lights)
+    Parameters
+    ----------
+    lights: the scene's lights.
+    size: width and height of the picture, in pixels.
+    directions: whether directions are learned, too.
+    """
+
+    def __init__(self, lights: LightTable, size: tuple[int, int], directions: bool) -> None:
+        self._directions = directions
+        self.guide = EmissionGuide(lights)
         #: Mean contribution to a pixel; 0 if it is unknown, and nothing is learned.
         self.unit = 0.0
         self._generation = self._passes = 0
-        width, height = method.camera.width, method.camera.height
-        self._blocks = np.zeros((-(-height // BLOCK), -(-width // BLOCK)))  # sums of luminance of all passes
+        self._width, height = size
+        self._blocks = np.zeros((-(-height // BLOCK), -(-self._width // BLOCK)))  # sums of luminance of all passes
         self._seen = 0.0  # samples in them
         self._levels = np.ones(self._blocks.size)
         self._sums = EmissionSums.zero(self.guide.count, self.guide.places)
@@ -60,13 +67,14 @@ class LearnedEmission:
         """Whether the guide learns from the next pass."""
         return self._generation < GENERATIONS
 
-    def fields(self, recording: bool, paths: Lanes) -> dict[str, Any]:
-        """The fields of the walkers of a group of light paths. What is not used is left out, because it takes time."""
-        if paths.first == 0:
+    def fields(self, recording: bool, first: int) -> dict[str, Any]:
+        """The fields of the walkers of a group of light paths, from number ``first`` on. What is not used is left out,
+        because it takes time."""
+        if first == 0:
             self.drop()  # what a pass has added that is repeated
-        width, training = self._method.camera.width, None
+        training = None
         if recording and self.trains and self.unit > 0.0:
-            training = EmissionTraining(self.guide, self.unit, self._levels, width, self._directions)
+            training = EmissionTraining(self.guide, self.unit, self._levels, self._width, self._directions)
         departures = self.guide.departures if self.guide.departs else None
         return {"lights": self.guide.lights, "departures": departures, "training": training}
 
@@ -79,7 +87,7 @@ class LearnedEmission:
         if training is not None:
             self._own = self._own + training.sums()
 
-    def end_pass(self, image: Layer, samples: int) -> None:
+    def end_pass(self, image: NDArray[np.float32], samples: int) -> None:
         """Learn at the end of a generation. ``image``: sums of the pass."""
         if not self.trains:
             return
@@ -137,7 +145,7 @@ class LearnedEmission:
         self.drop()
 
 
-def _block_means(image: Layer) -> Array:
+def _block_means(image: NDArray[np.float32]) -> Array:
     """Mean luminance of blocks of pixels."""
     luminance = image.astype(np.float64) @ np.array([0.2126, 0.7152, 0.0722])
     height, width = luminance.shape
@@ -148,9 +156,8 @@ def _block_means(image: Layer) -> Array:
     return means
 
 
-def learned_emission(method: ImageMethod) -> LearnedEmission | None:
-    """That of a method with the setting ``guide_emission``; None if nothing is learned."""
-    setting = method.settings.guide_emission
-    if setting == "off" or (setting == "auto" and method.lights.count < MANY):
+def learned_emission(setting: str, lights: LightTable, size: tuple[int, int]) -> LearnedEmission | None:
+    """That of a method with a value of the setting ``guide_emission``; None if nothing is learned."""
+    if setting == "off" or (setting == "auto" and lights.count < MANY):
         return None
-    return LearnedEmission(method, setting == "on")
+    return LearnedEmission(lights, size, setting == "on")

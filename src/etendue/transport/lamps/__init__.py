@@ -1,0 +1,1 @@
+"""Points on lights, their sampling and densities."""
