@@ -19,6 +19,8 @@ import typer
 
 from etendue import film, methods, scene
 from etendue.core import RELATIVE_EPSILON, Measurement, Replica
+from etendue.methods.auto import FIXED, Auto, AutoSettings, describe
+from etendue.transport import Candidate
 
 from .choice import scaled_size, sources
 from .measuring import Record, console, verdict
@@ -212,4 +214,52 @@ def _table(
         f"median of {seeds} seed{'s' if seeds > 1 else ''}; kernels are compiled before; preparation counts",
         "references: " + ", ".join(f"{name} by {method[0]}" for name, method in REFERENCES.items()) + ", others by bpt",
     ]
+    return record
+
+
+def choices(names: Names = SCENES, pixels: Pixels = 16384, passes: Annotated[int, typer.Option(min=3)] = 6) -> Record:
+    """A row a scene: what ``auto`` chooses after its first passes, and the variance of passes times their CPU time, by
+    its counts and those of ``path`` and ``bpt``, over that of ``vcm``; passes of all four in turn."""
+    record = Record(
+        f"Choice after the first passes, about {pixels} pixels",
+        ("", "chosen", "path", "bpt", "chosen / vcm", "foreseen", "seconds of a pass, learning", "vcm"),
+    )
+    known = sources()
+    for name in names:
+        problem = scene.load(known[name], size=scaled_size(known[name], pixels))
+        method = Auto(AutoSettings(max_depth=problem.max_depth))
+        method.prepare(problem, 1)
+        state, seconds = method.start(), []
+        for iteration in range(method.settings.probe_passes):
+            start = time.process_time()
+            state = method.step(iteration, 1, state).state
+            seconds.append(time.process_time() - start)
+        chosen = Candidate(*state["counts"])
+        counts = list(dict.fromkeys([FIXED["path"], FIXED["bpt"], FIXED["vcm"], chosen]))
+        pictures: dict[Candidate, list[np.ndarray]] = {one: [] for one in counts}
+        times: dict[Candidate, list[float]] = {one: [] for one in counts}
+        for iteration in range(passes + 1):
+            for one in counts:
+                start = time.process_time()
+                picture = method.render_with(one, 1000 + iteration, 1)
+                if iteration:  # the first has compiled its kernels
+                    times[one].append(time.process_time() - start)
+                    pictures[one].append(picture)
+        level = np.median([np.mean(each, axis=0) for each in pictures.values()], axis=0)
+        product = {}
+        for one, each in pictures.items():
+            scatter = np.sort((np.var(each, axis=0, ddof=1) / (np.square(level) + RELATIVE_EPSILON)).ravel())
+            kept = scatter[: int((1.0 - _TRIM) * scatter.size)]
+            product[one] = float(kept.mean()) * statistics.median(times[one])
+        foreseen = method.foreseen(chosen) / method.foreseen(FIXED["vcm"])
+        ratios = [f"{product[one] / product[FIXED['vcm']]:.2f}" for one in (FIXED["path"], FIXED["bpt"], chosen)]
+        spent = f"{seconds[-1]:.2f}", f"{statistics.median(times[FIXED['vcm']]):.2f}"
+        record.add(name, describe(chosen), *ratios, f"{foreseen:.2f}", *spent)
+        console.print(name, describe(chosen), *ratios, style="dim")
+        gc.collect()
+    record.notes.append(
+        f"products of variance between {passes} passes, relative to the picture, without the worst 0.1 % of pixels, "
+        "and CPU seconds of a pass, over that of vcm; foreseen: by the moments and the model of costs. The variance of "
+        "so few passes does not show light that a method rarely finds"
+    )
     return record

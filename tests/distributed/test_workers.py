@@ -86,6 +86,7 @@ def test_replicas_in_processes_are_those_in_turn_and_are_resumed(processes, tmp_
     assert here.metadata["passes"] == there.metadata["passes"] == 11
 
 
+@pytest.mark.slow
 def test_chains_in_processes_are_those_in_turn(processes):
     """Their states come back from the workers."""
     small = {"samples_per_pass": 16, "bootstrap": 1 << 12}

@@ -24,6 +24,8 @@ from .camera import Pose, place
 
 #: Seconds that a moving picture should take, and pixels of the first one and the smallest.
 _TARGET, _FIRST_PIXELS, _LEAST_PIXELS = 0.06, 60_000, 6_000
+#: A picture that takes so many times as long is not waited for twice.
+_FAR = 3.0
 #: Ratios of the side of the picture to that of the moving picture.
 _STEPS = (1, 1.5, 2, 3, 4, 6, 8, 12, 16)
 #: Edges of the paths: light that is reflected twice.
@@ -66,9 +68,10 @@ class Preview:
     def _adapt(self) -> None:
         """Change the resolution if the pace asks for it. The first picture of one, which may compile, does not count,
         and a higher one must be clearly fast enough, so that it does not change to and fro."""
-        if len(self._seconds) < 4:
+        slow = len(self._seconds) > 1 and self._seconds[-1] > _FAR * _TARGET
+        if len(self._seconds) < 4 and not slow:
             return
-        recent = sorted(self._seconds[-3:])[1]
+        recent = self._seconds[-1] if slow else sorted(self._seconds[-3:])[1]
         here = _STEPS[self._step]
         if recent > 1.2 * _TARGET:
             fits = (k for k, s in enumerate(_STEPS) if k > self._step and recent * (here / s) ** 2 < _TARGET)

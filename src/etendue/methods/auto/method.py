@@ -149,6 +149,21 @@ class Auto(Carrying, ImageMethod):
         self._spent_learning += cost if learning else 0.0
         return rendered
 
+    def render_with(self, counts: Candidate, iteration: int, seed: int) -> np.ndarray:
+        """A pass with given counts, apart from the run: its picture (height, width), means over the channels."""
+        samples = self.samples_per_iteration
+        if counts.light_paths == 0.0:
+            layers, _ = self._path(iteration, seed, samples)
+        else:
+            vcm = self._estimator()
+            vcm.use(counts)
+            layers, _ = vcm.render_pass(iteration, seed, samples)
+        return np.asarray(layers["image"].mean(axis=2, dtype=np.float64) / samples)
+
+    def foreseen(self, counts: Candidate) -> float:
+        """Product of error and cost of one of the :data:`CANDIDATES`, after a pass that has learned."""
+        return float(self._learned.errors()[CANDIDATES.index(counts)]) * self._work().cost(counts)
+
     def _is_due(self) -> bool:
         """Whether the next pass learns."""
         if self._learned.passes < self.settings.probe_passes:

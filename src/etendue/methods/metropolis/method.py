@@ -159,6 +159,8 @@ class MetropolisMethod(Carrying, ImageMethod):
         kind = self.beside()
         shared = ("max_depth", "sampler", "scrambling", "reconstruction", "components")
         same = {name: getattr(s, name) for name in shared}
+        if kind is Bpt:
+            same["guide_emission"] = "off"  # its passes do not depend on each other
         independent = kind(kind.Settings(samples_per_pass=max(1, round(_BESIDE * samples)), **same))
         independent.prepare(problem, seed)
         self._parts = COMPONENTS if s.components else ("image",)
