@@ -130,7 +130,8 @@ def test_building_again_gives_the_same_scene(name):
 def test_every_method_renders_it(name, method):
     problem = load(name, size=(24, 18))
     cls = methods.get(method)
-    fewer = {"bootstrap": 1 << 13} if "bootstrap" in {name for name, *_ in cls.Settings.describe()} else {}
+    chains = name != "gaps" and "bootstrap" in {setting for setting, *_ in cls.Settings.describe()}
+    fewer = {"bootstrap": 1 << 13} if chains else {}  # in gaps, few of many paths find light
     runner = cls(cls.Settings.from_mapping({"max_depth": 6, "samples_per_pass": 8} | fewer))
     runner.prepare(problem, 1)
     replica = Replica(runner, 1)
