@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from etendue.core import OptionError, OutputError, Pass
-from etendue.engine import Budget, Cancelled, RunError, Runner
+from etendue.engine import Budget, Cancelled, Replicated, RunError, Runner
 from etendue.engine.stopping import LEAST_PASSES_FOR_ERROR
 
 
@@ -40,6 +40,22 @@ def test_samples_are_counted_in_passes_and_the_smaller_limit_holds():
     assert Budget(seconds=1).passes(4) is None
     assert not Budget()
     assert Budget(error=0.1)
+
+
+def test_what_a_method_plans_does_not_depend_on_the_time_of_preparation(noise):
+    told = []
+    noise.plan = lambda *limits: told.append(limits)
+    for spent in (0.2, 0.9):
+        Runner(noise, seed=0, budget=Budget(seconds=30.0, iterations=2), spent=spent).run()
+    assert told == [(30.0, 2, None)] * 2
+
+
+def test_every_replica_knows_the_plan(noise):
+    """Also those that are prepared when their first pass is due."""
+    told = []
+    planned = type("Planned", (type(noise),), {"plan": lambda self, *limits: told.append(limits)})
+    Runner(Replicated(planned(), None, 0, 3), seed=0, budget=Budget(seconds=30.0, iterations=3)).run()
+    assert told == [(30.0, 3, None)] * 3
 
 
 def test_a_run_without_any_end_is_refused(noise):
