@@ -42,14 +42,6 @@ def test_samples_are_counted_in_passes_and_the_smaller_limit_holds():
     assert Budget(error=0.1)
 
 
-def test_what_a_method_plans_does_not_depend_on_the_time_of_preparation(noise):
-    told = []
-    noise.plan = lambda *limits: told.append(limits)
-    for spent in (0.2, 0.9):
-        Runner(noise, seed=0, budget=Budget(seconds=30.0, iterations=2), spent=spent).run()
-    assert told == [(30.0, 2, None)] * 2
-
-
 def test_every_replica_knows_the_plan(noise):
     """Also those that are prepared when their first pass is due."""
     told = []
@@ -107,14 +99,14 @@ def test_preparation_is_a_part_of_the_time(timed, spent, passes):
 
 
 @pytest.mark.parametrize(
-    ("budget", "spent", "left"),
+    ("budget", "spent", "limits"),
     [
-        (Budget(seconds=12.0), 2.0, (10.0, None, None)),
-        (Budget(seconds=12.0), 50.0, (0.0, None, None)),
+        (Budget(seconds=12.0), 2.0, (12.0, None, None)),  # by the clock, decisions would differ from run to run
+        (Budget(seconds=12.0), 50.0, (12.0, None, None)),
         (Budget(samples=7, error=0.1), 2.0, (None, 7, 0.1)),
     ],
 )
-def test_a_method_that_asks_is_told_what_the_budget_has_left(timed, budget, spent, left):
+def test_a_method_that_asks_is_told_the_budget(timed, budget, spent, limits):
     method, clock = timed([1.0])
     told = []
     method.plan = lambda *ahead: told.append((*ahead, clock()))
@@ -122,7 +114,7 @@ def test_a_method_that_asks_is_told_what_the_budget_has_left(timed, budget, spen
     begin = clock()
     Runner(method, seed=0, budget=budget, spent=spent, clock=clock).run()
     Runner(method, seed=0, budget=Budget(iterations=3), start=start, clock=clock).run()
-    assert told[0] == (*left, begin)  # before the first pass
+    assert told[0] == (*limits, begin)  # before the first pass
     assert told[1][:3] == (None, 2, None)
 
 
