@@ -28,11 +28,11 @@ class Visibility:
         # where a kernel traces rays in one scene only.
         self._opaque = self._rest = None
         if self.transparent and dr.backend_v(mi.Float) == dr.JitBackend.LLVM:
-            opaque, rest = [], []
-            for shape in scene.shapes():
-                (opaque if shape.is_mesh() and not _passes(shape.bsdf()) else rest).append(shape)
-            self._opaque = _joined(opaque)
-            self._rest = _joined(rest) if self._opaque and all(shape.is_mesh() for shape in rest) else None
+            shapes = {shape: shape.is_mesh() and not _passes(shape.bsdf()) for shape in scene.shapes()}
+            rest = [shape for shape, opaque in shapes.items() if not opaque]
+            self._opaque = _joined([shape for shape, opaque in shapes.items() if opaque])
+            if self._opaque is not None and all(shape.is_mesh() for shape in rest):
+                self._rest = _joined(rest)
 
     def along(self, ray: mi.Ray3f, crossings: mi.UInt32, active: mi.Bool) -> tuple[mi.Bool, mi.Color3f | float]:
         """(whether the end of a shadow ray is visible, transmittance along the ray); the transmittance is the number
