@@ -23,16 +23,11 @@ class Visibility:
     def __init__(self, scene: mi.Scene) -> None:
         self.scene = scene
         self.transparent = any(_passes(node) for node in materials(scene) if isinstance(node, mi.BSDF))
-        # The opaque meshes alone, by which nearly all blocked shadow rays are blocked, and the rest, which most of the
-        # others miss: two any-hit tests cost less than the closest intersection in the whole scene. Not on a GPU,
-        # where a kernel traces rays in one scene only.
-        self._opaque = self._rest = None
-        if self.transparent and dr.backend_v(mi.Float) == dr.JitBackend.LLVM:
-            shapes = {shape: shape.is_mesh() and not _passes(shape.bsdf()) for shape in scene.shapes()}
-            rest = [shape for shape, opaque in shapes.items() if not opaque]
-            self._opaque = _joined([shape for shape, opaque in shapes.items() if opaque])
-            if self._opaque is not None and all(shape.is_mesh() for shape in rest):
-                self._rest = _joined(rest)
+        #: The opaque meshes alone, by which nearly all blocked shadow rays are blocked: an any-hit test costs less than
+        #: the closest intersection. Not on a GPU, where a kernel traces rays in one scene only.
+        self._opaque = (
+            _opaque_meshes(scene) if self.transparent and dr.backend_v(mi.Float) == dr.JitBackend.LLVM else None
+        )
 
     def along(self, ray: mi.Ray3f, crossings: mi.UInt32, active: mi.Bool) -> tuple[mi.Bool, mi.Color3f | float]:
         """(whether the end of a shadow ray is visible, transmittance along the ray); the transmittance is the number
@@ -43,11 +38,18 @@ class Visibility:
         if self._opaque is not None:
             blocked = self._opaque.ray_test(ray, active)
             active, transmittance = active & ~blocked, transmittance & ~blocked
-        met = active if self._rest is None else active & self._rest.ray_test(ray, active)
+
+        time, wavelengths = ray.time, ray.wavelengths  # no part of the state: see ``loop_traced_once``
 
         def cross(
-            active: mi.Bool, ray: mi.Ray3f, transmittance: mi.Color3f, crossings: mi.UInt32
-        ) -> tuple[mi.Bool, mi.Ray3f, mi.Color3f, mi.UInt32]:
+            active: mi.Bool,
+            o: mi.Point3f,
+            d: mi.Vector3f,
+            maxt: mi.Float,
+            transmittance: mi.Color3f,
+            crossings: mi.UInt32,
+        ) -> tuple[mi.Bool, mi.Point3f, mi.Vector3f, mi.Float, mi.Color3f, mi.UInt32]:
+            ray = mi.Ray3f(o, d, maxt, time, wavelengths)
             hit = self.scene.ray_intersect_preliminary(ray, active=active)
             active = active & hit.is_valid()
             # The preliminary intersection of an instance does not give the BSDF of the shape that was hit.
@@ -74,10 +76,11 @@ class Visibility:
             crosses, ray, transmittance = dr.if_stmt(
                 arguments, null, behind, lambda *untouched: untouched[:3], label="crossing"
             )
-            return crosses, ray, transmittance, crossings - 1
+            return crosses, ray.o, ray.d, ray.maxt, transmittance, crossings - 1
 
-        start = mi.Bool(met), mi.Ray3f(ray), transmittance, mi.UInt32(crossings)
-        _, _, transmittance, _ = dr.while_loop(start, lambda active, *_: active, cross, label="transmittance")
+        first = mi.Point3f(ray.o), mi.Vector3f(ray.d), mi.Float(ray.maxt)
+        start = mi.Bool(active), *first, transmittance, mi.UInt32(crossings)
+        *_, transmittance, _ = dr.while_loop(start, lambda active, *_: active, cross, label="transmittance")
         return active & (dr.max(transmittance) > 0.0), transmittance
 
 
@@ -86,10 +89,11 @@ def _passes(bsdf: mi.BSDF) -> bool:
     return bool(mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null))
 
 
-def _joined(meshes: list[mi.Mesh]) -> mi.Scene | None:
-    """A scene of the triangles of ``meshes``; ``None`` if there are none.
+def _opaque_meshes(scene: mi.Scene) -> mi.Scene | None:
+    """A scene of the triangles of all meshes without a null component; ``None`` if there are none.
 
     The triangles are copied into one mesh, because a mesh keeps a pointer to the last scene that it was added to."""
+    meshes = [shape for shape in scene.shapes() if shape.is_mesh() and not _passes(shape.bsdf())]
     if not meshes:
         return None
     points = [np.asarray(mesh.vertex_positions_buffer()) for mesh in meshes]
@@ -97,9 +101,9 @@ def _joined(meshes: list[mi.Mesh]) -> mi.Scene | None:
     faces = [np.asarray(mesh.faces_buffer()) + np.uint32(n) for mesh, n in zip(meshes, first, strict=False)]
     properties = mi.Properties()
     properties["mesh_bsdf"] = meshes[0].bsdf()  # a further BSDF would be compiled into every kernel
-    joined = mi.Mesh("joined", int(first[-1]), sum(len(f) for f in faces) // 3, props=properties)
+    joined = mi.Mesh("opaque", int(first[-1]), sum(len(f) for f in faces) // 3, props=properties)
     parameters = mi.traverse(joined)
     parameters["vertex_positions"] = np.concatenate(points)
     parameters["faces"] = np.concatenate(faces)
     parameters.update()
-    return mi.load_dict({"type": "scene", "joined": joined})
+    return mi.load_dict({"type": "scene", "opaque": joined})
