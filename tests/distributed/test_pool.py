@@ -21,9 +21,7 @@ calls = itertools.count()
 @pytest.fixture(scope="module")
 def client():
     with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
-        ) as local,
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None) as local,
         distributed.Client(local, set_as_default=False) as client,
     ):
         yield client
@@ -67,9 +65,12 @@ def test_sums_that_cannot_be_merged_come_one_by_one(client, monkeypatch, _light)
     monkeypatch.setattr(dask_module, "merge_outcomes", fail)
     fetch = DaskPool._fetch
     monkeypatch.setattr(DaskPool, "_fetch", lambda pool, bundle: time.sleep(0.05) or fetch(pool, bundle))
+    sent, send = [], DaskPool.send
+    monkeypatch.setattr(DaskPool, "send", lambda pool, *task: sent.append(task[2].count) or send(pool, *task))
     pool = DaskPool(client)
     made = run(pool, Powers(), 40)
     assert pool._gathering.merges > 0
+    assert sum(sent) < 60  # and not again and again: 115
     assert made.measurement.sums["x"] == alone(Powers(), 40).measurement.sums["x"]
     pool.close()
 
