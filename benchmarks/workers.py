@@ -50,7 +50,7 @@ class _Row:
 def measure(
     chosen: Methods = "bpt,vcm,pssmlt",
     lines: Annotated[bool, typer.Option("--lines/--no-lines", help="Also form factors by the A-buffer.")] = True,
-    time_: Annotated[float, typer.Option("--time", help="Seconds of a run, about.", metavar="SECONDS")] = 5.0,
+    time_: Annotated[float, typer.Option("--time", help="Seconds of a run, about.", metavar="SECONDS")] = 4.0,
     rounds: Rounds = 3,
     out: Out = Path("workers-output"),
 ) -> Iterator[Record]:
@@ -122,7 +122,8 @@ class _Crews:
         self._apart(name, _FEW)  # compiles
         for cluster in (self._one, self._two):
             cluster_seconds(cluster, name, 2 * _FEW)
-        pace = self._mine(name, _FEW) / _FEW
+        few, many = self._mine(name, _FEW), self._mine(name, 3 * _FEW)
+        pace = max((many - few) / (2 * _FEW), 0.1 * many / _FEW)  # without preparation, which may take as long
         row = _Row(max(_FEW, round(seconds / pace)), [], [], [])
         for _ in range(rounds):
             row.seconds.append(self._mine(name, row.passes))
