@@ -16,7 +16,7 @@ import threading
 from collections.abc import Callable
 from importlib.resources import files
 from typing import Any, Protocol
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
 from etendue.core import EtendueError, OptionError, describe, library, logger
 
@@ -94,7 +94,10 @@ class Server:
     def trusts(self, origin: str, host: str) -> bool:
         """Whether a page of ``origin`` may open the socket that it knows as ``host``: it came from this server, by a
         name of this machine, or by any if the server is bound to all of its addresses."""
-        place = urlsplit(origin)
+        try:
+            place = urlsplit(origin)
+        except ValueError:  # such as half an IPv6 address
+            return False
         if place.scheme not in ("http", "https") or place.netloc.lower() != host.lower():
             return False
         return is_everywhere(self.host) or (place.hostname or "") in (*_LOCAL, self.host.lower())
@@ -197,7 +200,7 @@ def application(server: Server) -> Any:
             if content is None:
                 raise HTTPError(404, reason="The session has saved no file of that name")
             self.set_header("Content-Type", "application/octet-stream")
-            self.set_header("Content-Disposition", f'attachment; filename="{name}"')
+            self.set_header("Content-Disposition", f"attachment; filename*=UTF-8''{quote(name, safe='')}")
             self.write(content)
 
     class Pages(WebSocketHandler):
