@@ -89,6 +89,12 @@ def test_a_picture_whose_principal_point_is_moved():
     assert_projects(found.orbited(0.2, 0.1), problem)
 
 
+def test_the_target_is_what_the_middle_shows():
+    """Also beyond a near plane, from which the distance of a ray counts."""
+    found, _ = seen_from(look_at((0, 0, 4)), near_clip=2.0)
+    assert np.allclose(found.target, [0, 0, -1], atol=1e-5)  # the back wall
+
+
 def test_a_steep_camera_orbits_around_the_axis_that_it_shows_upright():
     assert np.allclose(seen_from(look_at((3, 10, 4)))[0].up, [0, 1, 0])
     assert np.allclose(seen_from(look_at((3, 4, 10), up=(0, 0, 1)))[0].up, [0, 0, 1])

@@ -66,7 +66,8 @@ class Pose:
         values = dict(graph.contents(problem.sensor).values)
         fov = float(np.asarray(values["x_fov"]).ravel()[0]) if "x_fov" in values else None
         flat = graph.plugin_name(problem.sensor) == "orthographic"
-        pose = cls(origin, origin + forward * _seen(problem, size), up, np.eye(3), fov, size, flat)
+        target = origin + forward * _seen(problem, origin, forward, size)
+        pose = cls(origin, target, up, np.eye(3), fov, size, flat)
         own = np.asarray(np.linalg.solve(pose._frame(), matrix[:3, :3]), dtype=np.float64)
         return replace(pose, own=own)
 
@@ -253,17 +254,18 @@ def _matrix(sensor: mi.Sensor) -> Array:
     return np.array(graph.as_array(values["to_world"]), dtype=np.float64).reshape(4, 4)
 
 
-def _seen(problem: Problem, size: float) -> float:
-    """Distance of what the middle of the picture shows, or of the scene's middle."""
+def _seen(problem: Problem, origin: Array, forward: Array, size: float) -> float:
+    """How far ahead is what the middle of the picture shows, or the scene's middle."""
     import mitsuba as mi
 
     ray, _ = problem.sensor.sample_ray(0.0, 0.5, mi.Point2f(0.5), mi.Point2f(0.5))
     hit = problem.scene.ray_intersect_preliminary(ray)
-    distance = float(np.asarray(hit.t).ravel()[0])
-    if 0 < distance < math.inf:
-        return distance
+    start, way = (np.asarray(v, dtype=np.float64).ravel()[:3] for v in (ray.o, ray.d))
+    distance = float(np.asarray(hit.t).ravel()[0])  # from the near plane
+    if math.isfinite(distance) and (ahead := float((start + distance * way - origin) @ forward)) > 0:
+        return ahead
     middle = np.asarray(problem.scene.bbox().center(), dtype=np.float64).ravel()
-    away = float(np.linalg.norm(middle - np.asarray(ray.o, dtype=np.float64).ravel()[:3]))
+    away = float(np.linalg.norm(middle - start))
     return away if 0 < away < math.inf else size
 
 

@@ -254,7 +254,8 @@ def _index(value: Any, count: int) -> int:
 
 
 def _radiance(session: Session, x: float, y: float) -> list[float] | None:
-    if "image" not in session.layers:
+    """That of the picture; ``None`` while there is none of this view."""
+    if "image" not in session.layers or session.main is None or not session.main.passes:
         return None
     image = session.layers["image"]
     height, width = image.shape[:2]

@@ -80,7 +80,9 @@ class Comparison:
         try:
             return show.colours(layers, stops), self._progress(squared)
         except EtendueError as error:
-            if (line := f"the second picture is not denoised: {describe(error)}") != self._told:
+            line = f"the second picture is not denoised: {describe(error)}"
+            # Before the second pass there is no variance.
+            if line != self._told and (self.refinement is None or self.refinement.passes > 1):
                 self._told = line
                 tell(line)
             return replace(show, denoise="").colours(layers, stops), self._progress(squared)

@@ -364,10 +364,12 @@ class Session:
         try:
             self.clients.show("a", self.show.colours(result.layers, self._stops))
         except EtendueError as error:  # such as a filter whose layer is missing
-            self.tell(error)
-            self.show = replace(self.show, denoise="", layer="image")
-            self.clients.show("a", self.show.colours(result.layers, self._stops))
-            self.changed()
+            plain = replace(self.show, denoise="", layer="image")
+            if self.main.passes > 1 or self.main.is_done:  # before the second pass there is no variance
+                self.tell(error)
+                self.show = plain
+                self.changed()
+            self.clients.show("a", plain.colours(result.layers, self._stops))
         compared: dict[str, Any] = {}
         if self.compared is not None:
             other = self.compared.shown(self.show, self._stops, result.image, self.tell)
