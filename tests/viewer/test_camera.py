@@ -91,8 +91,8 @@ def test_a_picture_whose_principal_point_is_moved():
 
 def test_the_target_is_what_the_middle_shows():
     """Also beyond a near plane, from which the distance of a ray counts."""
-    found, _ = seen_from(look_at((0, 0, 4)), near_clip=2.0)
-    assert np.allclose(found.target, [0, 0, -1], atol=1e-5)  # the back wall
+    far, near = (seen_from(look_at((0, 0, 4)), near_clip=clip)[0] for clip in (2.0, 1e-3))
+    assert np.allclose(far.target, near.target, atol=1e-5) and -1.0 <= far.target[2] <= 1.0
 
 
 def test_a_steep_camera_orbits_around_the_axis_that_it_shows_upright():

@@ -108,16 +108,16 @@ def _set_camera(session: Session, state: mi.parser.ParserState) -> None:
 def _save_run(session: Session, path: Path) -> None:
     """A run file. The scene is written beside it unless its file and a camera of the run file say all."""
     assert session.problem is not None and session.pose is not None
-    asked, pose = session.asked, session.pose
+    asked, moved = session.asked, session.pose is not session.home
     own, camera = _source(asked.scene), _run_camera(session)
-    if own is None or asked.lights or _is_edited(session) or (camera is None and pose is not session.home):
+    if own is None or asked.lights or _is_edited(session) or (moved and camera is None):
         scene = path.with_name(f"{path.stem}-scene.xml")
         _spare_scene(session, scene)
         write_bytes(scene, scene_text(session).encode())
         session.saved[scene.name] = scene
         tables: dict[str, Any] = {"scene": {"file": scene.name}}
     else:
-        tables = {"scene": {**own, "parameters": asked.parameters}, "camera": camera or {}}
+        tables = {"scene": {**own, "parameters": asked.parameters}, "camera": camera if moved else {}}
     write_bytes(path, run_text(session, tables, f"{path.stem}-run").encode())
 
 

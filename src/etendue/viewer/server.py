@@ -94,10 +94,7 @@ class Server:
     def trusts(self, origin: str, host: str) -> bool:
         """Whether a page of ``origin`` may open the socket that it knows as ``host``: it came from this server, by a
         name of this machine, or by any if the server is bound to all of its addresses."""
-        try:
-            place = urlsplit(origin)
-        except ValueError:  # such as half an IPv6 address
-            return False
+        place = urlsplit(origin)
         if place.scheme not in ("http", "https") or place.netloc.lower() != host.lower():
             return False
         return is_everywhere(self.host) or (place.hostname or "") in (*_LOCAL, self.host.lower())
