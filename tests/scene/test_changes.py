@@ -156,6 +156,19 @@ def test_elements_without_a_name_get_one_that_a_removed_light_does_not_change() 
         assert editor.get("point-1.position").value == [1, 2, 3]
 
 
+@pytest.mark.parametrize("metal", ["conductor", "roughconductor"])
+def test_a_perfect_mirror_can_become_another_metal(metal: str) -> None:
+    """Without a material its constants are numbers, which are not those of glass."""
+    scene = room()
+    scene["metal"]["bsdf"] = {"type": metal, "material": "none"}
+    scene["spot"] = {"type": "spot", "to_world": mi.ScalarTransform4f().look_at([0, 3, 0], [0, 0, 0], [1, 0, 0])}
+    keys = [p.key for p in SceneEditor(load(scene, change=ParameterChanges()).scene).list()]
+    assert not any("texture" in key for key in keys)  # a file cannot give the spot light a plain one
+    key = next(key for key in keys if key.startswith("metal.bsdf.eta"))
+    changed = SceneEditor(load(scene, change=ParameterChanges({key: 0.25, key.replace(".eta", ".k"): 2.0})).scene)
+    assert changed.get(key).value == 0.25
+
+
 def test_an_added_light_does_not_replace_one_of_the_file(tmp_path: Path) -> None:
     """As in a scene that was written with an added light; the parameters of both can be changed."""
     lamp = {"id": "added-light-1", "type": "point", "position": [0.0, 2.0, 0.0]}
