@@ -29,8 +29,9 @@ MOST_PATCHES = 20_000
 _GROWTH = 1.5
 #: Sequences of lines, whose variance gives the error.
 _REPLICATES = 8
-#: Most segments of lines that are kept, of eight bytes each; a system on them is solved in about a second.
-MOST_SEGMENTS = 10_000_000
+#: Most segments of lines that are kept, of eight bytes each, or so many a patch if that is more: a system on two million
+#: is solved in about a second, in which the camera waits.
+MOST_SEGMENTS, _PER_PATCH = 2_000_000, 200
 
 
 class LiveSolution:
@@ -75,7 +76,7 @@ class LiveSolution:
     @property
     def _is_full(self) -> bool:
         measured = self._measurement if self.passes >= _REPLICATES else None
-        return measured is not None and measured.counters["rays"] >= MOST_SEGMENTS
+        return measured is not None and measured.counters["rays"] >= max(MOST_SEGMENTS, _PER_PATCH * len(self.patches))
 
     def step(self, seconds: float = 0.15) -> bool:
         """Cast lines for so long; returns whether there is a new solution."""
