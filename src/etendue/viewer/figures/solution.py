@@ -29,8 +29,8 @@ MOST_PATCHES = 20_000
 _GROWTH = 1.5
 #: Sequences of lines, whose variance gives the error.
 _REPLICATES = 8
-#: Most segments of lines that are kept, of eight bytes each, or so many a patch if that is more: a system on two million
-#: is solved in about a second, in which the camera waits.
+#: Most segments of lines that are kept, of eight bytes each, or so many a patch if that is more: a system on two
+#: million is solved in about a second, in which the camera waits.
 MOST_SEGMENTS, _PER_PATCH = 2_000_000, 200
 
 
