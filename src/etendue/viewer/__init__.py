@@ -2,6 +2,7 @@
 
 from .opening import Viewer, view
 from .panels import Panel
-from .session import Asked, Session
+from .session import Session
+from .states import Asked
 
 __all__ = ["Asked", "Panel", "Session", "Viewer", "view"]

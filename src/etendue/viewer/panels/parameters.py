@@ -30,20 +30,24 @@ class Parameters(Panel):
         self._changes: dict[str, Any] = {}
         self._editor: SceneEditor | None = None
         self._own: dict[str, Any] = {}  # values before the first change
+        #: Those of the scene that is being loaded, which may fail.
+        self._next: tuple[dict[str, Any], dict[str, Any]] = {}, {}
 
     def loading(self, state: mi.parser.ParserState, same: bool) -> None:
         """Make the changes again, those whose element is still there."""
-        if not same:
-            self._changes, self._own = {}, {}
-        for key in list(self._changes):
+        changes = dict(self._changes) if same else {}
+        self._next = changes, self._own if same else {}
+        for key in list(changes):
             try:
-                ParameterChanges({key: self._changes[key]})(state)
+                ParameterChanges({key: changes[key]})(state)
             except EtendueError as error:
-                del self._changes[key]
+                del changes[key]
                 self.session.broadcast("note", text=f"the change of '{key}' is dropped: {error}")
 
     def scene_loaded(self) -> None:
         """Parameters of the new scene."""
+        self._changes, self._own = self._next
+        self._next = {}, {}
         problem, asked = self.session.problem, self.session.asked
         self._editor = None
         if problem is not None and is_described(asked.scene):

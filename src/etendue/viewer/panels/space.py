@@ -95,7 +95,7 @@ class Space(Panel):
     def work(self) -> bool:
         """Cast lines for the solution, and send what is new."""
         live = self._solution
-        if live is None:
+        if live is None or live.is_done:
             return False
         try:
             if live.step():
@@ -116,6 +116,7 @@ class Space(Panel):
         camera = {"origin": pose.origin, "target": pose.target, "up": pose.up, "fov": pose.fov}
         arrays: Arrays = {"triangles": mesh.triangles, "shape": mesh.shape, "colours": mesh.colours}
         about: Any = {"names": mesh.names, "left_out": mesh.left_out, "missing": mesh.missing}
+        about["space"] = {"centre": problem.space.centre, "scale": problem.space.scale}
         self._send(client, "mesh", arrays, camera=camera | {"aspect": width / height}, size=pose.size, **about)
         if self._solution is not None:
             self._send_solution(self._solution, client)
@@ -215,7 +216,8 @@ class Space(Panel):
         luminance, error = values["luminance"], values["error"]
         areas = live.patches.areas
         relative = float((error * areas).sum() / max((luminance * areas).sum(), 1e-30))
-        self._send(client, "values", values, bundles=live.bundles, relative=relative, at=time.time())
+        about = {"bundles": live.bundles, "relative": relative, "done": live.is_done, "at": time.time()}
+        self._send(client, "values", values, **about)
 
     def _send(self, client: Client | None, verb: str, arrays: Arrays, **fields: Any) -> None:
         data, table = joined(arrays)
