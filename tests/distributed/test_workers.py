@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import random
 import signal
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -137,6 +139,28 @@ def test_time_holds_for_the_sum(processes):
     assert 3.0 < time.perf_counter() - begin < 6.0
     assert made.metadata["stopped_by"] == "seconds"
     assert made.metadata["passes"] > 1
+
+
+@pytest.mark.slow
+def test_processes_end_with_a_parent_that_is_killed(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(
+        "if __name__ == '__main__':\n"
+        "    import time\n"
+        "    from etendue.distributed import ProcessPool\n"
+        "    (process,) = ProcessPool(1, threads=1)._processes.values()\n"
+        "    print(process.submit(int).result(), *process._processes, flush=True)\n"
+        "    time.sleep(60)\n"
+    )
+    parent = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    pid = int(parent.stdout.readline().split()[1])
+    parent.kill()
+    parent.wait()
+    end = time.monotonic() + 30
+    while os.path.exists(f"/proc/{pid}"):
+        assert time.monotonic() < end, "the process stays"
+        time.sleep(0.1)
 
 
 # -- Dask ------------------------------------------------------------------------------------------------------------

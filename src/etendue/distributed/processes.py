@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import multiprocessing
+import os
 import queue
+import threading
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
@@ -91,6 +93,18 @@ class ProcessPool:
         self._processes.clear()
 
     def _start(self) -> None:
-        process = ProcessPoolExecutor(1, self._context, initializer=ends_by, initargs=(self._ended,))
+        process = ProcessPoolExecutor(1, self._context, initializer=_begin, initargs=(self._ended,))
         process.submit(introduce, True)  # starts it
         self._processes[f"process {next(self._numbers)}"] = process
+
+
+def _begin(ended: Any) -> None:
+    """In a process of the pool: it ends with its parent, also if that is killed."""
+    ends_by(ended)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    if (parent := multiprocessing.parent_process()) is not None:
+        parent.join()
+        os._exit(1)
