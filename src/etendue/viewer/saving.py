@@ -64,11 +64,8 @@ def _save_picture(session: Session, path: Path) -> None:
 
 
 def _save_scene(session: Session, path: Path) -> None:
-    write_bytes(path, scene_text(session).encode())
-
-
-def scene_text(session: Session) -> str:
-    """The scene as XML: with the session's camera and size, its lights, and the edits of panels."""
+    """The scene as XML: with the session's camera and size, its lights, and the edits of panels. Meshes and pictures
+    that it has in memory are written to a folder beside it."""
 
     def change(state: mi.parser.ParserState) -> None:
         session.asked.lights(state)
@@ -76,7 +73,8 @@ def scene_text(session: Session) -> str:
             panel.describe(state)
         _set_camera(session, state)
 
-    return scene_xml(session.asked.scene, session.asked.parameters, change)
+    text = scene_xml(session.asked.scene, session.asked.parameters, change, path.with_name(f"{path.stem}-files"))
+    write_bytes(path, text.encode())
 
 
 def _set_camera(session: Session, state: mi.parser.ParserState) -> None:
@@ -103,7 +101,7 @@ def _save_run(session: Session, path: Path) -> None:
     asked, scene = session.asked, path.with_name(f"{path.stem}-scene.xml")
     own = _source(asked.scene)
     if own is None or asked.lights or _is_edited(session) or not session.pose.is_plain:
-        write_bytes(scene, scene_text(session).encode())
+        _save_scene(session, scene)
         session.saved[scene.name] = scene
         own = {"file": scene.name}
     write_bytes(path, run_text(session, own, f"{path.stem}-run").encode())
