@@ -53,4 +53,5 @@ def develop(
         if not kind.by_component:
             parts = [np.sum(parts, axis=0, dtype=np.float32)]
         parts = [kind.function(part, features, radius, strength) for part in parts]
-    return np.sum(parts, axis=0, dtype=np.float32)
+    whole: Picture = np.sum(parts, axis=0, dtype=np.float32)
+    return whole if kind is None or kind.after is None else kind.after(whole, features, strength)

@@ -53,10 +53,8 @@ class MeshDescription:
     def _mesh(self, properties: mi.Properties) -> mi.Mesh:
         import mitsuba as mi
 
-        with_normals = self.normals is not None
-        result = mi.Mesh(
-            self.name, len(self.points), len(self.faces), has_vertex_normals=with_normals, props=properties
-        )
+        is_smooth = self.normals is not None
+        result = mi.Mesh(self.name, len(self.points), len(self.faces), has_vertex_normals=is_smooth, props=properties)
         parameters = mi.traverse(result)
         parameters["vertex_positions"] = np.ascontiguousarray(self.points, np.float32).ravel()
         parameters["faces"] = np.ascontiguousarray(self.faces, np.uint32).ravel()
