@@ -2,6 +2,7 @@
 
 from .opening import Viewer, view
 from .panels import Panel
+from .refining import is_picture
 from .session import Asked, Session
 
-__all__ = ["Asked", "Panel", "Session", "Viewer", "view"]
+__all__ = ["Asked", "Panel", "Session", "Viewer", "is_picture", "view"]

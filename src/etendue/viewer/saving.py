@@ -18,6 +18,7 @@ from etendue.jobs import check_picture, save_result
 from etendue.scene import BundledScene, graph, locate, scene_xml
 
 from .camera import vertical_fov
+from .refining import Refinement
 
 if TYPE_CHECKING:
     from .session import Session
@@ -39,7 +40,7 @@ def save(session: Session, what: str, name: str) -> Path:
         )
     if Path(name).suffix.lower() not in endings:
         raise OptionError(f"a {what} is written as {' or '.join(endings)}, not as '{name}'; change the name")
-    if session.problem is None:
+    if session.problem is None and (what != "picture" or session.main is None):
         raise OptionError("no scene is loaded; open one first")
     path = session.asked.folder / name
     {"picture": _save_picture, "scene": _save_scene, "run": _save_run}[what](session, path)
@@ -49,9 +50,10 @@ def save(session: Session, what: str, name: str) -> Path:
 def _save_picture(session: Session, path: Path) -> None:
     """EXR: all layers, linear, as rendered. PNG: as shown."""
     result = session.main.result() if session.main is not None else None
-    if result is None or session.problem is None or session.pose is None:
+    if result is None:
         raise OptionError("there is no picture yet; wait for the first pass")
-    result.metadata["camera"] = session.pose.plain(session.problem)
+    if session.problem is not None and session.pose is not None:
+        result.metadata["camera"] = session.pose.plain(session.problem)
     show = session.show
     if check_picture(path) == ".exr":
         if show.denoise:
@@ -117,7 +119,7 @@ def run_text(session: Session, scene: Mapping[str, Any], name: str) -> str:
     else:
         del camera["fov"]
     budget = asked.budget.to_dict()
-    if not budget and session.main is not None:
+    if not budget and isinstance(session.main, Refinement):
         budget = {"samples": max(1, session.main.samples)}
     tables: dict[str, Mapping[str, Any]] = {
         "scene": {**scene, "sensor": asked.sensor, "size": list(problem.size), "parameters": asked.parameters},

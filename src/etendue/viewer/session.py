@@ -22,16 +22,16 @@ from numpy.typing import NDArray
 from etendue import film
 from etendue.core import EtendueError, describe, logger, use_variant
 from etendue.engine import Budget, jit_flags, set_jit_flags
-from etendue.scene import Change, LightEdits, Problem, is_described, load, name_elements, resized
+from etendue.scene import Change, LightEdits, Problem, is_described, load, name_elements
 
 from . import commands, states
 from .camera import Pose, place
 from .clients import Client
 from .comparing import Comparison
 from .panels import Panel, panels
-from .preview import Preview
+from .preview import Preview, own_sensor
 from .protocol import packed
-from .refining import Refinement
+from .refining import Refinement, Still, is_picture
 from .shown import Show, encoded, error_map
 
 if TYPE_CHECKING:
@@ -41,8 +41,6 @@ Picture = NDArray[np.float32]
 
 #: The camera is at rest so many seconds after its last movement.
 _REST = 0.25
-#: Pixels of the picture if no size is asked for.
-_PIXELS = 262_144
 #: Least seconds between two pictures of the refinement, and the share of the time that showing them may take.
 _EVERY, _SHARE = 0.1, 0.15
 #: Name of the session's thread.
@@ -53,7 +51,7 @@ _THREAD = "etendue-viewer"
 class Asked:
     """What a session is asked to show."""
 
-    scene: Any = None  #: as for :func:`etendue.scene.load`
+    scene: Any = None  #: as for :func:`etendue.scene.load`, or the file of a picture
     method: str = "path"
     settings: Mapping[str, Any] = field(default_factory=dict)
     budget: Budget = field(default_factory=Budget)
@@ -77,7 +75,7 @@ class Session:
         self.views: list[Pose] = []
         self.show = Show()
         self.layers: Mapping[str, Picture] = {}  #: of the latest picture of the method, without data before it
-        self.main: Refinement | None = None
+        self.main: Refinement | Still | None = None
         self.compared: Comparison | None = None
         self.paused = False
         self.trouble = ""  #: why there is no picture, or no more passes
@@ -172,8 +170,8 @@ class Session:
         for one in self.clients if client is None else [client]:
             one.send("error", text=text)
 
-    def move(self, pose: Pose) -> None:
-        """Show the scene from another pose."""
+    def move(self, pose: Pose | None) -> None:
+        """Show the scene from another pose; a picture of a file has none."""
         self.pose = pose
         self._moved = True
         self._moving_until = time.monotonic() + _REST
@@ -181,7 +179,7 @@ class Session:
 
     def again(self) -> None:
         """What is rendered has changed: the picture starts anew."""
-        self.main = None
+        self.main = self.main if isinstance(self.main, Still) else None
         self.trouble = ""
         if self.compared is not None:
             self.compared.restart()
@@ -199,22 +197,24 @@ class Session:
         self.again()
 
     def open(self, asked: Asked, keep_pose: bool = False) -> None:
-        """Load a scene and show it. Raises the errors of loading; the scene of before stays then."""
-        problem = _loaded(asked, lambda state: self._change(asked, state))
-        pose = Pose.of(problem)
-        if keep_pose and self.pose is not None and self.problem is not None:
+        """Load a scene, or a picture, and show it. Raises the errors of loading; what was there stays then."""
+        still = Still(asked.scene) if is_picture(asked.scene) else None
+        problem = None if still is not None else _loaded(asked, lambda state: self._change(asked, state))
+        pose = None if problem is None else Pose.of(problem)
+        if keep_pose and self.pose and self.problem and problem and pose:
             # In another render space an own roll of the camera is kept, and what was changed about it is not.
             same = problem.space == self.problem.space
             pose = self.pose if same else pose.placed(self.pose.plain(self.problem), problem)
         else:
             self.views, self.home = [], pose
         self.asked, self.problem = asked, problem
-        self._preview, self.layers = Preview(problem), {}
+        self._preview, self.layers = None, {}  # the preview is made with the first moving picture
         self.main = self.compared = None
         for panel in self.panels.values():  # which let go of the scene of before
             self._guarded(panel.scene_loaded)
         gc.collect()  # a scene that is alive is a part of every later kernel
         self.move(pose)
+        self.main, self._moved, self._dirty = still, pose is not None, True
         self._moving_until = 0.0
 
     def _change(self, asked: Asked, state: mi.parser.ParserState) -> None:
@@ -283,6 +283,8 @@ class Session:
     def _advance(self) -> bool:
         """Make the next small piece of the picture; returns whether there is more to do without a message."""
         if self.problem is None or self.pose is None or not self.clients:
+            if isinstance(self.main, Still) and self._dirty and self.clients:
+                self._publish()
             return False
         if self._moved:
             self._guarded(self._show_moving)
@@ -319,7 +321,7 @@ class Session:
         """A pass of the method, or of the one that it is compared with; returns whether there are more."""
         assert self.problem is not None and self.pose is not None
         try:
-            if self.main is None:
+            if not isinstance(self.main, Refinement):
                 place(self.problem.sensor, self.pose)
                 self.problem = replace(self.problem)  # without what was computed from the sensor of before
                 asked = self.asked
@@ -390,7 +392,4 @@ def _loaded(asked: Asked, change: Change) -> Problem:
     options: dict[str, Any] = {"sensor": asked.sensor, "parameters": asked.parameters, "memory": asked.memory}
     if is_described(asked.scene) or asked.lights:  # which a scene in memory refuses
         options["change"] = change
-    problem = load(asked.scene, size=asked.size, **options)
-    width, height = problem.size
-    factor = 1.0 if asked.size is not None else min(1.0, (_PIXELS / (width * height)) ** 0.5)
-    return resized(problem, (max(1, round(width * factor)), max(1, round(height * factor))))
+    return own_sensor(load(asked.scene, size=asked.size, **options), asked.size is not None)

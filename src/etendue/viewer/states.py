@@ -9,6 +9,7 @@ from etendue.scene import Problem
 from .camera import Pose, projection
 from .commands import scene_name
 from .controls import method_list
+from .refining import Refinement, Still
 from .shown import choices, layer_names
 
 if TYPE_CHECKING:
@@ -24,19 +25,21 @@ def about(session: Session) -> dict[str, Any]:
 def state(session: Session) -> dict[str, Any]:
     """All that the controls of a page show."""
     problem, pose, asked = session.problem, session.pose, session.asked
+    still = session.main if isinstance(session.main, Still) else None
     return {
         "scene": scene_name(asked.scene),
-        "loaded": problem is not None,
+        "loaded": problem is not None or still is not None,
+        "still": still is not None,
         "trouble": session.trouble,
-        "size": problem.size if problem is not None else None,
+        "size": problem.size if problem is not None else still.size if still is not None else None,
         "camera": camera(problem, pose) if problem is not None and pose is not None else None,
         "views": len(session.views),
-        "method": asked.method,
+        "method": asked.method if still is None else still.method,
         "settings": dict(asked.settings),
-        "scene_settings": session.main.settings.to_dict() if session.main is not None else {},
+        "scene_settings": session.main.settings.to_dict() if isinstance(session.main, Refinement) else {},
         "budget": asked.budget.to_dict(),
         "paused": session.paused,
-        "preparing": problem is not None and (session.main is None or not session.main.passes),
+        "preparing": problem is not None and not (isinstance(session.main, Refinement) and session.main.passes),
         "show": vars(session.show),
         "layers": layer_names(session.layers) or ["image"],
         "compared": session.compared.state() if session.compared is not None else None,

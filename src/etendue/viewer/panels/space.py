@@ -17,6 +17,7 @@ from ..figures import meshes, particles, paths, trees
 from ..figures.packing import joined
 from ..figures.solution import LiveSolution
 from ..protocol import number, numbers, text
+from ..refining import Refinement
 from . import Panel
 
 if TYPE_CHECKING:
@@ -193,7 +194,7 @@ class Space(Panel):
     def _guide(self) -> Guide | None:
         """That of the picture's method."""
         main = self.session.main
-        guide = getattr(main.method, "guide", None) if main is not None else None
+        guide = getattr(main.method, "guide", None) if isinstance(main, Refinement) else None
         return guide if isinstance(guide, Guide) else None
 
     def _recorded(self, problem: Problem, depth: int) -> PathRecorder:
