@@ -1,4 +1,4 @@
-"""Cryptomatte: hashes as published, ids that are floats, coverage against pictures of shapes with 64 times the pixels."""
+"""Cryptomatte: hashes as published, ids that are floats, coverage as in pictures with 64 times the pixels."""
 
 import json
 
