@@ -172,7 +172,7 @@ def _open(session: Session, client: Client, message: Mapping[str, Any]) -> None:
     if not name:
         raise OptionError("give a scene file, the name of a bundled scene, or a picture")
     fresh = type(session.asked.lights)()
-    session.open(replace(session.asked, scene=name, parameters=None, sensor=0, lights=fresh))
+    session.open(replace(session.asked, scene=name, parameters=None, sensor=0, lights=fresh, solution=None))
     session.changed()
 
 

@@ -62,6 +62,7 @@ class Asked:
     seed: int = 0
     lights: LightEdits = field(default_factory=LightEdits)
     folder: Path = field(default_factory=Path.cwd)  #: for files that are saved
+    solution: Path | None = None  #: of radiosity, to be shown in the 3-D view
 
 
 class Session:

@@ -48,6 +48,9 @@ def view(
     port: Annotated[
         int, typer.Option("--port", help="Port to listen at; 0 for any that is free.", min=0, max=65535, metavar="N")
     ] = 0,
+    radiosity: Annotated[
+        Path | None, typer.Option("--radiosity", help="Show a solution of `etendue radiosity` in 3-D.", metavar="FILE")
+    ] = None,
     tev: opt.Tev = None,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the address.")] = False,
     debug: opt.Debug = False,
@@ -77,7 +80,10 @@ def view(
             method = named.name if named is not None else "path"
     if not host.strip():
         raise OptionError("--host is an address of this machine, such as 127.0.0.1 or 0.0.0.0")
-    asked = Asked(found, methods.get(method or "path").name, settings, budget, size, sensor, parameters, memory, seed)
+    if radiosity is not None and not radiosity.is_file():
+        raise SceneError(f"there is no solution '{radiosity}'; make one by `etendue radiosity SCENE -o {radiosity}`")
+    name = methods.get(method or "path").name
+    asked = Asked(found, name, settings, budget, size, sensor, parameters, memory, seed, solution=radiosity)
     return show(asked, host.strip(), port, not no_browser, tev)
 
 

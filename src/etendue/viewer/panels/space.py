@@ -15,7 +15,7 @@ from etendue.transport import Guide, PathRecorder
 
 from ..figures import meshes, particles, paths, trees
 from ..figures.packing import joined
-from ..figures.solution import LiveSolution
+from ..figures.solution import LiveSolution, SavedSolution, ShownSolution
 from ..protocol import number, numbers, text
 from ..refining import Refinement
 from . import Panel
@@ -43,7 +43,7 @@ class Space(Panel):
     def __init__(self, session: Any) -> None:
         super().__init__(session)
         self._scenes = 0  # loaded so far
-        self._solution: LiveSolution | None = None
+        self._solution: ShownSolution | None = None
         self._recorder: tuple[Problem, int, PathRecorder] | None = None
         self._seed = 0
 
@@ -55,18 +55,21 @@ class Space(Panel):
             "scene": self._scenes,
             "lights": lights,
             "trees": trees.KINDS,
-            "solving": self._solution is not None,
+            "solving": self._solution is not None and not self._solution.is_done,
             "guided": self._guide() is not None,
         }
 
     def scene_loaded(self) -> None:
-        """Nothing drawn belongs to the new scene."""
-        self._scenes += 1
-        self.close()
+        """Nothing drawn belongs to the new scene, but a solution that was asked for with it."""
+        self.scene_edited()
+        asked = self.session.asked
+        if asked.solution is not None and self.session.problem is not None:
+            self._solution = SavedSolution(self.session.problem, asked.solution)
 
     def scene_edited(self) -> None:
         """Paths and solutions of the scene before an edit are old."""
-        self.scene_loaded()
+        self._scenes += 1
+        self.close()
 
     def close(self) -> None:
         """Release the scene."""
@@ -96,7 +99,7 @@ class Space(Panel):
     def work(self) -> bool:
         """Cast lines for the solution, and send what is new."""
         live = self._solution
-        if live is None:
+        if live is None or live.is_done:
             return False
         try:
             if live.step():
@@ -169,7 +172,8 @@ class Space(Panel):
     def _solve(self, problem: Problem, message: Mapping[str, Any], client: Client) -> None:
         self._stop(problem, message, client)
         area = None if message.get("area") is None else number(message, "area")
-        self._solution = LiveSolution(problem, area)
+        file = text(message, "file", "").strip()
+        self._solution = SavedSolution(problem, Path(file)) if file else LiveSolution(problem, area)
         self._send_solution(self._solution, None)
         self.session.changed()
 
@@ -205,17 +209,19 @@ class Space(Panel):
         recorder.look(problem)  # the camera may have moved
         return recorder
 
-    def _send_solution(self, live: LiveSolution, client: Client | None) -> None:
+    def _send_solution(self, live: ShownSolution, client: Client | None) -> None:
         names, shape = live.names()
         self._send(client, "solution", live.mesh() | {"shape": shape}, names=names, max_area=live.max_area)
         if live.solution is not None:
             self._send_values(live, client)
 
-    def _send_values(self, live: LiveSolution, client: Client | None = None) -> None:
+    def _send_values(self, live: ShownSolution, client: Client | None = None) -> None:
         values = live.values()
         luminance, error = values["luminance"], values["error"]
         areas = live.patches.areas
-        relative = float((error * areas).sum() / max((luminance * areas).sum(), 1e-30))
+        relative = (
+            float((error * areas).sum() / max((luminance * areas).sum(), 1e-30)) if live.error is not None else None
+        )
         self._send(client, "values", values, bundles=live.bundles, relative=relative, at=time.time())
 
     def _send(self, client: Client | None, verb: str, arrays: Arrays, **fields: Any) -> None:
