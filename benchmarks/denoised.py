@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import json
 import math
+import multiprocessing
 import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -133,15 +135,11 @@ def _compared(
             folder / f"{stem}-{short:g}s-{seed}.exr",
             lambda s=seed: _rendered(name, case, method, short, s, _FOR_DENOISING | dict(case.settings), warm=True),
         )
-        rows: dict[str, Callable[[], Picture]] = {
-            f"raw, {long:g} s": lambda r=raw: r.image,
-            f"raw, {short:g} s": lambda m=made: m.image,
-        }
+        rows: dict[str, Callable[[], Picture]] = {f"raw, {long:g} s": lambda r=raw: r.image}
         for kind in denoisers:
-            rows[kind] = lambda m=made, k=kind: display.develop(m.layers, k, tell=lambda _: None)
-        for row, make in rows.items():
-            key = f"{row} of {short:g} s, seed {seed}"
-            found.setdefault(row, []).append(measures.of(key, make, folder / f"{stem}-{row.replace(', ', '-')}.exr"))
+            rows[f"{kind}, {short:g} s"] = lambda m=made, k=kind: display.develop(m.layers, k, tell=lambda _: None)
+        for row, one in measures.of(rows, folder / stem, seed).items():
+            found.setdefault(row, []).append(one)
     bar = statistics.mean(one["flip"] for one in found[f"raw, {long:g} s"])
     noise = statistics.mean(one["relMSE"] for one in found[f"raw, {long:g} s"])
     is_known = truth.noise <= _REFERENCE_SHARE * noise
@@ -172,24 +170,41 @@ class _Measures:
     def __init__(self, path: Path, of: str, truth: _Truth) -> None:
         self._path, self._of, self._truth = path, of, truth
 
-    def of(self, name: str, make: Callable[[], Picture], picture: Path) -> dict[str, float]:
-        """Those of a picture, which is made and written if they are not known."""
-        known = json.loads(self._path.read_text()) if self._path.is_file() else {}
-        key = f"{self._of}: {name}; {self._truth.about}"
-        if key not in known:
-            begin = time.perf_counter()
-            image = make()
-            seconds = time.perf_counter() - begin
-            film.write_exr(picture, Result({"image": image}))
-            known[key] = {
-                "flip": film.flip(image, self._truth.image),
-                "relMSE": film.relative_mse(image, self._truth.image),
-                "seconds": seconds,
-            }
-            film.write_bytes(self._path, json.dumps(known, indent=1).encode())
-        one: dict[str, float] = known[key]
-        console.print(f"{self._of}: {name}: FLIP {one['flip']:.4f}, relMSE {one['relMSE']:.4g}", style="dim")
-        return one
+    def of(self, rows: Mapping[str, Callable[[], Picture]], stem: Path, number: int) -> dict[str, dict[str, float]]:
+        """Those of pictures by row, which are made and written if they are not known. FLIP takes seconds on one core:
+        processes measure two pictures at a time."""
+        found: dict[str, dict[str, float]] = {}
+        spawn = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(2, mp_context=spawn) as pool:
+            waiting = {}
+            for row, make in rows.items():
+                if (key := self._key(row, number)) in (known := self._known()):
+                    found[row] = known[key]
+                    continue
+                begin = time.perf_counter()
+                image = make()
+                seconds = time.perf_counter() - begin
+                film.write_exr(
+                    stem.with_name(f"{stem.name}-{row.replace(', ', '-')}-{number}.exr"), Result({"image": image})
+                )
+                error = film.relative_mse(image, self._truth.image)
+                waiting[pool.submit(film.flip, image, self._truth.image)] = row, {"relMSE": error, "seconds": seconds}
+            for done in as_completed(waiting):
+                row, one = waiting[done]
+                found[row] = {"flip": done.result()} | one
+                kept = self._known() | {self._key(row, number): found[row]}
+                film.write_bytes(self._path, json.dumps(kept, indent=1).encode())
+        for row in rows:
+            values = f"FLIP {found[row]['flip']:.4f}, relMSE {found[row]['relMSE']:.4g}"
+            console.print(f"{self._of}, seed {number}: {row}: {values}", style="dim")
+        return {row: found[row] for row in rows}
+
+    def _key(self, row: str, number: int) -> str:
+        return f"{self._of}: {row}, seed {number}; {self._truth.about}"
+
+    def _known(self) -> dict[str, dict[str, float]]:
+        known: dict[str, dict[str, float]] = json.loads(self._path.read_text()) if self._path.is_file() else {}
+        return known
 
 
 def _kept(path: Path, make: Callable[[], Result]) -> Result:
