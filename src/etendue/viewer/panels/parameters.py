@@ -30,24 +30,32 @@ class Parameters(Panel):
         self._changes: dict[str, Any] = {}
         self._editor: SceneEditor | None = None
         self._own: dict[str, Any] = {}  # values before the first change
+        self._late: list[str] = []  # changes that are made once the scene is built
 
     def loading(self, state: mi.parser.ParserState, same: bool) -> None:
         """Make the changes again, those whose element is still there."""
         if not same:
             self._changes, self._own = {}, {}
-        for key in list(self._changes):
+        self._late = []
+        for key in self._changes:
             try:
                 ParameterChanges({key: self._changes[key]})(state)
-            except EtendueError as error:
-                del self._changes[key]
-                self.session.broadcast("note", text=f"the change of '{key}' is dropped: {error}")
+            except EtendueError:  # of an element that is built already, or that is gone
+                self._late.append(key)
 
     def scene_loaded(self) -> None:
         """Parameters of the new scene."""
         problem, asked = self.session.problem, self.session.asked
         self._editor = None
-        if problem is not None and is_described(asked.scene):
-            self._editor = SceneEditor(problem.scene, fixed=not problem.space.is_own)
+        if problem is None or not is_described(asked.scene):
+            return
+        self._editor = editor = SceneEditor(problem.scene, fixed=not problem.space.is_own)
+        for key in self._late:
+            try:
+                editor.set({key: self._changes[key]})
+            except EtendueError as error:
+                del self._changes[key]
+                self.session.broadcast("note", text=f"the change of '{key}' is dropped: {error}")
 
     def state(self) -> dict[str, Any]:
         """The parameters, the changes, and the values before them."""
