@@ -188,7 +188,8 @@ def test_a_texture_by_file(tmp_path: Path) -> None:
 def _parameters(problem: Problem) -> dict[str, Any]:
     """Numbers of all that a scene has, by name; what XML does not name is numbered in the order of the scene."""
     values = mi.traverse(problem.scene)
-    return {key: np.asarray(values[key], float).ravel() for key in values.keys() if values[key] is not None}  # noqa: SIM118
+    found = {key: getattr(values[key], "matrix", values[key]) for key in values.keys()}  # noqa: SIM118
+    return {key: np.asarray(value, float).ravel() for key, value in found.items() if value is not None}
 
 
 @pytest.mark.parametrize("name", list(bundled()))

@@ -135,9 +135,12 @@ def _without_bitmaps(state: mi.parser.ParserState, folder: Path | None) -> _Writ
         values = read_properties(node.props)
         for key, value in values.items():
             if isinstance(value, mi.Bitmap) and key == "bitmap":
-                kind = node.props.plugin_name()
-                file = _in(folder, f"{_id(node.props) or kind}-{number}.exr", f"a picture of '{kind}'")
-                writing[file] = partial(_write_bitmap, value, bool(values.get("raw", False)))
+                kind, is_raw = node.props.plugin_name(), bool(values.get("raw", False))
+                # PNG has the sRGB curve, which a raw texture does not undo.
+                as_bytes = value.component_format() == mi.Struct.Type.UInt8 and (is_raw or value.srgb_gamma())
+                ending = "png" if as_bytes else "exr"
+                file = _in(folder, f"{_id(node.props) or kind}-{number}.{ending}", f"a picture of '{kind}'")
+                writing[file] = partial(_write_bitmap, value, is_raw)
                 del node.props[key]
                 node.props["filename"] = str(file)
             elif isinstance(value, mi.Object):
@@ -150,9 +153,12 @@ def _without_bitmaps(state: mi.parser.ParserState, folder: Path | None) -> _Writ
 
 
 def _write_bitmap(bitmap: mi.Bitmap, is_raw: bool, path: Path) -> None:
-    """Write a bitmap as OpenEXR, as linear as the plugin takes it: one that is ``raw`` stays as it is."""
+    """Write a bitmap as PNG, or as OpenEXR, as linear as the plugin takes it: one that is ``raw`` stays as it is."""
     import mitsuba as mi
 
+    if path.suffix == ".png":
+        bitmap.write(str(path))
+        return
     own = mi.Bitmap(bitmap)
     if is_raw:
         own.set_srgb_gamma(False)
