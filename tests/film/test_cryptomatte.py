@@ -87,7 +87,7 @@ def test_a_picture_with_its_matte(tmp_path):
     np.testing.assert_array_equal(made.image, plain.image)
     (manifest,) = (json.loads(text) for key, text in made.metadata.items() if key.endswith("/manifest"))
     assert "small-box" in manifest and {f"CryptoObject0{k}" for k in range(3)} <= set(made.layers)
-    covered = made.layers["CryptoObject00"]
-    assert covered[6, 8, 1] > 0.9 and (covered[..., 1] <= 1.0).all()
+    covered = sum(made.layers[f"CryptoObject0{k}"][..., 1::2].sum(axis=2) for k in range(3))
+    assert covered.max() == 1.0 and np.median(covered) == 1.0  # a closed room
     # Denoisers do not take it for light.
     assert etendue.display.develop(made.layers, "gaussian").mean() == pytest.approx(made.image.mean(), rel=0.3)
