@@ -59,7 +59,7 @@ _REFERENCE_SHARE = 0.25
 
 def measure(
     scenes: Names = SCENES,
-    denoisers: Annotated[Any, typer.Option(parser=words, metavar="NAMES")] = "oidn,oidn-wide",
+    denoisers: Annotated[Any, typer.Option(parser=words, metavar="NAMES")] = "oidn,nlm",
     short: Annotated[float, typer.Option(help="Seconds of the pictures that are denoised.")] = 5.0,
     long: Annotated[float, typer.Option(help="Seconds of the picture that is not.")] = 40.0,
     seeds: Seeds = 2,

@@ -7,9 +7,8 @@ from etendue.api import render
 from etendue.cli.main import main
 from etendue.core import BackendError, OptionError, Result
 from etendue.display import develop, tonemap, write_png
-from etendue.display.denoising import Features, component_names, find_features
+from etendue.display.denoising import component_names, find_features
 from etendue.display.denoising.pictures import colours
-from etendue.display.denoising.wide import wide
 from etendue.film import read_exr, read_image, write_exr
 
 FILTERS = ("gaussian", "bilateral", "guided", "nlm")
@@ -62,27 +61,6 @@ def test_an_edge_of_light_stays_without_features(name):
     at = WIDTH // 2
     assert (out[:, at] - out[:, at - 1]).mean() > 0.8 * 1.8
     assert np.std(out[:, :12] - 0.2) < 0.5 * np.std(image[:, :12] - 0.2)
-
-
-def test_blotches_below_the_noise_go_and_what_stands_out_stays():
-    """Blotches of ten pixels, a tenth of the noise that was; an edge of light of twice the noise; a picture without
-    noise does not change."""
-    height, width = 96, 128
-    coarse = np.random.default_rng(7).standard_normal((12, 16, 1)).astype(np.float32)
-    blotches = np.kron(coarse, np.ones((8, 8, 1), np.float32))
-    truth = np.ones((height, width, 3), np.float32)
-    truth[:, width // 2 :] = 1.2
-    image = truth * (1.0 + 0.01 * blotches)
-    variance = np.full_like(image, 0.1**2)
-    features = Features(albedo=np.full_like(image, 0.5), normal=np.zeros_like(image), variance=variance)
-    out = wide(image, features, 1.0)
-    left, right = np.s_[10:-10, 10 : width // 2 - 10], np.s_[10:-10, width // 2 + 10 : -10]
-    for side in (left, right):
-        assert np.std(out[side]) < 0.4 * np.std(image[side])
-    assert (out[right].mean() - out[left].mean()) == pytest.approx(0.2, abs=0.01)
-    assert (out[:, width // 2] - out[:, width // 2 - 1]).mean() > 0.15
-    still = wide(image, Features(features.albedo, features.normal, np.zeros_like(image)), 1.0)
-    np.testing.assert_allclose(still, image, rtol=1e-5)
 
 
 def test_guided_filter_reproduces_a_picture_that_is_linear_in_its_guide():

@@ -22,7 +22,7 @@ def develop(
         ),
     ] = None,
     denoise: Annotated[
-        str | None, typer.Option(help="oidn, oidn-wide, bilateral, guided, gaussian or nlm.", metavar="NAME")
+        str | None, typer.Option(help="oidn, bilateral, guided, gaussian or nlm.", metavar="NAME")
     ] = None,
     tone: opt.Tone = "srgb",
     exposure: opt.Exposure = "auto",

@@ -10,9 +10,8 @@ from etendue.core import OptionError, suggest
 
 from .filters import bilateral, gaussian, guided
 from .means import non_local_means
-from .oidn import open_image_denoise
+from .oidn import open_image_denoise, prefiltered
 from .pictures import Features, Picture
-from .wide import wide
 
 #: How a layer is made that a denoiser needs.
 _REMEDY: Final = {"variance": "render with --aovs in several passes, or use bilateral"}
@@ -31,8 +30,8 @@ class Denoiser:
     needs: tuple[str, ...] = ()
     uses: tuple[str, ...] = ()
     by_component: bool = True  #: or the sum of the components, whose variance is the only one known
-    #: What is done to the sum of the denoised components, with the features and the strength.
-    after: Callable[[Picture, Features, float], Picture] | None = None
+    #: What is done to the features before, once for all components.
+    prepare: Callable[[Features], Features] | None = None
 
     def check(self, features: Features) -> None:
         """Raise :class:`OptionError` if a feature is missing that it needs."""
@@ -46,14 +45,12 @@ _FIRST_HIT = ("albedo", "normal")
 DENOISERS: Final[dict[str, Denoiser]] = {
     d.name: d
     for d in (
-        Denoiser("oidn", "Intel Open Image Denoise, a trained network", open_image_denoise, uses=_FIRST_HIT),
         Denoiser(
-            "oidn-wide",
-            "the same, then means over wide windows of what remains below the noise",
+            "oidn",
+            "Intel Open Image Denoise, a trained network",
             open_image_denoise,
-            ("variance",),
-            _FIRST_HIT,
-            after=wide,
+            uses=_FIRST_HIT,
+            prepare=prefiltered,
         ),
         Denoiser("bilateral", "mean of pixels that are near and alike", bilateral, uses=_FIRST_HIT),
         Denoiser("guided", "linear regression on albedo, normal and luminance in windows", guided, uses=_FIRST_HIT),
