@@ -59,9 +59,10 @@ def test_layers_tone_and_denoisers(viewer):
         state, _ = await page.until("state", lambda m: m["loaded"])
         assert state["still"] and state["method"] == "bpt" and tuple(state["size"]) == SIZE and state["camera"] is None
         assert not state["preparing"]
-        before = await shown(page)
         progress, _ = await page.until("progress")
         assert progress["done"] and (progress["samples"], progress["noise"]) == (16, None)
+        page.send("show", exposure=0.5)
+        before = await shown(page)
         page.send("show", layer="depth")
         grey = await shown(page)
         assert grey.shape[1::-1] == SIZE and grey[:, -1].mean() > grey[:, 0].mean() + 200
@@ -75,6 +76,11 @@ def test_layers_tone_and_denoisers(viewer):
         np.testing.assert_allclose(found["radiance"], layers()["image"][0, -1], rtol=1e-6)
 
     talk(viewer, conversation)
+
+    async def later(page):  # nothing is made any more, and it is told all the same
+        assert (await page.until("progress"))[0]["samples"] == 16
+
+    talk(viewer, later)
 
 
 def test_references_and_what_needs_a_scene(viewer, folder):

@@ -93,6 +93,7 @@ class Session:
         self._shown_at, self._show_seconds, self._stops = 0.0, 0.0, 0.0
         self._frame = 0
         self._frames: dict[str, tuple[int, bytes]] = {}
+        self._progress: dict[str, Any] = {}  # as pages were told last
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._closing = threading.Event()
         self._flags = jit_flags()
@@ -110,6 +111,8 @@ class Session:
             client.send("state", **self.state())
             for side, (frame, message) in self._frames.items():
                 client.send_frame(side, frame, message)
+            if self._progress:
+                client.send("progress", **self._progress)
 
         self._inbox.put(welcome)
 
@@ -370,7 +373,8 @@ class Session:
             compared = self.compared.progress(squared)
         if names != list(self.layers):
             self.changed()
-        self.broadcast("progress", **self.main.progress(), exposure=self._stops, **compared)
+        self._progress = {**self.main.progress(), "exposure": self._stops, **compared}
+        self.broadcast("progress", **self._progress)
         for panel in self.panels.values():
             self._guarded(panel.after_pass)
         self._show_seconds = time.perf_counter() - begin
