@@ -152,7 +152,7 @@ class ImageMethod(ABC):
     #: An instance of ``Settings``.
     settings: Any
     #: Layers of shapes and their metadata, if asked for; subclasses may have a ``prepare`` of their own.
-    _seen: tuple[dict[str, Any], dict[str, Any]] = {}, {}
+    _shapes: tuple[dict[str, Any], dict[str, Any]] = {}, {}
 
     def __init__(self, settings: ImageSettings | None = None) -> None:
         self.settings = settings if settings is not None else self.Settings()
@@ -177,7 +177,7 @@ class ImageMethod(ABC):
         self._hits: FirstHits | None = None  # of the pass that is being made
         #: :meth:`max_edges` on the device, opaque.
         self.edges = dr.opaque(mi.UInt32, self.max_edges())
-        self._seen = seen_shapes(problem, self.settings.aovs, self.settings.cryptomatte)
+        self._shapes = seen_shapes(problem, self.settings.aovs, self.settings.cryptomatte)
         self._most_cell_bytes = _CELL_SHARE * (problem.memory or free_memory() or math.inf)
 
     def bind(self, scene: mi.Scene | None) -> None:
@@ -244,7 +244,7 @@ class ImageMethod(ABC):
         names = (name for name in measurement.sums if not name.endswith(CONTRAST))
         layers = {name: measurement.mean(name).astype(np.float32) for name in names}
         metadata: dict[str, Any] = {"method": self.name, "settings": self.settings.to_dict()}
-        layers, metadata = layers | self._seen[0], metadata | self._seen[1]
+        layers, metadata = layers | self._shapes[0], metadata | self._shapes[1]
         if self.settings.aovs and len(measurement.iterations) > 1:
             layers["variance"] = measurement.variance_of_mean().astype(np.float32)
         return Result(layers, metadata)
