@@ -3,6 +3,8 @@
 .PHONY: help env demo test test-all bench lint clean
 
 BIN := .venv/bin
+# Empty is unset: modules are compiled once, not in each of the hundred processes that tests start.
+export PYTHONDONTWRITEBYTECODE :=
 # Two workers: half of a test is Python and compiling on one thread.
 PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 

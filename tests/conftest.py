@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import gc
+import importlib
 import os
+import pkgutil
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+import etendue
 from etendue.core import choose_variant, use_variant
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -48,16 +51,16 @@ def _keep_part(config: pytest.Config, items: list[pytest.Item]) -> None:
     items[:] = kept
 
 
-def pytest_collection_finish() -> None:
-    """What is there before the first test stays: collecting garbage after each need not look at it again."""
-    gc.collect()
-    gc.freeze()
-
-
 @pytest.fixture(scope="session", autouse=True)
 def variant() -> str:
     """The Mitsuba variant of this session: ``$ETENDUE_TEST_VARIANT``, else ``llvm_ad_rgb``."""
-    return use_variant(choose_variant(os.environ.get("ETENDUE_TEST_VARIANT", "llvm_ad_rgb")))
+    name = use_variant(choose_variant(os.environ.get("ETENDUE_TEST_VARIANT", "llvm_ad_rgb")))
+    # The tests and all modules stay: the collection of garbage after each test need not look at them again.
+    for module in pkgutil.walk_packages(etendue.__path__, "etendue."):
+        importlib.import_module(module.name)
+    gc.collect()
+    gc.freeze()
+    return name
 
 
 @pytest.fixture(scope="module", autouse=True)

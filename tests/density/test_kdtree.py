@@ -95,7 +95,7 @@ def test_the_order_is_a_permutation_and_distances_are_right(kind):
     queries = around(points)
     exact = np.linalg.norm(points[order].astype(np.float64) - queries[:, None].astype(np.float64), axis=2)
     scale = float(np.abs(points).max() + np.abs(queries).max())
-    assert np.sqrt(all_distances(tree, queries)) == pytest.approx(exact, rel=1e-5, abs=1e-6 * scale)
+    np.testing.assert_allclose(np.sqrt(all_distances(tree, queries)), exact, rtol=1e-5, atol=1e-6 * scale)
 
 
 @pytest.mark.parametrize("kind", KINDS)

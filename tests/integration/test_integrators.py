@@ -72,7 +72,7 @@ def slanted(box):
 def test_unbiased_and_honest(name, function):
     f, integral = known(function)
     make, samples, freedom = TABLE[name]
-    found = runs(make(f), f, samples, 150)
+    found = runs(make(f), f, samples, 100)
     assert all(0.5 * samples < e.samples <= samples for e in found)
     assert_unbiased(found, integral, name)
     if spread(found) > (1e-12 * integral) ** 2:  # a plane is exact for some

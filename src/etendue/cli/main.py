@@ -9,9 +9,9 @@ import logging
 import sys
 import traceback
 from collections.abc import Sequence
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -40,6 +40,12 @@ app = typer.Typer(
 _UsageError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 
+@cache
+def _command() -> Any:
+    """The commands as click has them, made once: typer makes them anew at each call of ``app``."""
+    return typer.main.get_command(app)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; ``arguments`` are those of the process by default. Returns the exit status."""
     words = list(sys.argv[1:] if arguments is None else arguments)
@@ -50,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logger.addHandler(handler)
     logger.setLevel(logging.DEBUG if debug else logging.WARNING)
     try:
-        return int(app(words, prog_name="etendue", standalone_mode=False) or 0)
+        return int(_command().main(words, prog_name="etendue", standalone_mode=False) or 0)
     except (EtendueError, _UsageError) as error:
         if debug:
             traceback.print_exc()

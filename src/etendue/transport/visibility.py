@@ -39,9 +39,17 @@ class Visibility:
             blocked = self._opaque.ray_test(ray, active)
             active, transmittance = active & ~blocked, transmittance & ~blocked
 
+        time, wavelengths = ray.time, ray.wavelengths  # no part of the state: see ``loop_traced_once``
+
         def cross(
-            active: mi.Bool, ray: mi.Ray3f, transmittance: mi.Color3f, crossings: mi.UInt32
-        ) -> tuple[mi.Bool, mi.Ray3f, mi.Color3f, mi.UInt32]:
+            active: mi.Bool,
+            o: mi.Point3f,
+            d: mi.Vector3f,
+            maxt: mi.Float,
+            transmittance: mi.Color3f,
+            crossings: mi.UInt32,
+        ) -> tuple[mi.Bool, mi.Point3f, mi.Vector3f, mi.Float, mi.Color3f, mi.UInt32]:
+            ray = mi.Ray3f(o, d, maxt, time, wavelengths)
             hit = self.scene.ray_intersect_preliminary(ray, active=active)
             active = active & hit.is_valid()
             # The preliminary intersection of an instance does not give the BSDF of the shape that was hit.
@@ -68,10 +76,11 @@ class Visibility:
             crosses, ray, transmittance = dr.if_stmt(
                 arguments, null, behind, lambda *untouched: untouched[:3], label="crossing"
             )
-            return crosses, ray, transmittance, crossings - 1
+            return crosses, ray.o, ray.d, ray.maxt, transmittance, crossings - 1
 
-        start = mi.Bool(active), mi.Ray3f(ray), transmittance, mi.UInt32(crossings)
-        _, _, transmittance, _ = dr.while_loop(start, lambda active, *_: active, cross, label="transmittance")
+        first = mi.Point3f(ray.o), mi.Vector3f(ray.d), mi.Float(ray.maxt)
+        start = mi.Bool(active), *first, transmittance, mi.UInt32(crossings)
+        *_, transmittance, _ = dr.while_loop(start, lambda active, *_: active, cross, label="transmittance")
         return active & (dr.max(transmittance) > 0.0), transmittance
 
 

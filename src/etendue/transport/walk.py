@@ -28,6 +28,7 @@ from .emission import DirectSample, emission_of_hit, is_emissive, sample_direct
 from .firsthits import FirstHits
 from .guiding.departure import Departures
 from .guiding.lights import LocalLights
+from .loop import loop_traced_once
 from .scattering import Evaluated, Proposal, Scattered, roulette, scatter_camera
 from .vertex import WalkVertex
 from .visibility import Visibility
@@ -157,8 +158,7 @@ class Walker:
 
     def walk(self, path: S, edge: Callable[[S], S], label: str) -> S:
         """Run the loop over the edges until all sub-paths have ended. ``edge`` is the body of the loop."""
-        (path,) = dr.while_loop((path,), lambda s: s.active, lambda s: (edge(s),), label=label)
-        return path
+        return loop_traced_once(path, lambda s: s.active, edge, label)
 
     def arrive(self, s: SubPath) -> WalkVertex:
         """Trace the next edge."""
