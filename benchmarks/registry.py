@@ -81,7 +81,7 @@ PROGRAMS = {
                 Benchmark("viewer", "viewing.measure", 2, "Pictures a second of the viewer while its camera moves."),
                 Benchmark("guided", "guided.measure", 13, "Error times time of guided, beside path."),
                 Benchmark("ambient", "ambient.measure", 12, "Paths that end in an ambient term, beside whole paths."),
-                Benchmark("workers", "workers.measure", 5, "Worker processes beside unconnected ones.", in_all=False),
+                Benchmark("workers", "workers.measure", 7, "Worker processes beside unconnected ones.", in_all=False),
                 Benchmark("knn", "neighbours.measure", 1, "A kd-tree and nearest neighbours, beside scipy's cKDTree."),
                 Benchmark("samplers", "samplers.measure", 3, "path by each sampler: error at equal samples, patterns."),
                 Benchmark("points", "sequences.measure", 1, "Points of sequences a second, beside scipy's qmc."),

@@ -1,13 +1,18 @@
 """What worker processes cost and bring: one beside a process of its own, two beside two that know nothing of each
-other."""
+other. Each row is saved when it is measured, so that a table can be resumed."""
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import statistics
 import time
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -18,74 +23,128 @@ from etendue.distributed import Cluster, DaskPool
 from etendue.engine import Budget, Job, Task
 from etendue.jobs import FormFactorRequest, FormFactorWork
 
-from .measuring import Record, spread, verdict
-from .options import Methods, Rounds
+from .measuring import Record, console, spread, verdict
+from .options import Methods, Out, Rounds
 
 #: Time of a worker of the cluster relative to a process alone, and throughput of two relative to two alone.
 OVERHEAD_BAR, EFFICIENCY_BAR = 1.05, 0.95
 _SIZE = (256, 256)
-
-
 #: What else is measured: lines through a room by the A-buffer, whose passes are divided by their directions.
 LINES, _BUNDLES, _AREA = "a-buffer", 8, 4e-3
+#: Settings of all methods, and of those that prepare for longer than a run takes.
+_SETTINGS, _OWN = {"samples_per_pass": 1}, {"pssmlt": {"bootstrap": 1 << 14}, "mmlt": {"bootstrap": 1 << 14}}
+#: Passes by which kernels are compiled, and by which the seconds of a pass are measured.
+_FEW = 4
+
+
+@dataclass
+class _Row:
+    """Ratios of each round."""
+
+    passes: int
+    costs: list[float]  #: one worker over one process
+    gains: list[float]  #: two processes over two workers
+    seconds: list[float]  #: of the process alone
 
 
 def measure(
-    chosen: Methods = "bpt,vcm",
+    chosen: Methods = "bpt,vcm,pssmlt",
     lines: Annotated[bool, typer.Option("--lines/--no-lines", help="Also form factors by the A-buffer.")] = True,
-    time_: Annotated[float, typer.Option("--time", help="Seconds of a run, about.", metavar="SECONDS")] = 6.0,
+    time_: Annotated[float, typer.Option("--time", help="Seconds of a run, about.", metavar="SECONDS")] = 4.0,
     rounds: Rounds = 3,
-) -> Record:
+    out: Out = Path("workers-output"),
+) -> Iterator[Record]:
     """Seconds of passes in processes of one thread: alone, and as workers of a cluster."""
+    out.mkdir(parents=True, exist_ok=True)
+    saved = out / "rows.jsonl"
     record = Record(
         "Worker processes of one thread, cornell-glass 256x256, and form factors of cornell-box",
-        ("", "passes", "one worker / one alone", "bar", "two alone / two workers", "bar"),
+        ("", "passes", "one alone s", "one worker / one alone", "bar", "two alone / two workers", "bar"),
     )
-    spawn = multiprocessing.get_context("spawn")
-    with (
-        Cluster(DaskPool(workers=1, threads=1)) as one,
-        Cluster(DaskPool(workers=2, threads=2)) as two,
-        ProcessPoolExecutor(1, spawn) as first,
-        ProcessPoolExecutor(1, spawn) as second,
-    ):
-        alone = [first, second]
-        for pool in (one.pool, two.pool):
-            _until(pool, 1 if pool is one.pool else 2)
+    with ExitStack() as stack:
+        crews: list[_Crews] = []
+
+        def crew() -> _Crews:
+            crews[:] = crews or [_Crews(stack)]
+            return crews[0]
+
         for name in [*chosen, LINES] if lines else chosen:
-            few = 4
-            for future in [executor.submit(alone_seconds, name, few) for executor in alone]:
-                future.result()  # compiles
-            pace = first.submit(alone_seconds, name, few).result() / few
-            passes = max(few, round(time_ / pace))
-            for cluster in (one, two):
-                cluster_seconds(cluster, name, 16)
-            costs, gains = [], []
-            for _ in range(rounds):
-                mine = first.submit(alone_seconds, name, passes).result()
-                costs.append(cluster_seconds(one, name, passes) / mine)
-                # Both begin when both are ready, and the later one counts.
-                begin = time.perf_counter()
-                for future in [executor.submit(alone_seconds, name, passes) for executor in alone]:
-                    future.result()
-                apart = time.perf_counter() - begin
-                gains.append(apart / cluster_seconds(two, name, 2 * passes))
+            row = _saved(saved, [name, time_, rounds], lambda name=name: crew().row(name, time_, rounds))  # type: ignore[misc]
+            gain = statistics.median(row.gains)
             record.add(
                 name,
-                str(passes),
-                spread(costs, ".3f"),
-                verdict(statistics.median(costs), OVERHEAD_BAR),
-                spread(gains, ".3f"),
-                f"≥ {EFFICIENCY_BAR:g}: {'reached' if statistics.median(gains) >= EFFICIENCY_BAR else 'missed'}",
+                str(row.passes),
+                f"{statistics.median(row.seconds):.1f}",
+                spread(row.costs, ".3f"),
+                verdict(statistics.median(row.costs), OVERHEAD_BAR),
+                spread(row.gains, ".3f"),
+                f"≥ {EFFICIENCY_BAR:g}: {'reached' if gain >= EFFICIENCY_BAR else 'missed'}",
             )
     record.notes.append(
-        f"Wall seconds with preparation of the method, processes and scenes kept, in turn, {rounds} rounds after one: "
-        "median (least … most)"
+        "Wall seconds with preparation of the method, processes and scenes kept, in turn, "
+        f"{rounds} rounds after one to compile: median (least … most)"
     )
-    return record
+    record.notes.append("two workers make the passes that both processes make; those of pssmlt and mmlt are replicas")
+    yield record
+    saved.unlink()  # the table is complete: the next call measures anew
+
+
+def _saved(path: Path, key: Sequence[Any], make: Callable[[], _Row]) -> _Row:
+    """A row, or what an earlier call that was interrupted has saved of it."""
+    for line in path.read_text("utf-8").splitlines() if path.exists() else ():
+        if (known := json.loads(line))["key"] == list(key):
+            return _Row(**known["row"])
+    begin = time.perf_counter()
+    row = make()
+    console.print(
+        f"{key[0]}: one worker / one alone {spread(row.costs, '.3f')}, two alone / two workers "
+        f"{spread(row.gains, '.3f')}, {time.perf_counter() - begin:.0f} s",
+        style="dim",
+    )
+    with path.open("a", encoding="utf-8") as file:
+        file.write(json.dumps({"key": list(key), "row": vars(row)}) + "\n")
+    return row
+
+
+class _Crews:
+    """A cluster of one worker, one of two, and two processes alone; they end with ``stack``."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        spawn = multiprocessing.get_context("spawn")
+        self._one = stack.enter_context(Cluster(DaskPool(workers=1, threads=1)))
+        self._two = stack.enter_context(Cluster(DaskPool(workers=2, threads=2)))
+        self._alone = [stack.enter_context(ProcessPoolExecutor(1, spawn)) for _ in range(2)]
+        if len(self._two.pool.workers()) < 2:
+            raise ClusterError("two workers did not start in a minute; try on an idle machine")
+
+    def row(self, name: str, seconds: float, rounds: int) -> _Row:
+        """Measure in turn."""
+        self._apart(name, _FEW)  # compiles
+        for cluster in (self._one, self._two):
+            cluster_seconds(cluster, name, 2 * _FEW)
+        few, many = self._mine(name, _FEW), self._mine(name, 3 * _FEW)
+        pace = max((many - few) / (2 * _FEW), 0.1 * many / _FEW)  # without preparation, which may take as long
+        row = _Row(max(_FEW, round(seconds / pace)), [], [], [])
+        for _ in range(rounds):
+            row.seconds.append(self._mine(name, row.passes))
+            row.costs.append(cluster_seconds(self._one, name, row.passes) / row.seconds[-1])
+            row.gains.append(self._apart(name, row.passes) / cluster_seconds(self._two, name, 2 * row.passes))
+        return row
+
+    def _mine(self, name: str, passes: int) -> float:
+        return self._alone[0].submit(alone_seconds, name, passes).result()
+
+    def _apart(self, name: str, passes: int) -> float:
+        """Both begin when both are ready, and the later one counts."""
+        begin = time.perf_counter()
+        for future in [process.submit(alone_seconds, name, passes) for process in self._alone]:
+            future.result()
+        return time.perf_counter() - begin
 
 
 def _task(name: str, passes: int) -> Task:
-    return Task("cornell-glass", methods.get(name), {"samples_per_pass": 1}, 0, Budget(iterations=passes), _SIZE)
+    settings = _SETTINGS | _OWN.get(name, {})
+    return Task("cornell-glass", methods.get(name), settings, 0, Budget(iterations=passes), _SIZE)
 
 
 @cache
@@ -95,51 +154,42 @@ def _problem() -> Any:
     return Job.open(_task("path", 1)).problem
 
 
-def _until(pool: DaskPool, count: int) -> None:
-    """Wait until so many workers are there."""
-    end = time.monotonic() + 120
-    while len(pool.workers()) < count:
-        if time.monotonic() > end:
-            raise ClusterError(f"{count} workers did not start in two minutes; try on an idle machine")
-        time.sleep(0.2)
+def _job(name: str, passes: int) -> Job:
+    """A prepared job in the scene of this process."""
+    task, problem = _task(name, passes), _problem()
+    method = task.method(task.method.Settings.from_mapping(task.settings))
+    method.prepare(problem, task.seed)
+    return Job(problem, method, seed=task.seed, budget=task.budget, place={}, task=task)
 
 
-def _lines(passes: int, cluster: Cluster | None = None) -> float:
-    request = FormFactorRequest(source="cornell-box", bundles=passes * _BUNDLES, max_area=_AREA)
-    work = FormFactorWork(request, None)
-    work.cluster = cluster
-    runner = work.runner()
-    begin = time.perf_counter()
-    runner.run()
-    return time.perf_counter() - begin
+def _casting(passes: int) -> FormFactorWork:
+    return FormFactorWork(FormFactorRequest(source="cornell-box", bundles=passes * _BUNDLES, max_area=_AREA), None)
 
 
 def alone_seconds(name: str, passes: int) -> float:
     """Seconds of passes in this process."""
+    use_variant("llvm_ad_rgb")
+    set_threads(1)
     if name == LINES:
-        use_variant("llvm_ad_rgb")
-        set_threads(1)
-        return _lines(passes)
-    task, problem = _task(name, passes), _problem()
-    begin = time.perf_counter()
-    method = task.method(task.method.Settings(samples_per_pass=1))
-    method.prepare(problem, 0)
-    Job(problem, method, seed=0, budget=task.budget, place={}).runner().run()
+        work = _casting(passes)
+        begin = time.perf_counter()
+        work.lines.cast(work.runner().run())
+    else:
+        _problem()
+        begin = time.perf_counter()
+        _job(name, passes).runner().run()
     return time.perf_counter() - begin
 
 
 def cluster_seconds(cluster: Cluster, name: str, passes: int) -> float:
-    """Seconds of passes on a cluster."""
+    """Seconds of passes on a cluster, whose workers prepare the method."""
     if name == LINES:
-        return _lines(passes, cluster)
-    job = _job(name)
-    job.budget = Budget(iterations=passes)
-    runner = job.runner(executor=cluster.rendering(job))
+        work = _casting(passes)
+        work.cluster = cluster
+        runner = work.runner()
+    else:
+        job = _job(name, passes)
+        runner = job.runner(executor=cluster.rendering(job))
     begin = time.perf_counter()
     runner.run()
     return time.perf_counter() - begin
-
-
-@cache
-def _job(name: str) -> Job:
-    return Job.open(_task(name, 1))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 
 import pytest
 
@@ -38,6 +39,15 @@ def test_another_content_at_the_place_of_the_client_is_not_taken(tmp_path):
     assert Store(tmp_path / "store").find(entry) is None
 
 
+def test_a_file_that_is_gone_is_named(tmp_path):
+    offered, original = Offered(), tmp_path / "original"
+    original.write_bytes(b"abc")
+    digest = offered.add(original).digest
+    original.unlink()
+    with pytest.raises(ClusterError, match=r"original' cannot be sent \(No such file or directory\)"):
+        send(offered, digest, Store(tmp_path / "store"))
+
+
 def test_a_file_that_changes_on_its_way_is_refused(tmp_path):
     offered, store = Offered(), Store(tmp_path / "store")
     digest = offered.add(b"abc").digest
@@ -69,3 +79,55 @@ def test_a_folder_of_others_is_refused(tmp_path):
     (tmp_path / "store").chmod(0o777)
     with pytest.raises(ClusterError, match="others may write"):
         Store(tmp_path / "store")
+
+
+def test_old_files_of_others_in_the_folder_stay(tmp_path):
+    """ETENDUE_CONTENT may name a folder that has other files."""
+    store, offered = Store(tmp_path), Offered()
+    mine = offered.add(b"abc")
+    send(offered, mine.digest, store)
+    others = tmp_path / "thesis.tex", tmp_path / "pictures" / "one.exr"
+    for file in others:
+        file.parent.mkdir(exist_ok=True)
+        file.write_bytes(b"x")
+    links = store.tree(mine.digest, {"scene.xml": tmp_path / mine.digest})  # of a worker that was killed
+    part = tmp_path / f"{mine.digest}.7.part"
+    part.write_bytes(b"a")
+    for path in tmp_path.rglob("*"):
+        os.utime(path, (0, 0), follow_symlinks=False)
+    store.tidy()
+    assert all(file.is_file() for file in others)
+    assert not links.exists() and not part.exists() and store.find(mine) is None
+
+
+def test_what_fills_a_disk_is_removed(tmp_path, monkeypatch):
+    store, opened = Store(tmp_path), content_module.Path.open
+
+    class Full:
+        def __init__(self, file):
+            self._file = file
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            self._file.close()
+
+        def seek(self, offset): ...
+
+        def write(self, piece):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(content_module.Path, "open", lambda path, mode: Full(opened(path, mode)))
+    with pytest.raises(ClusterError, match="No space left on device"):
+        store.receive(Offered().add(b"a").digest, 0, b"a", True)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_link_in_a_folder_of_all_is_not_followed(tmp_path, monkeypatch):
+    monkeypatch.delenv(content_module.FOLDER_VARIABLE, raising=False)
+    monkeypatch.setattr(content_module.tempfile, "gettempdir", lambda: str(tmp_path))
+    (tmp_path / "home").mkdir()
+    (tmp_path / f"etendue-content-{os.getuid()}").symlink_to(tmp_path / "home")
+    with pytest.raises(ClusterError, match="others may write"):
+        Store()

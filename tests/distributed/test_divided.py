@@ -103,6 +103,17 @@ def test_particles_of_boxes_are_those_of_the_whole(scene, boxes, tmp_path):
     assert parts.traffic.loads == np.prod(boxes)  # each box once
 
 
+def test_boxes_without_shapes_pass_paths_on(tmp_path):
+    """A lamp that is no shape, in one of the two empty boxes."""
+    scene: dict = {"type": "scene", "lamp": {"type": "point", "position": [1.0, -1.0, 0.0], "intensity": 1.0}}
+    scene["eye"] = {"type": "perspective"}
+    for name, place in (("a", -2.0), ("b", 2.0)):
+        scene[name] = {"type": "sphere", "center": [place, place, 0.0], "radius": 1.9}
+    options = {"paths": 9000, "settings": {"samples_per_pass": 9000}}
+    parts = traced(scene, Cluster(InProcess(tmp_path)), boxes=(2, 2, 1), **options)
+    equal(parts.particles, traced(scene, **options).particles)
+
+
 @pytest.mark.slow
 def test_a_worker_that_dies_changes_nothing(tmp_path):
     whole = traced("cornell-box")

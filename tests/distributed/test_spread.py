@@ -3,192 +3,21 @@
 from __future__ import annotations
 
 import itertools
-import random
 import time
-from collections import deque
-from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any
 
-import numpy as np
 import pytest
+from support.workers import Chain, Powers, Simulated, alone, run
 
-from etendue.core import ClusterError, Iterations, Measurement, OptionError, Pass, SceneError
+from etendue.core import ClusterError, Iterations, OptionError, SceneError
 from etendue.distributed import SCHEDULES, Arrival, Lost, Recipe, Spread
 from etendue.distributed import crew as crew_module
 from etendue.distributed import spread as spread_module
 from etendue.distributed.content import Offered
-from etendue.distributed.pool import Delivered
 from etendue.distributed.schedules import Static, Stealing
-from etendue.distributed.worker import Failed, Needs, _Desk, _Run, merge_outcomes
-from etendue.engine import Budget, InTurn, Replicated, RunError, Runner
-
-
-@dataclass
-class Settings:
-    def to_json(self) -> str:
-        return "{}"
-
-
-class Powers:
-    """Pass i adds a whole number of which every pass has another one, so that a sum tells which passes are in it."""
-
-    name: ClassVar[str] = "powers"
-    Settings: ClassVar[Any] = Settings
-    citations: ClassVar[tuple[str, ...]] = ()
-    carries_on: ClassVar[bool] = False
-    samples_per_iteration = 1
-
-    def __init__(self, settings: Any = None) -> None:
-        self.settings = settings or Settings()
-
-    def prepare(self, problem: Any, seed: int) -> None:
-        self.seed = seed
-
-    def start(self):
-        return {}
-
-    def enter(self, state):
-        pass
-
-    def value(self, iteration: int, seed: int, state: Any) -> float:
-        return float(pow(3, iteration + 1, 1_000_003))
-
-    def step(self, iteration: int, seed: int, state: Any) -> Pass:
-        x = np.array([self.value(iteration, seed, state)])
-        return Pass(
-            Measurement({"x": x}, {"x": 1.0}, Iterations.single(iteration), {"x": x * x}, {"rays": 1.0}),
-            self.following(iteration, seed, state),
-        )
-
-    def following(self, iteration, seed, state):
-        return state
-
-    def develop(self, measurement, state):
-        raise NotImplementedError
-
-
-class Chain(Powers):
-    """Each pass depends on the state after the one before, and on the seed of the replica."""
-
-    carries_on: ClassVar[bool] = True
-
-    def start(self):
-        return {"x": self.seed % 1000}
-
-    def value(self, iteration, seed, state):
-        return float(state["x"])
-
-    def following(self, iteration, seed, state):
-        return {"x": (31 * state["x"] + iteration + 1) % 65_537}
-
-
-class Opened:
-    digest = "recipe"
-
-    def __init__(self, kind: type[Powers]) -> None:
-        self.kind = kind
-
-    def method(self, seed: int) -> Powers:
-        made = self.kind()
-        made.prepare(None, seed)
-        return made
-
-
-class Simulated:
-    """A pool of simulated workers. ``faults``: probability that a chunk ends otherwise than by being made."""
-
-    def __init__(self, kind: type[Powers], count: int, seed: int = 0, faults: float = 0.0) -> None:
-        self.kind, self.faults, self.random = kind, faults, random.Random(seed)
-        self.names = iter(f"worker {k}" for k in range(10_000))
-        self.desks: dict[str, _Desk] = {}
-        self.sent: deque[tuple[str, int, Any]] = deque()
-        self.deaths = 0
-        self.delivered: list[tuple[str, str]] = []
-        for _ in range(count):
-            self.join()
-
-    def join(self) -> None:
-        self.desks[next(self.names)] = _Desk()
-
-    def workers(self):
-        return dict.fromkeys(self.desks)
-
-    def send(self, worker, ticket, chunk) -> None:
-        self.sent.append((worker, ticket, chunk))
-
-    def outcome(self, worker, chunk):
-        desk = self.desks[worker]
-        if chunk.run not in desk._runs:
-            desk._runs[chunk.run] = _Run(Opened(self.kind))  # type: ignore[arg-type]
-        return desk._passes(chunk, desk._runs[chunk.run])
-
-    def wait(self, seconds: float):
-        if not self.sent:
-            return None
-        at = self.random.randrange(len(self.sent)) if self.kind is Powers else 0
-        worker, ticket, chunk = self.sent[at]
-        del self.sent[at]
-        if isinstance(chunk, (Delivered, Lost)):
-            return Arrival(ticket, chunk)
-        if worker not in self.desks:
-            # It died earlier: what it had never arrives, or arrives as lost.
-            return Arrival(ticket, Lost("died")) if self.random.random() < 0.5 else None
-        if self.random.random() < self.faults:
-            what = self.random.randrange(6 if self.kind is Powers else 4)
-            if what == 0:  # killed before the sum arrived, another one takes its place
-                del self.desks[worker]
-                self.deaths += 1
-                self.join()
-                return Arrival(ticket, Lost("killed")) if self.random.random() < 0.5 else None
-            if what == 1:
-                return Arrival(ticket, Needs((f"file {ticket}",)))
-            if what == 2:  # the time ended in the middle
-                made = self.outcome(worker, _shorter(chunk, self.random))
-                return Arrival(ticket, made)
-            if what >= 4:
-                return self.bundle(worker, ticket, chunk, what)
-            self.join()  # one more, late
-        return Arrival(ticket, self.outcome(worker, chunk))
-
-    def bundle(self, worker, ticket, chunk, what):
-        """Sums that workers merge; with one that is forgotten, or all of them lost."""
-        others = [
-            entry
-            for entry in list(self.sent)[:2]
-            if entry[0] in self.desks and not isinstance(entry[2], (Delivered, Lost))
-        ]
-        for entry in others:
-            self.sent.remove(entry)
-        if what == 4:
-            for lost in others:
-                self.sent.append((lost[0], lost[1], Lost("merged", worker_is_there=True)))
-            return Arrival(ticket, Lost("merged", worker_is_there=True))
-        if len(others) > 1 and self.random.random() < 0.3:  # its worker dies before the sum arrives
-            self.desks.pop(others[0][0], None)
-            self.join()
-        made = merge_outcomes(self._made(worker, chunk), *(self._made(w, c) for w, _, c in others))
-        return Arrival(ticket, made, 0.0, tuple(entry[1] for entry in others))
-
-    def _made(self, worker, chunk):
-        return self.outcome(worker, chunk) if worker in self.desks else Lost("died")
-
-    def deliver(self, worker, ticket, offered, digest):
-        self.delivered.append((worker, digest))
-        self.sent.append((worker, ticket, Delivered()))
-
-    def end_run(self, run) -> None: ...
-
-    def forget(self, tickets) -> None:
-        self.sent = deque(entry for entry in self.sent if entry[1] not in tickets)
-
-    def close(self) -> None: ...
-
-
-def _shorter(chunk, source):
-    from dataclasses import replace
-
-    return replace(chunk, count=source.randrange(chunk.count + 1))
+from etendue.distributed.worker import Failed
+from etendue.engine import Budget, Replicated, RunError, Runner
 
 
 @pytest.fixture(autouse=True)
@@ -196,24 +25,6 @@ def _at_once(monkeypatch):
     monkeypatch.setattr(crew_module, "_LOOK", 0.0)
     monkeypatch.setattr(spread_module, "_TICK", 0.0)
     monkeypatch.setattr(spread_module, "_SHORTEST", 1e-4)
-
-
-def run(pool, method, passes, start=None, state=None, seed=5, schedule="demand"):
-    method.prepare(None, seed)
-    runner = Runner(
-        method,
-        seed=seed,
-        budget=Budget(iterations=passes),
-        start=start,
-        state=state,
-        executor=lambda order: Spread(pool, Recipe("recipe", Offered(), method.carries_on), order, schedule=schedule),
-    )
-    return runner.run()
-
-
-def alone(method, passes, seed=5):
-    method.prepare(None, seed)
-    return Runner(method, seed=seed, budget=Budget(iterations=passes), executor=InTurn).run()
 
 
 @pytest.mark.parametrize("seed", range(20))

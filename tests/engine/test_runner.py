@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from etendue.core import OptionError, OutputError, Pass
-from etendue.engine import Budget, Cancelled, RunError, Runner
+from etendue.engine import Budget, Cancelled, Replicated, RunError, Runner
 from etendue.engine.stopping import LEAST_PASSES_FOR_ERROR
 
 
@@ -40,6 +40,14 @@ def test_samples_are_counted_in_passes_and_the_smaller_limit_holds():
     assert Budget(seconds=1).passes(4) is None
     assert not Budget()
     assert Budget(error=0.1)
+
+
+def test_every_replica_knows_the_plan(noise):
+    """Also those that are prepared when their first pass is due."""
+    told = []
+    planned = type("Planned", (type(noise),), {"plan": lambda self, *limits: told.append(limits)})
+    Runner(Replicated(planned(), None, 0, 3), seed=0, budget=Budget(seconds=30.0, iterations=3)).run()
+    assert told == [(30.0, 3, None)] * 3
 
 
 def test_a_run_without_any_end_is_refused(noise):
@@ -91,14 +99,14 @@ def test_preparation_is_a_part_of_the_time(timed, spent, passes):
 
 
 @pytest.mark.parametrize(
-    ("budget", "spent", "left"),
+    ("budget", "spent", "limits"),
     [
-        (Budget(seconds=12.0), 2.0, (10.0, None, None)),
-        (Budget(seconds=12.0), 50.0, (0.0, None, None)),
+        (Budget(seconds=12.0), 2.0, (12.0, None, None)),  # by the clock, decisions would differ from run to run
+        (Budget(seconds=12.0), 50.0, (12.0, None, None)),
         (Budget(samples=7, error=0.1), 2.0, (None, 7, 0.1)),
     ],
 )
-def test_a_method_that_asks_is_told_what_the_budget_has_left(timed, budget, spent, left):
+def test_a_method_that_asks_is_told_the_budget(timed, budget, spent, limits):
     method, clock = timed([1.0])
     told = []
     method.plan = lambda *ahead: told.append((*ahead, clock()))
@@ -106,7 +114,7 @@ def test_a_method_that_asks_is_told_what_the_budget_has_left(timed, budget, spen
     begin = clock()
     Runner(method, seed=0, budget=budget, spent=spent, clock=clock).run()
     Runner(method, seed=0, budget=Budget(iterations=3), start=start, clock=clock).run()
-    assert told[0] == (*left, begin)  # before the first pass
+    assert told[0] == (*limits, begin)  # before the first pass
     assert told[1][:3] == (None, 2, None)
 
 

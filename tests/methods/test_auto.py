@@ -9,7 +9,7 @@ from support.running import go, prepared, replicas, run
 from support.statistics import assert_agree
 from support.tables import thinned
 
-from etendue.core import CheckpointError
+from etendue.core import RELATIVE_EPSILON, CheckpointError
 from etendue.methods.auto import CANDIDATES, FIXED, LEARNER, Learned, Work, describe
 from etendue.methods.auto import method as auto
 from etendue.transport import TILE, Candidate
@@ -106,6 +106,42 @@ def test_moments_are_those_of_the_candidate(estimated, name):
     share = means.mean() / picture.mean()
     foreseen = moments.mean() - share**2 * np.square(images.mean(axis=(0, 3))).mean()
     assert foreseen == pytest.approx(variance(images) * SAMPLES, rel=0.2)
+
+
+@pytest.fixture(scope="module")
+def many_lamps():
+    """Passes that learn under nine lamps, of which one lights what is seen, and three have learned which."""
+    scene = {
+        "type": "scene",
+        "sensor": scenes.camera((0.0, 1.9, 0.8), (0.0, 0.0, 0.0)),  # no edges, which moments count as noise
+        "floor": scenes.plate([0, 0, 0], 2.0, up=True),
+        "ceiling": scenes.plate([0, 2.3, 0], 6.0, up=False),
+        "lamp": scenes.lamp([-0.8, 2.2, 0.3], 0.15, 30.0),
+    }
+    hidden = {f"above{i}": scenes.lamp([0.4 * i - 1.4, 3.5, 0.0], 0.15, 60.0) for i in range(8)}
+    method = prepared(scenes.load(scene | hidden), "auto", samples_per_pass=SAMPLES, probe_passes=1000, rr_depth=2)
+    go(method, 10)
+    return method
+
+
+def test_path_tracing_selects_the_lamps_that_its_moments_are_of(many_lamps):
+    """Those that passes with light paths have learned, and the moments are not those from before they had."""
+    method = many_lamps.method
+    foreseen = float(method._learned.errors()[CANDIDATES.index(PATH)])
+    images = np.stack([method.render_with(PATH, 100 + i, 1) for i in range(40)])
+    error = (images.var(axis=0, ddof=1) * SAMPLES / (np.square(images.mean(axis=0)) + RELATIVE_EPSILON)).mean()
+    assert foreseen == pytest.approx(error, rel=0.3)
+
+
+def test_a_pass_that_fails_teaches_nothing(many_lamps, monkeypatch):
+    """It has been learned which lamps to sample when the pass fails."""
+    method, before = many_lamps, many_lamps.state()
+    with monkeypatch.context() as patch:
+        patch.setattr(auto.Auto, "_decide", lambda self: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            method.step(10, 1)
+    again = many_lamps.method._vcm.left()["emission"]
+    assert again["passes"] == before["vcm"]["emission"]["passes"] and again["seen"] == before["vcm"]["emission"]["seen"]
 
 
 # ---------------------------------------------------------------------- the choice
@@ -216,6 +252,23 @@ def test_a_short_run_learns_nothing(lamp, material, seconds, choice):
     method.step(0, 1)
     assert describe(Candidate(*method.state()["counts"])) == choice
     assert method.state()["learned"]["passes"] == 0
+
+
+@pytest.mark.parametrize(
+    ("lamp", "sensor", "seconds"), [("directional", "perspective", 7.0), ("point", "orthographic", 5.0)]
+)
+def test_no_run_is_too_short_for_caustics_that_path_tracing_misses(lamp, sensor, seconds, monkeypatch):
+    """Those of a sun, and where light paths reach no camera. What such a run has not learned, one that goes on from its
+    state for longer does."""
+    blank = {"image": np.zeros((12, 16, 3), np.float32)}, {"nonfinite": 0.0}
+    learns = []
+    monkeypatch.setattr(auto.Auto, "_rendered", lambda *_: blank)
+    monkeypatch.setattr(auto.Auto, "_learn", lambda self, iteration, *_: learns.append(iteration) or blank)
+    method = prepared(scenes.room(lamp, ("dielectric",), sensor=sensor), "auto", samples_per_pass=1)
+    for iteration, limit in enumerate((seconds, 60.0)):
+        method.plan(limit, None, None)
+        method.step(iteration, 1)
+        assert describe(Candidate(*method.state()["counts"])) == "vcm" and learns == [1] * iteration
 
 
 def test_a_black_scene_is_no_error():

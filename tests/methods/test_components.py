@@ -15,7 +15,7 @@ from support.tables import thinned
 
 from etendue.core import OptionError
 from etendue.film import COMPONENTS
-from etendue.methods import get
+from etendue.methods import base, get
 
 PASSES, SAMPLES = 6, 256
 #: Density estimation with a radius whose bias is far below the noise.
@@ -151,12 +151,14 @@ def test_the_picture_does_not_depend_on_the_layers():
     np.testing.assert_allclose(total, whole.mean, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", thinned(("path", "bpt", "sppm", "ppm", "guided", "vegas"), ("path", "ppm")))
-def test_first_hits_are_recorded_by_the_walk(name):
+@pytest.mark.parametrize("name", thinned(("path", "bpt", "sppm", "ppm", "guided", "vegas", "auto"), ("path", "ppm")))
+def test_first_hits_are_recorded_by_the_walk(name, monkeypatch):
     """The layers of rays that the walk traces are those of rays traced for them alone; the emission is what paths of
     one edge find."""
     runner = prepared(hall(), name, samples_per_pass=8, aovs=True, max_depth=1)
-    measured = runner.step(0, 1)
+    with monkeypatch.context() as patch:
+        patch.setattr(base, "Walker", lambda **_: pytest.fail("rays were traced for the layers alone"))
+        measured = runner.step(0, 1)
     traced, _ = runner.first_layers(0, 1, 8)
     assert sorted(traced) == ["albedo", "depth", "emitted", "normal"]
     for layer, expected in traced.items():

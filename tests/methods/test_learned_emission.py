@@ -17,7 +17,16 @@ from support.statistics import LEVEL, assert_agree
 
 from etendue.core import IndependentSource
 from etendue.scene import LightTable
-from etendue.transport import EmissionGuide, direction_of, emission_of_hit, emit, is_emissive, sample_direct, square_of
+from etendue.transport import (
+    EmissionGuide,
+    LearnedEmission,
+    direction_of,
+    emission_of_hit,
+    emit,
+    is_emissive,
+    sample_direct,
+    square_of,
+)
 
 LEARNS = {"guide_emission": "on"}
 PATHS, SIDE = 1 << 18, 8
@@ -115,6 +124,17 @@ def test_all_techniques_know_the_same_density_of_emission():
     assert met.sum() > 1000
     np.testing.assert_allclose(np.array(direct.light_ratio * direct.pdf * cos)[met], np.array(density)[met], rtol=2e-3)
     np.testing.assert_allclose(np.array(direct.pdf * cos / dr.square(si.t))[met], np.array(area)[met], rtol=2e-3)
+
+
+def test_every_part_of_a_picture_teaches():
+    """A quarter of the lanes of camera paths counts: in a picture whose rows are as long as their pattern, not the same
+    columns in all rows."""
+    problem, side = lights(), 64
+    learning = LearnedEmission(LightTable(problem.scene), (side, side), False)
+    learning.measure(1.0)
+    lanes = dr.arange(mi.UInt32, side * side)
+    counts = np.array(learning.fields(True, 0)["training"].worth_of_lane(lanes, lanes)).reshape(side, side) > 0.0
+    assert (counts.mean(axis=0) == 0.25).all() and (counts.mean(axis=1) == 0.25).all()
 
 
 # ---------------------------------------------------------------------------------------------------- pictures

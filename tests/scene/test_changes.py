@@ -166,6 +166,36 @@ def test_elements_without_a_name_get_one_that_a_removed_light_does_not_change() 
         assert editor.get("point-1.position").value == [1, 2, 3]
 
 
+@pytest.mark.parametrize("metal", ["conductor", "roughconductor"])
+def test_a_perfect_mirror_can_become_another_metal(metal: str) -> None:
+    """Without a material its constants are numbers, which are not those of glass."""
+    scene = room()
+    scene["metal"]["bsdf"] = {"type": metal, "material": "none"}
+    scene["spot"] = {"type": "spot", "to_world": mi.ScalarTransform4f().look_at([0, 3, 0], [0, 0, 0], [1, 0, 0])}
+    keys = [p.key for p in SceneEditor(load(scene, change=ParameterChanges()).scene).list()]
+    assert not any("texture" in key for key in keys)  # a file cannot give the spot light a plain one
+    key = next(key for key in keys if key.startswith("metal.bsdf.eta"))
+    changed = SceneEditor(load(scene, change=ParameterChanges({key: 0.25, key.replace(".eta", ".k"): 2.0})).scene)
+    assert changed.get(key).value == 0.25
+
+
+def test_an_added_light_does_not_replace_one_of_the_file(tmp_path: Path) -> None:
+    """As in a scene that was written with an added light; the parameters of both can be changed."""
+    lamp = {"id": "added-light-1", "type": "point", "position": [0.0, 2.0, 0.0]}
+    path = tmp_path / "lit.xml"
+    path.write_text(scene_xml(room(), None, LightEdits(added=(lamp,))))
+    before = len(load(path).scene.emitters())
+    again = load(path, change=LightEdits(added=({**lamp, "position": [0.0, 1.0, 0.0]},)))
+    assert len(again.scene.emitters()) == before + 1
+    found = [p.value for p in SceneEditor(again.scene).list() if p.key.endswith(".position")]
+    assert sorted(value[1] for value in found) == [1.0, 2.0, 2.0]  # the room has one, too
+    # A name stays when the light before is removed.
+    two = (lamp, {**lamp, "id": "added-light-2"})
+    for added in (two, two[1:]):
+        edited = load(room(), change=LightEdits(added=added))
+        assert "added-light-2.position" in {p.key for p in SceneEditor(edited.scene).list()}
+
+
 def test_a_texture_by_file(tmp_path: Path) -> None:
     """The picture of a texture in a changed scene is that of a scene with the other file; and of a sky."""
     scene = room()

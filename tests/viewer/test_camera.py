@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from etendue.core import OptionError
-from etendue.scene import Problem, bundled_scene, load
+from etendue.scene import Problem, RenderSpace, bundled_scene, load
 from etendue.viewer.camera import Pose, place, projection, vertical_fov
 from etendue.viewer.preview import Preview
 
@@ -72,3 +72,71 @@ def test_moving_pictures_of_a_thin_lens_keep_their_trace():
     assert moving._function != moving._radiance and preview._step == step
     assert pictures[0].shape == (24, 32, 3) and not np.array_equal(pictures[0], pictures[1])
     assert np.mean(pictures) == pytest.approx(0.21, rel=0.1)
+
+
+def seen_from(to_world, **sensor):
+    """A box seen by a sensor: (pose, problem)."""
+    description = bundled_scene("cornell-box").build()
+    kept = {key: description["sensor"][key] for key in ("film", "sampler")}
+    description["sensor"] = {"type": "perspective", "fov": 40.0, "to_world": to_world, **kept} | sensor
+    if sensor.get("type") == "orthographic":
+        del description["sensor"]["fov"]
+    problem = load(description, size=(48, 32))
+    return Pose.of(problem), problem
+
+
+def look_at(origin, target=(0.0, 0.0, 0.0), up=(0.0, 1.0, 0.0)):
+    return mi.ScalarTransform4f().look_at(list(origin), list(target), list(up))
+
+
+def assert_projects(found, problem):
+    place(problem.sensor, found)
+    ray, _ = problem.sensor.sample_ray(0.0, 0.5, mi.Point2f(0.25, 0.75), mi.Point2f(0.5))
+    x, y, _, w = np.array(projection(problem, found)) @ [*np.array(ray(2.0)).ravel(), 1.0]
+    assert (x / w, y / w) == pytest.approx((12.0, 24.0), abs=1e-3)
+
+
+def test_a_picture_whose_principal_point_is_moved():
+    found, problem = seen_from(look_at((0, 0, 4)), principal_point_offset_x=0.1, principal_point_offset_y=-0.2)
+    assert_projects(found.orbited(0.2, 0.1), problem)
+
+
+def test_the_target_is_what_the_middle_shows():
+    """Also beyond a near plane, from which the distance of a ray counts."""
+    far, near = (seen_from(look_at((0, 0, 4)), near_clip=clip)[0] for clip in (2.0, 1e-3))
+    assert np.allclose(far.target, near.target, atol=1e-5) and -1.0 <= far.target[2] <= 1.0
+
+
+def test_a_steep_camera_orbits_around_the_axis_that_it_shows_upright():
+    assert np.allclose(seen_from(look_at((3, 10, 4)))[0].up, [0, 1, 0])
+    assert np.allclose(seen_from(look_at((3, 4, 10), up=(0, 0, 1)))[0].up, [0, 0, 1])
+
+
+def test_an_up_that_is_set_is_up_in_the_picture():
+    found, problem = seen_from(look_at((0, 0, 4), up=(0.6, 0.8, 0.0)))
+    assert np.allclose(found.plain(problem)["up"], [0.6, 0.8, 0.0], atol=1e-6)
+    same = found.placed(found.plain(problem), problem)
+    assert np.allclose(same.matrix(), found.matrix(), atol=1e-6)
+    assert np.allclose(found.placed({"up": [0, 1, 0]}, problem).matrix()[:3, 1], [0, 1, 0], atol=1e-6)
+
+
+def test_an_orthographic_camera_approaches_by_the_size_of_its_view():
+    matrix = np.array(look_at((0, 0, 4)).matrix) @ np.diag([0.8, 0.8, 1.0, 1.0])
+    found, problem = seen_from(mi.ScalarTransform4f(matrix), type="orthographic")
+    near = found.approached(math.log(2.0))
+    assert np.allclose(near.matrix(), found.matrix() @ np.diag([0.5, 0.5, 1.0, 1.0]), atol=1e-6)
+    assert np.allclose(found.zoomed(math.log(2.0)).matrix(), near.matrix())
+    assert np.linalg.norm(found.approached(1e9).own[:, 0]) > 0
+    assert_projects(near.shifted(0.25, 0.0, 0.0), problem)
+    assert near.shifted(0.5, 0.0, 0.0).origin[0] - near.origin[0] == pytest.approx(0.4, abs=1e-6)  # half its width
+
+
+def test_a_pose_is_the_same_in_another_render_space():
+    old, new = RenderSpace(), RenderSpace((1.0, 2.0, 3.0), 4.0)
+    start = pose(up=np.array([0.6, 0.8, 0.0]))
+    there = start.carried(old, new)
+    assert np.allclose(new.to_scene(there.origin), start.origin) and np.allclose(
+        new.to_scene(there.target), start.target
+    )
+    assert np.allclose(there.matrix()[:3, :3], start.matrix()[:3, :3]) and there.size == 4.0 * start.size
+    assert start.carried(old, old) is start

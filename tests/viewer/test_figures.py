@@ -102,7 +102,7 @@ def test_the_mesh_of_a_scene_has_the_area_of_its_shapes() -> None:
 
 
 @pytest.mark.slow
-def test_a_live_solution_converges_to_that_of_a_furnace(tmp_path: Path) -> None:
+def test_a_live_solution_converges_to_that_of_a_furnace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A closed cube whose walls reflect rho and emit e: every radiosity is e / (1 - rho)."""
     rho, radiance = 0.5, 1.0
     scene = {
@@ -138,6 +138,12 @@ def test_a_live_solution_converges_to_that_of_a_furnace(tmp_path: Path) -> None:
     while not live.step(0.05):
         pass
     assert live.bundles > bundles
+    # It ends with the solution on as many lines as are kept.
+    assert not live.is_done
+    monkeypatch.setattr(solution, "MOST_SEGMENTS", 1)
+    live.step(0.0)
+    bundles = live.bundles
+    assert live.is_done and not live.step(0.05) and live.bundles == bundles
     live.close()
     with pytest.raises(OptionError, match="area"):
         solution.LiveSolution(load(scene), max_area=1e-6)

@@ -31,7 +31,8 @@ def browse(viewer, visit, *size, **options):
     asyncio.run(go())
 
 
-ORIGIN = "document.querySelector('aside details:nth-of-type(4) input').value"
+ORIGIN_FIELD = "document.querySelector('aside details:nth-of-type(4) input')"
+ORIGIN = f"{ORIGIN_FIELD}.value"
 
 
 def test_by_keyboard_alone(viewer):
@@ -89,6 +90,51 @@ def test_errors_are_told_and_fields_show_what_holds(viewer):
         await tab.until("document.querySelector('#messages .error')?.textContent.includes('nowhere')")
         await tab.until("document.getElementById('waiting').hidden")
         assert await tab.value("document.getElementById('scene').textContent") == "cornell-box"
+
+    browse(viewer, visit)
+
+
+def test_what_is_being_typed_is_kept_when_the_state_changes(viewer):
+    async def visit(tab):
+        label = "[...document.querySelectorAll('label')].find((l) => l.textContent.startsWith('Seconds'))"
+        fields = f"{label}.control", "document.querySelector('[id^=field-rr_depth]')"
+        await tab.value("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
+        for field, pressed in zip(fields, ("true", "false"), strict=True):
+            await tab.value(f"{field}.focus(); {field}.select()")
+            await tab.type("12")
+            # Another page changes a setting, and pauses.
+            await tab.value("document.getElementById('pause').click()")
+            await tab.until(f"document.getElementById('pause').getAttribute('aria-pressed') === '{pressed}'")
+            assert await tab.value(f"{field}.value") == "12"
+            await tab.press("Enter")
+            await tab.until(f"{field}.value === '12'")
+        await tab.value(f"{fields[1]}.value = 'lots'; {fields[1]}.dispatchEvent(new Event('change'))")
+        await tab.until("document.querySelector('#messages .error')?.textContent.includes(\"'lots'\")")
+        await tab.until(f"{fields[1]}.value === '12'")
+        await tab.value(f"{ORIGIN_FIELD}.value = 'here 0 1'; {ORIGIN_FIELD}.dispatchEvent(new Event('change'))")
+        await tab.until("document.querySelector('#messages .error')?.textContent.includes(\"not 'here'\")")
+
+    browse(viewer, visit)
+
+
+def test_keys_by_what_they_print(viewer):
+    """As on a German keyboard, which has + where the others have a bracket, and brackets with AltGr."""
+    field_of_view = "document.querySelector('aside details:nth-of-type(4) label:nth-of-type(4) input').value"
+
+    async def visit(tab):
+        stage = "document.getElementById('stage')"
+        for key, code, modifiers, changes, stays in (
+            ("+", "BracketRight", "", ORIGIN, field_of_view),
+            ("[", "Digit8", "altKey: true, ctrlKey: true, modifierAltGraph: true,", field_of_view, ORIGIN),
+        ):
+            before = await tab.value(changes), await tab.value(stays)
+            event = f"{{key: '{key}', code: '{code}', {modifiers} bubbles: true}}"
+            for kind in ("keydown", "keyup"):
+                await tab.value(f"{stage}.dispatchEvent(new KeyboardEvent('{kind}', {event}))")
+            await tab.until(f"{changes} !== '{before[0]}'")
+            assert await tab.value(stays) == before[1]
+        await tab.value(f"{stage}.focus()")
+        await tab.press("Home")
 
     browse(viewer, visit)
 

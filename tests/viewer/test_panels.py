@@ -16,6 +16,10 @@ from etendue.film import read_exr
 from etendue.scene import SceneEditor, load, name_elements
 
 SIZE = (32, 24)
+#: A scene that is parsed, but not built.
+BROKEN = """<scene version="3.0.0"><sensor type="perspective"/><emitter type="constant"/><shape type="sphere">
+<bsdf type="diffuse"><texture type="bitmap" name="reflectance"><string name="filename" value="nowhere.png"/></texture>
+</bsdf></shape></scene>"""
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +61,8 @@ def arrays(message, data):
 def test_an_edit_is_in_the_picture_in_the_file_and_after_a_light_is_added(viewer):
     """The picture after an edit is that of the written scene, read by a fresh method: no table of lights is old."""
     made, folder = viewer
+    broken = folder / "broken.xml"
+    broken.write_text(BROKEN)
     lamp, metal = "light.emitter.radiance.value", "large-box.bsdf.alpha.value"
 
     async def conversation(page):
@@ -77,6 +83,10 @@ def test_an_edit_is_in_the_picture_in_the_file_and_after_a_light_is_added(viewer
         page.send("parameters.set", key=metal, value=0.5)
         own = (await state(page, lambda own: len(own["changes"]) == 2))["parameters"]
         assert own["own"][metal] == 0.15
+        # A scene that cannot be loaded leaves the one of before, and what was changed in it.
+        page.send("open", scene=str(broken))
+        assert "nowhere.png" in (await page.until("error"))[0]["text"]
+        assert len((await state(page))["parameters"]["changes"]) == 2
         page.send("lights.add", kind="point", position=[0, 0.5, 0.5], colour=[1, 1, 1], strength=0.2)
         own = (await state(page))["parameters"]
         assert {p["key"]: p["value"] for p in own["parameters"]}[lamp] == [2.0, 30.0, 1.0]

@@ -4,13 +4,14 @@ import asyncio
 import json
 import socket
 import threading
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
 import pytest
 from support.viewing import Page
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError
 
 from etendue.core import OptionError
+from etendue.viewer.clients import Client
 from etendue.viewer.protocol import packed, parsed, unpacked
 from etendue.viewer.server import Server
 
@@ -33,7 +34,7 @@ class Stand:
         self.got.set()
 
     def file(self, name):
-        return b"saved" if name == "view.png" else None
+        return b"saved" if name in ("view.png", "夕方 ä.png") else None
 
 
 @pytest.fixture
@@ -67,6 +68,8 @@ def test_nothing_is_answered_without_the_token(server):
     assert fetch(base + f"/{token}").effective_url == server.url
     assert b"class Stage" in fetch(server.url + "assets/stage.js").body
     assert fetch(server.url + "files/view.png").body == b"saved"
+    named = fetch(server.url + f"files/{quote('夕方 ä.png')}")
+    assert named.body == b"saved" and quote("夕方 ä.png") in named.headers["Content-Disposition"]
     assert status(server.url + "files/other.png") == 404
     assert status(server.url + "assets/../server.py") in (403, 404)
     assert status(server.url + "assets/%2e%2e/server.py") in (403, 404)
@@ -153,6 +156,25 @@ def test_a_slow_page_gets_the_latest_picture_and_delays_nobody(server):
         assert numbers == sorted(numbers)
 
     asyncio.run(talk())
+
+
+def test_of_states_that_wait_the_latest_is_sent_in_the_order_of_the_latest():
+    """To a page that is slow to take messages: never a pose that is older than the state before it."""
+    sent = []
+
+    class Slow:
+        async def write_message(self, message, binary=False):
+            sent.append(unpacked(message)[0])
+            await asyncio.sleep(0.01)
+
+    async def talk():
+        client = Client(Slow(), asyncio.get_running_loop())
+        for kind, number in (("note", 0), ("camera", 1), ("state", 2), ("camera", 3), ("progress", 4), ("state", 5)):
+            client.send(kind, number=number)
+        await asyncio.sleep(0.1)
+
+    asyncio.run(talk())
+    assert [(m["type"], m["number"]) for m in sent] == [("note", 0), ("camera", 3), ("progress", 4), ("state", 5)]
 
 
 def test_a_port_that_is_taken_is_one_line():

@@ -4,6 +4,7 @@ import asyncio
 import gc
 import io
 import weakref
+from types import SimpleNamespace
 
 import mitsuba as mi
 import numpy as np
@@ -15,6 +16,7 @@ import etendue
 from etendue import film
 from etendue.cli.experiments.run_file import RunFile
 from etendue.cli.main import main
+from etendue.core import Result
 from etendue.scene import load
 from etendue.viewer.opening import Viewer
 
@@ -173,6 +175,16 @@ def test_a_filter_without_its_layer_is_told_and_left_out(viewer):
         page.send("show", denoise="nlm")
         assert "needs the layer 'variance'" in (await told(page))["text"]
         assert (await page.until("state", lambda m: m["show"]["denoise"] == ""))[0]["loaded"]
+        # With it, the filter stays when the picture starts anew, though one pass has no variance.
+        page.send("render", settings={"max_depth": 4, "aovs": True})
+        await finished(page)
+        page.send("show", denoise="nlm")
+        page.send("render", again=True)
+        await page.until("state", lambda m: m["preparing"])
+        await finished(page)
+        page.send("show", radius=3)
+        assert (await told(page, "state"))["show"]["denoise"] == "nlm"
+        page.send("render", settings={"max_depth": 4})
         page.send("show", denoise="gaussian", curve="agx", exposure=0.5)
         await page.until("frame", lambda m: not m["moving"])
         page.send("show", denoise="", curve="srgb", exposure="auto")
@@ -199,15 +211,26 @@ def test_beside_a_second_method_and_a_reference(viewer, folder):
     reference.save(folder / "reference.exr")
 
     async def conversation(page):
-        page.send("compare", method="light", settings={"max_depth": 4})
+        page.send("compare", method="light")
         both = (await page.until("progress", lambda m: m.get("other") and m["other"]["samples"] >= 4))[0]
         assert both["other"]["method"] == "light" and both["relmse"] > 0
+        assert viewer._session.compared.refinement.settings.max_depth == 4  # that of the first method
         page.send("compare", reference=str(folder / "reference.exr"))
         await page.until("state", lambda m: m["compared"] and m["compared"]["reference"])
         page.send("render", again=True)
         done = await finished(page)
         page.send("compare", reference=str(folder / "reference.exr"), map=True)
         await page.until("frame", lambda m: m["side"] == "b")
+        # A filter that suits the first picture only leaves the second as it is, and the session goes on.
+        page.send("compare", reference=str(folder / "reference.exr"), map=False)
+        page.send("render", settings={"max_depth": 4, "aovs": True})
+        await finished(page)
+        page.send("show", denoise="nlm")
+        assert "the second picture is not denoised" in (await told(page))["text"]
+        await finished(page)
+        page.send("show", denoise="")
+        page.send("render", settings={"max_depth": 4})
+        await finished(page)
         page.send("compare")
         await page.until("state", lambda m: m["compared"] is None)
         return done["relmse"]
@@ -215,6 +238,49 @@ def test_beside_a_second_method_and_a_reference(viewer, folder):
     found = talk(viewer, conversation)
     own = etendue.render("cornell-box", "path", samples=4, samples_per_pass=1, size=SIZE, seed=0, max_depth=4)
     assert found == pytest.approx(film.relative_mse(own.image, reference.image), rel=1e-6)
+
+
+def test_a_reference_of_another_size_keeps_the_views(viewer, folder):
+    film.write_exr(folder / "small.exr", Result({"image": np.ones((12, 16, 3), np.float32)}, {}))
+
+    async def conversation(page):
+        page.send("views", save=True)
+        page.send("compare", reference=str(folder / "small.exr"))
+        state, _ = await page.until("state", lambda m: m["compared"] and m["size"] == [16, 12])
+        assert state["views"] == 1
+        page.send("compare")
+        page.send("render", size=list(SIZE))
+        page.send("views", remove=0)
+        await page.until("state", lambda m: m["size"] == list(SIZE) and m["views"] == 0)
+
+    talk(viewer, conversation)
+
+
+def test_panels_work_while_the_picture_is_paused(viewer, monkeypatch):
+    """Such as a solution of radiosity, also after the camera was moved."""
+    session, calls = viewer._session, []
+    monkeypatch.setattr(session.panels["pyramid"], "work", lambda: calls.append(0))
+
+    async def conversation(page):
+        page.send("render", paused=True)
+        page.send("camera", orbit=[0.1, 0.0])
+        await page.until("frame", lambda m: m["moving"])
+        before = len(calls)
+        await asyncio.sleep(0.6)  # the camera is at rest after a quarter of a second
+        assert len(calls) > before
+        page.send("pick", x=0.3, y=0.96)
+        assert (await told(page, "picked"))["radiance"] is None  # the picture is that of the view before
+        page.send("show", exposure=3.0)
+        brighter = (await page.until("frame", lambda m: m["moving"]))[1]
+        page.send("show", exposure=-3.0)
+        darker = (await page.until("frame", lambda m: m["moving"]))[1]
+        assert decoded(brighter).mean() > decoded(darker).mean() + 20
+        page.send("show", exposure="auto")
+        page.send("camera", reset=True)
+        page.send("render", paused=False)
+        await finished(page)
+
+    talk(viewer, conversation)
 
 
 def test_the_run_file_and_the_scene_repeat_the_picture(viewer, folder):
@@ -286,6 +352,12 @@ def test_a_method_that_refuses_the_scene_says_so(folder):
             assert "cannot be connected to this sensor" in state["trouble"]
             page.send("render", method="path", settings={"max_depth": 2})
             await page.until("progress", lambda m: m["passes"] >= 2)
+            # As a second method it is left out, and the picture goes on.
+            page.send("compare", method="light")
+            assert "the comparison is ended: " in (await told(page))["text"]
+            state, _ = await page.until("state")
+            assert state["compared"] is None and not state["trouble"]
+            await page.until("progress", lambda m: m["passes"] >= 2)
 
         talk(viewer, conversation)
 
@@ -309,6 +381,9 @@ def test_a_session_that_is_closed_releases_its_scene():
     assert all(one() is None for one in kept) and viewer.wait(0)
     assert "ended" in repr(viewer) and "ended" in viewer._repr_html_()
     viewer.close()
+    late = SimpleNamespace(said=[], send=lambda kind, text: late.said.append((kind, text)))
+    session.join(late)
+    assert late.said == [("note", "The session has ended; this page can be closed.")]
 
 
 def test_a_device_without_memory_while_moving_makes_coarser_pictures(viewer, monkeypatch):

@@ -62,8 +62,9 @@ class Method(Protocol):
       in the prediction of the next pass.
     - ``finish_seconds(measurement) -> float``: time of the work after the last ``step``; a run with a budget in seconds
       ends earlier by this time.
-    - ``plan(seconds, passes, error)``: called before the first ``step`` with the remaining budget, ``None`` for each
-      quantity without a limit.
+    - ``plan(seconds, passes, error)``: called before the first ``step`` of a run with its budget, ``None`` for each
+      quantity without a limit. ``passes`` are those that are left; ``seconds`` are not less by the time that preparing
+      took, so that what is decided by them does not depend on the clock.
     """
 
     name: ClassVar[str]

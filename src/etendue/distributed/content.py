@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
+import shutil
 import tempfile
 import time
 from collections.abc import Iterator
@@ -17,6 +19,8 @@ from etendue.core import ClusterError
 PIECE = 16 << 20
 #: Files that no run has used for so long are removed.
 _KEPT_SECONDS = 7 * 24 * 3600.0
+#: Names of files, of parts of files that are being sent, and of folders with links, in the folder of a worker.
+_OWN = re.compile(r"[0-9a-f]{32}(\.\d+\.part)?|[0-9a-f]{8}-[a-z0-9_]{8}")
 #: Environment variable with the folder of a worker.
 FOLDER_VARIABLE = "ETENDUE_CONTENT"
 
@@ -68,12 +72,19 @@ class Offered:
         return len(content) if isinstance(content, bytes) else content.stat().st_size
 
     def pieces(self, digest: str) -> Iterator[tuple[int, bytes, bool]]:
-        """Offset and bytes of each piece, and whether it is the last."""
+        """Offset and bytes of each piece, and whether it is the last. Raises :class:`ClusterError` for a file that is
+        no longer there."""
         content = self.contents[digest]
         if isinstance(content, bytes):
             yield 0, content, True
             return
-        with content.open("rb") as file:
+        try:
+            opened = content.open("rb")
+        except OSError as error:
+            raise ClusterError(
+                f"'{content}' cannot be sent ({error.strerror}): put it back, and start again"
+            ) from error
+        with opened as file:
             offset, piece = 0, file.read(PIECE)
             while True:
                 following = file.read(PIECE)
@@ -91,7 +102,8 @@ class Store:
         self.folder = folder or Path(given or Path(tempfile.gettempdir()) / f"etendue-content-{os.getuid()}")
         with self._told():
             self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            status = self.folder.stat()
+            # In a folder that all may write to, a link could lead anywhere.
+            status = self.folder.stat() if folder or given else self.folder.lstat()
         if status.st_uid != os.getuid() or status.st_mode & 0o022:
             raise ClusterError(f"others may write to the folder '{self.folder}'; name one by {FOLDER_VARIABLE}")
 
@@ -113,9 +125,13 @@ class Store:
         """Write a piece. Raises :class:`ClusterError` if the disk is full, or if something else has arrived."""
         part = self.folder / f"{digest}.{os.getpid()}.part"
         with self._told():
-            with part.open("r+b" if offset else "wb") as file:
-                file.seek(offset)
-                file.write(piece)
+            try:
+                with part.open("r+b" if offset else "wb") as file:
+                    file.seek(offset)
+                    file.write(piece)
+            except OSError:
+                part.unlink(missing_ok=True)  # a full disk must not stay so
+                raise
             if not is_last:
                 return
             if digest_of(part) != digest:
@@ -136,10 +152,14 @@ class Store:
         return folder
 
     def tidy(self) -> None:
-        """Remove files that were not used for long."""
+        """Remove files of this class that were not used for long, and what workers that were killed have left."""
         for path in self.folder.iterdir():
             try:
-                if path.is_file() and time.time() - path.stat().st_mtime > _KEPT_SECONDS:
+                if not _OWN.fullmatch(path.name) or time.time() - path.lstat().st_mtime < _KEPT_SECONDS:
+                    continue
+                if path.is_dir():
+                    shutil.rmtree(path, ignore_errors=True)
+                else:
                     path.unlink()
             except OSError:
                 continue

@@ -20,10 +20,12 @@ from .worker import Failed, Needs, Task
 
 #: Seconds between looks at the list of workers, and until a cluster without workers is given up.
 _LOOK, _PATIENCE = 0.5, 60.0
-#: Tasks that are lost one after the other before the run fails.
+#: Losses without a finished task between them, beside one for each worker, before the run fails.
 _MOST_LOST = 12
 #: How often a file is sent to a worker.
 _MOST_SENT = 4
+#: Tickets of all runs of this process: a pool outlives a run, and what it made may arrive during the next one.
+_TICKETS = itertools.count()
 
 T = TypeVar("T", bound=Task)
 
@@ -45,11 +47,13 @@ class Crew(ABC, Generic[T]):
 
     def __init__(self, pool: Pool, offered: Offered, clock: Callable[[], float] = time.monotonic) -> None:
         self._pool, self._offered, self._clock = pool, offered, clock
-        self._run, self._tickets = uuid.uuid4().hex, itertools.count()
+        self._run = uuid.uuid4().hex
         self._workers: dict[str, Member] = {}
         self._refused: dict[str, str] = {}
         self._flights: dict[int, tuple[str, T]] = {}
-        self._lost = 0  # tasks, since the last one that was finished
+        self._lost = 0  # workers with tasks, since the last task that was finished
+        self._most = 0  # workers at a time
+        self._has_made = False  # whether a task was finished
         self._sent: dict[tuple[str, str], int] = {}  # how often, by worker and digest
         self._deliveries: dict[int, str] = {}  # worker, by ticket
         self._looked = self._alive = clock()
@@ -79,17 +83,34 @@ class Crew(ABC, Generic[T]):
         there = {name: n for name, n in self._pool.workers().items() if name not in self._refused}
         for name in self._workers.keys() - there.keys():
             logger.info("worker %s is gone; what it had is made again", name)
-            self._drop(name)
+            worker = self._workers[name]
+            self._lose(name, bool(worker.flights or worker.coming))
         for name in sorted(there.keys() - self._workers.keys()):
             self._workers[name] = Member(there[name])
             self._joined(name)
+        self._most = max(self._most, len(self._workers))
         if there:
             self._alive = time_
-        elif self._refused:
-            name, why = next(iter(self._refused.items()))
-            raise ClusterError(f"no worker can be used; {name}: {why}")
-        elif time_ - self._alive > _PATIENCE:
+        elif not self._has_made:
+            self._check_refused()
+        if time_ - self._alive > _PATIENCE:
+            self._check_refused()
             raise ClusterError(f"the cluster has had no worker for {_PATIENCE:.0f} seconds; start one")
+
+    def _lose(self, name: str, had_work: bool, why: str = "") -> None:
+        """A worker has ended. Raises :class:`ClusterError` if that is all that workers do."""
+        self._drop(name)
+        self._lost += had_work
+        if self._lost > _MOST_LOST + self._most:
+            raise ClusterError(
+                f"workers have ended {self._lost} times without finishing a pass; the last was {name}"
+                f"{f' ({why})' if why else ''}: see its log, its memory may be too small"
+            )
+
+    def _check_refused(self) -> None:
+        """Raise :class:`ClusterError` with the reason for which a worker was left out, if one was."""
+        for name, why in self._refused.items():
+            raise ClusterError(f"no worker can be used; {name}: {why}")
 
     def _drop(self, name: str) -> None:
         """Send no more to a worker, and take back what it had."""
@@ -107,15 +128,14 @@ class Crew(ABC, Generic[T]):
         """Leave a worker out."""
         self._refused[name] = why
         self._drop(name)
-        if self._workers:
-            logger.warning("worker %s is left out: %s", name, why)
-        else:
-            raise ClusterError(f"no worker can be used; {name}: {why}")
+        if not self._workers and not self._has_made:  # else others may come back
+            self._check_refused()
+        logger.warning("worker %s is left out: %s", name, why)
 
     # ------------------------------------------------------------------ tasks
 
     def _send(self, name: str, task: T) -> None:
-        ticket = next(self._tickets)
+        ticket = next(_TICKETS)
         self._flights[ticket] = name, task
         self._workers[name].flights.add(ticket)
         self._pool.send(name, ticket, task)
@@ -133,19 +153,13 @@ class Crew(ABC, Generic[T]):
                 self._joined(name)  # there is room for the next one
         outcome: Any = arrival.outcome
         if not isinstance(outcome, (Lost, Needs, Failed)):
-            self._lost = 0
+            self._lost, self._has_made = 0, True
             return name, task, outcome
         self._not_made(task)
         if isinstance(outcome, Lost) and outcome.worker_is_there:
             return None
         if isinstance(outcome, Lost):
-            self._lost += 1
-            self._drop(name)  # the next look tells whether it is still there
-            if self._lost > _MOST_LOST:
-                raise ClusterError(
-                    f"workers have ended {self._lost} times without finishing a pass; the last was {name}"
-                    f"{f' ({outcome.reason})' if outcome.reason else ''}: see its log, its memory may be too small"
-                )
+            self._lose(name, True, outcome.reason)  # the next look tells whether it is still there
         elif isinstance(outcome, Needs):
             self._deliver(name, outcome)
         elif outcome.refused:
@@ -164,7 +178,7 @@ class Crew(ABC, Generic[T]):
             if times > _MOST_SENT:
                 self._refuse(name, "it does not keep the files that it is sent")
                 return
-            ticket = next(self._tickets)
+            ticket = next(_TICKETS)
             worker.coming[ticket], self._deliveries[ticket] = digest, name
             self._pool.deliver(name, ticket, self._offered, digest)
 
@@ -174,7 +188,9 @@ class Crew(ABC, Generic[T]):
         if name is None or worker is None:
             return
         worker.coming.pop(ticket, None)
-        if outcome.problem is not None:
+        if outcome.is_lost:
+            self._lose(name, True, outcome.problem or "")
+        elif outcome.problem is not None:
             self._refuse(name, outcome.problem)
         elif not worker.coming:
             self._joined(name)
@@ -182,7 +198,7 @@ class Crew(ABC, Generic[T]):
     def _cancel(self) -> None:
         """Forget all tasks."""
         if self._flights:
-            with suppress(EtendueError):  # the cluster may be gone, and the run has an error of its own
+            with suppress(Exception):  # the cluster may be gone, and the run has an error of its own
                 self._pool.end_run(self._run)
                 self._pool.forget(list(self._flights))
             self._flights.clear()

@@ -7,21 +7,22 @@ import queue
 import threading
 import time
 import uuid
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import wait as wait_for
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
-from etendue.core import ClusterError, OptionError, describe, is_whole, library, logger
+from etendue.core import ClusterError, EtendueError, OptionError, describe, is_whole, library, logger
 
 from .content import Offered
 from .gathering import Bundle, Gathering
 from .pool import Arrival, Delivered, Lost
 from .worker import Chunk, Task, end_run, introduce, make_passes, merge_outcomes, receive
 
-#: Seconds to wait for a scheduler, for the first worker, and for an answer of a worker.
-_CONNECT, _FIRST_WORKER, _ANSWER = "10s", 60.0, 60.0
+#: Seconds to wait for a scheduler, for the first worker, for others that are there, and for an answer of a worker.
+_CONNECT, _FIRST_WORKER, _OTHERS, _ANSWER = "10s", 60.0, 5.0, 60.0
 _LIST_EVERY = 0.5
 #: Bytes of a file from which on workers take it from each other.
 _SHARED = 1 << 20
@@ -76,8 +77,10 @@ class DaskPool:
         #: Process ids of the workers that can be used, by address.
         self.pids: dict[str, int] = {}
         self._bad: dict[str, str] = {}
+        self._told: set[str] = set()
+        self._unknown: set[str] = set()  # those that have not answered
         self._listed = -1.0
-        self._wait_for_workers()
+        self._wait_for_workers(workers or 1)
 
     # ------------------------------------------------------------------ a pool
 
@@ -93,6 +96,10 @@ class DaskPool:
             raise ClusterError(f"the scheduler of {self.name} no longer answers") from error
         self._greet(there)
         self._known = {name: threads for name, threads in there.items() if name in self.pids}
+        self._unknown = there.keys() - self.pids.keys() - self._bad.keys()
+        for name in self._bad.keys() - self._told if self._known else ():
+            self._told.add(name)
+            logger.warning("worker %s is left out: %s", name, self._bad[name])
         return dict(self._known)
 
     def send(self, worker: str, ticket: int, task: Task) -> None:
@@ -101,13 +108,16 @@ class DaskPool:
             make_passes, task, key=f"etendue-{task.run}-{ticket}", workers=[worker], pure=False
         )
         self._futures[ticket] = future
-        merges = isinstance(task, Chunk) and task.replica is None
-        self._when_done(Bundle((ticket,), worker, future), merges)
+        self._when_done(Bundle((ticket,), worker, future), isinstance(task, Chunk) and task.may_merge)
 
     def _when_done(self, bundle: Bundle, merges: bool) -> None:
         # In threads, since a transfer takes time, and does not end if the worker dies before: `forget` ends it.
         land = self._land if merges else self._fetch
-        bundle.where.add_done_callback(lambda _: self._helpers.submit(land, bundle))
+        bundle.where.add_done_callback(lambda _: self._help(land, bundle))
+
+    def _help(self, function: Callable[..., object], *arguments: Any) -> None:
+        with suppress(RuntimeError):  # closed meanwhile
+            self._helpers.submit(function, *arguments)
 
     def _land(self, bundle: Bundle) -> None:
         """A sum waits at a worker: it is fetched, or merged there with others."""
@@ -115,7 +125,8 @@ class DaskPool:
             self._fetch(bundle)  # the error
             return
         with self._lock:
-            if len(bundle.tickets) > 1 and bundle not in self._bundles:  # forgotten meanwhile
+            known = bundle in self._bundles if len(bundle.tickets) > 1 else bundle.tickets[0] in self._futures
+            if not known:  # forgotten meanwhile
                 return
             self._gathering.put(bundle)
         self._advance()
@@ -124,12 +135,16 @@ class DaskPool:
         with self._lock:
             while (chosen := self._gathering.next()) is not None:
                 if len(chosen) == 1:
-                    self._helpers.submit(self._fetch_next, chosen[0])
+                    self._help(self._fetch_next, chosen[0])
                     continue
                 tickets, worker = sum((bundle.tickets for bundle in chosen), ()), chosen[0].worker
                 key = f"etendue-sum-{uuid.uuid4().hex}"
                 parts = [bundle.where for bundle in chosen]
-                future = self._client.submit(merge_outcomes, *parts, key=key, workers=[worker], pure=False)
+                try:
+                    future = self._client.submit(merge_outcomes, *parts, key=key, workers=[worker], pure=False)
+                except Exception as error:  # one of them was cancelled a moment ago
+                    self._lose(tickets, _short(error))
+                    continue
                 self._bundles.add(merged := Bundle(tickets, worker, future))
                 self._when_done(merged, True)
 
@@ -151,6 +166,8 @@ class DaskPool:
             if several and bundle not in self._bundles:  # forgotten meanwhile
                 return
             self._bundles.discard(bundle)
+            if several and bundle.where.status == "error":  # and would be so again
+                self._gathering.merge_no_more()
         if several and isinstance(outcome, Lost):
             self._lose(bundle.tickets, outcome.reason)
             return
@@ -182,20 +199,23 @@ class DaskPool:
         self._helpers.submit(self._deliver, worker, ticket, offered, digest)
 
     def _deliver(self, worker: str, ticket: int, offered: Offered, digest: str) -> None:
-        problem: str | None = None
+        problem, is_lost = None, False
         try:
             if offered.size(digest) >= _SHARED:
                 problem = self._from_others(worker, offered, digest)
             else:
                 problem = self._directly(worker, offered, digest)
         except Exception as error:
-            problem = _short(error)
-        self._arrived.put(Arrival(ticket, Delivered(problem)))
+            problem, is_lost = _short(error), not isinstance(error, EtendueError)
+        self._arrived.put(Arrival(ticket, Delivered(problem, is_lost)))
 
     def _directly(self, worker: str, offered: Offered, digest: str) -> str | None:
         for offset, piece, is_last in offered.pieces(digest):
             answers = self._ask(receive, digest, offset, piece, is_last, workers=[worker])
-            if (problem := answers.get(worker, "it does not answer")) is not None:
+            problem = answers.get(worker, TimeoutError("it does not answer"))
+            if isinstance(problem, OSError):  # of the connection; those of the disk are told in words
+                raise problem
+            if problem is not None:
                 return describe(problem) if isinstance(problem, Exception) else str(problem)
         return None
 
@@ -204,13 +224,14 @@ class DaskPool:
         them, and keeps them for others until all have the file."""
         with self._sharing:
             self._sending[digest] = self._sending.get(digest, 0) + 1
-            if digest not in self._pieces:
-                self._pieces[digest] = [
-                    (offset, self._client.scatter(piece, workers=[worker], hash=False), is_last)
-                    for offset, piece, is_last in offered.pieces(digest)
-                ]
-            pieces = self._pieces[digest]
         try:
+            with self._sharing:
+                if digest not in self._pieces:
+                    self._pieces[digest] = [
+                        (offset, self._client.scatter(piece, workers=[worker], hash=False), is_last)
+                        for offset, piece, is_last in offered.pieces(digest)
+                    ]
+                pieces = self._pieces[digest]
             for offset, piece, is_last in pieces:
                 task = self._client.submit(receive, digest, offset, piece, is_last, workers=[worker], pure=False)
                 if (problem := task.result(timeout=_ANSWER)) is not None:
@@ -229,7 +250,7 @@ class DaskPool:
     def end_run(self, run: str) -> None:
         """See :class:`Pool`."""
         for name in self._known:  # without waiting: their sums tell that they have ended
-            self._helpers.submit(self._client.run, end_run, run, workers=[name], on_error="return")
+            self._help(partial(self._client.run, end_run, run, workers=[name], on_error="return"))
 
     def forget(self, tickets: list[int]) -> None:
         """See :class:`Pool`."""
@@ -296,16 +317,20 @@ class DaskPool:
                 f"no scheduler answers at '{address}' ({_short(error)}); start one by: dask scheduler"
             ) from error
 
-    def _wait_for_workers(self) -> None:
-        end = time.monotonic() + _FIRST_WORKER
+    def _wait_for_workers(self, count: int) -> None:
+        """Wait for so many workers, and for all others that are there: a method whose passes depend on each other has
+        a replica for each."""
+        begin, patience = time.monotonic(), _OTHERS if self._local is None else _FIRST_WORKER
         while True:
             self._listed = -1.0
-            if self.workers():
+            found, waited = len(self.workers()), time.monotonic() - begin
+            is_known = not self._unknown and found + len(self._bad) >= count
+            if found and (is_known or waited > patience):
                 return
-            if self._bad:
+            if self._bad and (is_known or waited > _FIRST_WORKER):
                 name, why = next(iter(self._bad.items()))
                 raise ClusterError(f"no worker of {self.name} can be used; {name}: {why}")
-            if time.monotonic() > end:
+            if waited > _FIRST_WORKER:
                 raise ClusterError(
                     f"{self.name} has no worker; start one by: dask worker {self._client.scheduler.address}"
                 )
@@ -322,8 +347,6 @@ class DaskPool:
             answer = asked.exception() or asked.result().get(name)
             if (why := self._unfit(answer)) is not None:
                 self._bad[name] = why
-                if self.pids:
-                    logger.warning("worker %s is left out: %s", name, why)
             elif isinstance(answer, dict):
                 self.pids[name] = answer["pid"]
 

@@ -44,6 +44,10 @@ class Gathering:
         self._fetching -= 1
         self._seconds = seconds if not self._seconds else 0.5 * (self._seconds + seconds)
 
+    def merge_no_more(self) -> None:
+        """Fetch every sum as it is."""
+        self._fan_in = 1 << 62
+
     def drop(self, tickets: set[int]) -> list[Bundle]:
         """Remove and return the sums that contain one of these chunks."""
         gone = [bundle for bundle in self._waiting if tickets & set(bundle.tickets)]

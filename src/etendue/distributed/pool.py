@@ -20,9 +20,10 @@ class Lost:
 
 @dataclass(frozen=True)
 class Delivered:
-    """A file has arrived, or there was a problem."""
+    """A file has arrived, or there was a problem. ``is_lost``: the worker does not answer."""
 
     problem: str | None = None
+    is_lost: bool = False
 
 
 @dataclass(frozen=True)

@@ -37,8 +37,8 @@ class Spread(Crew[Chunk]):
     sum costs little. What a lost worker had is made again by others. Replicas of a method whose passes depend on each
     other are given to a worker each; if it is lost, another one continues from the last state that has arrived.
 
-    ``attributes`` are set on the method in the workers. longest: most passes of a chunk. schedule: one of
-    :data:`SCHEDULES`.
+    ``attributes`` are set on the method in the workers. longest: most passes of a chunk; with one, passes come one by
+    one. schedule: one of :data:`SCHEDULES`.
     """
 
     keeps_time: ClassVar[bool] = True
@@ -157,6 +157,7 @@ class Spread(Crew[Chunk]):
             plan=self._order.plan,
             attributes=self._attributes,
             threads=worker.threads,
+            may_merge=replica is None and self._most_passes != 1,
         )
         self._send(name, chunk)
 

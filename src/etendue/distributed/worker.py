@@ -51,6 +51,8 @@ class Chunk:
     attributes: Mapping[str, Any] = field(default_factory=dict)
     #: Threads of Dr.Jit.
     threads: int | None = None
+    #: Whether its sum may be added to those of other chunks before the client has it.
+    may_merge: bool = True
 
 
 @dataclass(frozen=True)
@@ -305,6 +307,9 @@ class _Desk:
             at, state = 0, method.start()
         if chunk.state is not None:
             at, state = chunk.first, chunk.state
+            method.enter(state)
+        elif chunk.replica is not None and chunk.first == 0 and at:  # what it has made did not arrive
+            at, state = 0, method.start()
             method.enter(state)
         for name, value in chunk.attributes.items():
             setattr(method, name, value)

@@ -31,6 +31,7 @@ class Replicated:
         self.method, self.count = method, count
         self._problem, self._seed = problem, seed
         self._methods: dict[int, Method] = {0: method}
+        self._plan: tuple[float | None, int | None, float | None] | None = None
 
     def __getattr__(self, name: str) -> Any:
         if name == "method":  # not set yet
@@ -73,15 +74,20 @@ class Replicated:
 
     def plan(self, seconds: float | None, passes: int | None, error: float | None) -> None:
         """See ``core.Method``."""
+        self._plan = seconds, passes, error
         for method in self._methods.values():
-            if (hook := getattr(method, "plan", None)) is not None:
-                hook(seconds, passes, error)
+            self._tell(method)
+
+    def _tell(self, method: Method) -> None:
+        if self._plan is not None and (hook := getattr(method, "plan", None)) is not None:
+            hook(*self._plan)
 
     def _of(self, replica: int) -> Method:
         if replica not in self._methods:
             kind: Any = type(self.method)
             method: Method = kind(self.method.settings)
             method.prepare(self._problem, replica_seed(self._seed, replica))
+            self._tell(method)
             self._methods[replica] = method
         return self._methods[replica]
 

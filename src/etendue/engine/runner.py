@@ -176,12 +176,7 @@ class Runner:
         """What is to be made. Calls ``plan`` of a method that has it."""
         done = self._measurement.iterations if self._measurement is not None else Iterations()
         most = self.budget.passes(self.method.samples_per_iteration)
-        seconds = self.budget.seconds
-        plan = (
-            None if seconds is None else max(0.0, seconds - self._spent),
-            None if most is None else max(0, most - len(done)),
-            self.budget.error,
-        )
+        plan = self.budget.seconds, None if most is None else max(0, most - len(done)), self.budget.error
         if (hook := getattr(self.method, "plan", None)) is not None:
             hook(*plan)
         return Order(self.method, self.seed, self._state, done, most, self._left, plan)

@@ -270,8 +270,12 @@ class _Written:
     """Takes passes of an executor and writes their particles, which then leave the measurement."""
 
     def __init__(self, writer: ParticleWriter, job: Job, make: MakeExecutor, order: Order) -> None:
-        self._inner = make(order)
         self._writer, self._job = writer, job
+        try:
+            self._inner = make(order)
+        except BaseException:
+            self._give_up()
+            raise
         self._last = time.perf_counter()
         self._began = self._last - job.preparation
 
@@ -312,6 +316,9 @@ class _Written:
     def close(self) -> None:
         """See :class:`Executor`: a run that ends before its first pass leaves no file."""
         self._inner.close()
+        self._give_up()
+
+    def _give_up(self) -> None:
         if not self._writer.passes:
             self._writer.discard()
 

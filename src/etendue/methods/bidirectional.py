@@ -28,7 +28,7 @@ import numpy as np
 from etendue.core import Carrying, IndependentSource, State, logger
 from etendue.density import HashGrid
 from etendue.film import COMPONENTS, REFLECTED
-from etendue.scene import Problem
+from etendue.scene import LightTable, Problem
 from etendue.transport import (
     PICK_BLOCK,
     CameraSink,
@@ -148,6 +148,16 @@ class Bidirectional(Carrying, ImageMethod):
         self.techniques = replace(self.techniques, connection=counts.connections, merge=merging)
         self._paths = max(1, round(counts.light_paths * self.camera.pixels * self.samples_per_iteration))
         self._groups = self._count_groups()
+
+    @property
+    def sampled_lights(self) -> LightTable:
+        """The lights with the probabilities of the next pass."""
+        return self._learning.guide.lights if self._learning else self.lights
+
+    @property
+    def generation(self) -> int:
+        """How often the densities of emission have changed."""
+        return self._learning.generation if self._learning else 0
 
     def left(self) -> State:
         """The state after a call of :meth:`render_pass` that was not part of a ``step``."""

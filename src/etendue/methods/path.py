@@ -13,8 +13,9 @@ Limits: light of a point or spot light through glass or mirrors is not found; th
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import drjit as dr
 import mitsuba as mi
@@ -23,7 +24,7 @@ from etendue.core import SampleSource, setting
 from etendue.film import Component
 from etendue.transport import CameraPath, DirectWeights, FirstHits, Proposal, Walker, scatter_camera, scatter_uniform
 
-from .base import CameraSettings, ImageSettings, Layer, total
+from .base import CameraSettings, ImageMethod, ImageSettings, Layer, total
 from .ending import EndingSettings, EndsInMap
 
 
@@ -73,24 +74,40 @@ class Path(EndsInMap):
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
-        lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
-        source = self.camera_numbers(lanes, samples, seed, iteration)
-        ray, importance, _ = self.camera.primary(lanes // samples, source)
-        path = self.trace(ray, source, self.first_hits(lanes, iteration))
-        if (light := self.light_of_map(path)) is not None:
-            path.add(light, mi.Bool(True), Component.INDIRECT)
-        path.weigh(importance)
-        radiance, bad = self.kept_layers(path)
-        dr.eval(radiance, path.rays, bad)  # in one kernel; the sums below would launch it several times
-        counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
-        return self.images(radiance, seed, iteration), counters
+        return path_pass(self, iteration, seed, samples, self.trace)
 
     def trace(self, ray: mi.Ray3f, source: SampleSource, first: FirstHits | None = None) -> CameraPath:
         """Camera paths that begin with ``ray``, after their last edge; their first hits are added to ``first``."""
         walker = self.walker(Walker, proposal=self.settings.proposal, first=first)
-        weights = self.settings.direct_weights
-        path = CameraPath.start(ray, walker.max_edges, **self.path_fields())
-        return walker.walk(path, lambda s: edge(s, walker, weights, source), "path")
+        path = traced(ray, walker, self.settings.direct_weights, source, **self.path_fields())
+        if (light := self.light_of_map(path)) is not None:
+            path.add(light, mi.Bool(True), Component.INDIRECT)
+        return path
+
+
+def path_pass(
+    method: ImageMethod,
+    iteration: int,
+    seed: int,
+    samples: int,
+    trace: Callable[[mi.Ray3f, SampleSource, FirstHits | None], CameraPath],
+) -> tuple[dict[str, Layer], dict[str, float]]:
+    """``render_pass`` of a method by camera paths; ``trace``: as :meth:`Path.trace`."""
+    lanes = dr.arange(mi.UInt32, method.camera.pixels * samples)
+    source = method.camera_numbers(lanes, samples, seed, iteration)
+    ray, importance, _ = method.camera.primary(lanes // samples, source)
+    path = trace(ray, source, method.first_hits(lanes, iteration))
+    path.weigh(importance)
+    radiance, bad = method.kept_layers(path)
+    dr.eval(radiance, path.rays, bad)  # in one kernel; the sums below would launch it several times
+    counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
+    return method.images(radiance, seed, iteration), counters
+
+
+def traced(ray: mi.Ray3f, walker: Walker, weights: DirectWeights, source: SampleSource, **own: Any) -> CameraPath:
+    """Paths that begin with ``ray``, after their last edge. ``own``: see :meth:`CameraPath.start`."""
+    path = CameraPath.start(ray, walker.max_edges, **own)
+    return walker.walk(path, lambda s: edge(s, walker, weights, source), "path")
 
 
 def edge(s: CameraPath, walker: Walker, weights: DirectWeights, source: SampleSource) -> CameraPath:

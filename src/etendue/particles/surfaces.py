@@ -99,7 +99,7 @@ class SurfaceTable:
             np.array(boxes).reshape(-1, 6),
         )
         every = graph.shapes(problem.scene)
-        most = max(map(_pointer, every)) + 1
+        most = max(map(_pointer, every), default=0) + 1  # a part of a scene may have no shapes
         #: Index of a shape by the registry number of its pointer; 0 for shapes inside groups.
         self.number_of_pointer = np.zeros(most, np.uint32)
         self.number_of_pointer[list(map(_pointer, shapes))] = np.arange(len(shapes))

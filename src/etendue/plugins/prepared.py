@@ -55,7 +55,7 @@ class Prepared:
             kept = self._prepare(problem, seed, seen)
             self._scene = parameters(problem.scene)  # traversing an emitter turns its scalars into variables
         elif kept.carries_on:
-            kept.method.prepare(problem, seed)
+            kept.method.prepare(problem, _pilot_seed(kept.method, seed))
         else:
             kept.method.bind(problem.scene)
         yield kept.method
@@ -69,9 +69,13 @@ class Prepared:
 
     def _prepare(self, problem: Problem, seed: int, seen: Parameters) -> _Kept:
         method, problem = self._kind(self._settings), replace(problem)  # a copy, because bind() changes its scene
-        if not method.carries_on:
-            seed = _PILOT_SEED
+        seed = _pilot_seed(method, seed)
         method.prepare(problem, seed)
         fitted: Any = fit_samples(method, problem.spp, problem, seed)
         settle_samples(fitted)
         return _Kept(problem.sensor, seen, fitted, bool(fitted.carries_on))
+
+
+def _pilot_seed(method: Method, seed: int) -> int:
+    """The seed with which a method is prepared for a picture of the given seed; asked before it is prepared."""
+    return seed if method.carries_on else _PILOT_SEED

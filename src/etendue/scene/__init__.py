@@ -2,7 +2,7 @@
 
 from . import graph, meshes
 from .builtin.table import BundledScene, bundled, bundled_scene
-from .camera import Camera
+from .camera import MOVABLE, Camera
 from .capability import check
 from .changes.edits import ParameterChanges, name_elements
 from .changes.parameters import SceneEditor, SceneParameter
@@ -21,6 +21,7 @@ from .space import RenderSpace, warn_of_offsets, warn_of_steps
 from .watching import Parameters, parameters, view
 
 __all__ = [
+    "MOVABLE",
     "BundledScene",
     "Camera",
     "Change",

@@ -16,7 +16,7 @@ from etendue.film import replacing
 
 from .builtin.table import BundledScene
 from .meshes import MeshDescription
-from .parsing import read_properties
+from .parsing import Size, read_properties, resize
 from .plugins import object_type
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ _Writing = dict[Path, Callable[[Path], None]]
 @dataclass(frozen=True)
 class LightEdits:
     """Lights that are removed from a scene, by their number in its description, and dictionaries of plugins that are
-    added."""
+    added, under their ``id`` if they have one that is free."""
 
     removed: frozenset[int] = frozenset()
     added: tuple[Mapping[str, Any], ...] = field(default=())
@@ -48,7 +48,11 @@ class LightEdits:
             if number in self.removed:
                 del (state.root if owner is None else owner).props[key]
         for number, plugin in enumerate(self.added):
-            add_plugin(state, f"etendue_light_{number}", plugin)
+            taken = {*read_properties(state.root.props), *(node.props.id() for node in state.nodes)}
+            name = str(plugin.get("id", f"added-light-{number + 1}"))
+            while name in taken:
+                name += "-again"
+            add_plugin(state, name, {key: value for key, value in plugin.items() if key != "id"})
 
 
 def described_lights(source: Any, parameters: Mapping[str, Any] | None = None) -> list[str]:
@@ -93,9 +97,14 @@ def is_described(source: Any) -> bool:
 
 
 def scene_xml(
-    source: Any, parameters: Mapping[str, Any] | None = None, change: Change | None = None, folder: Path | None = None
+    source: Any,
+    parameters: Mapping[str, Any] | None = None,
+    change: Change | None = None,
+    size: Size | None = None,
+    folder: Path | None = None,
 ) -> str:
-    """The XML of a scene after a ``change``; names of files in it are absolute.
+    """The XML of a scene after a ``change``, its film of another ``size`` if one is given; names of files in it are
+    absolute.
 
     What the scene has in memory, meshes of bundled scenes (:class:`MeshDescription`) and bitmaps, is written to
     ``folder``, which is made for it. Raises :class:`SceneError` for a loaded scene, for one with other objects in
@@ -109,6 +118,8 @@ def scene_xml(
     name, path, state, writing = _described(source, parameters, folder)
     if change is not None:
         change(state)
+    if size is not None and any(node.type == mi.ObjectType.Film for node in state.nodes):
+        resize(state, size)
     with _resolving(path):
         _name_absolutely(state)
         _give_types(state)

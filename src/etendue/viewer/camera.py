@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from etendue.core import Array, OptionError
-from etendue.scene import Problem, graph
+from etendue.scene import Problem, RenderSpace, graph
 
 from .protocol import number, numbers
 
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 _FOV = 1.0, 150.0
 #: Smallest angle between the view and the direction up when orbiting, in radians.
 _POLE = 0.02
+#: Largest cosine between the picture's horizontal and an axis that it shows upright.
+_LEVEL = 1e-3
 #: Smallest distance of the target relative to the scene's size.
 _NEAREST = 1e-4
 
@@ -32,7 +34,8 @@ class Pose:
 
     ``up`` is the axis that orbiting turns around. ``own`` (3x3) is what the scene's transform has beside position and
     direction (a roll, a mirror, a scale), and is kept. ``fov``: horizontal field of view in degrees; ``None`` for a
-    sensor without one.
+    sensor without one. ``flat``: the sensor is orthographic, and the first two columns of ``own`` have the size of its
+    view.
     """
 
     origin: Array
@@ -41,6 +44,7 @@ class Pose:
     own: Array
     fov: float | None
     size: float  #: half the diagonal of the scene
+    flat: bool = False
 
     @classmethod
     def of(cls, problem: Problem) -> Pose:
@@ -52,14 +56,18 @@ class Pose:
         matrix = _matrix(problem.sensor)
         origin, forward = matrix[:3, 3], _normalized(matrix[:3, 2])
         camera_up = matrix[:3, 1]
-        axis = int(np.argmax(np.abs(camera_up)))
+        # Of the axes that the picture shows upright, the one that is most upright; without any, of all.
+        upright = np.abs(_normalized(matrix[:3, 0])) < _LEVEL
+        axis = int(np.argmax(np.abs(camera_up) * (upright if (upright & (camera_up != 0.0)).any() else 1.0)))
         up = np.zeros(3)
         up[axis] = math.copysign(1.0, camera_up[axis])
         if abs(forward @ up) > math.cos(_POLE):
             up = _normalized(camera_up)
         values = dict(graph.contents(problem.sensor).values)
         fov = float(np.asarray(values["x_fov"]).ravel()[0]) if "x_fov" in values else None
-        pose = cls(origin, origin + forward * _seen(problem, size), up, np.eye(3), fov, size)
+        flat = graph.plugin_name(problem.sensor) == "orthographic"
+        target = origin + forward * _seen(problem, origin, forward, size)
+        pose = cls(origin, target, up, np.eye(3), fov, size, flat)
         own = np.asarray(np.linalg.solve(pose._frame(), matrix[:3, :3]), dtype=np.float64)
         return replace(pose, own=own)
 
@@ -98,18 +106,25 @@ class Pose:
         return replace(self, target=self.origin + view)
 
     def shifted(self, right: float, up: float, forward: float) -> Pose:
-        """Camera and target, in units of their distance."""
+        """Camera and target, in units of their distance; across a flat view, of its width."""
         left, above, ahead = self._frame().T
-        step = (-right * left + up * above + forward * ahead) * self.distance
+        across = 2.0 * float(np.linalg.norm(self.own[:, 0])) if self.flat else self.distance
+        step = (-right * left + up * above) * across + forward * ahead * self.distance
         return replace(self, origin=self.origin + step, target=self.target + step)
 
     def approached(self, by: float) -> Pose:
-        """Nearer to the target: the logarithm of the distance becomes less ``by`` this."""
-        distance = max(self.distance * math.exp(-max(-50.0, min(50.0, by))), _NEAREST * self.size)
+        """Nearer to the target: the logarithm of the distance, or of the size of a flat view, becomes less ``by``
+        this."""
+        factor = math.exp(-max(-50.0, min(50.0, by)))
+        if self.flat:
+            width = float(np.linalg.norm(self.own[:, 0]))
+            wanted = min(max(width * factor, _NEAREST * self.size), self.size / _NEAREST)
+            return replace(self, own=self.own * [wanted / width, wanted / width, 1.0])
+        distance = max(self.distance * factor, _NEAREST * self.size)
         return replace(self, origin=self.target - _normalized(self.target - self.origin) * distance)
 
     def zoomed(self, by: float) -> Pose:
-        """A smaller field of view. Sensors without one approach the target."""
+        """A smaller field of view. Sensors without one do as :meth:`approached`."""
         if self.fov is None:
             return self.approached(by)
         low, high = _FOV
@@ -169,13 +184,22 @@ class Pose:
             view = pose.target - pose.origin
             if np.linalg.norm(np.cross(axis, view)) <= 1e-6 * np.linalg.norm(axis) * np.linalg.norm(view):
                 raise OptionError("the camera's up is zero or along its view; choose another one")
-            pose = replace(pose, up=_normalized(axis))
+            pose = replace(pose, up=_normalized(axis), own=_upright(pose.own))
         if message.get("fov") is not None and pose.fov is not None:
             fov = number(message, "fov")
             if not 0.0 < fov < 180.0:
                 raise OptionError(f"a camera's fov is an angle between 0 and 180 degrees, not {fov:g}")
             pose = replace(pose, fov=fov)
         return pose
+
+    def carried(self, old: RenderSpace, new: RenderSpace) -> Pose:
+        """The same pose in another render space."""
+        if old == new:
+            return self
+        scale = new.scale / old.scale
+        origin, target = (new.from_scene(old.to_scene(point)) for point in (self.origin, self.target))
+        own = self.own * [scale, scale, 1.0] if self.flat else self.own
+        return replace(self, origin=origin, target=target, own=own, size=self.size * scale)
 
     @property
     def is_plain(self) -> bool:
@@ -203,6 +227,11 @@ def projection(problem: Problem, pose: Pose) -> list[list[float]] | None:
     width, height = (float(v) for v in film.size())
     x, y = (float(v) for v in film.crop_offset())
     to_camera = np.linalg.inv(pose.matrix())
+    known = dict(graph.contents(problem.sensor).values)
+    x, y = (
+        before + extent * float(np.asarray(known.get(f"principal_point_offset_{axis}", 0.0)).ravel()[0])
+        for before, extent, axis in ((x, width, "x"), (y, height, "y"))
+    )
     half = np.array([[width / 2, 0, 0, width / 2 - x], [0, width / 2, 0, height / 2 - y], [0, 0, 1, 0], [0, 0, 0, 1]])
     if kind in ("perspective", "thinlens") and pose.fov is not None:
         scale = 1.0 / math.tan(math.radians(pose.fov) / 2)
@@ -225,17 +254,18 @@ def _matrix(sensor: mi.Sensor) -> Array:
     return np.array(graph.as_array(values["to_world"]), dtype=np.float64).reshape(4, 4)
 
 
-def _seen(problem: Problem, size: float) -> float:
-    """Distance of what the middle of the picture shows, or of the scene's middle."""
+def _seen(problem: Problem, origin: Array, forward: Array, size: float) -> float:
+    """How far ahead is what the middle of the picture shows, or the scene's middle."""
     import mitsuba as mi
 
     ray, _ = problem.sensor.sample_ray(0.0, 0.5, mi.Point2f(0.5), mi.Point2f(0.5))
     hit = problem.scene.ray_intersect_preliminary(ray)
-    distance = float(np.asarray(hit.t).ravel()[0])
-    if 0 < distance < math.inf:
-        return distance
+    start, way = (np.asarray(v, dtype=np.float64).ravel()[:3] for v in (ray.o, ray.d))
+    distance = float(np.asarray(hit.t).ravel()[0])  # from the near plane
+    if math.isfinite(distance) and (ahead := float((start + distance * way - origin) @ forward)) > 0:
+        return ahead
     middle = np.asarray(problem.scene.bbox().center(), dtype=np.float64).ravel()
-    away = float(np.linalg.norm(middle - np.asarray(ray.o, dtype=np.float64).ravel()[:3]))
+    away = float(np.linalg.norm(middle - start))
     return away if 0 < away < math.inf else size
 
 
@@ -249,6 +279,16 @@ def _swung(offset: Array, axis: Array, right: float, up: float) -> Array:
         return offset
     wanted = min(max(angle - up, _POLE), math.pi - _POLE)
     return _rotated(offset, _normalized(side), wanted - angle)
+
+
+def _upright(own: Array) -> Array:
+    """``own`` without its roll: the picture's vertical is the axis that is up."""
+    sine, cosine = own[0, 1], own[1, 1]
+    length = math.hypot(sine, cosine)
+    if length == 0.0:
+        return own
+    c, s = cosine / length, sine / length
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ own
 
 
 def _rotated(vector: Array, axis: Array, angle: float) -> Array:

@@ -5,14 +5,19 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections import deque
+from collections.abc import Iterator
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .protocol import packed
+from .shown import encoded
 
 #: Pictures on their way to a page that it has not yet drawn.
 IN_FLIGHT = 2
 #: Messages that are replaced by later ones of the same kind if they have not been sent; all others are sent in order.
-REPLACED = ("state", "progress")
+REPLACED = ("state", "camera", "progress")
 #: Data waiting for a page, in bytes, beyond which it is disconnected.
 MOST_WAITING = 256 << 20
 
@@ -46,7 +51,11 @@ class Client:
 
     def send(self, kind: str, payload: bytes | memoryview | None = None, /, **fields: Any) -> None:
         """Send a message, see :mod:`etendue.viewer.protocol`."""
-        self._later(self._put, kind, packed(kind, payload, **fields))
+        self.forward(kind, packed(kind, payload, **fields))
+
+    def forward(self, kind: str, message: str | bytes) -> None:
+        """Send a message that is packed."""
+        self._later(self._put, kind, message)
 
     def send_frame(self, side: str, frame: int, message: bytes) -> None:
         """Send a picture of a side, or replace the one that is waiting."""
@@ -70,7 +79,10 @@ class Client:
             self._loop.call_soon_threadsafe(function, *arguments)
 
     def _put(self, kind: str, message: str | bytes) -> None:
+        if self.closed:
+            return
         if kind in REPLACED:
+            self._latest.pop(kind, None)  # so that it comes after those that are older
             self._latest[kind] = message
         else:
             self._waiting += len(message)
@@ -106,12 +118,59 @@ class Client:
             message = self._queue.popleft()
             self._waiting -= len(message)
             return message
-        for kind in REPLACED:
-            if kind in self._latest:
-                return self._latest.pop(kind)
+        if self._latest:
+            return self._latest.pop(next(iter(self._latest)))
         if self._frames and len(self._in_flight) < IN_FLIGHT:
             side = min(self._frames, key=lambda side: self._frames[side][0])  # the oldest first
             frame, message = self._frames.pop(side)
             self._in_flight.append(frame)
             return message
         return None
+
+
+class Audience:
+    """The pages of a session, and the latest pictures, which those that come later get as well."""
+
+    def __init__(self) -> None:
+        self._clients: list[Client] = []
+        self._frames: dict[str, tuple[int, bytes]] = {}  # by side
+        self._count = 0
+
+    def __iter__(self) -> Iterator[Client]:
+        return iter(self._clients)
+
+    def __len__(self) -> int:
+        return len(self._clients)
+
+    def add(self, client: Client) -> None:
+        """A page that gets all that is sent from now on, and the latest pictures."""
+        self._clients.append(client)
+        for side, (frame, message) in self._frames.items():
+            client.send_frame(side, frame, message)
+
+    def remove(self, client: Client) -> None:
+        """A page that is gone."""
+        if client in self._clients:
+            self._clients.remove(client)
+
+    def send(self, kind: str, payload: bytes | None = None, /, **fields: Any) -> None:
+        """Send a message to all pages."""
+        message = packed(kind, payload, **fields)
+        for client in self._clients:
+            client.forward(kind, message)
+
+    def show(self, side: str, picture: NDArray[np.uint8], moving: bool = False) -> None:
+        """Send a picture (height, width, 3) of a side to all pages."""
+        data, mime = encoded(picture, moving)
+        self._count += 1
+        height, width = picture.shape[:2]
+        fields = {"frame": self._count, "side": side, "width": width, "height": height, "moving": moving}
+        message = packed("frame", data, format=mime, **fields)
+        assert isinstance(message, bytes)
+        self._frames[side] = self._count, message
+        for client in self._clients:
+            client.send_frame(side, self._count, message)
+
+    def hide(self, side: str) -> None:
+        """There is no picture of a side any more."""
+        self._frames.pop(side, None)

@@ -12,7 +12,7 @@ import numpy as np
 from etendue import film, methods
 from etendue.core import OptionError, is_whole, suggest
 from etendue.engine import Budget
-from etendue.scene import BundledScene, graph
+from etendue.scene import BundledScene, Problem, graph
 
 from . import saving
 from .camera import place
@@ -23,6 +23,9 @@ from .refining import Still, checked
 
 if TYPE_CHECKING:
     from .session import Session
+
+#: What pages are told at the end.
+ENDED = "The session has ended; this page can be closed."
 
 #: Largest and smallest side of a picture, in pixels.
 _SIDES = 16, 4096
@@ -143,15 +146,23 @@ def _compare(session: Session, client: Client, message: Mapping[str, Any]) -> No
     as_map = bool(message.get("map", session.compared.map if session.compared is not None else False))
     if message.get("reference"):
         name = text(message, "reference")
+        before = session.compared
+        if before is not None and before.name == name:  # shown in another way
+            before.map = as_map
+            session.compare(before)
+            return
         picture = film.read_image(name)
-        height, width = picture.shape[:2]
-        if isinstance(session.main, Still) and session.main.size != (width, height):
-            raise OptionError(f"the reference has {width}x{height} pixels, the picture {_by(session.main.size)}")
-        if session.problem is not None and session.problem.size != (width, height):
-            session.open(replace(session.asked, size=(width, height)))
-        elif session.home is not None:
-            session.move(session.home)  # which the reference was made with
-        session.compared = Comparison(name=name, reference=picture, map=as_map)
+        size = picture.shape[1], picture.shape[0]
+        if isinstance(session.main, Still):
+            if session.main.size != size:
+                raise OptionError(f"the reference has {_by(size)} pixels, the picture {_by(session.main.size)}")
+            session.compare(Comparison(name=name, reference=picture, map=as_map))
+            return
+        problem, _ = _scene(session)
+        _fit(session, problem, size)
+        assert session.home is not None
+        session.move(session.home)  # which the reference was made with
+        session.compare(Comparison(name=name, reference=picture, map=as_map))
     elif message.get("method"):
         _scene(session)
         method = methods.get(text(message, "method")).name
@@ -159,12 +170,26 @@ def _compare(session: Session, client: Client, message: Mapping[str, Any]) -> No
         before = session.compared
         if before is not None and (before.method, before.settings) == (method, settings):
             before.map = as_map
+            session.compare(before)
         else:
-            session.compared = Comparison(method, settings, map=as_map)
+            session.compare(Comparison(method, settings, map=as_map))
     else:
-        session.compared = None
-    session.refresh()
-    session.changed()
+        session.compare(None)
+
+
+def _fit(session: Session, problem: Problem, size: tuple[int, int]) -> None:
+    """Give the picture a size. Raises :class:`OptionError` if it cannot have it."""
+    if problem.size == size:
+        return
+    whole = [int(v) for v in problem.sensor.film().size()]
+    width, height = (max(1, round(f * s / w)) for f, s, w in zip(whole, size, problem.size, strict=True))
+    session.open(replace(session.asked, size=(width, height)), keep_pose=True)
+    assert session.problem is not None
+    if session.problem.size != size:
+        raise OptionError(
+            f"the reference has {size[0]}x{size[1]} pixels, which the film's crop window cannot have: the nearest is "
+            f"{session.problem.size[0]}x{session.problem.size[1]}; make the reference at that size"
+        )
 
 
 def _open(session: Session, client: Client, message: Mapping[str, Any]) -> None:
@@ -183,7 +208,7 @@ def _save(session: Session, client: Client, message: Mapping[str, Any]) -> None:
 
 
 def _quit(session: Session, client: Client, message: Mapping[str, Any]) -> None:
-    session.broadcast("note", text="The session has ended; this page can be closed.")
+    session.broadcast("note", text=ENDED)
     session.close(wait=False)
 
 
@@ -246,7 +271,8 @@ def _index(value: Any, count: int) -> int:
 
 
 def _radiance(session: Session, x: float, y: float) -> list[float] | None:
-    if "image" not in session.layers:
+    """That of the picture; ``None`` while there is none of this view."""
+    if "image" not in session.layers or session.main is None or not session.main.passes:
         return None
     image = session.layers["image"]
     height, width = image.shape[:2]

@@ -17,7 +17,8 @@ from etendue.display import TevDisplay
 from etendue.engine import Budget
 
 from .server import Server
-from .session import Asked, Session
+from .session import Session
+from .states import Asked
 
 #: Viewers that are open. A process that ends in the middle of a kernel may crash, so they are closed before.
 _open: weakref.WeakSet[Viewer] = weakref.WeakSet()
@@ -40,14 +41,11 @@ class Viewer:
         methods.get(asked.method).Settings.from_mapping(asked.settings, owner=f"method '{asked.method}'")
         self._second = None if tev is None else TevDisplay(tev, "etendue view")
         self._session = Session(asked)
+        self._server = Server(self._session, host, port)  # before the scene is loaded, which may take long
         if self._second is not None and self._second.connect():
             offer = self._second.offer
             self._session.on_picture = lambda layers: offer(lambda: layers)
-        try:
-            self._server = Server(self._session, host, port)
-        except BaseException:
-            self._session.close()
-            raise
+        self._session.start()
         _open.add(self)
 
     @property

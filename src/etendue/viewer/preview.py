@@ -30,8 +30,6 @@ _FAR = 3.0
 _STEPS = (1, 1.5, 2, 3, 4, 6, 8, 12, 16)
 #: Edges of the paths: light that is reflected twice.
 _EDGES = 3
-#: Pixels of the picture if no size is asked for.
-_PIXELS = 262_144
 #: How deep device arrays lie in a prepared method.
 _DEPTH = 5
 
@@ -88,14 +86,6 @@ class Preview:
             step -= 1
         step = min(step, len(_STEPS) - 1)
         self._step, self._seconds = step, []
-
-
-def own_sensor(problem: Problem, keep_size: bool) -> Problem:
-    """With a sensor of its own, unless ``keep_size`` for a picture that is not too large to be refined while it is
-    looked at."""
-    width, height = problem.size
-    factor = 1.0 if keep_size else min(1.0, (_PIXELS / (width * height)) ** 0.5)
-    return resized(problem, (max(1, round(width * factor)), max(1, round(height * factor))))
 
 
 class Moving:

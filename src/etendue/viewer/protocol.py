@@ -15,7 +15,7 @@ Page to session:
 ``views``           ``save``: true, ``show``: number or "next", ``remove``: number
 ``pick``            ``x``, ``y``: place in the picture, 0 to 1 from its top left corner; answered by ``picked``
 ``render``          any of ``method``, ``settings`` {name: value}, ``budget`` {seconds, samples, error}, ``size``
-                    [width, height], ``paused``, ``again``: true
+                    [width, height] of the film, ``paused``, ``again``: true
 ``show``            any of ``layer``, ``denoise`` ("" for none), ``radius``, ``strength``, ``curve``, ``exposure``
                     (stops or "auto")
 ``compare``         ``method`` with ``settings``, or ``reference`` (an EXR on the machine of the session), or neither to

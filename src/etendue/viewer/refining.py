@@ -133,7 +133,7 @@ class Refinement:
 class Still:
     """A picture of a file with its layers, in place of one that is refined. Raises the errors of reading it."""
 
-    is_done = True
+    is_done, passes = True, 1
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         image = film.read_image(path)

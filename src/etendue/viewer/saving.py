@@ -15,7 +15,7 @@ from etendue.core import OptionError
 from etendue.display import tonemap, write_png
 from etendue.film import write_bytes
 from etendue.jobs import check_picture, save_result
-from etendue.scene import BundledScene, graph, locate, scene_xml
+from etendue.scene import MOVABLE, BundledScene, graph, locate, scene_xml
 
 from .camera import vertical_fov
 from .refining import Refinement
@@ -43,8 +43,16 @@ def save(session: Session, what: str, name: str) -> Path:
     if session.problem is None and (what != "picture" or session.main is None):
         raise OptionError("no scene is loaded; open one first")
     path = session.asked.folder / name
+    _spare_scene(session, path)
     {"picture": _save_picture, "scene": _save_scene, "run": _save_run}[what](session, path)
     return path
+
+
+def _spare_scene(session: Session, path: Path) -> None:
+    """Raise :class:`OptionError` if a file is the scene that is open."""
+    own = (_source(session.asked.scene) or {}).get("file")
+    if own is not None and path.exists() and os.path.samefile(path, own):
+        raise OptionError(f"'{path.name}' is the scene that is open, which is not written over; give another name")
 
 
 def _save_picture(session: Session, path: Path) -> None:
@@ -66,8 +74,8 @@ def _save_picture(session: Session, path: Path) -> None:
 
 
 def _save_scene(session: Session, path: Path) -> None:
-    """The scene as XML: with the session's camera and size, its lights, and the edits of panels. Meshes and pictures
-    that it has in memory are written to a folder beside it."""
+    """The scene as XML: with the session's camera, its lights, the edits of panels, and the size that is asked for.
+    Meshes and pictures that it has in memory are written to a folder beside it."""
 
     def change(state: mi.parser.ParserState) -> None:
         session.asked.lights(state)
@@ -75,8 +83,8 @@ def _save_scene(session: Session, path: Path) -> None:
             panel.describe(state)
         _set_camera(session, state)
 
-    text = scene_xml(session.asked.scene, session.asked.parameters, change, path.with_name(f"{path.stem}-files"))
-    write_bytes(path, text.encode())
+    asked, folder = session.asked, path.with_name(f"{path.stem}-files")
+    write_bytes(path, scene_xml(asked.scene, asked.parameters, change, asked.size, folder).encode())
 
 
 def _set_camera(session: Session, state: mi.parser.ParserState) -> None:
@@ -98,45 +106,55 @@ def _set_camera(session: Session, state: mi.parser.ParserState) -> None:
 
 
 def _save_run(session: Session, path: Path) -> None:
-    """A run file. The scene is written beside it if it is not as it was opened."""
+    """A run file. The scene is written beside it unless its file and a camera of the run file say all."""
     assert session.problem is not None and session.pose is not None
-    asked, scene = session.asked, path.with_name(f"{path.stem}-scene.xml")
-    own = _source(asked.scene)
-    if own is None or asked.lights or _is_edited(session) or not session.pose.is_plain:
+    asked, moved = session.asked, session.pose is not session.home
+    own, camera = _source(asked.scene), _run_camera(session)
+    if own is None or asked.lights or _is_edited(session) or (moved and camera is None):
+        scene = path.with_name(f"{path.stem}-scene.xml")
+        _spare_scene(session, scene)
         _save_scene(session, scene)
         session.saved[scene.name] = scene
-        own = {"file": scene.name}
-    write_bytes(path, run_text(session, own, f"{path.stem}-run").encode())
-
-
-def run_text(session: Session, scene: Mapping[str, Any], name: str) -> str:
-    """The text of a run file that repeats the session's picture, in files of that name."""
-    assert session.problem is not None and session.pose is not None
-    asked, problem = session.asked, session.problem
-    camera = session.pose.plain(problem)
-    if session.pose.fov is not None:
-        camera["fov"] = vertical_fov(session.pose.fov, _film(problem))
+        tables: dict[str, Any] = {"scene": {"file": scene.name}}
     else:
-        del camera["fov"]
-    budget = asked.budget.to_dict()
-    if not budget and isinstance(session.main, Refinement):
-        budget = {"samples": max(1, session.main.samples)}
-    tables: dict[str, Mapping[str, Any]] = {
-        "scene": {**scene, "sensor": asked.sensor, "size": list(problem.size), "parameters": asked.parameters},
-        "camera": camera if graph.plugin_name(problem.sensor) in ("perspective", "thinlens") else {},
+        tables = {"scene": {**own, "parameters": asked.parameters}, "camera": camera if moved else {}}
+    write_bytes(path, run_text(session, tables, f"{path.stem}-run").encode())
+
+
+def run_text(session: Session, tables: Mapping[str, Mapping[str, Any]], name: str) -> str:
+    """The text of a run file that repeats the session's picture, in files of that name. ``tables``: those that tell the
+    scene and its camera."""
+    assert session.problem is not None
+    asked, problem = session.asked, session.problem
+    budget = asked.budget.to_dict() or {"samples": _samples(session)}
+    every: dict[str, Mapping[str, Any]] = {
+        "scene": {**tables["scene"], "sensor": asked.sensor, "size": list(_film(problem))},
+        "camera": tables.get("camera", {}),
         "method": {"name": asked.method, "settings": asked.settings},
         "budget": budget,
         "output": {"name": name, "png": True},
     }
-    if scene.get("file", "").endswith("-scene.xml"):  # which has the camera
-        tables["camera"] = {}
-        tables["scene"] = {k: v for k, v in tables["scene"].items() if k != "parameters"}
-    head = [f"seed = {asked.seed}"] + ([f"memory = {asked.memory}"] if asked.memory else [])
-    lines = [*head]
-    for name, table in tables.items():
+    lines = [f"seed = {asked.seed}"] + ([f"memory = {asked.memory}"] if asked.memory else [])
+    for title, table in every.items():
         rows = [f"{key} = {_toml(value)}" for key, value in table.items() if value not in (None, {}, [])]
-        lines += ["", f"[{name}]", *rows] if rows else []
+        lines += ["", f"[{title}]", *rows] if rows else []
     return "\n".join(lines) + "\n"
+
+
+def _run_camera(session: Session) -> dict[str, Any] | None:
+    """The table of a run file for the camera; ``None`` if it cannot tell this one."""
+    assert session.problem is not None and session.pose is not None
+    problem, pose = session.problem, session.pose
+    if graph.plugin_name(problem.sensor) not in MOVABLE or not pose.is_plain or pose.fov is None:
+        return None
+    return pose.plain(problem) | {"fov": vertical_fov(pose.fov, _film(problem))}
+
+
+def _samples(session: Session) -> int:
+    """Those of the picture, or of the scene's file before the first pass."""
+    assert session.problem is not None
+    main = session.main
+    return main.samples if isinstance(main, Refinement) and main.samples else max(1, session.problem.spp)
 
 
 def _film(problem: Any) -> tuple[int, int]:

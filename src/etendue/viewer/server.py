@@ -16,7 +16,7 @@ import threading
 from collections.abc import Callable
 from importlib.resources import files
 from typing import Any, Protocol
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
 from etendue.core import EtendueError, OptionError, describe, library, logger
 
@@ -197,7 +197,7 @@ def application(server: Server) -> Any:
             if content is None:
                 raise HTTPError(404, reason="The session has saved no file of that name")
             self.set_header("Content-Type", "application/octet-stream")
-            self.set_header("Content-Disposition", f'attachment; filename="{name}"')
+            self.set_header("Content-Disposition", f"attachment; filename*=UTF-8''{quote(name, safe='')}")
             self.write(content)
 
     class Pages(WebSocketHandler):

@@ -12,27 +12,26 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue import film
 from etendue.core import EtendueError, describe, logger, use_variant
-from etendue.engine import Budget, jit_flags, set_jit_flags
-from etendue.scene import Change, LightEdits, Problem, is_described, load, name_elements
+from etendue.engine import jit_flags, set_jit_flags
+from etendue.scene import Problem, name_elements
 
 from . import commands, states
 from .camera import Pose, place
-from .clients import Client
+from .clients import Audience, Client
 from .comparing import Comparison
 from .panels import Panel, panels
-from .preview import Preview, own_sensor
-from .protocol import packed
+from .preview import Preview
 from .refining import Refinement, Still, is_picture
-from .shown import Show, encoded, error_map
+from .shown import Show
+from .states import Asked
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -45,24 +44,6 @@ _REST = 0.25
 _EVERY, _SHARE = 0.1, 0.15
 #: Name of the session's thread.
 _THREAD = "etendue-viewer"
-
-
-@dataclass(frozen=True)
-class Asked:
-    """What a session is asked to show."""
-
-    scene: Any = None  #: as for :func:`etendue.scene.load`, or the file of a picture
-    method: str = "path"
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    budget: Budget = field(default_factory=Budget)
-    size: tuple[int, int] | None = None
-    sensor: int = 0
-    parameters: Mapping[str, Any] | None = None
-    memory: int | None = None
-    seed: int = 0
-    lights: LightEdits = field(default_factory=LightEdits)
-    folder: Path = field(default_factory=Path.cwd)  #: for files that are saved
-    solution: Path | None = None  #: of radiosity, to be shown in the 3-D view
 
 
 class Session:
@@ -81,36 +62,38 @@ class Session:
         self.paused = False
         self.trouble = ""  #: why there is no picture, or no more passes
         self.saved: dict[str, Path] = {}
-        self.clients: list[Client] = []
+        self.clients = Audience()
         self.panels: dict[str, Panel] = {}
         self.opened, self.ended = threading.Event(), threading.Event()
         self.on_picture: Callable[[Mapping[str, Picture]], object] | None = None  #: gets the layers that are shown
         self.home: Pose | None = None  #: of the scene's own camera
         self._preview: Preview | None = None
-        self._moving_until = 0.0
+        self._moving_until = 0.0  # 0 at rest
         self._moved = False  # since the last moving picture
         self._dirty = True  # something is to be shown
         self._shown_at, self._show_seconds, self._stops = 0.0, 0.0, 0.0
-        self._frame = 0
-        self._frames: dict[str, tuple[int, bytes]] = {}
         self._progress: dict[str, Any] = {}  # as pages were told last
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._closing = threading.Event()
         self._flags = jit_flags()
         self._thread = threading.Thread(target=self._work, name=_THREAD, daemon=True)
-        self._thread.start()
 
     # ------------------------------------------------------------------ for other threads
 
+    def start(self) -> None:
+        """Load the scene and begin, in the session's thread."""
+        self._thread.start()
+
     def join(self, client: Client) -> None:
         """A page has connected: it gets the state and the latest pictures."""
+        if self._closing.is_set():
+            client.send("note", text=commands.ENDED)
+            return
 
         def welcome() -> None:
-            self.clients.append(client)
             client.send("about", **states.about(self))
             client.send("state", **self.state())
-            for side, (frame, message) in self._frames.items():
-                client.send_frame(side, frame, message)
+            self.clients.add(client)
             if self._progress:
                 client.send("progress", **self._progress)
 
@@ -118,12 +101,7 @@ class Session:
 
     def leave(self, client: Client) -> None:
         """A page is gone. Without pages no passes are made."""
-
-        def forget() -> None:
-            if client in self.clients:
-                self.clients.remove(client)
-
-        self._inbox.put(forget)
+        self._inbox.put(lambda: self.clients.remove(client))
 
     def post(self, client: Client, message: Mapping[str, Any]) -> None:
         """Handle a message of a page, after the current pass."""
@@ -140,7 +118,7 @@ class Session:
         """End the thread after the current pass, and release the scene. May be called twice."""
         self._closing.set()
         self._inbox.put(lambda: None)
-        if wait and threading.current_thread() is not self._thread:
+        if wait and self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join()
 
     # ------------------------------------------------------------------ for commands and panels
@@ -156,14 +134,11 @@ class Session:
 
     def changed(self) -> None:
         """Tell the pages of a new state."""
-        state = self.state()
-        for client in self.clients:
-            client.send("state", **state)
+        self.broadcast("state", **self.state())
 
     def broadcast(self, kind: str, payload: bytes | None = None, /, **fields: Any) -> None:
         """Send a message to all pages."""
-        for client in self.clients:
-            client.send(kind, payload, **fields)
+        self.clients.send(kind, payload, **fields)
 
     def tell(self, error: BaseException | str, client: Client | None = None) -> None:
         """Show an error in the page, or in all, and in the terminal."""
@@ -191,6 +166,15 @@ class Session:
     def refresh(self) -> None:
         """What is shown of the picture has changed."""
         self._dirty = True
+        # If there is a moving picture only, that one.
+        self._moved |= self.paused and self.main is None and self.problem is not None
+
+    def compare(self, other: Comparison | None) -> None:
+        """Show another picture beside this one, or none."""
+        self.compared = other
+        self.clients.hide("b")
+        self.refresh()
+        self.changed()
 
     def scene_edited(self) -> None:
         """Parameters of the scene were changed in place (``mi.traverse``): nothing made from them is kept."""
@@ -201,17 +185,20 @@ class Session:
         self.again()
 
     def open(self, asked: Asked, keep_pose: bool = False) -> None:
-        """Load a scene, or a picture, and show it. Raises the errors of loading; what was there stays then."""
+        """Load a scene, or a picture, and show it. Raises the errors of loading; what was there stays then.
+        ``keep_pose``: it is the scene of before, and its camera and views stay where they are."""
         still = Still(asked.scene) if is_picture(asked.scene) else None
-        problem = None if still is not None else _loaded(asked, lambda state: self._change(asked, state))
-        pose = None if problem is None else Pose.of(problem)
-        if keep_pose and self.pose and self.problem and problem and pose:
-            # In another render space an own roll of the camera is kept, and what was changed about it is not.
-            same = problem.space == self.problem.space
-            pose = self.pose if same else pose.placed(self.pose.plain(self.problem), problem)
-        else:
-            self.views, self.home = [], pose
-        self.asked, self.problem = asked, problem
+        problem = None if still is not None else asked.load(lambda state: self._change(asked, state))
+        home, before = None if problem is None else Pose.of(problem), self.problem
+
+        def kept(pose: Pose) -> Pose:
+            assert before is not None and problem is not None and home is not None
+            return home if pose is self.home else pose.carried(before.space, problem.space)
+
+        pose, views = home, list[Pose]()
+        if keep_pose and self.pose is not None and before is not None and problem is not None:
+            pose, views = kept(self.pose), [kept(view) for view in self.views]
+        self.asked, self.problem, self.home, self.views = asked, problem, home, views
         self._preview, self.layers = None, {}  # the preview is made with the first moving picture
         self.main = self.compared = None
         for panel in self.panels.values():  # which let go of the scene of before
@@ -242,8 +229,8 @@ class Session:
             for panel in self.panels.values():
                 self._guarded(panel.close)
             self.problem = self.main = self.compared = self._preview = None
-            self.layers, self.panels, self.views, self._frames = {}, {}, [], {}
-            self.asked = Asked()
+            self.layers, self.panels, self.views = {}, {}, []
+            self.asked, self.clients = Asked(), Audience()
             gc.collect()
             self.ended.set()
 
@@ -255,7 +242,7 @@ class Session:
 
     def _take_messages(self, wait: bool) -> None:
         """Handle all messages there are; ``wait`` for the first one, or until the camera is at rest."""
-        rests = not (self.main or self.problem is None or self.paused or self.trouble) and self.clients
+        rests = self._moving_until > 0.0 and self.problem is not None and self.clients
         until = max(self._moving_until - time.monotonic(), 1e-3) if rests else None
         with contextlib.suppress(queue.Empty):
             if wait:
@@ -295,11 +282,15 @@ class Session:
             return True
         if time.monotonic() < self._moving_until:
             return False
+        self._moving_until = 0.0
         working = any([self._guarded(panel.work) for panel in self.panels.values()])
         if not (self.paused or self.trouble):
             working |= self._refine()
         if self._dirty:
-            self._publish()
+            try:
+                self._publish()
+            except Exception as error:
+                self._stop(error)
         return working
 
     def _show_moving(self) -> None:
@@ -315,10 +306,10 @@ class Session:
             self.tell(f"the moving picture failed, and is made coarser: {describe(error)}")
             self._moved = True
             return
-        if not self.layers or self._frame == 0:
+        if not self.layers or self.show.exposure != "auto":
             self._stops = self.show.stops(picture)
         layers = {"image": picture}
-        self._send_picture("a", replace(self.show, denoise="").colours(layers, self._stops), moving=True)
+        self.clients.show("a", replace(self.show, denoise="").colours(layers, self._stops), moving=True)
         self.broadcast("camera", **states.camera(self.problem, self.pose))
 
     def _refine(self) -> bool:
@@ -331,22 +322,39 @@ class Session:
                 asked = self.asked
                 self.main = Refinement(self.problem, asked.method, asked.settings, asked.budget, asked.seed)
                 self.changed()
-            other = self.compared.turn(self.main, self.asked.budget, self.asked.seed) if self.compared else None
-            if other is not None:
-                other.step()
-            elif not self.main.is_done:
-                self.main.step()
-            else:
-                return False
+            made = self._refine_other(self.main)
+            if made is None and not self.main.is_done:
+                made = self.main
+                made.step()
         except Exception as error:
-            self.trouble = describe(error)
-            self.tell(error)
-            self.changed()
+            self._stop(error)
+            return False
+        if made is None:
             return False
         now = time.monotonic()
-        if now - self._shown_at >= max(_EVERY, self._show_seconds / _SHARE) or self.main.is_done:
+        if now - self._shown_at >= max(_EVERY, self._show_seconds / _SHARE) or made.is_done:
             self._dirty = True
         return True
+
+    def _refine_other(self, main: Refinement) -> Refinement | None:
+        """A pass of what the picture is compared with, if it is its turn. If that fails it is left out."""
+        if self.compared is None:
+            return None
+        try:
+            other = self.compared.turn(main, self.asked)
+            if other is not None:
+                other.step()
+            return other
+        except Exception as error:
+            self.tell(f"the comparison is ended: {describe(error)}")
+            self.compare(None)
+            return None
+
+    def _stop(self, error: Exception) -> None:
+        """No more passes until something is changed."""
+        self.trouble = describe(error)
+        self.tell(error)
+        self.changed()
 
     def _publish(self) -> None:
         """Show the picture as it is."""
@@ -360,17 +368,20 @@ class Session:
             self.on_picture(result.layers)
         self._stops = self.show.stops(result.image)
         try:
-            self._send_picture("a", self.show.colours(result.layers, self._stops))
+            self.clients.show("a", self.show.colours(result.layers, self._stops))
         except EtendueError as error:  # such as a filter whose layer is missing
-            self.tell(error)
-            self.show = replace(self.show, denoise="", layer="image")
-            self._send_picture("a", self.show.colours(result.layers, self._stops))
-            self.changed()
+            plain = replace(self.show, denoise="", layer="image")
+            if self.main.passes > 1 or self.main.is_done:  # before the second pass there is no variance
+                self.tell(error)
+                self.show = plain
+                self.changed()
+            self.clients.show("a", plain.colours(result.layers, self._stops))
         compared: dict[str, Any] = {}
-        if self.compared is not None and (other := self.compared.layers()) is not None:
-            squared = film.relative_squared_error(result.image, other["image"])
-            self._send_picture("b", error_map(squared) if self.compared.map else self.show.colours(other, self._stops))
-            compared = self.compared.progress(squared)
+        if self.compared is not None:
+            other = self.compared.shown(self.show, self._stops, result.image, self.tell)
+            if other is not None:
+                picture, compared = other
+                self.clients.show("b", picture)
         if names != list(self.layers):
             self.changed()
         self._progress = {**self.main.progress(), "exposure": self._stops, **compared}
@@ -379,22 +390,3 @@ class Session:
             self._guarded(panel.after_pass)
         self._show_seconds = time.perf_counter() - begin
         self._shown_at = time.monotonic()
-
-    def _send_picture(self, side: str, picture: NDArray[np.uint8], moving: bool = False) -> None:
-        data, mime = encoded(picture, moving)
-        self._frame += 1
-        height, width = picture.shape[:2]
-        fields = {"frame": self._frame, "side": side, "width": width, "height": height, "moving": moving}
-        message = packed("frame", data, format=mime, **fields)
-        assert isinstance(message, bytes)
-        self._frames[side] = self._frame, message
-        for client in self.clients:
-            client.send_frame(side, self._frame, message)
-
-
-def _loaded(asked: Asked, change: Change) -> Problem:
-    """The scene with a sensor of the session's own, at the size that is asked for or one of a moderate size."""
-    options: dict[str, Any] = {"sensor": asked.sensor, "parameters": asked.parameters, "memory": asked.memory}
-    if is_described(asked.scene) or asked.lights:  # which a scene in memory refuses
-        options["change"] = change
-    return own_sensor(load(asked.scene, size=asked.size, **options), asked.size is not None)

@@ -1,19 +1,57 @@
-"""What pages are told of a session: ``about`` and ``state``."""
+"""What a session is asked to show, and what pages are told of it: ``about`` and ``state``."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from etendue.scene import Problem
+from etendue.core import EtendueError
+from etendue.engine import Budget
+from etendue.scene import Change, LightEdits, Problem, is_described, load, resized
 
 from .camera import Pose, projection
 from .commands import scene_name
 from .controls import method_list
-from .refining import Refinement, Still
+from .refining import Refinement, Still, checked
 from .shown import choices, layer_names
 
 if TYPE_CHECKING:
     from .session import Session
+
+#: Pixels of the picture if no size is asked for.
+_PIXELS = 262_144
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a session is asked to show."""
+
+    scene: Any = None  #: as for :func:`etendue.scene.load`, or the file of a picture
+    method: str = "path"
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    budget: Budget = field(default_factory=Budget)
+    size: tuple[int, int] | None = None  #: of the film, (width, height)
+    sensor: int = 0
+    parameters: Mapping[str, Any] | None = None
+    memory: int | None = None
+    seed: int = 0
+    lights: LightEdits = field(default_factory=LightEdits)
+    folder: Path = field(default_factory=Path.cwd)  #: for files that are saved
+    solution: Path | None = None  #: of radiosity, to be shown in the 3-D view
+
+    def load(self, change: Change) -> Problem:
+        """The scene, its description changed, with a sensor of the session's own, at the size that is asked for or one
+        of a moderate size."""
+        options: dict[str, Any] = {"sensor": self.sensor, "parameters": self.parameters, "memory": self.memory}
+        if is_described(self.scene) or self.lights:  # which a scene in memory refuses
+            options["change"] = change
+        problem = load(self.scene, size=self.size, **options)
+        width, height = problem.size
+        factor = 1.0 if self.size is not None else min(1.0, (_PIXELS / (width * height)) ** 0.5)
+        return resized(problem, (max(1, round(width * factor)), max(1, round(height * factor))))
 
 
 def about(session: Session) -> dict[str, Any]:
@@ -32,11 +70,12 @@ def state(session: Session) -> dict[str, Any]:
         "still": still is not None,
         "trouble": session.trouble,
         "size": problem.size if problem is not None else still.size if still is not None else None,
+        "film": [int(v) for v in problem.sensor.film().size()] if problem is not None else None,
         "camera": camera(problem, pose) if problem is not None and pose is not None else None,
         "views": len(session.views),
         "method": asked.method if still is None else still.method,
         "settings": dict(asked.settings),
-        "scene_settings": session.main.settings.to_dict() if isinstance(session.main, Refinement) else {},
+        "scene_settings": _settings(session),
         "budget": asked.budget.to_dict(),
         "paused": session.paused,
         "preparing": problem is not None and not (isinstance(session.main, Refinement) and session.main.passes),
@@ -45,6 +84,17 @@ def state(session: Session) -> dict[str, Any]:
         "compared": session.compared.state() if session.compared is not None else None,
         "panels": {name: panel.state() for name, panel in session.panels.items()},
     }
+
+
+def _settings(session: Session) -> dict[str, Any]:
+    """All settings of the method on the scene, also before it is prepared; none without a scene or if it refuses."""
+    asked, problem = session.asked, session.problem
+    if isinstance(session.main, Refinement):
+        settings: dict[str, Any] = session.main.settings.to_dict()
+        return settings
+    with suppress(EtendueError):
+        return {} if problem is None else checked(problem, asked.method, asked.settings).to_dict()
+    return {}
 
 
 def camera(problem: Problem, pose: Pose) -> dict[str, Any]:

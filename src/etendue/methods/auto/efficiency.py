@@ -63,6 +63,7 @@ class Learned:
     picture: NDArray[np.float32]  #: (height, width), means over the channels
     squares: NDArray[np.float32]  #: their squares
     work: NDArray[np.float64]  #: fields of :class:`Work`
+    generation: int = 0  #: of the densities of emission that the moments are of
 
     @classmethod
     def none(cls) -> Learned:
@@ -70,12 +71,14 @@ class Learned:
         nothing = np.zeros((0, 0), np.float32)
         return cls(0, nothing.reshape(0, 0, 2, 0), nothing, nothing, np.zeros(4))
 
-    def after(self, tiles: NDArray[Any], picture: NDArray[Any], work: Sequence[float]) -> Learned:
-        """With one more pass: its ``tiles``, ``picture`` (height, width), and work."""
+    def after(self, tiles: NDArray[Any], picture: NDArray[Any], work: Sequence[float], generation: int = 0) -> Learned:
+        """With one more pass: its ``tiles``, ``picture`` (height, width), work, and generation. Moments of another
+        generation are not those of the passes to come: the new ones stand for them."""
         new = np.asarray(tiles, np.float32), np.asarray(picture, np.float32), np.square(picture, dtype=np.float32)
         if self.passes:
-            new = self.tiles + new[0], self.picture + new[1], self.squares + new[2]
-        return Learned(self.passes + 1, *new, self.work + np.asarray(work, np.float64))
+            tiles = (self.passes * new[0] if generation != self.generation else self.tiles) + new[0]
+            new = tiles, self.picture + new[1], self.squares + new[2]
+        return Learned(self.passes + 1, *new, self.work + np.asarray(work, np.float64), generation)
 
     def errors(self) -> NDArray[np.float64]:
         """Error of each candidate."""
@@ -104,7 +107,8 @@ class Learned:
     def of(cls, state: State) -> Learned:
         """Inverse of :meth:`state`."""
         arrays = {name: np.asarray(state[name], np.float32) for name in ("tiles", "picture", "squares")}
-        return cls(int(state["passes"]), work=np.asarray(state["work"], np.float64), **arrays)
+        work = np.asarray(state["work"], np.float64)
+        return cls(int(state["passes"]), work=work, generation=int(state.get("generation", 0)), **arrays)
 
 
 def _tiled(image: NDArray[np.float64]) -> NDArray[np.float64]:

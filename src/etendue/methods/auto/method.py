@@ -9,9 +9,10 @@ All passes are part of the picture, with equal weights: each is an estimate of t
 have found, with a bias, where it merges, that vanishes as the radius shrinks.
 
 Nothing is learned in a run that is too short for it: below :data:`_LEAST` seconds, ``bpt`` renders scenes with mirrors
-or glass and lights that no ray can hit, whose caustics ``path`` never finds, and ``path`` renders the others. Up to
-:data:`_PER_KIND` seconds more for each kind of material, which all make kernels larger, ``vcm`` renders scenes with
-mirrors or glass and lights other than an environment, and ``path`` the others.
+or glass and lights that no ray can hit, whose caustics ``path`` never finds (``vcm`` does if light paths cannot be
+connected to the sensor), and ``path`` renders the others. Up to :data:`_PER_KIND` seconds more for each kind of
+material, which all make kernels larger, ``vcm`` renders scenes with mirrors or glass and lights other than an
+environment, and ``path`` the others.
 """
 
 from __future__ import annotations
@@ -21,19 +22,18 @@ import time
 from dataclasses import dataclass
 from typing import ClassVar
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import Carrying, CheckpointError, Measurement, Result, State, logger, setting
+from etendue.core import Carrying, CheckpointError, Measurement, Result, SampleSource, State, logger, setting
 from etendue.film import COMPONENTS
-from etendue.scene import Problem, materials
-from etendue.transport import CameraPath, Candidate, DirectWeights, Moments, Walker
+from etendue.scene import LightTable, Problem, materials
+from etendue.transport import CameraPath, Candidate, DirectWeights, FirstHits, Moments, Walker
 
-from ..base import STEP_LANES, CameraSettings, ImageMethod, Layer, total
+from ..base import STEP_LANES, CameraSettings, ImageMethod, Layer
 from ..bidirectional import Vcm
 from ..bidirectional_settings import BidirectionalSettings
-from ..path import Path, edge
+from ..path import Path, path_pass, traced
 from .efficiency import LEARNING, Learned, Work, tile_pixels
 
 #: Counts of the passes that estimate moments.
@@ -107,12 +107,11 @@ class Auto(Carrying, ImageMethod):
         self._vcm: Vcm | None = None
         self._vcm_state: State = {}
         self._counts = FIXED.get(self.settings.choice, LEARNER)
-        self._learns = self.settings.choice not in FIXED
         self._learned = Learned.none()
         self._products: dict[str, float] = {}
         self._spent = self._spent_learning = 0.0
         self.setup_seconds = 0.0  #: of preparation and compilation within the first pass, for predictions of times
-        self._caustics = self._has_specular() and self._has_finite_light()
+        self._caustics = self._has_specular() and (self.lights.has_area or self.lights.has_delta)
         self.plan(None, None, None)
 
     def bind(self, scene: mi.Scene | None) -> None:
@@ -123,7 +122,7 @@ class Auto(Carrying, ImageMethod):
 
     def plan(self, seconds: float | None, passes: int | None, error: float | None) -> None:
         """See :class:`Method`."""
-        self._seconds = seconds
+        self._brief = self._without_learning(seconds)
 
     def full_lanes(self) -> int:
         """See :class:`ImageMethod`. Passes of path tracing are as small as those that merge."""
@@ -133,17 +132,13 @@ class Auto(Carrying, ImageMethod):
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
-        if self._learns and not self._learned.passes and (fixed := self._without_learning()):
-            self._learns, self._counts = False, fixed
+        if self._brief and self._counts == LEARNER and not self._learned.passes:
+            self._counts = self._brief
         learning = self._learns and self._is_due()
         if learning:
             rendered = self._learn(iteration, seed, samples)
-        elif self._counts.light_paths == 0.0:
-            rendered = self._path(iteration, seed, samples)
         else:
-            vcm = self._estimator()
-            vcm.use(self._counts)
-            rendered = vcm.render_pass(iteration, seed, samples)
+            rendered = self._rendered(self._counts, iteration, seed, samples)
         cost = self._work().cost(LEARNER) * LEARNING if learning else self._work().cost(self._counts)
         self._spent += cost
         self._spent_learning += cost if learning else 0.0
@@ -152,17 +147,17 @@ class Auto(Carrying, ImageMethod):
     def render_with(self, counts: Candidate, iteration: int, seed: int) -> np.ndarray:
         """A pass with given counts, apart from the run: its picture (height, width), means over the channels."""
         samples = self.samples_per_iteration
-        if counts.light_paths == 0.0:
-            layers, _ = self._path(iteration, seed, samples)
-        else:
-            vcm = self._estimator()
-            vcm.use(counts)
-            layers, _ = vcm.render_pass(iteration, seed, samples)
+        layers, _ = self._rendered(counts, iteration, seed, samples)
         return np.asarray(layers["image"].mean(axis=2, dtype=np.float64) / samples)
 
     def foreseen(self, counts: Candidate) -> float:
         """Product of error and cost of one of the :data:`CANDIDATES`, after a pass that has learned."""
         return float(self._learned.errors()[CANDIDATES.index(counts)]) * self._work().cost(counts)
+
+    @property
+    def _learns(self) -> bool:
+        """Whether passes of this run may learn."""
+        return self.settings.choice not in FIXED and (self._brief is None or self._learned.passes > 0)
 
     def _is_due(self) -> bool:
         """Whether the next pass learns."""
@@ -176,11 +171,13 @@ class Auto(Carrying, ImageMethod):
 
     def _estimator(self) -> Vcm:
         """The prepared estimator of passes with light paths."""
-        if self._vcm is None:
+        counts = LEARNER if self._learns else self._counts
+        if self._vcm is None or (counts.merging and not self._vcm.settings.merging):
+            if self._vcm:
+                self._vcm_state = self._vcm.left()
             own = self.settings
             names = ("max_depth", "samples_per_pass", "sampler", "scrambling", "reconstruction", "clamp", "components")
             common = {name: getattr(own, name) for name in names} | {"samples_per_pass": self.samples_per_iteration}
-            counts = LEARNER if self._learns else self._counts
             settings = BidirectionalSettings(
                 **common,
                 rr_depth=min(own.rr_depth, BidirectionalSettings.rr_depth),
@@ -193,10 +190,10 @@ class Auto(Carrying, ImageMethod):
             )
             begin = time.perf_counter()
             vcm = Vcm(settings)
-            if self._learns:
-                vcm.moments = self._moments()
+            if own.choice not in FIXED:
                 most = max(candidate.light_paths for candidate in CANDIDATES)
                 vcm.light_stride = round(most * self.camera.pixels * self.samples_per_iteration)
+            vcm.moments = self._moments() if self._learns else None
             vcm.prepare(self.problem, self._seed)
             vcm.moments = None
             self.setup_seconds = time.perf_counter() - begin
@@ -205,31 +202,44 @@ class Auto(Carrying, ImageMethod):
             self._vcm = vcm
         return self._vcm
 
+    def _rendered(
+        self, counts: Candidate, iteration: int, seed: int, samples: int
+    ) -> tuple[dict[str, Layer], dict[str, float]]:
+        """A pass with given counts."""
+        if counts.light_paths == 0.0:
+            return self._path(iteration, seed, samples)
+        vcm = self._estimator()
+        vcm.use(counts)
+        vcm._hits = self._hits
+        return vcm.render_pass(iteration, seed, samples)
+
     def _path(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """A pass of path tracing."""
-        lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
-        source = self.camera_numbers(lanes, samples, seed, iteration)
-        ray, importance, _ = self.camera.primary(lanes // samples, source)
-        walker, weights = self.walker(Walker, first=self.first_hits(lanes, iteration)), DirectWeights("mis", "balance")
-        path = CameraPath.start(ray, walker.max_edges, **self.path_fields())
-        path = walker.walk(path, lambda s: edge(s, walker, weights, source), "path")
-        path.weigh(importance)
-        radiance, bad = self.kept_layers(path)
-        dr.eval(radiance, path.rays, bad)
-        counters = {"rays": total(path.rays), "paths": float(len(lanes)), "nonfinite": total(bad)}
-        return self.images(radiance, seed, iteration), counters
+        lights = self._lights_of_paths()
+
+        def trace(ray: mi.Ray3f, source: SampleSource, first: FirstHits | None) -> CameraPath:
+            walker = self.walker(Walker, lights=lights, first=first)
+            return traced(ray, walker, DirectWeights(), source, **self.path_fields())
+
+        return path_pass(self, iteration, seed, samples, trace)
+
+    def _lights_of_paths(self) -> LightTable:
+        """The lights for path tracing: as selected by the passes that foresee its error."""
+        if self._vcm is None and "emission" not in self._vcm_state:
+            return self.lights
+        return self._estimator().sampled_lights
 
     # ------------------------------------------------------------------ learning
 
     def _learn(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """A pass that estimates moments, and the decision after it."""
         vcm = self._estimator()
-        vcm.use(LEARNER)
+        generation = vcm.generation
         camera_paths = self.camera.pixels * samples
         light_paths = LEARNER.light_paths * camera_paths
         vcm.moments = self._moments()
         try:
-            layers, counters = vcm.render_pass(iteration, seed, samples)
+            layers, counters = self._rendered(LEARNER, iteration, seed, samples)
             edges, smooth, photons = vcm.moments.walked() / camera_paths
             work = edges, smooth, photons / LEARNER.light_paths, counters["light_vertices"] / light_paths
             width, height = self.problem.size
@@ -239,7 +249,7 @@ class Auto(Carrying, ImageMethod):
         parts = [layers[name] for name in (COMPONENTS if self.settings.components else ("image",))]
         picture = np.sum(parts, axis=0).mean(axis=2, dtype=np.float64) / samples
         if np.isfinite(tiles).all() and np.isfinite(picture).all():
-            self._learned = self._learned.after(tiles, picture, work)
+            self._learned = self._learned.after(tiles, picture, work, generation)
         self._decide()
         return layers, counters
 
@@ -284,7 +294,6 @@ class Auto(Carrying, ImageMethod):
         counts = self._counts
         return {
             "counts": [counts.light_paths, counts.connections, counts.merging],
-            "learns": self._learns,
             "learned": self._learned.state(),
             "products": self._products,
             "spent": [self._spent, self._spent_learning],
@@ -301,27 +310,25 @@ class Auto(Carrying, ImageMethod):
         if learned.passes and learned.picture.shape != (height, width):
             raise CheckpointError("what auto has learned is of another picture; start a new run")
         self._counts = Candidate(float(paths), int(connections), bool(merging))
-        self._learns, self._learned, self._products = bool(state["learns"]), learned, dict(state["products"])
+        self._learned, self._products = learned, dict(state["products"])
         self._spent, self._spent_learning = (float(value) for value in state["spent"])
         self._vcm_state = state["vcm"]
         if self._vcm:
-            self._vcm.enter(self._vcm_state or self._vcm_first)
+            # A copy, which is always loaded: a pass that has failed may have learned.
+            self._vcm.enter(dict(self._vcm_state or self._vcm_first))
 
     # ------------------------------------------------------------------ the scene
 
-    def _without_learning(self) -> Candidate | None:
+    def _without_learning(self, seconds: float | None) -> Candidate | None:
         """Counts for a run that is too short to learn."""
         kinds = {m.class_name() for m in materials(self.scene) if isinstance(m, mi.BSDF)}
-        if self._seconds is None or self._seconds >= _LEAST + _PER_KIND * len(kinds):
+        if seconds is None or seconds >= _LEAST + _PER_KIND * len(kinds):
             return None
-        if self._seconds >= _LEAST:
+        if seconds >= _LEAST:
             return FIXED["vcm" if self._caustics else "path"]
-        delta = mi.EmitterFlags.DeltaPosition, mi.EmitterFlags.DeltaDirection
-        missed = self._has_specular() and any(mi.has_flag(e.flags(), f) for e in self.scene.emitters() for f in delta)
-        return FIXED["bpt" if missed and self.camera.can_splat else "path"]
-
-    def _has_finite_light(self) -> bool:
-        return any(not mi.has_flag(e.flags(), mi.EmitterFlags.Infinite) for e in self.scene.emitters())
+        if not (self._has_specular() and self.lights.has_delta):
+            return FIXED["path"]
+        return FIXED["bpt" if self.camera.can_splat else "vcm"]
 
     def _has_specular(self) -> bool:
         bsdfs = [m for m in materials(self.scene) if isinstance(m, mi.BSDF)]

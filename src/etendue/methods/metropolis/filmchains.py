@@ -41,7 +41,7 @@ from etendue.transport import CameraPath, DirectWeights, Walker
 from etendue.transport import dimensions as dim
 
 from ..base import ImageMethod, ImageSettings, keep_finite, total
-from ..path import edge
+from ..path import traced
 from .blend import Blend, brightness, luminance
 from .chains import PassResult, numbers_of
 from .method import MetropolisMethod, MetropolisSettings, beside_paths
@@ -154,8 +154,7 @@ class FilmTarget:
     ) -> tuple[mi.Color3f, mi.UInt32]:
         """(radiance of a path, rays). ``own``: other initial values."""
         walker = self._method.walker(Walker)
-        path = CameraPath.start(ray, walker.max_edges, active=(walker.max_edges > 0) & active, **own)
-        path = walker.walk(path, lambda s: edge(s, walker, weights, source), "path to the film")
+        path = traced(ray, walker, weights, source, active=(walker.max_edges > 0) & active, **own)
         return path.radiance, path.rays
 
     def _seen(self, ray: mi.Ray3f) -> tuple[mi.Color3f, mi.UInt32]:

@@ -16,7 +16,7 @@ from etendue.transport import CameraPath, DirectWeights, Walker
 from etendue.transport import dimensions as dim
 
 from ..base import ImageMethod, keep_finite
-from ..path import edge
+from ..path import traced
 
 #: Longest expected stay of a chain at one path, in large steps; where few samples find light, the second number over
 #: their share.
@@ -122,9 +122,7 @@ class PathTarget:
         method, source = self._method, sources["camera"]
         place = film_place(method, source)
         ray, importance, _ = method.camera.through(place, source)
-        walker, weights = method.walker(Walker), DirectWeights()
-        path = CameraPath.start(ray, walker.max_edges, **method.path_fields())
-        path = walker.walk(path, lambda s: edge(s, walker, weights, source), "path of a chain")
+        path = traced(ray, method.walker(Walker), DirectWeights(), source, **method.path_fields())
         path.weigh(importance)
         contributions, bad = found_by(path, place)
         return Traced(contributions, path.rays, dr.select(bad, mi.UInt32(1), 0))

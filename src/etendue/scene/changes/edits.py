@@ -93,7 +93,8 @@ def _put(props: mi.Properties, name: str, kind: str, value: Value) -> None:
     before = read_properties(props)
     instead: tuple[str, ...] = ()
     plugin = props.plugin_name()
-    if name == "eta" and kind == NUMBER and plugin != "conductor":
+    is_metal = "conductor" in plugin
+    if name == "eta" and kind == NUMBER and not is_metal:
         instead = ("int_ior", "ext_ior", "specular")
     elif name == "specular":
         instead = ("eta",)
@@ -110,7 +111,7 @@ def _put(props: mi.Properties, name: str, kind: str, value: Value) -> None:
     for other in (*instead, name):
         if other in before:
             del props[other]
-    if name == "eta" and kind == NUMBER and not plugin.startswith(("principled", "conductor")):
+    if name == "eta" and kind == NUMBER and not is_metal and not plugin.startswith("principled"):
         props["int_ior"], props["ext_ior"] = float(value), 1.0  # type: ignore[arg-type]
     else:
         props[name] = for_file(kind, value)

@@ -117,6 +117,8 @@ class SceneEditor:
         if self.fixed and (name in ("to_world", "position") or key.endswith(".intensity.value")):
             return None
         meant = key.removesuffix(".value").rsplit(".", 1)[-1]
+        if meant == "texture" and kind != TEXTURE:  # of a spot light without one, which a file cannot have
+            return None
         if (plugin := plugin_name(owner)).endswith("spectrum"):  # of a constant: name what it belongs to
             plugin = plugin_name(self._values.hierarchy[owner][0])
         return SceneParameter(key, kind, group, plugin, range_of(meant, group == LIGHT), plain(value, kind))

@@ -215,8 +215,8 @@ class EmissionTraining:
 
     def worth_of_lane(self, pixel: mi.UInt32, lane: mi.UInt32) -> mi.Float:
         """Factor on the luminance of contributions of camera paths to their pixels. Only blocks of lanes count, since
-        additions take time."""
-        counts = (lane // _BLOCK) % _STRIDE == 0
+        additions take time; other ones in each row of pixels, so that they are spread over the picture."""
+        counts = (lane // _BLOCK + pixel // self._width) % _STRIDE == 0
         return dr.select(counts, _STRIDE * self.worth(pixel, counts), 0.0)
 
     def worth(self, pixel: mi.UInt32, active: mi.Bool) -> mi.Float:

@@ -63,6 +63,11 @@ class LearnedEmission:
             self.unit = 2.0 ** (round(4.0 * math.log2(brightness)) / 4.0)
 
     @property
+    def generation(self) -> int:
+        """Generations of training that have ended."""
+        return self._generation
+
+    @property
     def trains(self) -> bool:
         """Whether the guide learns from the next pass."""
         return self._generation < GENERATIONS

@@ -16,7 +16,8 @@ export class Connection {
     this.socket.binaryType = 'arraybuffer';
     this.socket.onopen = () => { this.wait = 500; this.onStatus('open'); };
     this.socket.onmessage = (event) => this.take(event.data);
-    this.socket.onclose = () => {
+    this.socket.onclose = (event) => {
+      if (event.code === 1001 && !this.ended) this.end(); // the server has gone, and its token with it
       if (this.ended) return;
       this.onStatus('closed');
       setTimeout(() => this.open(), this.wait);

@@ -12,6 +12,28 @@ export function make(tag, attributes = {}, ...children) {
   return element;
 }
 
+const typing = new WeakSet();
+for (const name of ['input', 'change', 'focusout']) {
+  document.addEventListener(name, (event) => { if (name === 'input') typing.add(event.target); else typing.delete(event.target); }, true);
+}
+
+/** Whether something is being typed in a field below an element, which the session does not know yet. */
+export const isTyping = (element) => element.contains(document.activeElement) && typing.has(document.activeElement);
+
+/** Show in a field what holds, unless something is being typed there. */
+export function fillIn(input, value) {
+  if (!isTyping(input)) input.value = value;
+}
+
+/** A number that was typed, or the text itself, which the session then refuses by name. */
+export function numeric(text) {
+  const number = Number(text);
+  return text.trim() === '' || !Number.isFinite(number) ? text.trim() : number;
+}
+
+/** Numbers with spaces or commas between them. */
+export const numerics = (text) => text.trim().split(/[\s,]+/).map(numeric);
+
 /** A section of the side bar; returns the element for its content. */
 export function section(parent, title, open = false) {
   const content = make('div');

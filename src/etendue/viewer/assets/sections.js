@@ -1,6 +1,6 @@
 // The sections of the side bar that every session has: method, display, comparison, camera and files.
 
-import { choice, controls, entry, fillChoice, make } from './controls.js';
+import { choice, controls, entry, fillChoice, fillIn, isTyping, make, numeric, numerics } from './controls.js';
 
 const EVERY = ['max_depth', 'rr_depth', 'samples_per_pass', 'sampler', 'scrambling', 'reconstruction', 'aovs', 'components', 'cryptomatte'];
 
@@ -10,9 +10,7 @@ export function sections(parent, connection, section) {
   return (state) => shown.forEach((show) => show(state));
 }
 
-function optional(value) {
-  return value.trim() === '' ? undefined : Number.isNaN(Number(value)) ? value : Number(value);
-}
+const optional = (value) => (value.trim() === '' ? undefined : numeric(value));
 
 // ---- method, settings, budget, size
 
@@ -30,7 +28,7 @@ function method(parent, connection, section) {
     budget[name] = entry(label, '', () => connection.send('render', { budget: limits() }), { inputmode: 'decimal', placeholder: 'no limit' });
   }
   const sides = ['Width', 'Height'].map((label) => entry(label, '', () => connection.send('render', {
-    size: sides.map(({ input }) => Number(input.value)) }), { inputmode: 'numeric' }));
+    size: sides.map(({ input }) => numeric(input.value)) }), { inputmode: 'numeric' }));
   content.append(pick.element, about,
     make('details', {}, make('summary', {}, 'Settings of the method'), own),
     make('details', {}, make('summary', {}, 'Settings of all methods'), common),
@@ -43,7 +41,7 @@ function method(parent, connection, section) {
     const chosen = state.methods.find(({ name }) => name === state.method);
     about.textContent = chosen?.about ?? '';
     const key = JSON.stringify([state.method, state.settings, state.scene_settings]);
-    if (key !== built && chosen) {
+    if (key !== built && chosen && !isTyping(own) && !isTyping(common)) {
       built = key;
       const focused = document.activeElement?.id?.match(/^field-(\w+)-/)?.[1];
       const values = { ...state.scene_settings, ...state.settings };
@@ -53,8 +51,8 @@ function method(parent, connection, section) {
       common.replaceChildren(controls(chosen.fields.filter(isCommon), values, set));
       if (focused) content.querySelector(`[id^="field-${focused}-"]`)?.focus();
     }
-    for (const [name, { input }] of Object.entries(budget)) input.value = state.budget[name] ?? '';
-    sides.forEach(({ input }, k) => { input.value = state.size?.[k] ?? ''; });
+    for (const [name, { input }] of Object.entries(budget)) fillIn(input, state.budget[name] ?? '');
+    sides.forEach(({ input }, k) => fillIn(input, state.film?.[k] ?? ''));
   };
 }
 
@@ -65,8 +63,8 @@ function display(parent, connection, section) {
   const send = (change) => connection.send('show', change);
   const layer = choice('Layer', [], 'image', (name) => send({ layer: name }));
   const denoise = choice('Denoiser', [], '', (name) => send({ denoise: name }));
-  const radius = entry('Radius', '', (value) => send({ radius: Number(value) }), { inputmode: 'numeric' });
-  const strength = entry('Strength', '', (value) => send({ strength: Number(value) }), { inputmode: 'decimal' });
+  const radius = entry('Radius', '', (value) => send({ radius: numeric(value) }), { inputmode: 'numeric' });
+  const strength = entry('Strength', '', (value) => send({ strength: numeric(value) }), { inputmode: 'decimal' });
   const curve = choice('Tone curve', [], 'srgb', (name) => send({ curve: name }));
   const automatic = make('input', { type: 'checkbox', change: () => send({ exposure: automatic.checked ? 'auto' : stops }) });
   const output = make('output', {}, '0.0');
@@ -86,13 +84,13 @@ function display(parent, connection, section) {
     fillChoice(layer.select, layers.map((name) => ({ name, label: name === 'image' ? 'picture' : name })), show.layer);
     fillChoice(denoise.select, [{ name: '', label: 'none' }, ...denoisers], show.denoise);
     radius.element.hidden = strength.element.hidden = !show.denoise;
-    radius.input.value = show.radius;
-    strength.input.value = show.strength;
+    fillIn(radius.input, show.radius);
+    fillIn(strength.input, show.strength);
     fillChoice(curve.select, curves, show.curve);
     automatic.checked = show.exposure === 'auto';
     if (show.exposure !== 'auto') {
       stops = show.exposure;
-      if (document.activeElement !== exposure) exposure.value = stops;
+      fillIn(exposure, stops);
       output.textContent = Number(stops).toFixed(2);
     }
   };
@@ -114,7 +112,7 @@ function comparison(parent, connection, section) {
   return (state) => {
     compared = state.compared;
     fillChoice(other.select, [{ name: '', label: 'none' }, ...state.methods], compared?.method ?? '');
-    if (compared?.reference) reference.input.value = compared.reference;
+    if (compared?.reference) fillIn(reference.input, compared.reference);
     map.checked = compared?.map ?? false;
     map.disabled = stop.disabled = !compared;
   };
@@ -124,9 +122,9 @@ function comparison(parent, connection, section) {
 
 function camera(parent, connection, section) {
   const content = section(parent, 'Camera');
-  const triple = (label, name) => entry(label, '', (value) => connection.send('camera', { set: { [name]: value.trim().split(/[\s,]+/).map(Number) } }));
+  const triple = (label, name) => entry(label, '', (value) => connection.send('camera', { set: { [name]: numerics(value) } }));
   const fields = { origin: triple('Position', 'origin'), target: triple('Target', 'target'), up: triple('Up', 'up') };
-  const fov = entry('Field of view, horizontal, degrees', '', (value) => connection.send('camera', { set: { fov: Number(value) } }), { inputmode: 'decimal' });
+  const fov = entry('Field of view, horizontal, degrees', '', (value) => connection.send('camera', { set: { fov: numeric(value) } }), { inputmode: 'decimal' });
   const button = (text, type, message) => make('button', { type: 'button', click: () => connection.send(type, message) }, text);
   const views = make('ul', { class: 'list' });
   content.append(...Object.values(fields).map((field) => field.element), fov.element,
@@ -135,10 +133,10 @@ function camera(parent, connection, section) {
   const show = (now) => {
     if (!now) return;
     for (const [name, { input }] of Object.entries(fields)) {
-      if (document.activeElement !== input) input.value = now[name].map((v) => Number(v.toPrecision(5))).join(' ');
+      fillIn(input, now[name].map((v) => Number(v.toPrecision(5))).join(' '));
     }
     fov.element.hidden = now.fov === null;
-    if (now.fov !== null && document.activeElement !== fov.input) fov.input.value = Number(now.fov.toPrecision(4));
+    if (now.fov !== null) fillIn(fov.input, Number(now.fov.toPrecision(4)));
   };
   connection.on('camera', show);
   return (state) => {

@@ -5,8 +5,9 @@ const KEYS = {
   ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1],
 };
 const FLY = { KeyD: [1, 0, 0], KeyA: [-1, 0, 0], KeyE: [0, 1, 0], KeyQ: [0, -1, 0], KeyW: [0, 0, 1], KeyS: [0, 0, -1] };
-const OTHER = { Equal: { dolly: 1 }, NumpadAdd: { dolly: 1 }, Minus: { dolly: -1 }, NumpadSubtract: { dolly: -1 },
-  BracketLeft: { zoom: -0.5 }, BracketRight: { zoom: 0.5 }, Comma: { roll: -1 }, Period: { roll: 1 } };
+// By what the key prints, wherever a keyboard has it.
+const OTHER = { '+': { dolly: 1 }, '=': { dolly: 1 }, '-': { dolly: -1 },
+  '[': { zoom: -0.5 }, ']': { zoom: 0.5 }, ',': { roll: -1 }, '.': { roll: 1 } };
 
 export class Stage {
   constructor(connection, actions) {
@@ -16,7 +17,7 @@ export class Stage {
     for (const id of ['stage', 'picture', 'a', 'b', 'overlay', 'divider', 'slider']) this[id] = document.getElementById(id);
     this.pointers = new Map();
     this.pending = {};
-    this.held = new Set();
+    this.held = new Map(); // by code, what the key does
     this.decoding = Promise.resolve();
     connection.on('frame', (message, view) => this.draw(message, view));
     new ResizeObserver(() => this.fit()).observe(this.stage);
@@ -155,12 +156,14 @@ export class Stage {
   }
 
   press(event) {
-    if (event.target !== this.stage || event.altKey || event.metaKey) return;
+    // A character that needs AltGr on a keyboard, such as [, comes with Alt and Ctrl.
+    const prints = event.key in OTHER && !event.metaKey && (!event.ctrlKey || event.getModifierState('AltGraph'));
+    if (event.target !== this.stage || event.metaKey || (event.altKey && !prints)) return;
     const { code } = event;
-    if (code in KEYS || ((code in FLY || code in OTHER) && !event.ctrlKey)) {
+    if (prints || code in KEYS || (code in FLY && !event.ctrlKey)) {
       if (!this.held.has(code)) {
-        this.held.add(code);
-        this.step(event, 1 / 12); // at once, however short the press
+        this.held.set(code, prints ? event.key : code);
+        this.step({ key: this.held.get(code), shiftKey: event.shiftKey, ctrlKey: event.ctrlKey }, 1 / 12); // at once
         if (!this.turning) { this.turning = true; this.last = performance.now(); requestAnimationFrame((now) => this.turn(now)); }
       }
       this.modifiers = { shiftKey: event.shiftKey, ctrlKey: event.ctrlKey };
@@ -184,21 +187,21 @@ export class Stage {
   turn(now) {
     const passed = Math.min((now - this.last) / 1000, 0.1);
     this.last = now;
-    for (const code of this.held) this.step({ code, ...this.modifiers }, passed);
+    for (const key of this.held.values()) this.step({ key, ...this.modifiers }, passed);
     this.turning = this.held.size > 0;
     if (this.turning) requestAnimationFrame((next) => this.turn(next));
   }
 
-  step({ code, shiftKey, ctrlKey }, passed) {
-    if (code in KEYS) {
-      const [x, y] = KEYS[code];
+  step({ key, shiftKey, ctrlKey }, passed) {
+    if (key in KEYS) {
+      const [x, y] = KEYS[key];
       if (shiftKey) this.move({ pan: [x * passed * 0.5, y * passed * 0.5] });
       else if (ctrlKey) this.move({ look: [x * passed * 0.8, y * passed * 0.8] });
       else this.move({ orbit: [x * passed * 1.2, y * passed * 1.2] });
-    } else if (code in FLY) {
-      this.move({ fly: FLY[code].map((v) => v * passed * (shiftKey ? 1.2 : 0.4)) });
+    } else if (key in FLY) {
+      this.move({ fly: FLY[key].map((v) => v * passed * (shiftKey ? 1.2 : 0.4)) });
     } else {
-      this.move(Object.fromEntries(Object.entries(OTHER[code]).map(([name, value]) => [name, value * passed])));
+      this.move(Object.fromEntries(Object.entries(OTHER[key]).map(([name, value]) => [name, value * passed])));
     }
   }
 }

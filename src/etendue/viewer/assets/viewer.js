@@ -1,7 +1,7 @@
 // The page: connects the parts. The session's state is the truth; controls show it and send what is asked for.
 
 import { Connection } from './connection.js';
-import { controls, make, rate, seconds, section, short } from './controls.js';
+import { controls, fillIn, isTyping, make, numeric, numerics, rate, seconds, section, short } from './controls.js';
 import { Plot } from './plot.js';
 import { sections } from './sections.js';
 import { Stage } from './stage.js';
@@ -153,7 +153,7 @@ function host(name, element) {
   const overlay = document.createElementNS('http://www.w3.org/2000/svg', 'g');
   $('overlay').append(overlay);
   return {
-    element, overlay, controls, make, short,
+    element, overlay, controls, fillIn, isTyping, make, numeric, numerics, short,
     send: (verb, data) => connection.send(`${name}.${verb}`, data),
     ask: (type, data) => connection.send(type, data),
     on: (verb, listener) => connection.on(`${name}.${verb}`, listener),

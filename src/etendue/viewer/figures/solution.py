@@ -31,6 +31,9 @@ MOST_PATCHES = 20_000
 _GROWTH = 1.5
 #: Sequences of lines, whose variance gives the error.
 _REPLICATES = 8
+#: Most segments of lines that are kept, of eight bytes each, or so many a patch if that is more: a system on two
+#: million is solved in about a second, in which the camera waits.
+MOST_SEGMENTS, _PER_PATCH = 2_000_000, 200
 
 
 class ShownSolution:
@@ -129,6 +132,7 @@ class LiveSolution(ShownSolution):
         self._casting.prepare(PatchProblem(self.patches, problem.source), seed)
         self._measurement: Measurement | None = None
         self._next = _REPLICATES  # passes at the next solution
+        self._solved = 0  # passes of the latest
         self.passes = 0
 
     @property
@@ -136,15 +140,26 @@ class LiveSolution(ShownSolution):
         """Bundles of lines so far."""
         return 0 if self._measurement is None else self._casting.bundles(self._measurement)
 
+    @property
+    def is_done(self) -> bool:  # type: ignore[override]
+        """Whether there are as many lines as are kept, and the solution is that of all."""
+        return self._is_full and self._solved == self.passes
+
+    @property
+    def _is_full(self) -> bool:
+        measured = self._measurement if self.passes >= _REPLICATES else None
+        return measured is not None and measured.counters["rays"] >= max(MOST_SEGMENTS, _PER_PATCH * len(self.patches))
+
     def step(self, seconds: float = 0.15) -> bool:
         """Cast lines for so long; returns whether there is a new solution."""
         end = time.perf_counter() + seconds
-        while time.perf_counter() < end and self.passes < self._next:
+        while time.perf_counter() < end and self.passes < self._next and not self._is_full:
             made = self._casting.step(self.passes, self._seed, {}).measurement
             self._measurement = made if self._measurement is None else self._measurement + made
             self.passes += 1
-        if self.passes < self._next or self._measurement is None:
+        if self._measurement is None or self._solved == self.passes or not (self.passes >= self._next or self._is_full):
             return False
+        self._solved = self.passes
         self._next = int(np.ceil(self._next * _GROWTH))
         segments: Segments = self._casting.segments(self._measurement)
         shot: FirstShot | None = self._casting.shot(self._measurement)

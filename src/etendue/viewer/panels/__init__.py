@@ -21,7 +21,10 @@ The module exports a function that is called once with its ``host``::
       host.page(title)                      // -> {element, close()}: the same with an element for text and pictures
       host.ask(type, data)                  // a message to the session itself, such as "camera"
       host.make(tag, attributes, ...children), host.short(number)  // build elements, write numbers
-      host.say(text)                        // a line in the log of the page
+      host.numeric(text), host.numerics(text)  // -> numbers that were typed, or what else was typed instead
+      host.fillIn(input, value)             // show what holds in a field, unless something is being typed there
+      host.isTyping(element)                // whether something is being typed below an element
+      host.say(text, kind)                  // a line in the log of the page; kind "error" for what is wrong
     }
 
 Colours, spacing and focus rings come from ``viewer.css``; use its variables (``--ink``, ``--panel``, ``--accent``).

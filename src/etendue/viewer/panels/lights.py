@@ -55,7 +55,10 @@ class Lights(Panel):
             raise OptionError("this is a picture without a scene; open one first")
         edits = self.session.asked.lights
         if verb == "add":
-            edits = replace(edits, added=(*edits.added, self._light(message)))
+            # A name of its own, which it keeps when others are removed, for changes of its parameters.
+            number = 1 + max((int(one["id"].rpartition("-")[2]) for one in edits.added), default=0)
+            light = {"id": f"added-light-{number}", **self._light(message)}
+            edits = replace(edits, added=(*edits.added, light))
         elif verb == "remove":
             index = self._index(message, len(edits.added))
             edits = replace(edits, added=tuple(one for k, one in enumerate(edits.added) if k != index))

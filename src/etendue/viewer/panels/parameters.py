@@ -30,21 +30,24 @@ class Parameters(Panel):
         self._changes: dict[str, Any] = {}
         self._editor: SceneEditor | None = None
         self._own: dict[str, Any] = {}  # values before the first change
+        #: Those of the scene that is being loaded, which may fail.
+        self._next: tuple[dict[str, Any], dict[str, Any]] = {}, {}
         self._late: list[str] = []  # changes that are made once the scene is built
 
     def loading(self, state: mi.parser.ParserState, same: bool) -> None:
         """Make the changes again, those whose element is still there."""
-        if not same:
-            self._changes, self._own = {}, {}
-        self._late = []
-        for key in self._changes:
+        changes = dict(self._changes) if same else {}
+        self._next, self._late = (changes, self._own if same else {}), []
+        for key in changes:
             try:
-                ParameterChanges({key: self._changes[key]})(state)
+                ParameterChanges({key: changes[key]})(state)
             except EtendueError:  # of an element that is built already, or that is gone
                 self._late.append(key)
 
     def scene_loaded(self) -> None:
         """Parameters of the new scene."""
+        self._changes, self._own = self._next
+        self._next = {}, {}
         problem, asked = self.session.problem, self.session.asked
         self._editor = None
         if problem is None or not is_described(asked.scene):

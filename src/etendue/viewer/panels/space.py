@@ -120,6 +120,7 @@ class Space(Panel):
         camera = {"origin": pose.origin, "target": pose.target, "up": pose.up, "fov": pose.fov}
         arrays: Arrays = {"triangles": mesh.triangles, "shape": mesh.shape, "colours": mesh.colours}
         about: Any = {"names": mesh.names, "left_out": mesh.left_out, "missing": mesh.missing}
+        about["space"] = {"centre": problem.space.centre, "scale": problem.space.scale}
         self._send(client, "mesh", arrays, camera=camera | {"aspect": width / height}, size=pose.size, **about)
         if self._solution is not None:
             self._send_solution(self._solution, client)
@@ -219,10 +220,10 @@ class Space(Panel):
         values = live.values()
         luminance, error = values["luminance"], values["error"]
         areas = live.patches.areas
-        relative = (
-            float((error * areas).sum() / max((luminance * areas).sum(), 1e-30)) if live.error is not None else None
-        )
-        self._send(client, "values", values, bundles=live.bundles, relative=relative, at=time.time())
+        whole = max((luminance * areas).sum(), 1e-30)
+        relative = float((error * areas).sum() / whole) if live.error is not None else None
+        about = {"bundles": live.bundles, "relative": relative, "done": live.is_done, "at": time.time()}
+        self._send(client, "values", values, **about)
 
     def _send(self, client: Client | None, verb: str, arrays: Arrays, **fields: Any) -> None:
         data, table = joined(arrays)

@@ -1,7 +1,7 @@
 // Lights of the scene, and lights that are added.
 
 export default function (host) {
-  const { make } = host;
+  const { make, numeric, numerics: numbers } = host;
   const own = make('ul', { class: 'list' });
   const added = make('ul', { class: 'list' });
   const field = (label, value, attributes = {}) => {
@@ -15,7 +15,6 @@ export default function (host) {
   const target = field('Points at', '');
   const size = field('Side', '', { inputmode: 'decimal' });
   const file = field('Image file', '', { placeholder: 'sky.exr' });
-  const numbers = (text) => text.trim().split(/[\s,]+/).map(Number);
   const texts = { point: 'point: a bulb without size', area: 'area: a bright square', sky: 'sky: light from everywhere', image: 'image: light from a picture around the scene' };
 
   function shape() {
@@ -31,8 +30,8 @@ export default function (host) {
     return c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4;
   });
   const add = make('button', { type: 'button', click: () => host.send('add', {
-    kind: kind.value, colour: linear(colour.value), strength: Number(strength.input.value),
-    position: numbers(position.input.value), target: numbers(target.input.value), size: Number(size.input.value), file: file.input.value }) }, 'Add the light');
+    kind: kind.value, colour: linear(colour.value), strength: numeric(strength.input.value),
+    position: numbers(position.input.value), target: numbers(target.input.value), size: numeric(size.input.value), file: file.input.value }) }, 'Add the light');
   host.element.append(own, added, make('label', {}, make('span', {}, 'New light'), kind),
     make('div', { class: 'row' }, make('label', {}, make('span', {}, 'Colour'), colour), strength.element, size.element),
     position.element, target.element, file.element, make('p', { class: 'soft' }, 'Click into the picture to place it before what is seen there.'), make('div', {}, add));

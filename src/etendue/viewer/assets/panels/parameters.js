@@ -7,7 +7,6 @@ const decode = (c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4);
 const hex = (rgb) => `#${rgb.map((c) => Math.round(255 * encode(Math.min(1, Math.max(0, c)))).toString(16).padStart(2, '0')).join('')}`;
 const linear = (text) => [1, 3, 5].map((k) => decode(parseInt(text.slice(k, k + 2), 16) / 255));
 const shown = (value) => (Array.isArray(value) ? value.map((v) => Number(v.toPrecision(5))).join(' ') : String(value));
-const typed = (text) => text.trim().split(/[\s,]+/).map(Number);
 
 /** A transform as the place of its origin; the other fields move and scale relative to what it is now. */
 const place = (m) => (m.length === 16 ? [m[3], m[7], m[11]] : [m[2], m[5]]);
@@ -36,7 +35,7 @@ function turned(matrix, axis, degrees) {
 }
 
 export default function (host) {
-  const { make } = host;
+  const { make, fillIn, isTyping, numeric, numerics: typed } = host;
   const list = make('div');
   const changes = make('ul', { class: 'list' });
   const all = make('button', { type: 'button', click: () => host.send('reset') }, 'Reset all');
@@ -66,39 +65,51 @@ export default function (host) {
       } });
       const numbers = text({ inputmode: 'decimal', change: () => set(key, typed(numbers.value)) });
       body.append(colour, make('div', { class: 'grow' }, numbers));
-      fill = (value) => { colour.value = hex(value.map((v) => v / Math.max(1, ...value))); numbers.value = shown(value); };
+      fill = (value) => { colour.value = hex(value.map((v) => v / Math.max(1, ...value))); fillIn(numbers, shown(value)); };
     } else if (kind === 'number') {
-      const number = text({ inputmode: 'decimal', change: () => set(key, Number(number.value.trim() === '' ? NaN : number.value)) });
+      const number = text({ inputmode: 'decimal', change: () => set(key, numeric(number.value)) });
       if (least !== undefined && most !== undefined) {
         const range = make('input', { type: 'range', min: least, max: most, step: (most - least) / 200, 'aria-label': `${parameter.element} ${name}`, change: () => set(key, Number(range.value)) });
         body.append(make('div', { class: 'grow' }, range), make('div', { style: 'width: 5rem' }, number));
-        fill = (value) => { range.value = value; number.value = shown(value); };
+        fill = (value) => { fillIn(range, value); fillIn(number, shown(value)); };
       } else {
         body.append(make('div', { class: 'grow' }, number));
-        fill = (value) => { number.value = shown(value); };
+        fill = (value) => fillIn(number, shown(value));
       }
     } else if (kind === 'vector') {
       const numbers = text({ inputmode: 'decimal', change: () => set(key, typed(numbers.value)) });
       body.append(make('div', { class: 'grow' }, numbers));
-      fill = (value) => { numbers.value = shown(value); };
+      fill = (value) => fillIn(numbers, shown(value));
     } else if (kind === 'texture') {
       const file = text({ placeholder: 'picture file', change: () => set(key, file.value) });
       body.append(make('div', { class: 'grow' }, file));
-      fill = (value) => { file.value = String(value).includes(' x ') ? '' : value; file.placeholder = `picture file (now ${value})`; };
+      fill = (value) => { fillIn(file, String(value).includes(' x ') ? '' : value); file.placeholder = `picture file (now ${value})`; };
     } else {
-      const at = text({ inputmode: 'decimal', change: () => set(key, moved(parameter.value, typed(at.value))) });
-      const size = text({ inputmode: 'decimal', placeholder: '× 1', change: () => { set(key, scaled(parameter.value, Number(size.value))); size.value = ''; } });
+      const at = text({ inputmode: 'decimal', change: () => {
+        const to = typed(at.value);
+        const count = place(parameter.value).length;
+        if (to.length === count && to.every(Number.isFinite)) set(key, moved(parameter.value, to));
+        else host.say(`A place is ${count} numbers, such as ${shown(place(parameter.value))}, not '${at.value}'.`, 'error');
+      } });
+      const size = text({ inputmode: 'decimal', placeholder: '× 1', change: () => {
+        const by = numeric(size.value);
+        if (Number.isFinite(by)) set(key, scaled(parameter.value, by));
+        else host.say(`Scale by a number, such as 1.5, not '${size.value}'.`, 'error');
+        size.value = '';
+      } });
       body.append(make('label', { class: 'grow' }, make('span', {}, 'at'), at), make('label', { style: 'width: 4rem' }, make('span', {}, 'scale by'), size));
       if (parameter.value.length === 16) {
         const turn = text({ inputmode: 'decimal', placeholder: 'y 15', change: () => {
           const [axis, degrees] = turn.value.trim().split(/\s+/);
           const index = ['x', 'y', 'z'].indexOf(axis);
-          set(key, turned(parameter.value, Math.max(0, index), index < 0 ? NaN : Number(degrees)));
+          const by = numeric(degrees ?? '');
+          if (index >= 0 && Number.isFinite(by)) set(key, turned(parameter.value, index, by));
+          else host.say(`Turn by an axis and degrees, such as y 15, not '${turn.value}'.`, 'error');
           turn.value = '';
         } });
         body.append(make('label', { style: 'width: 4.5rem' }, make('span', {}, 'turn by'), turn));
       }
-      fill = (value) => { at.value = shown(place(value)); };
+      fill = (value) => fillIn(at, shown(place(value)));
     }
     const reset = make('button', { type: 'button', title: 'Back to the value of the file', click: () => host.send('reset', { key }) }, 'Reset');
     const element = make('div', { class: 'field' }, make('label', {}, make('span', {}, name)), body, reset);
@@ -114,7 +125,7 @@ export default function (host) {
     const wanted = filter.value.trim().toLowerCase();
     const visible = parameters.filter(({ key, plugin }) => `${key} ${plugin}`.toLowerCase().includes(wanted));
     const keys = visible.map(({ key }) => key).join('\n');
-    if (!force && keys === built) return;
+    if (!force && (keys === built || isTyping(list))) return;
     const open = new Set([...list.querySelectorAll('details[open]')].map((details) => details.dataset.name));
     built = keys;
     rows = new Map();

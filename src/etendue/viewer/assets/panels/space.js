@@ -10,7 +10,7 @@ const FACINGS = ['+x', '−x', '+y', '−y', '+z', '−z'];
 const MOST_OVER_PICTURE = 2000;
 
 export default function (host) {
-  const { make, short } = host;
+  const { make, numeric, short } = host;
   let view = null; // the open 3-D view
   let state = null;
   const held = { mesh: null, paths: null, photons: null, trees: null, solution: null, values: null };
@@ -40,7 +40,7 @@ export default function (host) {
   const lit = Object.assign(make('input', { type: 'checkbox', change: () => redraw() }), { checked: true });
   const pathsNote = make('p', { class: 'soft' }, 'Click into the picture to choose a place.');
   let place = [0.5, 0.5];
-  const trace = () => host.send('paths', { source: source.input.value, x: place[0], y: place[1], count: Number(count.input.value), depth: Number(depth.input.value) });
+  const trace = () => host.send('paths', { source: source.input.value, x: place[0], y: place[1], count: numeric(count.input.value), depth: numeric(depth.input.value) });
 
   const photons = number('Light paths', '5000');
   const dots = make('input', { type: 'range', min: 1, max: 12, step: 0.5, value: 4, 'aria-label': 'Size of points', input: () => redraw() });
@@ -57,7 +57,7 @@ export default function (host) {
   const area = number('Largest area of a patch', '', { placeholder: 'a thousandth of all' });
   const solved = number('or a file of a solution', '', { inputmode: 'text', placeholder: 'solution.npz' });
   const quantity = select('Show', [['radiosity', 'radiosity'], ['error', 'standard error'], ['residual', 'residual']], () => redraw());
-  const run = button('Solve', () => host.send(state?.panels.space.solving ? 'stop' : 'solve', { area: area.input.value === '' ? null : Number(area.input.value), file: solved.input.value }));
+  const run = button('Solve', () => host.send(state?.panels.space.solving ? 'stop' : 'solve', { area: area.input.value.trim() === '' ? null : numeric(area.input.value), file: solved.input.value }));
   const solveNote = make('p', { class: 'soft' });
   const patch = make('p', { class: 'numbers', 'aria-live': 'polite' });
 
@@ -69,10 +69,10 @@ export default function (host) {
     details('Paths', row(source.element), row(count.element, depth.element), row(colouring.element),
       make('label', { class: 'check' }, lit, make('span', {}, 'Edges to light points')), row(button('Trace', trace), button('Clear', () => clear('paths'))), pathsNote),
     details('Photons', row(photons.element, file.element), make('label', {}, make('span', {}, 'Size of points'), dots),
-      row(button('Trace', () => host.send('photons', { count: Number(photons.input.value), file: file.input.value })), button('Clear', () => clear('photons'))), photonsNote),
+      row(button('Trace', () => host.send('photons', { count: numeric(photons.input.value), file: file.input.value })), button('Clear', () => clear('photons'))), photonsNote),
     details('Trees and grids', row(tree.element, radius.element), make('label', {}, make('span', {}, 'Level'), level),
       make('label', { class: 'check' }, levels, make('span', {}, 'All levels up to this one')),
-      row(button('Show', () => host.send('tree', { kind: tree.input.value, count: Number(photons.input.value), radius: Number(radius.input.value) })), button('Clear', () => clear('trees'))), treesNote),
+      row(button('Show', () => host.send('tree', { kind: tree.input.value, count: numeric(photons.input.value), radius: radius.input.value.trim() === '' ? 0 : numeric(radius.input.value) })), button('Clear', () => clear('trees'))), treesNote),
     details('Radiosity', row(area.element, solved.element), row(run, quantity.element), row(button('Clear', () => { if (state?.panels.space.solving) host.send('stop'); held.values = null; solveNote.textContent = patch.textContent = ''; clear('solution'); })), solveNote, patch),
     details("Guide's directions", guideNote, guidePicture));
 
@@ -134,7 +134,7 @@ export default function (host) {
     const parts = [`${held.solution.areas.length} patches`];
     if (values.bundles) parts.push(`${values.bundles} bundles of lines`);
     parts.push(values.relative === null ? 'error not known' : `error ${short(100 * values.relative)} %`);
-    solveNote.textContent = `${parts.join(', ')}.`;
+    solveNote.textContent = `${parts.join(', ')}.${values.done && values.bundles ? ' No more lines are cast here; etendue radiosity has no such limit.' : ''}`;
   });
   host.on('guide', (message, data) => {
     const { density } = unpacked(message.arrays, data);
@@ -329,6 +329,9 @@ export default function (host) {
 
   // ---- what is under the pointer
 
+  /** A point in the scene's own coordinates. */
+  const ofScene = (point) => point.map((v, k) => v / held.mesh.space.scale + held.mesh.space.centre[k]);
+
   let last = 0;
   function pointed(x, y, pressed) {
     if (!view?.placed) return;
@@ -349,7 +352,7 @@ export default function (host) {
     else if (pressed) patch.textContent = '';
     if (!pressed) return;
     const point = add(ray.origin, ray.direction, meet(ray, triangle) ?? 0);
-    if (!held.solution) host.say(`${held.mesh.names[held.mesh.shape[hit]]} at ${point.map(short).join(' ')}`);
+    if (!held.solution) host.say(`${held.mesh.names[held.mesh.shape[hit]]} at ${ofScene(point).map(short).join(' ')}`);
     if (state.panels.space.guided) host.send('guide', { position: point, normal });
   }
 
