@@ -18,7 +18,7 @@ from etendue.jobs import check_picture, save_result
 from etendue.scene import MOVABLE, BundledScene, graph, locate, scene_xml
 
 from .camera import vertical_fov
-from .refining import Refinement
+from .refining import Refinement, Still
 
 if TYPE_CHECKING:
     from .session import Session
@@ -49,10 +49,12 @@ def save(session: Session, what: str, name: str) -> Path:
 
 
 def _spare_scene(session: Session, path: Path) -> None:
-    """Raise :class:`OptionError` if a file is the scene that is open."""
-    own = (_source(session.asked.scene) or {}).get("file")
+    """Raise :class:`OptionError` if a file is the scene, or the picture, that is open."""
+    is_still = isinstance(session.main, Still)
+    own = session.asked.scene if is_still else (_source(session.asked.scene) or {}).get("file")
     if own is not None and path.exists() and os.path.samefile(path, own):
-        raise OptionError(f"'{path.name}' is the scene that is open, which is not written over; give another name")
+        what = "picture" if is_still else "scene"
+        raise OptionError(f"'{path.name}' is the {what} that is open, which is not written over; give another name")
 
 
 def _save_picture(session: Session, path: Path) -> None:
