@@ -73,7 +73,7 @@ PROGRAMS = {
                 Benchmark("layers", "layers.measure", 3, "Cost of layers of first hits and of components."),
                 Benchmark("filters-display", "denoising.filters", 1, "Time of the filters of pictures."),
                 Benchmark(
-                    "denoise", "denoising.measure", 45, "Denoised after 5 s against raw after 40 s.", in_all=False
+                    "denoise", "denoised.measure", 38, "Denoised after 5 s against raw after 40 s.", in_all=False
                 ),
                 Benchmark(
                     "learned-light", "learned_light.measure", 75, "Learned emission, on beside off.", in_all=False

@@ -317,3 +317,18 @@ def test_the_view_factor_benchmark_measures_lines_and_says_how_to_get_the_others
         columns = dict(zip(record.columns, row, strict=True))
         assert 0 < float(columns["F J error"]) < 0.1 and 0 < float(columns["error"]) < 0.1
     assert any("how to install it" in note for note in record.notes)
+
+
+@pytest.mark.slow
+def test_the_benchmark_of_denoisers_goes_on_where_it_was_stopped(monkeypatch, tmp_path):
+    denoised = module("denoised")
+    monkeypatch.setattr(denoised, "CASES", {"cornell-box": denoised.Case("path", (48, 36))})
+    monkeypatch.setattr(denoised, "_PIECE", 0.2)
+    asked = {"short": 0.2, "long": 0.4, "seeds": 1, "reference": 0.4, "method": "", "out": str(tmp_path)}
+    asked |= {"scenes": ["cornell-box"], "denoisers": ["gaussian"]}
+    (first,) = denoised.measure(**asked, only_reference=False)
+    assert [row[0] for row in first.rows] == ["raw, 0.4 s", "gaussian, 0.2 s"] and float(first.rows[0][2]) == 1.0
+    assert "of that of the raw picture" in first.notes[0]
+    monkeypatch.setattr(denoised, "_rendered", None)  # nothing is rendered again
+    (again,) = denoised.measure(**asked, only_reference=False)
+    assert again.rows == first.rows

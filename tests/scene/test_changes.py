@@ -11,9 +11,19 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+import etendue
 from etendue import methods
-from etendue.core import OptionError
-from etendue.scene import LightEdits, ParameterChanges, Problem, SceneEditor, load, scene_xml
+from etendue.core import OptionError, SceneError
+from etendue.scene import (
+    LightEdits,
+    ParameterChanges,
+    Problem,
+    SceneEditor,
+    bundled,
+    load,
+    name_elements,
+    scene_xml,
+)
 
 
 def room() -> dict[str, Any]:
@@ -203,3 +213,61 @@ def test_a_texture_by_file(tmp_path: Path) -> None:
     changed = load(scene, size=(8, 8), change=ParameterChanges({texture: red, sky: red}))
     scene["white"]["bsdf"]["reflectance"]["filename"] = scene["sky"]["filename"] = red
     np.testing.assert_allclose(picture(changed, "path"), picture(load(scene, size=(8, 8)), "path"), rtol=1e-3)
+
+
+def _parameters(problem: Problem) -> dict[str, Any]:
+    """Numbers of all that a scene has, by name; what XML does not name is numbered in the order of the scene."""
+    values = mi.traverse(problem.scene)
+    found = {key: getattr(values[key], "matrix", values[key]) for key in values.keys()}  # noqa: SIM118
+    return {key: np.asarray(value, float).ravel() for key, value in found.items() if value is not None}
+
+
+@pytest.mark.parametrize("name", list(bundled()))
+def test_bundled_scenes_as_xml(name: str, tmp_path: Path) -> None:
+    """Meshes and bitmaps in memory become files; nothing is lost but the last digits."""
+    (tmp_path / "scene.xml").write_text(scene_xml(name, folder=tmp_path / "scene-files"))
+    one, other = (load(source, change=name_elements) for source in (name, tmp_path / "scene.xml"))
+    assert (one.size, one.max_depth, one.integrator, one.spp) == (
+        other.size,
+        other.max_depth,
+        other.integrator,
+        other.spp,
+    )
+    before, after = ([values for _, values in sorted(_parameters(p).items())] for p in (one, other))
+    sizes = [sorted(values.size for values in found) for found in (before, after)]
+    assert sizes[0] == sizes[1]
+    total, again = (np.sort([np.abs(values).sum() for values in found]) for found in (before, after))
+    np.testing.assert_allclose(again, total, rtol=1e-5)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(bundled()))
+def test_bundled_scenes_as_xml_give_the_same_picture(name: str, tmp_path: Path) -> None:
+    (tmp_path / "scene.xml").write_text(scene_xml(name, folder=tmp_path / "scene-files"))
+    settings = {"samples": 16, "size": (48, 36), "max_depth": 4, "seed": 3}
+    one, other = (etendue.render(source, "path", **settings).image for source in (name, tmp_path / "scene.xml"))
+    assert np.mean(other) == pytest.approx(np.mean(one), rel=2e-3)
+    assert np.median(np.abs(other - one)) <= 1e-3 * np.mean(one)
+
+
+def test_objects_in_memory_need_a_folder_and_unknown_ones_are_named(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="the mesh 'water' in memory"):
+        scene_xml("caustics")
+    scene = room() | {"own": mi.load_dict({"type": "sphere"})}
+    with pytest.raises(SceneError, match="object in memory"):
+        scene_xml(scene, folder=tmp_path / "files")
+    assert not (tmp_path / "files").exists()
+
+
+@pytest.mark.parametrize("is_raw", [False, True])
+def test_a_bitmap_in_memory_is_the_same_texture(is_raw: bool, tmp_path: Path) -> None:
+    """Eight bits with the sRGB curve, which a raw texture does not undo."""
+    pixels = np.random.default_rng(2).integers(0, 256, (4, 6, 3), dtype=np.uint8)
+    scene = room()
+    scene["white"]["bsdf"]["reflectance"] = {"type": "bitmap", "bitmap": mi.Bitmap(pixels), "raw": is_raw}
+    (tmp_path / "scene.xml").write_text(scene_xml(scene, folder=tmp_path / "files"))
+    found = []
+    for source in (scene, tmp_path / "scene.xml"):
+        values = mi.traverse(load(source).scene)
+        found.append(np.asarray(next(values[k] for k in values.keys() if k.endswith("reflectance.data"))))  # noqa: SIM118
+    np.testing.assert_allclose(found[1], found[0], rtol=2e-3, atol=1e-6)

@@ -9,6 +9,7 @@ import pytest
 from etendue.core import OptionError
 from etendue.scene import Problem, RenderSpace, bundled_scene, load
 from etendue.viewer.camera import Pose, place, projection, vertical_fov
+from etendue.viewer.preview import Preview
 
 
 def pose(**changes):
@@ -60,6 +61,17 @@ def test_the_pose_of_a_scene_is_that_of_its_sensor_and_projects_as_it_does():
 
 def test_the_vertical_field_of_view():
     assert vertical_fov(90.0, (200, 100)) == pytest.approx(math.degrees(2 * math.atan(0.5)))
+
+
+def test_moving_pictures_of_a_thin_lens_keep_their_trace():
+    """Without its aperture, which frozen functions do not know."""
+    problem = load("skylight", size=(32, 24))
+    (step, preview), pose = (0, Preview(problem)), Pose.of(problem)
+    pictures = [preview.picture(pose) for _ in range(3)]
+    (moving,) = preview._made.values()
+    assert moving._function != moving._radiance and preview._step == step
+    assert pictures[0].shape == (24, 32, 3) and not np.array_equal(pictures[0], pictures[1])
+    assert np.mean(pictures) == pytest.approx(0.21, rel=0.1)
 
 
 def seen_from(to_world, **sensor):

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import mitsuba as mi
 import numpy as np
 import pytest
 
 from etendue.core import OptionError, use_variant
 from etendue.density import HashGrid, KdTree
-from etendue.radiosity import find_objects, scene_patches
+from etendue.radiosity import find_objects, save_solution, scene_patches
 from etendue.scene import LightTable, load
 from etendue.transport import Event, PathRecorder
 from etendue.viewer.figures import meshes, packing, paths, solution, trees
@@ -100,7 +102,7 @@ def test_the_mesh_of_a_scene_has_the_area_of_its_shapes() -> None:
 
 
 @pytest.mark.slow
-def test_a_live_solution_converges_to_that_of_a_furnace(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_live_solution_converges_to_that_of_a_furnace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A closed cube whose walls reflect rho and emit e: every radiosity is e / (1 - rho)."""
     rho, radiance = 0.5, 1.0
     scene = {
@@ -123,6 +125,15 @@ def test_a_live_solution_converges_to_that_of_a_furnace(monkeypatch: pytest.Monk
     sides = mesh["triangles"][:, 1:] - mesh["triangles"][:, :1]
     areas = np.bincount(mesh["front"], 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1))
     np.testing.assert_allclose(areas, mesh["areas"], rtol=1e-4)
+    for error in (live.error, None):  # a saved one is shown as it was
+        save_solution(tmp_path / "kept.npz", live.solution, irradiance_error=error)
+        kept = solution.SavedSolution(live._problem, tmp_path / "kept.npz")
+        values = kept.values()
+        np.testing.assert_allclose(values["radiosity"], found["radiosity"], rtol=1e-6)
+        np.testing.assert_allclose(values["error"], found["error"] if error is not None else 0.0, rtol=1e-6)
+        assert kept.is_done and not kept.step() and (kept.error is None) == (error is None)
+        assert kept.names()[0] == live.names()[0] and (kept.names()[1] == live.names()[1]).all()
+        np.testing.assert_allclose(kept.mesh()["areas"], mesh["areas"], rtol=1e-6)
     bundles = live.bundles
     while not live.step(0.05):
         pass

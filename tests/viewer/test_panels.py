@@ -13,7 +13,7 @@ from support.viewing import Page
 import etendue
 from etendue import methods
 from etendue.film import read_exr
-from etendue.scene import load
+from etendue.scene import SceneEditor, load, name_elements
 
 SIZE = (32, 24)
 #: A scene that is parsed, but not built.
@@ -109,6 +109,31 @@ def test_an_edit_is_in_the_picture_in_the_file_and_after_a_light_is_added(viewer
     for more in made_anew[1][1:]:
         total = total + more
     np.testing.assert_allclose(method.develop(total, {}).image, shown, rtol=2e-3, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_an_edit_of_a_mesh_in_memory_stays_when_a_light_is_added(tmp_path):
+    """The meshes of `caustics` are built by code; the file that is saved has them as files."""
+    key = "stone.bsdf.specular_transmittance.value"
+    with etendue.view("caustics", "path", size=SIZE, samples=1, max_depth=2, folder=tmp_path) as made:
+
+        async def conversation(page):
+            own = (await state(page))["parameters"]
+            assert key in {p["key"] for p in own["parameters"]}
+            page.send("parameters.set", key=key, value=[0.5, 0.25, 0.75])
+            await state(page, lambda own: own["changes"])
+            page.send("lights.add", kind="sky", colour=[1, 1, 1])
+            found, _ = await page.until("state", lambda m: m["panels"]["lights"]["added"])
+            own = found["panels"]["parameters"]
+            assert own["changes"] == {key: [0.5, 0.25, 0.75]}
+            assert {p["key"]: p["value"] for p in own["parameters"]}[key] == [0.5, 0.25, 0.75]
+            page.send("save", what="scene", name="edited.xml")
+            await page.until("saved")
+
+        talk(made, conversation)
+    assert (tmp_path / "edited-files" / "stone.ply").is_file()
+    found = SceneEditor(load(tmp_path / "edited.xml", size=SIZE, change=name_elements).scene)
+    assert found.get(key).value == [0.5, 0.25, 0.75]
 
 
 @pytest.mark.slow

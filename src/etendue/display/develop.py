@@ -52,5 +52,6 @@ def develop(
             tell(f"no layer {' and '.join(missing)}: {kind.name} works better on a picture rendered with --aovs")
         if not kind.by_component:
             parts = [np.sum(parts, axis=0, dtype=np.float32)]
+        features = features if kind.prepare is None else kind.prepare(features)
         parts = [kind.function(part, features, radius, strength) for part in parts]
     return np.sum(parts, axis=0, dtype=np.float32)

@@ -66,7 +66,9 @@ class Task:
         ):
             if value is not None and (not is_whole(value) or value < least):
                 raise OptionError(f"{what} of at least {least}, not {value!r}")
-        self.method.Settings.from_mapping(self.settings, owner=f"method '{self.method.name}'")
+        settings = self.method.Settings.from_mapping(self.settings, owner=f"method '{self.method.name}'")
+        if getattr(settings, "cryptomatte", False):  # which tells shapes by their names
+            object.__setattr__(self, "merge", False)
 
     def place(self) -> dict[str, Any]:
         """Arguments of ``scene.load`` as plain values, to load the scene again. The scene is ``source``, a file, or

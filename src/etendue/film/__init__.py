@@ -10,6 +10,7 @@ from .components import (
     by_component,
     reflected,
 )
+from .cryptomatte import is_matte, matte_attributes, matte_layers
 from .developing import ESTIMATORS, FILM_COLUMNS, Development
 from .errors import (
     LUMINANCE,
@@ -47,8 +48,11 @@ __all__ = [
     "flip",
     "flip_error",
     "flip_is_installed",
+    "is_matte",
     "layer_path",
     "luminance_rmse",
+    "matte_attributes",
+    "matte_layers",
     "read_exr",
     "read_image",
     "reflected",

@@ -3,7 +3,7 @@
 The layer ``image`` is the file's R, G, B, so that every viewer shows the picture; another layer ``name`` has channels
 ``name.R``, ``name.G``, ``name.B`` (``name.X``, ``name.Y``, ``name.Z`` for normals and positions, ``name.Z`` for a
 depth, ``name.Y`` for any other single channel). Metadata are string attributes ``etendue:key``: text unchanged,
-anything else as JSON.
+anything else as JSON; but those of a :mod:`.cryptomatte` have the names that compositors know.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from etendue.core import OutputError, Result, SceneError
 
+from .cryptomatte import ATTRIBUTES
 from .output import replacing
 
 _PREFIX = "etendue:"
@@ -54,7 +55,8 @@ def write_exr(path: str | os.PathLike[str], result: Result) -> None:
         "type": OpenEXR.scanlineimage,
         "software": f"etendue {_own_version()}".strip(),
     }
-    header.update({_PREFIX + key: _encode(value) for key, value in result.metadata.items()})
+    for key, value in result.metadata.items():
+        header |= {key: value} if key.startswith(ATTRIBUTES) else {_PREFIX + key: _encode(value)}
     with replacing(path) as temporary:
         try:
             OpenEXR.File(header, channels).write(str(temporary))
@@ -106,6 +108,7 @@ def read_exr(path: str | os.PathLike[str]) -> Result:
         order = next((o for o in _CHANNEL_ORDERS if set(o) == members.keys()), None) or sorted(members)
         layers[layer] = np.stack([members[suffix] for suffix in order], axis=-1).astype(np.float32)
     metadata = {key.removeprefix(_PREFIX): _decode(v) for key, v in header.items() if key.startswith(_PREFIX)}
+    metadata |= {key: value for key, value in header.items() if key.startswith(ATTRIBUTES)}
     return Result(layers=layers, metadata=metadata)
 
 

@@ -40,7 +40,7 @@ from etendue.transport import (
     Visibility,
     Walker,
     component_fields,
-    shapes_seen,
+    seen_shapes,
 )
 from etendue.transport import dimensions as dim
 
@@ -118,6 +118,9 @@ class ImageSettings(Settings):
         False,
         "add layers of the components of light: emission, direct, caustic and indirect, whose sum is the picture",
     )
+    cryptomatte: bool = setting(
+        False, "add a Cryptomatte: ids of the shapes that a pixel shows and how much of it each covers, for compositing"
+    )
 
 
 @dataclass(frozen=True)
@@ -148,8 +151,8 @@ class ImageMethod(ABC):
     one_place = False
     #: An instance of ``Settings``.
     settings: Any
-    #: The layer of shapes and their names, if it is asked for; subclasses may have a ``prepare`` of their own.
-    _shapes: Any = None
+    #: Layers of shapes and their metadata, if asked for; subclasses may have a ``prepare`` of their own.
+    _shapes: tuple[dict[str, Any], dict[str, Any]] = {}, {}
 
     def __init__(self, settings: ImageSettings | None = None) -> None:
         self.settings = settings if settings is not None else self.Settings()
@@ -174,7 +177,7 @@ class ImageMethod(ABC):
         self._hits: FirstHits | None = None  # of the pass that is being made
         #: :meth:`max_edges` on the device, opaque.
         self.edges = dr.opaque(mi.UInt32, self.max_edges())
-        self._shapes = shapes_seen(problem) if self.settings.aovs else None
+        self._shapes = seen_shapes(problem, self.settings.aovs, self.settings.cryptomatte)
         self._most_cell_bytes = _CELL_SHARE * (problem.memory or free_memory() or math.inf)
 
     def bind(self, scene: mi.Scene | None) -> None:
@@ -241,8 +244,7 @@ class ImageMethod(ABC):
         names = (name for name in measurement.sums if not name.endswith(CONTRAST))
         layers = {name: measurement.mean(name).astype(np.float32) for name in names}
         metadata: dict[str, Any] = {"method": self.name, "settings": self.settings.to_dict()}
-        if self._shapes is not None:
-            layers["shape"], metadata["shapes"] = self._shapes
+        layers, metadata = layers | self._shapes[0], metadata | self._shapes[1]
         if self.settings.aovs and len(measurement.iterations) > 1:
             layers["variance"] = measurement.variance_of_mean().astype(np.float32)
         return Result(layers, metadata)

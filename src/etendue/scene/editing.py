@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from etendue.core import OptionError, SceneError, use_variant
+from etendue.film import replacing
 
+from .builtin.table import BundledScene
+from .meshes import MeshDescription
 from .parsing import Size, read_properties, resize
 from .plugins import object_type
 
@@ -22,6 +27,8 @@ _PYTHON_EMITTERS = ("focusarea",)
 
 #: A change of Mitsuba's parsed scene, before its objects are built.
 Change = Callable[["mi.parser.ParserState"], None]
+#: What writes a file, by its path.
+_Writing = dict[Path, Callable[[Path], None]]
 
 
 @dataclass(frozen=True)
@@ -53,7 +60,9 @@ def described_lights(source: Any, parameters: Mapping[str, Any] | None = None) -
 
     Raises :class:`SceneError` for a loaded scene, and for one that cannot be parsed.
     """
-    _, _, state = _described(source, parameters)
+    from .loading import _parse
+
+    *_, state = _parse(_locate(source), parameters)
     names = []
     for owner, key, emitter in _emitters(state):
         own = (_id(emitter.props) or _plain(key)) if owner is None else _id(owner.props)
@@ -92,17 +101,21 @@ def scene_xml(
     parameters: Mapping[str, Any] | None = None,
     change: Change | None = None,
     size: Size | None = None,
+    folder: Path | None = None,
 ) -> str:
     """The XML of a scene after a ``change``, its film of another ``size`` if one is given; names of files in it are
     absolute.
 
-    Raises :class:`SceneError` for a loaded scene, for one with objects in memory, and for one that cannot be parsed.
+    What the scene has in memory, meshes of bundled scenes (:class:`MeshDescription`) and bitmaps, is written to
+    ``folder``, which is made for it. Raises :class:`SceneError` for a loaded scene, for one with other objects in
+    memory, or with any of them without a ``folder``, and for one that cannot be parsed; :class:`OutputError` if a file
+    cannot be written.
     """
     import mitsuba as mi
 
     from .loading import _resolving
 
-    name, path, state = _described(source, parameters)
+    name, path, state, writing = _described(source, parameters, folder)
     if change is not None:
         change(state)
     if size is not None and any(node.type == mi.ObjectType.Film for node in state.nodes):
@@ -110,11 +123,64 @@ def scene_xml(
     with _resolving(path):
         _name_absolutely(state)
         _give_types(state)
+        writing |= _without_bitmaps(state, folder)
         try:
-            return str(mi.parser.write_string(state))
+            text = str(mi.parser.write_string(state))
         except (RuntimeError, ValueError, TypeError) as error:
-            text = re.sub(r"\s+", " ", str(error)).strip()
-            raise SceneError(f"the scene {name} cannot be written as XML: {text}") from error
+            why = re.sub(r"\s+", " ", str(error)).strip()
+            raise SceneError(f"the scene {name} cannot be written as XML: {why}") from error
+    for file, write in writing.items():
+        with contextlib.suppress(OSError):  # that the folder cannot be made is told by writing to it
+            file.parent.mkdir(exist_ok=True)
+        with replacing(file) as part:
+            write(part)
+    return text
+
+
+def _without_bitmaps(state: mi.parser.ParserState, folder: Path | None) -> _Writing:
+    """Let plugins with a bitmap in memory read a file in ``folder``; returns what writes the files."""
+    import mitsuba as mi
+
+    writing: _Writing = {}
+    for number, node in enumerate(state.nodes):
+        values = read_properties(node.props)
+        for key, value in values.items():
+            if isinstance(value, mi.Bitmap) and key == "bitmap":
+                kind, is_raw = node.props.plugin_name(), bool(values.get("raw", False))
+                # PNG has the sRGB curve, which a raw texture does not undo.
+                as_bytes = value.component_format() == mi.Struct.Type.UInt8 and (is_raw or value.srgb_gamma())
+                ending = "png" if as_bytes else "exr"
+                file = _in(folder, f"{_id(node.props) or kind}-{number}.{ending}", f"a picture of '{kind}'")
+                writing[file] = partial(_write_bitmap, value, is_raw)
+                del node.props[key]
+                node.props["filename"] = str(file)
+            elif isinstance(value, mi.Object):
+                what = f"'{_id(node.props) or node.props.plugin_name()}' has '{key}'"
+                raise SceneError(
+                    f"{what}, an object in memory ({type(value).__name__}), which cannot be written as XML; describe "
+                    "it by a dictionary"
+                )
+    return writing
+
+
+def _write_bitmap(bitmap: mi.Bitmap, is_raw: bool, path: Path) -> None:
+    """Write a bitmap as PNG, or as OpenEXR, as linear as the plugin takes it: one that is ``raw`` stays as it is."""
+    import mitsuba as mi
+
+    if path.suffix == ".png":
+        bitmap.write(str(path))
+        return
+    own = mi.Bitmap(bitmap)
+    if is_raw:
+        own.set_srgb_gamma(False)
+    own.convert(component_format=mi.Struct.Type.Float32, srgb_gamma=False).write(str(path))
+
+
+def _in(folder: Path | None, name: str, what: str) -> Path:
+    """The place of a file for what a scene has in memory."""
+    if folder is None:
+        raise SceneError(f"the scene has {what} in memory, which XML cannot hold; give a folder for its files")
+    return folder.absolute() / re.sub(r"[^\w.-]", "_", name)
 
 
 def _give_types(state: mi.parser.ParserState) -> None:
@@ -133,16 +199,34 @@ def _give_types(state: mi.parser.ParserState) -> None:
                 node.type = mi.ObjectType.Integrator if known is None else known
 
 
-def _described(source: Any, parameters: Mapping[str, Any] | None) -> tuple[str, Path | None, mi.parser.ParserState]:
-    """(name, file, parsed description) of a scene."""
-    from .loading import _is_loaded, _parse, locate
+def _described(
+    source: Any, parameters: Mapping[str, Any] | None, folder: Path | None
+) -> tuple[str, Path | None, mi.parser.ParserState, _Writing]:
+    """(name, file, parsed description, what writes the meshes that it reads from ``folder``) of a scene."""
+    from .loading import _parse
+
+    found = _locate(source)
+    writing: _Writing = {}
+    if not isinstance(found, BundledScene):
+        name, path, _, state = _parse(found, parameters)
+        return name, path, state, writing
+    described = found.describe()
+    for key, value in described.items():
+        if isinstance(value, MeshDescription):
+            file = _in(folder, f"{key}.ply", f"the mesh '{key}'")
+            writing[file], described[key] = value.write, value.of_file(file)
+    _, path, _, state = _parse(described, parameters)
+    return found.name, path, state, writing
+
+
+def _locate(source: Any) -> Any:
+    """What the parser reads of a scene. Raises :class:`SceneError` for one that is loaded."""
+    from .loading import _is_loaded, locate
 
     use_variant()
     if _is_loaded(source):
         raise SceneError("a scene in memory has no description; give its file or its dictionary")
-    found = locate(source, lambda _: None) if isinstance(source, (str, os.PathLike)) else source
-    name, path, _, state = _parse(found, parameters)
-    return name, path, state
+    return locate(source, lambda _: None) if isinstance(source, (str, os.PathLike)) else source
 
 
 def _name_absolutely(state: mi.parser.ParserState) -> None:

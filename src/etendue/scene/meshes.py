@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,30 +17,51 @@ Points = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 
-def mesh(
-    name: str,
-    points: Points,
-    faces: Faces,
-    bsdf: dict[str, Any],
-    normals: Points | None = None,
-    emitter: dict[str, Any] | None = None,
-) -> mi.Mesh:
-    """A mesh from (n, 3) points, (m, 3) faces and, for smooth shading, (n, 3) normals; ``emitter``: radiance of a mesh
-    that is a light."""
-    import mitsuba as mi
+@dataclass(frozen=True)
+class MeshDescription:
+    """A mesh of a bundled scene before it is built: (n, 3) points, (m, 3) faces and, for smooth shading, (n, 3)
+    normals; ``emitter``: radiance of a mesh that is a light. Kept, because a built mesh cannot be written as XML."""
 
-    properties = mi.Properties()
-    properties["mesh_bsdf"] = mi.load_dict(bsdf)
-    if emitter is not None:
-        properties["mesh_emitter"] = mi.load_dict({"type": "area", "radiance": emitter})
-    result = mi.Mesh(name, len(points), len(faces), has_vertex_normals=normals is not None, props=properties)
-    parameters = mi.traverse(result)
-    parameters["vertex_positions"] = np.ascontiguousarray(points, np.float32).ravel()
-    parameters["faces"] = np.ascontiguousarray(faces, np.uint32).ravel()
-    if normals is not None:
-        parameters["vertex_normals"] = np.ascontiguousarray(normals, np.float32).ravel()
-    parameters.update()
-    return result
+    name: str
+    points: Points
+    faces: Faces
+    bsdf: dict[str, Any]
+    normals: Points | None = None
+    emitter: dict[str, Any] | None = None
+
+    def build(self) -> mi.Mesh:
+        """The mesh with its material and light."""
+        import mitsuba as mi
+
+        properties = mi.Properties()
+        properties["mesh_bsdf"] = mi.load_dict(self.bsdf)
+        if self.emitter is not None:
+            properties["mesh_emitter"] = mi.load_dict({"type": "area", "radiance": self.emitter})
+        return self._mesh(properties)
+
+    def write(self, path: Path) -> None:
+        """Write the surface alone as PLY, in the order and precision of :meth:`build`."""
+        import mitsuba as mi
+
+        self._mesh(mi.Properties()).write_ply(str(path))
+
+    def of_file(self, path: Path) -> dict[str, Any]:
+        """The plugin that reads the file of :meth:`write`."""
+        plugin = {"type": "ply", "filename": str(path), "face_normals": self.normals is None, "bsdf": self.bsdf}
+        return plugin if self.emitter is None else plugin | {"emitter": {"type": "area", "radiance": self.emitter}}
+
+    def _mesh(self, properties: mi.Properties) -> mi.Mesh:
+        import mitsuba as mi
+
+        is_smooth = self.normals is not None
+        result = mi.Mesh(self.name, len(self.points), len(self.faces), has_vertex_normals=is_smooth, props=properties)
+        parameters = mi.traverse(result)
+        parameters["vertex_positions"] = np.ascontiguousarray(self.points, np.float32).ravel()
+        parameters["faces"] = np.ascontiguousarray(self.faces, np.uint32).ravel()
+        if is_smooth:
+            parameters["vertex_normals"] = np.ascontiguousarray(self.normals, np.float32).ravel()
+        parameters.update()
+        return result
 
 
 def cuboids(lower: Points, upper: Points) -> tuple[Points, Faces]:

@@ -18,17 +18,18 @@ if TYPE_CHECKING:
     import mitsuba as mi
 
 
-def resized(problem: Problem, size: Size) -> Problem:
-    """The same view of the same scene on a film whose window has (width, height) ``size``, without loading again."""
+def resized(problem: Problem, size: Size, pinhole: bool = False) -> Problem:
+    """The same view of the same scene on a film whose window has (width, height) ``size``, without loading again.
+    ``pinhole``: without the aperture of a thin lens."""
     film = [int(v) for v in problem.sensor.film().size()]
     whole = tuple(max(1, round(f * s / w)) for f, s, w in zip(film, size, problem.size, strict=True))
-    sensor = resized_sensor(problem.sensor, (whole[0], whole[1]))
+    sensor = resized_sensor(problem.sensor, (whole[0], whole[1]), pinhole)
     width, height = (int(v) for v in sensor.film().crop_size())
     return replace(problem, sensor=sensor, size=(width, height))
 
 
-def resized_sensor(sensor: mi.Sensor, size: Size) -> mi.Sensor:
-    """A copy of a sensor with a film of another size.
+def resized_sensor(sensor: mi.Sensor, size: Size, pinhole: bool = False) -> mi.Sensor:
+    """A copy of a sensor with a film of another size; ``pinhole``: without the aperture of a thin lens.
 
     Changing the film through ``mi.traverse`` would alter the user's scene and leave the sensor with its old resolution.
     """
@@ -48,6 +49,9 @@ def resized_sensor(sensor: mi.Sensor, size: Size) -> mi.Sensor:
     plain: dict[str, Any] = {
         k: float(np.asarray(v).ravel()[0]) for k, v in values.items() if k not in ("x_fov", "shutter_open_time")
     }
+    if pinhole and kind == "thinlens":
+        kind = "perspective"
+        del plain["aperture_radius"], plain["focus_distance"]
     plain["shutter_close"] = plain.get("shutter_open", 0.0) + float(values["shutter_open_time"])
     if "x_fov" in values:
         plain |= {"fov": float(np.asarray(values["x_fov"]).ravel()[0]), "fov_axis": "x"}

@@ -15,7 +15,7 @@ from .direct import DirectWeights
 from .emission import DirectSample, EmittedRay, emission_of_hit, emit, is_emissive, sample_direct
 from .endings.ambient import AMBIENT_WALKS, AmbientScene, AmbientTable, ambient_scene
 from .endings.maps import EndingGuidedWalk, EndingWalker, light_of_map
-from .firsthits import FirstHits, shapes_seen
+from .firsthits import FirstHits, seen_shapes
 from .functions import TransportFunctions, film_picture
 from .guiding.emission import EmissionGuide, EmissionSums, EmissionTraining
 from .guiding.guide import NOWHERE, Guide, GuidedScattered, direction_of, square_of
@@ -158,8 +158,8 @@ __all__ = [
     "scatter_camera",
     "scatter_light",
     "scatter_uniform",
+    "seen_shapes",
     "shadow_roulette",
-    "shapes_seen",
     "square_of",
     "stratified_hemispheres",
     "unfolded",

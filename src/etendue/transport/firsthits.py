@@ -1,5 +1,5 @@
 """What camera rays meet first: albedo, shading normal, depth and emission, recorded by the walk that traces the rays;
-the shape in the middle of each pixel."""
+the shape in the middle of each pixel, and the shapes that cover it."""
 
 from __future__ import annotations
 
@@ -10,13 +10,19 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from etendue.core import IndependentSource
+from etendue.film import matte_attributes, matte_layers
 from etendue.scene import Problem, graph
 
+from . import dimensions as dim
 from .bidirectional.photons import packed_normal, unpacked_normal
+from .camera import CameraSampler
 from .vertex import WalkVertex
 
 #: Packets of four floats of a camera ray: albedo and depth; emission and the packed shading normal.
 _PACKETS = 2
+#: Rays of a pixel along a side that tell what covers it, and the most shapes that are kept.
+_RAYS, _RANKS = 8, 6
 
 
 class FirstHits:
@@ -83,20 +89,74 @@ class FirstHits:
         return layers, sum(int(dr.sum(flags)[0]) for flags in bad)
 
 
-def shapes_seen(problem: Problem) -> tuple[NDArray[np.float32], list[str]]:
-    """(numbers from 1 of the shapes that the rays through the middle of the pixels meet, 0 for none, as (height, width,
-    1); names of the shapes, ids of the scene, or type and number). An instance is one shape."""
-    (width, height), shapes = problem.size, list(problem.scene.shapes())
-    pixel = dr.arange(mi.UInt32, width * height)
-    y = pixel // width
-    place = mi.Point2f((mi.Float(pixel - y * width) + 0.5) / width, (mi.Float(y) + 0.5) / height)
-    ray, _ = problem.sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))
+def seen_shapes(problem: Problem, middle: bool, matte: bool) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
+    """(layers, metadata) of the shapes that pixels show: with ``middle`` the layer ``shape`` of numbers from 1 of those
+    in the middle of the pixels, 0 for none, with the names ``shapes``; with ``matte`` a Cryptomatte of the names, whose
+    coverage is the share of 64 rays. Names are ids of the scene, or type and number. An instance is one shape."""
+    if not (middle or matte):
+        return {}, {}
+    width, height = problem.size
+    shapes = list(problem.scene.shapes())
+    names = [graph.name(one) or f"{graph.plugin_name(one)} {number}" for number, one in enumerate(shapes, 1)]
+    layers: dict[str, NDArray[np.float32]] = {}
+    metadata: dict[str, Any] = {}
+    if middle:
+        pixel = dr.arange(mi.UInt32, width * height)
+        y = pixel // width
+        place = mi.Point2f((mi.Float(pixel - y * width) + 0.5) / width, (mi.Float(y) + 0.5) / height)
+        ray, _ = problem.sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))
+        seen = _numbered(shapes, np.array(_seen(problem, ray)))
+        layers["shape"], metadata["shapes"] = seen.astype(np.float32).reshape(height, width, 1), names
+    if matte:
+        found, counts = _covering(problem)
+        coverage = (counts / np.float32(_RAYS**2)).reshape(height, width, _RANKS)
+        layers |= matte_layers(_numbered(shapes, found).reshape(height, width, _RANKS), coverage, names)
+        metadata |= matte_attributes(names)
+    return layers, metadata
+
+
+def _seen(problem: Problem, ray: mi.Ray3f) -> mi.UInt32:
+    """The pointer to the shape, or to the instance, that rays meet first; 0 for none."""
     hit = problem.scene.ray_intersect_preliminary(ray)
     instance, shape = (dr.reinterpret_array(mi.UInt32, pointer) for pointer in (hit.instance, hit.shape))
-    seen = np.array(dr.select(hit.is_valid(), dr.select(instance != 0, instance, shape), 0))
+    return dr.select(hit.is_valid(), dr.select(instance != 0, instance, shape), 0)
+
+
+def _numbered(shapes: list[mi.Shape], seen: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """Numbers from 1 of shapes, by their pointers."""
     pointers = [int(np.ravel(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(one)))[0]) for one in shapes]
-    numbers = np.zeros(max([0, int(seen.max()), *pointers]) + 1, np.float32)
+    numbers = np.zeros(max([0, int(seen.max()), *pointers]) + 1, np.uint32)
     numbers[pointers] = np.arange(1, len(shapes) + 1)
-    numbers[0] = 0.0
-    names = [graph.name(one) or f"{graph.plugin_name(one)} {number}" for number, one in enumerate(shapes, 1)]
-    return numbers[seen].reshape(height, width, 1), names
+    numbers[0] = 0
+    found: NDArray[np.uint32] = numbers[seen]
+    return found
+
+
+def _covering(problem: Problem) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
+    """(pointers to shapes that the rays of a pixel meet first, numbers of these rays), (pixels, ranks) both. The places
+    of the rays are even over the pixel, in proportion to the absolute value of the film's filter."""
+    camera = CameraSampler(problem, independent=True)
+    pixel, side = dr.arange(mi.UInt32, camera.pixels), dr.opaque(mi.UInt32, _RAYS)
+    y = pixel // camera.width
+    x = pixel - y * camera.width
+    source = IndependentSource(pixel, 0, "cover", 0)
+
+    def ray(number: mi.UInt32, *ranks: mi.UInt32) -> tuple[mi.UInt32, ...]:
+        down = number // side
+        u, v = ((mi.Float(k) + 0.5) / _RAYS for k in (number - down * side, down))
+        film_x, film_y, _ = camera.filter.camera(x, y, u, v)
+        aperture = mi.Point2f(*source.next_2d(number, dim.APERTURE))
+        place = mi.Point2f(film_x / camera.width, film_y / camera.height)
+        shape = _seen(problem, problem.sensor.sample_ray(0.0, 0.5, place, aperture)[0])
+        placed, result = shape == 0, []
+        for known, count in zip(ranks[:_RANKS], ranks[_RANKS:], strict=True):
+            here = ~placed & ((count == 0) | (known == shape))
+            placed |= here
+            result.append((dr.select(here, shape, known), dr.select(here, count + 1, count)))
+        return number + 1, *(known for known, _ in result), *(count for _, count in result)
+
+    nothing = [dr.zeros(mi.UInt32, camera.pixels) for _ in range(2 * _RANKS)]
+    _, *ranks = dr.while_loop((mi.UInt32(0), *nothing), lambda number, *_: number < side * side, ray)
+    dr.eval(ranks)
+    shapes, counts = (np.stack([np.array(rank) for rank in half], 1) for half in (ranks[:_RANKS], ranks[_RANKS:]))
+    return shapes, counts.astype(np.float32)

@@ -19,7 +19,7 @@ from .camera import place
 from .clients import Client
 from .comparing import Comparison
 from .protocol import number, text
-from .refining import checked
+from .refining import Still, checked
 
 if TYPE_CHECKING:
     from .session import Session
@@ -80,10 +80,13 @@ def _views(session: Session, client: Client, message: Mapping[str, Any]) -> None
 def _pick(session: Session, client: Client, message: Mapping[str, Any]) -> None:
     import mitsuba as mi
 
-    problem, pose = _scene(session)
     x, y = number(message, "x"), number(message, "y")
     if not (0.0 <= x <= 1.0 and 0.0 <= y <= 1.0):
         raise OptionError("a place in the picture has x and y from 0 to 1")
+    if isinstance(session.main, Still):
+        client.send("picked", x=x, y=y, radiance=_radiance(session, x, y), shape=None)
+        return
+    problem, pose = _scene(session)
     place(problem.sensor, pose)
     ray, _ = problem.sensor.sample_ray(0.0, 0.5, mi.Point2f(x, y), mi.Point2f(0.5))
     si = problem.scene.ray_intersect(ray)
@@ -107,6 +110,8 @@ def _pick(session: Session, client: Client, message: Mapping[str, Any]) -> None:
 
 def _render(session: Session, client: Client, message: Mapping[str, Any]) -> None:
     asked = session.asked
+    if isinstance(session.main, Still):
+        _scene(session)
     if "method" in message or "settings" in message:
         method = methods.get(text(message, "method", asked.method)).name
         settings = message.get("settings", asked.settings if method == asked.method else {})
@@ -141,18 +146,25 @@ def _compare(session: Session, client: Client, message: Mapping[str, Any]) -> No
     as_map = bool(message.get("map", session.compared.map if session.compared is not None else False))
     if message.get("reference"):
         name = text(message, "reference")
-        problem, _ = _scene(session)
         before = session.compared
         if before is not None and before.name == name:  # shown in another way
             before.map = as_map
             session.compare(before)
             return
         picture = film.read_image(name)
-        _fit(session, problem, (picture.shape[1], picture.shape[0]))
+        size = picture.shape[1], picture.shape[0]
+        if isinstance(session.main, Still):
+            if session.main.size != size:
+                raise OptionError(f"the reference has {_by(size)} pixels, the picture {_by(session.main.size)}")
+            session.compare(Comparison(name=name, reference=picture, map=as_map))
+            return
+        problem, _ = _scene(session)
+        _fit(session, problem, size)
         assert session.home is not None
         session.move(session.home)  # which the reference was made with
         session.compare(Comparison(name=name, reference=picture, map=as_map))
     elif message.get("method"):
+        _scene(session)
         method = methods.get(text(message, "method")).name
         settings = _settings(session, method, message.get("settings", {}))
         before = session.compared
@@ -183,9 +195,9 @@ def _fit(session: Session, problem: Problem, size: tuple[int, int]) -> None:
 def _open(session: Session, client: Client, message: Mapping[str, Any]) -> None:
     name = text(message, "scene").strip()
     if not name:
-        raise OptionError("give a scene file or the name of a bundled scene")
+        raise OptionError("give a scene file, the name of a bundled scene, or a picture")
     fresh = type(session.asked.lights)()
-    session.open(replace(session.asked, scene=name, parameters=None, sensor=0, lights=fresh))
+    session.open(replace(session.asked, scene=name, parameters=None, sensor=0, lights=fresh, solution=None))
     session.changed()
 
 
@@ -219,7 +231,8 @@ COMMANDS: Final[dict[str, Callable[[Session, Client, Mapping[str, Any]], None]]]
 def _scene(session: Session) -> tuple[Any, Any]:
     """(problem, pose). Raises :class:`OptionError` if no scene is loaded."""
     if session.problem is None or session.pose is None:
-        raise OptionError("no scene is loaded; open one first")
+        what = "this is a picture without a scene" if isinstance(session.main, Still) else "no scene is loaded"
+        raise OptionError(f"{what}; open one first")
     return session.problem, session.pose
 
 
@@ -245,6 +258,10 @@ def _size(values: Any) -> tuple[int, int]:
     if not isinstance(values, list) or len(values) != 2 or not all(is_whole(v) and low <= v <= high for v in values):
         raise OptionError(f"the sides of a picture are whole numbers from {low} to {high}, not {values!r}")
     return int(values[0]), int(values[1])
+
+
+def _by(size: tuple[int, int]) -> str:
+    return f"{size[0]}x{size[1]}"
 
 
 def _index(value: Any, count: int) -> int:

@@ -109,6 +109,7 @@ def view(
     port: int = 0,
     tev: str | None = None,
     folder: str | Path = ".",
+    solution: str | Path | None = None,
     **settings: Any,
 ) -> Viewer:
     """Show ``scene`` live in the browser, and in a notebook below the cell. The arguments are those of
@@ -117,7 +118,8 @@ def view(
     The server listens at ``host`` and ``port`` (0: any that is free); its address has a token. The session goes on in
     the background until ``close()``; while it does, use no other Mitsuba or Dr.Jit code in this process, or pause it in
     the page. Files that are saved are written to ``folder``. ``tev`` is the address of the image viewer tev, such as
-    ``localhost:14158``, which then shows the picture and its layers, too.
+    ``localhost:14158``, which then shows the picture and its layers, too. ``solution`` is a file of a solution of
+    radiosity, which the 3-D view then shows.
 
     Raises :class:`OptionError` for an argument out of range, and :class:`BackendError` if tornado is not installed. A
     scene that cannot be loaded is told in the page, where another can be opened.
@@ -134,5 +136,6 @@ def view(
         memory=memory,
         seed=seed,
         folder=Path(folder).absolute(),
+        solution=None if solution is None else Path(solution).absolute(),
     )
     return Viewer(asked, host, port, tev)

@@ -48,7 +48,8 @@ class Preview:
         """The picture from a pose, (height, width, 3), smaller than the whole."""
         begin = time.perf_counter()
         if self._step not in self._made:
-            self._made[self._step] = Moving(resized(self._problem, self._size(self._step)))
+            # Mitsuba 3.9.1 hides the aperture of a thin lens from frozen functions, and a pinhole is less noisy.
+            self._made[self._step] = Moving(resized(self._problem, self._size(self._step), pinhole=True))
         picture = self._made[self._step].picture(pose)
         self._seconds.append(time.perf_counter() - begin)
         self._adapt()

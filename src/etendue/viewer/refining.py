@@ -1,18 +1,23 @@
-"""A picture that is refined pass by pass, by a method of the registry through the engine's protocol."""
+"""A picture that is refined pass by pass, by a method of the registry through the engine's protocol; or one of a
+file."""
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
-from etendue import methods
+from etendue import film, methods
 from etendue.core import Measurement, Replica, Result, Settings
 from etendue.engine import LEAST_PASSES_FOR_ERROR, Budget, Task, task_settings, versions
 from etendue.scene import Problem
 
 #: Growth of the number of passes between two estimates of the noise.
 _CADENCE = 1.05
+#: Endings of pictures.
+_PICTURES = (".exr", ".png", ".jpg", ".jpeg", ".hdr")
 
 
 class Refinement:
@@ -123,6 +128,48 @@ class Refinement:
             "noise": self.noise,
             "done": self.is_done,
         }
+
+
+class Still:
+    """A picture of a file with its layers, in place of one that is refined. Raises the errors of reading it."""
+
+    is_done, passes = True, 1
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        image = film.read_image(path)
+        read = film.read_exr(path) if Path(path).suffix.lower() == ".exr" else Result({})
+        self._result = Result(read.layers | {"image": image}, read.metadata)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height."""
+        height, width = self._result.image.shape[:2]
+        return int(width), int(height)
+
+    @property
+    def method(self) -> str:
+        """That which made it, if the file tells."""
+        return str(self._result.metadata.get("method", "picture"))
+
+    def result(self) -> Result:
+        """The picture with its layers."""
+        return Result(dict(self._result.layers), dict(self._result.metadata))
+
+    def progress(self) -> dict[str, Any]:
+        """For the page, as far as the file tells."""
+        about = self._result.metadata
+        known = {key: about.get(key, 0) for key in ("passes", "samples", "seconds")}
+        return {
+            "method": self.method,
+            "rays_per_second": None,
+            "noise": about.get("relative_error"),
+            "done": True,
+        } | known
+
+
+def is_picture(source: Any) -> bool:
+    """Whether a source is the file of a picture, by its ending."""
+    return isinstance(source, (str, os.PathLike)) and Path(source).suffix.lower() in _PICTURES
 
 
 def checked(problem: Problem, method: str, settings: Mapping[str, Any]) -> Any:

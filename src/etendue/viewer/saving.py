@@ -18,6 +18,7 @@ from etendue.jobs import check_picture, save_result
 from etendue.scene import MOVABLE, BundledScene, graph, locate, scene_xml
 
 from .camera import vertical_fov
+from .refining import Refinement, Still
 
 if TYPE_CHECKING:
     from .session import Session
@@ -39,7 +40,7 @@ def save(session: Session, what: str, name: str) -> Path:
         )
     if Path(name).suffix.lower() not in endings:
         raise OptionError(f"a {what} is written as {' or '.join(endings)}, not as '{name}'; change the name")
-    if session.problem is None:
+    if session.problem is None and (what != "picture" or session.main is None):
         raise OptionError("no scene is loaded; open one first")
     path = session.asked.folder / name
     _spare_scene(session, path)
@@ -48,18 +49,21 @@ def save(session: Session, what: str, name: str) -> Path:
 
 
 def _spare_scene(session: Session, path: Path) -> None:
-    """Raise :class:`OptionError` if a file is the scene that is open."""
-    own = (_source(session.asked.scene) or {}).get("file")
+    """Raise :class:`OptionError` if a file is the scene, or the picture, that is open."""
+    is_still = isinstance(session.main, Still)
+    own = session.asked.scene if is_still else (_source(session.asked.scene) or {}).get("file")
     if own is not None and path.exists() and os.path.samefile(path, own):
-        raise OptionError(f"'{path.name}' is the scene that is open, which is not written over; give another name")
+        what = "picture" if is_still else "scene"
+        raise OptionError(f"'{path.name}' is the {what} that is open, which is not written over; give another name")
 
 
 def _save_picture(session: Session, path: Path) -> None:
     """EXR: all layers, linear, as rendered. PNG: as shown."""
     result = session.main.result() if session.main is not None else None
-    if result is None or session.problem is None or session.pose is None:
+    if result is None:
         raise OptionError("there is no picture yet; wait for the first pass")
-    result.metadata["camera"] = session.pose.plain(session.problem)
+    if session.problem is not None and session.pose is not None:
+        result.metadata["camera"] = session.pose.plain(session.problem)
     show = session.show
     if check_picture(path) == ".exr":
         if show.denoise:
@@ -72,11 +76,8 @@ def _save_picture(session: Session, path: Path) -> None:
 
 
 def _save_scene(session: Session, path: Path) -> None:
-    write_bytes(path, scene_text(session).encode())
-
-
-def scene_text(session: Session) -> str:
-    """The scene as XML: with the session's camera, its lights, the edits of panels, and the size that is asked for."""
+    """The scene as XML: with the session's camera, its lights, the edits of panels, and the size that is asked for.
+    Meshes and pictures that it has in memory are written to a folder beside it."""
 
     def change(state: mi.parser.ParserState) -> None:
         session.asked.lights(state)
@@ -84,7 +85,8 @@ def scene_text(session: Session) -> str:
             panel.describe(state)
         _set_camera(session, state)
 
-    return scene_xml(session.asked.scene, session.asked.parameters, change, session.asked.size)
+    asked, folder = session.asked, path.with_name(f"{path.stem}-files")
+    write_bytes(path, scene_xml(asked.scene, asked.parameters, change, asked.size, folder).encode())
 
 
 def _set_camera(session: Session, state: mi.parser.ParserState) -> None:
@@ -113,7 +115,7 @@ def _save_run(session: Session, path: Path) -> None:
     if own is None or asked.lights or _is_edited(session) or (moved and camera is None):
         scene = path.with_name(f"{path.stem}-scene.xml")
         _spare_scene(session, scene)
-        write_bytes(scene, scene_text(session).encode())
+        _save_scene(session, scene)
         session.saved[scene.name] = scene
         tables: dict[str, Any] = {"scene": {"file": scene.name}}
     else:
@@ -153,7 +155,8 @@ def _run_camera(session: Session) -> dict[str, Any] | None:
 def _samples(session: Session) -> int:
     """Those of the picture, or of the scene's file before the first pass."""
     assert session.problem is not None
-    return session.main.samples if session.main is not None and session.main.samples else max(1, session.problem.spp)
+    main = session.main
+    return main.samples if isinstance(main, Refinement) and main.samples else max(1, session.problem.spp)
 
 
 def _film(problem: Any) -> tuple[int, int]:

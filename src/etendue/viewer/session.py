@@ -29,7 +29,7 @@ from .clients import Audience, Client
 from .comparing import Comparison
 from .panels import Panel, panels
 from .preview import Preview
-from .refining import Refinement
+from .refining import Refinement, Still, is_picture
 from .shown import Show
 from .states import Asked
 
@@ -57,7 +57,7 @@ class Session:
         self.views: list[Pose] = []
         self.show = Show()
         self.layers: Mapping[str, Picture] = {}  #: of the latest picture of the method, without data before it
-        self.main: Refinement | None = None
+        self.main: Refinement | Still | None = None
         self.compared: Comparison | None = None
         self.paused = False
         self.trouble = ""  #: why there is no picture, or no more passes
@@ -72,6 +72,7 @@ class Session:
         self._moved = False  # since the last moving picture
         self._dirty = True  # something is to be shown
         self._shown_at, self._show_seconds, self._stops = 0.0, 0.0, 0.0
+        self._progress: dict[str, Any] = {}  # as pages were told last
         self._inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._closing = threading.Event()
         self._flags = jit_flags()
@@ -93,6 +94,8 @@ class Session:
             client.send("about", **states.about(self))
             client.send("state", **self.state())
             self.clients.add(client)
+            if self._progress:
+                client.send("progress", **self._progress)
 
         self._inbox.put(welcome)
 
@@ -146,8 +149,8 @@ class Session:
         for one in self.clients if client is None else [client]:
             one.send("error", text=text)
 
-    def move(self, pose: Pose) -> None:
-        """Show the scene from another pose."""
+    def move(self, pose: Pose | None) -> None:
+        """Show the scene from another pose; a picture of a file has none."""
         self.pose = pose
         self._moved = True
         self._moving_until = time.monotonic() + _REST
@@ -155,7 +158,7 @@ class Session:
 
     def again(self) -> None:
         """What is rendered has changed: the picture starts anew."""
-        self.main = None
+        self.main = self.main if isinstance(self.main, Still) else None
         self.trouble = ""
         if self.compared is not None:
             self.compared.restart()
@@ -182,26 +185,27 @@ class Session:
         self.again()
 
     def open(self, asked: Asked, keep_pose: bool = False) -> None:
-        """Load a scene and show it. Raises the errors of loading; the scene of before stays then. ``keep_pose``: it is
-        the scene of before, and its camera and views stay where they are."""
-        problem = asked.load(lambda state: self._change(asked, state))
-        home, before = Pose.of(problem), self.problem
+        """Load a scene, or a picture, and show it. Raises the errors of loading; what was there stays then.
+        ``keep_pose``: it is the scene of before, and its camera and views stay where they are."""
+        still = Still(asked.scene) if is_picture(asked.scene) else None
+        problem = None if still is not None else asked.load(lambda state: self._change(asked, state))
+        home, before = None if problem is None else Pose.of(problem), self.problem
 
         def kept(pose: Pose) -> Pose:
-            assert before is not None
+            assert before is not None and problem is not None and home is not None
             return home if pose is self.home else pose.carried(before.space, problem.space)
 
-        if keep_pose and self.pose is not None and before is not None:
-            pose, self.views = kept(self.pose), [kept(view) for view in self.views]
-        else:
-            pose, self.views = home, []
-        self.asked, self.problem, self.home = asked, problem, home
-        self._preview, self.layers = Preview(problem), {}
+        pose, views = home, list[Pose]()
+        if keep_pose and self.pose is not None and before is not None and problem is not None:
+            pose, views = kept(self.pose), [kept(view) for view in self.views]
+        self.asked, self.problem, self.home, self.views = asked, problem, home, views
+        self._preview, self.layers = None, {}  # the preview is made with the first moving picture
         self.main = self.compared = None
         for panel in self.panels.values():  # which let go of the scene of before
             self._guarded(panel.scene_loaded)
         gc.collect()  # a scene that is alive is a part of every later kernel
         self.move(pose)
+        self.main, self._moved, self._dirty = still, pose is not None, True
         self._moving_until = 0.0
 
     def _change(self, asked: Asked, state: mi.parser.ParserState) -> None:
@@ -270,6 +274,8 @@ class Session:
     def _advance(self) -> bool:
         """Make the next small piece of the picture; returns whether there is more to do without a message."""
         if self.problem is None or self.pose is None or not self.clients:
+            if isinstance(self.main, Still) and self._dirty and self.clients:
+                self._publish()
             return False
         if self._moved:
             self._guarded(self._show_moving)
@@ -310,7 +316,7 @@ class Session:
         """A pass of the method, or of the one that it is compared with; returns whether there are more."""
         assert self.problem is not None and self.pose is not None
         try:
-            if self.main is None:
+            if not isinstance(self.main, Refinement):
                 place(self.problem.sensor, self.pose)
                 self.problem = replace(self.problem)  # without what was computed from the sensor of before
                 asked = self.asked
@@ -378,7 +384,8 @@ class Session:
                 self.clients.show("b", picture)
         if names != list(self.layers):
             self.changed()
-        self.broadcast("progress", **self.main.progress(), exposure=self._stops, **compared)
+        self._progress = {**self.main.progress(), "exposure": self._stops, **compared}
+        self.broadcast("progress", **self._progress)
         for panel in self.panels.values():
             self._guarded(panel.after_pass)
         self._show_seconds = time.perf_counter() - begin

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from etendue.core import OptionError, is_number, is_whole
 from etendue.display import CURVES, DENOISERS, auto_exposure, check_tone, denoiser, develop, false_colour, in_pyramid
+from etendue.film import is_matte
 
 from .protocol import number, text
 
@@ -73,6 +74,8 @@ class Show:
             return _bytes(0.5 + 0.5 * layer[:, :, :3])
         if name in _SHAPES:
             return _hashed(layer[:, :, 0])
+        if is_matte(name):
+            return _hashed(np.ascontiguousarray(layer[:, :, 0]).view(np.uint32))
         if name in _ALBEDOS and layer.shape[2] >= 3:
             return toned(layer[:, :, :3], 0.0, "srgb")
         if name == "variance":

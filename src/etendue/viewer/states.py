@@ -15,7 +15,7 @@ from etendue.scene import Change, LightEdits, Problem, is_described, load, resiz
 from .camera import Pose, projection
 from .commands import scene_name
 from .controls import method_list
-from .refining import checked
+from .refining import Refinement, Still, checked
 from .shown import choices, layer_names
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ _PIXELS = 262_144
 class Asked:
     """What a session is asked to show."""
 
-    scene: Any = None  #: as for :func:`etendue.scene.load`
+    scene: Any = None  #: as for :func:`etendue.scene.load`, or the file of a picture
     method: str = "path"
     settings: Mapping[str, Any] = field(default_factory=dict)
     budget: Budget = field(default_factory=Budget)
@@ -40,6 +40,7 @@ class Asked:
     seed: int = 0
     lights: LightEdits = field(default_factory=LightEdits)
     folder: Path = field(default_factory=Path.cwd)  #: for files that are saved
+    solution: Path | None = None  #: of radiosity, to be shown in the 3-D view
 
     def load(self, change: Change) -> Problem:
         """The scene, its description changed, with a sensor of the session's own, at the size that is asked for or one
@@ -62,20 +63,22 @@ def about(session: Session) -> dict[str, Any]:
 def state(session: Session) -> dict[str, Any]:
     """All that the controls of a page show."""
     problem, pose, asked = session.problem, session.pose, session.asked
+    still = session.main if isinstance(session.main, Still) else None
     return {
         "scene": scene_name(asked.scene),
-        "loaded": problem is not None,
+        "loaded": problem is not None or still is not None,
+        "still": still is not None,
         "trouble": session.trouble,
-        "size": problem.size if problem is not None else None,
+        "size": problem.size if problem is not None else still.size if still is not None else None,
         "film": [int(v) for v in problem.sensor.film().size()] if problem is not None else None,
         "camera": camera(problem, pose) if problem is not None and pose is not None else None,
         "views": len(session.views),
-        "method": asked.method,
+        "method": asked.method if still is None else still.method,
         "settings": dict(asked.settings),
         "scene_settings": _settings(session),
         "budget": asked.budget.to_dict(),
         "paused": session.paused,
-        "preparing": problem is not None and (session.main is None or not session.main.passes),
+        "preparing": problem is not None and not (isinstance(session.main, Refinement) and session.main.passes),
         "show": vars(session.show),
         "layers": layer_names(session.layers) or ["image"],
         "compared": session.compared.state() if session.compared is not None else None,
@@ -86,8 +89,9 @@ def state(session: Session) -> dict[str, Any]:
 def _settings(session: Session) -> dict[str, Any]:
     """All settings of the method on the scene, also before it is prepared; none without a scene or if it refuses."""
     asked, problem = session.asked, session.problem
-    if session.main is not None:
-        return session.main.settings.to_dict()
+    if isinstance(session.main, Refinement):
+        settings: dict[str, Any] = session.main.settings.to_dict()
+        return settings
     with suppress(EtendueError):
         return {} if problem is None else checked(problem, asked.method, asked.settings).to_dict()
     return {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -17,7 +18,9 @@ if TYPE_CHECKING:
 
 
 def view(
-    scene: opt.Scene,
+    scene: Annotated[
+        str, typer.Argument(help="Mitsuba XML, a bundled scene, or a picture (.exr, .png ...).", metavar="SCENE")
+    ],
     method: Annotated[
         str | None,
         typer.Option(
@@ -45,17 +48,21 @@ def view(
     port: Annotated[
         int, typer.Option("--port", help="Port to listen at; 0 for any that is free.", min=0, max=65535, metavar="N")
     ] = 0,
+    radiosity: Annotated[
+        Path | None, typer.Option("--radiosity", help="Show a solution of `etendue radiosity` in 3-D.", metavar="FILE")
+    ] = None,
     tev: opt.Tev = None,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the address.")] = False,
     debug: opt.Debug = False,
 ) -> int:
-    """Show a scene live in the browser: move the camera, change lights and methods, compare, save.
+    """Show a scene live in the browser: move the camera, change lights and methods, compare, save; or a picture with
+    its layers.
 
     The address has a token, without which nothing is answered. Ctrl-C ends the session.
     """
     from etendue import methods
     from etendue.scene import integrator_of, locate
-    from etendue.viewer import Asked
+    from etendue.viewer import Asked, is_picture
 
     from ..rendering import choose_device
 
@@ -63,15 +70,20 @@ def view(
     budget = opt.budget(time, spp, error)
     parameters = opt.parse_pairs(param, "-P")
     console = error_console()
-    found = locate(scene, lambda text: note(console, text))
+    if is_picture(scene) and not Path(scene).is_file():
+        raise SceneError(f"there is no picture '{scene}'; check the path")
+    found = scene if is_picture(scene) else locate(scene, lambda text: note(console, text))
     choose_device(variant, threads)
-    if method is None:
+    if method is None and not is_picture(scene):
         with suppress(SceneError):  # which the page tells
             named = methods.by_plugin(integrator_of(found, parameters))
             method = named.name if named is not None else "path"
     if not host.strip():
         raise OptionError("--host is an address of this machine, such as 127.0.0.1 or 0.0.0.0")
-    asked = Asked(found, methods.get(method or "path").name, settings, budget, size, sensor, parameters, memory, seed)
+    if radiosity is not None and not radiosity.is_file():
+        raise SceneError(f"there is no solution '{radiosity}'; make one by `etendue radiosity SCENE -o {radiosity}`")
+    name = methods.get(method or "path").name
+    asked = Asked(found, name, settings, budget, size, sensor, parameters, memory, seed, solution=radiosity)
     return show(asked, host.strip(), port, not no_browser, tev)
 
 

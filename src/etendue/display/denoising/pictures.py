@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import OptionError
-from etendue.film import Technique
+from etendue.film import Technique, is_matte
 
 Picture = NDArray[np.float32]
 
@@ -93,7 +93,7 @@ def component_names(layers: Mapping[str, Picture], chosen: Sequence[str] = ()) -
 
 def _is_part(name: str, layer: Picture) -> bool:
     features = ("image", _VARIANCE, _EMITTED, *_ALBEDO, *_NORMAL)
-    return _is_colour(layer) and name not in features and Technique.of_layer(name) is None
+    return _is_colour(layer) and name not in features and Technique.of_layer(name) is None and not is_matte(name)
 
 
 def _is_colour(layer: Picture) -> bool:

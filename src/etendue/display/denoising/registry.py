@@ -10,7 +10,7 @@ from etendue.core import OptionError, suggest
 
 from .filters import bilateral, gaussian, guided
 from .means import non_local_means
-from .oidn import open_image_denoise
+from .oidn import open_image_denoise, prefiltered
 from .pictures import Features, Picture
 
 #: How a layer is made that a denoiser needs.
@@ -30,6 +30,8 @@ class Denoiser:
     needs: tuple[str, ...] = ()
     uses: tuple[str, ...] = ()
     by_component: bool = True  #: or the sum of the components, whose variance is the only one known
+    #: What is done to the features before, once for all components.
+    prepare: Callable[[Features], Features] | None = None
 
     def check(self, features: Features) -> None:
         """Raise :class:`OptionError` if a feature is missing that it needs."""
@@ -43,7 +45,13 @@ _FIRST_HIT = ("albedo", "normal")
 DENOISERS: Final[dict[str, Denoiser]] = {
     d.name: d
     for d in (
-        Denoiser("oidn", "Intel Open Image Denoise, a trained network", open_image_denoise, uses=_FIRST_HIT),
+        Denoiser(
+            "oidn",
+            "Intel Open Image Denoise, a trained network",
+            open_image_denoise,
+            uses=_FIRST_HIT,
+            prepare=prefiltered,
+        ),
         Denoiser("bilateral", "mean of pixels that are near and alike", bilateral, uses=_FIRST_HIT),
         Denoiser("guided", "linear regression on albedo, normal and luminance in windows", guided, uses=_FIRST_HIT),
         Denoiser("gaussian", "Gaussian blur", gaussian),

@@ -8,14 +8,11 @@ specular).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from ..meshes import Points, brilliant, height_field, lathe, mesh, smooth
-
-if TYPE_CHECKING:
-    import mitsuba as mi
+from ..meshes import MeshDescription, Points, brilliant, height_field, lathe, smooth
 
 Vector = tuple[float, float, float]
 
@@ -132,13 +129,14 @@ def _pool() -> dict[str, Any]:
     rim = _diffuse(0.40, 0.60, 0.62)
     # The water ends inside the walls of the basin, which close its volume.
     sheet = height_field(_ripples, (p0 - 0.01, p1 + 0.01), (q0 - 0.01, q1 + 0.01), (110, 100))
+    water = {"type": "dielectric", "int_ior": "water", "ext_ior": "air"}
     return {
         "pool-bottom": _rectangle((p0, bottom, q1), (width, 0, 0), (0, 0, -length), tiles),
         "pool-back": _rectangle((p0, bottom, q0), (width, 0, 0), (0, _POOL_DEPTH, 0), rim),
         "pool-front": _rectangle((p1, bottom, q1), (-width, 0, 0), (0, _POOL_DEPTH, 0), rim),
         "pool-left": _rectangle((p0, bottom, q1), (0, 0, -length), (0, _POOL_DEPTH, 0), rim),
         "pool-right": _rectangle((p1, bottom, q0), (0, 0, length), (0, _POOL_DEPTH, 0), rim),
-        "water": mesh("water", *sheet[:2], {"type": "dielectric", "int_ior": "water", "ext_ior": "air"}, sheet[2]),
+        "water": MeshDescription("water", *sheet[:2], water, sheet[2]),
     }
 
 
@@ -163,7 +161,7 @@ def _lamp() -> dict[str, Any]:
         },
         "bulb": {"type": "sphere", "center": [x, y, z], "radius": _BULB_RADIUS, "bsdf": glass},
         "bulb-inside": {"type": "sphere", "center": [x, y, z], "radius": _BULB_RADIUS - _BULB_WALL, "bsdf": hollow},
-        "socket": mesh("socket", points, faces, brass, normals),
+        "socket": MeshDescription("socket", points, faces, brass, normals),
         "cord": {
             "type": "cylinder",
             "p0": [x, top + 0.2, z],
@@ -194,7 +192,7 @@ def _still_life() -> dict[str, Any]:
     }
 
 
-def _ring() -> mi.Mesh:
+def _ring() -> MeshDescription:
     """A gold band on the floor, whose inside reflects a cardioid caustic."""
     band = np.array([[0.74, 0.0], [0.82, 0.0], [0.82, 0.26], [0.74, 0.26]])
     band = np.concatenate(
@@ -202,10 +200,10 @@ def _ring() -> mi.Mesh:
     )
     points, faces, normals = lathe(smooth(band, 3, closed=True), 192, closed=True)
     points = points + np.array([1.6, _GAP, 1.1])
-    return mesh("ring", points, faces, {"type": "conductor", "material": "Au"}, normals)
+    return MeshDescription("ring", points, faces, {"type": "conductor", "material": "Au"}, normals)
 
 
-def _vase() -> mi.Mesh:
+def _vase() -> MeshDescription:
     """A thick-walled vase of amber glass: one closed surface, outside up and inside down."""
     outside = [(0, 0), (0.34, 0), (0.36, 0.08), (0.2, 0.3), (0.46, 0.8), (0.42, 1.2), (0.2, 1.5), (0.34, 1.78)]
     inside = [(0.28, 1.78), (0.13, 1.5), (0.34, 1.2), (0.38, 0.8), (0.16, 0.4), (0, 0.36)]
@@ -218,10 +216,10 @@ def _vase() -> mi.Mesh:
         "ext_ior": 1.0,
         "specular_transmittance": _rgb(0.98, 0.80, 0.48),
     }
-    return mesh("vase", points, faces, amber, normals)
+    return MeshDescription("vase", points, faces, amber, normals)
 
 
-def _stone() -> mi.Mesh:
+def _stone() -> MeshDescription:
     points, faces = brilliant(0.42, 0.3, 0.36, 9)
     points = points + np.array([0.6, _GAP, 2.45])
     sapphire = {
@@ -230,4 +228,4 @@ def _stone() -> mi.Mesh:
         "ext_ior": 1.0,
         "specular_transmittance": _rgb(0.62, 0.84, 0.97),
     }
-    return mesh("stone", points, faces, sapphire)
+    return MeshDescription("stone", points, faces, sapphire)

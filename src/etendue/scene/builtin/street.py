@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..meshes import cuboids, mesh
+from ..meshes import MeshDescription, cuboids
 from .pieces import box, diffuse, rgb
 
 Array = NDArray[np.float64]
@@ -49,16 +49,16 @@ def street() -> dict[str, Any]:
         at, high = corners[wall == number], heights[wall == number]
         lower = np.stack([at[:, 0] - _SIDE / 4, np.zeros(len(at)), at[:, 1] - _SIDE / 4], -1)
         upper = np.stack([at[:, 0] + _SIDE / 4, high, at[:, 1] + _SIDE / 4], -1)
-        scene[f"houses{number}"] = mesh(f"houses{number}", *cuboids(lower, upper), diffuse(*colour))
+        scene[f"houses{number}"] = MeshDescription(f"houses{number}", *cuboids(lower, upper), diffuse(*colour))
     pavement = np.stack([centres[:, 0], np.zeros(len(centres)), centres[:, 1]], -1)
     half = np.array([_SIDE / 2 + 1.1, 0.12, _SIDE / 2 + 1.1])
-    scene["pavements"] = mesh(
+    scene["pavements"] = MeshDescription(
         "pavements", *cuboids(pavement - half, pavement + half), {"type": "twosided", "bsdf": diffuse(0.3, 0.29, 0.27)}
     )
     scene |= _facades(centres)
     for number, centre in enumerate(centres):
         light = rgb(*_COLOURS[random.integers(len(_COLOURS))])
-        lantern = mesh(f"lanterns{number}", *_lanterns(centre), diffuse(0.1, 0.1, 0.1), emitter=light)
+        lantern = MeshDescription(f"lanterns{number}", *_lanterns(centre), diffuse(0.1, 0.1, 0.1), emitter=light)
         scene[f"lanterns{number}"] = lantern
     return scene | _things()
 
@@ -121,7 +121,7 @@ def _facades(centres: Array) -> dict[str, Any]:
     for name, parts, bsdf in (("windows", panes, glass), ("iron", iron, diffuse(0.05, 0.05, 0.05))):
         lower, upper = (np.array([part[k] for part in parts]) for k in (0, 1))
         lower, upper = ((offsets[:, None] + corner).reshape(-1, 3) for corner in (lower, upper))
-        result[name] = mesh(name, *cuboids(lower, upper), bsdf)
+        result[name] = MeshDescription(name, *cuboids(lower, upper), bsdf)
     return result
 
 
@@ -141,7 +141,7 @@ def _things() -> dict[str, Any]:
     lacquer = {"type": "roughplastic", "diffuse_reflectance": rgb(0.35, 0.03, 0.03), "alpha": 0.06}
     ball = {"type": "roughconductor", "material": "Cu", "alpha": 0.08}
     return wheels | {
-        "car": mesh("car", *cuboids(body[:, 0], body[:, 1]), lacquer),
+        "car": MeshDescription("car", *cuboids(body[:, 0], body[:, 1]), lacquer),
         "plinth": box((1.7, 0.5, 8.0), (0.8, 1.0, 0.8), diffuse(0.4, 0.4, 0.38)),
         "ball": {"type": "sphere", "center": [1.7, 1.451, 8.0], "radius": 0.45, "bsdf": ball},
     }

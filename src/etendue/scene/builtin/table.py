@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from etendue.core import SceneError, suggest
 
+from ..meshes import MeshDescription
 from .ajar import ajar
 from .caustics import caustics
 from .flat import flat
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BundledScene:
-    """A scene of the library. ``build()`` returns a new Mitsuba dictionary; a variant must be set.
+    """A scene of the library. ``describe()`` returns a new Mitsuba dictionary in which some shapes are
+    :class:`MeshDescription`; a variant must be set.
 
     ``reference`` is a converged picture at the scene's size, if the library has one; ``reference_note`` describes how
     it was rendered.
@@ -32,9 +34,14 @@ class BundledScene:
 
     name: str
     description: str
-    build: Callable[[], dict[str, Any]]
+    describe: Callable[[], dict[str, Any]]
     reference: Path | None = None
     reference_note: str = ""
+
+    def build(self) -> dict[str, Any]:
+        """The dictionary with its meshes built, as Mitsuba loads it."""
+        described = self.describe()
+        return {k: v.build() if isinstance(v, MeshDescription) else v for k, v in described.items()}
 
     def __str__(self) -> str:
         return self.name
@@ -64,7 +71,7 @@ def bundled() -> dict[str, BundledScene]:
         ("skylight", "frosted glass and lacquer under a sky with a low sun, through a thin lens", skylight),
         ("stage", "glass, plastic and steel under two spot lights and a point light", stage),
     )
-    scenes = {name: BundledScene(name, text, build) for name, text, build in rows}
+    scenes = {name: BundledScene(name, text, describe) for name, text, describe in rows}
     scenes["caustics"] = replace(scenes["caustics"], reference=_DATA / "caustics.exr", reference_note=_CAUSTICS_NOTE)
     return scenes
 

@@ -37,7 +37,7 @@ export const numerics = (text) => text.trim().split(/[\s,]+/).map(numeric);
 /** A section of the side bar; returns the element for its content. */
 export function section(parent, title, open = false) {
   const content = make('div');
-  parent.append(make('details', { open }, make('summary', {}, title), content));
+  parent.append(make('details', { open, 'data-section': title }, make('summary', {}, title), content));
   return content;
 }
 

@@ -2,7 +2,7 @@
 
 import { choice, controls, entry, fillChoice, fillIn, isTyping, make, numeric, numerics } from './controls.js';
 
-const EVERY = ['max_depth', 'rr_depth', 'samples_per_pass', 'sampler', 'scrambling', 'reconstruction', 'aovs', 'components'];
+const EVERY = ['max_depth', 'rr_depth', 'samples_per_pass', 'sampler', 'scrambling', 'reconstruction', 'aovs', 'components', 'cryptomatte'];
 
 /** Build them; returns the function that shows a state. */
 export function sections(parent, connection, section) {

@@ -74,6 +74,7 @@ export class Stage {
   // ---- movements, sent once for each picture of the screen
 
   move(change) {
+    if (document.body.classList.contains('still')) return; // a picture of a file has no camera
     for (const [name, values] of Object.entries(change)) {
       const before = this.pending[name];
       this.pending[name] = !before ? values : Array.isArray(values) ? values.map((v, k) => v + before[k]) : values + before;

@@ -72,6 +72,7 @@ connection.on('state', (message) => {
   compared = message.compared;
   $('scene').textContent = message.scene;
   document.title = `${message.scene} – étendue`;
+  document.body.classList.toggle('still', message.still);
   stage.resize(message.size);
   $('pause').setAttribute('aria-pressed', message.paused);
   $('pause').textContent = message.paused ? 'Go on' : 'Pause';
@@ -111,7 +112,7 @@ connection.on('progress', (message) => {
 const triple = (values) => values.map(short).join(' ');
 
 connection.on('picked', (found) => {
-  const parts = found.shape === null ? ['nothing there'] : [found.shape, found.material, found.emits ? 'emits light' : '',
+  const parts = found.shape === null ? [state?.still ? '' : 'nothing there'] : [found.shape, found.material, found.emits ? 'emits light' : '',
     `at ${triple(found.position)}`, `depth ${short(found.depth)}`];
   if (found.radiance) parts.push(`radiance ${triple(found.radiance)}`);
   $('picked').textContent = parts.filter(Boolean).join(' · ');

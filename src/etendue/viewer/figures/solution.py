@@ -1,8 +1,9 @@
-"""A solution of radiosity that is refined while it is shown."""
+"""A solution of radiosity that is refined while it is shown, or one of a file."""
 
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from etendue.radiosity import (
     PatchProblem,
     Segments,
     Solution,
+    read_solution,
     scene_patches,
     solve,
 )
@@ -34,7 +36,79 @@ _REPLICATES = 8
 MOST_SEGMENTS, _PER_PATCH = 2_000_000, 200
 
 
-class LiveSolution:
+class ShownSolution:
+    """What the page draws of a solution of radiosity: its patches and their values."""
+
+    patches: Patches
+    solution: Solution | None = None
+    error: Array | None = None  #: of the irradiance; ``None`` if it is not known
+    max_area: float | None = None
+    bundles = 0  #: of lines that were cast for it while one looked on
+    is_done = False  #: whether :meth:`step` has nothing to do
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+
+    def step(self, seconds: float = 0.15) -> bool:
+        """Work for so long; returns whether there is a new solution."""
+        return False
+
+    def mesh(self) -> dict[str, NDArray[Any]]:
+        """Triangles (n, 3, 3) in render space, and the patches (n,) of their fronts and backs; for a back that belongs
+        to none, the number of patches. Areas (patches,), and which patches emit light."""
+        patches = self.patches
+        second = np.flatnonzero(patches.faces[:, 2] != patches.faces[:, 3])
+        corners = np.concatenate([patches.faces[:, :3], patches.faces[second][:, [0, 2, 3]]])
+        face = np.concatenate([np.arange(len(patches.faces)), second])
+        back = np.where(patches.back < 0, len(patches), patches.back)
+        return {
+            "triangles": self._problem.space.from_scene(patches.vertices)[corners].astype(np.float32),
+            "front": patches.front[face].astype(np.uint32),
+            "back": back[face].astype(np.uint32),
+            "areas": patches.areas.astype(np.float32),
+            "emits": patches.emission.any(axis=1),
+        }
+
+    def values(self) -> dict[str, NDArray[Any]]:
+        """Of each patch, in W/m^2: radiosity (n, 3), and luminances (n,) of it, its standard error, its residual."""
+        assert self.solution is not None
+        solution, patches = self.solution, self.patches
+        # The error of the light that a patch reflects; its own emission has none.
+        error = patches.reflectance * (0.0 if self.error is None else self.error)
+        residual = solution.radiosity - patches.emission - patches.reflectance * solution.irradiance
+        return {
+            "radiosity": _coloured(solution.radiosity).astype(np.float32),
+            "luminance": _luminance(solution.radiosity).astype(np.float32),
+            "error": _luminance(error).astype(np.float32),
+            "residual": np.abs(_luminance(residual)).astype(np.float32),
+        }
+
+    def names(self) -> tuple[list[str], NDArray[np.uint32]]:
+        """Names of the shapes, and that of each patch."""
+        shapes = self.patches.shapes
+        if shapes is None:
+            return ["a surface"], np.zeros(len(self.patches), np.uint32)
+        return list(self.patches.shape_names), shapes.astype(np.uint32)
+
+    def close(self) -> None:
+        """End what it does."""
+
+
+class SavedSolution(ShownSolution):
+    """A solution of a file of ``etendue radiosity``. Raises the errors of reading it, and :class:`OptionError` for more
+    than :data:`MOST_PATCHES`."""
+
+    is_done = True
+
+    def __init__(self, problem: Problem, path: Path) -> None:
+        super().__init__(problem)
+        self.solution, self.error = read_solution(path)
+        self.patches = self.solution.patches
+        if len(self.patches) > MOST_PATCHES:
+            raise OptionError(f"{path} has {len(self.patches)} patches, more than {MOST_PATCHES} that can be drawn")
+
+
+class LiveSolution(ShownSolution):
     """Lines cast in passes through the patches of a scene, and solutions on those so far.
 
     max_area: of a patch, in scene units; ``None`` for one that makes about a thousand. Raises the errors of
@@ -42,6 +116,7 @@ class LiveSolution:
     """
 
     def __init__(self, problem: Problem, max_area: float | None = None, seed: int = 0) -> None:
+        super().__init__(problem)
         patches = scene_patches(problem)
         if max_area is None:
             max_area = float(patches.areas.sum()) / 1000
@@ -53,23 +128,20 @@ class LiveSolution:
         if len(self.patches) > MOST_PATCHES:
             raise OptionError(f"{len(self.patches)} patches are more than {MOST_PATCHES}: give a larger area")
         self.max_area, self._seed = max_area, seed
-        self._problem = problem
         self._casting = LineCasting(CastingSettings(replicates=_REPLICATES))
         self._casting.prepare(PatchProblem(self.patches, problem.source), seed)
         self._measurement: Measurement | None = None
         self._next = _REPLICATES  # passes at the next solution
         self._solved = 0  # passes of the latest
         self.passes = 0
-        self.solution: Solution | None = None
-        self.error: Array | None = None
 
     @property
-    def bundles(self) -> int:
+    def bundles(self) -> int:  # type: ignore[override]
         """Bundles of lines so far."""
         return 0 if self._measurement is None else self._casting.bundles(self._measurement)
 
     @property
-    def is_done(self) -> bool:
+    def is_done(self) -> bool:  # type: ignore[override]
         """Whether there are as many lines as are kept, and the solution is that of all."""
         return self._is_full and self._solved == self.passes
 
@@ -94,42 +166,6 @@ class LiveSolution:
         self.solution = solve(self.patches, segments, "conjugate-gradient", shot=shot)
         self.error = self.solution.irradiance_error(segments)
         return True
-
-    def mesh(self) -> dict[str, NDArray[Any]]:
-        """Triangles (n, 3, 3) in render space, and the patches (n,) of their fronts and backs; for a back that belongs
-        to none, the number of patches. Areas (patches,), and which patches emit light."""
-        patches = self.patches
-        second = np.flatnonzero(patches.faces[:, 2] != patches.faces[:, 3])
-        corners = np.concatenate([patches.faces[:, :3], patches.faces[second][:, [0, 2, 3]]])
-        face = np.concatenate([np.arange(len(patches.faces)), second])
-        back = np.where(patches.back < 0, len(patches), patches.back)
-        return {
-            "triangles": self._problem.space.from_scene(patches.vertices)[corners].astype(np.float32),
-            "front": patches.front[face].astype(np.uint32),
-            "back": back[face].astype(np.uint32),
-            "areas": patches.areas.astype(np.float32),
-            "emits": patches.emission.any(axis=1),
-        }
-
-    def values(self) -> dict[str, NDArray[Any]]:
-        """Of each patch, in W/m^2: radiosity (n, 3), and luminances (n,) of it, its standard error, its residual."""
-        assert self.solution is not None and self.error is not None
-        solution, patches = self.solution, self.patches
-        # The error of the light that a patch reflects; its own emission has none.
-        error = patches.reflectance * self.error
-        residual = solution.radiosity - patches.emission - patches.reflectance * solution.irradiance
-        return {
-            "radiosity": _coloured(solution.radiosity).astype(np.float32),
-            "luminance": _luminance(solution.radiosity).astype(np.float32),
-            "error": _luminance(error).astype(np.float32),
-            "residual": np.abs(_luminance(residual)).astype(np.float32),
-        }
-
-    def names(self) -> tuple[list[str], NDArray[np.uint32]]:
-        """Names of the shapes, and that of each patch."""
-        shapes = self.patches.shapes
-        assert shapes is not None
-        return list(self.patches.shape_names), shapes.astype(np.uint32)
 
     def close(self) -> None:
         """End the casting."""

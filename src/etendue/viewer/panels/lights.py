@@ -12,6 +12,7 @@ from etendue.core import OptionError, SceneError
 from etendue.scene import LightEdits, colour, described_lights
 
 from ..protocol import number, numbers, text
+from ..refining import Still
 from . import Panel
 
 if TYPE_CHECKING:
@@ -33,6 +34,9 @@ class Lights(Panel):
     def scene_loaded(self) -> None:
         """Find the lights in the scene's description."""
         asked = self.session.asked
+        if self.session.problem is None:  # a picture of a file
+            self._own = ()
+            return
         try:
             self._own = tuple(described_lights(asked.scene, asked.parameters))
         except SceneError:
@@ -47,6 +51,8 @@ class Lights(Panel):
 
     def handle(self, verb: str, message: Mapping[str, Any], client: Client) -> None:
         """``add`` a light; ``remove`` one that was added; ``switch`` one of the scene off or on."""
+        if isinstance(self.session.main, Still):
+            raise OptionError("this is a picture without a scene; open one first")
         edits = self.session.asked.lights
         if verb == "add":
             # A name of its own, which it keeps when others are removed, for changes of its parameters.

@@ -32,17 +32,17 @@ class Parameters(Panel):
         self._own: dict[str, Any] = {}  # values before the first change
         #: Those of the scene that is being loaded, which may fail.
         self._next: tuple[dict[str, Any], dict[str, Any]] = {}, {}
+        self._late: list[str] = []  # changes that are made once the scene is built
 
     def loading(self, state: mi.parser.ParserState, same: bool) -> None:
         """Make the changes again, those whose element is still there."""
         changes = dict(self._changes) if same else {}
-        self._next = changes, self._own if same else {}
-        for key in list(changes):
+        self._next, self._late = (changes, self._own if same else {}), []
+        for key in changes:
             try:
                 ParameterChanges({key: changes[key]})(state)
-            except EtendueError as error:
-                del changes[key]
-                self.session.broadcast("note", text=f"the change of '{key}' is dropped: {error}")
+            except EtendueError:  # of an element that is built already, or that is gone
+                self._late.append(key)
 
     def scene_loaded(self) -> None:
         """Parameters of the new scene."""
@@ -50,8 +50,15 @@ class Parameters(Panel):
         self._next = {}, {}
         problem, asked = self.session.problem, self.session.asked
         self._editor = None
-        if problem is not None and is_described(asked.scene):
-            self._editor = SceneEditor(problem.scene, fixed=not problem.space.is_own)
+        if problem is None or not is_described(asked.scene):
+            return
+        self._editor = editor = SceneEditor(problem.scene, fixed=not problem.space.is_own)
+        for key in self._late:
+            try:
+                editor.set({key: self._changes[key]})
+            except EtendueError as error:
+                del self._changes[key]
+                self.session.broadcast("note", text=f"the change of '{key}' is dropped: {error}")
 
     def state(self) -> dict[str, Any]:
         """The parameters, the changes, and the values before them."""

@@ -15,8 +15,9 @@ from etendue.transport import Guide, PathRecorder
 
 from ..figures import meshes, particles, paths, trees
 from ..figures.packing import joined
-from ..figures.solution import LiveSolution
+from ..figures.solution import LiveSolution, SavedSolution, ShownSolution
 from ..protocol import number, numbers, text
+from ..refining import Refinement
 from . import Panel
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ class Space(Panel):
     def __init__(self, session: Any) -> None:
         super().__init__(session)
         self._scenes = 0  # loaded so far
-        self._solution: LiveSolution | None = None
+        self._solution: ShownSolution | None = None
         self._recorder: tuple[Problem, int, PathRecorder] | None = None
         self._seed = 0
 
@@ -54,18 +55,21 @@ class Space(Panel):
             "scene": self._scenes,
             "lights": lights,
             "trees": trees.KINDS,
-            "solving": self._solution is not None,
+            "solving": self._solution is not None and not self._solution.is_done,
             "guided": self._guide() is not None,
         }
 
     def scene_loaded(self) -> None:
-        """Nothing drawn belongs to the new scene."""
-        self._scenes += 1
-        self.close()
+        """Nothing drawn belongs to the new scene, but a solution that was asked for with it."""
+        self.scene_edited()
+        asked = self.session.asked
+        if asked.solution is not None and self.session.problem is not None:
+            self._solution = SavedSolution(self.session.problem, asked.solution)
 
     def scene_edited(self) -> None:
         """Paths and solutions of the scene before an edit are old."""
-        self.scene_loaded()
+        self._scenes += 1
+        self.close()
 
     def close(self) -> None:
         """Release the scene."""
@@ -169,7 +173,8 @@ class Space(Panel):
     def _solve(self, problem: Problem, message: Mapping[str, Any], client: Client) -> None:
         self._stop(problem, message, client)
         area = None if message.get("area") is None else number(message, "area")
-        self._solution = LiveSolution(problem, area)
+        file = text(message, "file", "").strip()
+        self._solution = SavedSolution(problem, Path(file)) if file else LiveSolution(problem, area)
         self._send_solution(self._solution, None)
         self.session.changed()
 
@@ -194,7 +199,7 @@ class Space(Panel):
     def _guide(self) -> Guide | None:
         """That of the picture's method."""
         main = self.session.main
-        guide = getattr(main.method, "guide", None) if main is not None else None
+        guide = getattr(main.method, "guide", None) if isinstance(main, Refinement) else None
         return guide if isinstance(guide, Guide) else None
 
     def _recorded(self, problem: Problem, depth: int) -> PathRecorder:
@@ -205,17 +210,18 @@ class Space(Panel):
         recorder.look(problem)  # the camera may have moved
         return recorder
 
-    def _send_solution(self, live: LiveSolution, client: Client | None) -> None:
+    def _send_solution(self, live: ShownSolution, client: Client | None) -> None:
         names, shape = live.names()
         self._send(client, "solution", live.mesh() | {"shape": shape}, names=names, max_area=live.max_area)
         if live.solution is not None:
             self._send_values(live, client)
 
-    def _send_values(self, live: LiveSolution, client: Client | None = None) -> None:
+    def _send_values(self, live: ShownSolution, client: Client | None = None) -> None:
         values = live.values()
         luminance, error = values["luminance"], values["error"]
         areas = live.patches.areas
-        relative = float((error * areas).sum() / max((luminance * areas).sum(), 1e-30))
+        whole = max((luminance * areas).sum(), 1e-30)
+        relative = float((error * areas).sum() / whole) if live.error is not None else None
         about = {"bundles": live.bundles, "relative": relative, "done": live.is_done, "at": time.time()}
         self._send(client, "values", values, **about)
 

@@ -55,8 +55,9 @@ export default function (host) {
   const treesNote = make('p', { class: 'soft' });
 
   const area = number('Largest area of a patch', '', { placeholder: 'a thousandth of all' });
+  const solved = number('or a file of a solution', '', { inputmode: 'text', placeholder: 'solution.npz' });
   const quantity = select('Show', [['radiosity', 'radiosity'], ['error', 'standard error'], ['residual', 'residual']], () => redraw());
-  const run = button('Solve', () => host.send(state?.panels.space.solving ? 'stop' : 'solve', { area: area.input.value.trim() === '' ? null : numeric(area.input.value) }));
+  const run = button('Solve', () => host.send(state?.panels.space.solving ? 'stop' : 'solve', { area: area.input.value.trim() === '' ? null : numeric(area.input.value), file: solved.input.value }));
   const solveNote = make('p', { class: 'soft' });
   const patch = make('p', { class: 'numbers', 'aria-live': 'polite' });
 
@@ -72,7 +73,7 @@ export default function (host) {
     details('Trees and grids', row(tree.element, radius.element), make('label', {}, make('span', {}, 'Level'), level),
       make('label', { class: 'check' }, levels, make('span', {}, 'All levels up to this one')),
       row(button('Show', () => host.send('tree', { kind: tree.input.value, count: numeric(photons.input.value), radius: radius.input.value.trim() === '' ? 0 : numeric(radius.input.value) })), button('Clear', () => clear('trees'))), treesNote),
-    details('Radiosity', row(area.element), row(run, quantity.element), row(button('Clear', () => { if (state?.panels.space.solving) host.send('stop'); held.values = null; solveNote.textContent = patch.textContent = ''; clear('solution'); })), solveNote, patch),
+    details('Radiosity', row(area.element, solved.element), row(run, quantity.element), row(button('Clear', () => { if (state?.panels.space.solving) host.send('stop'); held.values = null; solveNote.textContent = patch.textContent = ''; clear('solution'); })), solveNote, patch),
     details("Guide's directions", guideNote, guidePicture));
 
   function clear(name) {
@@ -130,7 +131,10 @@ export default function (host) {
       if (!held.asked && state?.panels.space.solving) { held.asked = true; host.send('mesh'); }
       return;
     }
-    solveNote.textContent = `${held.solution.areas.length} patches, ${values.bundles} bundles of lines, error ${short(100 * values.relative)} %.${values.done ? ' No more lines are cast here; etendue radiosity has no such limit.' : ''}`;
+    const parts = [`${held.solution.areas.length} patches`];
+    if (values.bundles) parts.push(`${values.bundles} bundles of lines`);
+    parts.push(values.relative === null ? 'error not known' : `error ${short(100 * values.relative)} %`);
+    solveNote.textContent = `${parts.join(', ')}.${values.done && values.bundles ? ' No more lines are cast here; etendue radiosity has no such limit.' : ''}`;
   });
   host.on('guide', (message, data) => {
     const { density } = unpacked(message.arrays, data);

@@ -1,0 +1,124 @@
+"""Pictures of files without a scene: layers, tone, denoisers and references are shown; what needs a scene is told."""
+
+import asyncio
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+from support.viewing import Page
+
+import etendue
+from etendue.cli.main import main
+from etendue.core import Result
+from etendue.film import read_exr, write_exr
+
+SIZE = (20, 12)
+
+
+def layers():
+    rng = np.random.default_rng(3)
+    image = rng.random((SIZE[1], SIZE[0], 3), dtype=np.float32)
+    depth = np.tile(np.linspace(1.0, 5.0, SIZE[0], dtype=np.float32), (SIZE[1], 1))[:, :, None]
+    return {"image": image, "albedo": np.full_like(image, 0.5), "normal": np.zeros_like(image), "depth": depth}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    made = tmp_path_factory.mktemp("pictures")
+    write_exr(made / "picture.exr", Result(layers(), {"method": "bpt", "samples": 16, "seconds": 5.0}))
+    write_exr(made / "reference.exr", Result({"image": layers()["image"] * 1.1}))
+    write_exr(made / "small.exr", Result({"image": np.ones((2, 3, 3), np.float32)}))
+    return made
+
+
+@pytest.fixture(scope="module")
+def viewer(folder):
+    with etendue.view(folder / "picture.exr", folder=folder) as made:
+        yield made
+
+
+def talk(viewer, conversation):
+    async def go():
+        page = await Page.open(viewer.url)
+        try:
+            await conversation(page)
+        finally:
+            page.close()
+
+    asyncio.run(go())
+
+
+async def shown(page, wanted):
+    """A frame that is as wanted; those of before it are on their way."""
+    while True:
+        _, data = await page.until("frame")
+        found = np.asarray(Image.open(io.BytesIO(bytes(data))).convert("RGB")).astype(float)
+        if wanted(found):
+            return found
+
+
+def test_layers_tone_and_denoisers(viewer):
+    async def conversation(page):
+        state, _ = await page.until("state", lambda m: m["loaded"])
+        assert state["still"] and state["method"] == "bpt" and tuple(state["size"]) == SIZE and state["camera"] is None
+        assert not state["preparing"]
+        progress, _ = await page.until("progress")
+        assert progress["done"] and (progress["samples"], progress["noise"]) == (16, None)
+        page.send("show", exposure=0.5)
+        before = await shown(page, lambda frame: True)
+        page.send("show", layer="depth")
+        grey = await shown(page, lambda frame: frame[:, -1].mean() > frame[:, 0].mean() + 200)
+        assert grey.shape[1::-1] == SIZE
+        page.send("show", layer="image", denoise="gaussian", radius=3, exposure=0.0)
+        await shown(page, lambda frame: frame.std() < 0.5 * before.std())
+        page.send("show", denoise="nlm")
+        assert "needs the layer 'variance'" in (await page.until("error"))[0]["text"]
+        page.send("show", denoise="")
+        page.send("pick", x=0.99, y=0.01)
+        found, _ = await page.until("picked")
+        np.testing.assert_allclose(found["radiance"], layers()["image"][0, -1], rtol=1e-6)
+
+    talk(viewer, conversation)
+
+    async def later(page):  # nothing is made any more, and it is told all the same
+        assert (await page.until("progress"))[0]["samples"] == 16
+
+    talk(viewer, later)
+
+
+def test_references_and_what_needs_a_scene(viewer, folder):
+    async def conversation(page):
+        page.send("compare", reference=str(folder / "reference.exr"))
+        progress, _ = await page.until("progress", lambda m: m.get("relmse"))
+        image = layers()["image"].astype(float)
+        expected = np.mean((0.1 * image) ** 2 / ((1.1 * image) ** 2 + 0.01))
+        assert progress["relmse"] == pytest.approx(expected, rel=1e-4)
+        for kind, message, words in (
+            ("compare", {"reference": str(folder / "small.exr")}, "has 3x2 pixels, the picture 20x12"),
+            ("compare", {"method": "path"}, "a picture without a scene"),
+            ("render", {"method": "path"}, "a picture without a scene"),
+            ("camera", {"orbit": [0.1, 0.0]}, "a picture without a scene"),
+            ("lights.add", {"kind": "sky", "colour": [1, 1, 1]}, "a picture without a scene"),
+            ("space.mesh", {}, "no scene is loaded"),
+            ("save", {"what": "scene", "name": "x.xml"}, "no scene is loaded"),
+            ("save", {"what": "picture", "name": "picture.exr"}, "is the picture that is open"),
+            ("open", {"scene": str(folder / "missing.exr")}, "no picture"),
+        ):
+            page.send(kind, **message)
+            assert words in (await page.until("error"))[0]["text"], kind
+        page.send("save", what="picture", name="kept.exr")
+        await page.until("saved")
+        assert read_exr(folder / "kept.exr").metadata["method"] == "bpt"
+        page.send("open", scene=str(folder / "small.exr"))
+        state, _ = await page.until("state", lambda m: m["size"] == [3, 2])
+        assert state["layers"] == ["image"] or state["still"]
+        page.send("open", scene=str(folder / "picture.exr"))
+        await page.until("state", lambda m: tuple(m["size"]) == SIZE)
+
+    talk(viewer, conversation)
+
+
+def test_a_missing_picture_is_told_at_once(capsys, tmp_path):
+    assert main(["view", str(tmp_path / "none.exr"), "--no-browser"]) == 3
+    assert "there is no picture" in capsys.readouterr().err
