@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 import shlex
-import signal
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support import passes
 from support.patches import box, joined, square
 
 import etendue.radiosity.casting
@@ -56,8 +54,7 @@ def interrupt_after(steps, monkeypatch):
 
     def step(self, iteration, seed, state):
         if iteration == steps:
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(0.3)  # for the main thread to hear it
+            passes.press_ctrl_c()
         return cast(self, iteration, seed, state)
 
     monkeypatch.setattr(LineCasting, "step", step)
@@ -165,7 +162,7 @@ def test_pictures_are_resumed_as_they_were_asked_for(capsys, variant):
 
 def test_ctrl_c_before_any_line(monkeypatch, capsys):
     def interrupted(self, problem, seed):
-        os.kill(os.getpid(), signal.SIGINT)
+        passes.press_ctrl_c()
         prepare(self, problem, seed)
 
     prepare = LineCasting.prepare

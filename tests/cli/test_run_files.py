@@ -204,7 +204,7 @@ def test_a_resumed_run_goes_on_with_its_records(folder, capsys, monkeypatch):
     def interrupt(method, iteration):
         time.sleep(0.1)
         if iteration in (3, 6):
-            os.kill(os.getpid(), signal.SIGINT)
+            passes.press_ctrl_c()
 
     passes.watch(monkeypatch, "path", interrupt)
     assert main(["run", "a.toml"]) == 130

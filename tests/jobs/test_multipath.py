@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import shlex
-import signal
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support import passes
 from support.patches import box, cube, joined, square
 
 import etendue
@@ -166,8 +164,7 @@ def test_a_stopped_run_keeps_its_work_and_resumes_to_the_same(monkeypatch, capsy
 
     def interrupted(self, iteration, seed, state):
         if iteration == 5:
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(0.3)  # for the main thread to hear it
+            passes.press_ctrl_c()
         return step(self, iteration, seed, state)
 
     with monkeypatch.context() as patch:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -43,3 +46,10 @@ def fail(monkeypatch: pytest.MonkeyPatch, name: str, at: int) -> None:
 def taint(monkeypatch: pytest.MonkeyPatch, name: str, count: float) -> None:
     """Each pass of the method reports ``count`` contributions that are not finite."""
     watch(monkeypatch, name, after=lambda measured: measured.counters.update(nonfinite=count))
+
+
+def press_ctrl_c() -> None:
+    """Ctrl-C during a pass: the main thread, which waits for the run, hears it before this returns. A signal to the
+    process may reach another thread, and the main thread then hears it half a second later."""
+    signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+    time.sleep(0.3)

@@ -16,7 +16,7 @@ from etendue.viewer import Viewer
     ("words", "code", "text"),
     [
         (["nowhere"], 3, "no scene file 'nowhere'"),
-        (["picture.exr"], 3, "no scene file"),
+        (["picture.exr"], 3, "there is no picture 'picture.exr'"),
         (["cornell-box", "-m", "vmc"], 2, "did you mean 'vcm'?"),
         (["cornell-box", "--set", "depth=3"], 2, "has no option 'depth'"),
         (["cornell-box", "--size", "0x4"], 2, "--size needs WIDTHxHEIGHT"),

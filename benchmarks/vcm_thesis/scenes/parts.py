@@ -48,7 +48,7 @@ class Model:
         first = np.cumsum([0, *(len(points) for points, _, _ in parts)])
         points, normals = (np.concatenate([part[i] for part in parts]) for i in (0, 2))
         faces = np.concatenate([part[1] + offset for part, offset in zip(parts, first, strict=False)])
-        return meshes.mesh(name, points, faces, self._materials[name], normals)
+        return meshes.MeshDescription(name, points, faces, self._materials[name], normals).build()
 
 
 # ---------------------------------------------------------------------- solids
