@@ -209,19 +209,26 @@ def test_a_filter_that_misses_samples_leaves_pixels_alone(mi, narrow):
 
 
 @pytest.mark.parametrize("name", ["gaussian", "lanczos"])
-def test_layers_are_filtered_together_as_one_by_one(mi, name):
-    """One sample a pixel, and several whose reach begins at different pixels; a film that is not square."""
+def test_samples_are_filtered_together_as_one_by_one(mi, name):
+    """Several layers, and samples whose reach begins at different pixels; a film that is not square. Near the border
+    samples have their share of the weights of all, as in a constant picture."""
     from etendue.film import PixelFilter
 
-    pixel_filter, rng = PixelFilter(make_filter(mi, name), 11, 7), np.random.default_rng(4)
-    for samples in (1, 5):
-        u1, u2 = (mi.Float(rng.random(samples).astype(np.float32)) for _ in range(2))
-        numbers = rng.random((4, 11 * 7 * samples)).astype(np.float32)
-        layers = [mi.Color3f(*numbers[:3]), mi.Float(numbers[3])]
-        together = pixel_filter.spread_together(layers, u1, u2)
-        for layer, found in zip(layers, together, strict=True):
-            expected = pixel_filter.spread(layer, u1, u2).numpy()
-            np.testing.assert_allclose(found.numpy(), expected, rtol=1e-5, atol=1e-5)
+    pixel_filter, rng = PixelFilter(make_filter(mi, name), 21, 17), np.random.default_rng(4)
+    u1, u2 = rng.random((2, 5)).astype(np.float32)
+    numbers = rng.random((4, 21 * 17, 5)).astype(np.float32)
+    layers = [mi.Color3f(*numbers[:3].reshape(3, -1)), mi.Float(numbers[3].ravel())]
+    colour, grey = pixel_filter.spread_together(layers, mi.Float(u1), mi.Float(u2))
+    found = np.stack([*colour.numpy(), grey.numpy()]).reshape(4, 17, 21)
+    alone = np.zeros((4, 17, 21))
+    for j in range(5):
+        places = mi.Float([u1[j]]), mi.Float([u2[j]])
+        alone += [
+            pixel_filter.spread(mi.Float(row), *places).numpy().reshape(17, 21) for row in numbers[:, :, j].copy()
+        ]
+    np.testing.assert_allclose(found[:, 4:-4, 4:-4], alone[:, 4:-4, 4:-4], rtol=1e-5, atol=1e-5)
+    constant = pixel_filter.spread(mi.Float(np.ones(21 * 17 * 5, np.float32)), mi.Float(u1), mi.Float(u2))
+    np.testing.assert_allclose(constant.numpy(), 5.0, rtol=2e-5)
 
 
 def test_samples_of_colours_and_of_one_place_may_be_added_first(mi):

@@ -192,27 +192,24 @@ class _Axis:
         dr.eval(last, values)
         return Spread(last, values)
 
-    def convolve(self, values: V, spread: Spread, sample: mi.UInt32, place: mi.UInt32, stride: mi.UInt32 | int) -> V:
-        """Sums of the weighted samples within the radius along this axis. ``values``: one lane a sample; ``sample``:
-        its number in its pixel; ``place``: the pixel's coordinate; ``stride``: lanes from one pixel to the next."""
+    def convolve(self, values: V, spread: Spread, place: mi.UInt32, stride: mi.UInt32 | int) -> V:
+        """Sums of the weighted samples within the radius along this axis. ``values``: one lane a pixel, which has one
+        sample; ``place``: the pixel's coordinate; ``stride``: lanes from one pixel to the next."""
         kind: type[mi.Color3f] = type(values)
         lane = mi.Int32(dr.arange(mi.UInt32, dr.width(values)))
-        last = dr.gather(mi.Int32, spread.last, sample)
-        size, count = dr.opaque(mi.Int32, self.size), self.candidates
-        result = kind(0.0)
-        for index, weights in enumerate(spread.values):
-            shift = last - (count - 1 - index)
+        size, result = dr.opaque(mi.Int32, self.size), kind(0.0)
+        for index, weight in enumerate(spread.values):
+            shift = spread.last - (self.candidates - 1 - index)
             source = mi.Int32(place) - shift
             on_film = (source >= 0) & (source < size)
-            value = dr.gather(kind, values, mi.UInt32(lane - shift * mi.Int32(stride)), on_film)
-            result = result + value * dr.gather(mi.Float, weights, sample)
+            result = result + dr.gather(kind, values, mi.UInt32(lane - shift * mi.Int32(stride)), on_film) * weight
         return result
 
     def near(
         self, values: list[V], spread: Spread, sample: mi.UInt32, pixel: mi.UInt32, place: mi.UInt32, count: mi.UInt32
     ) -> list[V]:
-        """As :meth:`convolve` of several layers, of sample ``sample`` of each pixel alone: one lane a pixel, with
-        ``count`` samples each."""
+        """As :meth:`convolve`, of several layers that have ``count`` samples a pixel, and of their sample ``sample``
+        alone."""
         kinds: list[type[mi.Color3f]] = [type(layer) for layer in values]
         last, size = dr.gather(mi.Int32, spread.last, sample), dr.opaque(mi.Int32, self.size)
         results: list[V] = [kind(0.0) for kind in kinds]
@@ -287,39 +284,41 @@ class PixelFilter:
         return x, y, weight_x * weight_y
 
     def spread(self, values: V, u1: mi.Float, u2: mi.Float) -> V:
-        """Filtered sums over the samples, one lane a pixel. ``values``: one lane a sample, the samples of a pixel
-        consecutive; sample j of each pixel has the offset (``u1[j]``, ``u2[j]``). Evaluates ``values``.
+        """:meth:`spread_together` of one layer."""
+        return self.spread_together([values], u1, u2)[0]
+
+    def spread_together(self, values: list[V], u1: mi.Float, u2: mi.Float) -> list[V]:
+        """Filtered sums of several layers over the samples, one lane a pixel. ``values``: one lane a sample, the
+        samples of a pixel consecutive; sample j of each pixel has the offset (``u1[j]``, ``u2[j]``). Evaluates
+        ``values``.
 
         As in Mitsuba, pixels near the border are divided by the filter weights of their samples, so that a constant
         picture stays constant; the expectation there depends on the number of samples."""
         samples = dr.width(u1)
-        if not (self.is_box or self.has_gaps):
-            count, width = dr.opaque(mi.UInt32, samples), dr.opaque(mi.UInt32, self.width)
-            lane = dr.arange(mi.UInt32, dr.width(values))
-            pixel = lane // count
-            sample, y = lane - pixel * count, pixel // width
-            across, down = self._x.offsets(u1), self._y.offsets(u2)
-            rows = self._x.convolve(values, across, sample, pixel - y * width, count)
-            dr.eval(rows)
-            weights = self._y.reached(down).T @ self._x.reached(across) / np.float32(samples)
-            weight = dr.gather(mi.Float, mi.Float(weights.ravel()), pixel)
-            values = self._y.convolve(rows, down, sample, y, count * width) / weight
-        return dr.block_sum(values, samples) if samples > 1 else values
-
-    def spread_together(self, values: list[V], u1: mi.Float, u2: mi.Float) -> list[V]:
-        """As :meth:`spread`, of several layers: in about the time that one takes there.
-
-        Samples of a pixel are added before the columns are filtered, one sum for each neighbour that they reach."""
-        samples = dr.width(u1)
-        if len(values) == 1 or self.is_box or self.has_gaps:
-            return [self.spread(layer, u1, u2) for layer in values]
-        kinds: list[type[mi.Color3f]] = [type(layer) for layer in values]
-        count, width, height = (dr.opaque(mi.UInt32, n) for n in (samples, self.width, self.height))
-        pixel = dr.arange(mi.UInt32, self.width * self.height)
+        if self.is_box or self.has_gaps:
+            return [dr.block_sum(layer, samples) if samples > 1 else layer for layer in values]
+        across, down = self._x.offsets(u1), self._y.offsets(u2)
+        pixel, width = dr.arange(mi.UInt32, self.width * self.height), dr.opaque(mi.UInt32, self.width)
         y = pixel // width
         x = pixel - y * width
-        across, down = self._x.offsets(u1), self._y.offsets(u2)
-        table, offsets = self._y.table(down)
+        dr.eval(values)
+        reached = self._y.reached(down).T @ self._x.reached(across) / np.float32(samples)
+        inverse = copied_to_device(mi.Float, 1.0 / reached.ravel())
+        if samples == 1:  # a third of the memory
+            rows = [self._x.convolve(layer, across, x, 1) for layer in values]
+            dr.eval(rows)
+            results = [self._y.convolve(row, down, y, width) * inverse for row in rows]
+        else:
+            results = [layer * inverse for layer in self._by_neighbour(values, across, down, x, y)]
+        dr.eval(results)
+        return results
+
+    def _by_neighbour(self, values: list[V], across: Spread, down: Spread, x: mi.UInt32, y: mi.UInt32) -> list[V]:
+        """Sums over several samples a pixel, of all layers in one kernel: those of a pixel are added along the rows
+        first, one sum for each row that they reach."""
+        kinds: list[type[mi.Color3f]] = [type(layer) for layer in values]
+        count, width, height = (dr.opaque(mi.UInt32, n) for n in (dr.width(across.last), self.width, self.height))
+        pixel, (table, offsets) = dr.arange(mi.UInt32, self.width * self.height), self._y.table(down)
 
         def add(sample: mi.UInt32, sums: list[list[V]]) -> tuple[mi.UInt32, list[list[V]]]:
             rows = self._x.near(values, across, sample, pixel, x, count)
@@ -332,16 +331,12 @@ class PixelFilter:
         empty: list[list[V]] = [[kind(0.0) for _ in offsets] for kind in kinds]
         _, sums = dr.while_loop((mi.UInt32(0), empty), lambda sample, _: sample < count, add, label="filter")
         dr.eval(sums)
-        reached = self._y.reached(down).T @ self._x.reached(across) / np.float32(samples)
-        inverse = copied_to_device(mi.Float, 1.0 / reached.ravel())
         results: list[V] = [kind(0.0) for kind in kinds]
         for place, offset in enumerate(offsets):
             source = mi.Int32(y) - offset
             at, on_film = mi.UInt32(mi.Int32(pixel) - offset * mi.Int32(width)), source < mi.Int32(height)
             for number, (kind, each) in enumerate(zip(kinds, sums, strict=True)):
                 results[number] = results[number] + dr.gather(kind, each[place], at, (source >= 0) & on_film)
-        results = [result * inverse for result in results]
-        dr.eval(results)
         return results
 
     def taps(self, x: mi.Float, y: mi.Float) -> list[tuple[mi.UInt32, mi.Float, mi.Bool]]:

@@ -225,11 +225,12 @@ class ImageMethod(ABC):
             first, bad = self.first_layers(iteration, seed, samples)
             layers |= first
             counters["nonfinite"] += bad
+        sums = {name: layer.astype(np.float64) for name, layer in layers.items()}
         return Measurement(
-            sums={name: layer.astype(np.float64) for name, layer in layers.items()},
+            sums=sums,
             weights=dict.fromkeys(layers, float(samples)),
             iterations=Iterations.single(iteration),
-            squares={"image": np.square(layers["image"], dtype=np.float64)},
+            squares={"image": np.square(sums["image"])},
             counters=counters | {"samples": float(samples)},
         )
 

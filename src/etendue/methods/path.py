@@ -72,6 +72,10 @@ class Path(EndsInMap):
     settings: PathSettings
     citations: ClassVar[tuple[str, ...]] = ("Kajiya1986", "Veach1997")
 
+    def full_lanes(self) -> int:
+        """See :class:`ImageMethod`. Twice as many: a pass is short, and its fixed cost counts."""
+        return 2 * super().full_lanes()
+
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""
         return path_pass(self, iteration, seed, samples, self.trace)

@@ -12,10 +12,14 @@ over n, where the scale s_n makes the brightness of the picture that of the inde
 
 .. math:: s_n = \frac{\Phi(\sum_i P_i) - \Phi(R_n) - \Phi(B_n)}{\Phi(D_n)}
 
-with a weighted mean luminance Phi. A pass adds the difference of S_n and S_{n-1} to the sum of the run. The weights of
-a pass are those of least variance, a = v_C / (v_C + v_P), by the variances that the passes before it have shown; they
-do not depend on the pass itself. Chains and independent samples are two independent halves each; everything here is
-done for each half by itself, so that the difference of the halves measures the error, that of the scale included.
+with a weighted mean luminance Phi. A pass adds the difference of S_n and S_{n-1} to the sum of the run. Chains and
+independent samples are two independent halves each; everything here is done for each half by itself, so that the
+difference of the halves measures the error, that of the scale included.
+
+The weights of a pass are those of least variance, a = v_C / (v_C + v_P), by the variances that the passes before it
+have shown. The chains of a half are in two groups, whose difference tells v_C, and the weights of a half are those of
+the chains of the other one: a chain carries on where it was, so weights by its own past would be small where it has not
+found the light, and the picture would lose it.
 """
 
 from __future__ import annotations
@@ -39,7 +43,7 @@ _CELL, _FIRST = 24, 0.5
 _LEAST, _MOST = 0.02, 0.98
 Pictures = NDArray[np.floating[Any]]
 #: The arrays of :class:`Blend`.
-_ARRAYS = ("chained", "large", "spread", "kept", "scatter")
+_ARRAYS = ("chained", "large", "contrast", "spread", "kept", "scatter")
 
 
 @dataclass(frozen=True)
@@ -120,14 +124,16 @@ class Blend:
     """What is carried on from pass to pass; arrays are replaced, never modified.
 
     ``chained``: D of each part and half, (parts, 2, height, width, 3); a picture is the sum of its parts, which are the
-    components of light, or one. ``large``: R of each half. ``spread``: sum over the passes of the squared half
-    difference of the luminance of P, (height, width). ``kept``, ``scatter``: sums of 1 - a, and of its square over the
-    steps of the pass, (height, width).
+    components of light, or one. ``large``: R of each half. ``contrast``: half differences of the luminance of D and R
+    between the groups of each half, (2, 2, height, width). ``spread``: sum over the passes of the squared difference of
+    the luminance of P, (height, width), times 1/2: the variance of a half. ``kept``, ``scatter``: sums of 1 - a, and of
+    its square over the steps of the pass, (2, height, width).
     """
 
     scale: Scale
     chained: NDArray[np.float32]
     large: NDArray[np.float32]
+    contrast: NDArray[np.float32]
     spread: NDArray[np.float32]
     kept: NDArray[np.float32]
     scatter: NDArray[np.float32]
@@ -137,8 +143,8 @@ class Blend:
     def empty(cls, width: int, height: int, parts: int = 1) -> Blend:
         """Before the first pass."""
         halves = np.zeros((parts, 2, height, width, 3), np.float32)
-        one = np.zeros((height, width), np.float32)
-        return cls(Scale.unknown(), halves, halves[0], one, one, one)
+        one = np.zeros((2, 2, height, width), np.float32)
+        return cls(Scale.unknown(), halves, halves[0], one, one[0, 0], one[0], one[0])
 
     @classmethod
     def of(cls, state: State) -> Blend:
@@ -157,23 +163,27 @@ class Blend:
         return [getattr(self, name).shape for name in _ARRAYS]
 
     def variances(self, grid: Grid) -> tuple[Array, Array]:
-        """Relative variance around each cell: of the chains' picture after one step, and of P after one pass."""
-        chained = self.scale.scale[:, None, None, None] * self.chained.sum(axis=0) + self.large
-        first, second = luminance(chained)
-        inverse = 1.0 / (np.square(0.5 * (first + second) / self.kept) + RELATIVE_EPSILON)
-        # The sum over passes of 1 - a times a picture whose variance is that of a step over the number of steps.
-        by_chains = grid.means(0.25 * np.square(first - second) / self.scatter * inverse)
-        return by_chains, grid.means(self.spread / self.passes * inverse)
+        """Relative variance around each cell, of each half: of the chains' picture after one step, and of P after one
+        pass."""
+        chained, paths = [], []
+        for half, scale in enumerate(self.scale.scale):
+            picture = luminance(scale * self.chained[:, half].sum(axis=0) + self.large[half])
+            inverse = 1.0 / (np.square(picture / self.kept[half]) + RELATIVE_EPSILON)
+            difference = scale * self.contrast[0, half] + self.contrast[1, half]
+            # The sum over passes of 1 - a times a picture whose variance is that of a step over the number of steps.
+            chained.append(grid.means(np.square(difference) / self.scatter[half] * inverse))
+            paths.append(grid.means(self.spread / self.passes * inverse))
+        return np.array(chained), np.array(paths)
 
     def weights(self, grid: Grid, steps: int) -> Array:
-        """a of the next pass, of so many steps."""
+        """a of each half in the next pass, of so many steps; (2, height, width)."""
         if self.passes == 0:
             return np.full(self.kept.shape, _FIRST)
-        by_chains, by_paths = self.variances(grid)
+        by_chains, by_paths = (cells[::-1] for cells in self.variances(grid))  # those of the other half
         by_chains = by_chains / steps
         total = by_chains + by_paths
         cells = np.where(total > 0.0, by_chains / np.where(total > 0.0, total, 1.0), _FIRST)
-        return grid.spread(np.clip(cells, _LEAST, _MOST))
+        return np.stack([grid.spread(np.clip(one, _LEAST, _MOST)) for one in cells])
 
     def after(
         self,
@@ -185,10 +195,15 @@ class Blend:
         otherwise: Array,
         steps: int,
     ) -> tuple[Blend, Array]:
-        """(what is carried on after a pass with the pictures C, L and P, what the pass adds to the picture); pictures
-        are (parts, 2, height, width, 3). ``factors``: of the brightness; ``otherwise``: as of :meth:`Scale.after`."""
-        kept = (1.0 - weights)[:, :, None]
-        chained, large, blended = kept * chained, kept * large, weights[:, :, None] * independent
+        """(what is carried on after a pass with the pictures C, L and P, what the pass adds to the picture, (parts, 2,
+        height, width, 3)); C and L by group, (parts, 2, 2, height, width, 3). ``factors``: of the brightness;
+        ``otherwise``: as of :meth:`Scale.after`."""
+        keep = 1.0 - weights
+        groups = [luminance(p.sum(axis=0)) for p in (chained, large)]
+        contrast = np.stack([0.5 * keep * (light[:, 0] - light[:, 1]) for light in groups])
+        kept = keep[:, :, :, None]
+        chained, large = (kept * p.mean(axis=2) for p in (chained, large))
+        blended = weights[:, :, :, None] * independent
         wholes = (chained.sum(axis=0), (large + blended).sum(axis=0), independent.sum(axis=0))
         sums = np.stack([brightness(p, factors) for p in wholes], axis=1)
         lit = luminance(wholes[2])
@@ -200,9 +215,10 @@ class Blend:
             scale=scale,
             chained=(self.chained + chained).astype(np.float32),
             large=(self.large + large.sum(axis=0)).astype(np.float32),
-            spread=(self.spread + 0.25 * np.square(lit[0] - lit[1])).astype(np.float32),
-            kept=(self.kept + kept[:, :, 0]).astype(np.float32),
-            scatter=(self.scatter + np.square(kept[:, :, 0]) / steps).astype(np.float32),
+            contrast=(self.contrast + contrast).astype(np.float32),
+            spread=(self.spread + 0.5 * np.square(lit[0] - lit[1])).astype(np.float32),
+            kept=(self.kept + keep).astype(np.float32),
+            scatter=(self.scatter + np.square(keep) / steps).astype(np.float32),
             passes=self.passes + 1,
         ), added
 

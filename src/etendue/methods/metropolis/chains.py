@@ -43,8 +43,11 @@ CORRELATED = 0.25
 #: The bootstrap ends with this many samples that find light, or when it has grown by this factor; by the second one as
 #: long as only one of the halves has found light.
 _ENOUGH_LIT, _MOST_GROWTH, _ONE_SIDED_GROWTH = 1 << 12, 8, 64
-#: Images of the splats of a component: of the chains and of large steps, for each half.
-IMAGES = 4
+#: Groups of the chains of a half, whose pictures are apart.
+_GROUPS = 2
+#: Images of the splats of a component: of the chains and of large steps, for each half and group.
+_LARGE = 2 * _GROUPS
+IMAGES = 2 * _LARGE
 #: Bytes of a sample of the bootstrap on the host: a contribution, and the target.
 _CONTRIBUTION_BYTES, _TARGET_BYTES = 12, 24
 #: Most samples of the bootstrap that are traced together.
@@ -86,9 +89,10 @@ class Progressed:
 class PassResult:
     """A pass of all chains.
 
-    ``chained``, ``large``: pictures, (parts, 2, height, width, 3), of each component of light, or of the only one, and
-    of the two halves: of the chains without the factor kappa b / b_0, and of the large steps as independent samples;
-    ``None`` without splats. ``factors``: an estimate of that factor by the bootstrap and all large steps, of each half.
+    ``chained``, ``large``: pictures, (parts, 2, 2, height, width, 3), of each component of light, or of the only one,
+    and of the two groups of each half: of the chains without the factor kappa b / b_0, and of the large steps as
+    independent samples; ``None`` without splats. ``factors``: an estimate of that factor by the bootstrap and all large
+    steps, of each half.
     """
 
     chained: NDArray[np.float64] | None
@@ -103,7 +107,7 @@ class Runner:
 
     Attributes
     ----------
-    chains: an even number.
+    chains: a multiple of four.
     bootstrap: samples that chains start from, at least.
     sampler: of the bootstrap and of large steps, ``owen`` or ``independent``.
     room: bytes that the bootstrap may take on the host.
@@ -122,8 +126,8 @@ class Runner:
 
     def __post_init__(self) -> None:
         self._numbers = numbers_of(self.chains)
-        self._half = self._numbers >> _HALF_BIT
-        dr.eval(self._half)
+        self._group = dr.arange(mi.UInt32, self.chains) // dr.opaque(mi.UInt32, self.chains // (2 * _GROUPS))
+        dr.eval(self._group)
 
     # ------------------------------------------------------------------ random numbers
 
@@ -301,7 +305,7 @@ class _Walk:
         for index, one in enumerate(contributions):
             place = self.splats.at(one.position, number.next_2d(index, 0))
             value = one.value * (weight * place.weight)
-            number_of = self.runner._half + (image + IMAGES * one.component)
+            number_of = self.runner._group + (image + IMAGES * one.component)
             self.splats.add_to(number_of, place, value, place.on_film & ~dr.all(value == 0.0))
 
     def step(self, seed: int, is_large: bool) -> None:
@@ -327,7 +331,7 @@ class _Walk:
         self._splat(0, left, dr.select(accepted, self.waiting + stay, go), places)
         self.waiting = dr.select(accepted, go, self.waiting + stay)
         if is_large:
-            self._splat(2, traced.contributions, self._weight(target), places)
+            self._splat(_LARGE, traced.contributions, self._weight(target), places)
             self._sums = [self._sums[0] + target, self._sums[1] + target * target]
         self._accepted[is_large] = self._accepted[is_large] + dr.select(accepted, mi.UInt32(1), 0)
         self._tried[is_large] += 1
@@ -363,10 +367,10 @@ class _Walk:
         factors = CORRELATED * mean / carried.unit
         chained = large = None
         if self.splats is not None:
-            scale = runner.size[0] * runner.size[1] / (steps * runner.chains / 2)
+            scale = runner.size[0] * runner.size[1] / (steps * runner.chains / (2 * _GROUPS))
             images = scale * self.splats.sums().astype(np.float64)
-            images = images.reshape(-1, IMAGES, *images.shape[1:])
-            chained, large = images[:, :2], images[:, 2:]
+            images = images.reshape(-1, 2, 2, _GROUPS, *images.shape[1:])
+            chained, large = images[:, 0], images[:, 1]
         counters = {
             "rays": total(self._rays),
             "paths": float(steps * runner.chains),

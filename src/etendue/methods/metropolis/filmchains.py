@@ -241,7 +241,7 @@ class FilmMetropolis(MetropolisMethod):
         dim_places = every * ~np.any(around, axis=0)
         return dim_places if dim_places.any() else every
 
-    def _planned(self) -> int:
+    def _plan(self) -> int:
         """See :class:`MetropolisMethod`."""
         return self._steps
 

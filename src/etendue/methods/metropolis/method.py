@@ -77,7 +77,7 @@ class MetropolisSettings(ImageSettings):
 
     chains: int = setting(
         0,
-        "number of chains, rounded up to an even one; 0: chosen by the samples of a pass",
+        "number of chains, rounded up to a multiple of four; 0: chosen by the samples of a pass",
         minimum=0,
         maximum=1 << 20,
     )
@@ -131,7 +131,7 @@ class MetropolisMethod(Carrying, ImageMethod):
         samples = self._samples(problem)
         paths = self.camera.pixels * samples
         chains = s.chains or min(_MOST_CHAINS, max(paths // _STEPS, 1))
-        chains += chains % 2
+        chains += -chains % 4
         self._steps, self._chains = max(2, -(-paths // chains)), chains
         self.runner = Runner(
             self.make_target(seed),
@@ -173,6 +173,7 @@ class MetropolisMethod(Carrying, ImageMethod):
         self._grid = Grid(self.camera.width, self.camera.height)
         self._blend = Blend.empty(self.camera.width, self.camera.height, len(self._parts))
         self._work = (0.0, 0.0)  # rays: of a step, and of the independent estimator in a pass
+        self._planned = self._steps  # steps of a pass
 
     def bind(self, scene: mi.Scene | None) -> None:
         """See :class:`ImageMethod`."""
@@ -191,7 +192,7 @@ class MetropolisMethod(Carrying, ImageMethod):
     # ------------------------------------------------------------------ a pass
 
     def _step(self, iteration: int, seed: int) -> Measurement:
-        steps = self._planned()
+        self._planned = steps = self._plan()
         made = self._run(iteration, seed, steps)
         independent, self._besides, counts = self._beside.step(iteration, seed, self._besides)
         self._work = made.counters["rays"] / steps, counts["rays"]
@@ -219,11 +220,12 @@ class MetropolisMethod(Carrying, ImageMethod):
             records=records,
         )
 
-    def _planned(self) -> int:
+    def _plan(self) -> int:
         """Steps of the next pass: where chains have less variance for their work than the independent estimator, they
-        have the larger share of the work."""
-        if not self._passes:
-            return self._steps
+        have the larger share of the work. The steps are tuned in the first passes only, as their size is: the number
+        would depend on where the chains are, and so would their mean picture."""
+        if not 0 < self._passes < TUNING:
+            return self._planned
         by_chains, by_paths = (v.mean() for v in self._blend.variances(self._grid))
         step, paths = _RAY * self._work[0], self._work[1]
         chains, other = (by_paths * paths) ** 2, (by_chains * step) ** 2
@@ -308,6 +310,7 @@ class MetropolisMethod(Carrying, ImageMethod):
             "found": c.found,
             "passes": self._passes,
             "work": list(self._work),
+            "planned": self._planned,
             "beside": list(self._besides),
             "blend": self._blend.left(),
             **{name: getattr(c, name) for name in _PLAIN},
@@ -339,6 +342,7 @@ class MetropolisMethod(Carrying, ImageMethod):
         )
         self._passes, self._blend = int(state["passes"]), blend
         self._work, self._besides = tuple(state["work"]), list(state["beside"])
+        self._planned = int(state["planned"])
         self._carried = Progressed(
             states,
             BrightnessMap(np.asarray(state["factors"], np.float32), (self.camera.width, self.camera.height)),
