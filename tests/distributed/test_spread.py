@@ -47,6 +47,21 @@ def test_replicas_go_on_where_they_were_when_their_worker_dies(seed):
     assert made.state == expected.state
 
 
+def test_replicas_send_their_state_seldom(monkeypatch):
+    """A replica makes all of its passes where it is: it takes none from others, so its last chunks are as long as the
+    first ones."""
+    monkeypatch.setattr(spread_module, "_SHORTEST", 10.0)
+    lengths = []
+
+    class Watched(Simulated):
+        def outcome(self, worker, chunk):
+            lengths.append(chunk.count)
+            return super().outcome(worker, chunk)
+
+    run(Watched(Chain, 2), Replicated(Chain(), None, 5, 2), 100)
+    assert sorted(lengths) == [1, 1, 49, 49]
+
+
 def test_a_run_with_gaps_is_resumed_without_making_a_pass_twice():
     begun = run(Simulated(Powers, 2), Powers(), 10)
     gaps = Iterations({0: [(0, 2), (5, 7)]})

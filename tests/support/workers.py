@@ -14,7 +14,7 @@ from etendue.core import Iterations, Measurement, Pass
 from etendue.distributed import Arrival, Lost, Recipe, Spread
 from etendue.distributed.content import Offered
 from etendue.distributed.pool import Delivered
-from etendue.distributed.worker import Needs, _Desk, _Run, merge_outcomes
+from etendue.distributed.worker import Made, Needs, _Desk, _Run, merge_outcomes
 from etendue.engine import Budget, InTurn, Runner
 
 
@@ -89,6 +89,10 @@ class Opened:
         return made
 
 
+#: Seconds of a simulated pass.
+_PACE = 3e-5
+
+
 class Simulated:
     """A pool of simulated workers. ``faults``: probability that a chunk ends otherwise than by being made."""
 
@@ -115,7 +119,9 @@ class Simulated:
         desk = self.desks[worker]
         if chunk.run not in desk._runs:
             desk._runs[chunk.run] = _Run(Opened(self.kind))  # type: ignore[arg-type]
-        return desk._passes(chunk, desk._runs[chunk.run])
+        made = desk._passes(chunk, desk._runs[chunk.run])
+        # The same seconds on every machine: they decide how long the next chunks are, and so what becomes of them.
+        return replace(made, seconds=_PACE * made.passes) if isinstance(made, Made) else made
 
     def wait(self, seconds: float):
         if not self.sent:

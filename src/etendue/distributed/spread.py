@@ -172,7 +172,9 @@ class Spread(Crew[Chunk]):
             count = count if self._most_passes is None else min(count, self._most_passes)
         if self._order.most is not None:
             rest = self._order.most - self._planned
-            count = min(count, max(1, int(_SHARE_OF_REST * rest / len(self._workers))), rest)
+            # A replica leaves nothing to other workers.
+            share = 1.0 if self._recipe.carries_on else _SHARE_OF_REST / len(self._workers)
+            count = min(count, max(1, int(share * rest)), rest)
         return count
 
     # ------------------------------------------------------------------ outcomes
