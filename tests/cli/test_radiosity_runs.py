@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import shlex
+import signal
 import tempfile
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -158,6 +160,23 @@ def test_pictures_are_resumed_as_they_were_asked_for(capsys, variant):
     assert capsys.readouterr().out.split() == names
     after = Path("p.png").read_bytes()
     assert after != before and after[16:24] == before[16:24] == bytes([0, 0, 0, 24, 0, 0, 0, 16])
+
+
+def test_ctrl_c_while_the_run_begins(monkeypatch, capsys):
+    """Before the session can be told to stop: it must not go on in its thread."""
+    from etendue.cli import solutions
+
+    def interrupted(*arguments, **named):
+        session = start(*arguments, **named)
+        signal.raise_signal(signal.SIGINT)
+        return session
+
+    start = solutions.start_work
+    monkeypatch.setattr(solutions, "start_work", interrupted)
+    assert run("form-factors room.vtu --checkpoint c") == 130
+    assert "nothing was written" in capsys.readouterr().err
+    assert not Path("factors.npz").exists() and not Path("c").exists()
+    assert "etendue-session" not in {thread.name for thread in threading.enumerate()}
 
 
 def test_ctrl_c_before_any_line(monkeypatch, capsys):

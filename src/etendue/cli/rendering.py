@@ -50,8 +50,8 @@ def follow(
     """Start a session and show its progress until it ends; ``words`` formats the progress. Raises the errors of the
     session."""
     with ProgressView(console, label, words) as view:
-        session = open_session()
         announced = False
+        sessions: list[Session[T]] = []
 
         def announce() -> None:
             # Not from the signal handler, which may have interrupted a write to the same stream.
@@ -60,11 +60,19 @@ def follow(
                 announced = True
                 note(console, "stopping after this pass; press again to abort at once", "yellow")
 
+        def stop() -> None:
+            for session in sessions:
+                session.request_stop()
+
         def abort() -> None:
             view.close()
             note(console, "aborted", "red")
 
-        with Interrupts(session.request_stop, abort) as interrupts:
+        with Interrupts(stop, abort) as interrupts:
+            session = open_session()
+            sessions.append(session)
+            if interrupts.received is not None:  # before there was a session
+                stop()
             try:
                 while not session.wait(0.1):
                     announce()

@@ -147,7 +147,7 @@ class ImageMethod(ABC):
     #: Whether a pass depends on the state of the pass before. Each run then needs a method that was prepared with its
     #: own seed; for other methods the seed of ``prepare`` matters for pilot passes only.
     carries_on: ClassVar[bool] = False
-    #: Whether all camera paths of a pass have the same offset in their pixel (unless ``reconstruction=independent``).
+    #: Whether all camera paths of a pass have the same offset in their pixel, unless ``reconstruction=independent``.
     one_place = False
     #: An instance of ``Settings``.
     settings: Any
@@ -192,11 +192,10 @@ class ImageMethod(ABC):
     def _samples(self, problem: Problem) -> int:
         if self.settings.samples_per_pass:
             return int(self.settings.samples_per_pass)
-        width, height = problem.size
         lanes = self.full_lanes()
         if problem.memory:
             lanes = min(lanes, problem.memory // _LANE_BYTES)
-        return min(_MOST_SAMPLES, max(1, lanes // (width * height)))
+        return min(_MOST_SAMPLES, max(1, lanes // math.prod(problem.size)))
 
     def full_lanes(self) -> int:
         """Camera paths of a pass if ``samples_per_pass`` is 0."""
