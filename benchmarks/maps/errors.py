@@ -191,6 +191,6 @@ def cost(
         base = statistics.median(build for build, _ in times["histogram"][1:])
         for kind, found in times.items():
             build, query = ([pair[k] for pair in found[1:]] for k in (0, 1))
-            record.add(kind, spread(build, ".3f"), spread(query, ".3f"), f"{statistics.median(build) / base:.2f}")
+            record.add(kind, spread(build, ".3g"), spread(query, ".3g"), f"{statistics.median(build) / base:.2f}")
         record.notes.append(f"{rounds} rounds after one; {cells} cells; the surfaces and their cells are made anew")
         yield record

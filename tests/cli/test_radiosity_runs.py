@@ -168,11 +168,19 @@ def test_ctrl_c_while_the_run_begins(monkeypatch, capsys):
 
     def interrupted(*arguments, **named):
         session = start(*arguments, **named)
-        signal.raise_signal(signal.SIGINT)
+        try:
+            signal.raise_signal(signal.SIGINT)
+        finally:
+            threading.Timer(0.2, pressed.set).start()
         return session
 
-    start = solutions.start_work
+    def late(self, problem, seed):
+        pressed.wait()
+        prepare(self, problem, seed)
+
+    start, prepare, pressed = solutions.start_work, LineCasting.prepare, threading.Event()
     monkeypatch.setattr(solutions, "start_work", interrupted)
+    monkeypatch.setattr(LineCasting, "prepare", late)
     assert run("form-factors room.vtu --checkpoint c") == 130
     assert "nothing was written" in capsys.readouterr().err
     assert not Path("factors.npz").exists() and not Path("c").exists()
