@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 from etendue.core import OptionError, SceneError, use_variant
 from etendue.film import replacing
@@ -125,7 +126,7 @@ def scene_xml(
         _give_types(state)
         writing |= _without_bitmaps(state, folder)
         try:
-            text = str(mi.parser.write_string(state))
+            text = _with_names(str(mi.parser.write_string(state)), state)
         except (RuntimeError, ValueError, TypeError) as error:
             why = re.sub(r"\s+", " ", str(error)).strip()
             raise SceneError(f"the scene {name} cannot be written as XML: {why}") from error
@@ -135,6 +136,23 @@ def scene_xml(
         with replacing(file) as part:
             write(part)
     return text
+
+
+def _with_names(text: str, state: mi.parser.ParserState) -> str:
+    """XML in which the elements of the scene have their ids. Mitsuba writes only those that are referred to, and shapes
+    without one have another name whenever the file is read."""
+    import mitsuba as mi
+
+    below = read_properties(state.root.props).values()
+    nodes = [state.nodes[value.index()] for value in below if isinstance(value, mi.Properties.ResolvedReference)]
+    root = ElementTree.fromstring(text)
+    elements = [element for element in root if element.tag == "ref" or "type" in element.attrib]
+    if len(elements) != len(nodes):
+        return text
+    for element, node in zip(elements, nodes, strict=True):
+        if element.tag != "ref" and _id(node.props):
+            element.set("id", _id(node.props))
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
 def _without_bitmaps(state: mi.parser.ParserState, folder: Path | None) -> _Writing:
