@@ -143,7 +143,8 @@ def save_solution(
 ) -> None:
     """Write a solution by the suffix of ``path``.
 
-    ``.npz``: arrays by patch, named like those of :class:`Solution` and :class:`Patches`, the mesh, and ``metadata``.
+    ``.npz``: arrays by patch, named like those of :class:`Solution` and :class:`Patches`, the mesh, names of shapes,
+        and ``metadata``.
     ``.vtu``: for ParaView: every face with ``radiosity``, ``irradiance``, ``net_flux`` (radiosity minus irradiance),
         ``emission``, ``reflectance``, ``sky_share`` and ``patch``. A back that belongs to a patch is a face of its own.
     ``.ply``: vertices with ``red``, ``green``, ``blue``: radiosity, linear floats, smoothed over edges of at most
@@ -194,4 +195,6 @@ def save_solution(
         return
     geometry = ("areas", "normals", "centres", "labels", "vertices", "faces", "front", "back", "sky")
     rest = {name: getattr(patches, name) for name in geometry}
+    if patches.shapes is not None:
+        rest |= {"shapes": patches.shapes, "shape_names": np.array(patches.shape_names, dtype=str)}
     save_arrays(path, by_patch | rest | {"residuals": np.array(solution.residuals)}, metadata)

@@ -17,11 +17,12 @@ from ..errors import RadiosityError
 from ..solvers.system import Solution
 from .netcdf import read_netcdf_solution
 
-#: The arrays read from a file.
+#: The arrays read from a file, and those that it may have.
 _NEEDED = (
     *("vertices", "faces", "front", "back", "labels", "reflectance", "emission", "sky"),
     *("radiosity", "irradiance", "sky_share", "residuals"),
 )
+_OPTIONAL = ("irradiance_error", "shapes", "shape_names")
 
 
 def read_solution(path: str | os.PathLike[str]) -> tuple[Solution, Array | None]:
@@ -43,6 +44,8 @@ def read_solution(path: str | os.PathLike[str]) -> tuple[Solution, Array | None]
             sky=saved["sky"],
         )
         patches.labels = saved["labels"].astype(np.int64)
+        if "shapes" in saved:
+            patches.shapes, patches.shape_names = saved["shapes"], tuple(map(str, saved["shape_names"]))
         numbers = (saved["radiosity"], saved["irradiance"], saved["sky_share"])
         if any(len(values) != len(patches) for values in numbers):
             raise RadiosityError(f"'{path}' is damaged: its arrays have different numbers of patches")
@@ -55,7 +58,7 @@ def read_solution(path: str | os.PathLike[str]) -> tuple[Solution, Array | None]
 def _read_arrays(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
     try:
         with np.load(path, allow_pickle=False) as saved:
-            return {name: saved[name] for name in (*_NEEDED, "irradiance_error") if name in saved}
+            return {name: saved[name] for name in (*_NEEDED, *_OPTIONAL) if name in saved}
     except FileNotFoundError:
         raise RadiosityError(f"there is no file of a solution '{path}'") from None
     except (OSError, ValueError, EOFError, AttributeError, TypeError, BadZipFile) as error:
