@@ -153,7 +153,7 @@ def test_every_pair(row):
 def test_the_full_cross(row):
     """Longer runs for rows with more noise; the noise is judged before the means are compared. Of so many rows one may
     differ by chance: four times the runs of another seed show a difference that there is more clearly, and no other."""
-    samples = (256, 2048, 8192)
+    samples = (256, 2048, 4096)
     for many in samples:
         try:
             compare(*row, samples=many)
