@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support import scenes
 from support.running import go, prepared
 
 from etendue.core import RELATIVE_EPSILON
-from etendue.methods.metropolis.blend import Blend, Grid, brightness
+from etendue.methods.metropolis.blend import Blend, Grid, brightness, luminance
+from etendue.methods.metropolis.chains import PassResult
 
 WIDTH, HEIGHT, FACTOR = 48, 24, 0.37
 OTHERWISE = np.array([1.0, 1.0])
@@ -20,9 +23,16 @@ def image(rng, level, noise):
     return mean * (1.0 + noise * rng.standard_normal((2, HEIGHT, WIDTH, 1)))
 
 
+def made_of(chained, large):
+    """The pass of chains whose groups have these pictures, (2, 2, height, width, 3)."""
+    pictures = [group.mean(axis=1)[None] for group in (chained, large)]
+    contrast = np.stack([0.5 * (light[:, 0] - light[:, 1]) for light in map(luminance, (chained, large))])
+    return PassResult(*pictures, contrast, {}, OTHERWISE)
+
+
 def groups(half):
     """Pictures of the two groups of each half."""
-    return np.stack([half(), half()], axis=1)[None]
+    return np.stack([half(), half()], axis=1)
 
 
 def blended(passes, chain_noise, path_noise, seed=1, steps=4):
@@ -35,7 +45,7 @@ def blended(passes, chain_noise, path_noise, seed=1, steps=4):
         large = groups(lambda: image(rng, 0.3, 2.0**0.5 * chain_noise))
         independent = image(rng, 1.0, path_noise)
         weights = blend.weights(grid, steps)
-        blend, added = blend.after(chained, large, independent[None], weights, factors, OTHERWISE, steps)
+        blend, added = blend.after(made_of(chained, large), independent[None], weights, factors, steps)
         total, paths = total + added[0], paths + independent
     return blend, total, paths, factors
 
@@ -81,8 +91,7 @@ def test_chains_that_stay_where_they_are_lose_no_light():
             paths = rng.gamma(0.25, 4.0, (2, 2)) * 2.0 * np.array([share, 1.0 - share])  # of half and side
             paths = np.where(is_upper, paths[:, :1, None, None], paths[:, 1:, None, None]) * np.ones((side, 2, 3))
             weights = blend.weights(grid, 1)
-            pictures = chained[None], 0.0 * chained[None], paths[None]
-            blend, added = blend.after(*pictures, weights, factors, OTHERWISE, 1)
+            blend, added = blend.after(made_of(chained, 0.0 * chained), paths[None], weights, factors, 1)
             upper += added[0][:, : side // 2].mean() / (2.0 * share * passes)
         found.append(upper)
     error = np.std(found) / np.sqrt(runs)
@@ -90,9 +99,10 @@ def test_chains_that_stay_where_they_are_lose_no_light():
 
 
 def test_no_light_of_the_independent_estimator_leaves_the_scale_to_the_large_steps():
-    blend, one = Blend.empty(WIDTH, HEIGHT), np.ones((1, 2, 2, HEIGHT, WIDTH, 3))
+    blend, one = Blend.empty(WIDTH, HEIGHT), np.ones((2, 2, HEIGHT, WIDTH, 3))
     factors, half = np.ones((HEIGHT, WIDTH)), np.full((2, HEIGHT, WIDTH), 0.5)
-    blend, added = blend.after(one, 0.0 * one, 0.0 * one[:, :, 0], half, factors, np.array([2.0, 3.0]), 4)
+    made = replace(made_of(one, 0.0 * one), factors=np.array([2.0, 3.0]))
+    blend, added = blend.after(made, 0.0 * one[None, :, 0], half, factors, 4)
     np.testing.assert_array_equal(blend.scale.scale, [2.0, 3.0])
     np.testing.assert_array_equal(added[0, :, 0, 0, 0], [1.0, 1.5])
 

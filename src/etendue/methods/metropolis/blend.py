@@ -26,7 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,9 @@ from etendue.core import RELATIVE_EPSILON, Array, State, seed_key
 from etendue.film import LUMINANCE
 
 from ..base import ImageMethod
+
+if TYPE_CHECKING:
+    from .chains import PassResult
 
 #: Side of a cell in which variances are measured, in pixels, and the weight of the independent estimator before they
 #: are known.
@@ -186,28 +189,18 @@ class Blend:
         return np.stack([grid.spread(np.clip(one, _LEAST, _MOST)) for one in cells])
 
     def after(
-        self,
-        chained: Pictures,
-        large: Pictures,
-        independent: Pictures,
-        weights: Array,
-        factors: Array,
-        otherwise: Array,
-        steps: int,
+        self, made: PassResult, independent: Pictures, weights: Array, factors: Array, steps: int
     ) -> tuple[Blend, Array]:
-        """(what is carried on after a pass with the pictures C, L and P, what the pass adds to the picture, (parts, 2,
-        height, width, 3)); C and L by group, (parts, 2, 2, height, width, 3). ``factors``: of the brightness;
-        ``otherwise``: as of :meth:`Scale.after`."""
+        """(what is carried on after a pass of chains and the picture P, what the pass adds to the picture). Pictures
+        are (parts, 2, height, width, 3); ``factors``: of the brightness."""
+        assert made.chained is not None and made.large is not None and made.contrast is not None
         keep = 1.0 - weights
-        groups = [luminance(p.sum(axis=0)) for p in (chained, large)]
-        contrast = np.stack([0.5 * keep * (light[:, 0] - light[:, 1]) for light in groups])
         kept = keep[:, :, :, None]
-        chained, large = (kept * p.mean(axis=2) for p in (chained, large))
-        blended = weights[:, :, :, None] * independent
+        chained, large, blended = kept * made.chained, kept * made.large, weights[:, :, :, None] * independent
         wholes = (chained.sum(axis=0), (large + blended).sum(axis=0), independent.sum(axis=0))
         sums = np.stack([brightness(p, factors) for p in wholes], axis=1)
         lit = luminance(wholes[2])
-        scale = self.scale.after(sums, lit.mean(axis=(1, 2)), otherwise)
+        scale = self.scale.after(sums, lit.mean(axis=(1, 2)), made.factors)
         new, old = (v[:, None, None, None] for v in (scale.scale, self.scale.scale))
         added = new * chained + (new - old) * self.chained + large + blended
         return replace(
@@ -215,7 +208,7 @@ class Blend:
             scale=scale,
             chained=(self.chained + chained).astype(np.float32),
             large=(self.large + large.sum(axis=0)).astype(np.float32),
-            contrast=(self.contrast + contrast).astype(np.float32),
+            contrast=(self.contrast + keep * made.contrast).astype(np.float32),
             spread=(self.spread + 0.5 * np.square(lit[0] - lit[1])).astype(np.float32),
             kept=(self.kept + keep).astype(np.float32),
             scatter=(self.scatter + np.square(keep) / steps).astype(np.float32),

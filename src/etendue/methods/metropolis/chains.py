@@ -35,6 +35,7 @@ from etendue.points import OwenSobolSource
 from etendue.transport import Splats
 
 from ..base import total
+from .blend import luminance
 from .film import BrightnessMap
 from .targets import Contribution, Target, Traced, largest_target
 
@@ -89,14 +90,15 @@ class Progressed:
 class PassResult:
     """A pass of all chains.
 
-    ``chained``, ``large``: pictures, (parts, 2, 2, height, width, 3), of each component of light, or of the only one,
-    and of the two groups of each half: of the chains without the factor kappa b / b_0, and of the large steps as
-    independent samples; ``None`` without splats. ``factors``: an estimate of that factor by the bootstrap and all large
-    steps, of each half.
+    ``chained``, ``large``: pictures, (parts, 2, height, width, 3), of each component of light, or of the only one, and
+    of the two halves: of the chains without the factor kappa b / b_0, and of the large steps as independent samples.
+    ``contrast``: half differences of the luminance of both between the groups of each half, (2, 2, height, width).
+    ``None`` without splats. ``factors``: an estimate of that factor by the bootstrap and all large steps, of each half.
     """
 
     chained: NDArray[np.float64] | None
     large: NDArray[np.float64] | None
+    contrast: NDArray[np.float64] | None
     counters: dict[str, float]
     factors: Array
 
@@ -365,12 +367,15 @@ class _Walk:
         found = carried.found + np.concatenate([count, new]).T
         mean = found[:, 1] / found[:, 0]
         factors = CORRELATED * mean / carried.unit
-        chained = large = None
+        chained = large = contrast = None
         if self.splats is not None:
-            scale = runner.size[0] * runner.size[1] / (steps * runner.chains / (2 * _GROUPS))
-            images = scale * self.splats.sums().astype(np.float64)
-            images = images.reshape(-1, 2, 2, _GROUPS, *images.shape[1:])
+            sums = self.splats.sums()
+            sums = sums.reshape(-1, 2, 2, _GROUPS, *sums.shape[1:])  # by component, kind, half and group
+            scale = runner.size[0] * runner.size[1] / (steps * runner.chains / 2)
+            images = scale * sums.sum(axis=3, dtype=np.float64)
             chained, large = images[:, 0], images[:, 1]
+            first, second = np.moveaxis(luminance(sums.sum(axis=0)), 2, 0)
+            contrast = scale * (first - second)
         counters = {
             "rays": total(self._rays),
             "paths": float(steps * runner.chains),
@@ -381,4 +386,4 @@ class _Walk:
             "small steps accepted": total(self._accepted[False]),
         }
         longest = max(carried.longest, int(np.array(self._longest).max()))
-        return replace(carried, found=found, longest=longest), PassResult(chained, large, counters, factors)
+        return replace(carried, found=found, longest=longest), PassResult(chained, large, contrast, counters, factors)

@@ -243,12 +243,9 @@ class MetropolisMethod(Carrying, ImageMethod):
     ) -> tuple[Array, dict[str, Record]]:
         """(what a pass adds to the picture, (parts, 2, height, width, 3); records). ``independent``: the picture beside
         the chains."""
-        assert made.chained is not None and made.large is not None
         weights = self._blend.weights(self._grid, steps)
         factors = self._carried.factors.of_pixels
-        self._blend, added = self._blend.after(
-            made.chained, made.large, independent, weights, factors, made.factors, steps
-        )
+        self._blend, added = self._blend.after(made, independent, weights, factors, steps)
         return added, {}
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
