@@ -19,8 +19,9 @@ from .worker import Chunk, Made, Merged, widened
 
 #: Seconds of a chunk: at least, and at most.
 _SHORTEST, _LONGEST = 1.0, 60.0
-#: The transfer of a sum takes at most this share of the time of its chunk.
-_TRANSFER_SHARE = 0.05
+#: The transfer of a sum takes at most this share of the time of its chunk; that of a replica, whose state comes with it
+#: and whose worker waits meanwhile, a smaller one.
+_TRANSFER_SHARE, _STATE_SHARE = 0.05, 0.02
 #: A chunk takes at most this share of the passes that are left, divided by the number of workers, so that workers end
 #: at about the same time.
 _SHARE_OF_REST = 0.5
@@ -166,15 +167,16 @@ class Spread(Crew[Chunk]):
         count = 1
         if worker.pace is not None:
             # Many workers send more seldom, or the sums would arrive faster than one process can add them.
-            seconds = min(max(_SHORTEST, self._transfer * max(1 / _TRANSFER_SHARE, len(self._workers))), _LONGEST)
+            share = _STATE_SHARE if self._recipe.carries_on else _TRANSFER_SHARE
+            seconds = min(max(_SHORTEST, self._transfer * max(1 / share, len(self._workers))), _LONGEST)
             seconds = seconds if left is None else min(seconds, left)
             count = max(1, int(seconds / max(worker.pace, 1e-6)))
             count = count if self._most_passes is None else min(count, self._most_passes)
         if self._order.most is not None:
             rest = self._order.most - self._planned
             # A replica leaves nothing to other workers.
-            share = 1.0 if self._recipe.carries_on else _SHARE_OF_REST / len(self._workers)
-            count = min(count, max(1, int(share * rest)), rest)
+            part = 1.0 if self._recipe.carries_on else _SHARE_OF_REST / len(self._workers)
+            count = min(count, max(1, int(part * rest)), rest)
         return count
 
     # ------------------------------------------------------------------ outcomes
