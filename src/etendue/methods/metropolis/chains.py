@@ -175,25 +175,34 @@ class Runner:
         the mean target of the same N samples has no such bias [Veach 1997, sec. 11.3.1].
         """
         lanes = min(_BATCH, self.bootstrap + self.bootstrap % 2)
+        wanted = -(-self.bootstrap // lanes)
+        wanted += self._for_the_map(wanted + 1)
         parts: list[NDArray[np.float32]] = []  # (x y luminance, contribution, sample)
-        lit = np.zeros(2, int)
-        while self._goes_on(len(parts), -(-self.bootstrap // lanes), lit, lanes, parts):
+        lit = np.zeros((0, 2), int)
+        while self._goes_on(len(parts), wanted, lit[self._for_the_map(len(parts)) :].sum(axis=0), lanes, parts):
             traced = self._trace(self._moves(seed, len(parts) * (lanes // 2)), numbers_of(lanes), None)
             parts.append(_on_host(traced.contributions))
-            lit += (parts[-1][2].sum(axis=0) > 0.0).reshape(2, -1).sum(axis=1)
-        samples = len(parts) * (lanes // 2)
+            lit = np.append(lit, [(parts[-1][2].sum(axis=0) > 0.0).reshape(2, -1).sum(axis=1)], axis=0)
+        used = self._for_the_map(len(parts))
+        lit, samples = lit[used:].sum(axis=0), (len(parts) - used) * (lanes // 2)
         if not lit.all():
             raise SceneError(
                 f"the bootstrap found no light: {2 * samples - lit.sum()} of {2 * samples} paths are black; use a "
                 "method or an estimator that finds some, or raise bootstrap"
             )
-        factors = BrightnessMap.measured(parts, self.size) if self.equalise else BrightnessMap.flat(self.size)
-        targets = _by_half([(luminance * factors.on_host(x, y)).sum(axis=0) for x, y, luminance in parts])
+        flat = BrightnessMap.flat(self.size)
+        factors = BrightnessMap.measured(parts[:used] or parts, self.size) if self.equalise else flat
+        targets = _by_half([(luminance * factors.on_host(x, y)).sum(axis=0) for x, y, luminance in parts[used:]])
         cap = largest_target(targets)
         targets = np.minimum(targets, cap)
         found = np.stack([np.full(2, samples), targets.sum(axis=1), np.square(targets).sum(axis=1)], axis=1)
-        states = self._first_states(seed, targets, factors, cap)
-        return Progressed(states, factors, float(targets.mean()), cap, found, large=samples)
+        states = self._first_states(seed, used * (lanes // 2), targets, factors, cap)
+        return Progressed(states, factors, float(targets.mean()), cap, found, large=len(parts) * (lanes // 2))
+
+    def _for_the_map(self, batches: int) -> int:
+        """How many of the batches, the first ones, tell the factors by film position. No states are drawn from these:
+        where a sample is bright, the factor is small, and the picture of states among the same samples too bright."""
+        return max(1, batches // 5) if self.equalise and batches > 1 else 0
 
     def _goes_on(self, batches: int, wanted: int, lit: Array, lanes: int, parts: Sequence[NDArray[np.float32]]) -> bool:
         """Whether the bootstrap needs a further batch."""
@@ -207,7 +216,7 @@ class Runner:
             logger.info("a bootstrap of %d samples: limited by memory", batches * lanes)
         return False
 
-    def _first_states(self, seed: int, targets: Array, factors: BrightnessMap, cap: float) -> ChainStates:
+    def _first_states(self, seed: int, first: int, targets: Array, factors: BrightnessMap, cap: float) -> ChainStates:
         half = self.chains // 2
         chosen = np.empty((2, half), np.uint32)
         for index, row in enumerate(targets):
@@ -216,7 +225,7 @@ class Runner:
             place = np.searchsorted(reached, (np.arange(half) + offset) / half * reached[-1], side="right")
             chosen[index] = np.minimum(place, np.flatnonzero(row)[-1])
             chosen[index] += np.uint32(index << _HALF_BIT)
-        numbers, moves = mi.UInt32(chosen.ravel()), self._moves(seed, 0)
+        numbers, moves = mi.UInt32(chosen.ravel()), self._moves(seed, first)
         traced = self._trace(moves, numbers, None)
         target = self._target(traced.contributions, factors, cap)
         dr.eval(traced.contributions, target)
