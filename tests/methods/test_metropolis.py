@@ -84,6 +84,28 @@ def test_the_factor_by_brightness():
     np.testing.assert_allclose(device, factors.on_host(x, y)[0], rtol=1e-4)
 
 
+def test_the_first_states_are_not_among_the_samples_that_tell_the_factors():
+    """Few samples in a cell of the factors find light. Where the states are drawn from the same ones, bright places have
+    too many of them for their factor, and the picture with the right brightness by factors is too bright."""
+    scenes.camera()
+
+    def trace(sources: Any, lanes: int) -> Traced:
+        (u, v), w = sources["camera"].next_2d(0, 0), sources["camera"].next_1d(0, 2)
+        value, nothing = dr.select(w < 0.05, 1.0 + 9.0 * u, 0.0), dr.zeros(mi.UInt32, lanes)
+        return Traced([Contribution(16.0 * mi.Point2f(u, v), mi.Color3f(value))], nothing, nothing)
+
+    target = SimpleNamespace(layouts={"camera": Layout([Slot(0, 2), Slot(2)], [], 0)}, trace=trace)
+    runner = Runner(target, (16, 16), 1 << 12, 1 << 12, "independent", True)
+    light, found = 1.0 + 9.0 * (np.arange(16) + 0.5) / 16.0, []
+    for seed in range(40):
+        start = runner.start(seed)
+        place = start.states.contributions[0].position
+        picture = 1.0 / start.factors.on_host(np.array(place.x), np.array(place.y))  # of states, in total
+        found.append(picture.mean() * (start.factors.of_pixels * light).mean() / light.mean())
+    error = np.std(found) / np.sqrt(len(found))
+    assert error < 0.01 and abs(np.mean(found) - 1.0) < 3.0 * error, (np.mean(found), error)
+
+
 def heavy(lit: float = 1.0) -> SimpleNamespace:
     """A target without a finite mean, on ``lit`` of its numbers."""
 

@@ -19,8 +19,8 @@ SWITCHES = {
 }
 
 
-def render(problem, method, **settings):
-    result = run(problem, method, passes=2, samples=4, **settings)
+def render(problem, method, samples=4, **settings):
+    result = run(problem, method, passes=2, samples=samples, **settings)
     assert result.measurement.counters["nonfinite"] == 0
     assert np.isfinite(result.mean).all()
     assert result.mean.mean() > 0.0
@@ -36,4 +36,5 @@ def test_public_scenes(name, method, scenes_dir):
 @pytest.mark.parametrize("name", bundled())
 def test_bundled_scenes_with_other_switches(name, switch):
     method, settings = SWITCHES[switch]
-    render(load(name, size=(32, 32)), method, **settings)
+    # In `gaps` few paths find light.
+    render(load(name, size=(32, 32)), method, samples=64 if name == "gaps" else 4, **settings)
