@@ -85,7 +85,7 @@ def test_the_factor_by_brightness():
 
 
 def test_the_first_states_are_not_among_the_samples_that_tell_the_factors():
-    """Few samples in a cell of the factors find light. Where the states are drawn from the same ones, bright places have
+    """Few samples in a cell of the factors find light. Where states are drawn from the same ones, bright places have
     too many of them for their factor, and the picture with the right brightness by factors is too bright."""
     scenes.camera()
 
