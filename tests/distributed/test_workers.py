@@ -179,7 +179,7 @@ def test_fifty_kills_lose_nothing(monkeypatch):
     # Chunks of one pass, and a kill for each that arrives, so that the workers are hardly ever whole.
     monkeypatch.setattr("etendue.distributed.spread._SHORTEST", 0.0)
     source, kills = random.Random(7), [0]
-    passes = 80
+    passes = 120  # some find no worker to kill
     expected = rendered(Job.open(task(passes=passes)))
 
     def watch(progress, runner):
