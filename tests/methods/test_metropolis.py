@@ -182,6 +182,16 @@ def test_the_bootstrap_keeps_to_the_memory():
         runner_of(heavy(0.0), bootstrap=1 << 12).start(1)
 
 
+@pytest.mark.parametrize("batches", [1, 2, 5, 18, 19])
+def test_chains_start_from_as_many_samples_as_asked_for(batches, monkeypatch):
+    """Beside those that tell the factors by film position."""
+    monkeypatch.setattr("etendue.methods.metropolis.chains._BATCH", 256)
+    monkeypatch.setattr("etendue.methods.metropolis.chains._ENOUGH_LIT", 1)
+    scenes.camera()
+    runner = replace(runner_of(heavy(), 256, batches * 256), equalise=True)
+    assert runner.start(1).found[:, 0].sum() == batches * 256
+
+
 def test_the_bias_of_the_start_is_of_the_target():
     """The equalised and limited one, from which starts are drawn."""
     runner = prepared(scenes.room("rectangle", scenes.FEW), "pssmlt", **SMALL)

@@ -63,7 +63,7 @@ STEP_LANES = 1 << 17
 #: Memory of a camera path during its pass, in bytes.
 _LANE_BYTES = 64
 #: Most camera paths per pixel and pass, unless ``samples_per_pass`` is set.
-_MOST_SAMPLES = 32
+_MOST_SAMPLES = 64
 #: Bytes of a pixel of a splat image in cells, and the share of the memory that such images may take.
 _CELL_BYTES, _CELL_SHARE = 120, 0.125
 #: Light and camera paths of a pilot pass.

@@ -176,7 +176,7 @@ class Runner:
         """
         lanes = min(_BATCH, self.bootstrap + self.bootstrap % 2)
         wanted = -(-self.bootstrap // lanes)
-        wanted += self._for_the_map(wanted + 1)
+        wanted += max(1, wanted // 4) if self.equalise else 0
         parts: list[NDArray[np.float32]] = []  # (x y luminance, contribution, sample)
         lit = np.zeros((0, 2), int)
         while self._goes_on(len(parts), wanted, lit[self._for_the_map(len(parts)) :].sum(axis=0), lanes, parts):
