@@ -16,7 +16,7 @@ import numpy as np
 from etendue.core import Iterations, Measurement, Pass
 from etendue.distributed import Arrival, Lost, Recipe, Spread
 from etendue.distributed.content import Offered
-from etendue.distributed.gathering import Bundle, Gathering
+from etendue.distributed.gathering import Bundle, Gathering, held_by_others
 from etendue.distributed.pool import Delivered
 from etendue.distributed.worker import Chunk, Made, Needs, merge_outcomes
 from etendue.engine import Budget, Order, Runner
@@ -125,6 +125,10 @@ class SimulatedPool:
     def end_run(self, run: str) -> None:
         """See :class:`Pool`."""
 
+    def held_by_others(self, worker: str, tickets: list[int]) -> set[int]:
+        """See :class:`Pool`."""
+        return held_by_others(self._bundles, worker, tickets)
+
     def forget(self, tickets: list[int]) -> None:
         """See :class:`Pool`."""
         gone = set(tickets)
@@ -219,7 +223,7 @@ class SimulatedPool:
                 self.receiving += self._link - start
                 self._at(self._link, self._fetched, one, self._link - self.now)
                 continue
-            merged = Bundle(sum((b.tickets for b in chosen), ()), one.worker)
+            merged = Bundle.of(chosen)
             self._bundles.add(merged)
             self._outcomes[merged] = merge_outcomes(*(self._outcomes.pop(b) for b in chosen))
             share = (len(chosen) - 1) * site.sum_bytes

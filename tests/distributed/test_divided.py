@@ -67,6 +67,9 @@ class InProcess:
 
     def end_run(self, run): ...
 
+    def held_by_others(self, worker, tickets):
+        return set()
+
     def forget(self, tickets):
         self._waiting = deque(entry for entry in self._waiting if entry[1] not in tickets)
 

@@ -179,6 +179,9 @@ class Simulated:
 
     def end_run(self, run) -> None: ...
 
+    def held_by_others(self, worker, tickets):
+        return set()
+
     def forget(self, tickets) -> None:
         self.sent = deque(entry for entry in self.sent if entry[1] not in tickets)
 

@@ -113,10 +113,11 @@ class Crew(ABC, Generic[T]):
             raise ClusterError(f"no worker can be used; {name}: {why}")
 
     def _drop(self, name: str) -> None:
-        """Send no more to a worker, and take back what it had."""
+        """Send no more to a worker, and take back what it had, but for what others hold."""
         worker = self._workers.pop(name, None)
         if worker is not None:
-            tickets = sorted(worker.flights)
+            held = self._pool.held_by_others(name, sorted(worker.flights))
+            tickets = sorted(worker.flights - held)
             self._pool.forget([*tickets, *worker.coming])
             for ticket in tickets:
                 self._not_made(self._flights.pop(ticket)[1])

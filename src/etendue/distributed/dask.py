@@ -17,7 +17,7 @@ from typing import Any
 from etendue.core import ClusterError, EtendueError, OptionError, describe, is_whole, library, logger
 
 from .content import Offered
-from .gathering import Bundle, Gathering
+from .gathering import Bundle, Gathering, held_by_others
 from .pool import Arrival, Delivered, Lost
 from .worker import Chunk, Task, end_run, introduce, make_passes, merge_outcomes, receive
 
@@ -137,15 +137,16 @@ class DaskPool:
                 if len(chosen) == 1:
                     self._help(self._fetch_next, chosen[0])
                     continue
-                tickets, worker = sum((bundle.tickets for bundle in chosen), ()), chosen[0].worker
-                key = f"etendue-sum-{uuid.uuid4().hex}"
+                merged, key = Bundle.of(chosen), f"etendue-sum-{uuid.uuid4().hex}"
                 parts = [bundle.where for bundle in chosen]
                 try:
-                    future = self._client.submit(merge_outcomes, *parts, key=key, workers=[worker], pure=False)
+                    merged.where = self._client.submit(
+                        merge_outcomes, *parts, key=key, workers=[merged.worker], pure=False
+                    )
                 except Exception as error:  # one of them was cancelled a moment ago
-                    self._lose(tickets, _short(error))
+                    self._lose(merged.tickets, _short(error))
                     continue
-                self._bundles.add(merged := Bundle(tickets, worker, future))
+                self._bundles.add(merged)
                 self._when_done(merged, True)
 
     def _fetch_next(self, bundle: Bundle) -> None:
@@ -251,6 +252,11 @@ class DaskPool:
         """See :class:`Pool`."""
         for name in self._known:  # without waiting: their sums tell that they have ended
             self._help(partial(self._client.run, end_run, run, workers=[name], on_error="return"))
+
+    def held_by_others(self, worker: str, tickets: list[int]) -> set[int]:
+        """See :class:`Pool`."""
+        with self._lock:
+            return held_by_others(self._bundles, worker, tickets)
 
     def forget(self, tickets: list[int]) -> None:
         """See :class:`Pool`."""

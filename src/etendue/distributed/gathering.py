@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,25 +20,49 @@ class Bundle:
     tickets: tuple[int, ...]
     worker: str
     where: Any = None  #: of the pool
+    #: Workers that hold the parts of it, until they are merged.
+    sources: frozenset[str] = frozenset()
+    level: int = 0  #: how often its parts were merged
+
+    @staticmethod
+    def of(parts: Sequence[Bundle], where: Any = None) -> Bundle:
+        """The sum of ``parts``, which is made where the first one is."""
+        tickets: tuple[int, ...] = sum((part.tickets for part in parts), ())
+        sources, level = frozenset(part.worker for part in parts), 1 + max(part.level for part in parts)
+        return Bundle(tickets, parts[0].worker, where, sources, level)
+
+    def needs(self, worker: str) -> bool:
+        """Whether the sum is lost with this worker."""
+        return worker == self.worker or worker in self.sources
+
+
+def held_by_others(bundles: Iterable[Bundle], worker: str, tickets: Iterable[int]) -> set[int]:
+    """Those of a worker's ``tickets`` that are in sums which are not lost with it."""
+    found, asked = set(), set(tickets)
+    for bundle in bundles:
+        if not bundle.needs(worker):
+            found |= asked.intersection(bundle.tickets)
+    return found
 
 
 class Gathering:
     """Decides which sums are fetched and which are merged first.
 
-    As long as the client keeps up, every sum is fetched as it is. If ``fan_in`` of them wait, they become one: then
-    merging is a tree over the workers, as deep as the backlog needs [Leeson 2001, sec. 6.3 names whole buffers sent to
-    one place as what limits speed-up]."""
+    As long as the client keeps up, every sum is fetched as it is. If ``fan_in`` sums of the same level wait, they
+    become one of the next level, and those of the highest level are fetched first: merging is a tree over the workers,
+    as deep as the backlog needs [Leeson 2001, sec. 6.3: whole buffers sent to one place limit the speed-up]."""
 
     def __init__(self, fan_in: int = _FAN_IN, fetches: int = _FETCHES, least: float = _LEAST) -> None:
         self._fan_in, self._fetches, self._least = fan_in, fetches, least
-        self._waiting: deque[Bundle] = deque()
+        self._waiting: defaultdict[int, deque[Bundle]] = defaultdict(deque)  # by level
         self._fetching = 0
         self._seconds = 0.0  # of a fetch, lately
         self.merges = 0
 
     def put(self, bundle: Bundle) -> None:
         """A sum waits."""
-        self._waiting.append(bundle)
+        bundle.sources = frozenset()
+        self._waiting[bundle.level].append(bundle)
 
     def fetched(self, seconds: float) -> None:
         """A fetch has ended."""
@@ -50,19 +75,20 @@ class Gathering:
 
     def drop(self, tickets: set[int]) -> list[Bundle]:
         """Remove and return the sums that contain one of these chunks."""
-        gone = [bundle for bundle in self._waiting if tickets & set(bundle.tickets)]
+        gone = [b for level in self._waiting.values() for b in level if not tickets.isdisjoint(b.tickets)]
         for bundle in gone:
-            self._waiting.remove(bundle)
+            self._waiting[bundle.level].remove(bundle)
         return gone
 
     def next(self) -> list[Bundle] | None:
         """One sum to fetch, several to merge, or ``None`` if there is nothing to do now."""
-        if len(self._waiting) >= self._fan_in and self._seconds >= self._least and self._fetching >= self._fetches:
-            self.merges += 1
-            return [self._waiting.popleft() for _ in range(self._fan_in)]
-        if self._waiting and self._fetching < self._fetches:
+        levels = [level for level, bundles in self._waiting.items() if bundles]
+        if levels and self._fetching < self._fetches:
             self._fetching += 1
-            largest = max(self._waiting, key=lambda bundle: len(bundle.tickets))
-            self._waiting.remove(largest)
-            return [largest]
+            return [self._waiting[max(levels)].popleft()]
+        if self._seconds >= self._least:
+            for level in levels:
+                if len(self._waiting[level]) >= self._fan_in:
+                    self.merges += 1
+                    return [self._waiting[level].popleft() for _ in range(self._fan_in)]
         return None

@@ -61,6 +61,10 @@ class Pool(Protocol):
         """Tell all workers to end their chunks of a run after the current pass."""
         ...
 
+    def held_by_others(self, worker: str, tickets: list[int]) -> set[int]:
+        """Those of a worker's tasks whose sums lie, merged, at other workers: they arrive also if it has ended."""
+        ...
+
     def forget(self, tickets: list[int]) -> None:
         """Cancel tasks that did not begin; their arrivals, if any, are ignored."""
         ...

@@ -80,6 +80,10 @@ class ProcessPool:
         """See :class:`Pool`."""
         self._ended.value = int(run[:16], 16)
 
+    def held_by_others(self, worker: str, tickets: list[int]) -> set[int]:
+        """See :class:`Pool`."""
+        return set()
+
     def forget(self, tickets: list[int]) -> None:
         """See :class:`Pool`."""
         for ticket in tickets:

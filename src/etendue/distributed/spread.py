@@ -63,6 +63,7 @@ class Spread(Crew[Chunk]):
         self._shares: dict[str, int] = {}
         self._work = schedule_of(schedule, order, recipe.carries_on)
         #: Workers with room for a chunk, and those for whom there was none.
+        self._speeds = _Sum()  # passes a second
         self._hungry: set[str] = set()
         self._starved: set[str] = set()
         self._look(now=True)
@@ -106,6 +107,7 @@ class Spread(Crew[Chunk]):
         self._hungry.add(name)
 
     def _gone(self, name: str) -> None:
+        self._speeds.pop(name, None)
         self._work.lost(name)
         self._feed_all()
 
@@ -132,15 +134,16 @@ class Spread(Crew[Chunk]):
                 if worker is None or worker.coming or len(worker.flights) >= self._work.in_flight:
                     self._hungry.discard(name)
                 elif len(worker.flights) <= level:
-                    self._give(name, worker, left)
+                    self._give(name, worker, left, level)
 
-    def _give(self, name: str, worker: Member, left: float | None) -> None:
+    def _give(self, name: str, worker: Member, left: float | None, level: int) -> None:
         """Send the next chunk of a worker, if there is one."""
-        count = self._length(worker, left)
+        count = self._length(worker, left, may_wait=level > 0)
         found = self._work.take(name, count, self._workers.keys()) if count > 0 else None
         if found is None:
             self._hungry.discard(name)
-            self._starved.add(name)
+            if not worker.flights:  # else it is looked at again when one arrives
+                self._starved.add(name)
             return
         first, count, replica, state = found
         if replica is not None and (first == 0 or state is not None):
@@ -162,22 +165,23 @@ class Spread(Crew[Chunk]):
         )
         self._send(name, chunk)
 
-    def _length(self, worker: Member, left: float | None) -> int:
-        """Passes of the next chunk of a worker."""
-        count = 1
-        if worker.pace is not None:
-            # Many workers send more seldom, or the sums would arrive faster than one process can add them.
-            share = _STATE_SHARE if self._recipe.carries_on else _TRANSFER_SHARE
-            seconds = min(max(_SHORTEST, self._transfer * max(1 / share, len(self._workers))), _LONGEST)
-            seconds = seconds if left is None else min(seconds, left)
-            count = max(1, int(seconds / max(worker.pace, 1e-6)))
-            count = count if self._most_passes is None else min(count, self._most_passes)
-        if self._order.most is not None:
-            rest = self._order.most - self._planned
-            # A replica leaves nothing to other workers.
-            part = 1.0 if self._recipe.carries_on else _SHARE_OF_REST / len(self._workers)
-            count = min(count, max(1, int(part * rest)), rest)
-        return count
+    def _length(self, worker: Member, left: float | None, may_wait: bool) -> int:
+        """Passes of the next chunk of a worker; 0 if there is none, or, with ``may_wait``, if it would be too long."""
+        rest = None if self._order.most is None else self._order.most - self._planned
+        if worker.pace is None:
+            return 0 if may_wait else 1 if rest is None else min(1, rest)
+        # Many workers send more seldom, or the sums would arrive faster than one process can add them.
+        share = _STATE_SHARE if self._recipe.carries_on else _TRANSFER_SHARE
+        seconds = min(max(_SHORTEST, self._transfer * max(1 / share, len(self._workers))), _LONGEST)
+        seconds = seconds if left is None else min(seconds, left)
+        # A replica leaves nothing to other workers.
+        ends_together = rest is not None and not self._recipe.carries_on
+        if rest is not None and ends_together:
+            speed = self._speeds.total * len(self._workers) / max(1, len(self._speeds))
+            seconds = min(seconds, _SHARE_OF_REST * rest / speed)
+        count = int(seconds / max(worker.pace, 1e-6))
+        count = count if may_wait and ends_together else max(1, count)
+        return min(count, *(n for n in (self._most_passes, rest) if n is not None))
 
     # ------------------------------------------------------------------ outcomes
 
@@ -219,12 +223,29 @@ class Spread(Crew[Chunk]):
         self._transfer = max(transfer, 0.5 * self._transfer)
         pace = made.seconds / made.passes
         self._longest = max(self._longest, pace)
-        if (worker := self._workers.get(name)) is not None and not (made.is_first and made.passes == 1):
-            worker.pace = pace if worker.pace is None else 0.5 * (worker.pace + pace)
-        elif worker is not None and worker.pace is None:
-            worker.pace = pace
+        if (worker := self._workers.get(name)) is not None:
+            if worker.pace is None:
+                worker.pace = pace
+            elif not (made.is_first and made.passes == 1):
+                worker.pace = 0.5 * (worker.pace + pace)
+            self._speeds[name] = 1.0 / max(worker.pace, 1e-6)
         self._shares[name] = self._shares.get(name, 0) + made.passes
         return self._work.after(name, chunk, made)
+
+
+class _Sum(dict[str, float]):
+    """Numbers by name, and their sum, which a change does not add up anew."""
+
+    total = 0.0
+
+    def __setitem__(self, name: str, value: float) -> None:
+        self.total += value - self.get(name, 0.0)
+        super().__setitem__(name, value)
+
+    def pop(self, name: str, default: Any = None) -> Any:
+        """See :class:`dict`."""
+        self.total -= self.get(name, 0.0)
+        return super().pop(name, default)
 
 
 def _writable(measurement: Measurement) -> Measurement:
