@@ -181,7 +181,7 @@ class Spread(Crew[Chunk]):
             seconds = min(seconds, _SHARE_OF_REST * rest / speed)
         count = int(seconds / max(worker.pace, 1e-6))
         count = count if may_wait and ends_together else max(1, count)
-        return min(count, *(n for n in (self._most_passes, rest) if n is not None))
+        return min([count, *(n for n in (self._most_passes, rest) if n is not None)])
 
     # ------------------------------------------------------------------ outcomes
 
