@@ -117,6 +117,24 @@ def test_boxes_without_shapes_pass_paths_on(tmp_path):
     equal(parts.particles, traced(scene, **options).particles)
 
 
+_LAMP = '<emitter type="area"><rgb name="radiance" value="5"/></emitter>'
+_SPHERE = '<shape type="sphere"{}><point name="center" x="{}" y="0" z="0"/><float name="radius" value="{}"/>{}</shape>'
+_UNNAMED = f"""<scene version="3.0.0"><sensor type="perspective"/>
+{_SPHERE.format(' id="shape 3"', -3, 1, "")}{_SPHERE.format("", 6, 1, "")}
+{_SPHERE.format("", 0.5, 0.5, _LAMP)}{_SPHERE.format("", 5, 4.2, "")}</scene>"""
+
+
+def test_boxes_of_a_file_whose_shapes_have_no_names(tmp_path):
+    file = tmp_path / "scene.xml"
+    file.write_text(_UNNAMED)
+    parts = traced(str(file), Cluster(InProcess(tmp_path / "workers")), boxes=(2, 1, 1))
+    equal(parts.particles, traced(str(file)).particles)
+    ids, bounds = shape_boxes(load(str(file), change=unmerged))
+    assert sorted(ids) == ["shape 2", "shape 3", "shape 3 of the file", "shape 4"]
+    near = {ids[k] for k in BoxGrid.even(bounds, (2, 1, 1)).touching(0, bounds)}
+    assert near == {"shape 3", "shape 3 of the file", "shape 4"}
+
+
 @pytest.mark.slow
 def test_a_worker_that_dies_changes_nothing(tmp_path):
     whole = traced("cornell-box")

@@ -137,6 +137,19 @@ def merge_meshes(state: mi.parser.ParserState) -> None:
     state.root.props["_etendue_merged"] = mi.Properties.ResolvedReference(index)
 
 
+def name_shapes(state: mi.parser.ParserState) -> None:
+    """Give the shapes of a parsed scene that have no id one by their order: ``shape 1`` is the first shape."""
+    import mitsuba as mi
+
+    children = _children(state.root, mi.ObjectType.Shape, state)
+    known = {node.props.id() for _, node in children}
+    for number, (_, node) in enumerate(children, 1):
+        if not node.props.id():
+            node.props.set_id(
+                next(name for name in (f"shape {number}", f"shape {number} of the file") if name not in known)
+            )
+
+
 def keep_shapes(state: mi.parser.ParserState, wanted: Collection[str]) -> None:
     """Remove all shapes from a parsed scene but those with an id in ``wanted``, those that emit or carry a sensor, and
     groups, which their instances need."""

@@ -12,7 +12,7 @@ import numpy as np
 from etendue.core import Array, SceneError, UnsupportedError, use_variant
 
 from .loading import Source, _is_loaded, _mitsuba_errors, _parse, _problem, _resolving, _sensor, locate
-from .parsing import keep_shapes, read_properties, take_integrator
+from .parsing import keep_shapes, name_shapes, read_properties, take_integrator
 from .portable import PortableScene
 from .problem import Problem
 
@@ -33,8 +33,9 @@ def load_part(source: Source, shapes: Collection[str], parameters: Mapping[str, 
 
 
 def unmerged(state: Any) -> None:
-    """A change of :func:`load` that changes nothing: the shapes of a changed scene are not merged, so that they keep
-    their names and order."""
+    """A change of :func:`load`: the shapes of a changed scene are not merged, so that they keep their names and order,
+    and those without a name get one."""
+    name_shapes(state)
 
 
 def shape_boxes(problem: Problem) -> tuple[list[str], Array]:
@@ -72,7 +73,9 @@ def _parsed(source: Source, parameters: Mapping[str, Any] | None) -> Any:
     if _is_loaded(source):
         raise SceneError("a scene in memory has no parts that can be loaded; give its file or its dictionary")
     found = locate(source) if isinstance(source, (str, os.PathLike)) else source
-    return _parse(found, parameters)
+    parsed = _parse(found, parameters)
+    name_shapes(parsed[-1])
+    return parsed
 
 
 def _reached(state: Any) -> set[int]:
