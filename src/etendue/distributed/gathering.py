@@ -10,7 +10,7 @@ from typing import Any
 #: Sums that a worker merges at a time, and that the client fetches at a time.
 _FAN_IN, _FETCHES = 8, 2
 #: Merging costs a task: not worth it for sums that are fetched faster (seconds).
-_LEAST = 0.02
+_LEAST = 0.002
 
 
 @dataclass(eq=False)

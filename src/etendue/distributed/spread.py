@@ -22,8 +22,8 @@ _SHORTEST, _LONGEST = 1.0, 60.0
 #: The transfer of a sum takes at most this share of the time of its chunk; that of a replica, whose state comes with it
 #: and whose worker waits meanwhile, a smaller one.
 _TRANSFER_SHARE, _STATE_SHARE = 0.05, 0.02
-#: A chunk takes at most this share of the passes that are left, divided by the number of workers, so that workers end
-#: at about the same time.
+#: A chunk takes at most this share of the time that all workers need for the passes that are left, so that they end at
+#: about the same time.
 _SHARE_OF_REST = 0.5
 #: What the end of a run waits for passes that have begun: seconds; multiples of the transfer of a sum, and of a pass.
 #: At the end of the time, passes have ended by themselves.
@@ -171,16 +171,18 @@ class Spread(Crew[Chunk]):
         if worker.pace is None:
             return 0 if may_wait else 1 if rest is None else min(1, rest)
         # Many workers send more seldom, or the sums would arrive faster than one process can add them.
-        share = _STATE_SHARE if self._recipe.carries_on else _TRANSFER_SHARE
+        carries_on = self._recipe.carries_on
+        share = _STATE_SHARE if carries_on else _TRANSFER_SHARE
         seconds = min(max(_SHORTEST, self._transfer * max(1 / share, len(self._workers))), _LONGEST)
         seconds = seconds if left is None else min(seconds, left)
-        # A replica leaves nothing to other workers.
-        ends_together = rest is not None and not self._recipe.carries_on
-        if rest is not None and ends_together:
+        if rest is not None and not carries_on:  # a replica leaves nothing to other workers
             speed = self._speeds.total * len(self._workers) / max(1, len(self._speeds))
-            seconds = min(seconds, _SHARE_OF_REST * rest / speed)
+            # Not less than the client needs to take a sum of each.
+            least = min(_SHORTEST, self._transfer * len(self._workers))
+            seconds = min(seconds, max(least, _SHARE_OF_REST * rest / speed))
         count = int(seconds / max(worker.pace, 1e-6))
-        count = count if may_wait and ends_together else max(1, count)
+        if not may_wait or rest is None or carries_on:
+            count = max(1, count)
         return min([count, *(n for n in (self._most_passes, rest) if n is not None)])
 
     # ------------------------------------------------------------------ outcomes

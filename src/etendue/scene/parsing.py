@@ -145,9 +145,8 @@ def name_shapes(state: mi.parser.ParserState) -> None:
     known = {node.props.id() for _, node in children}
     for number, (_, node) in enumerate(children, 1):
         if not node.props.id():
-            node.props.set_id(
-                next(name for name in (f"shape {number}", f"shape {number} of the file") if name not in known)
-            )
+            name = f"shape {number}"
+            node.props.set_id(name if name not in known else f"{name} of the file")
 
 
 def keep_shapes(state: mi.parser.ParserState, wanted: Collection[str]) -> None:
