@@ -45,6 +45,14 @@ def box_settings(
     return split_settings(given)
 
 
+def check_divided(divide: bool, hierarchy: str | None, device: opt.Device) -> None:
+    """Raise :class:`OptionError` if there is nothing to divide, or nobody among whom."""
+    if divide and hierarchy is None:
+        raise OptionError("--divide puts the boxes of hierarchical multipath on workers: give --hierarchy, too")
+    if divide and (device.cluster, device.workers) == (None, None):
+        raise OptionError("boxes are divided among workers: give --workers or --cluster with --divide")
+
+
 def solve_hierarchy(request: HierarchyRequest, saved: Checkpoint | None, device: opt.Device) -> int:
     """From a request to files. Returns the exit status."""
     from etendue.jobs import HierarchyWork
