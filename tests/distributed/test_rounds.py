@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import signal
+
 import numpy as np
 import pytest
 from support.workers import InProcess
@@ -9,11 +12,22 @@ from support.workers import InProcess
 import etendue
 from etendue.cli.main import main
 from etendue.core import OptionError
-from etendue.distributed import Cluster, ProcessPool
+from etendue.distributed import Cluster, DaskPool, ProcessPool
 from etendue.distributed import rounds as rounds_module
 from etendue.distributed.talking import Talk
+from etendue.distributed.worker import Needs, _Desk, _Run
 from etendue.jobs import HierarchyRequest, HierarchyWork, run_work
-from etendue.radiosity import Part, Patches, RadiosityError, box, joined
+from etendue.radiosity import (
+    DividedMultipath,
+    HierarchicalMultipathSettings,
+    Part,
+    PartProblem,
+    Patches,
+    RadiosityError,
+    box,
+    joined,
+)
+from etendue.radiosity.hierarchical_multipath.parts import Tree
 
 SETTINGS = {"lines": 1 << 12, "grid": 2, "residual": 1e-3}
 SUMS = ("received", "sent", "absorbed", "to_sky", "lost", "residual")
@@ -69,6 +83,67 @@ def equal(a, b):
         np.testing.assert_array_equal(a.parts.error, b.parts.error)
 
 
+def test_units_are_the_parts_of_the_root_and_nobody_has_another():
+    root = hall()
+    method = DividedMultipath(HierarchicalMultipathSettings(**SETTINGS))
+    method.prepare(PartProblem(root), 3)
+    assert [len(unit.nodes) for unit in method.units] == [3, 2, 2]
+    # Patches of all units and of the root are all patches, each once.
+    rows = np.concatenate([np.arange(len(root)), *(unit.rows for unit in method.units)])
+    np.testing.assert_array_equal(np.sort(rows), np.arange(root.total))
+    for unit in method.units:
+        inner = Tree(unit.problem.root)
+        np.testing.assert_array_equal(inner.world[1:], method.tree.world[unit.whole])
+        assert unit.problem.root.total == len(unit.rows) == sum(len(unit.nodes) * [unit.part.total])
+    # The cup is in two units: in each it has the lines of the same number.
+    table, _, cup = map(method.arguments, method.units)
+    assert table["numbers"].tolist() == [0, 1] and cup["numbers"].tolist() == [0]
+    assert table["lines"][0] == cup["lines"][0] > 0
+
+
+class Echo:
+    """Answers by all that it was told in a pass."""
+
+    nbytes = 8
+
+    def begin(self, iteration):
+        self.heard = [iteration]
+
+    def answer(self, message):
+        if message["do"] == "fail":
+            raise ValueError("on the way")
+        self.heard.append(message["do"])
+        return {"heard": tuple(self.heard)}
+
+
+class OpenEcho:
+    digest = "recipe"
+
+    def method(self, seed):
+        return Echo()
+
+
+def test_parts_take_no_message_twice_and_none_of_another():
+    desk = _Desk()
+    for part in (0, 1):
+        desk._runs[f"run recipe {part}"] = _Run(OpenEcho())
+
+    def told(part, first, *words, iteration=0):
+        messages = [{"do": word} for word in words]
+        return desk.make(Talk("run", "recipe", 0, iteration, part, first, messages, kept=2))
+
+    assert told(0, 0, "a").answer == {"heard": (0, "a")} and told(0, 0, "a").kept == 8
+    assert told(1, 0, "x", "y").answer == {"heard": (0, "x", "y")}
+    assert told(0, 1, "b").answer == {"heard": (0, "a", "b")}
+    assert told(0, 1, "b") == Needs(state=True)  # a second time
+    assert told(0, 3, "d") == told(0, 2, "c", iteration=1) == Needs(state=True)  # one is missing; another pass
+    assert told(0, 2, "c").answer == {"heard": (0, "a", "b", "c")}
+    assert "on the way" in told(0, 3, "fail").message
+    assert told(0, 3, "d") == Needs(state=True)  # the state after an error is not known
+    assert told(0, 0, "a", "b", "c", "d").answer == {"heard": (0, "a", "b", "c", "d")}
+    assert told(1, 2, "z").answer == {"heard": (0, "x", "y", "z")}
+
+
 @pytest.fixture(scope="module")
 def alone():
     return solved(hall(), divide=False)
@@ -81,6 +156,7 @@ def test_boxes_on_workers_give_the_bits_of_one_process(alone, workers, tmp_path)
     told = parts.correspondence
     held = [shared.parts for shared in told.workers.values()]
     assert sorted(k for parts in held for k in parts) == [0, 1, 2]  # each unit at one worker
+    assert all(shared.kept > 0 for shared in told.workers.values())
     assert len(held) == min(workers, 3) and all(shared.loads == len(shared.parts) for shared in told.workers.values())
     assert told.begun_anew == 0 and told.rounds >= 2 * 4
     # Of each round but the first and last of a pass: the power at the regions of the boxes around which the client is.
@@ -217,10 +293,38 @@ class _After:
         return self.times < 0
 
 
+class Killing:
+    """A pool of processes, of which one is killed each time that a worker is told so many things in a pass."""
+
+    def __init__(self, pool, at):
+        self.pool, self.at, self.told, self.kills = pool, at, 0, 0
+
+    def __getattr__(self, name):
+        return getattr(self.pool, name)
+
+    def send(self, worker, ticket, task):
+        self.pool.send(worker, ticket, task)
+        self.told += task.first > 0
+        if self.told in self.at:
+            self.told += 1
+            own = getattr(self.pool, "pids", {}).get(worker)
+            pids = [own] if own else list(self.pool._processes[worker]._processes or ())
+            for pid in pids:
+                os.kill(pid, signal.SIGKILL)
+                self.kills += 1
+
+
 @pytest.mark.slow
-def test_boxes_in_processes(alone):
-    with Cluster(ProcessPool(2, threads=1)) as cluster:
-        equal(solved(hall(), cluster), alone)
+@pytest.mark.parametrize("kind", ["processes", "dask"])
+def test_processes_that_are_killed_in_a_pass_change_nothing(alone, kind):
+    if kind == "dask":
+        pytest.importorskip("distributed")
+    pool = ProcessPool(2, threads=1) if kind == "processes" else DaskPool(workers=2, threads=2)
+    with Cluster(Killing(pool, {4})) as cluster:
+        parts = solved(hall(), cluster)
+        assert cluster.pool.kills == 1
+    equal(parts, alone)
+    assert parts.correspondence.begun_anew >= 1
 
 
 # ---------------------------------------------------------------------- bad input

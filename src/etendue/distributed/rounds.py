@@ -25,12 +25,18 @@ Conversation = Generator[Sequence[Message] | None, Sequence[Message] | None, Mea
 class Shared:
     """What a worker had of a divided scene, and what it did."""
 
-    parts: set[int] = field(default_factory=set)
+    #: Of each part that it had, the most bytes that were kept there between two messages.
+    parts: dict[int, int] = field(default_factory=dict)
     messages: int = 0
     loads: int = 0  #: how often a part was loaded
     sent: int = 0  #: bytes of arrays that it was sent
     received: int = 0  #: bytes of arrays that it sent
     seconds: float = 0.0
+
+    @property
+    def kept(self) -> int:
+        """Bytes that all its parts kept, at most."""
+        return sum(self.parts.values())
 
 
 @dataclass
@@ -217,7 +223,7 @@ class Rounds(Crew[Talk]):
             part.in_flight = True
             self.correspondence.begun_anew += len(messages) > 1
             shared = self.correspondence.of(name)
-            shared.parts.add(number)
+            shared.parts.setdefault(number, 0)
             shared.sent += sum(map(nbytes, messages))
             known: Any = {"kept": kept, "threads": worker.threads}
             order = self._order
@@ -232,6 +238,7 @@ class Rounds(Crew[Talk]):
         part.in_flight, part.answer = False, made.answer
         part.known = task.first + len(task.messages) if part.worker == name else 0
         shared = self.correspondence.of(name)
+        shared.parts[task.part] = max(shared.parts[task.part], made.kept)
         shared.messages += 1
         shared.loads += made.loaded
         shared.received += nbytes(made.answer)

@@ -24,6 +24,11 @@ class Correspondent(Protocol):
         """Answer the next message."""
         ...
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes that are kept for the next messages."""
+        ...
+
 
 @dataclass(frozen=True)
 class Talk:
@@ -52,6 +57,7 @@ class Reply:
     answer: dict[str, Any]
     seconds: float
     loaded: bool  #: whether the part had to be loaded
+    kept: int  #: bytes that the part keeps until the next message
 
 
 @dataclass
@@ -75,7 +81,7 @@ class Talking:
         for message in task.messages:
             answer = self.method.answer(message)
         self.iteration, self.answered = task.iteration, task.first + len(task.messages)
-        return Reply(answer, time.monotonic() - begin, loaded)
+        return Reply(answer, time.monotonic() - begin, loaded, self.method.nbytes)
 
 
 def nbytes(message: Message) -> int:

@@ -217,6 +217,7 @@ class HierarchyWork(RequestedWork[HierarchyRequest, HierarchyResult]):
                     "workers": len(told.workers),
                     "bytes_to_workers": told.sent,
                     "bytes_from_workers": told.received,
+                    "bytes_of_workers": [shared.kept for shared in told.workers.values()],
                 }
             making = request.making(self.history)
             shown = request.outputs.write(

@@ -107,6 +107,12 @@ class Exchange:
                 break
         return share
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the power at patches and boxes."""
+        arrays = [*self.received.of_parts, *self.unshot.of_parts, self.incoming, self.outgoing]
+        return sum(array.nbytes for array in arrays)
+
     def share(self, power: Array) -> float:
         """Share of the sent power that ``power`` (c,) is; of the channel where it is largest."""
         return float((power / np.where(self.sent > 0, self.sent, 1)).max())

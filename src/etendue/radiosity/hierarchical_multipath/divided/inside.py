@@ -68,6 +68,12 @@ class Inside:
         """Forget what was; the next messages are of this pass."""
         self._iteration, self._lists, self._exchange = iteration, {}, None
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the lists, and of the power at patches and boxes."""
+        lists = sum(lists.nbytes for lists in self._lists.values())
+        return lists + (0 if self._exchange is None else self._exchange.nbytes)
+
     def answer(self, message: Message) -> dict[str, Any]:
         """See above."""
         steps = {"cast": self._cast, "exchange": self._exchanged, "end": self._end}
