@@ -27,6 +27,7 @@ from etendue.radiosity import (
     box,
     joined,
 )
+from etendue.radiosity.hierarchical_multipath.divided.units import units_of
 from etendue.radiosity.hierarchical_multipath.parts import Tree
 
 SETTINGS = {"lines": 1 << 12, "grid": 2, "residual": 1e-3}
@@ -95,6 +96,9 @@ def test_units_are_the_parts_of_the_root_and_nobody_has_another():
         inner = Tree(unit.problem.root)
         np.testing.assert_array_equal(inner.world[1:], method.tree.world[unit.whole])
         assert unit.problem.root.total == len(unit.rows) == sum(len(unit.nodes) * [unit.part.total])
+    split = units_of(method.tree, 5)
+    assert [unit.nodes.tolist() for unit in split] == [[1], [2], [3], [4, 5], [6, 7]]
+    assert len(units_of(method.tree, 99)) == 7
     # The cup is in two units: in each it has the lines of the same number.
     table, _, cup = map(method.arguments, method.units)
     assert table["numbers"].tolist() == [0, 1] and cup["numbers"].tolist() == [0]
@@ -155,9 +159,10 @@ def test_boxes_on_workers_give_the_bits_of_one_process(alone, workers, tmp_path)
     equal(parts, alone)
     told = parts.correspondence
     held = [shared.parts for shared in told.workers.values()]
-    assert sorted(k for parts in held for k in parts) == [0, 1, 2]  # each unit at one worker
+    # Each unit at one worker; copies are halved where there are fewer parts than workers.
+    assert sorted(k for parts in held for k in parts) == list(range(max(workers, 3)))
     assert all(shared.kept > 0 for shared in told.workers.values())
-    assert len(held) == min(workers, 3) and all(shared.loads == len(shared.parts) for shared in told.workers.values())
+    assert len(held) == workers and all(shared.loads == len(shared.parts) for shared in told.workers.values())
     assert told.begun_anew == 0 and told.rounds >= 2 * 4
     # Of each round but the first and last of a pass: the power at the regions of the boxes around which the client is.
     per_round = 7 * 4 * 6 * 8 * 3 * 8

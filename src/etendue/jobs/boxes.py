@@ -174,10 +174,11 @@ class HierarchyWork(RequestedWork[HierarchyRequest, HierarchyResult]):
             asked = {k: v for k, v in settings.to_dict().items() if k != "lines" or v}
             settings = saved.settings_of(HierarchicalMultipath, asked, int(request.seed))
             saved.require_scene(self.parts.fingerprint)
-        is_divided = request.divide and self.cluster is not None
-        if request.divide and not is_divided:
+        self.method = HierarchicalMultipath(settings)
+        if request.divide and self.cluster is not None:
+            self.method = DividedMultipath(settings, len(self.cluster.pool.workers()))
+        elif request.divide:
             logger.info("without workers, all boxes are in this process")
-        self.method = (DividedMultipath if is_divided else HierarchicalMultipath)(settings)
         self.method.prepare(self.parts, int(request.seed))
         return self._run(self.parts, self.method, part_recipe, spent=time.perf_counter() - begin, **options)
 

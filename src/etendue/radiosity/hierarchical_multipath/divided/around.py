@@ -33,18 +33,21 @@ class DividedMultipath(HierarchicalMultipath):
     This process has the lines around the boxes, the first shot, which needs all surfaces as they are, and of each pass
     the power of all patches. :meth:`talk` makes a pass; its measurement is, bit for bit, that of :meth:`step`, except
     for the counter of bytes: a part that is inside several units has lists in each.
+
+    workers: how many units there shall be at least, if there are copies enough. The result does not depend on it.
     """
 
     #: Makes what answers in the other processes, as recipes want it.
     inside = f"{make_inside.__module__}:{make_inside.__name__}"
 
-    def __init__(self, settings: HierarchicalMultipathSettings | None = None) -> None:
+    def __init__(self, settings: HierarchicalMultipathSettings | None = None, workers: int = 1) -> None:
         super().__init__(settings)  # points are those that workers can make
+        self._workers = workers
 
     def prepare(self, problem: PartProblem, seed: int) -> None:
         """See :class:`HierarchicalMultipath`. Raises :class:`RadiosityError` for a scene without boxes, too."""
         super().prepare(problem, seed)
-        self.units = units_of(self.tree)
+        self.units = units_of(self.tree, self._workers)
         self._number = {id(part): k for k, part in enumerate(self.tree.parts)}
 
     def arguments(self, unit: Unit) -> dict[str, NDArray[Any]]:

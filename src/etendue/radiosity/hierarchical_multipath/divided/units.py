@@ -1,4 +1,4 @@
-"""What one process has of a scene of parts: a part that lies directly in the root, with all copies of it."""
+"""What one process has of a scene of parts: a part that lies directly in the root, with copies of it."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Unit:
-    """A distinct part of those directly in the root, and all inside it.
+    """A distinct part of those directly in the root, all inside it, and some or all of its copies.
 
-    nodes: (k,) its copies, as nodes of the whole tree. problem: these copies alone, in their places, around which
+    nodes: (k,) these copies, as nodes of the whole tree. problem: these copies alone, in their places, around which
     there is nothing. whole: (m,) for the nodes of the problem's tree but the first, which stands for the root, those
     of the whole tree. rows: (patches,) where their patches are among those of the whole scene, node by node.
     """
@@ -39,14 +39,22 @@ def check_divisible(root: Part) -> None:
         )
 
 
-def units_of(tree: Tree) -> list[Unit]:
-    """The units of a scene, in the order of their first copies. Raises :class:`RadiosityError` for a scene without
-    boxes."""
+def units_of(tree: Tree, least: int = 1) -> list[Unit]:
+    """The units of a scene: each distinct part with all of its copies, in the order of the first ones; if these are
+    fewer than ``least``, the copies of those with most patches are halved. Raises :class:`RadiosityError` for a scene
+    without boxes."""
     check_divisible(tree.root)
     top = np.array(tree.levels[1])
     kinds = tree.part[top]
     _, first = np.unique(kinds, return_index=True)
-    return [_unit(tree, top[kinds == kinds[k]]) for k in np.sort(first)]
+    groups = [top[kinds == kinds[k]] for k in np.sort(first)]
+    while len(groups) < least:
+        patches = [len(nodes) * tree.parts[tree.part[nodes[0]]].total if len(nodes) > 1 else 0 for nodes in groups]
+        if not any(patches):
+            break
+        k = int(np.argmax(patches))
+        groups[k : k + 1] = np.array_split(groups[k], 2)
+    return [_unit(tree, nodes) for nodes in groups]
 
 
 def _unit(tree: Tree, nodes: Index) -> Unit:
