@@ -15,7 +15,7 @@ from etendue.core import OptionError
 from etendue.distributed import Cluster, DaskPool, ProcessPool
 from etendue.distributed import rounds as rounds_module
 from etendue.distributed.talking import Talk
-from etendue.distributed.worker import Needs, _Desk, _Run
+from etendue.distributed.worker import Failed, Needs, _Desk, _Run
 from etendue.jobs import HierarchyRequest, HierarchyWork, run_work
 from etendue.radiosity import (
     DividedMultipath,
@@ -248,6 +248,15 @@ def test_workers_that_join_take_boxes_at_the_next_pass(alone, tmp_path):
         parts = solved(hall(), Cluster(Growing(tmp_path, 1)), bundles=4)
     equal(parts, whole)
     assert len(parts.correspondence.workers) == 2 and parts.correspondence.begun_anew == 0
+
+
+def test_a_worker_that_is_left_out_gets_no_boxes(alone, tmp_path, caplog):
+    pool = InProcess(tmp_path, 2)
+    pool._desks["worker 0"].make = lambda task: Failed("it has mitsuba 3.8", "ClusterError", refused=True)
+    parts = solved(hall(), Cluster(pool))
+    equal(parts, alone)
+    assert "worker 0 is left out: it has mitsuba 3.8" in caplog.text
+    assert parts.correspondence.of("worker 0").messages == 0 < parts.correspondence.of("worker 1").messages
 
 
 def test_a_checkpoint_goes_on_with_workers_or_without(tmp_path):
