@@ -161,7 +161,7 @@ def _tests(room: Room, count: int) -> Record:
 def _seconds(room: Room, is_boxed: bool, lines: int) -> tuple[float, float, float]:
     """CPU seconds of lines through the whole scene, of those through parts, and of the exchange; the best of three."""
     from etendue.radiosity.hierarchical_multipath.exchange import Exchange
-    from etendue.radiosity.hierarchical_multipath.lists import _lists_of
+    from etendue.radiosity.hierarchical_multipath.lists import lists_of
 
     method = room.method(is_boxed, lines)
     best = [np.inf] * 3
@@ -172,7 +172,7 @@ def _seconds(room: Room, is_boxed: bool, lines: int) -> tuple[float, float, floa
             points = OwenSobol(4, seed=k)
             begin = time.process_time()
             is_root = part is method.root
-            lists[part] = _lists_of(
+            lists[part] = lists_of(
                 method._rays[part], is_root, method.lines[part], method._options.regions, lists, points, 0
             )
             spent[0 if is_root else 1] += time.process_time() - begin

@@ -124,6 +124,7 @@ def solve_radiosity(
     sub_scenes: str | Mapping[str, Any] | None = None,
     local_rays: bool = True,
     hierarchy: bool | str | Mapping[str, Any] = False,
+    divide: bool = False,
     parameters: Mapping[str, Any] | None = None,
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
@@ -166,6 +167,8 @@ def solve_radiosity(
         :class:`etendue.radiosity.HierarchicalMultipathSettings`. ``bundles`` are then passes of lines (16 by
         default), and the result is an
         :class:`etendue.jobs.HierarchyResult`. The scene may also be a :class:`etendue.radiosity.Part`.
+    divide: with ``hierarchy`` and workers, each worker has some of the boxes with their lines, and all make a pass
+        together; otherwise each makes whole passes. The result is the same, with what was sent as ``correspondence``.
     save: files for the solution, ``.vtu``, ``.ply``, ``.glb``, ``.gltf``, ``.npz`` or ``.nc``, and for pictures of it,
         ``.exr`` or ``.png``. The picture is also in the result.
     size, sensor, gather, samples, smooth: options of pictures, see :func:`etendue.jobs.picture`.
@@ -179,6 +182,7 @@ def solve_radiosity(
     """
     asked = locals()
     device = asked.pop("cluster"), asked.pop("workers")
+    _check_divided(divide, hierarchy, device)
     request, open_work, watch = _radiosity(**asked)
     if request.is_instant:
         from etendue.jobs import solve_ambient
@@ -208,6 +212,7 @@ def start_radiosity(
     sub_scenes: str | Mapping[str, Any] | None = None,
     local_rays: bool = True,
     hierarchy: bool | str | Mapping[str, Any] = False,
+    divide: bool = False,
     parameters: Mapping[str, Any] | None = None,
     callback: Callback | None = None,
     save: PathLike | Sequence[PathLike] = (),
@@ -236,6 +241,7 @@ def start_radiosity(
     """
     asked = locals()
     device = asked.pop("cluster"), asked.pop("workers")
+    _check_divided(divide, hierarchy, device)
     request, open_work, watch = _radiosity(**asked)
     if request.is_instant:
         raise OptionError("an ambient solution is there at once: take solve_radiosity, or give bounces=")
@@ -287,6 +293,7 @@ def _radiosity(
     resume: PathLike | None,
     callback: Callback | None,
     hierarchy: bool | str | Mapping[str, Any],
+    divide: bool,
     **asked: Any,
 ) -> tuple[Any, Callable[[], Any], Callable[[Progress, Runner], object]]:
     """As :func:`_form_factors`, with the arguments of :func:`solve_radiosity`; and the request."""
@@ -308,7 +315,13 @@ def _radiosity(
         named = {"objects": hierarchy} if isinstance(hierarchy, str) else {}
         groups, settings = split_settings(hierarchy if isinstance(hierarchy, Mapping) else named)
         boxes = HierarchyRequest(
-            source=scene, outputs=outputs, checkpoint=_path(checkpoint), hierarchy=settings, **groups, **asked
+            source=scene,
+            outputs=outputs,
+            checkpoint=_path(checkpoint),
+            hierarchy=settings,
+            divide=divide,
+            **groups,
+            **asked,
         )
         use_variant()
         return boxes, lambda: HierarchyWork(boxes, saved), _watch(callback)
@@ -320,6 +333,15 @@ def _radiosity(
     request = RadiosityRequest(source=scene, outputs=outputs, checkpoint=_path(checkpoint), **asked)
     use_variant()
     return request, lambda: radiosity_work(request, saved), _watch(callback)
+
+
+def _check_divided(divide: Any, hierarchy: Any, device: tuple[Any, Any]) -> None:
+    if not isinstance(divide, bool):
+        raise OptionError(f"divide= is True or False, not {divide!r}")
+    if divide and hierarchy is False:
+        raise OptionError("divide= puts the boxes of hierarchical multipath on workers: give hierarchy=, too")
+    if divide and device == (None, None):
+        raise OptionError("boxes are divided among workers: give workers= or cluster= with divide=")
 
 
 def _path(given: PathLike | None) -> Path | None:

@@ -2,78 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
-from collections import deque
-from pathlib import Path
-
 import numpy as np
 import pytest
+from support.workers import InProcess
 
 from etendue.core import OptionError, UnsupportedError
-from etendue.distributed import Arrival, Cluster, Lost, ProcessPool
-from etendue.distributed.content import Store
-from etendue.distributed.pool import Delivered
-from etendue.distributed.worker import _Desk
+from etendue.distributed import Cluster, ProcessPool
 from etendue.jobs import ParticleRequest, ParticleWork, run_work
 from etendue.particles import BoxGrid, Particles, distinct_in_windows, lru_misses, visits
 from etendue.scene import bundled_scene, load, load_part, shape_boxes, unmerged
 
 PATHS = {"paths": 3000, "settings": {"samples_per_pass": 1500}, "seed": 4}
-
-
-class InProcess:
-    """A pool whose workers are in this process, each with a desk and a folder of its own. ``losses``: numbers of the
-    tasks in which a worker dies."""
-
-    def __init__(self, folder: Path, count: int = 2, losses: tuple[int, ...] = ()) -> None:
-        self._folder, self._losses, self._names = folder, losses, (f"worker {k}" for k in itertools.count())
-        self._desks: dict[str, _Desk] = {}
-        self._waiting: deque = deque()
-        self.done = 0
-        for _ in range(count):
-            self._join()
-
-    def _join(self) -> None:
-        name = next(self._names)
-        self._desks[name] = desk = _Desk()
-        store = Store(self._folder / name)
-        desk.store = lambda: store
-
-    def workers(self):
-        return dict.fromkeys(self._desks)
-
-    def send(self, worker, ticket, task):
-        self._waiting.append((worker, ticket, task))
-
-    def wait(self, seconds):
-        if not self._waiting:
-            return None
-        worker, ticket, task = self._waiting.popleft()
-        if isinstance(task, Delivered):
-            return Arrival(ticket, task)
-        if worker not in self._desks:
-            return Arrival(ticket, Lost("gone"))
-        self.done += 1
-        if self.done in self._losses:
-            del self._desks[worker]
-            self._join()
-            return Arrival(ticket, Lost("killed"))
-        return Arrival(ticket, self._desks[worker].make(task))
-
-    def deliver(self, worker, ticket, offered, digest):
-        for offset, piece, is_last in offered.pieces(digest):
-            self._desks[worker].store().receive(digest, offset, piece, is_last)
-        self._waiting.append((worker, ticket, Delivered()))
-
-    def end_run(self, run): ...
-
-    def held_by_others(self, worker, tickets):
-        return set()
-
-    def forget(self, tickets):
-        self._waiting = deque(entry for entry in self._waiting if entry[1] not in tickets)
-
-    def close(self): ...
 
 
 def traced(scene, cluster=None, **options):

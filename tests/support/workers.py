@@ -3,16 +3,18 @@ are in them."""
 
 from __future__ import annotations
 
+import itertools
 import random
 from collections import deque
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
 from etendue.core import Iterations, Measurement, Pass
 from etendue.distributed import Arrival, Lost, Recipe, Spread
-from etendue.distributed.content import Offered
+from etendue.distributed.content import Offered, Store
 from etendue.distributed.pool import Delivered
 from etendue.distributed.worker import Made, Needs, _Desk, _Run, merge_outcomes
 from etendue.engine import Budget, InTurn, Runner
@@ -211,3 +213,58 @@ def run(pool, method, passes, start=None, state=None, seed=5, schedule="demand",
 def alone(method, passes, seed=5):
     method.prepare(None, seed)
     return Runner(method, seed=seed, budget=Budget(iterations=passes), executor=InTurn).run()
+
+
+class InProcess:
+    """A pool whose workers are in this process, each with a desk and a folder of its own. ``losses``: numbers of the
+    tasks in which a worker dies."""
+
+    def __init__(self, folder: Path, count: int = 2, losses: tuple[int, ...] = ()) -> None:
+        self._folder, self._losses, self._names = folder, losses, (f"worker {k}" for k in itertools.count())
+        self._desks: dict[str, _Desk] = {}
+        self._waiting: deque = deque()
+        self.done = 0
+        for _ in range(count):
+            self._join()
+
+    def _join(self) -> None:
+        name = next(self._names)
+        self._desks[name] = desk = _Desk()
+        store = Store(self._folder / name)
+        desk.store = lambda: store
+
+    def workers(self):
+        return dict.fromkeys(self._desks)
+
+    def send(self, worker, ticket, task):
+        self._waiting.append((worker, ticket, task))
+
+    def wait(self, seconds):
+        if not self._waiting:
+            return None
+        worker, ticket, task = self._waiting.popleft()
+        if isinstance(task, Delivered):
+            return Arrival(ticket, task)
+        if worker not in self._desks:
+            return Arrival(ticket, Lost("gone"))
+        self.done += 1
+        if self.done in self._losses:
+            del self._desks[worker]
+            self._join()
+            return Arrival(ticket, Lost("killed"))
+        return Arrival(ticket, self._desks[worker].make(task))
+
+    def deliver(self, worker, ticket, offered, digest):
+        for offset, piece, is_last in offered.pieces(digest):
+            self._desks[worker].store().receive(digest, offset, piece, is_last)
+        self._waiting.append((worker, ticket, Delivered()))
+
+    def end_run(self, run): ...
+
+    def held_by_others(self, worker, tickets):
+        return set()
+
+    def forget(self, tickets):
+        self._waiting = deque(entry for entry in self._waiting if entry[1] not in tickets)
+
+    def close(self): ...

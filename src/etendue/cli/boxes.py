@@ -45,6 +45,14 @@ def box_settings(
     return split_settings(given)
 
 
+def check_divided(divide: bool, hierarchy: str | None, device: opt.Device) -> None:
+    """Raise :class:`OptionError` if there is nothing to divide, or nobody among whom."""
+    if divide and hierarchy is None:
+        raise OptionError("--divide puts the boxes of hierarchical multipath on workers: give --hierarchy, too")
+    if divide and (device.cluster, device.workers) == (None, None):
+        raise OptionError("boxes are divided among workers: give --workers or --cluster with --divide")
+
+
 def solve_hierarchy(request: HierarchyRequest, saved: Checkpoint | None, device: opt.Device) -> int:
     """From a request to files. Returns the exit status."""
     from etendue.jobs import HierarchyWork
@@ -108,3 +116,15 @@ def _describe_result(result: HierarchyResult) -> None:
     if error is not None:
         words += f", standard error of irradiance {error:.2g} in the mean (noise; light through boxes is binned)"
     note(error_console(), words)
+    if (told := result.correspondence) is not None:
+        most, count = max(shared.kept for shared in told.workers.values()), len(told.workers)
+        again = f"; boxes began a pass anew {told.begun_anew} times" if told.begun_anew else ""
+        note(
+            error_console(),
+            f"{count} worker{'' if count == 1 else 's'} had the boxes, at most {_megabytes(most)} of lines and light "
+            f"each; {_megabytes(told.sent)} went to them, {_megabytes(told.received)} came back{again}",
+        )
+
+
+def _megabytes(count: int) -> str:
+    return f"{count / 1e6:.3g} MB"

@@ -15,7 +15,7 @@ from etendue.jobs import DEFAULT_POINTS
 
 from . import options as opt
 from . import radiosity_outputs as out
-from .boxes import box_settings
+from .boxes import box_settings, check_divided
 from .console import command_line, error_console, note, say
 from .radiosity_options import (
     Ambient,
@@ -24,6 +24,7 @@ from .radiosity_options import (
     BoxSettings,
     Bundles,
     CheckpointFile,
+    Divide,
     Engine,
     Error,
     GroupedObjects,
@@ -196,6 +197,7 @@ def radiosity(
     threshold: Threshold = None,
     regions: BoxRegions = None,
     define: BoxSettings = None,
+    divide: Divide = False,
     sensor: opt.Sensor = 0,
     size: opt.PictureSize = None,
     gather: out.Gather = 0,
@@ -263,6 +265,7 @@ def radiosity(
         save_every=save_every,
         wording=out.Options(),
     )
+    check_divided(divide, hierarchy, device)
     groups, boxes = box_settings(objects, hierarchy, threshold, regions, define)
     if hierarchy is not None:
         from etendue.jobs import HierarchyRequest
@@ -271,7 +274,7 @@ def radiosity(
 
         if solution is not None:
             raise OptionError("--solution is there already: leave out --hierarchy")
-        return solve_hierarchy(HierarchyRequest(**asked, **groups, hierarchy=boxes), None, device)
+        return solve_hierarchy(HierarchyRequest(**asked, **groups, hierarchy=boxes, divide=divide), None, device)
     if boxes:
         name = "--regions" if regions is not None else f"-D {next(iter(boxes))}"
         raise OptionError(f"{name} is for --hierarchy")

@@ -128,6 +128,14 @@ BoxSettings = Annotated[
         metavar="NAME=VALUE",
     ),
 ]
+Divide = Annotated[
+    bool,
+    typer.Option(
+        "--divide",
+        help="With --hierarchy and workers: each worker has some of the boxes and their lines, and all make a pass "
+        "together; otherwise each makes whole passes.",
+    ),
+]
 
 
 class OptionalName(TyperCommand):

@@ -7,6 +7,7 @@ from .divided import BOX_SCHEDULES, Divided, Traffic
 from .pool import Arrival, Lost, Pool
 from .processes import ProcessPool
 from .recipe import Ingredients, Recipe, part_ingredients, recipe, scene_ingredients
+from .rounds import Correspondence, Rounds
 from .schedules import SCHEDULES
 from .spread import Spread
 from .worker import Chunk
@@ -17,6 +18,7 @@ __all__ = [
     "Arrival",
     "Chunk",
     "Cluster",
+    "Correspondence",
     "DaskPool",
     "Divided",
     "Entry",
@@ -26,6 +28,7 @@ __all__ = [
     "Pool",
     "ProcessPool",
     "Recipe",
+    "Rounds",
     "Spread",
     "Store",
     "Traffic",

@@ -32,7 +32,10 @@ _HELPERS = 16
 
 def dask() -> Any:
     """The library ``distributed``; raises :class:`BackendError` if it is not installed."""
-    return library("distributed", "a cluster", "cluster")
+    found = library("distributed", "a cluster", "cluster")
+    # What parts of a scene are told goes with their tasks, and may be large: no reason for a warning of Dask's.
+    library("dask", "a cluster", "cluster").config.set({"distributed.admin.large-graph-warning-threshold": "1TB"})
+    return found
 
 
 class DaskPool:

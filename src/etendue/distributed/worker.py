@@ -1,4 +1,5 @@
-"""What runs in a worker: it makes chunks of passes and sends their sum, or carries paths through a box."""
+"""What runs in a worker: it makes chunks of passes and sends their sum, carries paths through a box, or has a part of a
+scene and answers for it."""
 
 from __future__ import annotations
 
@@ -23,6 +24,7 @@ from etendue.engine import replica_seed
 
 from .content import Store
 from .recipe import Lacking, OpenRecipe
+from .talking import Reply, Talk, Talking
 
 #: Bytes of an array from which on it is sent in single precision, and the largest number that then may be in it.
 _LARGE, _LARGEST = 1 << 20, 1e30
@@ -71,7 +73,7 @@ class Errand:
 
 
 #: What a worker is asked to do.
-Task = Chunk | Errand
+Task = Chunk | Errand | Talk
 
 
 @dataclass
@@ -113,7 +115,7 @@ class Failed:
     refused: bool = False
 
 
-Outcome = Made | Carried | Needs | Failed
+Outcome = Made | Carried | Reply | Needs | Failed
 
 
 @dataclass
@@ -217,6 +219,8 @@ class _Run:
         self.opened = opened
         #: By replica, -1 if passes are independent: a method, the next iteration of its state, and the state.
         self.methods: dict[int, tuple[Method, int, State]] = {}
+        #: Of a scene whose parts are in several workers: the one that is here.
+        self.part: Talking | None = None
         self._first = 0.0  # seconds of the first pass of a method
         self._recent: deque[float] = deque(maxlen=8)  # of later ones
 
@@ -267,6 +271,8 @@ class _Desk:
                 return Needs(tuple(lacking.digests))
             except Exception as error:
                 return _failed(error, refused=True)
+            if isinstance(task, Talk):
+                return self._talk(task, run)
             return self._passes(task, run) if isinstance(task, Chunk) else self._carry(task, run)
         except Exception as error:
             return _failed(error)
@@ -274,6 +280,8 @@ class _Desk:
     def _run(self, task: Task) -> _Run:
         set_threads(task.threads)
         name = task.run if isinstance(task, Chunk) else f"{task.run} {task.recipe}"
+        if isinstance(task, Talk):  # parts with the same recipe have a state each
+            name += f" {task.part}"
         if name in self._runs:
             self._runs.move_to_end(name)
             return self._runs[name]
@@ -293,6 +301,13 @@ class _Desk:
         else:
             product, leaving, counters = method.carry(task.iteration, task.seed, task.paths)
         return Carried(product, leaving, counters, time.monotonic() - begin, loaded)
+
+    def _talk(self, task: Talk, run: _Run) -> Reply | Needs:
+        if loaded := run.part is None:
+            method: Any = run.opened.method(task.seed)
+            run.part = Talking(method)
+        assert run.part is not None
+        return run.part.reply(task, loaded) or Needs(state=True)
 
     def _passes(self, chunk: Chunk, run: _Run) -> Outcome:
         replica = -1 if chunk.replica is None else chunk.replica

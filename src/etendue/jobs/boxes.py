@@ -9,23 +9,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from etendue.core import InNotebooks, OptionError, SceneError, logger
+from etendue.distributed import Correspondence, Rounds
 from etendue.engine import Budget, Checkpoint, remaining
 from etendue.radiosity import (
+    DividedMultipath,
     HierarchicalMultipath,
     HierarchicalMultipathSettings,
     Part,
     PartProblem,
     Patches,
+    check_divisible,
     scene_part,
 )
 
-from .lines import part_recipe
+from .lines import part_recipe, unit_recipes
 from .requests import RadiosityRequest
 from .solving import RequestedWork
 
 if TYPE_CHECKING:
     from etendue.core import Array, Progress, Result
-    from etendue.engine import Runner, RunResult
+    from etendue.distributed import Cluster, Recipe
+    from etendue.engine import MakeExecutor, Runner, RunResult
     from etendue.radiosity import HierarchicalSolution, Lightmap, Solution
     from etendue.scene import Problem
 
@@ -43,6 +47,8 @@ class HierarchyRequest(RadiosityRequest):
 
     #: Of :class:`etendue.radiosity.HierarchicalMultipathSettings`.
     hierarchy: Mapping[str, Any] = field(default_factory=dict)
+    #: With workers: each has some of the boxes, with their lines; otherwise each makes whole passes.
+    divide: bool = False
 
     work: ClassVar[str] = "radiosity-hierarchy"
     is_grouping: ClassVar[bool] = True
@@ -114,7 +120,7 @@ class HierarchyRequest(RadiosityRequest):
         return problem, patches, self.boxes(patches)
 
     def _noted(self) -> tuple[str, ...]:
-        return (*super()._noted(), "hierarchy")
+        return (*super()._noted(), "hierarchy", "divide")
 
 
 @dataclass
@@ -132,6 +138,8 @@ class HierarchyResult(InNotebooks):
     elapsed: float
     picture: Result | None = None
     lightmap: Lightmap | None = None
+    #: Of boxes on workers: what was sent to each, and how often.
+    correspondence: Correspondence | None = None
 
 
 class HierarchyWork(RequestedWork[HierarchyRequest, HierarchyResult]):
@@ -153,18 +161,36 @@ class HierarchyWork(RequestedWork[HierarchyRequest, HierarchyResult]):
         emits = any(p.patches is not None and (p.patches.emission.any() or p.patches.sky.any()) for p in root.distinct)
         if not emits:
             raise SceneError(request._without_light(self.problem))
+        if request.divide:
+            check_divisible(root)
+        self._correspondence: Correspondence | None = None
         self.method = HierarchicalMultipath(request.settings)
 
     def runner(self, **options: Any) -> Runner:
         """See :class:`Work`."""
         request, saved, begin = self.request, self.saved, time.perf_counter()
+        settings: Any = request.settings
         if saved is not None:
-            asked = {k: v for k, v in request.settings.to_dict().items() if k != "lines" or v}
-            settings: Any = saved.settings_of(HierarchicalMultipath, asked, int(request.seed))
+            asked = {k: v for k, v in settings.to_dict().items() if k != "lines" or v}
+            settings = saved.settings_of(HierarchicalMultipath, asked, int(request.seed))
             saved.require_scene(self.parts.fingerprint)
-            self.method = HierarchicalMultipath(settings)
+        self.method = HierarchicalMultipath(settings)
+        if request.divide and self.cluster is not None:
+            self.method = DividedMultipath(settings, len(self.cluster.pool.workers()))
+        elif request.divide:
+            logger.info("without workers, all boxes are in this process")
         self.method.prepare(self.parts, int(request.seed))
         return self._run(self.parts, self.method, part_recipe, spent=time.perf_counter() - begin, **options)
+
+    def _executor(
+        self, cluster: Cluster, problem: Any, method: Any, recipe_of: Callable[[Any, Any], Recipe]
+    ) -> MakeExecutor:
+        """See :class:`RequestedWork`."""
+        if not isinstance(method, DividedMultipath):
+            return super()._executor(cluster, problem, method, recipe_of)
+        recipes, weights = unit_recipes(method), [float(method.weight(unit)) for unit in method.units]
+        self._correspondence = told = Correspondence()
+        return lambda order: Rounds(cluster.pool, recipes, weights, order, method.talk, correspondence=told)
 
     def progress_text(self, progress: Progress) -> str:
         """See :class:`RequestedWork`."""
@@ -175,7 +201,8 @@ class HierarchyWork(RequestedWork[HierarchyRequest, HierarchyResult]):
     ) -> HierarchyResult:
         request, parts = self.request, self.method.solution(run.measurement)
         result = HierarchyResult(
-            parts, self.patches, None, None, len(run.measurement.iterations), str(run.stopped_by), run.elapsed
+            *(parts, self.patches, None, None, len(run.measurement.iterations), str(run.stopped_by), run.elapsed),
+            correspondence=self._correspondence,
         )
         if result.patches is None and request.outputs.written:
             tell("putting all copies into one mesh")
@@ -186,6 +213,13 @@ class HierarchyWork(RequestedWork[HierarchyRequest, HierarchyResult]):
             result.solution = parts.on(result.patches, is_joined)
             result.irradiance_error = parts.irradiance_on(result.patches, is_joined)[1]
             known = self._metadata(passes=result.passes, solver=self.method.name, imbalance=result.solution.imbalance)
+            if (told := result.correspondence) is not None:
+                known |= {
+                    "workers": len(told.workers),
+                    "bytes_to_workers": told.sent,
+                    "bytes_from_workers": told.received,
+                    "bytes_of_workers": [shared.kept for shared in told.workers.values()],
+                }
             making = request.making(self.history)
             shown = request.outputs.write(
                 *(writing, self.problem, result.solution, result.irradiance_error, known, request.wording, tell, making)

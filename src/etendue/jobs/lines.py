@@ -19,6 +19,7 @@ from etendue.radiosity import (
     REPLICATES,
     CastingSettings,
     CastLines,
+    DividedMultipath,
     HierarchicalCasting,
     HierarchicalCastingSettings,
     HierarchicalMultipath,
@@ -203,8 +204,13 @@ def patch_recipe(problem: PatchProblem, method: LineCasting | MultipathPasses) -
     return recipe(ingredients, method, problem.fingerprint, given, make)
 
 
-def part_recipe(problem: PartProblem, method: HierarchicalMultipath) -> Recipe:
-    """Of a method that works on parts."""
+def part_recipe(
+    problem: PartProblem,
+    method: HierarchicalMultipath,
+    given: Mapping[str, NDArray[Any]] | None = None,
+    make: str | None = None,
+) -> Recipe:
+    """Of a method that works on parts; ``given``, ``make`` as in :func:`etendue.distributed.recipe`."""
     parts = problem.root.distinct
     number = {id(part): k for k, part in enumerate(parts)}
     arrays: dict[str, NDArray[Any]] = {}
@@ -218,7 +224,12 @@ def part_recipe(problem: PartProblem, method: HierarchicalMultipath) -> Recipe:
         copies = [number[id(copy.part)] for copy in part.copies]
         rows.append({"has_patches": part.patches is not None, "objects": part.objects, "copies": copies})
     ingredients = Ingredients(f"{__name__}:open_parts", {"parts": rows}, arrays)
-    return recipe(ingredients, method, problem.fingerprint)
+    return recipe(ingredients, method, problem.fingerprint, given, make)
+
+
+def unit_recipes(method: DividedMultipath) -> list[Recipe]:
+    """Of what workers do for the boxes of a divided scene: each has those of one unit, and nothing around them."""
+    return [part_recipe(unit.problem, method, method.arguments(unit), method.inside) for unit in method.units]
 
 
 def open_patches(ingredients: Ingredients, folder: Path) -> PatchProblem:

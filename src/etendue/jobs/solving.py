@@ -32,7 +32,7 @@ from .results import FormFactorResult, RadiosityResult
 if TYPE_CHECKING:
     from etendue.core import Progress
     from etendue.distributed import Cluster, Recipe
-    from etendue.engine import Checkpoint, RunResult
+    from etendue.engine import Checkpoint, MakeExecutor, RunResult
     from etendue.radiosity import CastLines, Objects, Patches, Segments
     from etendue.scene import Problem
 
@@ -139,11 +139,17 @@ class RequestedWork(ABC, Generic[Q, R]):
             method = replicated(method, saved.state, problem, seed)
             options |= {"start": saved.measurement}
         if self.cluster is not None:
-            options["executor"] = self.cluster.executor(recipe_of(problem, made))
+            options["executor"] = self._executor(self.cluster, problem, made, recipe_of)
             method, state = self.cluster.replicate(method, problem, seed, state, done)
         options["state"] = state
         self._job = Job(problem, method, seed=seed, budget=self.budget, place={}, earlier=earlier, notes=self.notes)
         return Runner(method, seed=seed, budget=self.budget, **self._with_saves(options))
+
+    def _executor(
+        self, cluster: Cluster, problem: Any, method: Any, recipe_of: Callable[[Any, Any], Recipe]
+    ) -> MakeExecutor:
+        """What makes the passes on a cluster."""
+        return cluster.executor(recipe_of(problem, method))
 
     def _with_saves(self, options: dict[str, Any]) -> dict[str, Any]:
         """Options of the runner, and those of intermediate checkpoints."""

@@ -65,6 +65,8 @@ from .hierarchical_factors.casting import HierarchicalCasting, HierarchicalCasti
 from .hierarchical_factors.lines import TreeBundles, TreeRays
 from .hierarchical_factors.segments import PartialSegments, partial_form_factors
 from .hierarchical_factors.tree import SphereTree, sphere_tree
+from .hierarchical_multipath.divided.around import DividedMultipath
+from .hierarchical_multipath.divided.units import check_divisible
 from .hierarchical_multipath.grouping import GroupSettings, grouped
 from .hierarchical_multipath.method import HierarchicalMultipath, HierarchicalMultipathSettings, PartProblem
 from .hierarchical_multipath.parts import Part, part_boxes
@@ -106,6 +108,7 @@ __all__ = [
     "CastLines",
     "CastingSettings",
     "ChainedRays",
+    "DividedMultipath",
     "Estimator",
     "FirstShot",
     "FormFactors",
@@ -164,6 +167,7 @@ __all__ = [
     "check_colours",
     "check_coordinates",
     "check_direct",
+    "check_divisible",
     "check_file",
     "check_text_size",
     "coloured_mesh",

@@ -30,26 +30,40 @@ class Exchange:
     At the beginning of an iteration each patch shares what it has not sent on among all its lines. What it receives
     along one of them leaves along the next one, as in Multipath: nearly all light is absorbed within few iterations.
 
+    levels: of the tree, the only ones that are exchanged here, by default all; ``lists`` are then of their parts. What
+    waits at the boxes of the level below comes from elsewhere, as for a part of the tree in another process.
+
     ``received``: by patches. ``unshot``: by patches that have not sent it on yet; ``incoming``, ``outgoing`` (nodes, r,
     c): what waits at the regions of boxes, to be taken into the copy and out of it. (c,): ``sent`` by emission and sky;
-    ``to_sky``, ``lost`` to backs of faces.
+    ``to_sky``, ``lost`` to backs of faces. Sums over nodes are in their order, so that they do not depend on threads
+    and processes.
     """
 
-    def __init__(self, tree: Tree, lists: Mapping[Part, Lists], shot: Shot | None = None) -> None:
+    def __init__(
+        self, tree: Tree, lists: Mapping[Part, Lists], shot: Shot | None = None, levels: slice = slice(None)
+    ) -> None:
         self.tree = tree
-        self._lists = [lists[part] for part in tree.parts]
-        channels, regions = tree.root.channels, len(self._lists[0].regions)
-        self.received, self.unshot = Light.none(tree) if shot is None else shot.received, Light.none(tree)
-        self.incoming, self.outgoing = np.zeros((2, len(tree), regions, channels))
+        self._levels = tree.levels[levels]
+        self._nodes = range(self._levels[0].start, self._levels[-1].stop)
+        held = np.zeros(len(tree.parts), dtype=bool)
+        held[tree.part[self._nodes.start : self._nodes.stop]] = True
+        self._lists = [lists[part] if mine else None for part, mine in zip(tree.parts, held, strict=True)]
+        channels, regions = tree.root.channels, len(next(iter(lists.values())).regions)
+        rows = next((level.stop for level in tree.levels if level.start == self._nodes.stop), self._nodes.stop)
+        self.received = Light.none(tree, held) if shot is None else shot.received.only(held)
+        self.unshot = Light.none(tree, held)
+        self.incoming, self.outgoing = np.zeros((2, rows, regions, channels))
         self.sent, self.to_sky, self.lost = np.zeros((3, channels))
         if shot is not None:
             self.sent, self.to_sky, self.lost = shot.sent.copy(), shot.to_sky.copy(), shot.lost.copy()
         self._reflectance = []
         for k, (part, lines) in enumerate(zip(tree.parts, self._lists, strict=True)):
-            rho = np.zeros((len(part) + 2 + regions, channels))
+            rho = np.zeros((len(part) + 2 + regions if held[k] else 0, channels))
+            self._reflectance.append(rho)
+            if lines is None:
+                continue
             if part.patches is not None:
                 rho[: len(part)] = part.patches.reflectance
-            self._reflectance.append(rho)
             if shot is not None:
                 np.multiply(rho[: len(part)], shot.received.of_parts[k], out=self.unshot.of_parts[k])
             lines.donors, lines.child_donors  # noqa: B018 (made here, by one thread)
@@ -57,16 +71,28 @@ class Exchange:
 
     def iterate(self) -> None:
         """Send all power once along the lines of all parts, from the root down."""
-        for level in self.tree.levels:
+        self.count(self.sweep())
+
+    def sweep(self) -> Array:
+        """:meth:`iterate` without counting: (nodes, 3, c) power that each node sent anew, that left from it to the sky,
+        and that was lost there; zero for nodes of other levels."""
+        totals = np.zeros((len(self.tree), 3, len(self.sent)))
+        for level in self._levels:
             # Copies of a part next to each other: its lists stay in the cache.
             nodes = np.array(level)[np.argsort(self.tree.part[level.start : level.stop], kind="stable")]
             size = max(min(_COPIES, -(-len(nodes) // (4 * threads()))), 1)
             blocks = [nodes[k : k + size] for k in range(0, len(nodes), size)]
-            for sent, to_sky, lost in in_order(partial(self._block, block) for block in blocks):
-                self.sent += sent
-                self.to_sky += to_sky
-                self.lost += lost
+            for _ in in_order(partial(self._block, block, totals) for block in blocks):
+                pass
         self._own_is_unsent = self._sky_is_unsent = False
+        return totals
+
+    def count(self, totals: Array) -> None:
+        """Count what :meth:`sweep` returned."""
+        sent, to_sky, lost = totals.sum(axis=0)
+        self.sent += sent
+        self.to_sky += to_sky
+        self.lost += lost
 
     def iterate_until(self, residual: float, most: int, told: Callable[[int, float], object] | None = None) -> float:
         """Iterate until no more than this share of the sent power is on its way, ``most`` times at most. Returns the
@@ -74,7 +100,7 @@ class Exchange:
         share = np.inf
         for iteration in range(most):
             self.iterate()
-            share = float((self.residual / np.where(self.sent > 0, self.sent, 1)).max())
+            share = self.share(self.residual)
             if told is not None:
                 told(iteration + 1, share)
             if share <= residual:
@@ -82,19 +108,35 @@ class Exchange:
         return share
 
     @property
+    def nbytes(self) -> int:
+        """Bytes of the power at patches and boxes."""
+        arrays = [*self.received.of_parts, *self.unshot.of_parts, self.incoming, self.outgoing]
+        return sum(array.nbytes for array in arrays)
+
+    def share(self, power: Array) -> float:
+        """Share of the sent power that ``power`` (c,) is; of the channel where it is largest."""
+        return float((power / np.where(self.sent > 0, self.sent, 1)).max())
+
+    def waiting(self) -> Array:
+        """(nodes, c) power on its way, by node: of its patches and at its box; zero for nodes of other levels."""
+        rows = np.zeros((len(self.tree), len(self.sent)))
+        for node in self._nodes:
+            at_box = (self.incoming[node] + self.outgoing[node]).sum(axis=0)
+            rows[node] = self.unshot.of(self.tree, node).sum(axis=0) + at_box
+        return rows
+
+    @property
     def residual(self) -> Array:
         """(c,) power on its way."""
-        waiting = sum((part.sum(axis=(0, 1)) for part in self.unshot.of_parts), start=np.zeros_like(self.sent))
-        result: Array = waiting + (self.incoming + self.outgoing).sum(axis=(0, 1))
+        result: Array = self.waiting().sum(axis=0)
         return result
 
     @property
     def absorbed(self) -> Array:
         """(c,) power absorbed by patches."""
-        kept = np.zeros_like(self.sent)
-        for rho, part in zip(self._reflectance, self.received.of_parts, strict=True):
-            kept += ((1 - rho[: part.shape[1]]) * part).sum(axis=(0, 1))
-        return kept
+        rows = [absorbed_by(self.tree, node, self.received.of(self.tree, node)) for node in self._nodes]
+        result: Array = np.array(rows).sum(axis=0)
+        return result
 
     @property
     def imbalance(self) -> float:
@@ -102,16 +144,15 @@ class Exchange:
         off = self.sent - self.absorbed - self.to_sky - self.lost - self.residual
         return float(np.abs(off).max() / max(self.sent.max(), 1e-300))
 
-    def _block(self, nodes: Index) -> tuple[Array, Array, Array]:
-        totals = np.zeros((3, len(self.sent)))
+    def _block(self, nodes: Index, totals: Array) -> None:
         for node in nodes:
-            totals += self._node(int(node))
-        return totals[0], totals[1], totals[2]
+            totals[node] = self._node(int(node))
 
     def _node(self, node: int) -> Array:
         """Exchange in one copy. Returns the power that it sent anew, that left to the sky, and that was lost."""
         tree, part = self.tree, self.tree.parts[self.tree.part[node]]
         lists, rho = self._lists[tree.part[node]], self._reflectance[tree.part[node]]
+        assert lists is not None, "the node is exchanged elsewhere"
         n = len(part)
         values, sums = np.zeros((2, *rho.shape))
         unshot, totals = self.unshot.of(tree, node), np.zeros((3, len(self.sent)))
@@ -154,6 +195,15 @@ class Exchange:
             *(lists.ends, lists.begins, lists.crossings, lists.child_transmittance, leaving),
             *(self.incoming[inner].reshape(shape), len(lists.part) + 2, rho, values, carried, sums),
         )
+
+
+def absorbed_by(tree: Tree, node: int, received: Array) -> Array:
+    """(c,) power absorbed by the patches of a node, of what they ``received`` (n, c)."""
+    patches = tree.parts[tree.part[node]].patches
+    if patches is None:
+        return np.zeros(tree.root.channels)
+    absorbed: Array = ((1 - patches.reflectance) * received).sum(axis=0)
+    return absorbed
 
 
 def _moved(power: Array, donors: Index) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,15 @@ Index = NDArray[np.int64]
 _BLOCK = 1 << 15
 #: Points for a part, by its number among the distinct ones.
 PointsOf = Callable[[int], PointSet]
+
+
+class Transmits(Protocol):
+    """What is known of a part around its copies."""
+
+    @property
+    def transmittance(self) -> Array:
+        """(r,) share of the light through each region of its box that meets nothing inside."""
+        ...
 
 
 class PartRays:
@@ -119,19 +128,21 @@ def preprocess(
     made: dict[Part, Lists] = {}
     for number, part in enumerate(root.distinct):
         count = lines[part]
-        made[part] = _lists_of(rays[part], part is root, count, regions, made, points(number), first * count)
+        made[part] = lists_of(rays[part], part is root, count, regions, made, points(number), first * count)
     return made
 
 
-def _lists_of(
+def lists_of(
     rays: PartRays,
     is_root: bool,
     count: int,
     regions: Regions,
-    inner: Mapping[Part, Lists],
+    inner: Mapping[Part, Transmits],
     points: PointSet,
     first: int,
 ) -> Lists:
+    """Lists of ``count`` lines of one part, by points from ``first`` on. ``inner``: of the parts of its copies. Errors
+    as :func:`preprocess`."""
     part, n = rays.part, len(rays.part)
     transmittances = np.array([inner[child].transmittance for child, _ in part.children]).ravel()
     resolution = np.array([regions.grid, regions.around, regions.up, n])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from etendue.core import (
+    Array,
     Iterations,
     Measurement,
     Pass,
@@ -29,6 +30,7 @@ from ..lines.engine import warn_of_backs
 from ..problem import PatchProblem
 from .exchange import Exchange
 from .firstshot import FirstShots
+from .light import Shot
 from .lists import Lists, PartRays, preprocess
 from .parts import Part, Tree
 from .regions import Regions
@@ -155,33 +157,41 @@ class HierarchicalMultipath:
         if seed != self._seed:
             raise RadiosityError(f"lines of seed {seed} are cast by what was prepared with that seed, not {self._seed}")
         options = self._options
-        lists = self.cast_lines(iteration)
-        shot = None
-        if self._shots is not None:
-            rays = options.shot * options.lines
-            shot = self._shots.cast(rays, self._points("first shot", seed), iteration, seed_key(seed, "shifts", 0)[0])
+        lists, shot = self.cast_lines(iteration), self._first_shot(iteration)
         exchange = Exchange(self.tree, lists, shot)
         left = exchange.iterate_until(options.residual, options.iterations)
-        if left > _MUCH:
-            logger.warning(
-                "%.0f %% of the light is still on its way after %d iterations: set more of these, or more lines",
-                *(100 * left, options.iterations),
-            )
         sums = {"received": exchange.received.by_node(self.tree)}
         for name in ("sent", "absorbed", "to_sky", "lost", "residual"):
             sums[name] = getattr(exchange, name)
         del exchange.unshot
-        measurement = Measurement(
+        nbytes = sum(lines.nbytes for lines in lists.values())
+        return Pass(self._measured(iteration, sums, left, 0 if shot is None else shot.rays, nbytes), state)
+
+    def _first_shot(self, iteration: int) -> Shot | None:
+        """The emission of a pass as patches receive it; ``None`` if lines transport it."""
+        if self._shots is None:
+            return None
+        options, seed = self._options, self._seed
+        rays = options.shot * options.lines
+        return self._shots.cast(rays, self._points("first shot", seed), iteration, seed_key(seed, "shifts", 0)[0])
+
+    def _measured(
+        self, iteration: int, sums: dict[str, Array], left: float, shot_rays: int, nbytes: int
+    ) -> Measurement:
+        """A pass of which the share ``left`` of the light is on its way, and whose lists took so many bytes."""
+        if left > _MUCH:
+            logger.warning(
+                "%.0f %% of the light is still on its way after %d iterations: set more of these, or more lines",
+                *(100 * left, self._options.iterations),
+            )
+        rays = float(sum(self.lines.values()) + shot_rays)
+        return Measurement(
             sums,
             dict.fromkeys(sums, 1.0),
             Iterations.single(iteration),
             squares={"received": sums["received"] ** 2},
-            counters={
-                "rays": float(sum(self.lines.values()) + (0 if shot is None else shot.rays)),
-                "bytes of lists": float(sum(lines.nbytes for lines in lists.values())),
-            },
+            counters={"rays": rays, "bytes of lists": float(nbytes)},
         )
-        return Pass(measurement, state)
 
     def cast_lines(self, iteration: int = 0) -> dict[Part, Lists]:
         """The stored lines of a pass, by part."""
@@ -238,15 +248,28 @@ class HierarchicalMultipath:
         return {part: max(round(share * options.lines), 1) for part, share in shares.items()}
 
     def _check_memory(self) -> None:
-        lists = sum((BYTES_OUTSIDE if part.children else BYTES_INSIDE) * n for part, n in self.lines.items())
-        # Received and unshot power; their sum, squares, and the same again where passes are added up. What waits at
-        # boxes, on the way in and on the way out.
-        regions = len(self._options.regions) * len(self.tree)
-        power = 8 * (6 * self.root.total + 2 * regions) * self.root.channels
-        free = free_memory()
-        if free is not None and lists + power > free:
-            raise RadiosityError(
-                f"{self._options.lines} lines a pass, {self.root.total} patches and {regions} regions of boxes need "
-                f"{(lists + power) / 1e9:.1f} GB, {free / 1e9:.1f} GB are free: set fewer lines, a smaller grid of "
-                "boxes, or larger patches"
-            )
+        check_memory(self._options, self.lines, self.root.total, len(self.tree), self.root.channels)
+
+
+def check_memory(
+    options: HierarchicalMultipathSettings,
+    lines: Mapping[Part, int],
+    patches: int,
+    boxes: int,
+    channels: int,
+    tables: int = 2,
+) -> None:
+    """Raise :class:`RadiosityError` if memory does not hold the lists of so many lines of each part, the power of
+    ``patches``, and ``tables`` of the power at the regions of so many ``boxes``."""
+    lists = sum((BYTES_OUTSIDE if part.children else BYTES_INSIDE) * n for part, n in lines.items())
+    # Received and unshot power; their sum, squares, and the same again where passes are added up. What waits at
+    # boxes, on the way in and on the way out.
+    regions = len(options.regions) * boxes
+    power = 8 * (6 * patches + tables * regions) * channels
+    free = free_memory()
+    if free is not None and lists + power > free:
+        raise RadiosityError(
+            f"{options.lines} lines a pass, {patches} patches and {regions} regions of boxes need "
+            f"{(lists + power) / 1e9:.1f} GB, {free / 1e9:.1f} GB are free: set fewer lines, a smaller grid of "
+            "boxes, or larger patches"
+        )

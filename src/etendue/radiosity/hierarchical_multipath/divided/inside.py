@@ -1,0 +1,141 @@
+"""What a worker does for the boxes that it has: their lines, and the exchange of power inside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array
+from etendue.core import Settings as AnySettings
+
+from ...errors import RadiosityError
+from ..exchange import Exchange
+from ..light import Light, Shot
+from ..lists import Lists, PartRays, lists_of
+from ..method import HierarchicalMultipathSettings, PartProblem, check_memory, even_points
+from ..parts import Part, Tree
+
+#: What processes tell each other: words and arrays by name.
+Message = Mapping[str, Any]
+
+
+class Inside:
+    """The boxes of one unit in a worker. It answers the messages of a pass, one after the other:
+
+    ``cast``: casts and keeps lines through its parts; answers the ``transmittance`` (r,) of the boxes, and the
+    ``bytes`` of the lists.
+
+    ``exchange``: takes ``incoming`` (k, r, c), the power that enters at the regions of its k boxes, once along the
+    lines, and answers ``outgoing`` (k, r, c), that which leaves there; ``totals`` (m, 3, c), what its m nodes sent
+    anew, sent to the sky and lost; and ``waiting`` (m, c), what is on its way in each of them. With the first such
+    message comes ``received`` (patches, c), the first shot, unless lines transport the emission.
+
+    ``end``: answers the power ``received`` by its patches (patches, c), and forgets the pass.
+
+    Lines and light depend on the seed, the number of the pass and the part's number in the whole scene, not on the
+    process. Raises :class:`RadiosityError` for messages that do not fit, and as :class:`.HierarchicalMultipath`.
+
+    numbers, lines: of each part, inner ones first, its number among those of the whole scene, and lines of a pass.
+    """
+
+    name: ClassVar[str] = "hierarchical-multipath"
+    carries_on: ClassVar[bool] = False
+    Settings: ClassVar[type[AnySettings]] = HierarchicalMultipathSettings
+
+    def __init__(
+        self, settings: HierarchicalMultipathSettings, numbers: NDArray[np.int64], lines: NDArray[np.int64]
+    ) -> None:
+        self.settings, self._numbers, self._counts = settings, numbers, lines
+        self._lists: dict[Part, Lists] = {}
+        self._exchange: Exchange | None = None
+
+    def prepare(self, problem: PartProblem, seed: int) -> None:
+        """Make ready for rays. Raises :class:`RadiosityError` if memory does not hold the lists and the power."""
+        self._tree, self._seed = Tree(problem.root), seed
+        *self._parts, _ = self._tree.parts
+        if not len(self._parts) == len(self._numbers) == len(self._counts):
+            raise RadiosityError(
+                f"{len(self._numbers)} numbers do not fit {len(self._parts)} parts: update étendue there"
+            )
+        counts = dict(zip(self._parts, self._counts.tolist(), strict=True))
+        check_memory(self.settings, counts, problem.root.total, len(self._tree), problem.root.channels)
+        self._rays = {part: PartRays(part) for part in self._parts}
+
+    def begin(self, iteration: int) -> None:
+        """Forget what was; the next messages are of this pass."""
+        self._iteration, self._lists, self._exchange = iteration, {}, None
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the lists, and of the power at patches and boxes."""
+        lists = sum(lists.nbytes for lists in self._lists.values())
+        return lists + (0 if self._exchange is None else self._exchange.nbytes)
+
+    def answer(self, message: Message) -> dict[str, Any]:
+        """See above."""
+        steps = {"cast": self._cast, "exchange": self._exchanged, "end": self._end}
+        if message["do"] not in steps:
+            raise RadiosityError(f"boxes cannot do '{message['do']}'; update étendue on the workers")
+        return steps[message["do"]](message)
+
+    def _cast(self, message: Message) -> dict[str, Any]:
+        regions = self.settings.regions
+        for part, number, count in zip(self._parts, self._numbers.tolist(), self._counts.tolist(), strict=True):
+            points = even_points(f"part {number}", self._seed)
+            made = lists_of(self._rays[part], False, count, regions, self._lists, points, self._iteration * count)
+            self._lists[part] = made
+        # The part of the boxes is the last one but the root: it has all others inside.
+        return {
+            "transmittance": self._lists[self._parts[-1]].transmittance,
+            "bytes": sum(lists.nbytes for lists in self._lists.values()),
+        }
+
+    def _exchanged(self, message: Message) -> dict[str, Any]:
+        if self._exchange is None:
+            self._exchange = Exchange(self._tree, self._lists, self._shot(message), slice(1, None))
+        exchange, top = self._exchange, self._tree.levels[1]
+        boxes = slice(top.start, top.stop)
+        exchange.incoming[boxes] = checked("incoming", message["incoming"], exchange.incoming[boxes].shape)
+        totals = exchange.sweep()
+        answer = {"outgoing": exchange.outgoing[boxes].copy(), "totals": totals[1:], "waiting": exchange.waiting()[1:]}
+        exchange.outgoing[boxes] = 0.0  # it is on its way around the boxes now
+        return answer
+
+    def _shot(self, message: Message) -> Shot | None:
+        if "received" not in message:
+            return None
+        tree = self._tree
+        rows = checked("received", message["received"], (int(tree.offsets[-1]), tree.root.channels))
+        nothing = np.zeros(tree.root.channels)  # what was sent and lost is counted around the boxes
+        return Shot(Light.of_rows(tree, rows), nothing, nothing, nothing, rays=0)
+
+    def _end(self, message: Message) -> dict[str, Any]:
+        if self._exchange is None:
+            raise RadiosityError("boxes have exchanged no light yet; start the run anew")
+        received = self._exchange.received.by_node(self._tree, 1)
+        self._lists, self._exchange = {}, None
+        return {"received": received}
+
+
+def make_inside(
+    settings: HierarchicalMultipathSettings,
+    problem: PartProblem,
+    numbers: NDArray[np.int64],
+    lines: NDArray[np.int64],
+) -> Inside:
+    """For recipes."""
+    return Inside(settings, numbers, lines)
+
+
+def checked(name: str, values: Any, shape: tuple[int, ...]) -> Array:
+    """Power from another process. Raises :class:`RadiosityError` if it has another shape, or is not finite: the
+    solution would be wrong without a word."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape != shape:
+        raise RadiosityError(f"'{name}' of a box is {array.shape}, not {shape}: is another étendue on that worker?")
+    if not np.isfinite(array).all():
+        raise RadiosityError(f"'{name}' of a box is not finite: check emission and reflectance of its patches")
+    return array
