@@ -43,6 +43,8 @@ def made_classic(path):
     with opened(path) as file:
         attributes, lengths = dict(file.attrs), {name: d.size for name, d in file.dimensions.items()}
         variables = {name: (v.dimensions, v[...], dict(v.attrs)) for name, v in file.variables.items()}
+        for name in ("shape", "shape_name"):
+            variables.pop(name, None)
     with io.netcdf_file(str(path), "w", version=2) as file:
         for key, value in attributes.items():
             setattr(file, key, value.encode())
@@ -125,6 +127,7 @@ def test_a_solution_is_read_again(tmp_path, kind):
     patches = Patches(
         vertices, faces, ids=ids, two_sided=sheets, reflectance=0.5, emission=[[1.0, 2.0]], sky=[0.5, 0.25]
     )
+    patches.shapes, patches.shape_names = np.arange(len(patches)) % 3 - 1, ("walls", "Tür")
     segments = ABuffer(patches).cast(32)
     solution = solve(patches, segments)
     error = segments.gather_error(solution.radiosity, patches.sky)
@@ -138,6 +141,9 @@ def test_a_solution_is_read_again(tmp_path, kind):
         np.testing.assert_array_equal(getattr(again, name), getattr(solution, name))
     for name in ("vertices", "faces", "front", "back", "labels", "areas", "normals", "reflectance", "emission", "sky"):
         np.testing.assert_array_equal(getattr(again.patches, name), getattr(patches, name))
+    if kind != "classic.nc":  # which has none
+        np.testing.assert_array_equal(again.patches.shapes, patches.shapes)
+        assert again.patches.shape_names == ("walls", "Tür")
     save_solution(path, solution)
     assert read_solution(path)[1] is None
 

@@ -120,6 +120,12 @@ def write_solution(
     file.add("face_vertices", "face corner", patches.faces, about)
     file.add("front_patch", "face", patches.front, "patch that the front of the face belongs to")
     file.add("back_patch", "face", patches.back, "patch that the back of the face belongs to; -1 for none")
+    if patches.shapes is not None:
+        file.add("shape", "patch", patches.shapes, "shape of the scene that the patch is of; -1 for none")
+    if patches.shape_names:
+        names = np.array([name.encode() for name in patches.shape_names])
+        letters = names.view("S1").reshape(len(names), -1)
+        file.add("shape_name", "shapes letter", letters, "name of the shape", _Encoding="utf-8")
     file.add("sky", "channel", patches.sky, "light that comes from where no face is", _PER_AREA)
     file.add("residual", "iteration", np.array(solution.residuals), "residual of the solution", _SHARE)
     file.write(path)
@@ -128,8 +134,17 @@ def write_solution(
 def read_netcdf_solution(path: str | os.PathLike[str]) -> dict[str, NDArray[Any]]:
     """Inverse of :func:`write_solution`, by the names of :class:`Patches` and :class:`Solution`."""
     saved = read_netcdf(path, "a solution", ("radiosity", "irradiance", "face_vertices", "front_patch", "back_patch"))
-    names = {"face_vertices": "faces", "front_patch": "front", "back_patch": "back", "label": "labels"}
+    names = {
+        "face_vertices": "faces",
+        "front_patch": "front",
+        "back_patch": "back",
+        "label": "labels",
+        "shape": "shapes",
+    }
     found = {names.get(name, name): values for name, values in saved.items()}
+    if "shapes" in found:
+        letters = found.get("shape_name", np.zeros((0, 1), "S1"))
+        found["shape_names"] = np.array([b"".join(row).decode() for row in letters], dtype=str)
     found["residuals"] = found["residual"]
     found["vertices"] = np.stack([found[f"vertex_{letter}"] for letter in "xyz"], axis=1)
     return found
