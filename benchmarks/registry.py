@@ -176,6 +176,7 @@ PROGRAMS = {
                 Benchmark("box-errors", "boxes.errors", 10, "Error of multipath with boxes, by point sequence."),
                 Benchmark("box-bias", "boxes.bias", 3, "The bias of boxes, by distance and resolution."),
                 Benchmark("box-shares", "shares.measure", 4, "Lines of boxes by fixed shares, area and information."),
+                Benchmark("box-regions", "resolutions.measure", 6, "Regions of boxes: what they tell, and errors."),
                 Benchmark("hall", "halls.against_flat", 2, "Copies of a desk against a flat solution."),
                 Benchmark("hall-inside", "halls.inside", 3, "Desks inside a large hall against flat blocks."),
                 Benchmark("hall-1000", "halls.thousand", 3, "A thousand desks of 10,000 patches: time and memory."),

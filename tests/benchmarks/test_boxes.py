@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -63,6 +64,27 @@ def test_the_command_of_shares(tmp_path, monkeypatch):
     )
     assert len(known.rows) == 6 and all(is_number(row[2]) for row in known.rows)
     assert len(errors.rows) == 8 and all(is_number(row[2]) for row in errors.rows)
+
+
+def test_what_regions_tell():
+    """All of it if a region lets all or no lines pass, nothing if all let as many pass."""
+    kept = importlib.import_module("benchmarks.radiosity.resolutions").kept_information
+    through = np.array([1000, 3000, 0, 4000])
+    sharp = kept(SimpleNamespace(through=through, hitting=np.array([1000, 0, 0, 4000])))
+    share = 3 / 8
+    assert sharp[1] == pytest.approx(-share * np.log2(share) - (1 - share) * np.log2(1 - share))
+    assert sharp[0] == pytest.approx(sharp[1], rel=1e-3)
+    rng = np.random.default_rng(1)
+    even = [kept(SimpleNamespace(through=through, hitting=rng.binomial(through, 0.3)))[0] for _ in range(400)]
+    assert abs(np.mean(even)) < 4 * np.std(even) / 20
+
+
+@pytest.mark.slow
+def test_the_command_of_regions(tmp_path, monkeypatch):
+    (table,) = tables_of(
+        "radiosity", ["box-regions", "--scene", "office", "--lines", "4096", "--seeds", "2"], tmp_path, monkeypatch
+    )
+    assert len(table.rows) == 10 and all(is_number(row[3]) and is_number(row[4]) for row in table.rows)
 
 
 @pytest.mark.slow
