@@ -169,6 +169,8 @@ def test_processes_end_with_a_parent_that_is_killed(tmp_path):
 def test_nothing_answers_at_an_address(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("etendue.distributed.dask._CONNECT", "1s")
+    with pytest.raises(ClusterError, match=r"'tls://127\.0\.0\.1:9' needs certificates: name them in .*yaml"):
+        DaskPool("tls://127.0.0.1:9")
     with pytest.raises(ClusterError, match=r"no scheduler answers at 'tcp://127\.0\.0\.1:9'"):
         etendue.render("caustics", "path", samples=1, cluster="tcp://127.0.0.1:9")
 

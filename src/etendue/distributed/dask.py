@@ -19,7 +19,7 @@ from etendue.core import ClusterError, EtendueError, OptionError, describe, is_w
 from .content import Offered
 from .gathering import Bundle, Gathering, held_by_others
 from .pool import Arrival, Delivered, Lost
-from .worker import Chunk, Task, end_run, introduce, make_passes, merge_outcomes, receive
+from .worker import Chunk, Task, end_run, introduce, make_passes, merge_outcomes, receive, unfit
 
 #: Seconds to wait for a scheduler, for the first worker, for others that are there, and for an answer of a worker.
 _CONNECT, _FIRST_WORKER, _OTHERS, _ANSWER = "10s", 60.0, 5.0, 60.0
@@ -319,6 +319,13 @@ class DaskPool:
         return self._distributed.Client(self._local, set_as_default=False, direct_to_workers=True)
 
     def _connect(self, address: str) -> Any:
+        if address.startswith("tls:"):
+            security = self._distributed.Security().get_connection_args("client")
+            if security.get("ssl_context") is None:  # Dask would try for a minute
+                raise ClusterError(
+                    f"'{address}' needs certificates: name them in ~/.config/dask/distributed.yaml, below "
+                    "distributed: comm: tls: (ca-file, and cert and key of client)"
+                )
         try:
             return self._distributed.Client(address, timeout=_CONNECT, set_as_default=False)
         except Exception as error:
@@ -354,23 +361,10 @@ class DaskPool:
         for name in [name for name, answer in self._greetings.items() if answer.done()]:
             asked = self._greetings.pop(name)
             answer = asked.exception() or asked.result().get(name)
-            if (why := self._unfit(answer)) is not None:
+            if (why := unfit(answer)) is not None:
                 self._bad[name] = why
             elif isinstance(answer, dict):
                 self.pids[name] = answer["pid"]
-
-    @staticmethod
-    def _unfit(answer: Any) -> str | None:
-        """Why a worker that answers so cannot be used."""
-        here = introduce()["python"]
-        if isinstance(answer, dict):
-            wrong = answer["python"] != here
-            return f"it runs Python {answer['python']}, the client {here}; use the same version" if wrong else None
-        if isinstance(answer, ModuleNotFoundError):
-            return f"it has no module '{answer.name}'; install étendue there"
-        if isinstance(answer, (ImportError, AttributeError, TypeError)):
-            return f"{describe(answer)}; install the same version of étendue there"
-        return None  # it has ended meanwhile
 
     def _ask(self, function: Any, *arguments: Any, workers: list[str]) -> dict[str, Any]:
         """The answers of workers, or the errors. Workers that do not answer are left out."""

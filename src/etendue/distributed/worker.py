@@ -207,6 +207,19 @@ def introduce(is_local: bool = False) -> dict[str, Any]:
     return {"pid": os.getpid(), "python": "{}.{}".format(*sys.version_info[:2])}
 
 
+def unfit(answer: Any) -> str | None:
+    """Why a worker that answers :func:`introduce` so cannot be used; ``None`` if it can, or has ended meanwhile."""
+    here = introduce()["python"]
+    if isinstance(answer, dict):
+        wrong = answer["python"] != here
+        return f"it runs Python {answer['python']}, the client {here}; use the same version" if wrong else None
+    if isinstance(answer, ModuleNotFoundError):
+        return f"it has no module '{answer.name}'; install étendue there"
+    if isinstance(answer, (ImportError, AttributeError, TypeError)):
+        return f"{describe(answer)}; install the same version of étendue there"
+    return None
+
+
 @cache
 def _desk() -> _Desk:
     return _Desk()
