@@ -117,6 +117,7 @@ PROGRAMS = {
                 Benchmark("equal-time", "convergence.equal_time", 7, "Errors and pictures after the same time."),
                 Benchmark("warm-up", "convergence.warm_up", 2, "From how many samples on VEGAS beats random paths."),
                 Benchmark("single", "single.measure", 1, "One path an evaluation against one of each length."),
+                Benchmark("plans", "plans.measure", 5, "Plans of stratified: reuse, and shares by cost."),
             ),
         ),
         Program(
