@@ -159,7 +159,11 @@ PROGRAMS = {
         Program(
             "benchmarks.metropolis",
             "Pictures by Metropolis sampling beside independent paths.",
-            (Benchmark("pictures", "pictures.measure", 200, "Error after equal time of chains, path and bpt."),),
+            (
+                Benchmark("pictures", "pictures.measure", 200, "Error after equal time of chains, path and bpt."),
+                Benchmark("cures", "cures.measure", 5, "Cures of chains that are drawn to lights which are seen."),
+                Benchmark("mixtures", "mixtures.measure", 5, "Small steps of several sizes in one run, beside one."),
+            ),
         ),
         Program(
             "benchmarks.radiosity",
