@@ -117,6 +117,7 @@ PROGRAMS = {
                 Benchmark("equal-time", "convergence.equal_time", 7, "Errors and pictures after the same time."),
                 Benchmark("warm-up", "convergence.warm_up", 2, "From how many samples on VEGAS beats random paths."),
                 Benchmark("single", "single.measure", 1, "One path an evaluation against one of each length."),
+                Benchmark("plans", "plans.measure", 5, "Plans of stratified: reuse, and shares by cost."),
             ),
         ),
         Program(
@@ -158,7 +159,11 @@ PROGRAMS = {
         Program(
             "benchmarks.metropolis",
             "Pictures by Metropolis sampling beside independent paths.",
-            (Benchmark("pictures", "pictures.measure", 200, "Error after equal time of chains, path and bpt."),),
+            (
+                Benchmark("pictures", "pictures.measure", 200, "Error after equal time of chains, path and bpt."),
+                Benchmark("cures", "cures.measure", 5, "Cures of chains that are drawn to lights which are seen."),
+                Benchmark("mixtures", "mixtures.measure", 5, "Small steps of several sizes in one run, beside one."),
+            ),
         ),
         Program(
             "benchmarks.radiosity",

@@ -153,3 +153,29 @@ def test_commands_make_tables_of_numbers(command, tmp_path, monkeypatch):
 def test_an_unknown_scene_is_named():
     error = call("adaptive", ["convergence", "--scene", "cornell,rink"]).exception
     assert isinstance(error, OptionError) and str(error) == "unknown scene 'rink'; did you mean 'ring'?"
+
+
+# ---------------------------------------------------------------------- reuse and cost of regions
+
+
+def test_weights_of_reuse_add_up_to_one():
+    """Exploration of a region and of all above it, and the paths of the region: without that, reuse is biased."""
+    plans = module("plans")
+    study = plans._Study(plans._Study.Settings())
+    study.entrant = plans._Entrant(worth=0.7)
+    own, left = study.weights(0.5 ** np.arange(8.0))
+    assert left[0] == 1.0 and (own[:-1] > own[1:]).all() and 0.02 < own[0] < 0.04
+    np.testing.assert_allclose(np.cumsum(own * left)[:-1] + left[1:], 1.0)
+    study.entrant = plans._Entrant()
+    assert (study.weights(0.5 ** np.arange(8.0))[1] == 1.0).all()
+
+
+@pytest.mark.slow
+def test_reuse_keeps_the_brightness(tmp_path, monkeypatch):
+    words = ["plans", "--scene", "nine lamps", "--seeds", "3", "--record"]
+    (table,) = tables_of("adaptive", words, tmp_path, monkeypatch)
+    assert len(table.rows) == 8
+    for row in table.rows:
+        values = dict(zip(table.columns[2:], row[2:], strict=True))
+        assert is_number(values["variance"]) and is_number(values["rays of plans"])
+        assert abs(float(values["brightness"].split("%")[0])) < 0.2
