@@ -59,7 +59,7 @@ def test_one_size_is_the_method_itself():
     replica = Replica(made, 3)
     plain = (replica.step(0) + replica.step(1)).mean("image").reshape(-1, 3)
     one, facts = mixtures._run(problem, "mmlt", (1.0,), 3, 2)
-    np.testing.assert_array_equal(one, plain)
+    np.testing.assert_allclose(one, plain, rtol=1e-5)  # sums of splats are in no fixed order
     several, others = mixtures._run(problem, "mmlt", (0.25, 4.0), 3, 2)
-    assert (several != one).any() and np.isfinite(several).all()
+    assert np.abs(several / one - 1.0).max() > 0.01 and np.isfinite(several).all()
     assert others[2] == pytest.approx(facts[2], rel=0.1)
