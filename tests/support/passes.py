@@ -6,12 +6,15 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from etendue import methods
 from etendue.core import Measurement, Pass, State
+from etendue.engine import job
+from etendue.engine.runner import Runner
 
 
 def watch(
@@ -46,6 +49,27 @@ def fail(monkeypatch: pytest.MonkeyPatch, name: str, at: int) -> None:
 def taint(monkeypatch: pytest.MonkeyPatch, name: str, count: float) -> None:
     """Each pass of the method reports ``count`` contributions that are not finite."""
     watch(monkeypatch, name, after=lambda measured: measured.counters.update(nonfinite=count))
+
+
+class Clock:
+    """What runs take for the time: it stands still but for :meth:`pass_time`."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+    def pass_time(self, seconds: float) -> None:
+        self.now += seconds
+
+
+def simulate_clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """Runs, with their preparation, measure time by the clock that is returned, however busy the machine is."""
+    clock = Clock()
+    monkeypatch.setitem(Runner.__init__.__kwdefaults__, "clock", clock)
+    monkeypatch.setattr(job, "time", SimpleNamespace(perf_counter=clock))
+    return clock
 
 
 def press_ctrl_c() -> None:
