@@ -88,8 +88,7 @@ def _rows(out: Path, name: str, size: Sequence[int], marks: Sequence[float]) -> 
 class _Run:
     """A method under way."""
 
-    def __init__(self, source: Any, size: tuple[int, int], name: str, seed: int) -> None:
-        problem = scene.load(source, size=size)
+    def __init__(self, problem: Any, name: str, seed: int) -> None:
         method = methods.get(name)
         estimator = method(method.Settings(max_depth=problem.max_depth))
         estimator.prepare(problem, seed + _WARM_UP)
@@ -124,9 +123,12 @@ def _race(
     name: str, source: Any, size: tuple[int, int], wanted: Iterable[str], seed: int, marks: Sequence[float], out: Path
 ) -> None:
     halves = _halves(name, source, size, _HALF * marks[-1], out)
+    # One copy for all: kernels contain the materials of every scene in memory, so that those of a method that has
+    # warmed up would not serve once the next one has loaded a scene.
+    problem = scene.load(source, size=size)
     runs = []
     for method in wanted:
-        runs.append(_Run(source, size, method, seed))
+        runs.append(_Run(problem, method, seed))
         gc.collect()
     while going := [run for run in runs if len(run.found) < len(marks)]:
         min(going, key=lambda run: run.seconds).go_on(marks, halves)

@@ -296,6 +296,21 @@ def test_another_seed_compiles_nothing(method):
     assert all(kernel["cache_hit"] for kernel in kernels)
 
 
+@pytest.mark.parametrize("method", ["vcm", "auto"])
+def test_pilot_and_pass_share_the_large_kernels(method):
+    """Whatever their numbers of paths: of a run of ``auto``, compilation took more time than all the rest."""
+    scene = problem()
+    for _ in range(2):  # see above
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            prepared(scene, method, samples_per_pass=4).step(0, 1)
+            kernels = [kernel for kernel in dr.kernel_history() if kernel["type"] == dr.KernelType.JIT]
+        gc.collect()
+    large = [kernel for kernel in kernels if kernel["operation_count"] > 1000]
+    assert len({kernel["size"] for kernel in large}) == 3  # as many light as camera paths in the pilot
+    assert len({kernel["hash"] for kernel in large}) == 2
+
+
 @pytest.mark.parametrize(("near", "far"), thinned([(1.0, 20.0), (2.5, 4.9)], [(2.5, 4.9)]))
 def test_clipping_planes_do_not_matter(near, far):
     """The same picture whatever the sensor's range, as long as everything seen lies in it."""

@@ -201,7 +201,7 @@ def _of_mesh(emitter: mi.Emitter, shape: mi.Shape, texture: mi.Texture) -> Radia
 def _along_normal(emitter: mi.Emitter, si: mi.SurfaceInteraction3f) -> mi.Float:
     """Radiance along the normals of points, mean over the channels."""
     si.wi = mi.Vector3f(0.0, 0.0, 1.0)
-    return dr.mean(emitter.eval(si)) + dr.zeros(mi.Float, dr.width(si.p))
+    return dr.sum(emitter.eval(si)) / 3.0 + dr.zeros(mi.Float, dr.width(si.p))
 
 
 def _texels(texture: mi.Texture) -> tuple[float, float] | None:

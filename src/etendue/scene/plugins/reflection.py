@@ -48,8 +48,8 @@ def make_reflection(lobe_type: type[PhongLobe] | type[WardLobe]) -> type:
                 return mi.Float(1.0)
             if not ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 1):
                 return mi.Float(0.0)
-            whole = dr.mean(diffuse + specular)
-            return dr.select(whole > 0.0, dr.mean(specular) / whole, 0.0)
+            whole = dr.sum(diffuse + specular)
+            return dr.select(whole > 0.0, dr.sum(specular) / whole, 0.0)
 
         def _evaluate(
             self,

@@ -93,7 +93,7 @@ class LightWalk(BidirectionalWalk):
             nonfinite=dr.zeros(mi.UInt32, paths),
             found=None if self.training is None else dr.zeros(mi.Float, paths),
             # Learned emission gives little flux to paths that are worth much.
-            flux=dr.mean(emitted.throughput) if self.lights.is_learned or self.departures is not None else None,
+            flux=dr.sum(emitted.throughput) / 3.0 if self.lights.is_learned or self.departures is not None else None,
         )
 
     def _edge(self, s: LightPath, path: mi.UInt32, source: SampleSource, vertices: LightVertices | None) -> LightPath:

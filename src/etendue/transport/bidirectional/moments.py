@@ -122,7 +122,8 @@ class Moments:
     ) -> list[mi.Float]:
         """Add a weighted contribution of a technique family; ``ratios``: of its weights. Returns its value for each
         candidate."""
-        c = dr.mean(value * self._importance)
+        # dr.mean would write the number of lanes into the kernel, and the pilot could not share it with the passes.
+        c = dr.sum(value * self._importance) / 3.0
         active = active & dr.isfinite(c) & dr.isfinite(sum(ratios))
         c = dr.select(active, c, 0.0)
         square = dr.square(c) * self._merge_noise if family == "merge" else dr.square(c)
@@ -160,7 +161,7 @@ class Moments:
 
     def splat(self, position: mi.Point2f, value: mi.Color3f, ratios: Sequence[mi.Float], active: mi.Bool) -> None:
         """Add a weighted splat at a film position in pixels."""
-        c = dr.mean(value) * self._splat_scale
+        c = dr.sum(value) * (self._splat_scale / 3.0)
         active = active & dr.isfinite(c) & dr.isfinite(sum(ratios))
         square = dr.square(c)
         x, y = (mi.UInt32(dr.maximum(place, 0.0)) for place in (position.x, position.y))
