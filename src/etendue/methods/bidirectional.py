@@ -18,7 +18,7 @@ Limit: a caustic of a point light that is seen in a mirror is found by merging o
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import drjit as dr
@@ -30,11 +30,14 @@ from etendue.density import HashGrid
 from etendue.film import COMPONENTS, REFLECTED
 from etendue.scene import LightTable, Problem
 from etendue.transport import (
+    CLASSES,
     PICK_BLOCK,
     CameraSink,
     CameraWalk,
     Candidate,
     Gather,
+    Learned,
+    LearnedConnections,
     LearnedEmission,
     LightCache,
     LightVertices,
@@ -63,30 +66,7 @@ from .base import (
     with_image,
 )
 from .bidirectional_settings import BidirectionalSettings, BpmSettings, BptSettings
-from .store import VertexRoom, check_pyramid
-
-
-@dataclass
-class _Run:
-    """Parameters of one group of light paths and camera paths."""
-
-    role: str  #: prefix of the seed roles
-    iteration: int
-    seed: int
-    radius: float
-    light: Lanes  #: the light paths
-    camera: mi.UInt32  #: numbers of the camera paths
-    pixel: mi.UInt32  #: their pixels
-    samples: int  #: camera paths of a pixel
-    splats: Splats | None
-    pyramid: Pyramid | None
-    capacity: int  #: of the vertex store
-    moments: Moments | None = None
-
-
-def _concatenated(colours: list[mi.Color3f]) -> mi.Color3f:
-    """Colours of several groups of lanes as one array."""
-    return colours[0] if len(colours) == 1 else mi.Color3f(*(dr.concat([c[i] for c in colours]) for i in range(3)))
+from .store import Group, VertexRoom, check_pyramid, concatenated
 
 
 class Bidirectional(Carrying, ImageMethod):
@@ -101,11 +81,18 @@ class Bidirectional(Carrying, ImageMethod):
     #: Numbers of the light paths' sequence that a pass takes, if it is more than there are paths.
     light_stride = 0
     _learning: LearnedEmission | None = None
+    _choosing: LearnedConnections | None = None
+
+    @property
+    def _learned(self) -> dict[str, Learned]:
+        """What is learned, by its name in the state."""
+        learned = {"emission": self._learning, "connections": self._choosing}
+        return {name: one for name, one in learned.items() if one}
 
     @property
     def carries_on(self) -> bool:  # type: ignore[override]
         """Whether passes learn from those before; known once it is prepared."""
-        return self._learning is not None
+        return bool(self._learned)
 
     def prepare(self, problem: Problem, seed: int) -> None:
         """See :class:`ImageMethod`. A pilot pass measures the number of light vertices and the mean radiance."""
@@ -133,11 +120,13 @@ class Bidirectional(Carrying, ImageMethod):
             check_pyramid(self.techniques, s.pyramid_depth, self.camera, problem.memory)
         self._indexed = needs_interaction(problem.scene)
         self._box = corners(problem)
+        if s.guide_connections and self.techniques.connection and s.light_source == "cache":
+            self._choosing = LearnedConnections(*self._box, problem.size)
         self._paths = max(1, round(s.light_paths * self.camera.pixels * self.samples_per_iteration))
         self._first_radius = radii.absolute_radius(self, s.radius, s.radius_unit, seed) if s.merging else 0.0
         kinds = bool(self.techniques.connection), self.techniques.merge
         linear = bool(self._more_radii) or self.light_stride > 0
-        bytes_per_vertex = LightVertices.bytes_per_vertex(*kinds, linear, bool(self._learning))
+        bytes_per_vertex = LightVertices.bytes_per_vertex(*kinds, linear, bool(self._learning), bool(self._choosing))
         self._room = VertexRoom(bytes_per_vertex, LightVertices.floats_per_vertex(kinds[0]), problem.memory)
         self._pilot(seed)
         self._groups = self._count_groups()
@@ -156,8 +145,8 @@ class Bidirectional(Carrying, ImageMethod):
 
     @property
     def generation(self) -> int:
-        """How often the densities of emission have changed."""
-        return self._learning.generation if self._learning else 0
+        """How often the densities of emission and connections have changed."""
+        return sum(learned.generation for learned in self._learned.values())
 
     def left(self) -> State:
         """The state after a call of :meth:`render_pass` that was not part of a ``step``."""
@@ -180,7 +169,7 @@ class Bidirectional(Carrying, ImageMethod):
         lanes = dr.arange(mi.UInt32, samples)
         pixel = dr.minimum(mi.UInt32((mi.Float(lanes) + 0.5) * (self.camera.pixels / samples)), self.camera.pixels - 1)
         films = splats, None, 64 * paths, self.moments
-        run = _Run("pilot ", 0, seed, self._first_radius, Lanes(0, paths), lanes, pixel, 1, *films)
+        run = Group("pilot ", 0, seed, self._first_radius, Lanes(0, paths), lanes, pixel, 1, *films)
         radiance, counters = self._trace(run)
         self._room.per_path = counters["light_vertices"] / paths
         own = [value for name, value in radiance.items() if name not in self._more_radii]
@@ -192,8 +181,8 @@ class Bidirectional(Carrying, ImageMethod):
         # Rounded to steps, so that the order of atomic additions in the pilot does not change the picture.
         brightness = 2.0 ** (round(4.0 * math.log2(mean)) / 4.0) if mean > 0.0 else 0.0
         self._dark = self.settings.shadow_roulette * brightness
-        if self._learning:
-            self._learning.measure(brightness)
+        for learned in self._learned.values():
+            learned.measure(brightness)
 
     @property
     def _more_radii(self) -> tuple[str, ...]:
@@ -218,13 +207,13 @@ class Bidirectional(Carrying, ImageMethod):
 
     def _left(self) -> State:
         """Number of groups and vertices of a light path, which change if the capacity was too small for a pass."""
-        learned = {"emission": self._learning.state()} if self._learning else {}
+        learned = {name: one.state() for name, one in self._learned.items()}
         return {"groups": self._groups, "vertices_per_path": self._room.per_path} | learned
 
     def _take(self, state: State) -> None:
         self._groups, self._room.per_path = int(state["groups"]), float(state["vertices_per_path"])
-        if self._learning:
-            self._learning.restore(state["emission"])
+        for name, learned in self._learned.items():
+            learned.restore(state[name])
 
     # ------------------------------------------------------------------ a pass
 
@@ -250,7 +239,7 @@ class Bidirectional(Carrying, ImageMethod):
             camera, _ = Lanes(0, self.camera.pixels * samples).part(index, self._groups).numbers()
             pixel, capacity = camera // samples, self._room.capacity(light.count)
             films = splats, pyramid, capacity, self.moments
-            run = _Run("", iteration, seed, radius, light, camera, pixel, samples, *films)
+            run = Group("", iteration, seed, radius, light, camera, pixel, samples, *films)
             radiance, counts = self._trace(run)
             if not self._room.held(counts["light_vertices"], light.count):
                 self._groups = self._count_groups()  # the capacity was too small: repeat the whole pass
@@ -258,7 +247,7 @@ class Bidirectional(Carrying, ImageMethod):
             parts.append(radiance)
             counters = {name: value + counts[name] for name, value in counters.items()}
 
-        radiance = {name: _concatenated([part[name] for part in parts]) for name in parts[0]}
+        radiance = {name: concatenated([part[name] for part in parts]) for name in parts[0]}
         layers = self.images(radiance, seed, iteration)
         counters["paths"] = float(self.camera.pixels * samples + self._paths)
         if splats:
@@ -269,8 +258,9 @@ class Bidirectional(Carrying, ImageMethod):
             for name, image in zip(names, splatted, strict=True):
                 layers[name] = layers[name] + image if name in layers else image
         more = {name: layers.pop(name) for name in self._more_radii}
-        if self._learning:
-            self._learning.end_pass(with_image(layers)["image"], samples)
+        for name, learned in self._learned.items():
+            if name != "connections" or self.techniques.connection:
+                learned.end_pass(with_image(layers)["image"], samples)
         if pyramid:
             more |= pyramid.layers(lambda values: self.image(values, seed, iteration))
         return with_image(layers) | more, counters
@@ -285,7 +275,7 @@ class Bidirectional(Carrying, ImageMethod):
             candidates = [candidate.counts(unit, self.camera.pixels) for candidate in moments.candidates]
         return Mis(self.techniques, etas, dr.opaque(mi.Float, self._paths / self.samples_per_iteration), candidates)
 
-    def _trace(self, run: _Run) -> tuple[dict[str, mi.Color3f], dict[str, float]]:
+    def _trace(self, run: Group) -> tuple[dict[str, mi.Color3f], dict[str, float]]:
         """Trace light paths, then camera paths. Kernels are queued without waiting, so that one runs while Python
         traces the next. Returns (radiance by technique family, one lane a camera path; counters)."""
         paths = run.light.count
@@ -296,6 +286,8 @@ class Bidirectional(Carrying, ImageMethod):
         if self._learning:
             common |= self._learning.fields(not run.role, run.light.first)
         connecting = self.techniques.connection > 0
+        choosing = self._choosing if connecting else None
+        common["choice"] = choosing.guide if choosing else None
         numbered = run.pyramid is not None and self.visibility.transparent
         vertices, sink = None, None
         if connecting or self.techniques.merge:
@@ -326,7 +318,9 @@ class Bidirectional(Carrying, ImageMethod):
             pyramid=run.pyramid, split_layers=s.split_layers, components=s.components, more_radii=self._more_radii
         )
         first = self.first_hits(run.camera, run.iteration)
-        walk = self.walker(CameraWalk, **common, sink=layers, cache=cache, gather=gather, first=first)
+        common |= {"sink": layers, "cache": cache, "gather": gather, "first": first}
+        trained = choosing.training(not run.role, run.light.first) if choosing else None
+        walk = self.walker(CameraWalk, **common, choosing=trained)
         source = self.camera_numbers(run.camera, run.samples, run.seed, run.iteration, run.role + "camera")
         radiance, rays = walk.trace(run.pixel, source)
         bad = {}
@@ -342,6 +336,8 @@ class Bidirectional(Carrying, ImageMethod):
         dr.eval(radiance, rays, bad)  # one kernel
         if self._learning:
             self._learning.add(common["training"])
+        if choosing and cache:
+            choosing.add(trained, cache.population())
         return radiance, {
             "rays": total(rays) + total(light_rays),
             "light_vertices": float(vertices.wanted[0]) if vertices else 0.0,
@@ -354,10 +350,11 @@ class Bidirectional(Carrying, ImageMethod):
             return None
         pairs = self.settings.light_source == "path"
         vertices.number(by_path=pairs)
+        choice = (self._choosing.guide, vertices.sort(CLASSES)) if self._choosing else ()
         count = mi.UInt32(vertices.count)
         factor = dr.full(mi.Float, 1.0) if pairs else mi.Float(count) / (paths * self.techniques.connection)
         dr.eval(count, factor)
-        return LightCache(vertices, count, factor, dr.opaque(mi.UInt32, paths), None if pairs else picks)
+        return LightCache(vertices, count, factor, dr.opaque(mi.UInt32, paths), None if pairs else picks, *choice)
 
     def _gather(self, vertices: LightVertices | None, paths: int, radius: float) -> Gather | None:
         """The stored vertices, sorted for merging."""

@@ -13,6 +13,10 @@ from .base import CameraSettings
 _CONNECTING = "connect vertices: hits on lights, next event, connections of light and camera vertices, camera splats"
 _MERGING = "merge camera vertices with the light vertices within the merge radius (photon density estimation)"
 _CONNECTIONS = "light vertices to which each camera vertex is connected, with light_source=cache"
+_GUIDE_CONNECTIONS = (
+    "learn from the picture which light vertices camera vertices are connected to, with light_source=cache; passes "
+    "then depend on those before"
+)
 _LIGHT_PATHS = "light paths per camera path; more: less noise in caustics, more time per pass"
 
 
@@ -68,6 +72,7 @@ class BidirectionalSettings(CameraSettings):
         minimum=0.0,
     )
     guide_emission: str = setting("auto", GUIDE, choices=GUIDE_CHOICES)
+    guide_connections: bool = setting(False, _GUIDE_CONNECTIONS)
     split_layers: bool = setting(
         False, "add a layer for each family of techniques; their sum is the image; takes 5 to 10 % more time"
     )

@@ -1,11 +1,17 @@
-"""Capacity of the store of light vertices: vertices per light path, and limits by memory."""
+"""Capacity of the store of light vertices, and the groups of paths into which it divides a pass."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
 
 from etendue.core import OptionError, free_memory
-from etendue.transport import CameraSampler, Pyramid, Techniques
+from etendue.transport import CameraSampler, Moments, Pyramid, Splats, Techniques
+
+from .numbers import Lanes
 
 #: Memory for light vertices in bytes, if the run has no memory limit; and their share of a limit.
 _BYTES = 600e6
@@ -82,3 +88,26 @@ def check_pyramid(techniques: Techniques, depth: int, camera: CameraSampler, mem
     free = free_memory()
     if free is not None and needed > free:
         raise OptionError(f"{what}, but only {free / 1e6:.0f} MB are free; {how}")
+
+
+@dataclass
+class Group:
+    """Parameters of one group of light paths and camera paths."""
+
+    role: str  #: prefix of the seed roles
+    iteration: int
+    seed: int
+    radius: float
+    light: Lanes  #: the light paths
+    camera: mi.UInt32  #: numbers of the camera paths
+    pixel: mi.UInt32  #: their pixels
+    samples: int  #: camera paths of a pixel
+    splats: Splats | None
+    pyramid: Pyramid | None
+    capacity: int  #: of the vertex store
+    moments: Moments | None = None
+
+
+def concatenated(colours: list[mi.Color3f]) -> mi.Color3f:
+    """Colours of several groups of lanes as one array."""
+    return colours[0] if len(colours) == 1 else mi.Color3f(*(dr.concat([c[i] for c in colours]) for i in range(3)))

@@ -1,11 +1,12 @@
 """Light transport for all methods: vertices, walks, emission, camera, scattering, MIS weights, vertex stores."""
 
 from . import dimensions
-from .bidirectional.camera_walk import PICK_BLOCK, CameraWalk, Gather, LightCache
+from .bidirectional.cache import PICK_BLOCK, LightCache
+from .bidirectional.camera_walk import CameraWalk
 from .bidirectional.light_walk import LightWalk
 from .bidirectional.mis import GRAZING, Counts, Mis, Techniques
 from .bidirectional.moments import TILE, Candidate, Moments
-from .bidirectional.photons import Photon, Photons, unfolded
+from .bidirectional.photons import Gather, Photon, Photons, unfolded
 from .bidirectional.pyramid import PYRAMID_MAX, Pyramid
 from .bidirectional.single import SingleContribution, SingleTechnique
 from .bidirectional.sinks import CameraSink, Contribution, Sink, SplatSink
@@ -17,9 +18,18 @@ from .endings.ambient import AMBIENT_WALKS, AmbientScene, AmbientTable, ambient_
 from .endings.maps import EndingGuidedWalk, EndingWalker, light_of_map
 from .firsthits import FirstHits, seen_shapes
 from .functions import TransportFunctions, film_picture
+from .guiding.connections import CLASSES, ConnectionGuide, ConnectionSums
 from .guiding.emission import EmissionGuide, EmissionSums, EmissionTraining
 from .guiding.guide import NOWHERE, Guide, GuidedScattered, direction_of, square_of
-from .guiding.learning import GENERATIONS, GUIDE, GUIDE_CHOICES, LearnedEmission, learned_emission
+from .guiding.learning import (
+    GENERATIONS,
+    GUIDE,
+    GUIDE_CHOICES,
+    Learned,
+    LearnedConnections,
+    LearnedEmission,
+    learned_emission,
+)
 from .guiding.lights import MOST_LIGHTS, LightChoice, LocalLights
 from .guiding.walk import FOUND_UNITS, GuidedPath, GuidedWalk, TrainingSamples
 from .irradiance import CacheMap, IrradianceCache, irradiance_gradients, stratified_hemispheres
@@ -51,6 +61,7 @@ from .walk import CameraPath, Emission, MapEnd, SubPath, Walker, component_field
 
 __all__ = [
     "AMBIENT_WALKS",
+    "CLASSES",
     "EMISSION",
     "FIRST_BOUNCE",
     "FOUND_UNITS",
@@ -75,6 +86,8 @@ __all__ = [
     "CameraWalk",
     "Candidate",
     "CellEmission",
+    "ConnectionGuide",
+    "ConnectionSums",
     "Contribution",
     "Counts",
     "DirectSample",
@@ -100,6 +113,8 @@ __all__ = [
     "IrradianceCache",
     "Joined",
     "Kind",
+    "Learned",
+    "LearnedConnections",
     "LearnedEmission",
     "LightCache",
     "LightChoice",

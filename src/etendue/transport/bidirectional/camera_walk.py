@@ -2,30 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 import drjit as dr
 import mitsuba as mi
 
 from etendue.core import SampleSource
-from etendue.density import HashGrid
 from etendue.film import REFLECTED, Component, by_component
 
 from .. import dimensions as dim
 from ..emission import DirectSample
+from ..guiding.connections import ConnectionTraining
 from ..scattering import Evaluated, cosine_ratio, geometric_cos
 from ..vertex import WalkVertex
 from ..walk import ones
+from .cache import LightCache, Pick
 from .mis import Weights
 from .moments import Moments, Sums
-from .photons import Photons, unfolded
+from .photons import Gather, unfolded
 from .sinks import CameraSink, Contribution
-from .vertices import LightVertex, LightVertices
+from .vertices import LightVertex
 from .walk import BidirectionalPath, BidirectionalWalk
-
-T = TypeVar("T")
 
 
 @dataclass(kw_only=True)
@@ -39,27 +36,6 @@ class _State(BidirectionalPath):
 
 
 @dataclass
-class LightCache:
-    """The stored light vertices for connections.
-
-    With ``picks``, ``techniques.connection`` vertices are sampled uniformly from all paths [Davidovic 2014]. The lanes
-    of a block share one random number and take consecutive vertices, which are close in memory; for each lane, the
-    vertex is uniformly distributed. Without ``picks``, a camera path is connected to all vertices of the light path
-    with the same number.
-    """
-
-    vertices: LightVertices
-    count: mi.UInt32  #: M, on the device
-    factor: mi.Float  #: M / (N k), or 1 without ``picks``; on the device
-    paths: mi.UInt32  #: N, opaque
-    picks: SampleSource | None  #: one number a block of ``PICK_BLOCK`` lanes
-
-
-#: Lanes that share a random number for picking light vertices.
-PICK_BLOCK = 16
-
-
-@dataclass
 class _Joined:
     """An untraced edge from a camera vertex to a light vertex."""
 
@@ -67,36 +43,7 @@ class _Joined:
     direction: mi.Vector3f  #: world, towards the light vertex
     inverse_square: mi.Float
     active: mi.Bool
-
-
-@dataclass
-class Gather:
-    """The stored light vertices for merging, sorted by a grid for the largest radius.
-
-    ``factors``: 1 / (n_VM pi r^2) of each radius; ``squares``: r^2.
-    """
-
-    grid: HashGrid
-    photons: Photons
-    factors: Sequence[mi.Float]
-    squares: Sequence[mi.Float]
-
-    def around(
-        self,
-        point: mi.Point3f,
-        edges: mi.UInt32,
-        visit: Callable[[mi.UInt32, T], T],
-        state: T,
-        active: mi.Bool,
-        radius_squared: mi.Float | None = None,
-    ) -> T:
-        """Visit the photons around ``point`` with a depth of at most ``edges``; see ``HashGrid.within``."""
-
-        def read(photon: mi.UInt32) -> tuple[mi.Point3f, mi.Bool]:
-            position, depth = self.photons.position(photon, active)
-            return position, depth <= edges
-
-        return self.grid.within(point, read, visit, state, active, radius_squared)
+    pick: Pick | None  #: how the vertex was chosen; None: uniformly
 
 
 @dataclass(kw_only=True)
@@ -107,6 +54,7 @@ class CameraWalk(BidirectionalWalk):
     cache: LightCache | None = None
     gather: Gather | None = None
     moments: Moments | None = None
+    choosing: ConnectionTraining | None = None  #: learns which light vertices connections should prefer
 
     def trace(self, pixel: mi.UInt32, source: SampleSource) -> tuple[dict[str, mi.Color3f], mi.UInt32]:
         """Trace one camera path for each entry of ``pixel``. Returns (layers of radiance, rays), one lane a path, not
@@ -122,6 +70,7 @@ class CameraWalk(BidirectionalWalk):
         # The first edge starts at the aperture, its ray at the near plane.
         density, lead = self.camera.density(ray, aperture)
         d_vcm, d_vc = self.mis.start_camera(density)
+        learner = self.training or self.choosing
         state = _State(
             active=dr.full(mi.Bool, True, lanes) & (self.max_edges > 0),
             ray=mi.Ray3f(ray),
@@ -136,7 +85,8 @@ class CameraWalk(BidirectionalWalk):
             seen=mi.UInt32(Component.EMISSION) if self.sink.components else None,
             lane=dr.arange(mi.UInt32, lanes),
             layers=self.sink.begin(self.mis.techniques, pixel, importance),
-            worth=None if self.training is None else self.training.worth_of_lane(pixel, dr.arange(mi.UInt32, lanes)),
+            worth=learner.worth_of_lane(pixel, dr.arange(mi.UInt32, lanes)) if learner else None,
+            place=self.start,
             sums=self.moments.begin(lanes, importance) if self.moments else None,
         )
         state = self.walk(state, lambda s: self._edge(s, source), "camera walk")
@@ -157,6 +107,12 @@ class CameraWalk(BidirectionalWalk):
         self._emission(s, vertex)
         s.active &= vertex.valid
 
+        place, ratio = None, None
+        if self.choice is not None:
+            place = self.choice.classify(vertex.si)
+            ratio = self.choice.pair(s.place, place, s.active)[1]
+        s.d_vcm = self.mis.joined(self.number(s), s.d_vcm, ratio)
+
         smooth = s.active & vertex.smooth
         if s.sums is not None:
             s.sums.edges = s.sums.edges + 1
@@ -168,7 +124,7 @@ class CameraWalk(BidirectionalWalk):
 
         # ---- Light points and light vertices: the BSDF is sampled, and evaluated for all of them, in one call
         lights = [self.light_point(vertex, source, smooth, index) for index in range(techniques.next_event)]
-        picked = self._pick_vertices(s, vertex, smooth)
+        picked = self._pick_vertices(s, vertex, place, smooth)
         scattered, evaluated = vertex.sample(source, s.active, [*lights, *picked])
         for index, light in enumerate(lights):
             u = source.decide(s.depth, dim.NEXT_EVENT + 4 * index + 3)
@@ -179,6 +135,9 @@ class CameraWalk(BidirectionalWalk):
             contribution, weights, rays = self._connection(s, vertex, joined, evaluated[len(lights) + index], u)
             s.rays += rays
             self.sink.add(s.layers, "connection", contribution, joined.active, Component.INDIRECT)
+            if self.choosing is not None and joined.pick is not None:
+                pick, value = joined.pick, contribution[0] * joined.pick.chance
+                self.choosing.add(pick.camera, joined.vertex.place, value, s.worth, pick.drawn, joined.active)
             connections.append((contribution[0], weights.ratios, joined.active))
         if self.moments and s.sums:
             self.moments.add_connections(s.sums, connections)
@@ -188,7 +147,7 @@ class CameraWalk(BidirectionalWalk):
         # ---- Advance
         sampled = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
         s.d_vcm, s.d_vc = self.mis.scatter_camera(self.number(s), s.d_vcm, s.d_vc, *sampled)
-        self.leave(s, vertex, scattered, source, on_edge)
+        self.leave(s, vertex, scattered, source, on_edge, place=place)
         return s
 
     def _emission(self, s: _State, vertex: WalkVertex) -> None:
@@ -224,29 +183,25 @@ class CameraWalk(BidirectionalWalk):
         if self.training is not None:
             self.training.add_light(light.light, contribution.weighted[0], s.worth, contribution.active)
 
-    def _pick_vertices(self, s: _State, vertex: WalkVertex, active: mi.Bool) -> list[_Joined]:
-        """Edges from a camera vertex to light vertices sampled from the cache."""
+    def _pick_vertices(self, s: _State, vertex: WalkVertex, place: mi.UInt32 | None, active: mi.Bool) -> list[_Joined]:
+        """Edges from a camera vertex of the class ``place`` to light vertices sampled from the cache."""
         if self.cache is None or self.cache.picks is None:
             return []
-        active = active & (self.cache.count > 0)
-        joined = []
-        for index in range(self.mis.techniques.connection):
-            u = self.cache.picks.next_1d(s.depth, dim.CONNECT + index)
-            offset = dr.select(self.cache.count >= PICK_BLOCK, s.lane % PICK_BLOCK, 0)
-            number = mi.UInt32(u * mi.Float(self.cache.count)) + offset
-            number = dr.select(number < self.cache.count, number, number - self.cache.count)
-            joined.append(self._join(s, vertex, number, active))
-        return joined
+        picked = [
+            self.cache.draw(s.lane, s.depth, index, place, active) for index in range(self.mis.techniques.connection)
+        ]
+        return [self._join(s, vertex, light, drawn, pick) for light, drawn, pick in picked]
 
     def _connect_pair(self, s: _State, vertex: WalkVertex, u: mi.Float, active: mi.Bool) -> None:
         """Connect to every vertex of the light path with the number of this camera path."""
         assert self.cache is not None
-        first, count = self.cache.vertices.path_vertices(s.lane % self.cache.paths, active)
+        stored = self.cache.vertices
+        first, count = stored.path_vertices(s.lane % self.cache.paths, active)
 
         def connect(
             j: mi.UInt32, totals: list[mi.Color3f], rays: mi.UInt32
         ) -> tuple[mi.UInt32, list[mi.Color3f], mi.UInt32]:
-            joined = self._join(s, vertex, first + j, active)
+            joined = self._join(s, vertex, stored.read(stored.slot(first + j, active), active), active)
             f = vertex.evaluate(joined.direction, joined.active)
             # One random number for all connections of the vertex: each is unbiased, though they are correlated.
             values, _, ray = self._connection(s, vertex, joined, f, u)
@@ -266,21 +221,21 @@ class CameraWalk(BidirectionalWalk):
         """Zero radiance for each radius, in so many parts for the first one."""
         return [dr.zeros(mi.Color3f, lanes) for _ in range(parts + len(self.sink.more_radii))]
 
-    def _join(self, s: _State, vertex: WalkVertex, number: mi.UInt32, active: mi.Bool) -> _Joined:
-        """The edge between a camera vertex and light vertex ``number``."""
-        assert self.cache is not None
-        light = self.cache.vertices.read(self.cache.vertices.slot(number, active), active)
+    def _join(
+        self, s: _State, vertex: WalkVertex, light: LightVertex, active: mi.Bool, pick: Pick | None = None
+    ) -> _Joined:
+        """The edge between a camera vertex and a light vertex."""
         offset = light.position - vertex.position
         distance_squared = dr.squared_norm(offset)
         active = active & (light.depth + s.depth + 1 <= self.max_edges) & (distance_squared > 0.0)
-        return _Joined(light, offset * dr.rsqrt(distance_squared), dr.rcp(distance_squared), active)
+        return _Joined(light, offset * dr.rsqrt(distance_squared), dr.rcp(distance_squared), active, pick)
 
     def _connection(
         self, s: _State, vertex: WalkVertex, joined: _Joined, f: Evaluated, u: mi.Float
     ) -> tuple[list[mi.Color3f], Weights, mi.UInt32]:
         """s >= 2, t >= 2: (weighted contribution by radius, weights, shadow rays) [Georgiev 2012b, eq. 40, 41]."""
         assert self.cache is not None
-        other, number = joined.vertex, self.number(s)
+        other, number, pick = joined.vertex, self.number(s), joined.pick
         active = joined.active & ~dr.all(f.value == 0.0)
         f_light = other.evaluate(-joined.direction, active)
         cos = geometric_cos(vertex.si, joined.direction)
@@ -294,9 +249,12 @@ class CameraWalk(BidirectionalWalk):
             f_light.pdf * cos * joined.inverse_square,
             f.reverse_pdf,
             f_light.reverse_pdf,
+            pick.ratio if pick else None,
         )
         alone = s.throughput * other.throughput * f.value * f_light.value
         alone *= joined.inverse_square * cosine_ratio(other.si, joined.direction) * self.cache.factor
+        if pick is not None:
+            alone /= pick.chance
         values = [alone * weight for weight in weights]
         edges = other.depth + s.depth + 1
         contribution, rays = self.connect(vertex, other.position, edges, values, alone, self.dark, u, active)
@@ -340,7 +298,7 @@ class CameraWalk(BidirectionalWalk):
         photons, number = self.gather.photons, self.number(s)
         p = photons.read(photon, active)
         f = vertex.evaluate(p.direction, active)
-        weights = self.mis.merge_weight(number, (s.d_vcm, s.d_vc), (p.d_vcm, p.d_vc), f.pdf, f.reverse_pdf)
+        weights = self.mis.merge_weight((s.d_vcm, s.d_vc), (p.d_vcm, p.d_vc), f.pdf, f.reverse_pdf)
         distance_squared, share = unfolded(vertex.si, photons.position(photon, active)[0], p)
         value = p.fluence * f.value * share
         inside = [distance_squared <= square for square in self.gather.squares]

@@ -83,6 +83,7 @@ class LightWalk(BidirectionalWalk):
             d_vc=d_vc,
             depth=dr.full(mi.UInt32, 1, paths),
             vertex=mi.UInt32(1) if numbered else None,
+            place=self.start,
             stored=dr.zeros(mi.UInt32, paths),
             kind=dr.select(emitted.area_density > 0.0, mi.UInt32(Kind.DIRECT), mi.UInt32(Kind.BEAM)),
             from_infinity=emitted.is_infinite,
@@ -101,12 +102,16 @@ class LightWalk(BidirectionalWalk):
         vertex = self.arrive(s)
         s.active &= vertex.valid
         on_edge, light_cos = self.land(s, vertex)
+        place = None
+        if self.choice is not None:
+            place = self.choice.classify(vertex.si)
+            s.d_vcm = self.mis.chosen(s.d_vcm, self.choice.pair(place, s.place, s.active)[1])
 
         # ---- Store
         smooth = s.active & vertex.smooth
         if vertices is not None:
             mis, fluence = (s.d_vcm, s.d_vc), self.mis.fluence(light_cos)
-            vertices.append(path, s.stored, vertex, s.throughput, fluence, mis, s.kind, smooth, self.number(s))
+            vertices.append(path, s.stored, vertex, s.throughput, fluence, mis, s.kind, smooth, self.number(s), place)
             s.stored += ones(smooth)
 
         # ---- Splat and scatter. The next vertex is useful only if the path may have two more edges
@@ -119,7 +124,7 @@ class LightWalk(BidirectionalWalk):
             self._splat(s, vertex, joined, light_cos, f, source, self.sink)
 
         # ---- Advance
-        self.go_on(s, vertex, scattered, source, on_edge, light_cos)
+        self.go_on(s, vertex, scattered, source, on_edge, light_cos, place)
         return s
 
     def land(self, s: LightPath, vertex: WalkVertex) -> tuple[tuple[Carried, Carried], mi.Float]:
@@ -147,8 +152,9 @@ class LightWalk(BidirectionalWalk):
         source: SampleSource,
         on_edge: tuple[Carried, Carried],
         light_cos: mi.Float,
+        place: mi.UInt32 | None = None,
     ) -> None:
-        """Leave a vertex; ``on_edge`` and ``light_cos`` are those of :meth:`land`."""
+        """Leave a vertex of the class ``place``; ``on_edge`` and ``light_cos`` are those of :meth:`land`."""
         sampled = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
         s.d_vcm, s.d_vc = self.mis.scatter_light(s.d_vcm, s.d_vc, light_cos, *sampled)
         s.kind = self.keep_if_null(scattered, s.kind, after_light_scattering(s.kind, scattered.is_delta))
@@ -156,7 +162,7 @@ class LightWalk(BidirectionalWalk):
         if s.waiting is not None:
             s.waiting = self.keep_if_null(scattered, s.waiting, mi.Float(0.0))
         relative = s.throughput * scattered.weight / (self.lights.total_power if s.flux is None else s.flux)
-        self.leave(s, vertex, scattered, source, on_edge, roulette_by=(relative, 1.0))
+        self.leave(s, vertex, scattered, source, on_edge, (relative, 1.0), place)
 
     def _splat(
         self,

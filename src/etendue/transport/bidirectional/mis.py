@@ -19,6 +19,10 @@ Merging divides by the cosine at which light arrives at the photon's surface; th
 there are techniques that connect vertices, a vertex with a cosine below :data:`GRAZING` is therefore not merged, in the
 estimator and in the weights; if there are none, the quotient is bounded (:meth:`Mis.fluence`).
 
+Connections may prefer some light vertices to others. The count of a connection is then multiplied by the ratio of its
+light vertex's probability to that of a uniform choice, which depends on the two ends of its edge alone, so that every
+technique of a path has the same ratio for the same edge.
+
 Both numbers are linear in the sample counts of splats, connections and merges. For several sets of counts (several
 merging radii, or candidates whose second moments are estimated), a sub-path carries the coefficients
 (:class:`Linear`), and the sums are evaluated for each set.
@@ -213,12 +217,23 @@ class Mis:
         inverse = dr.rcp(self.power(dr.maximum(cos, 1e-8)))  # against 0 * inf for tangential rays
         return d_vcm * self.power(distance_squared) * inverse, d_vc * inverse
 
-    def joined(self, depth: mi.UInt32, d_vcm: Carried) -> Carried:
+    def joined(self, depth: mi.UInt32, d_vcm: Carried, ratio: mi.Float | None = None) -> Carried:
         """``d_vcm`` of a camera vertex, scaled by the sample count of the technique that connects along the edge before
-        it: 1 for the splat at the first vertex, that of connections after. The walk keeps it unscaled, because the
-        weight of emission needs it for next event along the same edge."""
+        it: 1 for the splat at the first vertex, that of connections after; ``ratio``: see :meth:`chosen`. The walk
+        keeps it unscaled, because the weight of emission needs it for next event along the same edge."""
         count = self._count(self.techniques.connection)
-        return d_vcm if count == 1.0 or self.linear else d_vcm * dr.select(depth == 1, 1.0, count)
+        if count != 1.0 and not self.linear:
+            d_vcm = d_vcm * dr.select(depth == 1, 1.0, count)
+        return self.chosen(d_vcm, ratio)
+
+    def chosen(self, d_vcm: Carried, ratio: mi.Float | None) -> Carried:
+        """``d_vcm`` after a hit, if connections prefer some light vertices; ``ratio``: probability of the edge's light
+        vertex for its camera vertex over that of a uniform choice, 1 on the edge of the sensor or a light."""
+        if ratio is None:
+            return d_vcm
+        if isinstance(d_vcm, Linear):
+            return Linear(d_vcm.end, d_vcm.connection * self.power(ratio), d_vcm.merge)
+        return d_vcm * self.power(ratio)
 
     def fluence(self, cos: mi.Float) -> mi.Float:
         """1 / cos: fluence of light of unit flux per area that arrives at a surface at this geometric cosine; 0 where
@@ -271,8 +286,8 @@ class Mis:
         reverse_pdf: mi.Float,
         is_delta: mi.Bool,
     ) -> tuple[Carried, Carried]:
-        """(d_vcm, d_vc) after scattering at camera vertex ``depth``; d_vcm is unscaled (see :meth:`joined`)."""
-        total = self._sum(self._merge_area(cos, depth), self.joined(depth, d_vcm), reverse_pdf, d_vc)
+        """(d_vcm, d_vc) after scattering at camera vertex ``depth``; ``d_vcm`` is that of :meth:`joined`."""
+        total = self._sum(self._merge_area(cos, depth), d_vcm, reverse_pdf, d_vc)
         return self._scatter(total, d_vc, cos, pdf, is_delta, 1.0)
 
     def _scatter(
@@ -290,7 +305,8 @@ class Mis:
     def emission_weight(
         self, depth: mi.UInt32, d_vcm: Carried, d_vc: Carried, area_density: mi.Float, emission_density: mi.Float
     ) -> Weights:
-        """Weights of a camera sub-path that hits a light at its vertex ``depth`` [Georgiev 2012b, eq. 43]."""
+        """Weights of a camera sub-path that hits a light at its vertex ``depth`` [Georgiev 2012b, eq. 43]. ``d_vcm`` is
+        unscaled; in the other weights it is that of :meth:`joined`."""
         t = self.techniques
         if not (t.connects and t.emission):
             # Only paths that no other technique samples: lights seen directly or through delta scattering.
@@ -325,7 +341,7 @@ class Mis:
         """
         own = self._count(self.techniques.next_event)
         hit = self.power(bsdf_pdf / direct_pdf) * self._count(self.techniques.emission)
-        camera = self._sum(self._merge_area(cos, depth), self.joined(depth, d_vcm), reverse_pdf, d_vc)
+        camera = self._sum(self._merge_area(cos, depth), d_vcm, reverse_pdf, d_vc)
         return self._weights(self._own(own), self._at(0.0, camera * self.power(light_ratio), hit))
 
     def connection_weight(
@@ -339,14 +355,17 @@ class Mis:
         area_pdf_to_camera: mi.Float,
         reverse_pdf_camera: mi.Float,
         reverse_pdf_light: mi.Float,
+        ratio: mi.Float | None = None,
     ) -> Weights:
         """Weights of the connection of two inner vertices [Georgiev 2012b, eq. 40, 41]. ``camera``, ``light``: their
-        (d_vcm, d_vc); ``camera_cos``, ``light_cos``: geometric cosines at which light arrives at them."""
+        (d_vcm, d_vc); ``camera_cos``, ``light_cos``: geometric cosines at which light arrives at them; ``ratio``: of
+        their edge, see :meth:`chosen`."""
         by_light = self._sum(self._merge_area(light_cos), light[0], reverse_pdf_light, light[1])
         area = self._merge_area(camera_cos, depth)
-        by_camera = self._sum(area, self.joined(depth, camera[0]), reverse_pdf_camera, camera[1])
+        by_camera = self._sum(area, camera[0], reverse_pdf_camera, camera[1])
         others = self._at(by_light * self.power(area_pdf_to_light), by_camera * self.power(area_pdf_to_camera))
-        return self._weights([counts.connection for counts in (*self._sets, *self.candidates)], others)
+        times = 1.0 if ratio is None else self.power(ratio)
+        return self._weights([counts.connection * times for counts in (*self._sets, *self.candidates)], others)
 
     def splat_weight(
         self, d_vcm: Carried, d_vc: Carried, light_cos: mi.Float, reverse_pdf: mi.Float, camera_area_pdf: mi.Float
@@ -363,7 +382,6 @@ class Mis:
 
     def merge_weight(
         self,
-        depth: mi.UInt32,
         camera: tuple[Carried, Carried],
         light: tuple[Carried, Carried],
         pdf: mi.Float,
@@ -375,7 +393,7 @@ class Mis:
         and for the opposite walk.
         """
         by_light = self._sum(None, light[0], pdf, light[1])
-        by_camera = self._sum(None, self.joined(depth, camera[0]), reverse_pdf, camera[1])
+        by_camera = self._sum(None, camera[0], reverse_pdf, camera[1])
         others = self._at(by_light, by_camera)
         if not self.linear:
             return Weights([dr.rcp(1.0 + others[0] / self._sets[0].merge)])

@@ -16,14 +16,19 @@ Under uniform radiance the estimate is exact on both sides of a straight edge.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import drjit as dr
 import mitsuba as mi
 
+from etendue.density import HashGrid
 from etendue.film import Component
 
 from .mis import Carried, Linear
+
+T = TypeVar("T")
 
 #: Least 1 + cos of the angle between the normals of two surfaces whose photons are merged: 120 degrees.
 _LEAST_OPENING = 0.5
@@ -162,3 +167,33 @@ def number_of(tag: mi.Float, bits: int) -> mi.UInt32:
     """Number of the vertex on its path; the depth if the tag has no bits for the number."""
     word = dr.reinterpret_array(mi.UInt32, tag)
     return (word >> bits) & 15 if bits < 16 else word & 0xFFFF
+
+
+@dataclass
+class Gather:
+    """The stored light vertices for merging, sorted by a grid for the largest radius.
+
+    ``factors``: 1 / (n_VM pi r^2) of each radius; ``squares``: r^2.
+    """
+
+    grid: HashGrid
+    photons: Photons
+    factors: Sequence[mi.Float]
+    squares: Sequence[mi.Float]
+
+    def around(
+        self,
+        point: mi.Point3f,
+        edges: mi.UInt32,
+        visit: Callable[[mi.UInt32, T], T],
+        state: T,
+        active: mi.Bool,
+        radius_squared: mi.Float | None = None,
+    ) -> T:
+        """Visit the photons around ``point`` with a depth of at most ``edges``; see ``HashGrid.within``."""
+
+        def read(photon: mi.UInt32) -> tuple[mi.Point3f, mi.Bool]:
+            position, depth = self.photons.position(photon, active)
+            return position, depth <= edges
+
+        return self.grid.within(point, read, visit, state, active, radius_squared)

@@ -127,7 +127,8 @@ class _CameraSide(BidirectionalWalk):
             stop = _Stop.at(self, s, vertex, source, on_edge)
             scattered, _ = vertex.sample(source, stop.going)
             sampled = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
-            s.d_vcm, s.d_vc = self.mis.scatter_camera(self.number(s), s.d_vcm, s.d_vc, *sampled)
+            number = self.number(s)
+            s.d_vcm, s.d_vc = self.mis.scatter_camera(number, self.mis.joined(number, s.d_vcm), s.d_vc, *sampled)
             self.leave(s, vertex, scattered, source, on_edge)
             return stop.apply(s)
 
@@ -274,7 +275,7 @@ class SingleTechnique:
         )
         geometric, lit_cos = geometric_cos(eye_end.si, towards), geometric_cos(light_end.si, light_end.incoming)
         light_cos, ratio = geometric_cos(light_end.si, back), cosine_ratio(light_end.si, back)
-        on_eye, on_light = (eye.d_vcm, eye.d_vc), (lit.d_vcm, lit.d_vc)
+        on_eye, on_light = (self.mis.joined(number, eye.d_vcm), eye.d_vc), (lit.d_vcm, lit.d_vc)
 
         # ---- s = 1: next event
         hit_pdf = dr.select(point.is_delta, 0.0, f.pdf)

@@ -74,6 +74,7 @@ class LightVertex(Vertex):
     depth: mi.UInt32  #: edges from the light
     number: mi.UInt32  #: as ``depth``, without null surfaces if the store is ``numbered``
     path: mi.UInt32  #: number of its light path
+    place: mi.UInt32  #: its class, if it was stored with one
 
     def evaluate(self, direction: mi.Vector3f, active: mi.Bool) -> Evaluated:
         """The BSDF for a world direction of the eye side; the value times :func:`cosine_ratio` is the adjoint BSDF
@@ -128,10 +129,15 @@ class LightVertices:
         self._start: mi.UInt32 | None = None
 
     @staticmethod
-    def bytes_per_vertex(connected: bool, merged: bool, linear: bool = False, owned: bool = False) -> int:
-        """Device memory of a stored vertex in bytes, including the copy and the grid for merging."""
+    def bytes_per_vertex(
+        connected: bool, merged: bool, linear: bool = False, owned: bool = False, classed: bool = False
+    ) -> int:
+        """Device memory of a stored vertex in bytes, including the copy and the grid for merging, and what sorting it
+        by its class takes."""
         bytes_ = 16 * (_PACKETS if connected else _PHOTON_PACKETS) + (4 if connected else 0)
-        return bytes_ + (48 + 24 if merged else 0) + (32 if linear else 0) + (8 if owned else 0)
+        return (
+            bytes_ + (48 + 24 if merged else 0) + (32 if linear else 0) + (8 if owned else 0) + (24 if classed else 0)
+        )
 
     @staticmethod
     def floats_per_vertex(connected: bool) -> int:
@@ -155,10 +161,12 @@ class LightVertices:
         kind: mi.UInt32,
         active: mi.Bool,
         number: mi.UInt32,
+        place: mi.UInt32 | None = None,
     ) -> None:
         """Store one vertex per active lane, inside the walk. ``index``: vertices that the path has stored before;
         ``fluence``: factor on the throughput for merging (see :meth:`Mis.fluence`); ``kind``: one of :class:`Kind`;
-        ``number``: number of the vertex on its path, stored if the store is ``numbered``.
+        ``number``: number of the vertex on its path, stored if the store is ``numbered``; ``place``: class of the
+        vertex.
 
         A full store drops vertices but counts them, so that the caller can repeat the pass with a larger capacity if
         ``wanted > capacity``."""
@@ -193,7 +201,8 @@ class LightVertices:
             first, second = mi.Vector4f(n.x, n.y, n.z, si.uv.x), mi.Vector4f(g.x, g.y, g.z, si.uv.y)
         self._put(3, first, slot, active)
         self._put(4, second, slot, active)
-        self._put(5, mi.Vector4f(_as_float(_pointer(vertex.bsdf)), _as_float(path), fluence, 0.0), slot, active)
+        tag = 0.0 if place is None else _as_float(place)
+        self._put(5, mi.Vector4f(_as_float(_pointer(vertex.bsdf)), _as_float(path), fluence, tag), slot, active)
 
     def close_paths(self, path: mi.UInt32, stored: mi.UInt32) -> None:
         """Store the number of vertices of each path; called once after the walk, in the same kernel."""
@@ -231,6 +240,21 @@ class LightVertices:
         dr.scatter(self._order, slot, number, held & (number < self._limit))
         dr.eval(self._order, self._start)
 
+    def sort(self, classes: int) -> mi.UInt32:
+        """Number the vertices anew, class by class, and by their numbers within a class. Returns the first number of
+        each class, and the end: (classes + 1,)."""
+        number = dr.arange(mi.UInt32, self.capacity)
+        held = number < self.count
+        place = _as_uint(self._get(_PACKETS - 1, self.slot(number, held), held).w)
+        place = dr.select(held, dr.minimum(place, classes - 1), classes)
+        population = dr.zeros(mi.UInt32, classes + 1)
+        dr.scatter_add(population, mi.UInt32(1), place, held)
+        dr.eval(place, population)
+        self._order = dr.gather(mi.UInt32, self._order, dr.argsort(place))
+        first = dr.prefix_reduce(dr.ReduceOp.Add, population, exclusive=True)
+        dr.eval(self._order, first)
+        return first
+
     def slot(self, number: mi.UInt32, active: mi.Bool) -> mi.UInt32:
         """Slot of the vertex with a number."""
         return dr.gather(mi.UInt32, self._order, number, active & (number < self._limit))
@@ -258,6 +282,7 @@ class LightVertices:
             depth=depth_of(position.w, self._depth_bits),
             number=number_of(position.w, self._depth_bits),
             path=_as_uint(owner.y),
+            place=_as_uint(owner.w),
         )
 
     def _recompute(

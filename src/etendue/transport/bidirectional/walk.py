@@ -11,6 +11,7 @@ import mitsuba as mi
 from etendue.core import SampleSource
 
 from ..camera import CameraSampler
+from ..guiding.connections import START, ConnectionGuide
 from ..guiding.emission import EmissionTraining
 from ..scattering import Scattered, shadow_roulette
 from ..vertex import WalkVertex
@@ -27,6 +28,7 @@ class BidirectionalPath(SubPath):
     d_vcm: mi.Float | Linear
     d_vc: mi.Float | Linear
     vertex: mi.UInt32 | None  #: as ``depth``, without null surfaces; None if it is not used
+    place: mi.UInt32 | None = None  #: class of the vertex that the edge leaves, for :attr:`BidirectionalWalk.choice`
 
 
 @dataclass(kw_only=True)
@@ -38,11 +40,17 @@ class BidirectionalWalk(Walker):
     dark: mi.Float  #: opaque; contributions below this radiance play roulette before their shadow ray
     sink: Sink | None
     training: EmissionTraining | None = None  #: learns what light paths contribute
+    choice: ConnectionGuide | None = None  #: which light vertices connections prefer
 
     @property
     def pyramid(self) -> Pyramid | None:
         """The technique pyramid, if one is recorded."""
         return None if self.sink is None else self.sink.pyramid
+
+    @property
+    def start(self) -> mi.UInt32 | None:
+        """Class of the sensor and of the lights."""
+        return None if self.choice is None else mi.UInt32(START)
 
     def number(self, s: BidirectionalPath) -> mi.UInt32:
         """Number of the vertex at the end of the edge; 0 is the sensor or the light, null surfaces do not count."""
@@ -80,11 +88,14 @@ class BidirectionalWalk(Walker):
         source: SampleSource,
         on_edge: tuple[Carried, Carried],
         roulette_by: tuple[mi.Color3f, mi.Float] | None = None,
+        place: mi.UInt32 | None = None,
     ) -> None:
         """:meth:`Walker.advance`, with ``d_vcm`` and ``d_vc`` after scattering; ``on_edge``: the two before the vertex,
-        restored at null surfaces."""
+        restored at null surfaces; ``place``: class of the vertex."""
         s.d_vcm = self.keep_if_null(scattered, on_edge[0], s.d_vcm)
         s.d_vc = self.keep_if_null(scattered, on_edge[1], s.d_vc)
+        if s.place is not None and place is not None:
+            s.place = self.keep_if_null(scattered, s.place, place)
         if self.visibility.transparent and s.vertex is not None:
             s.vertex = s.vertex + ones(~scattered.is_null)
         self.advance(s, vertex, scattered, source, roulette_by)

@@ -25,12 +25,13 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, CheckpointError, copied_to_device
+from etendue.core import Array, CheckpointError
 from etendue.density import Quadtrees
 from etendue.scene import LightTable
 
 from ..emission import EmittedRay
 from .departure import Departures
+from .worth import SQUARES, UNITS, Worth, capped, in_units
 
 #: Share of the selection by power.
 _BY_POWER = 0.1
@@ -42,15 +43,6 @@ SHARES = (0.0, 0.25, 0.5, 0.75)
 _GAIN, _KNOWN = 0.9, 64.0
 #: Share of a light's density above which a leaf is divided, and least number of effective paths in a leaf.
 _LEAF_SHARE, _LEAF_PATHS = 0.01, 4.0
-#: Sums are of integers, so that they do not depend on the order of the additions: units of a contribution, and of its
-#: square, per mean contribution; and the largest contribution of a path, in mean ones.
-_UNITS, _SQUARES, _MOST = 1 << 16, 1 << 10, 1 << 10
-#: Camera paths are counted in blocks of lanes, one of so many.
-_BLOCK, _STRIDE = 16, 4
-#: Side of the blocks of pixels whose brightness is known.
-BLOCK = 16
-#: Share of the picture's mean brightness that is added to that of a block.
-_LEAST_LEVEL = 0.25
 
 
 @dataclass
@@ -132,7 +124,7 @@ class EmissionGuide:
     def _learn_directions(self, sums: EmissionSums, tree: NDArray[np.int64], credit: Array, square: Array) -> None:
         """``tree``: of each place; ``credit`` and ``square``: sums of each light."""
         usable = self._plain.has_directions & (square > 0.0)
-        paths = np.where(usable, (credit / _UNITS) ** 2 / np.where(usable, square / _SQUARES, 1.0), 0.0)
+        paths = np.where(usable, (credit / UNITS) ** 2 / np.where(usable, square / SQUARES, 1.0), 0.0)
         area = 0.25 ** (np.repeat(self.trees.level, 4) + 1.0)
         self.trees = self.trees.with_mass(np.where(usable[tree], np.sqrt(sums.weighted * area), 0.0))
         leaf = np.maximum(_LEAF_SHARE, _LEAF_PATHS / np.maximum(paths, 1.0))
@@ -170,24 +162,19 @@ def _mixed(wanted: Array, plain: Array) -> Array:
     return result
 
 
-class EmissionTraining:
+class EmissionTraining(Worth):
     """Contributions of one group of light paths, while they and the camera paths are traced.
 
     Parameters
     ----------
     guide: which emits the paths.
-    unit: mean contribution to a pixel.
-    levels: (blocks,) brightness of the picture in blocks of :data:`BLOCK` x :data:`BLOCK` pixels, relative to ``unit``.
-    width: of the picture, in pixels.
+    unit, levels, width: see :class:`Worth`.
     directions: whether directions are learned, too.
     """
 
     def __init__(self, guide: EmissionGuide, unit: float, levels: Array, width: int, directions: bool) -> None:
+        super().__init__(unit, levels, width)
         self._guide = guide
-        worth = 1.0 / (np.maximum(levels, 0.0) + _LEAST_LEVEL)
-        self._worth = copied_to_device(mi.Float, worth.astype(np.float32))
-        self._width, self._across = dr.opaque(mi.UInt32, width), dr.opaque(mi.UInt32, -(-width // BLOCK))
-        self._unit = dr.opaque(mi.Float, 1.0 / unit if unit > 0.0 else 0.0)
         self._directions = directions
         #: (paths,) contributions in units; set by :meth:`begin`.
         self.found = mi.UInt64(0)
@@ -210,31 +197,19 @@ class EmissionTraining:
 
     def splatted(self, found: mi.Float) -> None:
         """Note the contributions of the light paths by splats, one lane a path."""
-        self.found = _units(found, _UNITS)
+        self.found = in_units(found, UNITS)
         dr.schedule(self._light, self._pdf, self._place, self._ratios, self.found)
-
-    def worth_of_lane(self, pixel: mi.UInt32, lane: mi.UInt32) -> mi.Float:
-        """Factor on the luminance of contributions of camera paths to their pixels. Only blocks of lanes count, since
-        additions take time; other ones in each row of pixels, so that they are spread over the picture."""
-        counts = (lane // _BLOCK + pixel // self._width) % _STRIDE == 0
-        return dr.select(counts, _STRIDE * self.worth(pixel, counts), 0.0)
-
-    def worth(self, pixel: mi.UInt32, active: mi.Bool) -> mi.Float:
-        """Factor on the luminance of contributions to a pixel; 0 where not ``active``."""
-        y = pixel // self._width
-        block = (y // BLOCK) * self._across + (pixel - y * self._width) // BLOCK
-        return dr.select(active, dr.gather(mi.Float, self._worth, block, active) * self._unit, 0.0)
 
     def add(self, path: mi.UInt32, value: mi.Color3f, worth: mi.Float, active: mi.Bool) -> None:
         """Add a contribution of a light path."""
-        units = _units(mi.luminance(value) * worth, _UNITS)
+        units = in_units(mi.luminance(value) * worth, UNITS)
         dr.scatter_add(self.found, units, path, active & (units > 0), dr.ReduceMode.Direct)
 
     def add_light(self, light: mi.UInt32, value: mi.Color3f, worth: mi.Float, active: mi.Bool) -> None:
         """Add a contribution of a light point."""
         if self._guide.count == 1:
             return
-        units = _units(dr.square(_capped(mi.luminance(value) * worth)), _SQUARES)
+        units = in_units(dr.square(capped(mi.luminance(value) * worth)), SQUARES)
         dr.scatter_add(self.direct, units, light, active & (units > 0), dr.ReduceMode.Direct)
 
     def sums(self) -> EmissionSums:
@@ -243,28 +218,19 @@ class EmissionTraining:
         count = dr.zeros(mi.UInt32, guide.count)
         credit, square, weighted = (dr.zeros(mi.UInt64, guide.places) for _ in range(3))
         dr.scatter_add(count, mi.UInt32(1), self._light, mode=dr.ReduceMode.Direct)
-        value = _capped(mi.Float(self.found) / _UNITS)
+        value = capped(mi.Float(self.found) / UNITS)
         active = self.found > 0
         for sums, amount in (
-            (credit, _units(value, _UNITS)),
-            (square, _units(dr.square(value), _SQUARES)),
-            (weighted, _units(dr.square(value) * dr.minimum(self._pdf, 1e3), _SQUARES)),
+            (credit, in_units(value, UNITS)),
+            (square, in_units(dr.square(value), SQUARES)),
+            (weighted, in_units(dr.square(value) * dr.minimum(self._pdf, 1e3), SQUARES)),
         ):
             dr.scatter_add(sums, amount, self._place, active, dr.ReduceMode.Direct)
         moments = dr.zeros(mi.UInt64, guide.count * len(SHARES))
         for number, ratio in enumerate(self._ratios):
-            amount = _units(dr.square(value) * dr.minimum(ratio, 1e3), _SQUARES)
+            amount = in_units(dr.square(value) * dr.minimum(ratio, 1e3), SQUARES)
             place = self._light * len(SHARES) + number
             dr.scatter_add(moments, amount, place, active, dr.ReduceMode.Direct)
         found = count, credit, square, weighted, moments, self.direct
         dr.eval(found)
         return EmissionSums(*(np.array(array).astype(np.float64) for array in found))
-
-
-def _capped(value: mi.Float) -> mi.Float:
-    return dr.minimum(dr.select(value > 0.0, value, 0.0), float(_MOST))
-
-
-def _units(value: mi.Float, scale: int) -> mi.UInt64:
-    """A value that is not negative as an integer; 0 if it is not finite."""
-    return mi.UInt64(dr.select(dr.isfinite(value), dr.maximum(value, 0.0), 0.0) * float(scale))

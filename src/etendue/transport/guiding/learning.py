@@ -1,23 +1,27 @@
-"""Emission that a method learns pass by pass: generations of training, and their state.
+"""Emission and connections that a method learns pass by pass: generations of training, and their state.
 
-Training has generations of 1, 2, 4, ... passes. A pass emits by what earlier generations have learned, so that each is
-unbiased given those before it.
+Training has generations of 1, 2, 4, ... passes. A pass samples by what earlier generations have learned, so that each
+is unbiased given those before it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
 from etendue.core import Array, CheckpointError
 from etendue.scene import LightTable
 
-from .emission import BLOCK, EmissionGuide, EmissionSums, EmissionTraining
+from .connections import CLASSES, ConnectionGuide, ConnectionSums, ConnectionTraining
+from .emission import EmissionGuide, EmissionSums, EmissionTraining
+from .worth import BLOCK
 
 #: Lights of a scene from which on ``auto`` learns their selection.
 MANY = 8
@@ -33,19 +37,11 @@ GENERATIONS = 5
 _UNTIL = 3
 
 
-class LearnedEmission:
-    """A guide, its training, and the brightness of the picture so far.
+class Learned(ABC):
+    """Generations of training, and the brightness of the picture so far. ``size``: width and height of the picture, in
+    pixels."""
 
-    Parameters
-    ----------
-    lights: the scene's lights.
-    size: width and height of the picture, in pixels.
-    directions: whether directions are learned, too.
-    """
-
-    def __init__(self, lights: LightTable, size: tuple[int, int], directions: bool) -> None:
-        self._directions = directions
-        self.guide = EmissionGuide(lights)
+    def __init__(self, size: tuple[int, int]) -> None:
         #: Mean contribution to a pixel; 0 if it is unknown, and nothing is learned.
         self.unit = 0.0
         self._generation = self._passes = 0
@@ -53,7 +49,6 @@ class LearnedEmission:
         self._blocks = np.zeros((-(-height // BLOCK), -(-self._width // BLOCK)))  # sums of luminance of all passes
         self._seen = 0.0  # samples in them
         self._levels = np.ones(self._blocks.size)
-        self._sums = EmissionSums.zero(self.guide.count, self.guide.places)
         self.drop()
 
     def measure(self, brightness: float) -> None:
@@ -72,25 +67,17 @@ class LearnedEmission:
         """Whether the guide learns from the next pass."""
         return self._generation < GENERATIONS
 
-    def fields(self, recording: bool, first: int) -> dict[str, Any]:
-        """The fields of the walkers of a group of light paths, from number ``first`` on. What is not used is left out,
-        because it takes time."""
-        if first == 0:
-            self.drop()  # what a pass has added that is repeated
-        training = None
-        if recording and self.trains and self.unit > 0.0:
-            training = EmissionTraining(self.guide, self.unit, self._levels, self._width, self._directions)
-        departures = self.guide.departures if self.guide.departs else None
-        return {"lights": self.guide.lights, "departures": departures, "training": training}
-
+    @abstractmethod
     def drop(self) -> None:
         """Forget what the current pass has added."""
-        self._own = EmissionSums.zero(self.guide.count, self.guide.places)
 
-    def add(self, training: EmissionTraining | None) -> None:
-        """Add the contributions of a group of light paths."""
-        if training is not None:
-            self._own = self._own + training.sums()
+    @abstractmethod
+    def _keep(self) -> None:
+        """Add what the current pass has added to that of the generation."""
+
+    @abstractmethod
+    def _learn(self) -> None:
+        """Learn at the end of a generation."""
 
     def end_pass(self, image: NDArray[np.float32], samples: int) -> None:
         """Learn at the end of a generation. ``image``: sums of the pass."""
@@ -100,16 +87,13 @@ class LearnedEmission:
             self.measure(float(image.mean(dtype=np.float64)) / samples)
             self.drop()
             return
-        self._sums = self._sums + self._own
+        self._keep()
         self._blocks = self._blocks + _block_means(image)
         self._seen += samples
         self._passes += 1
         if self._passes >= 1 << self._generation:
-            self.guide.learn(self._sums)
             self._generation, self._passes = self._generation + 1, 0
-            if self._generation >= _UNTIL and self.guide.count == 1 and not self.guide.departs:
-                self._generation = GENERATIONS  # one light, whose directions are as good as any: training takes time
-            self._sums = EmissionSums.zero(self.guide.count, self.guide.places)
+            self._learn()
             self._set_levels()
         self.drop()
 
@@ -126,8 +110,6 @@ class LearnedEmission:
             "unit": self.unit,
             "generation": self._generation,
             "passes": self._passes,
-            "guide": self.guide.state(),
-            "sums": asdict(self._sums),
             "blocks": self._blocks,
             "seen": self._seen,
             "levels": self._levels,
@@ -135,19 +117,123 @@ class LearnedEmission:
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Inverse of :meth:`state`. Raises :class:`CheckpointError` for a state that does not fit."""
-        self.guide.restore(state["guide"])
-        self.unit = float(state["unit"])
-        self._generation, self._passes, self._seen = (
-            int(state["generation"]),
-            int(state["passes"]),
-            float(state["seen"]),
-        )
-        sums = EmissionSums(**{name: np.asarray(array, np.float64) for name, array in state["sums"].items()})
+        self.unit, self._seen = float(state["unit"]), float(state["seen"])
+        self._generation, self._passes = int(state["generation"]), int(state["passes"])
         blocks = np.asarray(state["blocks"], np.float64)
-        if sums.credit.size != self.guide.places or blocks.shape != self._blocks.shape:
-            raise CheckpointError("the guide of emission in the checkpoint is damaged; start a new run")
-        self._sums, self._blocks, self._levels = sums, blocks, np.asarray(state["levels"], np.float64)
+        if blocks.shape != self._blocks.shape:
+            raise CheckpointError("what was learned in the checkpoint is of another picture; start a new run")
+        self._blocks, self._levels = blocks, np.asarray(state["levels"], np.float64)
         self.drop()
+
+
+class LearnedEmission(Learned):
+    """A guide of emission and its training.
+
+    Parameters
+    ----------
+    lights: the scene's lights.
+    size: see :class:`Learned`.
+    directions: whether directions are learned, too.
+    """
+
+    def __init__(self, lights: LightTable, size: tuple[int, int], directions: bool) -> None:
+        self._directions = directions
+        self.guide = EmissionGuide(lights)
+        self._sums = EmissionSums.zero(self.guide.count, self.guide.places)
+        super().__init__(size)
+
+    def fields(self, recording: bool, first: int) -> dict[str, Any]:
+        """The fields of the walkers of a group of light paths, from number ``first`` on. What is not used is left out,
+        because it takes time."""
+        if first == 0:
+            self.drop()  # what a pass has added that is repeated
+        training = None
+        if recording and self.trains and self.unit > 0.0:
+            training = EmissionTraining(self.guide, self.unit, self._levels, self._width, self._directions)
+        departures = self.guide.departures if self.guide.departs else None
+        return {"lights": self.guide.lights, "departures": departures, "training": training}
+
+    def drop(self) -> None:
+        """See :class:`Learned`."""
+        self._own = EmissionSums.zero(self.guide.count, self.guide.places)
+
+    def add(self, training: EmissionTraining | None) -> None:
+        """Add the contributions of a group of light paths."""
+        if training is not None:
+            self._own = self._own + training.sums()
+
+    def _keep(self) -> None:
+        self._sums = self._sums + self._own
+
+    def _learn(self) -> None:
+        self.guide.learn(self._sums)
+        if self._generation >= _UNTIL and self.guide.count == 1 and not self.guide.departs:
+            self._generation = GENERATIONS  # one light, whose directions are as good as any: training takes time
+        self._sums = EmissionSums.zero(self.guide.count, self.guide.places)
+
+    def state(self) -> dict[str, Any]:
+        """See :class:`Learned`."""
+        return super().state() | {"guide": self.guide.state(), "sums": asdict(self._sums)}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """See :class:`Learned`."""
+        self.guide.restore(state["guide"])
+        sums = EmissionSums(**{name: np.asarray(array, np.float64) for name, array in state["sums"].items()})
+        if sums.credit.size != self.guide.places:
+            raise CheckpointError("the guide of emission in the checkpoint is damaged; start a new run")
+        self._sums = sums
+        super().restore(state)
+
+
+class LearnedConnections(Learned):
+    """A guide of connections and its training, which goes on from generation to generation.
+
+    Parameters
+    ----------
+    lower, upper: corners of the scene's box.
+    size: see :class:`Learned`.
+    """
+
+    def __init__(self, lower: Sequence[float] | Array, upper: Sequence[float] | Array, size: tuple[int, int]) -> None:
+        self.guide = ConnectionGuide(lower, upper)
+        self._sums = ConnectionSums.zero()
+        super().__init__(size)
+
+    def training(self, recording: bool, first: int) -> ConnectionTraining | None:
+        """Training by a group of light paths, from number ``first`` on, and their camera paths."""
+        if first == 0:
+            self.drop()  # what a pass has added that is repeated
+        if recording and self.trains and self.unit > 0.0:
+            return ConnectionTraining(self.unit, self._levels, self._width)
+        return None
+
+    def drop(self) -> None:
+        """See :class:`Learned`."""
+        self._own = ConnectionSums.zero()
+
+    def add(self, training: ConnectionTraining | None, vertices: mi.UInt32) -> None:
+        """Add the connections of a group of camera paths. ``vertices``: (classes,) light vertices of each class."""
+        if training is not None:
+            self._own = self._own + training.sums(vertices)
+
+    def _keep(self) -> None:
+        self._sums = self._sums + self._own
+
+    def _learn(self) -> None:
+        self.guide.learn(self._sums)
+
+    def state(self) -> dict[str, Any]:
+        """See :class:`Learned`."""
+        return super().state() | {"guide": self.guide.state(), "sums": asdict(self._sums)}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """See :class:`Learned`."""
+        self.guide.restore(state["guide"])
+        sums = ConnectionSums(**{name: np.asarray(array, np.float64) for name, array in state["sums"].items()})
+        if sums.vertices.size != CLASSES or sums.square.size != CLASSES**2:
+            raise CheckpointError("the guide of connections in the checkpoint is damaged; start a new run")
+        self._sums = sums
+        super().restore(state)
 
 
 def _block_means(image: NDArray[np.float32]) -> Array:
