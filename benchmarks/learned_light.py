@@ -1,4 +1,5 @@
-"""Whether emission that learns pays: error times CPU time of ``bpt`` and ``vcm`` with it beside the same without."""
+"""Whether emission or connections that learn pay: error times CPU time of ``bpt`` and ``vcm`` with it beside the same
+without."""
 
 from __future__ import annotations
 
@@ -52,22 +53,26 @@ class _Run:
 def measure(
     names: Names = SCENES,
     kinds: Methods = "bpt,vcm",
+    what: Annotated[str, typer.Option(help="What learns: emission or connections.")] = "emission",
     on: Annotated[str, typer.Option(help="The value of guide_emission that is compared with off.")] = "on",
     pixels: Pixels = 27648,
     seconds: Seconds = 30.0,
     seeds: Seeds = 5,
 ) -> Iterator[Record]:
     """One table; a row a scene and method. Runs take turns, pass by pass, by the CPU time they have used."""
+    if what not in ("emission", "connections"):
+        raise SystemExit(f"--what {what}: give emission or connections")
+    values: dict[str, Any] = {"off": "off", "on": on} if what == "emission" else {"off": False, "on": True}
     record = Record(
-        f"guide_emission={on} beside off, about {pixels} pixels, {seconds:g} s of CPU time, {seeds} seeds",
+        f"guide_{what}={values['on']} beside {values['off']}, about {pixels} pixels, {seconds:g} s of CPU time, "
+        f"{seeds} seeds",
         ("", "method", "relMSE off", "relMSE on", "ms a pass off, on", "error x time, on / off", "brightness"),
     )
     known = sources()
     for name in names:
         problem = scene.load(known[name], size=scaled_size(known[name], pixels))
         for kind in kinds:
-            values = {"off": "off", "on": on}
-            runs = {key: _prepared(problem, kind, {"guide_emission": value}, seeds) for key, value in values.items()}
+            runs = {key: _prepared(problem, kind, {f"guide_{what}": value}, seeds) for key, value in values.items()}
             while going := [run for group in runs.values() for run in group if run.seconds < seconds]:
                 min(going, key=lambda run: run.seconds).step()
             record.add(name, kind, *_row(runs))

@@ -26,12 +26,13 @@ from etendue.methods.guided import Guided
 from etendue.methods.metropolis.method import MetropolisMethod
 from etendue.methods.photon.progressive import Sppm
 from etendue.methods.store import VertexRoom
-from etendue.transport import EmissionGuide, LearnedEmission, LightChoice
+from etendue.transport import ConnectionGuide, EmissionGuide, LearnedEmission, LightChoice
 
 PASSES = 6
 GUIDED = {"samples_per_pass": 16, "cell_samples": 200}
 PSSMLT = {"samples_per_pass": 8, "bootstrap": 1 << 12}
 BPT = {"samples_per_pass": 8, "guide_emission": "on"}
+CONNECTIONS = {"samples_per_pass": 8, "guide_connections": True}
 VEGAS = {"samples_per_pass": 16, "update": 2}
 #: By name: method, settings, what learns, at which of its calls a pass fails, and how. Passes of ``guided`` that end a
 #: generation are the first and the third.
@@ -48,11 +49,13 @@ LEARNERS: dict[str, tuple[str, dict[str, Any], type, str, int, type[BaseExceptio
     "pssmlt": ("pssmlt", PSSMLT, MetropolisMethod, "_tune", 3, KeyboardInterrupt),
     "bpt within a generation": ("bpt", BPT, LearnedEmission, "end_pass", 5, KeyboardInterrupt),
     "bpt at the end of one": ("bpt", BPT, EmissionGuide, "learn", 2, RuntimeError),
+    "bpt connections": ("bpt", CONNECTIONS, ConnectionGuide, "learn", 2, KeyboardInterrupt),
 }
 #: Bytes: enough for the light vertices of a pass, and not for six times as many.
 MEMORY = 1_200_000
 #: Those of :data:`LEARNERS` that the fast tests run.
 FAST = ["guided within a generation", "guided in the midst of that", "auto", "vegas at a change", "sppm", "pssmlt"]
+FAST += ["bpt connections"]
 #: Photons are summed in another order in each run.
 IN_ANY_ORDER = {"rtol": 1e-4, "atol": 1e-6}
 
@@ -123,7 +126,11 @@ def test_a_pass_that_fails_as_it_learns(name, monkeypatch, tmp_path):
         left,
         whole,
         tmp_path / "a",
-        **(IN_ANY_ORDER if owner in (Sppm, MetropolisMethod, LearnedEmission, EmissionGuide, Auto) else {}),
+        **(
+            IN_ANY_ORDER
+            if owner in (Sppm, MetropolisMethod, LearnedEmission, EmissionGuide, ConnectionGuide, Auto)
+            else {}
+        ),
     )
 
 
@@ -195,7 +202,7 @@ CARRYING = {
     "auto": ("auto", {"samples_per_pass": 4}, IN_ANY_ORDER),
     "bpt": ("bpt", {"samples_per_pass": 4}, IN_ANY_ORDER),
     "bpt that learns": ("bpt", BPT, IN_ANY_ORDER),
-    "vcm that learns": ("vcm", BPT, IN_ANY_ORDER),
+    "vcm that learns": ("vcm", BPT | CONNECTIONS, IN_ANY_ORDER),
     "pssmlt": ("pssmlt", PSSMLT, IN_ANY_ORDER),
     "pssmlt bidirectional": ("pssmlt", PSSMLT | {"estimator": "bidirectional"}, IN_ANY_ORDER),
     "mmlt": ("mmlt", PSSMLT, IN_ANY_ORDER),

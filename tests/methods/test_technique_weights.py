@@ -19,7 +19,7 @@ from support.statistics import assert_agree
 
 from etendue.core import IndependentSource
 from etendue.film import Technique
-from etendue.transport import GENERATIONS
+from etendue.transport import CLASSES, GENERATIONS
 
 LIGHT = np.array([0.9, 1.2, 0.3])
 FLOOR, WALL = 0.6, 0.8  # albedos
@@ -96,10 +96,14 @@ def evenly(direction: np.ndarray) -> np.ndarray:
 
 
 def by_quadrature(
-    problem: Any, counts: Counts, relative: Callable[[np.ndarray], np.ndarray] = evenly
+    problem: Any,
+    counts: Counts,
+    relative: Callable[[np.ndarray], np.ndarray] = evenly,
+    chance: Callable[[np.ndarray, np.ndarray], Any] = lambda floor, wall: 1.0,
 ) -> dict[str, np.ndarray]:
     """The weighted layer of every technique that makes paths of two or three edges. ``relative``: as
-    :func:`evenly`."""
+    :func:`evenly`; ``chance``: probability of a light vertex on the wall, for a camera vertex on the floor, over that
+    of a uniform choice."""
     x1, by_camera = seen_points(problem)
     up, out = (0.0, 1.0, 0.0), (1.0, 0.0, 0.0)
     # camera, x1, light
@@ -129,7 +133,7 @@ def by_quadrature(
     there, back = cos1 / np.pi * cos2 / square12, cos2 / np.pi * cos1 / square12  # x1 to x2, x2 to x1: areas
     three = {
         Technique(False, 1, 3): counts.next_event * by_camera * there,
-        Technique(False, 2, 2): counts.connection * by_camera * by_light,
+        Technique(False, 2, 2): counts.connection * chance(x1, x2) * by_camera * by_light,
         Technique(False, 3, 1): counts.splat * by_light * back,
         Technique(True, 3, 2): counts.merge * counts.merge_first * by_camera * by_light * back,
         Technique(True, 2, 3): counts.merge * by_camera * there * by_light,
@@ -201,6 +205,42 @@ def test_the_share_of_every_technique_with_learned_emission(name):
         return 4.0 * np.pi * np.array(mixed, np.float64).reshape(direction.shape[:-1])
 
     assert_shares([runner.step(i, 1) for i in range(6)], by_quadrature(problem, counts, relative), name)
+
+
+@pytest.mark.parametrize("name", ["vcm", "vcm late power"])
+def test_the_share_of_every_technique_with_learned_connections(name):
+    method, settings, counts = ROWS[name]
+    problem, random = floor_and_wall(), np.random.default_rng(3)
+    box = problem.scene.bbox()
+    lower, upper = (np.array(corner, np.float64).ravel() for corner in (box.min, box.max))
+
+    def place(points: np.ndarray, facing: int) -> np.ndarray:
+        """Class: cells in thirds of the box, and a facing, of 2 axis + (1 where the normal is against it)."""
+        cell = np.clip(((points - lower) / (upper - lower) * 3.0).astype(int), 0, 2)
+        return (cell[..., 0] * 9 + cell[..., 1] * 3 + cell[..., 2]) * 6 + facing
+
+    wall = np.stack(np.meshgrid([WALL_X], np.linspace(*WALL_Y, 30), np.linspace(*WALL_Z, 30)), -1)
+    walls = np.unique(place(wall, 0))
+    uneven = random.random((CLASSES, len(walls))) ** 2 + 0.05
+    slots = np.stack([random.choice(walls, 256, p=row / row.sum()) for row in uneven])
+    expected = np.zeros(CLASSES)
+    expected[walls] = random.random(len(walls)) + 0.2
+    expected *= 0.7 / expected.sum()  # the floor has the others
+    runner = prepared(problem, method, **asked(settings, counts), guide_connections=True)
+    state = runner.state()
+    guide = {"slots": slots, "expected": expected}
+    runner.restore({**state, "connections": state["connections"] | {"guide": guide, "generation": GENERATIONS}})
+
+    def chance(floor: np.ndarray, wall: np.ndarray) -> np.ndarray:
+        """A fifth of the draws is uniform."""
+        camera, light = np.broadcast_arrays(place(floor, 2), place(wall, 0))
+        share = (slots[:, :, None] == walls).mean(axis=1)[camera, np.searchsorted(walls, light)]
+        return 0.2 + 0.8 * share / expected[light]
+
+    ratios = chance(seen_points(problem)[0][:, :, None, :], wall.reshape(-1, 3))
+    assert ratios.max() > 3.0 * ratios.min()
+    pictures = by_quadrature(problem, counts, chance=chance)
+    assert_shares([runner.step(i, 1) for i in range(6)], pictures, name)
 
 
 @lru_cache(maxsize=1)

@@ -31,9 +31,12 @@ Key = tuple[str, int]
 
 
 class Paths:
-    """Random paths of ``k`` edges, ``COPIES`` for each pattern of specular inner vertices, one lane each."""
+    """Random paths of ``k`` edges, ``COPIES`` for each pattern of specular inner vertices, one lane each. ``chooses``:
+    connections prefer some light vertices."""
 
-    def __init__(self, k: int, light: str, seed: int = 1, splattable: bool = True, pick: float = 0.3) -> None:
+    def __init__(
+        self, k: int, light: str, seed: int = 1, splattable: bool = True, pick: float = 0.3, chooses: bool = False
+    ) -> None:
         random = np.random.default_rng(seed + 100 * k + 7 * LIGHTS.index(light))
         self.k, self.light, self.splattable = k, light, splattable
         patterns = list(itertools.product((False, True), repeat=k - 1)) * COPIES
@@ -68,6 +71,9 @@ class Paths:
                 self.p_direct = pick * draw(0.05, 2.0)  # per solid angle
                 self.p_emit = self.p_direct / (np.pi * draw(1.0, 9.0))  # and area of the scene's disc
                 self.cos_light = np.ones(self.lanes)
+        self.chooses = chooses
+        #: Of edge j: the probability of x_j as a light vertex for x_{j+1}, over that of a uniform choice.
+        self.ratio = draw(0.2, 20.0, k) if chooses else np.ones((k, self.lanes))
 
     def is_specular(self, j: int) -> np.ndarray:
         return self.specular[:, j - 1]
@@ -110,7 +116,7 @@ class Paths:
             result["next_event", 1] = self.smooth(1) * t.next_event * self.camera_density(1) * self.p_direct
         if t.connection:
             for j in range(1, k - 1):
-                product = t.connection * self.light_density(j) * self.camera_density(j + 1)
+                product = t.connection * self.ratio[j] * self.light_density(j) * self.camera_density(j + 1)
                 result["connection", j] = (self.smooth(j) & self.smooth(j + 1)) * product
         if k > 1 and t.splat and self.splattable:
             result["splat", k - 1] = self.smooth(k - 1) * light_paths * self.light_density(k - 1)
@@ -147,6 +153,7 @@ class Paths:
         delta = mi.Bool(self.light == "delta")
         d2, cos_in, cos_out = (_floats(v) for v in (self.d2, self.cos_in, self.cos_out))
         forward, reverse = _floats(self.forward), _floats(self.reverse)
+        chances = _floats(self.ratio)
         direct, emit, cos_light, pixel = _floats([self.p_direct, self.p_emit, self.cos_light, self.pixel])
 
         light: dict[int, Any] = {}
@@ -156,7 +163,8 @@ class Paths:
             if j == 1 and self.light == "sphere":
                 state = mis.lit(state[0], direct / waiting), state[1]
             distance = mi.Float(1.0) if j == 1 and self.light == "infinite" else d2[j - 1]
-            state = light[j] = mis.hit(*state, distance, cos_in[j])
+            state = mis.hit(*state, distance, cos_in[j])
+            state = light[j] = mis.chosen(state[0], chances[j - 1] if j > 1 and self.chooses else None), state[1]
             state = mis.scatter_light(
                 *state, cos_in[j], cos_out[j], forward[j], reverse[j], on_device(mi.Bool, self.is_specular(j))
             )
@@ -164,7 +172,9 @@ class Paths:
         camera: dict[int, Any] = {}
         state = mis.start_camera(pixel)
         for j in range(k - 1, 0, -1):
-            state = camera[j] = mis.hit(*state, d2[j], cos_out[j])
+            state = mis.hit(*state, d2[j], cos_out[j])
+            chosen = chances[j] if j < k - 1 and self.chooses else None
+            state = camera[j] = mis.joined(depth(k, j), state[0], chosen), state[1]
             specular = on_device(mi.Bool, self.is_specular(j))
             state = mis.scatter_camera(depth(k, j), *state, cos_in[j], reverse[j], forward[j], specular)
         if self.light != "infinite":
@@ -188,12 +198,19 @@ class Paths:
                     ends = camera[j + 1], light[j]
                     cosines = cos_in[j + 1], cos_in[j]
                     weight = mis.connection_weight(
-                        depth(k, j + 1), *ends, *cosines, to_light, to_camera, forward[j + 1], reverse[j]
+                        depth(k, j + 1),
+                        *ends,
+                        *cosines,
+                        to_light,
+                        to_camera,
+                        forward[j + 1],
+                        reverse[j],
+                        chances[j] if self.chooses else None,
                     )
                 case "splat":
                     weight = mis.splat_weight(*light[j], cos_in[j], reverse[j], pixel * cos_out[j] / d2[j])
                 case _:
-                    weight = mis.merge_weight(depth(k, j), camera[j], light[j], reverse[j], forward[j])
+                    weight = mis.merge_weight(camera[j], light[j], reverse[j], forward[j])
             weights[family, j] = weight.ratios if candidates else weight[-1]
         dr.eval(weights)
         if candidates:
@@ -259,6 +276,8 @@ def test_weights_are_those_of_the_definition(name, light, beta):
     """All patterns of specular vertices, one to five edges."""
     techniques = dataclasses.replace(TABLE[name], beta=beta)
     assert sum(check(Paths(k, light), techniques) for k in (1, 2, 3, 4, 5)) > 0
+    if techniques.connection:
+        assert sum(check(Paths(k, light, chooses=True), techniques) for k in (3, 4, 5)) > 0
 
 
 @pytest.mark.parametrize("beta", [1, 2])
@@ -273,7 +292,8 @@ def test_any_radius_and_number_of_light_paths(eta, light_paths, beta):
 def test_several_radii_in_one_walk(name, light, beta):
     """The recursion without a radius, filled in last, gives the same weights."""
     techniques = dataclasses.replace(TABLE[name], beta=beta)
-    assert sum(check(Paths(k, light), techniques, more=(2.0, 0.01)) for k in (2, 3, 4)) > 0
+    chooses = bool(techniques.connection)
+    assert sum(check(Paths(k, light, chooses=chooses), techniques, more=(2.0, 0.01)) for k in (2, 3, 4)) > 0
 
 
 #: Connections, eta and light paths.
@@ -288,7 +308,7 @@ def test_denominators_for_other_counts(name, light, beta):
     candidates = [Counts(float(n), float(k), e) for k, e, n in OTHER_COUNTS]
     checked = 0
     for k in (2, 3, 4):
-        paths = Paths(k, light)
+        paths = Paths(k, light, chooses=bool(t.connection))
         used = paths.products(t, eta, light_paths)
         total = sum(product**beta for product in used.values())
         ratios = paths.computed(used, t, eta, light_paths, candidates=candidates)

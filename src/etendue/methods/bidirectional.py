@@ -336,7 +336,7 @@ class Bidirectional(Carrying, ImageMethod):
         dr.eval(radiance, rays, bad)  # one kernel
         if self._learning:
             self._learning.add(common["training"])
-        if choosing and cache:
+        if choosing and trained and cache:
             choosing.add(trained, cache.population())
         return radiance, {
             "rays": total(rays) + total(light_rays),
@@ -373,7 +373,9 @@ class Bpt(Bidirectional):
 
     name: ClassVar[str] = "bpt"
     Settings: ClassVar[type[ImageSettings]] = BptSettings
-    citations: ClassVar[tuple[str, ...]] = ("LafortuneWillems1993", "VeachGuibas1995", "Davidovic2014", "Georgiev2012b")
+    citations: ClassVar[tuple[str, ...]] = (
+        *("LafortuneWillems1993", "VeachGuibas1995", "Davidovic2014", "Georgiev2012b", "Su2022"),
+    )
 
 
 class Bpm(Bidirectional):

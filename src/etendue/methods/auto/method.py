@@ -96,7 +96,7 @@ class Auto(Carrying, ImageMethod):
     name: ClassVar[str] = "auto"
     Settings: ClassVar[type[CameraSettings]] = AutoSettings
     settings: AutoSettings
-    citations: ClassVar[tuple[str, ...]] = ("Grittmann2022", *Path.citations, *Vcm.citations)
+    citations: ClassVar[tuple[str, ...]] = ("Grittmann2022", "Su2022", *Path.citations, *Vcm.citations)
     carries_on: ClassVar[bool] = True
 
     def prepare(self, problem: Problem, seed: int) -> None:
@@ -186,6 +186,7 @@ class Auto(Carrying, ImageMethod):
                 light_paths=counts.light_paths,
                 connections=counts.connections,
                 merging=counts.merging,
+                guide_connections=self._learns,
                 shadow_roulette=0.05 if counts.connections > 2 else BidirectionalSettings.shadow_roulette,
             )
             begin = time.perf_counter()

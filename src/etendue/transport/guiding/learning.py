@@ -199,21 +199,20 @@ class LearnedConnections(Learned):
         self._sums = ConnectionSums.zero()
         super().__init__(size)
 
-    def training(self, recording: bool, first: int) -> ConnectionTraining | None:
-        """Training by a group of light paths, from number ``first`` on, and their camera paths."""
+    def training(self, recording: bool, first: int) -> ConnectionTraining:
+        """Training by a group of light paths, from number ``first`` on, and their camera paths. Where nothing is
+        learned, it adds nothing, in the same kernel: to compile another one takes longer than it would save."""
         if first == 0:
             self.drop()  # what a pass has added that is repeated
-        if recording and self.trains and self.unit > 0.0:
-            return ConnectionTraining(self.unit, self._levels, self._width)
-        return None
+        return ConnectionTraining(self.unit if recording and self.trains else 0.0, self._levels, self._width)
 
     def drop(self) -> None:
         """See :class:`Learned`."""
         self._own = ConnectionSums.zero()
 
-    def add(self, training: ConnectionTraining | None, vertices: mi.UInt32) -> None:
+    def add(self, training: ConnectionTraining, vertices: mi.UInt32) -> None:
         """Add the connections of a group of camera paths. ``vertices``: (classes,) light vertices of each class."""
-        if training is not None:
+        if training.learns:
             self._own = self._own + training.sums(vertices)
 
     def _keep(self) -> None:
