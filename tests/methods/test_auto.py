@@ -173,11 +173,11 @@ def test_learning_is_a_bounded_share(monkeypatch):
     monkeypatch.setattr(auto, "_SHARE", 0.2)
     method = prepared(scenes.room("rectangle", scenes.FEW), "auto", samples_per_pass=4)
     counts, learned_after = [], []
-    for iteration in range(60):
+    for iteration in range(80):
         method.step(iteration, 1)
         counts.append(method.state()["counts"])
         learned_after.append(method.state()["learned"]["passes"])
-    assert learned_after[:3] == [1, 2, 2] and counts[1:] == [[0.0, 0, False]] * 59
+    assert learned_after[:3] == [1, 2, 2] and counts[1:] == [[0.0, 0, False]] * 79
     spent, learning = method.state()["spent"]
     assert learned_after[-1] > 2 and learning <= 0.2 * spent
 

@@ -24,8 +24,8 @@ from etendue.transport import TILE, Candidate
 #: Costs in units of an edge of a path tracer with its light point. Fitted to CPU times of passes of four bundled scenes
 #: (28 settings), which they predict to 30 %.
 CAMERA_EDGE = 1.2  #: an edge of a camera path, with the weights
-CONNECTING = 0.25  #: a vertex that is connected to light vertices
-CONNECTION = 0.4  #: each of its connections
+CONNECTING = 0.4  #: a vertex that is connected to light vertices, by classes
+CONNECTION = 0.55  #: each of its connections
 LIGHT_VERTEX = 1.55  #: a vertex of a light path, with its splat
 QUERY = 0.3  #: looking for photons at a vertex
 PHOTON = 0.105  #: merging one
