@@ -33,6 +33,8 @@ SCENES = (
 )
 #: Methods of the references; by default ``bpt``.
 REFERENCES: dict[str, tuple[str, dict[str, Any]]] = {
+    "ajar": ("bpt", {"guide_connections": True}),
+    "flat": ("bpt", {"guide_connections": True}),
     "caustics": ("vcm", {"radius": 0.002}),
     "water-caustic": ("vcm", {"radius": 0.002}),
     "stage": ("vcm", {"radius": 0.002}),
