@@ -110,10 +110,10 @@ def test_learning_does_not_change_the_picture_of_64_seeds(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("material", ["mask", "bumpmap", "roughdielectric"])
+@pytest.mark.parametrize("material", ["transparent", "wrapped", "rough"])
 def test_other_materials(material):
     """Null surfaces, vertices that are computed again, transmission."""
-    problem = scenes.room("area", material)
+    problem = scenes.room("sphere", material)
     guided, plain = (
         replicas(problem, "bpt", runs=8, passes=8, samples=64, seed=seed, guide_connections=learns)
         for seed, learns in ((1, True), (500, False))
