@@ -374,7 +374,11 @@ class Bpt(Bidirectional):
     name: ClassVar[str] = "bpt"
     Settings: ClassVar[type[ImageSettings]] = BptSettings
     citations: ClassVar[tuple[str, ...]] = (
-        *("LafortuneWillems1993", "VeachGuibas1995", "Davidovic2014", "Georgiev2012b", "Su2022"),
+        "LafortuneWillems1993",
+        "VeachGuibas1995",
+        "Davidovic2014",
+        "Georgiev2012b",
+        "Su2022",
     )
 
 
