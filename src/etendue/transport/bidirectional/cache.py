@@ -15,6 +15,8 @@ from .vertices import LightVertex, LightVertices
 
 #: Lanes that share a random number for picking light vertices.
 PICK_BLOCK = 16
+#: What remains of a lane's number, with its bits in reverse order, is that in its block.
+_STRATUM_SHIFT = 32 - 4
 
 
 @dataclass
@@ -53,7 +55,9 @@ class LightCache:
         assert self.picks is not None
         begin, size = mi.UInt32(0), self.count
         if self.choice is not None and place is not None:
-            every, chosen = self.choice.draw(place, self.picks.next_1d(depth, index), active)
+            # Stratified over the block, whose lanes are samples of a few pixels.
+            u = self.picks.next_1d(depth, index) + mi.Float(dr.brev(lane) >> _STRATUM_SHIFT) / PICK_BLOCK
+            every, chosen = self.choice.draw(place, u - dr.floor(u), active)
             by_class = active & ~every
             begin = dr.select(every, 0, self._bound(chosen, by_class))
             size = dr.select(every, self.count, self._bound(chosen + 1, by_class) - begin)
