@@ -26,6 +26,8 @@ FLOOR, WALL = 0.6, 0.8  # albedos
 FOV, SIZE = 20.0, (16, 12)
 #: The wall: x = -1, its normal along x, and where y and z lie.
 WALL_X, WALL_Y, WALL_Z = -1.0, (0.2, 1.4), (-0.6, 0.6)
+#: Where cells of classes end, thirds of the height of floor and wall; what is seen of the floor is in one cell.
+CLASS_Y = (WALL_Y[1] / 3.0, 2.0 * WALL_Y[1] / 3.0)
 RADIUS, SAMPLES, LIGHT_PATHS, DISCOUNT = 0.01, 128, 4.0, 0.25
 
 
@@ -120,9 +122,13 @@ def by_quadrature(
     parts = {k: (w * radiance).mean(-1) for k, w in shares(two, counts.beta).items()}
     # camera, x1, x2, light
     nodes, factors = np.polynomial.legendre.leggauss(16)
-    (y0, y1), (z0, z1) = WALL_Y, WALL_Z
-    y, z = (a.ravel() for a in np.meshgrid(y0 + (nodes + 1) * (y1 - y0) / 2, z0 + (nodes + 1) * (z1 - z0) / 2))
-    area = np.outer(factors, factors).ravel() * (y1 - y0) * (z1 - z0) / 4.0
+    # Piece by piece along y, as classes of points change there.
+    bounds = np.unique([*WALL_Y, *(y for y in CLASS_Y if WALL_Y[0] < y < WALL_Y[1])])
+    below, lengths = bounds[:-1, None], np.diff(bounds)[:, None]
+    along_y, by_y = (below + (nodes + 1) * lengths / 2).ravel(), (factors * lengths / 2).ravel()
+    z0, z1 = WALL_Z
+    y, z = (a.ravel() for a in np.meshgrid(along_y, z0 + (nodes + 1) * (z1 - z0) / 2, indexing="ij"))
+    area = np.outer(by_y, factors * (z1 - z0) / 2).ravel()
     x2 = np.stack([np.full_like(y, WALL_X), y, z], -1)
     x1, by_camera = x1[:, :, None, :], by_camera[:, :, None]
     cos1, cos2, square12 = geometry(x1, x2, up, out)
