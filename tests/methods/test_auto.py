@@ -271,6 +271,24 @@ def test_no_run_is_too_short_for_caustics_that_path_tracing_misses(lamp, sensor,
         assert describe(Candidate(*method.state()["counts"])) == "vcm" and learns == [1] * iteration
 
 
+def test_a_short_run_is_resumed_for_longer():
+    """Its passes have learned no connections, and the state holds none; those after learn."""
+    problem = scenes.room("point", ("dielectric",))
+    short = prepared(problem, "auto", samples_per_pass=1)
+    short.plan(5.0, None, None)
+    short.step(0, 1)
+    longer = prepared(problem, "auto", samples_per_pass=1)
+    longer.plan(60.0, None, None)
+    longer.restore(short.state())
+    longer.step(1, 1)
+    state = longer.state()
+    assert state["learned"]["passes"] == 1 and state["vcm"]["connections"]["generation"] == 1
+    longer.restore(short.state())
+    again = longer.step(1, 1)  # as if it had learned nothing since
+    assert longer.state()["vcm"]["connections"]["generation"] == 1
+    assert again.counters["light_vertices"] > 0.0
+
+
 def test_a_black_scene_is_no_error():
     problem = scenes.room("rectangle", scenes.FEW)
     method = prepared(problem, "auto", samples_per_pass=2, max_depth=0)

@@ -32,8 +32,8 @@ def sums(classes: list[int]) -> ConnectionSums:
 
 
 def test_draws_have_the_probabilities_that_they_state():
-    """Of pairs of classes: the mean of one over the stated ratio is one in each class, whatever was learned; and the
-    class that contributes is drawn for most, where it does."""
+    """Each class is drawn as often as the stated ratios say, whatever a pass holds; and the class that contributes is
+    drawn most, where it does."""
     guide, classes = ConnectionGuide([0, 0, 0], [1, 1, 1]), [3, 70, 161]
     guide.learn(sums(classes))
     lanes = 1 << 18

@@ -258,8 +258,8 @@ class Bidirectional(Carrying, ImageMethod):
             for name, image in zip(names, splatted, strict=True):
                 layers[name] = layers[name] + image if name in layers else image
         more = {name: layers.pop(name) for name in self._more_radii}
-        for name, learned in self._learned.items():
-            if name != "connections" or self.techniques.connection:
+        for learned in self._learned.values():
+            if learned is not self._choosing or self.techniques.connection:
                 learned.end_pass(with_image(layers)["image"], samples)
         if pyramid:
             more |= pyramid.layers(lambda values: self.image(values, seed, iteration))

@@ -199,7 +199,7 @@ class Auto(Carrying, ImageMethod):
             vcm.moments = None
             self.setup_seconds = time.perf_counter() - begin
             self._vcm_first = vcm.start()
-            vcm.enter(self._vcm_state or self._vcm_first)
+            vcm.enter(self._state_of_vcm())
             self._vcm = vcm
         return self._vcm
 
@@ -315,8 +315,13 @@ class Auto(Carrying, ImageMethod):
         self._spent, self._spent_learning = (float(value) for value in state["spent"])
         self._vcm_state = state["vcm"]
         if self._vcm:
-            # A copy, which is always loaded: a pass that has failed may have learned.
-            self._vcm.enter(dict(self._vcm_state or self._vcm_first))
+            self._vcm.enter(self._state_of_vcm())
+
+    def _state_of_vcm(self) -> State:
+        """The state of the estimator, that after its preparation where passes have left none: those of a run that was
+        too short to learn know nothing of connections. A new object, which is always loaded, because a pass that has
+        failed may have learned."""
+        return {**self._vcm_first, **self._vcm_state}
 
     # ------------------------------------------------------------------ the scene
 

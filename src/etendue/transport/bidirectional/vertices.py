@@ -118,7 +118,8 @@ class LightVertices:
         #: Vertices of all paths, one number on the device; may exceed the capacity.
         self.wanted = dr.zeros(mi.UInt32, 1)
         # Packets of a vertex: position, depth | index on path; throughput (fluence if only merged), d_vcm; world
-        # direction to the light side, normal, d_vc; two packets of the surface; BSDF, path, fluence of unit throughput.
+        # direction to the light side, normal, d_vc; two packets of the surface; BSDF, path, fluence of unit
+        # throughput, class.
         self._limit = dr.opaque(mi.UInt32, capacity)  # opaque, because the capacity depends on the seed
         self._records = dr.empty(mi.Float, 4 * self._packets * capacity)
         self._more = dr.empty(mi.Float, 4 * capacity) if linear else None  # further coefficients of d_vcm and d_vc
@@ -201,8 +202,8 @@ class LightVertices:
             first, second = mi.Vector4f(n.x, n.y, n.z, si.uv.x), mi.Vector4f(g.x, g.y, g.z, si.uv.y)
         self._put(3, first, slot, active)
         self._put(4, second, slot, active)
-        tag = 0.0 if place is None else _as_float(place)
-        self._put(5, mi.Vector4f(_as_float(_pointer(vertex.bsdf)), _as_float(path), fluence, tag), slot, active)
+        own = 0.0 if place is None else _as_float(place)
+        self._put(5, mi.Vector4f(_as_float(_pointer(vertex.bsdf)), _as_float(path), fluence, own), slot, active)
 
     def close_paths(self, path: mi.UInt32, stored: mi.UInt32) -> None:
         """Store the number of vertices of each path; called once after the walk, in the same kernel."""

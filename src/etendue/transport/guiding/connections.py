@@ -1,4 +1,4 @@
-r"""Which light vertices a camera vertex is connected to, learned by classes of surface points [Su 2022, sec. 4, 5].
+r"""Which light vertices a camera vertex is connected to, learned by classes of surface points, as in [Su 2022].
 
 A class is a cell of a coarse grid over the scene, and the axis that the geometric normal is nearest to. For a camera
 vertex of class i, a class j of light vertices has the probability
