@@ -35,6 +35,8 @@ _ENTRANTS = (
     Entrant("ambient_path, fuzzy, 4 bounces", "ambient_path", {"bounces": 4} | _PASS),
     Entrant("ambient_light, fuzzy, 2 bounces", "ambient_light", {"bounces": 2} | _PASS),
 )
+#: Of a scene whose light comes from another room.
+_REFERENCES: dict[str, tuple[str, dict[str, Any]]] = {"ajar": ("bpt", {"guide_connections": True})}
 Samples = Annotated[int, typer.Option("--albedo-samples", min=1, help="Of the picture of albedos for the constant.")]
 
 
@@ -56,7 +58,8 @@ def measure(
         width, height = scene.load(source).size
         factor = (pixels / (width * height)) ** 0.5
         size = max(round(width * factor), 8), max(round(height * factor), 8)
-        recipe = Recipe(name, lambda source=source: source, "guided" if name == "ajar" else "path")
+        method, settings = _REFERENCES.get(name, ("path", {}))
+        recipe = Recipe(name, lambda source=source: source, method, settings)
         reference = recipe.find(size, out, reference_seconds)
         yield _scene(name, source, size, reference, seconds, seeds, albedo_samples, out)
 
