@@ -1,5 +1,5 @@
-"""Whether emission or connections that learn pay: error times CPU time of ``bpt`` and ``vcm`` with it beside the same
-without."""
+"""Whether emission or connections that learn, or merging of direct light, pay: error times CPU time of ``bpt`` and
+``vcm`` with it beside the same without."""
 
 from __future__ import annotations
 
@@ -53,18 +53,23 @@ class _Run:
 def measure(
     names: Names = SCENES,
     kinds: Methods = "bpt,vcm",
-    what: Annotated[str, typer.Option(help="What learns: emission or connections.")] = "emission",
+    what: Annotated[str, typer.Option(help="What is switched: emission, connections or direct.")] = "emission",
     on: Annotated[str, typer.Option(help="The value of guide_emission that is compared with off.")] = "on",
     pixels: Pixels = 27648,
     seconds: Seconds = 30.0,
     seeds: Seeds = 5,
 ) -> Iterator[Record]:
     """One table; a row a scene and method. Runs take turns, pass by pass, by the CPU time they have used."""
-    if what not in ("emission", "connections"):
-        raise SystemExit(f"--what {what}: give emission or connections")
-    values: dict[str, Any] = {"off": "off", "on": on} if what == "emission" else {"off": False, "on": True}
+    known_values: dict[str, tuple[str, dict[str, Any]]] = {
+        "emission": ("guide_emission", {"off": "off", "on": on}),
+        "connections": ("guide_connections", {"off": False, "on": True}),
+        "direct": ("direct", {"off": "next_event", "on": "all"}),
+    }
+    if what not in known_values:
+        raise SystemExit(f"--what {what}: give {', '.join(known_values)}")
+    setting, values = known_values[what]
     record = Record(
-        f"guide_{what}={values['on']} beside {values['off']}, about {pixels} pixels, {seconds:g} s of CPU time, "
+        f"{setting}={values['on']} beside {values['off']}, about {pixels} pixels, {seconds:g} s of CPU time, "
         f"{seeds} seeds",
         ("", "method", "relMSE off", "relMSE on", "ms a pass off, on", "error x time, on / off", "brightness"),
     )
@@ -72,7 +77,7 @@ def measure(
     for name in names:
         problem = scene.load(known[name], size=scaled_size(known[name], pixels))
         for kind in kinds:
-            runs = {key: _prepared(problem, kind, {f"guide_{what}": value}, seeds) for key, value in values.items()}
+            runs = {key: _prepared(problem, kind, {setting: value}, seeds) for key, value in values.items()}
             while going := [run for group in runs.values() for run in group if run.seconds < seconds]:
                 min(going, key=lambda run: run.seconds).step()
             record.add(name, kind, *_row(runs))

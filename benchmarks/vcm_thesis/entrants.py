@@ -11,8 +11,15 @@ from ..racing import Entrant
 from .scenes import SCENES
 
 #: What the thesis sets, or does without a switch: as many light paths as pixels, connections with every vertex of the
-#: light path of the same number, weights by the number of light paths, alpha = 2/3. Where it is silent: our defaults.
-THESIS: Mapping[str, Any] = {"light_paths": 1.0, "light_source": "path", "eta_discount": 1.0, "alpha": 2.0 / 3.0}
+#: light path of the same number, weights by the number of light paths, alpha = 2/3, all photons merged. Where it is
+#: silent: our defaults.
+THESIS: Mapping[str, Any] = {
+    "light_paths": 1.0,
+    "light_source": "path",
+    "eta_discount": 1.0,
+    "alpha": 2.0 / 3.0,
+    "direct": "all",
+}
 #: The merge radius where the thesis gives none, in metres: the middle one of its sweep.
 RADIUS = 0.012
 

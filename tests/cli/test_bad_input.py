@@ -86,7 +86,7 @@ BAD = [
     ("render cornell-box --pyramid -m path", 2, "method 'path' has no option 'pyramid'"),
     ("render cornell-box --pyramid-depth 0", 2, "pyramid_depth"),
     ("render cornell-box --pyramid-depth 13", 2, "at most 12"),
-    ("render cornell-box --pyramid --size 200x100 --memory 100M", 2, "depth 5 at 200x100 needs 106 MB, too much for"),
+    ("render cornell-box --pyramid --size 200x100 --memory 100M", 2, "depth 5 at 200x100 needs 88 MB, too much for"),
     ("compare cornell-box --max-depth 3 -D max_depth=4", 2, "are the same setting; give one of them"),
     ("render cornell-box -D samples_per_pass=100000000", 2, "at most 4096"),
     ("render cornell-box --max-depth -2", 2, "max_depth"),

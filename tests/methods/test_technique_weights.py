@@ -60,6 +60,7 @@ class Counts:
     splat: float = LIGHT_PATHS * SIZE[0] * SIZE[1]
     merge: float = DISCOUNT * np.pi * RADIUS**2 * LIGHT_PATHS * SIZE[0] * SIZE[1] * SAMPLES
     merge_first: bool = True
+    direct: bool = True
     beta: int = 1
 
 
@@ -115,8 +116,8 @@ def by_quadrature(
     by_light = cos / (4.0 * np.pi * square) * relative(-offset / np.sqrt(square)[..., None])
     two = {
         Technique(False, 1, 2): counts.next_event * by_camera,
-        Technique(False, 2, 1): counts.splat * by_light,
-        Technique(True, 2, 2): counts.merge * counts.merge_first * by_camera * by_light,
+        Technique(False, 2, 1): counts.splat * counts.direct * by_light,
+        Technique(True, 2, 2): counts.merge * counts.merge_first * counts.direct * by_camera * by_light,
     }
     radiance = FLOOR / np.pi * cos / square
     parts = {k: (w * radiance).mean(-1) for k, w in shares(two, counts.beta).items()}
@@ -142,7 +143,7 @@ def by_quadrature(
         Technique(False, 2, 2): counts.connection * chance(x1, x2) * by_camera * by_light,
         Technique(False, 3, 1): counts.splat * by_light * back,
         Technique(True, 3, 2): counts.merge * counts.merge_first * by_camera * by_light * back,
-        Technique(True, 2, 3): counts.merge * by_camera * there * by_light,
+        Technique(True, 2, 3): counts.merge * counts.direct * by_camera * there * by_light,
     }
     radiance = FLOOR * WALL / np.pi**2 * cos1 * cos2 / square12 * cos / square
     parts |= {k: (w * radiance * area).sum(-1).mean(-1) for k, w in shares(three, counts.beta).items()}
@@ -152,13 +153,14 @@ def by_quadrature(
 NONE: Any = {"next_event": 0, "connection": 0, "splat": 0.0}
 #: One row a set of techniques: method, settings, the counts that they mean.
 ROWS: dict[str, tuple[str, dict[str, Any], Counts]] = {
-    "bpt": ("bpt", {"light_source": "path"}, Counts(merge=0.0)),
+    "bpt": ("bpt", {"light_source": "path"}, Counts(merge=0.0, direct=False)),
     "bpm": ("bpm", {"eta_discount": DISCOUNT}, Counts(**NONE)),
-    "vcm": ("vcm", {"connections": 1}, Counts()),
+    "vcm": ("vcm", {"connections": 1}, Counts(direct=False)),
+    "vcm direct": ("vcm", {"connections": 1, "direct": "all"}, Counts()),
     "vcm late power": (
         "vcm",
         {"heuristic": "power", "merge_first": False, "next_events": 2, "connections": 3},
-        Counts(next_event=2, connection=3, merge_first=False, beta=2),
+        Counts(next_event=2, connection=3, merge_first=False, direct=False, beta=2),
     ),
 }
 

@@ -118,10 +118,10 @@ class Paths:
             for j in range(1, k - 1):
                 product = t.connection * self.ratio[j] * self.light_density(j) * self.camera_density(j + 1)
                 result["connection", j] = (self.smooth(j) & self.smooth(j + 1)) * product
-        if k > 1 and t.splat and self.splattable:
+        if k > (2 if t.leaves_direct else 1) and t.splat and self.splattable:
             result["splat", k - 1] = self.smooth(k - 1) * light_paths * self.light_density(k - 1)
         if t.merge:
-            for j in range(1, k if t.merge_first else k - 1):
+            for j in range(2 if t.leaves_direct else 1, k if t.merge_first else k - 1):
                 merges = self.smooth(j) & ((self.cos_in[j] >= GRAZING) | (not t.connects))
                 result["merge", j] = merges * eta * self.light_density(j) * self.camera_density(j)
         if ("emission", 0) not in result:  # without connecting: what nothing else can make
@@ -166,16 +166,21 @@ class Paths:
             state = mis.hit(*state, distance, cos_in[j])
             state = light[j] = mis.chosen(state[0], chances[j - 1] if j > 1 and self.chooses else None), state[1]
             state = mis.scatter_light(
-                *state, cos_in[j], cos_out[j], forward[j], reverse[j], on_device(mi.Bool, self.is_specular(j))
+                *state, cos_in[j], cos_out[j], forward[j], reverse[j], on_device(mi.Bool, self.is_specular(j)), first(j)
             )
 
         camera: dict[int, Any] = {}
         state = mis.start_camera(pixel)
+        left = mis.nothing_left(1)
         for j in range(k - 1, 0, -1):
             state = mis.hit(*state, d2[j], cos_out[j])
+            if left is not None:
+                state = state[0], mis.completed(state[1], left, cos_out[j])
             chosen = chances[j] if j < k - 1 and self.chooses else None
             state = camera[j] = mis.joined(depth(k, j), state[0], chosen), state[1]
             specular = on_device(mi.Bool, self.is_specular(j))
+            if left is not None:
+                left = mis.left_out(depth(k, j), state[0], cos_in[j], reverse[j], specular)
             state = mis.scatter_camera(depth(k, j), *state, cos_in[j], reverse[j], forward[j], specular)
         if self.light != "infinite":
             state = mis.hit(*state, d2[0], cos_out[0])
@@ -206,6 +211,7 @@ class Paths:
                         forward[j + 1],
                         reverse[j],
                         chances[j] if self.chooses else None,
+                        first(j),
                     )
                 case "splat":
                     weight = mis.splat_weight(*light[j], cos_in[j], reverse[j], pixel * cos_out[j] / d2[j])
@@ -216,6 +222,11 @@ class Paths:
         if candidates:
             return {key: np.stack([np.broadcast_to(np.array(r), self.lanes) for r in w]) for key, w in weights.items()}
         return {key: np.broadcast_to(np.array(w, np.float64), self.lanes) for key, w in weights.items()}
+
+
+def first(j: int) -> Any:
+    """Whether x_j is the first vertex of the light."""
+    return mi.Bool(j == 1)
 
 
 def depth(k: int, j: int) -> Any:
@@ -250,6 +261,13 @@ BPM = Techniques(emission=1, next_event=0, connection=0, splat=False, merge=True
 TABLE = {
     "vcm": VCM,
     "vcm, no merge at the first vertex": Techniques(merge_first=False),
+    "vcm, direct light by next event": Techniques(direct=False),
+    "vcm, direct light by next event, no merge at the first vertex": Techniques(
+        direct=False, merge_first=False, next_event=2, beta=2
+    ),
+    "merging and next event": Techniques(1, 1, 0, False, True, direct=False),
+    "bpt, direct light by next event": Techniques(merge=False, connection=2, direct=False),
+    "no next event": Techniques(next_event=0, direct=False),
     "vcm, three connections": Techniques(connection=3),
     "vcm, two next events": Techniques(next_event=2),
     "vcm, counts mixed": Techniques(next_event=2, connection=3, merge_first=False),

@@ -36,6 +36,7 @@ from etendue.transport import (
     CameraWalk,
     Candidate,
     Gather,
+    Kind,
     Learned,
     LearnedConnections,
     LearnedEmission,
@@ -107,6 +108,7 @@ class Bidirectional(Carrying, ImageMethod):
             splat=s.connecting and self.camera.can_splat,
             merge=s.merging,
             merge_first=s.merge_first,
+            direct=s.all_direct(self.lights.count),
             beta=2 if s.heuristic == "power" else 1,
         )
         if s.connecting and not self.camera.can_splat:
@@ -360,12 +362,14 @@ class Bidirectional(Carrying, ImageMethod):
         """The stored vertices, sorted for merging."""
         if not vertices or not self.techniques.merge:
             return None
-        positions, _, held = vertices.positions()
+        positions, kind, held = vertices.positions()
+        if self.techniques.leaves_direct:
+            held &= kind != mi.UInt32(Kind.DIRECT)
         grid = HashGrid(positions, radius * max(self._factors), *self._box, held)
         squares = [(radius * factor) ** 2 for factor in self._factors]
         factors = [dr.opaque(mi.Float, 1.0 / (np.pi * square * paths)) for square in squares]
         limits = [dr.opaque(mi.Float, square) for square in squares]
-        return Gather(grid, vertices.sorted_by(grid.destination), factors, limits)
+        return Gather(grid, vertices.sorted_by(grid.destination, held), factors, limits)
 
 
 class Bpt(Bidirectional):

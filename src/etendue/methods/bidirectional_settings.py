@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from etendue.core import OptionError, setting
-from etendue.transport import GUIDE, GUIDE_CHOICES, PYRAMID_MAX, dimensions
+from etendue.transport import GUIDE, GUIDE_CHOICES, MANY, PYRAMID_MAX, dimensions
 
 from . import radius as radii
 from .base import CameraSettings
@@ -44,6 +44,12 @@ class BidirectionalSettings(CameraSettings):
         "balance", "heuristic of the MIS weights: balance, or power with exponent 2", choices=("balance", "power")
     )
     merge_first: bool = setting(True, "merge at the first camera vertex, too; false: only at later ones")
+    direct: str = setting(
+        "auto",
+        "techniques for direct light: all, also splats and merges of light vertices (all), or next event and hits on "
+        f"lights (next_event); auto: all in scenes with {MANY} lights or more",
+        choices=("auto", "all", "next_event"),
+    )
     light_paths: float = setting(0.5, _LIGHT_PATHS, above=0.0, maximum=64.0)
     radius: float = setting(0.006, "merge radius of the first pass, in the unit of radius_unit", above=0.0)
     radius_unit: str = setting("scene", radii.UNIT_DOC, choices=radii.UNITS)
@@ -87,6 +93,10 @@ class BidirectionalSettings(CameraSettings):
             raise OptionError("split_layers and components divide the picture in two ways; leave out one of them")
         if radii.factors(self.radii) and not self.merging:
             raise OptionError(f"option 'radii={self.radii}' needs merging, which is off; leave it out")
+
+    def all_direct(self, lights: int) -> bool:
+        """Whether all techniques find direct light in a scene with so many lights."""
+        return self.direct == "all" or (self.direct == "auto" and lights >= MANY)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ from . import dimensions
 from .bidirectional.cache import PICK_BLOCK, LightCache
 from .bidirectional.camera_walk import CameraWalk
 from .bidirectional.light_walk import LightWalk
-from .bidirectional.mis import GRAZING, Counts, Mis, Techniques
+from .bidirectional.linear import Counts
+from .bidirectional.mis import GRAZING, Mis, Techniques
 from .bidirectional.moments import TILE, Candidate, Moments
 from .bidirectional.photons import Gather, Photon, Photons, unfolded
 from .bidirectional.pyramid import PYRAMID_MAX, Pyramid
@@ -25,6 +26,7 @@ from .guiding.learning import (
     GENERATIONS,
     GUIDE,
     GUIDE_CHOICES,
+    MANY,
     Learned,
     LearnedConnections,
     LearnedEmission,
@@ -69,6 +71,7 @@ __all__ = [
     "GRAZING",
     "GUIDE",
     "GUIDE_CHOICES",
+    "MANY",
     "MOST_LIGHTS",
     "MOST_PATHS",
     "NOWHERE",

@@ -17,11 +17,12 @@ from ..scattering import Evaluated, cosine_ratio, geometric_cos
 from ..vertex import WalkVertex
 from ..walk import ones
 from .cache import LightCache, Pick
+from .linear import Carried, Linear
 from .mis import Weights
 from .moments import Moments, Sums
 from .photons import Gather, unfolded
 from .sinks import CameraSink, Contribution
-from .vertices import LightVertex
+from .vertices import Kind, LightVertex
 from .walk import BidirectionalPath, BidirectionalWalk
 
 
@@ -33,6 +34,7 @@ class _State(BidirectionalPath):
     layers: dict[str, mi.Color3f]  #: technique family -> radiance
     worth: mi.Float | None  #: factor on contributions to its pixel, for a guide of emission; None without
     sums: Sums | None  #: of ``moments``
+    left: mi.Float | Linear | None  #: of :meth:`Mis.left_out`, at the vertex that the edge leaves
 
 
 @dataclass
@@ -88,6 +90,7 @@ class CameraWalk(BidirectionalWalk):
             worth=learner.worth_of_lane(pixel, dr.arange(mi.UInt32, lanes)) if learner else None,
             place=self.start,
             sums=self.moments.begin(lanes, importance) if self.moments else None,
+            left=self.mis.nothing_left(lanes),
         )
         state = self.walk(state, lambda s: self._edge(s, source), "camera walk")
         if self.moments and state.sums:
@@ -104,8 +107,10 @@ class CameraWalk(BidirectionalWalk):
         cos = geometric_cos(vertex.si, vertex.incoming)
         d_vcm, d_vc = self.mis.hit(*on_edge, dr.square(vertex.distance), cos)
         s.d_vcm, s.d_vc = dr.select(vertex.valid, d_vcm, s.d_vcm), dr.select(vertex.valid, d_vc, s.d_vc)
-        self._emission(s, vertex)
+        complete = s.d_vc if s.left is None else self.mis.completed(s.d_vc, s.left, cos)
+        self._emission(s, vertex, complete)
         s.active &= vertex.valid
+        s.d_vc = complete
 
         place, ratio = None, None
         if self.choice is not None:
@@ -146,15 +151,20 @@ class CameraWalk(BidirectionalWalk):
 
         # ---- Advance
         sampled = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
+        if s.left is not None:
+            left = self.mis.left_out(self.number(s), s.d_vcm, scattered.cos, scattered.pdf, scattered.is_delta)
+            s.left = self.keep_if_null(scattered, s.left, left)
         s.d_vcm, s.d_vc = self.mis.scatter_camera(self.number(s), s.d_vcm, s.d_vc, *sampled)
         self.leave(s, vertex, scattered, source, on_edge, place=place)
         return s
 
-    def _emission(self, s: _State, vertex: WalkVertex) -> None:
-        """s = 0 [Georgiev 2012b, eq. 43]."""
+    def _emission(self, s: _State, vertex: WalkVertex, complete: Carried) -> None:
+        """s = 0 [Georgiev 2012b, eq. 43]. ``complete``: d_vc for lights that next event does not find."""
         hit = self.emission(s, vertex)
-        number = self.number(s)
-        weights = self.mis.emission_weight(number, s.d_vcm, s.d_vc, hit.area_density, hit.emission_density)
+        number, d_vc = self.number(s), s.d_vc
+        if s.left is not None:
+            d_vc = dr.select(hit.area_density > 0.0, d_vc, complete)
+        weights = self.mis.emission_weight(number, s.d_vcm, d_vc, hit.area_density, hit.emission_density)
         alone = s.throughput * hit.radiance
         values = [alone * weight for weight in weights]
         self.sink.add(s.layers, "emission", values, hit.active, s.seen)
@@ -250,6 +260,7 @@ class CameraWalk(BidirectionalWalk):
             f.reverse_pdf,
             f_light.reverse_pdf,
             pick.ratio if pick else None,
+            other.kind == mi.UInt32(Kind.DIRECT),
         )
         alone = s.throughput * other.throughput * f.value * f_light.value
         alone *= joined.inverse_square * cosine_ratio(other.si, joined.direction) * self.cache.factor

@@ -18,7 +18,7 @@ from ..lamps.spheres import seen_density
 from ..scattering import Evaluated, Proposal, Scattered, cosine_ratio, geometric_cos, scatter_light
 from ..vertex import WalkVertex
 from ..walk import ones
-from .mis import Carried
+from .linear import Carried
 from .moments import Moments
 from .sinks import SplatSink
 from .vertices import Kind, LightVertices
@@ -109,17 +109,19 @@ class LightWalk(BidirectionalWalk):
 
         # ---- Store
         smooth = s.active & vertex.smooth
+        used = smooth & (s.kind != mi.UInt32(Kind.DIRECT)) if self.mis.techniques.leaves_direct else smooth
         if vertices is not None:
             mis, fluence = (s.d_vcm, s.d_vc), self.mis.fluence(light_cos)
-            vertices.append(path, s.stored, vertex, s.throughput, fluence, mis, s.kind, smooth, self.number(s), place)
-            s.stored += ones(smooth)
+            kept = smooth if vertices.connected else used
+            vertices.append(path, s.stored, vertex, s.throughput, fluence, mis, s.kind, kept, self.number(s), place)
+            s.stored += ones(kept)
 
         # ---- Splat and scatter. The next vertex is useful only if the path may have two more edges
         s.active &= s.depth + 1 < self.max_edges
         if self.sink is None:
             scattered, _ = vertex.sample(source, s.active)
         else:
-            joined = self.camera.connect(vertex.si, self.camera.splat_aperture(source, s.depth), smooth)
+            joined = self.camera.connect(vertex.si, self.camera.splat_aperture(source, s.depth), used)
             scattered, (f,) = vertex.sample(source, s.active, [joined])
             self._splat(s, vertex, joined, light_cos, f, source, self.sink)
 
@@ -156,7 +158,8 @@ class LightWalk(BidirectionalWalk):
     ) -> None:
         """Leave a vertex of the class ``place``; ``on_edge`` and ``light_cos`` are those of :meth:`land`."""
         sampled = scattered.cos, scattered.pdf, scattered.reverse_pdf, scattered.is_delta
-        s.d_vcm, s.d_vc = self.mis.scatter_light(s.d_vcm, s.d_vc, light_cos, *sampled)
+        direct = s.kind == mi.UInt32(Kind.DIRECT)
+        s.d_vcm, s.d_vc = self.mis.scatter_light(s.d_vcm, s.d_vc, light_cos, *sampled, direct)
         s.kind = self.keep_if_null(scattered, s.kind, after_light_scattering(s.kind, scattered.is_delta))
         s.from_infinity = self.keep_if_null(scattered, s.from_infinity, mi.Bool(False))
         if s.waiting is not None:

@@ -34,10 +34,12 @@ import functools
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+
+from .linear import Carried, Counts, Linear
 
 #: Least geometric cosine that merging divides by.
 GRAZING = 0.02
@@ -55,6 +57,7 @@ class Techniques:
     splat: bool = True  #: a light vertex is connected to the camera (t = 1)
     merge: bool = True  #: a camera vertex is merged with stored light vertices around it
     merge_first: bool = True  #: merging at the first camera vertex, too
+    direct: bool = True  #: splats and merges of vertices that light hits first, too, where next event finds the light
     beta: int = 1  #: 1 balance heuristic, 2 power heuristic
 
     @property
@@ -62,39 +65,10 @@ class Techniques:
         """Whether any technique connects two vertices by an edge (the report's VC)."""
         return bool(self.next_event or self.connection or self.splat)
 
-
-@dataclass(frozen=True)
-class Counts:
-    """Sample counts that may differ from set to set, raised to the exponent of the heuristic."""
-
-    splat: mi.Float | float  #: light paths per camera path of a pixel
-    connection: mi.Float | float
-    merge: mi.Float | float  #: eta_vm
-
-
-@dataclass
-class Linear:
-    """A sum of the recursion, for counts that are given later: ``end + connection n_c + merge eta_vm`` on light
-    sub-paths, ``end n_s + connection n_c + merge eta_vm`` on camera sub-paths, where ``end`` is that of the splat. In
-    products with numbers it is the left operand."""
-
-    end: mi.Float | float
-    connection: mi.Float | float
-    merge: mi.Float | float
-
-    def __add__(self, other: Linear) -> Linear:
-        return Linear(self.end + other.end, self.connection + other.connection, self.merge + other.merge)
-
-    def __mul__(self, factor: mi.Float | float) -> Linear:
-        return Linear(self.end * factor, self.connection * factor, self.merge * factor)
-
-    def at(self, counts: Counts, end: mi.Float | float = 1.0) -> mi.Float:
-        """The value for a set of counts; ``end``: count of the term ``end``."""
-        return self.end * end + self.connection * counts.connection + self.merge * counts.merge
-
-
-#: d_vcm or d_vc of a vertex.
-Carried: TypeAlias = "mi.Float | Linear"
+    @property
+    def leaves_direct(self) -> bool:
+        """Whether direct light that next event finds is neither splatted nor merged."""
+        return not self.direct and self.next_event > 0
 
 
 class Weights(list[Any]):
@@ -241,16 +215,18 @@ class Mis:
         bounded = dr.rcp(dr.maximum(cos, GRAZING))
         return dr.select(cos >= GRAZING, bounded, 0.0) if self.techniques.connects else bounded
 
-    def _merge_area(self, cos: mi.Float, depth: mi.UInt32 | None = None) -> Carried | None:
+    def _merge_area(
+        self, cos: mi.Float, depth: mi.UInt32 | None = None, direct: mi.Bool | None = None
+    ) -> Carried | None:
         """``eta_vm`` where a vertex at which light arrives at this geometric cosine can be merged, else 0; None without
-        merging. ``depth``:
-        of a camera vertex."""
-        t = self.techniques
-        if not t.merge:
+        merging. ``depth``: of a camera vertex; ``direct``: see :meth:`scatter_light`."""
+        if not self.techniques.merge:
             return None
         mergeable = self.fluence(cos) > 0.0
-        if depth is not None and not t.merge_first:
+        if depth is not None and not self.techniques.merge_first:
             mergeable &= depth != 1
+        if direct is not None and self.techniques.leaves_direct:
+            mergeable &= ~direct
         return self._eta * dr.select(mergeable, mi.Float(1.0), mi.Float(0.0))
 
     def _sum(self, eta: Carried | None, d_vcm: Carried, reverse_pdf: mi.Float, d_vc: Carried) -> Carried:
@@ -270,10 +246,12 @@ class Mis:
         pdf: mi.Float,
         reverse_pdf: mi.Float,
         is_delta: mi.Bool,
+        direct: mi.Bool | None = None,
     ) -> tuple[Carried, Carried]:
         """(d_vcm, d_vc) after scattering at a light vertex [Georgiev 2012b, eq. 34, 35; delta: 53, 54]. ``light_cos``
-        and ``cos``: geometric cosines of the incoming and of the sampled direction."""
-        total = self._sum(self._merge_area(light_cos), d_vcm, reverse_pdf, d_vc)
+        and ``cos``: geometric cosines of the incoming and of the sampled direction; ``direct``: whether it is the first
+        vertex of light that next event finds."""
+        total = self._sum(self._merge_area(light_cos, direct=direct), d_vcm, reverse_pdf, d_vc)
         return self._scatter(total, d_vc, cos, pdf, is_delta, self._count(self.techniques.connection))
 
     def scatter_camera(
@@ -286,9 +264,30 @@ class Mis:
         reverse_pdf: mi.Float,
         is_delta: mi.Bool,
     ) -> tuple[Carried, Carried]:
-        """(d_vcm, d_vc) after scattering at camera vertex ``depth``; ``d_vcm`` is that of :meth:`joined`."""
-        total = self._sum(self._merge_area(cos, depth), d_vcm, reverse_pdf, d_vc)
+        """(d_vcm, d_vc) after scattering at camera vertex ``depth``; ``d_vcm`` is that of :meth:`joined`. If direct
+        light is left to next event, d_vc is that of a path which ends on a light; :meth:`left_out` is the rest."""
+        total = self._sum(*self._but_direct(depth, d_vcm, cos), reverse_pdf, d_vc)
         return self._scatter(total, d_vc, cos, pdf, is_delta, 1.0)
+
+    def _but_direct(self, depth: mi.UInt32, d_vcm: Carried, cos: mi.Float) -> tuple[Carried | None, Carried]:
+        """Terms of the merge and of the connection before a camera vertex, if the next vertex is on a light."""
+        if self.techniques.leaves_direct:
+            return None, dr.select(depth == 1, d_vcm * 0.0, d_vcm)
+        return self._merge_area(cos, depth), d_vcm
+
+    def nothing_left(self, lanes: int) -> Carried | None:
+        """What is left out at the sensor; None if nothing ever is."""
+        return self._start(dr.zeros(mi.Float, lanes)) if self.techniques.leaves_direct else None
+
+    def left_out(self, depth: mi.UInt32, d_vcm: Carried, cos: mi.Float, pdf: mi.Float, is_delta: mi.Bool) -> Carried:
+        """What :meth:`scatter_camera` left out of d_vc: merge and splat of a vertex before one that is on no light."""
+        area, splat = self._merge_area(cos, depth), dr.select(depth == 1, d_vcm, d_vcm * 0.0)
+        total = splat if area is None else splat + area
+        return dr.select(is_delta, total * 0.0, total * self.power(cos * dr.rcp(pdf)))
+
+    def completed(self, d_vc: Carried, left: Carried, cos: mi.Float) -> Carried:
+        """``d_vc`` after :meth:`hit` with ``cos``, with what was left out at the vertex before."""
+        return d_vc + left * dr.rcp(self.power(dr.maximum(cos, 1e-8)))
 
     def _scatter(
         self, total: Carried, d_vc: Carried, cos: mi.Float, pdf: mi.Float, is_delta: mi.Bool, count: float
@@ -341,7 +340,7 @@ class Mis:
         """
         own = self._count(self.techniques.next_event)
         hit = self.power(bsdf_pdf / direct_pdf) * self._count(self.techniques.emission)
-        camera = self._sum(self._merge_area(cos, depth), d_vcm, reverse_pdf, d_vc)
+        camera = self._sum(*self._but_direct(depth, d_vcm, cos), reverse_pdf, d_vc)
         return self._weights(self._own(own), self._at(0.0, camera * self.power(light_ratio), hit))
 
     def connection_weight(
@@ -356,11 +355,12 @@ class Mis:
         reverse_pdf_camera: mi.Float,
         reverse_pdf_light: mi.Float,
         ratio: mi.Float | None = None,
+        direct: mi.Bool | None = None,
     ) -> Weights:
         """Weights of the connection of two inner vertices [Georgiev 2012b, eq. 40, 41]. ``camera``, ``light``: their
         (d_vcm, d_vc); ``camera_cos``, ``light_cos``: geometric cosines at which light arrives at them; ``ratio``: of
-        their edge, see :meth:`chosen`."""
-        by_light = self._sum(self._merge_area(light_cos), light[0], reverse_pdf_light, light[1])
+        their edge, see :meth:`chosen`; ``direct``: of the light vertex, see :meth:`scatter_light`."""
+        by_light = self._sum(self._merge_area(light_cos, direct=direct), light[0], reverse_pdf_light, light[1])
         area = self._merge_area(camera_cos, depth)
         by_camera = self._sum(area, camera[0], reverse_pdf_camera, camera[1])
         others = self._at(by_light * self.power(area_pdf_to_light), by_camera * self.power(area_pdf_to_camera))

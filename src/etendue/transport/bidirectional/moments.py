@@ -26,7 +26,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from .mis import Counts
+from .linear import Counts
 
 #: Side of the tiles in which moments are summed, in pixels.
 TILE = 8

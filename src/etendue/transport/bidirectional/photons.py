@@ -26,7 +26,7 @@ import mitsuba as mi
 from etendue.density import HashGrid
 from etendue.film import Component
 
-from .mis import Carried, Linear
+from .linear import Carried, Linear
 
 T = TypeVar("T")
 

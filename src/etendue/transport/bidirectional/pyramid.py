@@ -123,7 +123,7 @@ def in_pyramid(techniques: Techniques, depth: int) -> list[Technique]:
             if s == 0:
                 on = True
             elif t == 1:
-                on = techniques.splat and s > 1
+                on = techniques.splat and s > (2 if techniques.leaves_direct else 1)
             elif s == 1:
                 on = techniques.next_event > 0
             else:
@@ -132,7 +132,10 @@ def in_pyramid(techniques: Techniques, depth: int) -> list[Technique]:
                 found.append(Technique(False, s, t))
     if techniques.merge:
         first = 2 if techniques.merge_first else 3
+        least = 3 if techniques.leaves_direct else 2
         found += [
-            Technique(True, edges + 2 - t, t) for edges in range(2, depth + 1) for t in range(edges, first - 1, -1)
+            Technique(True, edges + 2 - t, t)
+            for edges in range(2, depth + 1)
+            for t in range(edges + 2 - least, first - 1, -1)
         ]
     return found

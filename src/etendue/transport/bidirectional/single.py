@@ -27,7 +27,8 @@ from ..vertex import WalkVertex
 from ..visibility import Visibility
 from ..walk import ones
 from .light_walk import LightPath, LightWalk
-from .mis import Carried, Mis
+from .linear import Carried
+from .mis import Mis
 from .walk import BidirectionalPath, BidirectionalWalk
 
 P = TypeVar("P", bound=BidirectionalPath)

@@ -19,7 +19,7 @@ from etendue.scene import materials
 
 from ..scattering import Evaluated, evaluate_light_end
 from ..vertex import Vertex, WalkVertex
-from .mis import Carried, Linear
+from .linear import Carried, Linear
 from .photons import (
     Photons,
     depth_of,
@@ -75,6 +75,7 @@ class LightVertex(Vertex):
     number: mi.UInt32  #: as ``depth``, without null surfaces if the store is ``numbered``
     path: mi.UInt32  #: number of its light path
     place: mi.UInt32  #: its class, if it was stored with one
+    kind: mi.UInt32  #: a :class:`Kind`
 
     def evaluate(self, direction: mi.Vector3f, active: mi.Bool) -> Evaluated:
         """The BSDF for a world direction of the eye side; the value times :func:`cosine_ratio` is the adjoint BSDF
@@ -284,6 +285,7 @@ class LightVertices:
             number=number_of(position.w, self._depth_bits),
             path=_as_uint(owner.y),
             place=_as_uint(owner.w),
+            kind=_as_uint(position.w) >> 30,
         )
 
     def _recompute(

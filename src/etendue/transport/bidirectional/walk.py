@@ -16,7 +16,8 @@ from ..guiding.emission import EmissionTraining
 from ..scattering import Scattered, shadow_roulette
 from ..vertex import WalkVertex
 from ..walk import SubPath, Walker, ones
-from .mis import Carried, Linear, Mis
+from .linear import Carried, Linear
+from .mis import Mis
 from .pyramid import Pyramid
 from .sinks import Contribution, Sink
 
