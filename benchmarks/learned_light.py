@@ -63,7 +63,7 @@ def measure(
     known_values: dict[str, tuple[str, dict[str, Any]]] = {
         "emission": ("guide_emission", {"off": "off", "on": on}),
         "connections": ("guide_connections", {"off": False, "on": True}),
-        "direct": ("direct", {"off": "next_event", "on": "all"}),
+        "direct": ("direct_light", {"off": "next_event", "on": "all"}),
     }
     if what not in known_values:
         raise SystemExit(f"--what {what}: give {', '.join(known_values)}")

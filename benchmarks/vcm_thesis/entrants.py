@@ -18,7 +18,7 @@ THESIS: Mapping[str, Any] = {
     "light_source": "path",
     "eta_discount": 1.0,
     "alpha": 2.0 / 3.0,
-    "direct": "all",
+    "direct_light": "all",
 }
 #: The merge radius where the thesis gives none, in metres: the middle one of its sweep.
 RADIUS = 0.012

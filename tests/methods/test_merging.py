@@ -30,7 +30,7 @@ def three_radii(problem, method, **settings):
 ROWS = {
     "bpm": ("bpm", {}, "rectangle"),
     "vcm": ("vcm", {}, "sphere"),
-    "vcm direct": ("vcm", {"direct": "all"}, "sphere"),
+    "vcm direct": ("vcm", {"direct_light": "all"}, "sphere"),
     "vcm path power": ("vcm", {"light_source": "path", "heuristic": "power"}, "constant"),
     "vcm late": ("vcm", {"merge_first": False}, "spot"),
     "bpm late": ("bpm", {"merge_first": False}, "mesh"),

@@ -96,7 +96,9 @@ def test_the_picture_is_the_same_with_and_without(name):
 @pytest.mark.parametrize("source", ["cache", "path"])
 def test_techniques_alone_agree_on_the_paths_of_a_length(source):
     """Each can make every path here; what differs is the noise."""
-    found = layers(still(), "bpt", samples=2048, pyramid_depth=3, light_source=source, light_paths=2.0, direct="all")
+    found = layers(
+        still(), "bpt", samples=2048, pyramid_depth=3, light_source=source, light_paths=2.0, direct_light="all"
+    )
     for edges, precision in ((2, 0.03), (3, 0.1)):
         alone = [Technique(False, s, edges + 1 - s).layer(weighted=False) for s in range(edges + 1)]
         direct = Technique(False, 1, edges).layer(weighted=False)
@@ -110,7 +112,7 @@ def test_merges_alone_agree_with_next_event_and_vanish_with_the_radius():
     shares = []
     for radius in (0.04, 0.01):
         settings = {"radius": radius, "radius_unit": "absolute", "alpha": 1.0, "eta_discount": 0.01, "pyramid_depth": 3}
-        found = layers(still(), "vcm", light_paths=2.0, direct="all", **settings)
+        found = layers(still(), "vcm", light_paths=2.0, direct_light="all", **settings)
         for edges, precision in ((2, 0.03), (3, 0.06)):
             direct = found[Technique(False, 1, edges).layer(weighted=False)].mean()
             for t in range(2, edges + 1):
@@ -127,8 +129,8 @@ def test_merges_alone_agree_with_next_event_and_vanish_with_the_radius():
 def test_crossed_surfaces_are_no_vertices(direct):
     """Surfaces that nobody sees, between camera, lamp, floor and ball: every technique keeps its s, t and its share."""
     settings = {"radius": 0.03, "radius_unit": "absolute", "alpha": 1.0, "pyramid_depth": 3, "light_paths": 2.0}
-    plain = layers(still(), "vcm", samples=1024, direct=direct, **settings)
-    crossed = layers(still(sheets=True), "vcm", samples=1024, direct=direct, **settings)
+    plain = layers(still(), "vcm", samples=1024, direct_light=direct, **settings)
+    crossed = layers(still(sheets=True), "vcm", samples=1024, direct_light=direct, **settings)
     assert list(plain) == list(crossed)
     more = ("s2_t1", "m2_t2", "m2_t3") if direct == "all" else ()
     assert [name for name in plain if name in ("s2_t1", "m2_t2", "m2_t3")] == list(more)
@@ -145,8 +147,8 @@ def test_layers_are_those_of_the_techniques_in_use():
         method: set(run(problem, method, passes=1, samples=1, pyramid=True, **settings).measurement.sums)
         for method, settings in (
             ("bpm", {"pyramid_depth": 2}),
-            ("bpt", {"pyramid_depth": 3, "connections": 0, "direct": "all"}),
-            ("vcm", {"pyramid_depth": 3, "merge_first": False, "direct": "all"}),
+            ("bpt", {"pyramid_depth": 3, "connections": 0, "direct_light": "all"}),
+            ("vcm", {"pyramid_depth": 3, "merge_first": False, "direct_light": "all"}),
         )
     }
     expected = {
@@ -171,9 +173,9 @@ def test_memory_is_checked_first(monkeypatch):
     problem = still()
     problem.memory = 1_500_000
     with pytest.raises(OptionError, match=r"depth 5 at 16x12 needs 1 MB, too much for a memory limit of 2 MB.*to 2 MB"):
-        prepared(problem, "vcm", pyramid=True, direct="all")
+        prepared(problem, "vcm", pyramid=True, direct_light="all")
     problem.memory = None
     monkeypatch.setattr(store, "free_memory", lambda: 500_000)
     with pytest.raises(OptionError, match="needs 1 MB, but only 0 MB are free; lower pyramid_depth"):
-        prepared(problem, "vcm", pyramid=True, direct="all")
+        prepared(problem, "vcm", pyramid=True, direct_light="all")
     prepared(problem, "vcm", pyramid=True, pyramid_depth=1)

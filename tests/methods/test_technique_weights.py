@@ -156,7 +156,7 @@ ROWS: dict[str, tuple[str, dict[str, Any], Counts]] = {
     "bpt": ("bpt", {"light_source": "path"}, Counts(merge=0.0, direct=False)),
     "bpm": ("bpm", {"eta_discount": DISCOUNT}, Counts(**NONE)),
     "vcm": ("vcm", {"connections": 1}, Counts(direct=False)),
-    "vcm direct": ("vcm", {"connections": 1, "direct": "all"}, Counts()),
+    "vcm direct": ("vcm", {"connections": 1, "direct_light": "all"}, Counts()),
     "vcm late power": (
         "vcm",
         {"heuristic": "power", "merge_first": False, "next_events": 2, "connections": 3},

@@ -44,7 +44,7 @@ class BidirectionalSettings(CameraSettings):
         "balance", "heuristic of the MIS weights: balance, or power with exponent 2", choices=("balance", "power")
     )
     merge_first: bool = setting(True, "merge at the first camera vertex, too; false: only at later ones")
-    direct: str = setting(
+    direct_light: str = setting(
         "auto",
         "techniques for direct light: all, also splats and merges of light vertices (all), or next event and hits on "
         f"lights (next_event); auto: all in scenes with {MANY} lights or more",
@@ -96,7 +96,7 @@ class BidirectionalSettings(CameraSettings):
 
     def all_direct(self, lights: int) -> bool:
         """Whether all techniques find direct light in a scene with so many lights."""
-        return self.direct == "all" or (self.direct == "auto" and lights >= MANY)
+        return self.direct_light == "all" or (self.direct_light == "auto" and lights >= MANY)
 
 
 @dataclass(frozen=True)
