@@ -219,7 +219,8 @@ def _rendered(
     name: str, case: Case, method: str, seconds: float, seed: int, settings: Mapping[str, Any], warm: bool = False
 ) -> Result:
     # One copy for all: kernels contain the materials of every scene in memory.
-    source = scene.load(case.source(name), size=case.size).scene
+    problem = scene.load(case.source(name), size=case.size)
+    source, settings = problem.scene, {"max_depth": problem.max_depth} | dict(settings)
     if warm:
         render(source, method, samples=2, size=case.size, seed=seed, **settings)
     made: Result = render(source, method, seconds=seconds, size=case.size, seed=seed, **settings)

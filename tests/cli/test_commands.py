@@ -37,9 +37,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_pyramid_in_the_file_and_on_the_page(folder, capsys):
-    assert (
-        run("compare cornell-box -m bpt -m path --size 16x12 --spp 2 --pyramid-depth 2 -D direct_light=all -o out") == 0
-    )
+    settings = "--size 16x12 --spp 2 --pyramid-depth 2 -D direct_light=all"
+    assert run(f"compare cornell-box -m bpt -m path {settings} -o out") == 0
     layers = film.read_exr("out/bpt.exr").layers
     parts = ("s0_t2", "s0_t3", "s1_t2", "s2_t1", "longer")
     assert set(layers) == {"image", *parts} | {f"{name}_unweighted" for name in parts if name != "longer"}

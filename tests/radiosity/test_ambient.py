@@ -362,6 +362,9 @@ def test_at_once(tmp_path):
     assert main(["radiosity", "cornell-box", "--ambient", "fuzzy", "-o", str(other), "--max-area", "0.1"]) == 0
     found = etendue.solve_radiosity("cornell-box", ambient="fuzzy", max_area=0.1).solution
     np.testing.assert_array_equal(read_solution(other)[0].radiosity, found.radiosity)
+    for words in (["cornell-box", "--ambient"], ["--ambient", "cornell-box"]):  # without a name
+        assert main(["radiosity", *words, "-o", str(other), "--max-area", "0.1"]) == 0
+        np.testing.assert_array_equal(read_solution(other)[0].radiosity, found.radiosity)
 
 
 def test_after_some_bounces():

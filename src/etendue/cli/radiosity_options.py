@@ -83,9 +83,9 @@ Ambient = Annotated[
     str | None,
     typer.Option(
         "--ambient",
-        help="All light by an ambient term, at once and without lines: classic, crisp or fuzzy. With --bounces, "
-        "what a solution by lines has left.",
-        metavar="NAME",
+        help="All light by an ambient term, at once and without lines: classic, crisp or fuzzy, which it is without "
+        "NAME. With --bounces, what a solution by lines has left.",
+        metavar="[NAME]",
     ),
 ]
 Bounces = Annotated[
@@ -138,16 +138,21 @@ Divide = Annotated[
 ]
 
 
+#: Values of options without a name behind them.
+_UNNAMED = {"--hierarchy": "", "--ambient": "fuzzy"}
+
+
 class OptionalName(TyperCommand):
-    """A command whose ``--hierarchy`` may have a name behind it or not: what is a source is none."""
+    """A command some of whose options may have a name behind them or not: what is a source is none."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """See ``click.Command``."""
         given: list[str] = []
         for k, word in enumerate(args):
             given.append(word)
-            if word == "--hierarchy" and (k + 1 == len(args) or args[k + 1].startswith("-") or _is_source(args[k + 1])):
-                given.append("")
+            alone = k + 1 == len(args) or args[k + 1].startswith("-") or _is_source(args[k + 1])
+            if word in _UNNAMED and alone:
+                given.append(_UNNAMED[word])
         parsed: list[str] = super().parse_args(ctx, given)
         return parsed
 
