@@ -1,5 +1,5 @@
-"""Whether emission or connections that learn, or merging of direct light, pay: error times CPU time of ``bpt`` and
-``vcm`` with it beside the same without."""
+"""Whether emission or connections that learn, or all techniques for direct light, pay: error times CPU time of ``bpt``
+and ``vcm`` with it beside the same without."""
 
 from __future__ import annotations
 
@@ -60,14 +60,14 @@ def measure(
     seeds: Seeds = 5,
 ) -> Iterator[Record]:
     """One table; a row a scene and method. Runs take turns, pass by pass, by the CPU time they have used."""
-    known_values: dict[str, tuple[str, dict[str, Any]]] = {
+    switches: dict[str, tuple[str, dict[str, Any]]] = {
         "emission": ("guide_emission", {"off": "off", "on": on}),
         "connections": ("guide_connections", {"off": False, "on": True}),
         "direct": ("direct_light", {"off": "next_event", "on": "all"}),
     }
-    if what not in known_values:
-        raise SystemExit(f"--what {what}: give {', '.join(known_values)}")
-    setting, values = known_values[what]
+    if what not in switches:
+        raise SystemExit(f"--what {what}: give {', '.join(switches)}")
+    setting, values = switches[what]
     record = Record(
         f"{setting}={values['on']} beside {values['off']}, about {pixels} pixels, {seconds:g} s of CPU time, "
         f"{seeds} seeds",

@@ -35,7 +35,7 @@ def _scene(name: str, size: tuple[int, int], seconds: float, seeds: int, out: Pa
     """A table of one scene: RMS at four times, and the order early and late."""
     times = marks(seconds)
     four = the_four()
-    ours = Entrant("vcm, our settings", "vcm", {"radius": RADIUS, "radius_unit": "absolute"})
+    ours = Entrant("vcm, our settings", "vcm", {"radius": RADIUS, "radius_unit": "absolute", "direct_light": "all"})
     tracks = race(open_scene(name, size), [*four, ours], reference.image, times, range(seeds))
     plotting.save(out / f"convergence-{name}.svg", {k: plotting.over_time(v) for k, v in tracks.items()}, name)
     shown = [len(times) - 1 - k for k in (4, 2, 1, 0)]
@@ -61,6 +61,6 @@ def _conditions(seeds: int) -> str:
     return (
         f"the methods take turns on one scene, pass by pass, each for the same time of passes; root of the mean of "
         f"{seeds} seed{'s' if seeds > 1 else ''}; first radius {1000 * RADIUS:g} mm, alpha 2/3, as many light paths as "
-        "pixels, vcm without merging at the first camera vertex; our settings: vcm's defaults with the same radius, "
-        "not in the order"
+        "pixels, vcm without merging at the first camera vertex; our settings: vcm's defaults with the same radius and "
+        "direct_light=all, not in the order"
     )

@@ -84,6 +84,16 @@ def test_several_radii_in_one_run_are_as_many_runs(name):
         np.testing.assert_allclose(np.sum(parts, axis=0), together.mean, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.parametrize("lights", [7, 8])
+def test_direct_light_of_many_lights_is_found_by_all_techniques(lights):
+    described = {"type": "scene", "sensor": scenes.camera(), "floor": {"type": "rectangle"}}
+    for number in range(lights):
+        described[f"lamp{number}"] = {"type": "point", "position": [number / lights, 0.0, 2.0]}
+    problem = scenes.load(described)
+    for direct_light, found in (("auto", lights == 8), ("all", True), ("next_event", False)):
+        assert prepared(problem, "vcm", direct_light=direct_light).techniques.direct == found
+
+
 def test_several_radii_with_roulette_before_shadow_rays():
     """Roulette that all radii share is right for each: the same mean as without."""
     problem = scenes.room("mixed", scenes.FEW, size=(12, 8))

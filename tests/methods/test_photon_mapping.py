@@ -289,6 +289,16 @@ def test_a_beam_is_found_by_its_photons(name):
     assert_mean(images[:, 6:, 4:12].mean(axis=(1, 2, 3)), 0.8 * 2.0 / np.pi, name)
 
 
+@pytest.mark.parametrize("method", ["bpt", "vcm"])
+def test_a_beam_is_found_where_direct_light_is_left_to_next_event(method):
+    """Splats and merges remain where next event finds nothing."""
+    beam = {"type": "directionalarea", "radiance": scenes.rgb(2, 2, 2)}
+    lamp = {"type": "rectangle", "to_world": scenes._down(2.2, 3.0), "emitter": beam}
+    problem = scene(lamp=lamp, floor=floor(0.8, 0.8, 0.8))
+    images = run(problem, method, passes=6, samples=64, direct_light="next_event").images
+    assert_mean(images[:, 6:, 4:12].mean(axis=(1, 2, 3)), 0.8 * 2.0 / np.pi, method)
+
+
 def caustic_in_a_mirror(bulb: bool) -> Any:
     """A floor under a point light, seen only in a mirror; the light may be the centre of a glass ball.
 

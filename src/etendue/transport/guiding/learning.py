@@ -23,7 +23,8 @@ from .connections import CLASSES, ConnectionGuide, ConnectionSums, ConnectionTra
 from .emission import EmissionGuide, EmissionSums, EmissionTraining
 from .worth import BLOCK
 
-#: Lights of a scene from which on ``auto`` learns their selection.
+#: Lights of a scene from which on their selection is learned, and next event, which picks one, is not enough for direct
+#: light: ``auto`` of the settings ``guide_emission`` and ``direct_light``.
 MANY = 8
 #: Description and values of the setting ``guide_emission``.
 GUIDE = (
