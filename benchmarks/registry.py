@@ -125,6 +125,7 @@ PROGRAMS = {
                 Benchmark("against", "against.measure", 8, "Standard and Metropolis particles: who wins where."),
                 Benchmark("steps", "steps.measure", 4, "The size of steps of Metropolis particles."),
                 Benchmark("emission", "emission.measure", 3, "Variance of flux by the way lights are sampled."),
+                Benchmark("distributions", "distributions.measure", 1, "Where particles lie, and how often repeated."),
             ),
         ),
         Program(
