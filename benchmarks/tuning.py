@@ -6,23 +6,28 @@ folder ``out``, and what is in it is not measured again: a run that was interrup
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import json
 import statistics
+import tempfile
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
+import mitsuba as mi
 import numpy as np
 import typer
 
 from etendue import film, methods, scene
 from etendue.core import RELATIVE_EPSILON, Measurement, Replica
 from etendue.methods.auto import FIXED, Auto, AutoSettings, describe
+from etendue.scene import scene_xml
 from etendue.transport import Candidate
 
 from .choice import scaled_size, sources
+from .earlier import Earlier
 from .measuring import Record, console, verdict
 from .options import Methods, Names, Pixels, Seeds
 
@@ -48,6 +53,8 @@ _HALF = 3.0
 _TRIM = 0.001
 #: Seed of the passes that warm up.
 _WARM_UP = 1 << 20
+#: Ends the names of methods of an earlier state.
+_BEFORE = ", before"
 #: Passes that warm up: ``auto`` first learns.
 _WARM_PASSES = {"auto": 4}
 
@@ -59,10 +66,17 @@ def measure(
     at: Annotated[str, typer.Option(metavar="S,...", help="CPU seconds, separated by commas.")] = "20,60",
     seeds: Seeds = 3,
     out: Annotated[Path, typer.Option(help="Folder of outcomes and references.")] = Path("tuning"),
+    before: Annotated[
+        Path | None, typer.Option(help="A checkout of an earlier state, whose methods run in place of today's.")
+    ] = None,
 ) -> list[Record]:
-    """A table for each time; the methods take turns pass by pass, the next is always the one with the least time."""
+    """A table for each time; the methods take turns pass by pass, the next is always the one with the least time.
+
+    With ``before`` all methods but ``auto`` are those of the earlier state."""
     marks = sorted(float(word) for word in at.split(","))
     known = sources()
+    if before is not None:
+        entrants = [name if name == "auto" else name + _BEFORE for name in entrants]
     out.mkdir(parents=True, exist_ok=True)
     for name in names:
         if name not in known:
@@ -71,7 +85,7 @@ def measure(
         for seed in range(seeds):
             done = {(row["method"], row["seed"]) for row in _rows(out, name, size, marks)}
             if wanted := [entrant for entrant in entrants if (entrant, seed) not in done]:
-                _race(name, known[name], size, wanted, seed, marks, out)
+                _race(name, known[name], size, wanted, seed, marks, out, before)
     return [_table(names, known, pixels, entrants, seeds, marks, mark, out) for mark in marks]
 
 
@@ -100,40 +114,78 @@ class _Run:
         start = time.process_time()
         estimator = method(method.Settings(max_depth=problem.max_depth))
         estimator.prepare(problem, seed)
-        self.name, self.replica, self.passes = name, Replica(estimator, seed), 0
-        self.total: Measurement | None = None
+        self.name, self._replica, self._passes = name, Replica(estimator, seed), 0
+        self._total: Measurement | None = None
         self.seconds = time.process_time() - start
         self.found: list[dict[str, Any]] = []
 
     def go_on(self, marks: Sequence[float], halves: Sequence[np.ndarray]) -> None:
         """A pass, and the errors at the marks that it reaches."""
-        start = time.process_time()
-        made = self.replica.step(self.passes)
-        self.total = made if self.total is None else self.total + made
-        self.seconds += time.process_time() - start
-        self.passes += 1
-        for _ in [mark for mark in marks[len(self.found) :] if mark <= self.seconds]:
-            result = self.replica.develop(self.total)
+        self.seconds += self._pass()
+        self._passes += 1
+        for mark in [mark for mark in marks[len(self.found) :] if mark <= self.seconds]:
+            image, chosen = self._picture()
             # The error of the last pass's picture, brought to the time of the mark.
-            mark = marks[len(self.found)]
-            error = _error(result.image, halves) * self.seconds / mark
-            chosen = result.metadata.get("chosen", self.name)
-            self.found.append({"error": error, "seconds": self.seconds, "passes": self.passes, "chosen": chosen})
+            error = _error(image, halves) * self.seconds / mark
+            self.found.append({"error": error, "seconds": self.seconds, "passes": self._passes, "chosen": chosen})
+
+    def _pass(self) -> float:
+        """A pass; returns its CPU seconds."""
+        start = time.process_time()
+        made = self._replica.step(self._passes)
+        self._total = made if self._total is None else self._total + made
+        return time.process_time() - start
+
+    def _picture(self) -> tuple[np.ndarray, str]:
+        """(picture so far, what was chosen)."""
+        assert self._total is not None
+        result = self._replica.develop(self._total)
+        return result.image, result.metadata.get("chosen", self.name)
+
+
+class _RunBefore(_Run):
+    """A method of an earlier state under way, in its own process."""
+
+    def __init__(self, earlier: Earlier, name: str, seed: int) -> None:
+        self.name, self._earlier, self._passes = name, earlier, 0
+        self._method = name.removesuffix(_BEFORE)
+        self.seconds = earlier.ask("begin", self._method, seed, seed + _WARM_UP)
+        self.found = []
+
+    def _pass(self) -> float:
+        return self._earlier.ask("pass", self._method)
+
+    def _picture(self) -> tuple[np.ndarray, str]:
+        with tempfile.TemporaryDirectory() as folder:
+            self._earlier.ask("picture", self._method, f"{folder}/picture.npy")
+            return np.load(f"{folder}/picture.npy"), self._method
 
 
 def _race(
-    name: str, source: Any, size: tuple[int, int], wanted: Iterable[str], seed: int, marks: Sequence[float], out: Path
+    name: str,
+    source: Any,
+    size: tuple[int, int],
+    wanted: Sequence[str],
+    seed: int,
+    marks: Sequence[float],
+    out: Path,
+    before: Path | None,
 ) -> None:
     halves = _halves(name, source, size, _HALF * marks[-1], out)
     # One copy for all: kernels contain the materials of every scene in memory, so that those of a method that has
     # warmed up would not serve once the next one has loaded a scene.
     problem = scene.load(source, size=size)
-    runs = []
-    for method in wanted:
-        runs.append(_Run(problem, method, seed))
-        gc.collect()
-    while going := [run for run in runs if len(run.found) < len(marks)]:
-        min(going, key=lambda run: run.seconds).go_on(marks, halves)
+    runs: list[_Run] = []
+    with contextlib.ExitStack() as stack:
+        if before is not None:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            earlier = Earlier(before, mi.variant(), _file_of(source, folder), size)
+            stack.callback(earlier.close)
+        for method in wanted:
+            runs.append(_RunBefore(earlier, method, seed) if method.endswith(_BEFORE) else _Run(problem, method, seed))
+            gc.collect()
+        while going := [run for run in runs if len(run.found) < len(marks)]:
+            min(going, key=lambda run: run.seconds).go_on(marks, halves)
     with _file(out).open("a") as lines:
         for run in runs:
             row = {"scene": name, "size": list(size), "marks": list(marks), "method": run.name, "seed": seed}
@@ -142,6 +194,15 @@ def _race(
             console.print(
                 f"{name}, seed {seed}, {run.name}: {', '.join(texts)}; {run.found[-1]['chosen']}", style="dim"
             )
+
+
+def _file_of(source: Any, folder: Path) -> Path:
+    """A scene as a file: an earlier state does not know all bundled ones."""
+    if isinstance(source, Path):
+        return source
+    path = folder / f"{source}.xml"
+    path.write_text(scene_xml(source, folder=folder / "meshes"), encoding="utf-8")
+    return path
 
 
 def _halves(name: str, source: Any, size: tuple[int, int], seconds: float, out: Path) -> list[np.ndarray]:
@@ -200,9 +261,10 @@ def _table(
         if "auto" in middle and others:
             best = middle["auto"] / min(others.values())
             over_best.append(best)
-            if "vcm" in others:
-                over_vcm.append(middle["auto"] / others["vcm"])
-            by_vcm = f"{over_vcm[-1]:.2f}" if "vcm" in others else ""
+            by_vcm = ""
+            if vcm := others.get("vcm", others.get("vcm" + _BEFORE)):
+                over_vcm.append(middle["auto"] / vcm)
+                by_vcm = f"{over_vcm[-1]:.2f}"
             chosen = ", ".join(dict.fromkeys(one["chosen"] for one in found["auto"]))
             ratios = [by_vcm, f"{best:.2f}", verdict(best, WORST_BAR), chosen]
         record.add(name, *(f"{middle[entrant]:.3g}" if entrant in middle else "" for entrant in entrants), *ratios)
