@@ -119,12 +119,16 @@ def test_radii_without_merging():
 @pytest.mark.parametrize("alpha", [0.5, 2 / 3, 1.0])
 @pytest.mark.parametrize("method", ["bpm", "vcm"])
 def test_the_radius_schedule(method, alpha):
-    """r_i = r_1 i^((alpha - 1) / 2), i from 1; iterations count from 0."""
+    """r_i = r_1 i^((alpha - 1) / 2), i from 1, for passes of one path per pixel; iterations count from 0. Passes of
+    several have the radius of those after as many paths."""
     problem = scenes.field(0.5, 1.0)
-    runner = prepared(problem, method, samples_per_pass=1, alpha=alpha, radius=0.25, radius_unit="absolute")
+    settings = {"alpha": alpha, "radius": 0.25, "radius_unit": "absolute"}
+    runner = prepared(problem, method, samples_per_pass=1, **settings)
+    larger = prepared(problem, method, samples_per_pass=4, **settings)
     for iteration in (0, 1, 2, 9, 99):
         expected = 0.25 * (iteration + 1) ** ((alpha - 1) / 2)
         assert runner.radius(iteration) == pytest.approx(expected, rel=1e-9)
+        assert larger.radius(iteration) == pytest.approx(runner.radius(4 * iteration), rel=1e-9)
 
 
 def test_radius_units():

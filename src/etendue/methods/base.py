@@ -58,7 +58,7 @@ Layer = NDArray[np.float32]
 #: the cores, up to a factor of ``_MOST_FULL``, which is also that of a GPU.
 FULL_LANES = 1 << 19
 _MOST_FULL = 8
-#: Camera paths of a pass for methods that need many passes: they learn after each, or shrink the radius of photons.
+#: Camera paths of a pass for methods that learn after each.
 STEP_LANES = 1 << 17
 #: Memory of a camera path during its pass, in bytes.
 _LANE_BYTES = 64

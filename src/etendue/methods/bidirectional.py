@@ -10,7 +10,7 @@ their MIS weights [Georgiev 2012, eq. 9]:
 
 - ``bpt``: emission hits, next event, connections, camera splats. Unbiased.
 - ``bpm``: merging, and hits on lights seen directly or through mirrors and glass. Consistent.
-- ``vcm``: all of them. Consistent: the merge radius shrinks as :math:`r_i = r_1 i^{(\alpha - 1)/2}`.
+- ``vcm``: all of them. Consistent: the merge radius shrinks as :math:`r_1 (m + 1)^{(\alpha - 1)/2}`.
 
 Limit: a caustic of a point light that is seen in a mirror is found by merging only, blurred by the radius.
 """
@@ -57,7 +57,6 @@ from . import base
 from . import radius as radii
 from .base import (
     PILOT_PATHS,
-    STEP_LANES,
     ImageMethod,
     ImageSettings,
     Lanes,
@@ -156,8 +155,8 @@ class Bidirectional(Carrying, ImageMethod):
         return self._held
 
     def full_lanes(self) -> int:
-        """See :class:`ImageMethod`."""
-        return STEP_LANES if self.settings.merging or self.settings.pyramid else super().full_lanes()
+        """See :class:`ImageMethod`. Half as many with merging, whose radius shrinks from pass to pass."""
+        return super().full_lanes() // (2 if self.settings.merging or self.settings.pyramid else 1)
 
     # ------------------------------------------------------------------ pilots
 
@@ -221,7 +220,7 @@ class Bidirectional(Carrying, ImageMethod):
 
     def radius(self, iteration: int) -> float:
         """Merge radius of a pass, in units of the render space [Georgiev 2012, eq. 10]; ``iteration`` counts from 0."""
-        return radii.reduced(self._first_radius, iteration, self.settings.alpha)
+        return radii.reduced(self._first_radius, iteration, self.settings.alpha, self.samples_per_iteration)
 
     def render_pass(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """See :class:`ImageMethod`."""

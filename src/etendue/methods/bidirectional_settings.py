@@ -60,7 +60,8 @@ class BidirectionalSettings(CameraSettings):
     )
     alpha: float = setting(
         0.75,
-        "reduction of the merge radius: that of pass i = 1, 2, ... is radius * i^((alpha - 1) / 2); 1: constant",
+        "reduction of the merge radius: after m camera paths per pixel it is radius * (m + 1)^((alpha - 1) / 2); "
+        "1: constant",
         above=0.0,
         maximum=1.0,
     )

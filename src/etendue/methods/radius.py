@@ -42,9 +42,11 @@ def layer(factor: float) -> str:
     return f"radius_{factor:g}"
 
 
-def reduced(first: float, iteration: int, alpha: float) -> float:
-    """Radius of the pass with number ``iteration``, from 0 [Georgiev 2012, eq. 10]; ``first``: that of pass 0."""
-    return float(first * (iteration + 1) ** ((alpha - 1.0) / 2.0))
+def reduced(first: float, iteration: int, alpha: float, samples: int = 1) -> float:
+    """Radius of the pass with number ``iteration``, from 0; ``first``: that of pass 0; ``samples``: camera paths per
+    pixel and pass. It is the radius that passes of one camera path per pixel [Georgiev 2012, eq. 10] have after as many
+    camera paths."""
+    return float(first * (iteration * samples + 1) ** ((alpha - 1.0) / 2.0))
 
 
 def half_diagonal(method: ImageMethod) -> float:

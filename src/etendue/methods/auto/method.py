@@ -18,6 +18,7 @@ environment, and ``path`` the others.
 from __future__ import annotations
 
 import itertools
+import math
 import time
 from dataclasses import dataclass
 from typing import ClassVar
@@ -30,7 +31,7 @@ from etendue.film import COMPONENTS
 from etendue.scene import LightTable, Problem, materials
 from etendue.transport import CameraPath, Candidate, DirectWeights, FirstHits, Moments, Walker
 
-from ..base import STEP_LANES, CameraSettings, ImageMethod, Layer
+from ..base import CameraSettings, ImageMethod, Layer
 from ..bidirectional import Vcm
 from ..bidirectional_settings import BidirectionalSettings
 from ..path import Path, path_pass, traced
@@ -84,7 +85,8 @@ class AutoSettings(CameraSettings):
     radius: float = setting(0.006, "merge radius of the first pass, over half the diagonal of the scene", above=0.0)
     alpha: float = setting(
         0.75,
-        "reduction of the merge radius: that of pass i = 1, 2, ... is radius * i^((alpha - 1) / 2); 1: constant",
+        "reduction of the merge radius: after m camera paths per pixel it is radius * (m + 1)^((alpha - 1) / 2); "
+        "1: constant",
         above=0.0,
         maximum=1.0,
     )
@@ -126,7 +128,7 @@ class Auto(Carrying, ImageMethod):
 
     def full_lanes(self) -> int:
         """See :class:`ImageMethod`. Passes of path tracing are as small as those that merge."""
-        return STEP_LANES
+        return super().full_lanes() // 2
 
     # ------------------------------------------------------------------ passes
 
@@ -257,9 +259,10 @@ class Auto(Carrying, ImageMethod):
     def _moments(self) -> Moments:
         """Estimates of the moments of a pass."""
         light_paths = LEARNER.light_paths * self.camera.pixels  # over camera paths of a pixel
-        return Moments(
-            CANDIDATES, LEARNER, self.problem.size, 1.0 / light_paths, 1.0 / BidirectionalSettings.eta_discount
-        )
+        # A photon is merged by several camera paths of a pixel, and of its neighbours: the noise of merges is not
+        # filtered as that of camera paths is. The root fits passes of 1 to 4 camera paths per pixel.
+        noise = math.sqrt(self.samples_per_iteration) / BidirectionalSettings.eta_discount
+        return Moments(CANDIDATES, LEARNER, self.problem.size, 1.0 / light_paths, noise)
 
     def _decide(self) -> None:
         """Choose the counts of the next passes."""

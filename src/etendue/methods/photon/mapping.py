@@ -24,7 +24,7 @@ from etendue.density import KERNELS
 from etendue.scene import Problem
 from etendue.transport import CameraPath, DirectWeights, Walker, WalkVertex
 
-from ..base import STEP_LANES, CameraSettings, ImageMethod, Layer, total
+from ..base import CameraSettings, ImageMethod, Layer, total
 from .photons import PhotonShot, PhotonTracer
 
 
@@ -94,8 +94,8 @@ class PhotonMapping(ImageMethod):
         self._light_paths = self.tracer.fitting(self.light_paths())
 
     def full_lanes(self) -> int:
-        """See :class:`ImageMethod`."""
-        return STEP_LANES
+        """See :class:`ImageMethod`. Half as many: photons are gathered pass by pass."""
+        return super().full_lanes() // 2
 
     @abstractmethod
     def light_paths(self) -> int:
