@@ -29,6 +29,7 @@ SCENES = "veach-bidir,water-caustic,ajar,stage,gaps,cornell-box,cornell-glass"
 ENTRANTS: dict[str, tuple[str, dict[str, Any]]] = {
     "path": ("path", {}),
     "bpt": ("bpt", {}),
+    "auto": ("auto", {}),
     "pssmlt": ("pssmlt", {}),
     "pssmlt bidirectional": ("pssmlt", {"estimator": "bidirectional"}),
     "mmlt": ("mmlt", {}),
@@ -42,6 +43,8 @@ REFERENCES: dict[str, dict[str, Any]] = {
     "cornell-glass": {},
     "skylight": {},
 }
+#: Passes that compile: ``auto`` first learns.
+_WARM_PASSES = {"auto": 4}
 #: Bars: scenes on which the best of the chains has a lower error than ``path``; than ``bpt``; and at most twice path's.
 BELOW_PATH, BELOW_BPT = ("veach-bidir", "water-caustic", "ajar", "stage", "gaps"), ("gaps",)
 Entrants = Annotated[Any, typer.Option("--entrants", parser=words, help="Rows, separated by commas.", metavar="NAMES")]
@@ -64,7 +67,7 @@ class _Run:
 
 def measure(
     scenes: Names = SCENES,
-    entrants: Entrants = "path,bpt,pssmlt,pssmlt bidirectional,mmlt",
+    entrants: Entrants = "path,bpt,auto,pssmlt,pssmlt bidirectional,mmlt",
     size: Size = "512x512",
     seconds: Seconds = 60.0,
     seeds: Seeds = 5,
@@ -120,7 +123,8 @@ def _render(
     made = kind(kind.Settings.from_mapping({"max_depth": problem.max_depth} | dict(settings)))
     made.prepare(problem, seed)
     warm = Replica(made, seed)
-    warm.step(0)  # compiles
+    for number in range(_WARM_PASSES.get(method, 1)):
+        warm.step(number)
     begin = clock()
     made = kind(made.settings)
     made.prepare(problem, seed)
