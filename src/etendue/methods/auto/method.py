@@ -277,7 +277,7 @@ class Auto(Carrying, ImageMethod):
                     products[candidate] *= 1.0 + _DOUBT[kind] / self._learned.passes
         best = min(products, key=lambda c: products[c])
         now = products.get(self._counts)
-        if now is None or self._learned.passes <= 1 or products[best] < _WORTH_IT * now:
+        if now is None or self._learned.passes <= self.settings.probe_passes or products[best] < _WORTH_IT * now:
             self._counts = best
         least = max(products[best], 1e-30)
         told = {c: p / least for c, p in products.items() if c in (_NONE, LEARNER) or p < 1.3 * least}
