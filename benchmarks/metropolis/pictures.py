@@ -174,13 +174,13 @@ def _record(case: Case, own: float, runs: Mapping[str, list[_Run]], seconds: flo
     for name, found in runs.items():
         errors = [run.error for run in found]
         means = [run.mean for run in found]
-        error = statistics.stdev(means) / math.sqrt(len(means)) if len(means) > 1 else math.nan
+        spread = f" ± {statistics.stdev(means) / math.sqrt(len(means)):.2%}" if len(means) > 1 else ""
         record.add(
             name,
             f"{middle[name]:.4g}",
             f"{min(errors):.3g} … {max(errors):.3g}",
             f"{statistics.median(run.own for run in found):.4g}",
-            f"{statistics.mean(means):+.2%} ± {error:.2%}",
+            f"{statistics.mean(means):+.2%}{spread}",
             f"{statistics.median(run.samples for run in found):.0f}",
             str(max(run.stay for run in found) or ""),
             f"{middle[name] / middle['path']:.3f}" if "path" in middle else "",
@@ -196,7 +196,7 @@ def _record(case: Case, own: float, runs: Mapping[str, list[_Run]], seconds: flo
             reached.append(middle[best] < middle["bpt"])
         record.notes.append(f"{text}: {'reached' if all(reached) else 'missed'}")
     record.notes += [
-        f"reference: {case.note}; its own relMSE: {own:.2g}",
+        f"reference: {case.note}" + (f"; its own relMSE: {own:.2g}" if own else ""),
         f"median of {len(next(iter(runs.values())))} seeds; entrants in turn in one process; preparation counts, "
         "compilation does not",
         "brightness: mean over the reference's, minus 1, and its standard error over the seeds",
