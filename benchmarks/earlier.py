@@ -49,6 +49,12 @@ class Earlier:
         self._process.communicate()
 
 
+def revision(checkout: Path) -> str:
+    """The commit of a checkout."""
+    asked = subprocess.run(["git", "-C", checkout, "rev-parse", "--short", "HEAD"], capture_output=True, text=True)
+    return asked.stdout.strip() or str(checkout)
+
+
 def _main(variant: str, source: str, width: int, height: int) -> None:
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what the library prints is no answer

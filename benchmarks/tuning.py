@@ -27,12 +27,12 @@ from etendue.scene import scene_xml
 from etendue.transport import Candidate
 
 from .choice import scaled_size, sources
-from .earlier import Earlier
+from .earlier import Earlier, revision
 from .measuring import Record, console, verdict
 from .options import Methods, Names, Pixels, Seeds
 
-#: Geometric mean of the errors of ``auto`` over those of ``vcm``, and the worst error over that of the best method.
-BAR, WORST_BAR = 0.4, 1.1
+#: Geometric mean of the errors of ``auto`` over those of ``vcm``, and over those of the best method; the worst one.
+BAR, BEST_BAR, WORST_BAR = 0.4, 0.7, 1.1
 SCENES = (
     "caustics,cornell-box,cornell-glass,ajar,skylight,stage,veach-bidir,water-caustic,grey-white-room,wooden-staircase"
 )
@@ -86,7 +86,11 @@ def measure(
             done = {(row["method"], row["seed"]) for row in _rows(out, name, size, marks)}
             if wanted := [entrant for entrant in entrants if (entrant, seed) not in done]:
                 _race(name, known[name], size, wanted, seed, marks, out, before)
-    return [_table(names, known, pixels, entrants, seeds, marks, mark, out) for mark in marks]
+    tables = [_table(names, known, pixels, entrants, seeds, marks, mark, out) for mark in marks]
+    if before is not None:
+        for table in tables:
+            table.notes.append(f"before: the state of {revision(before)}")
+    return tables
 
 
 def _file(out: Path) -> Path:
@@ -273,7 +277,9 @@ def _table(
         record.notes.append(f"geometric mean of auto / vcm: {mean:.2f}, {verdict(mean, BAR)}")
     if over_best:
         mean = statistics.geometric_mean(over_best)
-        record.notes.append(f"auto / best other: worst {max(over_best):.2f}, geometric mean {mean:.2f}")
+        record.notes.append(
+            f"auto / best other: worst {max(over_best):.2f}, geometric mean {mean:.2f}, {verdict(mean, BEST_BAR)}"
+        )
     record.notes += [
         f"error: mean of (x - ref)² / (ref² + {RELATIVE_EPSILON:g}) without the worst 0.1 % of pixels, less that of "
         "the reference, times the CPU seconds of the pass that reached the time over the time",
