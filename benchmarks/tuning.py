@@ -56,7 +56,7 @@ _WARM_UP = 1 << 20
 #: Ends the names of methods of an earlier state.
 _BEFORE = ", before"
 #: Passes that warm up: ``auto`` first learns.
-_WARM_PASSES = {"auto": 4}
+WARM_PASSES = {"auto": 4}
 
 
 def measure(
@@ -113,7 +113,7 @@ class _Run:
         estimator = method(method.Settings(max_depth=problem.max_depth))
         estimator.prepare(problem, seed + _WARM_UP)
         warm = Replica(estimator, seed + _WARM_UP)
-        for iteration in range(_WARM_PASSES.get(name, 1)):
+        for iteration in range(WARM_PASSES.get(name, 1)):
             warm.step(iteration)
         start = time.process_time()
         estimator = method(method.Settings(max_depth=problem.max_depth))

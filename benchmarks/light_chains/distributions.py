@@ -78,7 +78,7 @@ def _repeats(problem: Problem, name: str, millions: float, out: Path) -> Record:
         )
     plot = out / f"repeats-{name}.svg"
     save(plot, curves, f"{name}: particles by repeats", "steps at a particle", "share of particles")
-    steps = max(8, round(1e6 * millions / _CHAINS))
+    steps = _chains(1e6 * millions, SIZES[0])["steps"]
     record.notes.append(
         f"{_CHAINS} chains of {steps} steps; shares of the particles at which a chain stayed for so many steps; the "
         "thesis: more than 20 are rare"

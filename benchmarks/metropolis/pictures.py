@@ -23,6 +23,7 @@ from ..choice import scaled_size
 from ..measuring import Record, console
 from ..options import Names, Out, ReferenceSeconds, Seconds, Seeds, Size, words
 from ..quality import Case, find
+from ..tuning import WARM_PASSES
 
 SCENES = "veach-bidir,water-caustic,ajar,stage,gaps,cornell-box,cornell-glass"
 #: Method and settings of each entrant.
@@ -43,8 +44,6 @@ REFERENCES: dict[str, dict[str, Any]] = {
     "cornell-glass": {},
     "skylight": {},
 }
-#: Passes that compile: ``auto`` first learns.
-_WARM_PASSES = {"auto": 4}
 #: Bars: scenes on which the best of the chains has a lower error than ``path``; than ``bpt``; and at most twice path's.
 BELOW_PATH, BELOW_BPT = ("veach-bidir", "water-caustic", "ajar", "stage", "gaps"), ("gaps",)
 Entrants = Annotated[Any, typer.Option("--entrants", parser=words, help="Rows, separated by commas.", metavar="NAMES")]
@@ -123,7 +122,7 @@ def _render(
     made = kind(kind.Settings.from_mapping({"max_depth": problem.max_depth} | dict(settings)))
     made.prepare(problem, seed)
     warm = Replica(made, seed)
-    for number in range(_WARM_PASSES.get(method, 1)):
+    for number in range(WARM_PASSES.get(method, 1)):
         warm.step(number)
     begin = clock()
     made = kind(made.settings)

@@ -10,7 +10,8 @@ their MIS weights [Georgiev 2012, eq. 9]:
 
 - ``bpt``: emission hits, next event, connections, camera splats. Unbiased.
 - ``bpm``: merging, and hits on lights seen directly or through mirrors and glass. Consistent.
-- ``vcm``: all of them. Consistent: the merge radius shrinks as :math:`r_1 (m + 1)^{(\alpha - 1)/2}`.
+- ``vcm``: all of them. Consistent: after m camera paths per pixel the merge radius is
+  :math:`r_1 (m + 1)^{(\alpha - 1)/2}`.
 
 Limit: a caustic of a point light that is seen in a mirror is found by merging only, blurred by the radius.
 """
