@@ -232,13 +232,18 @@ class _Axis:
             row[end - self.candidates : end] = weights
         return on_device(mi.Float, dense.ravel()), offsets
 
-    def reached(self, spread: Spread) -> NDArray[np.float32]:
+    def by_border(self) -> NDArray[np.int64]:
+        """For each pixel of the axis one with as much film within the radius: itself, or that in the middle."""
+        pixel, middle = np.arange(self.size), self.size // 2
+        return np.where(np.minimum(pixel, self.size - 1 - pixel) > math.ceil(self.reach), middle, pixel)
+
+    def reached(self, spread: Spread, pixels: NDArray[np.int64]) -> NDArray[np.float32]:
         """Sum of the filter over the samples within the radius that are on the film, for each number of a sample and
-        each pixel of the axis, (samples, pixels); 1 away from the border."""
-        last, pixel = np.array(spread.last), np.arange(self.size)
-        sums = np.zeros((len(last), self.size), np.float32)
+        each of ``pixels`` of the axis, (samples, pixels); 1 away from the border."""
+        last = np.array(spread.last)
+        sums = np.zeros((len(last), len(pixels)), np.float32)
         for index, values in enumerate(spread.values):
-            source = pixel - (last - (self.candidates - 1 - index))[:, None]
+            source = pixels - (last - (self.candidates - 1 - index))[:, None]
             sums += np.array(values)[:, None] * ((source >= 0) & (source < self.size))
         return sums
 
@@ -302,8 +307,7 @@ class PixelFilter:
         y = pixel // width
         x = pixel - y * width
         dr.eval(values)
-        reached = self._y.reached(down).T @ self._x.reached(across) / np.float32(samples)
-        inverse = copied_to_device(mi.Float, 1.0 / reached.ravel())
+        inverse = self._inverse_reached(across, down)
         if samples == 1:  # a third of the memory
             rows = [self._x.convolve(layer, across, x, 1) for layer in values]
             dr.eval(rows)
@@ -312,6 +316,16 @@ class PixelFilter:
             results = [layer * inverse for layer in self._by_neighbour(values, across, down, x, y)]
         dr.eval(results)
         return results
+
+    def _inverse_reached(self, across: Spread, down: Spread) -> mi.Float:
+        """1 over the mean filter weight of the samples that reach each pixel; 1 away from the border."""
+        # Pixels away from the border are alike, so that few rows and columns have to be multiplied. Not by BLAS,
+        # whose threads would wait beside those of Dr.Jit and take longer than all the rest.
+        columns, column = np.unique(self._x.by_border(), return_inverse=True)
+        rows, row = np.unique(self._y.by_border(), return_inverse=True)
+        reached = np.einsum("si,sj->ij", self._y.reached(down, rows), self._x.reached(across, columns))
+        inverse = np.float32(dr.width(across.last)) / reached
+        return copied_to_device(mi.Float, inverse[np.ix_(row, column)].ravel())
 
     def _by_neighbour(self, values: list[V], across: Spread, down: Spread, x: mi.UInt32, y: mi.UInt32) -> list[V]:
         """Sums over several samples a pixel, of all layers in one kernel: those of a pixel are added along the rows
