@@ -5,7 +5,7 @@ from __future__ import annotations
 import atexit
 import weakref
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from types import TracebackType
@@ -35,13 +35,20 @@ def _close_all() -> None:
 class Viewer:
     """A scene that is shown in browsers until :meth:`close`; in a notebook, below the cell. ``url``: its address."""
 
-    def __init__(self, asked: Asked, host: str = "127.0.0.1", port: int = 0, tev: str | None = None) -> None:
+    def __init__(
+        self,
+        asked: Asked,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        tev: str | None = None,
+        origins: Iterable[str] = (),
+    ) -> None:
         if not isinstance(port, int) or not 0 <= port < 1 << 16:
             raise OptionError(f"a port is a whole number from 0 (any that is free) to 65535, not {port!r}")
         methods.get(asked.method).Settings.from_mapping(asked.settings, owner=f"method '{asked.method}'")
         self._second = None if tev is None else TevDisplay(tev, "etendue view")
         self._session = Session(asked)
-        self._server = Server(self._session, host, port)  # before the scene is loaded, which may take long
+        self._server = Server(self._session, host, port, origins)  # before the scene is loaded, which may take long
         if self._second is not None and self._second.connect():
             offer = self._second.offer
             self._session.on_picture = lambda layers: offer(lambda: layers)
@@ -107,6 +114,7 @@ def view(
     variant: str | None = None,
     host: str = "127.0.0.1",
     port: int = 0,
+    allow_origin: str | Sequence[str] = (),
     tev: str | None = None,
     folder: str | Path = ".",
     solution: str | Path | None = None,
@@ -115,11 +123,12 @@ def view(
     """Show ``scene`` live in the browser, and in a notebook below the cell. The arguments are those of
     :func:`etendue.render`.
 
-    The server listens at ``host`` and ``port`` (0: any that is free); its address has a token. The session goes on in
-    the background until ``close()``; while it does, use no other Mitsuba or Dr.Jit code in this process, or pause it in
-    the page. Files that are saved are written to ``folder``. ``tev`` is the address of the image viewer tev, such as
-    ``localhost:14158``, which then shows the picture and its layers, too. ``solution`` is a file of a solution of
-    radiosity, which the 3-D view then shows.
+    The server listens at ``host`` and ``port`` (0: any that is free); its address has a token. It answers pages of this
+    machine's names; ``allow_origin`` are those of a hub or proxy before it, such as ``https://hub.example.org``. The
+    session goes on in the background until ``close()``; while it does, use no other Mitsuba or Dr.Jit code in this
+    process, or pause it in the page. Files that are saved are written to ``folder``. ``tev`` is the address of the
+    image viewer tev, such as ``localhost:14158``, which then shows the picture and its layers, too. ``solution`` is a
+    file of a solution of radiosity, which the 3-D view then shows.
 
     Raises :class:`OptionError` for an argument out of range, and :class:`BackendError` if tornado is not installed. A
     scene that cannot be loaded is told in the page, where another can be opened.
@@ -138,4 +147,5 @@ def view(
         folder=Path(folder).absolute(),
         solution=None if solution is None else Path(solution).absolute(),
     )
-    return Viewer(asked, host, port, tev)
+    origins = (allow_origin,) if isinstance(allow_origin, str) else allow_origin
+    return Viewer(asked, host, port, tev, origins)
