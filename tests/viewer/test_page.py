@@ -4,6 +4,7 @@ import asyncio
 
 import pytest
 from support.browser import PROGRAM, Browser
+from support.viewing import proxied
 
 import etendue
 
@@ -64,6 +65,20 @@ def test_by_keyboard_alone(viewer):
         await tab.until(f"{ORIGIN} === '{before}'")
 
     browse(viewer, visit)
+
+
+def test_below_a_path_of_a_proxy(viewer):
+    """The assets, the modules of panels and the WebSocket are found there."""
+    prefix = "/user/me/proxy/8411"
+
+    async def go():
+        async with proxied(viewer._server.port, prefix) as port, Browser() as tab:
+            await tab.open(f"http://localhost:{port}{prefix}/{viewer._server.token}/")
+            await tab.until("document.body.dataset.ready === 'true'")
+            await tab.until("document.getElementById('stage').dataset.frame > 0")
+            assert not tab.errors
+
+    asyncio.run(go())
 
 
 def test_every_control_has_a_label(viewer):

@@ -8,7 +8,7 @@ import threading
 from urllib.parse import quote, urlsplit
 
 import pytest
-from support.viewing import Page
+from support.viewing import Page, proxied
 from tornado.httpclient import AsyncHTTPClient, HTTPClientError
 
 from etendue.core import OptionError
@@ -174,6 +174,24 @@ def test_a_refusal_says_what_to_do(server):
 def test_an_origin_that_is_none_is_one_line(origin):
     with pytest.raises(OptionError, match=r"such as https://hub\.example\.org"):
         Server(Stand(), origins=[origin])
+
+
+def test_below_a_path_of_a_proxy(server):
+    """The page's own addresses are relative, also that to which the address without the slash leads."""
+    prefix = f"/user/me/proxy/{server.port}"
+
+    async def visit():
+        async with proxied(server.port, prefix) as port:
+            base = f"http://127.0.0.1:{port}{prefix}/{server.token}"
+            client = AsyncHTTPClient(force_instance=True)
+            answer = await client.fetch(base)
+            assert answer.effective_url == base + "/" and b"<title>" in answer.body
+            assert b"class Stage" in (await client.fetch(base + "/assets/stage.js")).body
+            page = await Page.open(base + "/")
+            assert (await page.next())[0] == {"type": "state", "loaded": False}
+            page.close()
+
+    asyncio.run(visit())
 
 
 def test_bad_messages_are_told_and_the_connection_lives(server):

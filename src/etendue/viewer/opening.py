@@ -16,6 +16,7 @@ from etendue.core import OptionError, use_variant
 from etendue.display import TevDisplay
 from etendue.engine import Budget
 
+from .access.addresses import given_address, origins_of, reached
 from .server import Server
 from .session import Session
 from .states import Asked
@@ -42,13 +43,16 @@ class Viewer:
         port: int = 0,
         tev: str | None = None,
         origins: Iterable[str] = (),
+        address: str | None = None,
     ) -> None:
         if not isinstance(port, int) or not 0 <= port < 1 << 16:
             raise OptionError(f"a port is a whole number from 0 (any that is free) to 65535, not {port!r}")
         methods.get(asked.method).Settings.from_mapping(asked.settings, owner=f"method '{asked.method}'")
+        self._address = given_address(address)
         self._second = None if tev is None else TevDisplay(tev, "etendue view")
         self._session = Session(asked)
         self._server = Server(self._session, host, port, origins)  # before the scene is loaded, which may take long
+        self._server.trusted.allow(origins_of(self._address, self._server.port))
         if self._second is not None and self._second.connect():
             offer = self._second.offer
             self._session.on_picture = lambda layers: offer(lambda: layers)
@@ -57,12 +61,14 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """The address of the page, with the token without which nothing is answered."""
-        return self._server.url
+        """The address of the page, with the token without which nothing is answered; below ``address`` if one was
+        given."""
+        server = self._server
+        return reached(self._address, server.port, server.token) if self._address else server.url
 
     def show(self) -> bool:
-        """Open the page in a browser; returns whether one was found."""
-        return webbrowser.open(self.url)
+        """Open the page in a browser of this machine; returns whether one was found."""
+        return webbrowser.open(self._server.url)
 
     def loaded(self, timeout: float | None = None) -> bool:
         """Wait until the scene is loaded, or could not be; returns whether it is so."""
@@ -115,6 +121,7 @@ def view(
     host: str = "127.0.0.1",
     port: int = 0,
     allow_origin: str | Sequence[str] = (),
+    address: str | None = None,
     tev: str | None = None,
     folder: str | Path = ".",
     solution: str | Path | None = None,
@@ -124,8 +131,12 @@ def view(
     :func:`etendue.render`.
 
     The server listens at ``host`` and ``port`` (0: any that is free); its address has a token. It answers pages of this
-    machine's names; ``allow_origin`` are those of a hub or proxy before it, such as ``https://hub.example.org``. The
-    session goes on in the background until ``close()``; while it does, use no other Mitsuba or Dr.Jit code in this
+    machine's names; ``allow_origin`` are those of a hub or proxy before it, such as ``https://hub.example.org``.
+    ``address`` is where the reader's browser reaches the server if that is another machine: a URL, whose origin is
+    allowed then, or a path on the server of the notebook, such as ``/user/me/proxy/{port}``; by default that of the
+    environment variable ``ETENDUE_VIEW_ADDRESS``, else the server itself.
+
+    The session goes on in the background until ``close()``; while it does, use no other Mitsuba or Dr.Jit code in this
     process, or pause it in the page. Files that are saved are written to ``folder``. ``tev`` is the address of the
     image viewer tev, such as ``localhost:14158``, which then shows the picture and its layers, too. ``solution`` is a
     file of a solution of radiosity, which the 3-D view then shows.
@@ -148,4 +159,4 @@ def view(
         solution=None if solution is None else Path(solution).absolute(),
     )
     origins = (allow_origin,) if isinstance(allow_origin, str) else allow_origin
-    return Viewer(asked, host, port, tev, origins)
+    return Viewer(asked, host, port, tev, origins, address)

@@ -3,7 +3,7 @@
 Every address begins with the token (``/TOKEN/``), so that the relative addresses of the page have it, in a frame of a
 notebook as well, where cookies of another site are refused. A request is answered only if it asks for a name of this
 machine, by the header Host, and comes from a page of this server, by the header Origin; one without Origin, from a
-program, needs the token alone. Further origins can be allowed, see :mod:`etendue.viewer.trusted`.
+program, needs the token alone. Further origins can be allowed, see :mod:`etendue.viewer.access.trusted`.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from urllib.parse import quote
 
 from etendue.core import EtendueError, OptionError, describe, library, logger
 
+from .access.trusted import Trusted, is_everywhere
 from .clients import Client
 from .protocol import LARGEST_MESSAGE, parsed
-from .trusted import Trusted, is_everywhere
 
 _PURPOSE, _EXTRA = "the viewer", "viewer"
 _HEADERS = {
@@ -170,7 +170,7 @@ def application(server: Server) -> Any:
         """The token without the slash after it, which relative addresses need."""
 
         def get(self, token: str) -> None:
-            self.redirect(f"/{token}/")
+            self.redirect(f"{token}/")  # relative, since a proxy may have put a path before it
 
     class Page(Guarded):
         def get(self, token: str) -> None:

@@ -57,6 +57,14 @@ def view(
             metavar="URL",
         ),
     ] = None,
+    address: Annotated[
+        str | None,
+        typer.Option(
+            "--address",
+            help="Where a browser on another machine reaches the viewer, for the address that is printed.",
+            metavar="URL",
+        ),
+    ] = None,
     radiosity: Annotated[
         Path | None, typer.Option("--radiosity", help="Show a solution of `etendue radiosity` in 3-D.", metavar="FILE")
     ] = None,
@@ -93,17 +101,23 @@ def view(
         raise SceneError(f"there is no solution '{radiosity}'; make one by `etendue radiosity SCENE -o {radiosity}`")
     name = methods.get(method or "path").name
     asked = Asked(found, name, settings, budget, size, sensor, parameters, memory, seed, solution=radiosity)
-    return show(asked, host.strip(), port, not no_browser, tev, allow_origin or ())
+    return show(asked, host.strip(), port, not no_browser, tev, allow_origin or (), address)
 
 
 def show(
-    asked: Asked, host: str, port: int, in_browser: bool, tev: str | None = None, origins: Sequence[str] = ()
+    asked: Asked,
+    host: str,
+    port: int,
+    in_browser: bool,
+    tev: str | None = None,
+    origins: Sequence[str] = (),
+    address: str | None = None,
 ) -> int:
     """Run a session until a page or Ctrl-C ends it."""
     from etendue.viewer import Viewer
 
     console = error_console()
-    with Viewer(asked, host, port, tev, origins) as viewer:
+    with Viewer(asked, host, port, tev, origins, address) as viewer:
         note(console, "open this address in a browser; Ctrl-C ends the session:")
         say(viewer.url)
         if in_browser and not viewer.show():

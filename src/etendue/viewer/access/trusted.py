@@ -27,6 +27,10 @@ class Trusted:
         self._host = host.lower()
         self._origins = [origin_of(origin) for origin in origins]
 
+    def allow(self, origins: Iterable[str]) -> None:
+        """Answer pages of further origins. Raises :class:`OptionError` for one that is none."""
+        self._origins += [origin_of(origin) for origin in origins]
+
     def host(self, host: str) -> bool:
         """Whether the server may be asked for as ``host``, the value of the header: by a name of this machine, by that
         of an allowed origin, or by any if the server is bound to all addresses."""
