@@ -28,7 +28,7 @@ def test_the_frame_is_at_the_address_that_is_given(opened, monkeypatch):
     assert viewer.url == server.url == f"http://127.0.0.1:{server.port}/{server.token}/"
     viewer, server = opened(address="/user/me/proxy/{port}/")
     assert viewer.url == f"/user/me/proxy/{server.port}/{server.token}/"
-    assert f'src="{viewer.url}"' in viewer._repr_html_()
+    assert f'data="{viewer.url}"' in viewer._repr_html_()
     assert not server.trusted.host("hub.example.org")
     monkeypatch.setenv(VARIABLE, "https://hub.example.org/user/me/proxy/{port}")
     viewer, server = opened()

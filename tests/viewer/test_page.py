@@ -81,6 +81,31 @@ def test_below_a_path_of_a_proxy(viewer):
     asyncio.run(go())
 
 
+def test_the_frame_of_a_notebook(tmp_path):
+    """It fits the width; in a notebook that was saved, where the viewer is gone, there is a line instead of it."""
+    saved = tmp_path / "saved.html"
+
+    async def go():
+        box = "document.querySelector('object').getBoundingClientRect().height"
+        async with Browser(900, 900) as tab:
+            with etendue.view("cornell-box", "path", size=(64, 48), samples=1) as made:
+                saved.write_text(f"<!doctype html><meta charset=utf-8><body>{made._repr_html_()}", encoding="utf-8")
+                await tab.open(saved.as_uri())
+                await tab.until("document.querySelector('object')")
+                await asyncio.to_thread(made.loaded)
+                while not len(made._session.clients):  # the page within is there
+                    await asyncio.sleep(0.1)
+                assert await tab.value(box) == 720
+                assert await tab.value("document.documentElement.scrollWidth <= innerWidth")
+            await tab.open("about:blank")
+            await tab.open(saved.as_uri())
+            await tab.until(f"document.querySelector('object') && {box} < 100")
+            assert await tab.value("document.querySelector('object p').getBoundingClientRect().height") > 0
+            assert "This viewer has ended" in await tab.value("document.body.innerText")
+
+    asyncio.run(asyncio.wait_for(go(), 120))
+
+
 def test_every_control_has_a_label(viewer):
     async def visit(tab):
         await tab.value("document.querySelectorAll('details').forEach((d) => { d.open = true; })")

@@ -99,9 +99,14 @@ class Viewer:
     def _repr_html_(self) -> str:
         if self._session.ended.is_set():
             return "<p>The viewer has ended.</p>"
+        # An object and not an iframe: where the server is gone, as in a notebook that was saved, browsers show what is
+        # in the object instead of an error page. It is inline, so that its height is that of the live page only.
         return (
-            f'<iframe src="{escape(self.url)}" title="étendue viewer" style="width: 100%; height: {_HEIGHT}px; '
-            'border: 1px solid #8888; border-radius: 6px" allow="fullscreen"></iframe>'
+            '<div style="box-sizing: border-box; width: 100%; overflow: hidden; border: 1px solid #8888; '
+            f'border-radius: 6px"><object type="text/html" data="{escape(self.url)}" aria-label="étendue viewer" '
+            f'style="width: 100%; height: {_HEIGHT}px; vertical-align: bottom">'
+            '<p style="margin: 1em">This viewer has ended, or the browser cannot reach it. Run the cell again to open '
+            "one; if Python runs on another machine, give <code>address=</code>.</p></object></div>"
         )
 
 
