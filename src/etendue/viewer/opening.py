@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import atexit
-import weakref
 import webbrowser
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
@@ -17,12 +16,16 @@ from etendue.display import TevDisplay
 from etendue.engine import Budget
 
 from .access.addresses import given_address, origins_of, reached
+from .cells import Cell, running_cell
 from .server import Server
 from .session import Session
 from .states import Asked
 
-#: Viewers that are open. A process that ends in the middle of a kernel may crash, so they are closed before.
-_open: weakref.WeakSet[Viewer] = weakref.WeakSet()
+#: Viewers that are open, also those that nobody else holds: their threads go on. A process that ends in the middle of a
+#: kernel may crash, so they are closed before.
+_open: set[Viewer] = set()
+#: Why a viewer is closed when its cell opens another one.
+_AGAIN = "this cell was run again"
 #: Height of the frame in a notebook, in pixels.
 _HEIGHT = 720
 
@@ -33,8 +36,19 @@ def _close_all() -> None:
         viewer.close()
 
 
+def _close_earlier(cell: Cell) -> None:
+    """Close the viewers of earlier runs of a cell, which have no page any more, and those that a page has ended."""
+    for viewer in list(_open):
+        if cell.is_again(viewer._cell):
+            viewer._why = _AGAIN
+            viewer.close()
+        elif viewer.wait(0):
+            viewer.close()
+
+
 class Viewer:
-    """A scene that is shown in browsers until :meth:`close`; in a notebook, below the cell. ``url``: its address."""
+    """A scene that is shown in browsers until :meth:`close`; in a notebook, below the cell, until that cell opens
+    another one. ``url``: its address."""
 
     def __init__(
         self,
@@ -49,6 +63,9 @@ class Viewer:
             raise OptionError(f"a port is a whole number from 0 (any that is free) to 65535, not {port!r}")
         methods.get(asked.method).Settings.from_mapping(asked.settings, owner=f"method '{asked.method}'")
         self._address = given_address(address)
+        self._why = ""  # it has ended, if there is more to say
+        self._cell = running_cell()
+        _close_earlier(self._cell)  # before the port is taken and the scene loaded
         self._second = None if tev is None else TevDisplay(tev, "etendue view")
         self._session = Session(asked)
         self._server = Server(self._session, host, port, origins)  # before the scene is loaded, which may take long
@@ -81,9 +98,10 @@ class Viewer:
     def close(self) -> None:
         """End the session, disconnect the pages and release the scene."""
         self._session.close()
-        self._server.close()
+        self._server.close(self._why)
         if self._second is not None:
             self._second.close()
+        _open.discard(self)
 
     def __enter__(self) -> Self:
         return self
@@ -98,7 +116,7 @@ class Viewer:
 
     def _repr_html_(self) -> str:
         if self._session.ended.is_set():
-            return "<p>The viewer has ended.</p>"
+            return f"<p>The viewer has ended{f': {self._why}' if self._why else ''}.</p>"
         # An object and not an iframe: where the server is gone, as in a notebook that was saved, browsers show what is
         # in the object instead of an error page. It is inline, so that its height is that of the live page only.
         return (
@@ -141,7 +159,8 @@ def view(
     allowed then, or a path on the server of the notebook, such as ``/user/me/proxy/{port}``; by default that of the
     environment variable ``ETENDUE_VIEW_ADDRESS``, else the server itself.
 
-    The session goes on in the background until ``close()``; while it does, use no other Mitsuba or Dr.Jit code in this
+    The session goes on in the background until ``close()``, or until the same cell of a notebook is run again; while it
+    does, use no other Mitsuba or Dr.Jit code in this
     process, or pause it in the page. Files that are saved are written to ``folder``. ``tev`` is the address of the
     image viewer tev, such as ``localhost:14158``, which then shows the picture and its layers, too. ``solution`` is a
     file of a solution of radiosity, which the 3-D view then shows.

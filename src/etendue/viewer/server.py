@@ -64,6 +64,7 @@ class Server:
         self.token = secrets.token_urlsafe(24)
         self.host, self.port = host, port
         self._session = session
+        self._why = ""
         self._sockets: set[Any] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stop: asyncio.Event | None = None
@@ -81,8 +82,9 @@ class Server:
         host = socket.gethostname() if is_everywhere(self.host) else self.host
         return f"http://{f'[{host}]' if ':' in host else host}:{self.port}/{self.token}/"
 
-    def close(self) -> None:
-        """Disconnect all pages and end the thread."""
+    def close(self, why: str = "") -> None:
+        """Disconnect all pages and end the thread. ``why`` is told to the pages, in at most 123 bytes."""
+        self._why = why
         if self._loop is not None and self._stop is not None and self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._stop.set)
         if threading.current_thread() is not self._thread:
@@ -120,7 +122,7 @@ class Server:
         await self._stop.wait()
         server.stop()
         for opened in list(self._sockets):
-            opened.close(1001, "the viewer has ended")
+            opened.close(1001, self._why or None)
         await asyncio.sleep(0.05)  # lets the last messages leave
         await server.close_all_connections()
 

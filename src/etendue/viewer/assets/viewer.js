@@ -13,8 +13,8 @@ let state = null;
 let camera = null;
 let compared = null;
 
-const connection = new Connection((status) => {
-  const texts = { open: '', closed: 'The connection is lost; trying again…', ended: 'The session has ended. This page can be closed.' };
+const connection = new Connection((status, why) => {
+  const texts = { open: '', closed: 'The connection is lost; trying again…', ended: `The session has ended${why ? `: ${why}` : ''}. This page can be closed.` };
   wait(texts[status]);
   document.body.dataset.connection = status;
 });
