@@ -106,6 +106,31 @@ def test_the_frame_of_a_notebook(tmp_path):
     asyncio.run(asyncio.wait_for(go(), 120))
 
 
+def test_that_the_session_has_ended_stays_when_a_late_picture_is_drawn():
+    waiting = "document.getElementById('waiting')"
+
+    async def go():
+        async with Browser() as tab:
+            with etendue.view("cornell-box", "path", size=(64, 48), max_depth=3) as made:
+                await tab.open(made.url)
+                await tab.until("document.getElementById('stage').dataset.frame > 1")
+                # Decoding takes until the viewer is closed.
+                await tab.value(
+                    "window.decoding = 0; window.released = new Promise((r) => { window.release = r; });"
+                    "const real = createImageBitmap; window.createImageBitmap = async (blob) => "
+                    "{ decoding += 1; await released; return real(blob); }; 0"
+                )
+                await tab.until("decoding > 0")
+                frame = await tab.value("document.getElementById('stage').dataset.frame")
+            await tab.until(f"{waiting}.textContent.startsWith('The session has ended') && !{waiting}.hidden")
+            await tab.value("release()")
+            await tab.until(f"document.getElementById('stage').dataset.frame !== '{frame}'")
+            await asyncio.sleep(0.3)
+            assert await tab.value(f"!{waiting}.hidden && {waiting}.textContent.startsWith('The session has ended')")
+
+    asyncio.run(asyncio.wait_for(go(), 120))
+
+
 def test_every_control_has_a_label(viewer):
     async def visit(tab):
         await tab.value("document.querySelectorAll('details').forEach((d) => { d.open = true; })")

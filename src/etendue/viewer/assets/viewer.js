@@ -20,7 +20,8 @@ const connection = new Connection((status, why) => {
 });
 
 const stage = new Stage(connection, {
-  drawn: () => { if (state?.loaded) wait(''); },
+  // A picture may still be decoded when the connection has gone: what is said of that stays.
+  drawn: () => { if (state?.loaded && document.body.dataset.connection === 'open') wait(''); },
   keys: {
     Home: () => connection.send('camera', { reset: true }),
     KeyV: () => connection.send('views', { save: true }),
