@@ -187,6 +187,15 @@ def test_a_run_in_a_notebook_shows_its_progress(notebook):
     assert tree(notebook[-1]).find(".//progress").get("value") == "1.0000"
 
 
+def test_progress_is_in_the_words_of_the_work(notebook, solution):
+    result = etendue.trace_particles("cornell-box", paths=2000)
+    assert "2000 paths, " in notebook[-1] and "spp" not in notebook[-1] and "pass " not in notebook[-1]
+    assert "number of paths" in result._repr_html_()
+    result = etendue.compute_form_factors(solution.patches, bundles=16)
+    assert "16 bundles, " in notebook[-1] and "segments/s" in notebook[-1] and "spp" not in notebook[-1]
+    assert "number of bundles" in result._repr_html_()
+
+
 def test_elsewhere_nothing_is_shown(notebook, monkeypatch):
     monkeypatch.setattr(sys.modules["IPython"], "get_ipython", lambda: SimpleNamespace())  # IPython in a terminal
     assert LiveProgress.in_notebook("a") is None

@@ -6,10 +6,11 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
-from etendue.core import EtendueError, Progress, describe, logger
+from etendue.core import EtendueError, Progress, describe, format_count, logger
 from etendue.engine import RunError, Runner, RunResult, Session
 
 if TYPE_CHECKING:
@@ -23,7 +24,8 @@ Watch = Callable[[Progress, Runner], object]
 
 class Work(Protocol[T_co]):
     """Work that makes passes and a result. If it has a method ``observe``, that is called with the progress after each
-    pass."""
+    pass. Work that makes no picture has a method ``told``, which returns the progress in its own words, or an attribute
+    ``counted``, a word for one of its samples."""
 
     def runner(self, **options: Any) -> Runner:
         """The runner of the passes and of intermediate saves; ``options`` are further options of :class:`Runner`."""
@@ -52,6 +54,10 @@ class Passes:
     def observe(self, progress: Progress) -> None:
         """See :class:`Work`."""
         _observe(self.work, progress)
+
+    def told(self, progress: Progress) -> Progress:
+        """See :class:`Work`."""
+        return _told(self.work, progress)
 
     def keep(self, run: RunResult) -> None:
         """See :class:`Work`."""
@@ -126,7 +132,15 @@ def _watched(work: Work[Any], stop: threading.Event, watch: Watch | None) -> Run
             stop.set()
 
     runner.on_progress = after_pass
+    runner.told = partial(_told, work)
     return runner
+
+
+def _told(work: Work[Any], progress: Progress) -> Progress:
+    if (tell := getattr(work, "told", None)) is not None:
+        return cast("Progress", tell(progress))
+    one = getattr(work, "counted", "")
+    return replace(progress, made=format_count(progress.samples, one)) if one else progress
 
 
 def _observe(work: Work[Any], progress: Progress) -> None:

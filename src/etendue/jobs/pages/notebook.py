@@ -128,9 +128,16 @@ def _patches(patches: Any) -> str:
     return card("Patches", facts, _mesh(patches, reflectance if patches.channels == 3 else reflectance.mean(axis=1)))
 
 
+def _ended_by(reason: str, counted: str) -> str:
+    """What ended a run. ``counted``: what its budget in samples counts."""
+    words = {"seconds": "time", "samples": f"number of {counted}", "cancel": "cancelled", "failure": "an error"}
+    return words.get(reason, reason)
+
+
 def _solved(result: Any) -> str:
     """A result of radiosity: its picture, if it has one, and the solution."""
-    facts: dict[str, Any] = {"stopped by": result.stopped_by, "time": time_text(result.elapsed)}
+    counted = "bundles" if getattr(result, "bundles", 0) else "lines"
+    facts: dict[str, Any] = {"ended by": _ended_by(result.stopped_by, counted), "time": time_text(result.elapsed)}
     for name in ("bundles", "points", "passes"):
         if getattr(result, name, 0):
             facts[name] = getattr(result, name)
@@ -170,7 +177,8 @@ def _matrix(matrix: Any) -> Any:
 
 
 def _factor_result(result: Any) -> str:
-    more = {"bundles": result.bundles, "stopped by": result.stopped_by, "time": time_text(result.elapsed)}
+    ended = _ended_by(result.stopped_by, "bundles")
+    more = {"bundles": result.bundles, "ended by": ended, "time": time_text(result.elapsed)}
     return _factors(result.factors, more)
 
 
@@ -207,7 +215,8 @@ def _projected(particles: Any) -> Any:
 
 
 def _particle_result(result: Any) -> str:
-    facts = {"passes": result.passes, "stopped by": result.stopped_by, "time": time_text(result.elapsed)}
+    ended = _ended_by(result.stopped_by, "paths")
+    facts = {"passes": result.passes, "ended by": ended, "time": time_text(result.elapsed)}
     facts |= {name: f"{count:.6g}" for name, count in result.counters.items()}
     if result.particles is not None:
         return _particles(result.particles, facts)
