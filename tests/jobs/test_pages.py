@@ -183,8 +183,39 @@ def test_a_run_in_a_notebook_shows_its_progress(notebook):
     options = {"samples": 3, "samples_per_pass": 1, "size": (8, 8), "max_depth": 2}
     etendue.render("cornell-box", "path", callback=lambda update: seen.append(update.progress.passes), **options)
     assert seen == [1, 2, 3]
-    assert "starting" in notebook[0] and "pass 3, 3 spp" in notebook[-1]
-    assert tree(notebook[-1]).find(".//progress").get("value") == "1.0000"
+    assert "starting" in notebook[0] and "pass 1, 1 spp" in notebook[1]
+    assert tree(notebook[1]).find(".//progress").get("value") == "0.3333" and "ETA" in notebook[1]
+    assert "finishing: pass 3, 3 spp" in notebook[-2] and "done: pass 3, 3 spp" in notebook[-1]
+    assert all("ETA" not in html and "<progress" not in html for html in notebook[-2:])
+
+
+@pytest.mark.parametrize(
+    ("error", "kind", "how"),
+    [
+        (KeyboardInterrupt(), KeyboardInterrupt, "interrupted"),
+        (ValueError("no"), etendue.engine.RunError, "failed"),
+    ],
+)
+def test_a_run_that_does_not_reach_its_end_says_so(notebook, error, kind, how):
+    def stop(update):
+        if update.progress.passes == 2:
+            raise error
+
+    options = {"samples": 300, "samples_per_pass": 1, "size": (8, 8), "max_depth": 2}
+    with pytest.raises(kind):
+        etendue.render("cornell-box", "path", callback=stop, **options)
+    assert f"{how}: pass 2, 2 spp" in notebook[-1]
+    assert "ETA" not in notebook[-1] and "<progress" not in notebook[-1]
+
+
+def test_a_run_without_a_pass_says_so(notebook, monkeypatch):
+    def fails(*_, **__):
+        raise etendue.OptionError("no")
+
+    monkeypatch.setattr(etendue.engine.Runner, "run", fails)
+    with pytest.raises(etendue.OptionError):
+        etendue.render("cornell-box", "path", samples=1, size=(8, 8))
+    assert "failed before the first pass was done" in notebook[-1]
 
 
 def test_progress_is_in_the_words_of_the_work(notebook, solution):

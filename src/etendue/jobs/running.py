@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
@@ -72,20 +72,37 @@ class Passes:
 
 def run_work(work: Work[T], watch: Watch | None = None) -> T:
     """Run in this thread, so that ``watch`` may plot or raise."""
-    live = _live()
-    runner = _watched(work, threading.Event(), watch if live is None else _both(live.update, watch))
+    with _shown() as live:
+        runner = _watched(work, threading.Event(), watch if live is None else _both(live.update, watch))
+        try:
+            run = runner.run()
+        except RunError as failure:
+            _keep(work, failure.run)
+            raise
+        except KeyboardInterrupt:
+            if (done := runner.interrupted()) is not None:
+                _keep(work, done)
+            raise
+        if live is not None:
+            live.finishing(runner.progress)
+        return work.finish(run)
+
+
+@contextmanager
+def _shown() -> Iterator[LiveProgress | None]:
+    """Progress below the cell of a notebook, which says in the end how the run ended; ``None`` elsewhere."""
+    if (live := _live()) is None:
+        yield None
+        return
+    how = "failed"
     try:
-        run = runner.run()
-    except RunError as failure:
-        _keep(work, failure.run)
-        raise
+        yield live
+        how = "done"
     except KeyboardInterrupt:
-        if (done := runner.interrupted()) is not None:
-            _keep(work, done)
+        how = "interrupted"
         raise
-    if live is not None:
-        live.update(runner.progress, last=True)
-    return work.finish(run)
+    finally:
+        live.end(how)
 
 
 def _live() -> LiveProgress | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -275,6 +276,7 @@ class LiveProgress:
     def __init__(self, title: str, display: Any, html: Any) -> None:
         self._title, self._html = title, html
         self._next = 0.0
+        self._latest = Progress()
         self._handle = display(html(card(title, {}, status="starting")), display_id=True)
 
     @classmethod
@@ -290,9 +292,27 @@ class LiveProgress:
         shown: Any = import_module("IPython.display")
         return cls(title, shown.display, shown.HTML)
 
-    def update(self, progress: Progress, last: bool = False) -> None:
+    def update(self, progress: Progress) -> None:
         """Show the progress, a few times a second."""
-        if self._handle is None or (not last and time.monotonic() < self._next):
-            return
-        self._next = time.monotonic() + _EVERY
-        self._handle.update(self._html(card(self._title, {}, **_progress(progress))))
+        self._latest = progress
+        if time.monotonic() >= self._next:
+            self._next = time.monotonic() + _EVERY
+            self._show(**_progress(progress))
+
+    def finishing(self, progress: Progress) -> None:
+        """All passes are made; what they give is computed and written, which may take a while."""
+        self._latest = progress
+        self._show(status=_after("finishing", progress))
+
+    def end(self, how: str) -> None:
+        """The run has ended: ``done``, ``interrupted`` or ``failed``."""
+        self._show(status=_after(how, self._latest))
+
+    def _show(self, **shown: Any) -> None:
+        if self._handle is not None:
+            self._handle.update(self._html(card(self._title, {}, **shown)))
+
+
+def _after(how: str, progress: Progress) -> str:
+    """What was made, after the last pass: nothing is left to come then."""
+    return f"{how}: {replace(progress, eta=None)}" if progress.passes else f"{how} before the first pass was done"
