@@ -114,8 +114,9 @@ def test_what_a_callback_raises_costs_no_work(tmp_path):
         if update.progress.passes == 2:
             raise ValueError("plot window closed")
 
-    with pytest.raises(RunError, match="plot window closed"):
+    with pytest.raises(RunError, match="plot window closed") as caught:
         api.render("cornell-box", "path", samples=100, callback=callback, save=tmp_path / "a.exr", **SMALL)
+    assert caught.value.run.result.image.mean() > 0
     assert film.read_exr(tmp_path / "a.exr").metadata["passes"] == 2
 
 
@@ -124,8 +125,10 @@ def test_ctrl_c_writes_what_there_is(tmp_path):
         if update.progress.passes == 2:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt) as caught:
         api.render("cornell-box", "path", samples=100, callback=callback, checkpoint=tmp_path / "a", **SMALL)
+    (note,) = caught.value.__notes__
+    assert note.startswith("interrupted after 2 passes") and "session = etendue.start(...)" in note
     assert api.resume(tmp_path / "a", samples=6).metadata["passes"] == 3
 
 

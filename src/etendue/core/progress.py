@@ -72,8 +72,8 @@ def format_rate(rays_per_second: float, traced: str = "rays") -> str:
 
 
 def format_count(count: int, one: str) -> str:
-    """``1 bundle``, ``24 bundles``."""
-    return f"{count} {one}{'' if count == 1 else 's'}"
+    """``1 bundle``, ``24 bundles``, ``2 passes``."""
+    return f"{count} {one}{'' if count == 1 else 'es' if one.endswith('s') else 's'}"
 
 
 def format_shares(passes: Mapping[str, int]) -> str:

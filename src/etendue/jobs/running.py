@@ -25,7 +25,7 @@ Watch = Callable[[Progress, Runner], object]
 class Work(Protocol[T_co]):
     """Work that makes passes and a result. If it has a method ``observe``, that is called with the progress after each
     pass. Work that makes no picture has a method ``told``, which returns the progress in its own words, or an attribute
-    ``counted``, a word for one of its samples."""
+    ``counted``, a word for one of its samples. ``started_by``: the function that does it in the background."""
 
     def runner(self, **options: Any) -> Runner:
         """The runner of the passes and of intermediate saves; ``options`` are further options of :class:`Runner`."""
@@ -79,13 +79,26 @@ def run_work(work: Work[T], watch: Watch | None = None) -> T:
         except RunError as failure:
             _keep(work, failure.run)
             raise
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as error:
             if (done := runner.interrupted()) is not None:
                 _keep(work, done)
+            _advise(error, work, runner.progress)
+            if live is not None:  # the frames below are of whatever the pass was doing, and fill the page
+                raise error.with_traceback(None) from None
             raise
         if live is not None:
             live.finishing(runner.progress)
         return work.finish(run)
+
+
+def _advise(error: KeyboardInterrupt, work: Work[Any], progress: Progress) -> None:
+    """Add what to do instead of Ctrl-C, where what was made is lost for the caller."""
+    start = getattr(work, "started_by", "")
+    if start:
+        error.add_note(
+            f"interrupted after {format_count(progress.passes, 'pass')}; to stop a run and keep its result, begin it "
+            f"by session = {start}(...), then session.cancel() and session.result"
+        )
 
 
 @contextmanager

@@ -60,6 +60,7 @@ class RequestedWork(ABC, Generic[Q, R]):
 
     problem: Problem | None
     kept: ClassVar[str] = "lines"
+    started_by: ClassVar[str] = "etendue.start_radiosity"
     cluster: Cluster | None = None
 
     def __init__(self, request: Q, saved: Checkpoint | None) -> None:
@@ -299,6 +300,7 @@ class LinesWork(PatchWork[Q, R]):
 class FormFactorWork(LinesWork[FormFactorRequest, FormFactorResult]):
     """Form factors by lines."""
 
+    started_by = "etendue.start_form_factors"
     goal: ClassVar[Literal["rows", "irradiance"]] = "rows"
 
     def _objects(self) -> Objects | None:
