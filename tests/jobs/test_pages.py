@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import math
 import re
 import sys
 from types import ModuleType, SimpleNamespace
@@ -14,6 +15,7 @@ import pytest
 from PIL import Image
 
 import etendue
+from etendue.conformance import Finding, Report
 from etendue.core import InNotebooks, Progress, Result
 from etendue.jobs import FormFactorResult, RadiosityResult, Rendering
 from etendue.jobs.pages.notebook import LiveProgress
@@ -127,6 +129,26 @@ def test_results_show_themselves(solution):
         assert len(found) == count and len(html) < 400_000
         assert all(np.ptp(picture) > 30 for picture in found)
         assert "<script" not in html and "http" not in html
+
+
+def test_a_check_shows_what_failed_and_how_much_passed():
+    rows = [
+        Finding("material '<b>_wall' of type 'x_y'", "energy", "fail", 1.25, 1.0, "reflects more <than> it gets"),
+        Finding("material '<b>_wall' of type 'x_y'", "range", "pass", 0.0, 0.0, "fine"),
+        Finding("sensor", "sampler", "warn", math.nan, 0.0, "known"),
+        *(Finding("scene", f"test {k}", "pass", 0.0, 0.0, "fine") for k in range(3)),
+    ]
+    html = Report("a <b>.xml", tuple(rows), 1.5)._repr_html_()
+    texts = [" ".join(row.itertext()).split("\n")[0] for row in tree(html).iter("tr")]
+    assert texts == [
+        "failed: material '<b>_wall' of type 'x_y', energy reflects more <than> it gets (1.25)",
+        "warning: sensor, sampler known",
+        "material '<b>_wall' of type 'x_y' 1 of 2 passed",
+        "sensor 0 of 1 passed",
+        "scene 3 of 3 passed",
+    ]
+    text = " ".join(tree(html).itertext())
+    assert "Check of a <b>.xml" in text and "4 tests passed, 1 warn, 1 failed, in 1.5 s" in text
 
 
 def test_a_session_shows_how_far_it_is(monkeypatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -249,6 +250,23 @@ def _made_map(made: Any) -> str:
     return card("Map of irradiance", {"kind": made.map.kind, **more})
 
 
+# ---------------------------------------------------------------- checks
+
+
+def _report(report: Any) -> str:
+    """What failed and warns, with what it means; then how many tests each component passed."""
+    facts: dict[str, str] = {}
+    for kind, findings in (("failed", report.failures), ("warning", report.warnings)):
+        for finding in findings:
+            figure = f" ({number_text(finding.figure)})" if np.isfinite(finding.figure) else ""
+            facts[f"{kind}: {finding.component}, {finding.test}"] = f"{finding.meaning}{figure}"
+    passed = Counter(finding.component for finding in report.findings if finding.verdict == "pass")
+    tests = Counter(finding.component for finding in report.findings)
+    facts |= {component: f"{passed[component]} of {count} passed" for component, count in tests.items()}
+    counts = f"{passed.total()} tests passed, {len(report.warnings)} warn, {len(report.failures)} failed"
+    return card(f"Check of {report.source}", facts, status=f"{counts}, in {time_text(report.seconds)}")
+
+
 _CARDS: dict[str, Callable[[Any], str]] = {
     "Result": _result,
     "Rendering": _result,
@@ -264,6 +282,7 @@ _CARDS: dict[str, Callable[[Any], str]] = {
     "ParticleFile": _particle_file,
     "PatchMap": _patch_map,
     "MadeMap": _made_map,
+    "Report": _report,
 }
 
 
