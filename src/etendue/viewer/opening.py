@@ -168,6 +168,7 @@ def view(
     Raises :class:`OptionError` for an argument out of range, and :class:`BackendError` if tornado is not installed. A
     scene that cannot be loaded is told in the page, where another can be opened.
     """
+    methods.get(method).Settings.check_arguments(settings, f"method '{method}'", view)
     use_variant(variant)
     asked = Asked(
         scene=scene,
