@@ -218,7 +218,7 @@ def test_the_words_of_progress():
     progress = Progress(
         passes=3, samples=24, rays=1.5e6, elapsed=2.0, eta=61.0, rays_per_second=3e6, relative_error=1e-4
     )
-    words = "2.0s, ETA 1:01, 3 Msegments/s, error 0.01"
+    words = "2.0s, ETA 1:01, 3 Msegments/s, error 0.0100"
     assert str(work.told(progress)) == f"24 bundles, 1.5e+06 segments, {words}"
     assert str(Passes(work).told(progress)) == f"24 bundles, 1.5e+06 segments, {words}"
     work.lines.casting.most = 20  # as in the end

@@ -17,7 +17,7 @@ from PIL import Image
 import etendue
 from etendue.conformance import Finding, Report
 from etendue.core import InNotebooks, Progress, Result
-from etendue.jobs import FormFactorResult, RadiosityResult, Rendering
+from etendue.jobs import FormFactorResult, ParticleResult, RadiosityResult, Rendering
 from etendue.jobs.pages.notebook import LiveProgress
 from etendue.jobs.pages.solution import Making, render_solution_page
 from etendue.particles import Particles
@@ -129,6 +129,34 @@ def test_results_show_themselves(solution):
         assert len(found) == count and len(html) < 400_000
         assert all(np.ptp(picture) > 30 for picture in found)
         assert "<script" not in html and "http" not in html
+
+
+def test_the_title_of_a_card_comes_first_and_its_pictures_stay_beside_each_other(solution):
+    card = tree(solution._repr_html_())[0]
+    first, rest = card[0], card[1]
+    assert first.findtext("strong") == "Radiosity" and len(list(card.iter("img"))) == 2
+    pictures, table = rest
+    assert [child.tag for child in pictures] == ["figure", "figure"] and "wrap" not in pictures.get("style")
+    assert table.tag == "table"
+
+
+def test_what_a_tracing_has_counted_is_there_once():
+    counters = {"paths": 200.0, "particles": 500.0, "rays": 3e6, "nonfinite": 0.0, "seconds": 0.903135}
+    result = ParticleResult(particles(), None, counters, 2, "samples", 0.95)
+    rows = [tuple(row.itertext()) for row in tree(result._repr_html_()).iter("tr")]
+    facts = {name: text for name, text in rows}
+    assert len(facts) == len(rows) and facts["time"] == "0.95 s" and facts["speed"] == "3.32 Mrays/s"
+    assert (facts["particles"], facts["light paths"]) == ("500", "200")
+    assert not {"seconds", "rays", "nonfinite", "paths", "contributions not finite"} & set(facts)
+    counters["nonfinite"] = 3.0
+    assert "contributions not finite" in result._repr_html_()
+
+
+@pytest.mark.parametrize("noise", [0.00131, 0.00043, 1.9e-4, 2.5e-5, 0.25])
+def test_noise_is_written_the_same_in_progress_and_results(noise):
+    (text,) = [part for part in Progress(relative_error=noise).pace if part.startswith("noise ")]
+    cells = [cell.text for cell in tree(rendering(relative_error=noise)._repr_html_()).iter("td")]
+    assert text.removeprefix("noise ") in cells and "e" not in text.removeprefix("noise ")
 
 
 def test_a_check_shows_what_failed_and_how_much_passed():

@@ -48,7 +48,7 @@ class Progress:
             parts.append(format_rate(self.rays_per_second, self.traced))
         if self.relative_error is not None:
             error = self.relative_error
-            parts.append(f"error {math.sqrt(error):.2g}" if self.made else f"noise {error:.2g}")
+            parts.append(f"error {format_number(math.sqrt(error))}" if self.made else f"noise {format_number(error)}")
         if self.shares:
             parts.append(format_shares(self.shares))
         return parts
@@ -61,6 +61,18 @@ def format_seconds(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+
+
+def format_number(value: float, digits: int = 3) -> str:
+    """``digits`` significant digits, in exponent form only below 1e-5 and from 1e7 on: 0.00123, 45.6, 1230."""
+    if not math.isfinite(value):
+        return "–"
+    if value == 0.0:
+        return "0"
+    if abs(value) < 1e-5 or abs(value) >= 1e7:
+        return f"{value:.{digits - 1}e}"
+    decimals = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
+    return f"{round(value, decimals):.{decimals}f}"
 
 
 def format_rate(rays_per_second: float, traced: str = "rays") -> str:

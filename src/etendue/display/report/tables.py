@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from etendue.core import format_number
+
 
 @dataclass(frozen=True)
 class Column:
@@ -128,16 +130,8 @@ def value_text(value: Any) -> str:
     return str(value)
 
 
-def number_text(value: float, digits: int = 3) -> str:
-    """``digits`` significant digits, never in exponent form for what a page shows: 0.00123, 45.6, 1230."""
-    if not math.isfinite(value):
-        return "–"
-    if value == 0.0:
-        return "0"
-    if abs(value) < 1e-5 or abs(value) >= 1e7:
-        return f"{value:.{digits - 1}e}"
-    decimals = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
-    return f"{round(value, decimals):.{decimals}f}"
+#: Numbers on pages and in progress look the same.
+number_text = format_number
 
 
 def time_text(seconds: float) -> str:

@@ -20,7 +20,7 @@ from .meshviews import mesh_views, on_pixels, seen_patches
 _SIZE = 400, 300
 #: Seconds between updates of the progress of a run.
 _EVERY = 0.3
-#: The layers of a result that are shown, at most.
+#: The layers of a result that are named, at most.
 _LAYERS = 6
 
 
@@ -36,7 +36,7 @@ def html_of(thing: Any) -> str | None:
 
 
 def _result(result: Any) -> str:
-    """A picture with its metadata, and small pictures of its layers."""
+    """A picture with its metadata, and the names of its layers."""
     known, image = result.metadata, result.layers.get("image")
     facts = _of_run(known)
     if image is None:
@@ -218,8 +218,8 @@ def _projected(particles: Any) -> Any:
 
 def _particle_result(result: Any) -> str:
     ended = _ended_by(result.stopped_by, "paths")
-    facts = {"passes": result.passes, "ended by": ended, "time": time_text(result.elapsed)}
-    facts |= {name: f"{count:.6g}" for name, count in result.counters.items()}
+    facts = {"ended by": ended, "passes": result.passes, **_counted(result.counters)}
+    facts["time"] = time_text(result.elapsed)  # with what is between passes, which the counter leaves out
     if result.particles is not None:
         return _particles(result.particles, facts)
     return card("Particles", {"file": str(result.file), **facts})
@@ -234,7 +234,18 @@ def _particle_file(file: Any) -> str:
         "size": f"{file.size / 1e6:.3g} MB",
         "finished": file.is_finished,
     }
-    return card("Particles", {**facts, **{k: f"{v:.6g}" for k, v in file.counters.items()}})
+    return card("Particles", {**facts, **_counted(file.counters)})
+
+
+def _counted(counters: Mapping[str, float]) -> dict[str, Any]:
+    """What a tracing has counted, each once and in its unit; nothing of what did not happen."""
+    left = dict(counters)
+    seconds, rays = left.pop("seconds", 0.0), left.pop("rays", 0.0)
+    facts: dict[str, Any] = {"particles": int(left.pop("particles", 0)), "light paths": int(left.pop("paths", 0))}
+    facts["time"] = time_text(seconds)
+    facts["speed"] = format_rate(rays / seconds) if rays and seconds else None
+    facts["contributions not finite"] = int(left.pop("nonfinite", 0)) or None
+    return facts | {name.replace("_", " "): value for name, value in left.items() if value}
 
 
 def _patch_map(made: Any, more: Mapping[str, Any] | None = None) -> str:

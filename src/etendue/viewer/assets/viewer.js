@@ -1,7 +1,7 @@
 // The page: connects the parts. The session's state is the truth; controls show it and send what is asked for.
 
 import { Connection } from './connection.js';
-import { controls, fillIn, isTyping, make, numeric, numerics, rate, seconds, section, short } from './controls.js';
+import { controls, fillIn, isTyping, make, noise, numeric, numerics, rate, seconds, section, short } from './controls.js';
 import { Plot } from './plot.js';
 import { sections } from './sections.js';
 import { Stage } from './stage.js';
@@ -93,9 +93,9 @@ connection.on('camera', (message) => { camera = message; for (const listener of 
 
 connection.on('progress', (message) => {
   const parts = [message.method, `${message.samples} spp`, seconds(message.seconds), rate(message.rays_per_second)];
-  if (message.noise !== null) parts.push(`noise ${short(message.noise)}`);
+  if (message.noise !== null) parts.push(`noise ${noise(message.noise)}`);
   if (message.other) parts.push(`${message.other.method} ${message.other.samples} spp`);
-  if (message.relmse !== undefined && message.relmse !== null) parts.push(`relMSE ${short(message.relmse)}`);
+  if (message.relmse !== undefined && message.relmse !== null) parts.push(`relMSE ${noise(message.relmse)}`);
   if (message.done) parts.push('done');
   $('progress').textContent = parts.filter(Boolean).join(' · ');
   document.body.dataset.passes = message.passes;
