@@ -194,7 +194,7 @@ def test_there_are_commands_of_every_kind():
 
 
 def test_the_page_on_python_lists_all_methods_and_plugins():
-    text = (DOCS / "python.md").read_text("utf-8")
+    text = (ROOT / "docs" / "python.md").read_text("utf-8")
     for name, method in methods.table().items():
         assert f"[{name}](methods/{name}.md)" in text, name
         assert not method.plugin_name() or f"`{method.plugin_name()}`" in text, name
