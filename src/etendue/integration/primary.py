@@ -110,9 +110,10 @@ class Move:
         ``chain``: the numbers by which ``fresh`` knows the chains; those of the chains ``at`` alone if these are given,
         in a large step. The given state is not changed."""
         result = type(state)(state)
-        count = dr.width(chain)
+        # Opaque where it changes: it would be compiled into the kernels.
+        count = chains if at is None else dr.opaque(type(chain), dr.width(chain))
         for end, place in layout.firsts():
-            lane = dr.arange(type(chain), place.vertices * count)
+            lane = dr.arange(type(chain), place.vertices * dr.width(chain))
             row = lane // count
             number = lane - row * count
             own = dr.gather(type(chain), chain, number)
