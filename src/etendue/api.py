@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from etendue.core import OptionError, Progress, logger, use_variant
+from etendue.core import Progress, logger, use_variant
 from etendue.engine import Budget, Checkpoint, Job, Runner, Session, Task
 from etendue.jobs import Outputs, PathLike, PictureWork, Rendering, Update, Writer, run_work, start_work
 
@@ -61,7 +61,7 @@ def render(
     budget, outputs = Budget(seconds, samples, None, error), Outputs.of(save, checkpoint, save_every)
     use_variant(variant)
     chosen = choose_method(method, scene, parameters)
-    task = Task(scene, chosen, _named(settings), seed, budget, size, sensor, parameters, memory)
+    task = Task(scene, chosen, _named(settings, chosen, render), seed, budget, size, sensor, parameters, memory)
     return _run(lambda: Job.open(task), outputs, callback, cluster, workers)
 
 
@@ -97,7 +97,7 @@ def start(
     budget, outputs = Budget(seconds, samples, None, error), Outputs.of(save, checkpoint, save_every)
     use_variant(variant)
     chosen = choose_method(method, scene, parameters)
-    task = Task(scene, chosen, _named(settings), seed, budget, size, sensor, parameters, memory)
+    task = Task(scene, chosen, _named(settings, chosen, start), seed, budget, size, sensor, parameters, memory)
     opened = open_cluster(cluster, workers)
     return start_job(lambda: Job.open(task), outputs, callback, opened, ends=True)
 
@@ -132,7 +132,7 @@ def resume(
     outputs = Outputs.of(save, checkpoint, save_every)
     use_variant(variant)
     kind = methods.get(method if method is not None else saved.method)
-    saved.settings_of(kind, _named(settings))
+    saved.settings_of(kind, _named(settings, kind, resume))
     return _run(
         lambda: Job.resume(saved, kind, budget=budget or None, scene=scene), outputs, callback, cluster, workers
     )
@@ -159,11 +159,10 @@ def choose_method(
     return methods.get("vcm")
 
 
-def _named(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """``settings``; refuses names of budgets from the command line."""
-    for elsewhere, here in (("spp", "samples"), ("time", "seconds")):
-        if elsewhere in settings:
-            raise OptionError(f"there is no argument '{elsewhere}'; did you mean '{here}'?")
+def _named(settings: Mapping[str, Any], kind: type[Any], function: Callable[..., Any]) -> Mapping[str, Any]:
+    """``settings`` of the method ``kind``; refuses names that it does not have, which may be misspelt arguments of
+    ``function``."""
+    kind.Settings.check_arguments(settings, f"method '{kind.name}'", function)
     return settings
 
 

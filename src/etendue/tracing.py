@@ -11,12 +11,15 @@ from numpy.typing import ArrayLike
 from etendue.core import OptionError, Progress, use_variant
 from etendue.distributed import opened_cluster
 from etendue.engine import Budget
-from etendue.jobs import ParticleRequest, ParticleResult, ParticleWork, PathLike, run_work
+from etendue.jobs import TRACINGS, ParticleRequest, ParticleResult, ParticleWork, PathLike, run_work
 from etendue.methods import ParticleTracing
 from etendue.particles import ParticleFile, Particles
 
 #: Called after each pass; ``False`` ends the tracing.
 Callback = Callable[[Progress], object]
+
+#: Limits as other functions and the command line name them.
+_ELSEWHERE = {"samples": "paths", "spp": "paths", "time": "seconds"}
 
 
 def trace_particles(
@@ -99,6 +102,8 @@ def _opened(
         if ignored:
             raise OptionError(f"a resumed file has {', '.join(ignored)} of its own; leave them out, or trace anew")
         return ParticleWork.resume(Path(resume), Budget(seconds, paths), particles, scene)
+    if (tracing := TRACINGS.get(method or ParticleTracing.name)) is not None:
+        tracing.Settings.check_arguments(settings, f"tracing by {tracing.name}", trace_particles, _ELSEWHERE)
     request = ParticleRequest(
         scene=scene,
         output=None if save is None else Path(save),

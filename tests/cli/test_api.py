@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+import etendue
 from etendue import api, film, methods
 from etendue.core import CheckpointError, OptionError, OutputError, Replica, SceneError
 from etendue.engine import Budget, Job, RunError, RunResult, Task
@@ -109,13 +110,38 @@ def test_callback_sees_the_picture_and_may_stop():
     assert seen[-1][1] == pytest.approx(rendering.image.mean())
 
 
+@pytest.mark.parametrize(
+    ("call", "given", "text"),
+    [
+        (api.render, {"sampels": 4}, "method 'vcm' has no option 'sampels'; did you mean 'samples'?"),
+        (api.render, {"chekpoint": "a"}, "method 'vcm' has no option 'chekpoint'; did you mean 'checkpoint'?"),
+        (api.start, {"secnds": 4}, "method 'vcm' has no option 'secnds'; did you mean 'seconds'?"),
+        (api.render, {"max_dept": 4}, "method 'vcm' has no option 'max_dept'; did you mean 'max_depth'?"),
+        (api.render, {"spp": 4}, "there is no argument 'spp'; did you mean 'samples'?"),
+        (etendue.view, {"sampels": 4}, "method 'path' has no option 'sampels'; did you mean 'samples'?"),
+        (etendue.trace_particles, {"pahts": 4}, "tracing by particles has no option 'pahts'; did you mean 'paths'?"),
+        (etendue.trace_particles, {"samples": 1}, "there is no argument 'samples'; did you mean 'paths'?"),
+    ],
+)
+def test_a_misspelt_argument_is_told_from_a_setting(call, given, text):
+    with pytest.raises(OptionError) as error:
+        call("cornell-box", **given)
+    assert str(error.value) == text
+
+
+def test_another_name_gets_the_settings():
+    with pytest.raises(OptionError, match=r"'path' has no option 'xyzzy'; it has: .*max_depth"):
+        api.render("cornell-box", "path", xyzzy=1)
+
+
 def test_what_a_callback_raises_costs_no_work(tmp_path):
     def callback(update):
         if update.progress.passes == 2:
             raise ValueError("plot window closed")
 
-    with pytest.raises(RunError, match="plot window closed"):
+    with pytest.raises(RunError, match="plot window closed") as caught:
         api.render("cornell-box", "path", samples=100, callback=callback, save=tmp_path / "a.exr", **SMALL)
+    assert caught.value.run.result.image.mean() > 0
     assert film.read_exr(tmp_path / "a.exr").metadata["passes"] == 2
 
 
@@ -124,8 +150,10 @@ def test_ctrl_c_writes_what_there_is(tmp_path):
         if update.progress.passes == 2:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt) as caught:
         api.render("cornell-box", "path", samples=100, callback=callback, checkpoint=tmp_path / "a", **SMALL)
+    (note,) = caught.value.__notes__
+    assert note.startswith("interrupted after 2 passes") and "session = etendue.start(...)" in note
     assert api.resume(tmp_path / "a", samples=6).metadata["passes"] == 3
 
 

@@ -16,9 +16,8 @@ from support.patches import box, joined, square
 
 import etendue.radiosity.casting
 from etendue.cli.main import main
-from etendue.cli.solutions import _words
 from etendue.core import OutputError, Progress
-from etendue.jobs import FormFactorRequest, FormFactorWork, solutions
+from etendue.jobs import FormFactorRequest, FormFactorWork, Passes, solutions
 from etendue.radiosity import LineCasting, Patches, thermal
 
 meshio = pytest.importorskip("meshio")
@@ -216,11 +215,14 @@ def test_a_file_that_cannot_be_written_costs_no_line(tmp_path, monkeypatch, caps
 def test_the_words_of_progress():
     request = FormFactorRequest(source=Patches(*lit_room()[:2]), bundles=20)
     work = FormFactorWork(request)
-    progress = Progress(passes=3, samples=24, rays=1.5e6, elapsed=2.0, eta=61.0, relative_error=1e-4)
-    words = ["2.0s", "ETA 1:01", "error 0.01"]
-    assert _words(work)(progress) == ["24 bundles, 1.5e+06 segments", *words]
+    progress = Progress(
+        passes=3, samples=24, rays=1.5e6, elapsed=2.0, eta=61.0, rays_per_second=3e6, relative_error=1e-4
+    )
+    words = "2.0s, ETA 1:01, 3 Msegments/s, error 0.01"
+    assert str(work.told(progress)) == f"24 bundles, 1.5e+06 segments, {words}"
+    assert str(Passes(work).told(progress)) == f"24 bundles, 1.5e+06 segments, {words}"
     work.lines.casting.most = 20  # as in the end
-    assert _words(work)(progress) == ["20 bundles, 1.5e+06 segments", *words]
+    assert str(work.told(progress)) == f"20 bundles, 1.5e+06 segments, {words}"
 
 
 def test_budgets_in_time_and_error(capsys):

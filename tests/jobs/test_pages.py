@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import math
 import re
 import sys
 from types import ModuleType, SimpleNamespace
@@ -14,6 +15,7 @@ import pytest
 from PIL import Image
 
 import etendue
+from etendue.conformance import Finding, Report
 from etendue.core import InNotebooks, Progress, Result
 from etendue.jobs import FormFactorResult, RadiosityResult, Rendering
 from etendue.jobs.pages.notebook import LiveProgress
@@ -129,6 +131,26 @@ def test_results_show_themselves(solution):
         assert "<script" not in html and "http" not in html
 
 
+def test_a_check_shows_what_failed_and_how_much_passed():
+    rows = [
+        Finding("material '<b>_wall' of type 'x_y'", "energy", "fail", 1.25, 1.0, "reflects more <than> it gets"),
+        Finding("material '<b>_wall' of type 'x_y'", "range", "pass", 0.0, 0.0, "fine"),
+        Finding("sensor", "sampler", "warn", math.nan, 0.0, "known"),
+        *(Finding("scene", f"test {k}", "pass", 0.0, 0.0, "fine") for k in range(3)),
+    ]
+    html = Report("a <b>.xml", tuple(rows), 1.5)._repr_html_()
+    texts = [" ".join(row.itertext()).split("\n")[0] for row in tree(html).iter("tr")]
+    assert texts == [
+        "failed: material '<b>_wall' of type 'x_y', energy reflects more <than> it gets (1.25)",
+        "warning: sensor, sampler known",
+        "material '<b>_wall' of type 'x_y' 1 of 2 passed",
+        "sensor 0 of 1 passed",
+        "scene 3 of 3 passed",
+    ]
+    text = " ".join(tree(html).itertext())
+    assert "Check of a <b>.xml" in text and "4 tests passed, 1 warn, 1 failed, in 1.5 s" in text
+
+
 def test_a_session_shows_how_far_it_is(monkeypatch):
     session = object.__new__(etendue.Session)
     monkeypatch.setattr(etendue.Session, "prepared", True)
@@ -183,8 +205,50 @@ def test_a_run_in_a_notebook_shows_its_progress(notebook):
     options = {"samples": 3, "samples_per_pass": 1, "size": (8, 8), "max_depth": 2}
     etendue.render("cornell-box", "path", callback=lambda update: seen.append(update.progress.passes), **options)
     assert seen == [1, 2, 3]
-    assert "starting" in notebook[0] and "pass 3, 3 spp" in notebook[-1]
-    assert tree(notebook[-1]).find(".//progress").get("value") == "1.0000"
+    assert "starting" in notebook[0] and "pass 1, 1 spp" in notebook[1]
+    assert tree(notebook[1]).find(".//progress").get("value") == "0.3333" and "ETA" in notebook[1]
+    assert "finishing: pass 3, 3 spp" in notebook[-2] and "done: pass 3, 3 spp" in notebook[-1]
+    assert all("ETA" not in html and "<progress" not in html for html in notebook[-2:])
+
+
+@pytest.mark.parametrize(
+    ("error", "kind", "how"),
+    [
+        (KeyboardInterrupt(), KeyboardInterrupt, "interrupted"),
+        (ValueError("no"), etendue.engine.RunError, "failed"),
+    ],
+)
+def test_a_run_that_does_not_reach_its_end_says_so(notebook, error, kind, how):
+    def stop(update):
+        if update.progress.passes == 2:
+            raise error
+
+    options = {"samples": 300, "samples_per_pass": 1, "size": (8, 8), "max_depth": 2}
+    with pytest.raises(kind) as caught:
+        etendue.render("cornell-box", "path", callback=stop, **options)
+    if how == "interrupted":  # a notebook prints the frames of the library only, not those of the pass
+        assert caught.traceback[-1].name == "run_work" and "etendue.start" in caught.value.__notes__[0]
+    assert f"{how}: pass 2, 2 spp" in notebook[-1]
+    assert "ETA" not in notebook[-1] and "<progress" not in notebook[-1]
+
+
+def test_a_run_without_a_pass_says_so(notebook, monkeypatch):
+    def fails(*_, **__):
+        raise etendue.OptionError("no")
+
+    monkeypatch.setattr(etendue.engine.Runner, "run", fails)
+    with pytest.raises(etendue.OptionError):
+        etendue.render("cornell-box", "path", samples=1, size=(8, 8))
+    assert "failed before the first pass was done" in notebook[-1]
+
+
+def test_progress_is_in_the_words_of_the_work(notebook, solution):
+    result = etendue.trace_particles("cornell-box", paths=2000)
+    assert "2000 paths, " in notebook[-1] and "spp" not in notebook[-1] and "pass " not in notebook[-1]
+    assert "number of paths" in result._repr_html_()
+    result = etendue.compute_form_factors(solution.patches, bundles=16)
+    assert "16 bundles, " in notebook[-1] and "segments/s" in notebook[-1] and "spp" not in notebook[-1]
+    assert "number of bundles" in result._repr_html_()
 
 
 def test_elsewhere_nothing_is_shown(notebook, monkeypatch):

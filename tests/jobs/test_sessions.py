@@ -24,6 +24,7 @@ def test_the_result_is_that_of_a_call(tmp_path):
     result = session.result
     assert not session.running and session.prepared and session.image is None
     assert (session.progress.samples, session.progress.fraction) == (64, 1.0)
+    assert str(session.progress).startswith("64 bundles, ") and "segments/s" in str(session.progress)
     expected = etendue.solve_radiosity(patches, bundles=64, seed=5)
     np.testing.assert_array_equal(result.solution.radiosity, expected.solution.radiosity)
     np.testing.assert_array_equal(read_solution(tmp_path / "s.npz")[0].radiosity, expected.solution.radiosity)

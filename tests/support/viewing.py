@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import time
+from contextlib import asynccontextmanager
 from urllib.parse import urlsplit
 
 from tornado.httpclient import HTTPRequest
@@ -56,3 +57,43 @@ class Page:
 
     def close(self):
         self.socket.close()
+
+
+@asynccontextmanager
+async def proxied(port, prefix):
+    """A proxy before the server at ``port``, as jupyter-server-proxy is one: it takes ``prefix`` off the addresses and
+    leaves the headers as they are. Yields its own port."""
+    writers = []
+
+    async def forward(reader, writer):
+        while data := await reader.read(65536):
+            writer.write(data)
+            await writer.drain()
+        writer.close()
+
+    async def serve(reader, writer):
+        inner, outer = await asyncio.open_connection("127.0.0.1", port)
+        writers.extend((writer, outer))
+        back = asyncio.ensure_future(forward(inner, writer))
+        upgraded = False
+        while not upgraded:
+            try:
+                head = await reader.readuntil(b"\r\n\r\n")
+            except asyncio.IncompleteReadError:
+                break
+            verb, path, rest = head.split(b" ", 2)
+            assert path.startswith(prefix.encode()), path
+            outer.write(verb + b" " + path[len(prefix) :] + b" " + rest)
+            upgraded = b"upgrade: websocket" in rest.lower()
+        if upgraded:
+            await forward(reader, outer)
+        outer.close()
+        await back
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    try:
+        yield server.sockets[0].getsockname()[1]
+    finally:
+        server.close()
+        for writer in writers:
+            writer.close()

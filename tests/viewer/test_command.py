@@ -22,6 +22,8 @@ from etendue.viewer import Viewer
         (["cornell-box", "--size", "0x4"], 2, "--size needs WIDTHxHEIGHT"),
         (["cornell-box", "--port", "70000"], 2, "--port"),
         (["cornell-box", "--time", "-1"], 2, "above 0"),
+        (["cornell-box", "--allow-origin", "hub"], 2, "such as https://hub.example.org, not 'hub'"),
+        (["cornell-box", "--address", "hub"], 2, "not 'hub'"),
         (["cornell-box", "--host", " "], 2, "--host is an address"),
         (["cornell-box", "--host", "no.such.host.invalid"], 2, "cannot listen at"),
     ],

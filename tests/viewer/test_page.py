@@ -4,6 +4,7 @@ import asyncio
 
 import pytest
 from support.browser import PROGRAM, Browser
+from support.viewing import proxied
 
 import etendue
 
@@ -64,6 +65,70 @@ def test_by_keyboard_alone(viewer):
         await tab.until(f"{ORIGIN} === '{before}'")
 
     browse(viewer, visit)
+
+
+def test_below_a_path_of_a_proxy(viewer):
+    """The assets, the modules of panels and the WebSocket are found there."""
+    prefix = "/user/me/proxy/8411"
+
+    async def go():
+        async with proxied(viewer._server.port, prefix) as port, Browser() as tab:
+            await tab.open(f"http://localhost:{port}{prefix}/{viewer._server.token}/")
+            await tab.until("document.body.dataset.ready === 'true'")
+            await tab.until("document.getElementById('stage').dataset.frame > 0")
+            assert not tab.errors
+
+    asyncio.run(go())
+
+
+def test_the_frame_of_a_notebook(tmp_path):
+    """It fits the width; in a notebook that was saved, where the viewer is gone, there is a line instead of it."""
+    saved = tmp_path / "saved.html"
+
+    async def go():
+        box = "document.querySelector('object').getBoundingClientRect().height"
+        async with Browser(900, 900) as tab:
+            with etendue.view("cornell-box", "path", size=(64, 48), samples=1) as made:
+                saved.write_text(f"<!doctype html><meta charset=utf-8><body>{made._repr_html_()}", encoding="utf-8")
+                await tab.open(saved.as_uri())
+                await tab.until("document.querySelector('object')")
+                await asyncio.to_thread(made.loaded)
+                while not len(made._session.clients):  # the page within is there
+                    await asyncio.sleep(0.1)
+                assert await tab.value(box) == 720
+                assert await tab.value("document.documentElement.scrollWidth <= innerWidth")
+            await tab.open("about:blank")
+            await tab.open(saved.as_uri())
+            await tab.until(f"document.querySelector('object') && {box} < 100")
+            assert await tab.value("document.querySelector('object p').getBoundingClientRect().height") > 0
+            assert "This viewer has ended" in await tab.value("document.body.innerText")
+
+    asyncio.run(asyncio.wait_for(go(), 120))
+
+
+def test_that_the_session_has_ended_stays_when_a_late_picture_is_drawn():
+    waiting = "document.getElementById('waiting')"
+
+    async def go():
+        async with Browser() as tab:
+            with etendue.view("cornell-box", "path", size=(64, 48), max_depth=3) as made:
+                await tab.open(made.url)
+                await tab.until("document.getElementById('stage').dataset.frame > 1")
+                # Decoding takes until the viewer is closed.
+                await tab.value(
+                    "window.decoding = 0; window.released = new Promise((r) => { window.release = r; });"
+                    "const real = createImageBitmap; window.createImageBitmap = async (blob) => "
+                    "{ decoding += 1; await released; return real(blob); }; 0"
+                )
+                await tab.until("decoding > 0")
+                frame = await tab.value("document.getElementById('stage').dataset.frame")
+            await tab.until(f"{waiting}.textContent.startsWith('The session has ended') && !{waiting}.hidden")
+            await tab.value("release()")
+            await tab.until(f"document.getElementById('stage').dataset.frame !== '{frame}'")
+            await asyncio.sleep(0.3)
+            assert await tab.value(f"!{waiting}.hidden && {waiting}.textContent.startsWith('The session has ended')")
+
+    asyncio.run(asyncio.wait_for(go(), 120))
 
 
 def test_every_control_has_a_label(viewer):

@@ -423,7 +423,7 @@ def test_a_device_without_memory_while_moving_makes_coarser_pictures(viewer, mon
 def test_in_a_notebook_and_with_wrong_arguments():
     with etendue.view("cornell-box", size=SIZE) as viewer:
         assert isinstance(viewer, Viewer)
-        assert f'src="{viewer.url}"' in viewer._repr_html_() and viewer.url.startswith("http://127.0.0.1:")
+        assert f'data="{viewer.url}"' in viewer._repr_html_() and viewer.url.startswith("http://127.0.0.1:")
     for arguments, words in (
         ({"method": "vmc"}, "no method"),
         ({"port": 70000}, "a port is"),

@@ -7,7 +7,7 @@ import logging
 import shlex
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextvars import ContextVar
 from types import TracebackType
 from typing import Any, Self
@@ -65,12 +65,11 @@ class ConsoleHandler(logging.Handler):
 
 
 class ProgressView:
-    """A live bar on a terminal, occasional lines elsewhere. ``words`` replaces the text for pictures."""
+    """A live bar on a terminal, occasional lines elsewhere."""
 
-    def __init__(self, console: Console, label: str, words: Callable[[Progress], list[str]] | None = None) -> None:
+    def __init__(self, console: Console, label: str) -> None:
         self._console = console
         self._label = label
-        self._words = words
         self._bar: RichProgress | None = None
         self._task = TaskID(0)
         self._next_line = 1.0
@@ -109,13 +108,12 @@ class ProgressView:
         if progress.passes and now >= self._next_line:
             self._next_line = min(max(now * _LINE_RATIO, 1.0), now + _LINE_EVERY)
             share = f"{100 * progress.fraction:3.0f} %  " if progress.fraction is not None else ""
-            text = str(progress) if self._words is None else ", ".join(self._words(progress))
-            note(self._console, f"{self._label}: {share}{text}")
+            note(self._console, f"{self._label}: {share}{progress}")
 
     def _fields(self, progress: Progress, prepared: bool) -> dict[str, Any]:
         if not progress.passes:
             return {"total": None, "status": "first pass, compiling" if prepared else "loading the scene"}
-        parts = [f"pass {progress.passes}", *progress.pace] if self._words is None else self._words(progress)
+        parts = [progress.made or f"pass {progress.passes}", *progress.pace]
         fields: dict[str, Any] = {"status": "  ".join(parts), "total": 1.0 if progress.fraction is not None else None}
         if progress.fraction is not None:
             fields["completed"] = progress.fraction

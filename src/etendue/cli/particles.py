@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from etendue.core import OptionError, Progress, format_rate, format_seconds
+from etendue.core import OptionError, format_seconds
 
 from . import options as opt
 from .console import error_console, note, say
@@ -243,7 +243,7 @@ def _run(open_work: Callable[[], ParticleWork], output: Path, device: opt.Device
                 work.cluster = cluster
                 return work
 
-            outcome = follow(lambda: start_work(with_workers), console, "particles", _words)
+            outcome = follow(lambda: start_work(with_workers), console, "particles")
     except RunError:
         say(str(output))  # it has the passes before the failure
         raise
@@ -251,15 +251,6 @@ def _run(open_work: Callable[[], ParticleWork], output: Path, device: opt.Device
         note(console, _summary(outcome.result, output.stat().st_size))
         say(str(output))
     return outcome.exit_code
-
-
-def _words(progress: Progress) -> list[str]:
-    parts = [f"{progress.samples:.4g} paths", format_seconds(progress.elapsed)]
-    if progress.eta is not None:
-        parts.append(f"ETA {format_seconds(progress.eta)}")
-    if progress.rays_per_second:
-        parts.append(format_rate(progress.rays_per_second))
-    return parts
 
 
 def _summary(result: ParticleResult, size: int) -> str:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from etendue.api import Callback, start_job
-from etendue.core import OptionError, OutputError, Progress, format_rate, format_seconds, set_threads, use_variant
+from etendue.core import OptionError, OutputError, format_rate, format_seconds, set_threads, use_variant
 from etendue.engine import Cancelled, Job, RunError, Session
 from etendue.jobs import Rendering, Writer
 from etendue.scene import BundledScene
@@ -41,15 +41,9 @@ def choose_device(variant: str | None, threads: int | None) -> None:
     use_variant(variant)
 
 
-def follow(
-    open_session: Callable[[], Session[T]],
-    console: Console,
-    label: str,
-    words: Callable[[Progress], list[str]] | None = None,
-) -> Outcome[T]:
-    """Start a session and show its progress until it ends; ``words`` formats the progress. Raises the errors of the
-    session."""
-    with ProgressView(console, label, words) as view:
+def follow(open_session: Callable[[], Session[T]], console: Console, label: str) -> Outcome[T]:
+    """Start a session and show its progress until it ends. Raises the errors of the session."""
+    with ProgressView(console, label) as view:
         announced = False
         sessions: list[Session[T]] = []
 

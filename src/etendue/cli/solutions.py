@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from rich.console import Console
 
-from etendue.core import Progress, format_seconds, format_shares, logger
+from etendue.core import logger
 from etendue.jobs import FormFactorResult, Passes, RadiosityResult, start_work
 
 from .console import error_console, note
@@ -31,7 +29,7 @@ _NO_SKY = 1e-6
 
 def cast(work: RequestedWork[Any, Any]) -> Outcome[RunResult]:
     """Cast lines until the budget is used up or a signal comes."""
-    return follow(lambda: start_work(lambda: Passes(work)), error_console(), work.request.work, _words(work))
+    return follow(lambda: start_work(lambda: Passes(work)), error_console(), work.request.work)
 
 
 def finish(work: PatchWork[Any, Any], run: RunResult) -> None:
@@ -154,21 +152,6 @@ def _describe_segments(console: Console, bundles: int, segments: Segments) -> No
         note(console, f"{few} small patches, which few lines meet, have {segments.rays // few} local rays each")
     if sky > _ALL_SKY:
         logger.warning("patches see only the sky: if the mesh is a room, its faces are turned outward; flip them")
-
-
-def _words(work: RequestedWork[Any, Any]) -> Callable[[Progress], list[str]]:
-    def words(progress: Progress) -> list[str]:
-        seconds = format_seconds(progress.elapsed)
-        parts = [work.progress_text(progress), seconds]
-        if progress.eta is not None:
-            parts.append(f"ETA {format_seconds(progress.eta)}")
-        if progress.relative_error is not None:
-            parts.append(f"error {math.sqrt(progress.relative_error):.2g}")
-        if progress.shares:
-            parts.append(format_shares(progress.shares))
-        return parts
-
-    return words
 
 
 def _say(text: str) -> None:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-from etendue.core import describe
+from etendue.core import InNotebooks, describe
 
 Verdict = Literal["pass", "warn", "fail"]
 
@@ -31,8 +31,8 @@ class Finding:
 
 
 @dataclass(frozen=True)
-class Report:
-    """All findings about one scene."""
+class Report(InNotebooks):
+    """All findings about one scene; in a notebook a table of them by component."""
 
     source: str  #: path or name of the scene
     findings: tuple[Finding, ...]

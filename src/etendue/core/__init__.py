@@ -21,7 +21,7 @@ from .measurement import CONTRAST, RELATIVE_EPSILON, Array, Iterations, Measurem
 from .memory import free_memory
 from .method import Carrying, Method, Pass, Replica, Result, State
 from .notebooks import InNotebooks
-from .progress import Progress, format_rate, format_seconds, format_shares
+from .progress import Progress, format_count, format_rate, format_seconds, format_shares
 from .records import PassKey, Record, RecordFile
 from .samples import (
     COMPONENTS_PER_VERTEX,
@@ -70,6 +70,7 @@ __all__ = [
     "choose_variant",
     "copied_to_device",
     "describe",
+    "format_count",
     "format_rate",
     "format_seconds",
     "format_shares",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -12,7 +13,7 @@ class Progress:
 
     #: Passes in the picture, including those of an earlier run that was resumed.
     passes: int = 0
-    #: Camera paths per pixel in the picture.
+    #: Camera paths per pixel in the picture; for other work what it casts or traces, see ``made``.
     samples: int = 0
     #: Seconds of this run since the scene was loaded.
     elapsed: float = 0.0
@@ -28,20 +29,26 @@ class Progress:
     fraction: float | None = None
     #: Passes of each worker of a cluster in this run, by name.
     shares: dict[str, int] = field(default_factory=dict)
+    #: What has been made, in the words of work that makes no picture, such as ``24 bundles``; else empty.
+    made: str = ""
+    #: What ``rays`` are: ``rays`` or ``segments``.
+    traced: str = "rays"
 
     def __str__(self) -> str:
-        return ", ".join([f"pass {self.passes}", f"{self.samples} spp", *self.pace])
+        return ", ".join([self.made or f"pass {self.passes}, {self.samples} spp", *self.pace])
 
     @property
     def pace(self) -> list[str]:
-        """Time, speed and noise as texts, as far as they are known."""
+        """Time, speed and noise as texts, as far as they are known; for solutions the standard error instead of noise,
+        which is its square."""
         parts = [format_seconds(self.elapsed)]
         if self.eta is not None:
             parts.append(f"ETA {format_seconds(self.eta)}")
         if self.rays_per_second:
-            parts.append(format_rate(self.rays_per_second))
+            parts.append(format_rate(self.rays_per_second, self.traced))
         if self.relative_error is not None:
-            parts.append(f"noise {self.relative_error:.2g}")
+            error = self.relative_error
+            parts.append(f"error {math.sqrt(error):.2g}" if self.made else f"noise {error:.2g}")
         if self.shares:
             parts.append(format_shares(self.shares))
         return parts
@@ -56,12 +63,17 @@ def format_seconds(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
-def format_rate(rays_per_second: float) -> str:
-    """``12.3 Mrays/s``."""
+def format_rate(rays_per_second: float, traced: str = "rays") -> str:
+    """``12.3 Mrays/s``; ``traced``: what they are."""
     for scale, prefix in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
         if rays_per_second >= scale:
-            return f"{rays_per_second / scale:.3g} {prefix}rays/s"
-    return f"{rays_per_second:.3g} rays/s"
+            return f"{rays_per_second / scale:.3g} {prefix}{traced}/s"
+    return f"{rays_per_second:.3g} {traced}/s"
+
+
+def format_count(count: int, one: str) -> str:
+    """``1 bundle``, ``24 bundles``, ``2 passes``."""
+    return f"{count} {one}{'' if count == 1 else 'es' if one.endswith('s') else 's'}"
 
 
 def format_shares(passes: Mapping[str, int]) -> str:

@@ -14,10 +14,14 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from inspect import signature
 from typing import Any, Self, get_type_hints
 
 from .errors import OptionError, suggest
+
+#: Limits of a run as the command line names them, and as functions do.
+BUDGETS: Mapping[str, str] = {"spp": "samples", "time": "seconds"}
 
 
 def setting(
@@ -63,6 +67,25 @@ class Settings:
                 hint = suggest(name, cls.names(), "it has")
                 raise OptionError(f"{owner or cls.__name__} has no option '{name}'; {hint}")
         return cls(**values)
+
+    @classmethod
+    def check_arguments(
+        cls, values: Iterable[str], owner: str, function: Callable[..., Any], elsewhere: Mapping[str, str] = BUDGETS
+    ) -> None:
+        """Raise :class:`OptionError` for a name among ``values`` that no setting has, where ``function`` takes settings
+        as further arguments: its own arguments may have been meant. ``elsewhere``: names that mean one of them in other
+        places."""
+        parameters = signature(function).parameters.values()
+        own = [parameter.name for parameter in parameters if parameter.kind != parameter.VAR_KEYWORD]
+        for name in values:
+            if name in cls.names():
+                continue
+            if name in elsewhere:
+                raise OptionError(f"there is no argument '{name}'; did you mean '{elsewhere[name]}'?")
+            hint = suggest(name, [*own, *cls.names()], "")
+            if not hint.startswith("did"):
+                hint = f"it has: {', '.join(cls.names())}"
+            raise OptionError(f"{owner} has no option '{name}'; {hint}")
 
     @classmethod
     def names(cls) -> tuple[str, ...]:

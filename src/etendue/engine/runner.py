@@ -120,6 +120,8 @@ class Runner:
         self._measurement = start
         self._state = method.start() if state is None else state  # after the last pass of the measurement
         self.on_progress = on_progress
+        #: Puts progress in the words of the work, where that makes no picture.
+        self.told: Callable[[Progress], Progress] | None = None
         self._on_save, self._save_if = on_save, save_if
         self._spent = spent
         self._make_executor = executor
@@ -233,7 +235,8 @@ class Runner:
         measurement = self._add(made)
         self._stopping.count(duration, rays, passes)
         self._stopping.look(measurement)
-        self.progress = self._stopping.progress(measurement, self._elapsed())
+        progress = self._stopping.progress(measurement, self._elapsed())
+        self.progress = progress if self.told is None else self.told(progress)
 
     def _add(self, made: Pass) -> Measurement:
         """Add the measurement and the state of a pass together."""

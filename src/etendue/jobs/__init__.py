@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from .maps.sources import FileSource
     from .maps.writing import MAP_FILES, check_map_file, map_lightmap, write_map
     from .multipath import MultipathWork
-    from .particles import DEFAULT_PATHS, ParticleRequest, ParticleResult, ParticleWork, repack
+    from .particles import DEFAULT_PATHS, TRACINGS, ParticleRequest, ParticleResult, ParticleWork, repack
     from .requests import FormFactorRequest, RadiosityRequest, asked_before
     from .solutions import ERROR_SCALE, SolutionOutputs
     from .solving import (
@@ -45,7 +45,7 @@ else:
         "maps.writing": ("MAP_FILES", "check_map_file", "map_lightmap", "write_map"),
         "multipath": ("MultipathWork",),
         "linesrequest": ("LinesRequest",),
-        "particles": ("DEFAULT_PATHS", "ParticleRequest", "ParticleResult", "ParticleWork", "repack"),
+        "particles": ("DEFAULT_PATHS", "TRACINGS", "ParticleRequest", "ParticleResult", "ParticleWork", "repack"),
         "requests": ("FormFactorRequest", "RadiosityRequest", "asked_before"),
         "solutions": ("ERROR_SCALE", "SolutionOutputs"),
         "solving": (
@@ -77,6 +77,7 @@ __all__ = [
     "MAP_FILES",
     "PICTURE_FILES",
     "PYTHON",
+    "TRACINGS",
     "FileSource",
     "FormFactorRequest",
     "FormFactorResult",

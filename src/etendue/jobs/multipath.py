@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from etendue.core import CheckpointError, logger
+from etendue.core import CheckpointError, format_count, logger
 from etendue.radiosity import MultipathPasses, MultipathSettings, PatchProblem, RadiosityError
 
 from .lines import patch_recipe
@@ -70,8 +70,7 @@ class MultipathWork(PatchWork[RadiosityRequest, RadiosityResult]):
 
     def progress_text(self, progress: Progress) -> str:
         """See :class:`RequestedWork`."""
-        count = progress.samples
-        return f"{count} line{'' if count == 1 else 's'}, {progress.rays:.3g} segments"
+        return f"{format_count(progress.samples, 'line')}, {progress.rays:.3g} segments"
 
     def _make(self, run: RunResult, writing: Writing, tell: Tell, counted: Counted) -> RadiosityResult:
         tell("solving")

@@ -124,6 +124,8 @@ class ParticleWork:
     Raises the errors of loading a scene, and :class:`OutputError` if the file cannot be made.
     """
 
+    counted = "path"
+
     def __init__(self, job: Job, writer: ParticleWriter | None) -> None:
         self._job, self._writer = job, writer
         self.cluster: Cluster | None = None  #: traces the paths; without it this process does

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,6 +183,7 @@ class PictureWork:
     job: Job
     outputs: Writer
     cluster: Cluster | None = None  #: makes the passes; without it this process does
+    started_by: ClassVar[str] = "etendue.start"
 
     def runner(self, **options: Any) -> Runner:
         """See :class:`Work`."""

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
 
-from etendue.core import EtendueError, Progress, describe, logger
+from etendue.core import EtendueError, Progress, describe, format_count, logger
 from etendue.engine import RunError, Runner, RunResult, Session
 
 if TYPE_CHECKING:
@@ -23,7 +24,8 @@ Watch = Callable[[Progress, Runner], object]
 
 class Work(Protocol[T_co]):
     """Work that makes passes and a result. If it has a method ``observe``, that is called with the progress after each
-    pass."""
+    pass. Work that makes no picture has a method ``told``, which returns the progress in its own words, or an attribute
+    ``counted``, a word for one of its samples. ``started_by``: the function that does it in the background."""
 
     def runner(self, **options: Any) -> Runner:
         """The runner of the passes and of intermediate saves; ``options`` are further options of :class:`Runner`."""
@@ -53,6 +55,10 @@ class Passes:
         """See :class:`Work`."""
         _observe(self.work, progress)
 
+    def told(self, progress: Progress) -> Progress:
+        """See :class:`Work`."""
+        return _told(self.work, progress)
+
     def keep(self, run: RunResult) -> None:
         """See :class:`Work`."""
         self.work.keep(run)
@@ -66,20 +72,50 @@ class Passes:
 
 def run_work(work: Work[T], watch: Watch | None = None) -> T:
     """Run in this thread, so that ``watch`` may plot or raise."""
-    live = _live()
-    runner = _watched(work, threading.Event(), watch if live is None else _both(live.update, watch))
+    with _shown() as live:
+        runner = _watched(work, threading.Event(), watch if live is None else _both(live.update, watch))
+        try:
+            run = runner.run()
+        except RunError as failure:
+            _keep(work, failure.run)
+            raise
+        except KeyboardInterrupt as error:
+            if (done := runner.interrupted()) is not None:
+                _keep(work, done)
+            _advise(error, work, runner.progress)
+            if live is not None:  # the frames below are of whatever the pass was doing, and fill the page
+                raise error.with_traceback(None) from None
+            raise
+        if live is not None:
+            live.finishing(runner.progress)
+        return work.finish(run)
+
+
+def _advise(error: KeyboardInterrupt, work: Work[Any], progress: Progress) -> None:
+    """Add what to do instead of Ctrl-C, where what was made is lost for the caller."""
+    start = getattr(work, "started_by", "")
+    if start:
+        error.add_note(
+            f"interrupted after {format_count(progress.passes, 'pass')}; to stop a run and keep its result, begin it "
+            f"by session = {start}(...), then session.cancel() and session.result"
+        )
+
+
+@contextmanager
+def _shown() -> Iterator[LiveProgress | None]:
+    """Progress below the cell of a notebook, which says in the end how the run ended; ``None`` elsewhere."""
+    if (live := _live()) is None:
+        yield None
+        return
+    how = "failed"
     try:
-        run = runner.run()
-    except RunError as failure:
-        _keep(work, failure.run)
-        raise
+        yield live
+        how = "done"
     except KeyboardInterrupt:
-        if (done := runner.interrupted()) is not None:
-            _keep(work, done)
+        how = "interrupted"
         raise
-    if live is not None:
-        live.update(runner.progress, last=True)
-    return work.finish(run)
+    finally:
+        live.end(how)
 
 
 def _live() -> LiveProgress | None:
@@ -126,7 +162,15 @@ def _watched(work: Work[Any], stop: threading.Event, watch: Watch | None) -> Run
             stop.set()
 
     runner.on_progress = after_pass
+    runner.told = partial(_told, work)
     return runner
+
+
+def _told(work: Work[Any], progress: Progress) -> Progress:
+    if (tell := getattr(work, "told", None)) is not None:
+        return cast("Progress", tell(progress))
+    one = getattr(work, "counted", "")
+    return replace(progress, made=format_count(progress.samples, one)) if one else progress
 
 
 def _observe(work: Work[Any], progress: Progress) -> None:

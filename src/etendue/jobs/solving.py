@@ -8,11 +8,12 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar
 
-from etendue.core import EtendueError, Iterations, OutputError, describe, logger
+from etendue.core import EtendueError, Iterations, OutputError, describe, format_count, logger
 from etendue.engine import Job, Runner, replicated
 from etendue.radiosity import (
     PartialSegments,
@@ -59,6 +60,7 @@ class RequestedWork(ABC, Generic[Q, R]):
 
     problem: Problem | None
     kept: ClassVar[str] = "lines"
+    started_by: ClassVar[str] = "etendue.start_radiosity"
     cluster: Cluster | None = None
 
     def __init__(self, request: Q, saved: Checkpoint | None) -> None:
@@ -86,6 +88,10 @@ class RequestedWork(ABC, Generic[Q, R]):
         error = math.sqrt(progress.relative_error)
         if not self.history or error != self.history[-1][1]:
             self.history.append((float(progress.samples), error))
+
+    def told(self, progress: Progress) -> Progress:
+        """In words: "3 bundles, 1.2e+06 segments". See :class:`Work`."""
+        return replace(progress, made=self.progress_text(progress), traced="segments")
 
     @abstractmethod
     def progress_text(self, progress: Progress) -> str:
@@ -252,7 +258,7 @@ class LinesWork(PatchWork[Q, R]):
     def progress_text(self, progress: Progress) -> str:
         """See :class:`RequestedWork`."""
         count = min(progress.samples, self.lines.casting.most or progress.samples)
-        return f"{count} bundle{'' if count == 1 else 's'}, {progress.rays:.3g} segments"
+        return f"{format_count(count, 'bundle')}, {progress.rays:.3g} segments"
 
     def keep(self, run: RunResult) -> None:
         """See :class:`RequestedWork`."""
@@ -294,6 +300,7 @@ class LinesWork(PatchWork[Q, R]):
 class FormFactorWork(LinesWork[FormFactorRequest, FormFactorResult]):
     """Form factors by lines."""
 
+    started_by = "etendue.start_form_factors"
     goal: ClassVar[Literal["rows", "irradiance"]] = "rows"
 
     def _objects(self) -> Objects | None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import atexit
-import weakref
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from types import TracebackType
@@ -16,12 +15,17 @@ from etendue.core import OptionError, use_variant
 from etendue.display import TevDisplay
 from etendue.engine import Budget
 
+from .access.addresses import given_address, origins_of, reached
+from .cells import Cell, running_cell
 from .server import Server
 from .session import Session
 from .states import Asked
 
-#: Viewers that are open. A process that ends in the middle of a kernel may crash, so they are closed before.
-_open: weakref.WeakSet[Viewer] = weakref.WeakSet()
+#: Viewers that are open, also those that nobody else holds: their threads go on. A process that ends in the middle of a
+#: kernel may crash, so they are closed before.
+_open: set[Viewer] = set()
+#: Why a viewer is closed when its cell opens another one.
+_AGAIN = "this cell was run again"
 #: Height of the frame in a notebook, in pixels.
 _HEIGHT = 720
 
@@ -32,16 +36,40 @@ def _close_all() -> None:
         viewer.close()
 
 
-class Viewer:
-    """A scene that is shown in browsers until :meth:`close`; in a notebook, below the cell. ``url``: its address."""
+def _close_earlier(cell: Cell) -> None:
+    """Close the viewers of earlier runs of a cell, which have no page any more, and those that a page has ended."""
+    for viewer in list(_open):
+        if cell.is_again(viewer._cell):
+            viewer._why = _AGAIN
+            viewer.close()
+        elif viewer.wait(0):
+            viewer.close()
 
-    def __init__(self, asked: Asked, host: str = "127.0.0.1", port: int = 0, tev: str | None = None) -> None:
+
+class Viewer:
+    """A scene that is shown in browsers until :meth:`close`; in a notebook, below the cell, until that cell opens
+    another one. ``url``: its address."""
+
+    def __init__(
+        self,
+        asked: Asked,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        tev: str | None = None,
+        origins: Iterable[str] = (),
+        address: str | None = None,
+    ) -> None:
         if not isinstance(port, int) or not 0 <= port < 1 << 16:
             raise OptionError(f"a port is a whole number from 0 (any that is free) to 65535, not {port!r}")
         methods.get(asked.method).Settings.from_mapping(asked.settings, owner=f"method '{asked.method}'")
+        self._address = given_address(address)
+        self._why = ""  # it has ended, if there is more to say
+        self._cell = running_cell()
+        _close_earlier(self._cell)  # before the port is taken and the scene loaded
         self._second = None if tev is None else TevDisplay(tev, "etendue view")
         self._session = Session(asked)
-        self._server = Server(self._session, host, port)  # before the scene is loaded, which may take long
+        self._server = Server(self._session, host, port, origins)  # before the scene is loaded, which may take long
+        self._server.trusted.allow(origins_of(self._address, self._server.port))
         if self._second is not None and self._second.connect():
             offer = self._second.offer
             self._session.on_picture = lambda layers: offer(lambda: layers)
@@ -50,12 +78,14 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """The address of the page, with the token without which nothing is answered."""
-        return self._server.url
+        """The address of the page, with the token without which nothing is answered; below ``address`` if one was
+        given."""
+        server = self._server
+        return reached(self._address, server.port, server.token) if self._address else server.url
 
     def show(self) -> bool:
-        """Open the page in a browser; returns whether one was found."""
-        return webbrowser.open(self.url)
+        """Open the page in a browser of this machine; returns whether one was found."""
+        return webbrowser.open(self._server.url)
 
     def loaded(self, timeout: float | None = None) -> bool:
         """Wait until the scene is loaded, or could not be; returns whether it is so."""
@@ -68,9 +98,10 @@ class Viewer:
     def close(self) -> None:
         """End the session, disconnect the pages and release the scene."""
         self._session.close()
-        self._server.close()
+        self._server.close(self._why)
         if self._second is not None:
             self._second.close()
+        _open.discard(self)
 
     def __enter__(self) -> Self:
         return self
@@ -85,10 +116,15 @@ class Viewer:
 
     def _repr_html_(self) -> str:
         if self._session.ended.is_set():
-            return "<p>The viewer has ended.</p>"
+            return f"<p>The viewer has ended{f': {self._why}' if self._why else ''}.</p>"
+        # An object and not an iframe: where the server is gone, as in a notebook that was saved, browsers show what is
+        # in the object instead of an error page. It is inline, so that its height is that of the live page only.
         return (
-            f'<iframe src="{escape(self.url)}" title="étendue viewer" style="width: 100%; height: {_HEIGHT}px; '
-            'border: 1px solid #8888; border-radius: 6px" allow="fullscreen"></iframe>'
+            '<div style="box-sizing: border-box; width: 100%; overflow: hidden; border: 1px solid #8888; '
+            f'border-radius: 6px"><object type="text/html" data="{escape(self.url)}" aria-label="étendue viewer" '
+            f'style="width: 100%; height: {_HEIGHT}px; vertical-align: bottom">'
+            '<p style="margin: 1em">This viewer has ended, or the browser cannot reach it. Run the cell again to open '
+            "one; if Python runs on another machine, give <code>address=</code>.</p></object></div>"
         )
 
 
@@ -107,6 +143,8 @@ def view(
     variant: str | None = None,
     host: str = "127.0.0.1",
     port: int = 0,
+    allow_origin: str | Sequence[str] = (),
+    address: str | None = None,
     tev: str | None = None,
     folder: str | Path = ".",
     solution: str | Path | None = None,
@@ -115,15 +153,22 @@ def view(
     """Show ``scene`` live in the browser, and in a notebook below the cell. The arguments are those of
     :func:`etendue.render`.
 
-    The server listens at ``host`` and ``port`` (0: any that is free); its address has a token. The session goes on in
-    the background until ``close()``; while it does, use no other Mitsuba or Dr.Jit code in this process, or pause it in
-    the page. Files that are saved are written to ``folder``. ``tev`` is the address of the image viewer tev, such as
-    ``localhost:14158``, which then shows the picture and its layers, too. ``solution`` is a file of a solution of
-    radiosity, which the 3-D view then shows.
+    The server listens at ``host`` and ``port`` (0: any that is free); its address has a token. It answers pages of this
+    machine's names; ``allow_origin`` are those of a hub or proxy before it, such as ``https://hub.example.org``.
+    ``address`` is where the reader's browser reaches the server if that is another machine: a URL, whose origin is
+    allowed then, or a path on the server of the notebook, such as ``/user/me/proxy/{port}``; by default that of the
+    environment variable ``ETENDUE_VIEW_ADDRESS``, else the server itself.
+
+    The session goes on in the background until ``close()``, or until the same cell of a notebook is run again; while it
+    does, use no other Mitsuba or Dr.Jit code in this
+    process, or pause it in the page. Files that are saved are written to ``folder``. ``tev`` is the address of the
+    image viewer tev, such as ``localhost:14158``, which then shows the picture and its layers, too. ``solution`` is a
+    file of a solution of radiosity, which the 3-D view then shows.
 
     Raises :class:`OptionError` for an argument out of range, and :class:`BackendError` if tornado is not installed. A
     scene that cannot be loaded is told in the page, where another can be opened.
     """
+    methods.get(method).Settings.check_arguments(settings, f"method '{method}'", view)
     use_variant(variant)
     asked = Asked(
         scene=scene,
@@ -138,4 +183,5 @@ def view(
         folder=Path(folder).absolute(),
         solution=None if solution is None else Path(solution).absolute(),
     )
-    return Viewer(asked, host, port, tev)
+    origins = (allow_origin,) if isinstance(allow_origin, str) else allow_origin
+    return Viewer(asked, host, port, tev, origins, address)

@@ -1,25 +1,26 @@
 """The server: the page, its assets, saved files, and the WebSocket of a session, for those who know the token.
 
 Every address begins with the token (``/TOKEN/``), so that the relative addresses of the page have it, in a frame of a
-notebook as well, where cookies of another site are refused. A WebSocket is opened for pages of this server only, by the
-header Origin; one without it, from a program, needs the token alone.
+notebook as well, where cookies of another site are refused. A request is answered only if it asks for a name of this
+machine, by the header Host, and comes from a page of this server, by the header Origin; one without Origin, from a
+program, needs the token alone. Further origins can be allowed, see :mod:`etendue.viewer.access.trusted`.
 """
 
 from __future__ import annotations
 
 import asyncio
 import hmac
-import ipaddress
 import secrets
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib.resources import files
 from typing import Any, Protocol
-from urllib.parse import quote, urlsplit
+from urllib.parse import quote
 
 from etendue.core import EtendueError, OptionError, describe, library, logger
 
+from .access.trusted import Trusted, is_everywhere
 from .clients import Client
 from .protocol import LARGEST_MESSAGE, parsed
 
@@ -31,8 +32,6 @@ _HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
-#: Names of this machine, for which a page may be opened if the server is bound to them.
-_LOCAL = ("localhost", "127.0.0.1", "::1")
 
 
 class Served(Protocol):
@@ -56,13 +55,16 @@ class Served(Protocol):
 
 
 class Server:
-    """A server in a thread of its own. Raises :class:`OptionError` if the address cannot be used."""
+    """A server in a thread of its own. ``origins``: those of hubs and proxies that it answers as well. Raises
+    :class:`OptionError` if the address cannot be used, or for an origin that is none."""
 
-    def __init__(self, session: Served, host: str = "127.0.0.1", port: int = 0) -> None:
+    def __init__(self, session: Served, host: str = "127.0.0.1", port: int = 0, origins: Iterable[str] = ()) -> None:
         library("tornado", _PURPOSE, _EXTRA)
+        self.trusted = Trusted(host, origins)
         self.token = secrets.token_urlsafe(24)
         self.host, self.port = host, port
         self._session = session
+        self._why = ""
         self._sockets: set[Any] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stop: asyncio.Event | None = None
@@ -80,8 +82,9 @@ class Server:
         host = socket.gethostname() if is_everywhere(self.host) else self.host
         return f"http://{f'[{host}]' if ':' in host else host}:{self.port}/{self.token}/"
 
-    def close(self) -> None:
-        """Disconnect all pages and end the thread."""
+    def close(self, why: str = "") -> None:
+        """Disconnect all pages and end the thread. ``why`` is told to the pages, in at most 123 bytes."""
+        self._why = why
         if self._loop is not None and self._stop is not None and self._thread.is_alive():
             self._loop.call_soon_threadsafe(self._stop.set)
         if threading.current_thread() is not self._thread:
@@ -90,14 +93,6 @@ class Server:
     def knows(self, token: str) -> bool:
         """Whether ``token`` is that of the server, in the same time for any."""
         return hmac.compare_digest(token.encode(), self.token.encode())
-
-    def trusts(self, origin: str, host: str) -> bool:
-        """Whether a page of ``origin`` may open the socket that it knows as ``host``: it came from this server, by a
-        name of this machine, or by any if the server is bound to all of its addresses."""
-        place = urlsplit(origin)
-        if place.scheme not in ("http", "https") or place.netloc.lower() != host.lower():
-            return False
-        return is_everywhere(self.host) or (place.hostname or "") in (*_LOCAL, self.host.lower())
 
     # ------------------------------------------------------------------ in the server's thread
 
@@ -127,17 +122,9 @@ class Server:
         await self._stop.wait()
         server.stop()
         for opened in list(self._sockets):
-            opened.close(1001, "the viewer has ended")
+            opened.close(1001, self._why or None)
         await asyncio.sleep(0.05)  # lets the last messages leave
         await server.close_all_connections()
-
-
-def is_everywhere(host: str) -> bool:
-    """Whether an address stands for all addresses of the machine."""
-    try:
-        return ipaddress.ip_address(host).is_unspecified
-    except ValueError:
-        return False
 
 
 def _why(error: OSError, port: int) -> str:
@@ -155,16 +142,27 @@ def application(server: Server) -> Any:
     from tornado.web import Application, HTTPError, RequestHandler, StaticFileHandler
     from tornado.websocket import WebSocketHandler
 
+    def check(handler: RequestHandler) -> None:
+        """Refuse those who do not know the token, and pages from elsewhere. In ``prepare``, which every request passes:
+        tornado asks ``check_origin`` for WebSockets only, and from 6.6 on not if Origin and Host agree."""
+        if not server.knows(handler.path_args[0] if handler.path_args else ""):
+            raise HTTPError(403, reason="The address needs the token that etendue view has printed")
+        headers = handler.request.headers
+        if why := server.trusted.refusal(headers.get("Origin"), headers.get("Host", "")):
+            logger.warning("viewer: a request was refused: %s", why)
+            handler.set_status(403)
+            handler.set_header("Content-Type", "text/plain; charset=utf-8")
+            handler.finish(f"403: {why}\n")
+
     class Guarded(RequestHandler):
-        """Refuses those who do not know the token."""
+        """Refuses those who do not know the token, and pages from elsewhere."""
 
         def set_default_headers(self) -> None:
             for name, value in _HEADERS.items():
                 self.set_header(name, value)
 
         def prepare(self) -> None:
-            if not server.knows(self.path_args[0] if self.path_args else ""):
-                raise HTTPError(403, reason="The address needs the token that etendue view has printed")
+            check(self)
 
         def write_error(self, status_code: int, **_: Any) -> None:
             self.set_header("Content-Type", "text/plain; charset=utf-8")
@@ -174,7 +172,7 @@ def application(server: Server) -> Any:
         """The token without the slash after it, which relative addresses need."""
 
         def get(self, token: str) -> None:
-            self.redirect(f"/{token}/")
+            self.redirect(f"{token}/")  # relative, since a proxy may have put a path before it
 
     class Page(Guarded):
         def get(self, token: str) -> None:
@@ -206,11 +204,10 @@ def application(server: Server) -> Any:
         client: Client | None = None
 
         def prepare(self) -> None:
-            if not server.knows(self.path_args[0]):
-                raise HTTPError(403, reason="The address needs the token that etendue view has printed")
+            check(self)
 
         def check_origin(self, origin: str) -> bool:
-            return server.trusts(origin, self.request.headers.get("Host", ""))
+            return server.trusted.origin(origin, self.request.headers.get("Host", ""))
 
         def open(self, token: str) -> None:
             self.set_nodelay(True)

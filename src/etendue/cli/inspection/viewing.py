@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -48,6 +49,22 @@ def view(
     port: Annotated[
         int, typer.Option("--port", help="Port to listen at; 0 for any that is free.", min=0, max=65535, metavar="N")
     ] = 0,
+    allow_origin: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--allow-origin",
+            help="Answer pages of this hub or proxy, such as https://hub.example.org, too; may be repeated.",
+            metavar="URL",
+        ),
+    ] = None,
+    address: Annotated[
+        str | None,
+        typer.Option(
+            "--address",
+            help="Where a browser on another machine reaches the viewer, for the address that is printed.",
+            metavar="URL",
+        ),
+    ] = None,
     radiosity: Annotated[
         Path | None, typer.Option("--radiosity", help="Show a solution of `etendue radiosity` in 3-D.", metavar="FILE")
     ] = None,
@@ -84,15 +101,23 @@ def view(
         raise SceneError(f"there is no solution '{radiosity}'; make one by `etendue radiosity SCENE -o {radiosity}`")
     name = methods.get(method or "path").name
     asked = Asked(found, name, settings, budget, size, sensor, parameters, memory, seed, solution=radiosity)
-    return show(asked, host.strip(), port, not no_browser, tev)
+    return show(asked, host.strip(), port, not no_browser, tev, allow_origin or (), address)
 
 
-def show(asked: Asked, host: str, port: int, in_browser: bool, tev: str | None = None) -> int:
+def show(
+    asked: Asked,
+    host: str,
+    port: int,
+    in_browser: bool,
+    tev: str | None = None,
+    origins: Sequence[str] = (),
+    address: str | None = None,
+) -> int:
     """Run a session until a page or Ctrl-C ends it."""
     from etendue.viewer import Viewer
 
     console = error_console()
-    with Viewer(asked, host, port, tev) as viewer:
+    with Viewer(asked, host, port, tev, origins, address) as viewer:
         note(console, "open this address in a browser; Ctrl-C ends the session:")
         say(viewer.url)
         if in_browser and not viewer.show():

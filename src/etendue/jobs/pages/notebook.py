@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -128,9 +130,16 @@ def _patches(patches: Any) -> str:
     return card("Patches", facts, _mesh(patches, reflectance if patches.channels == 3 else reflectance.mean(axis=1)))
 
 
+def _ended_by(reason: str, counted: str) -> str:
+    """What ended a run. ``counted``: what its budget in samples counts."""
+    words = {"seconds": "time", "samples": f"number of {counted}", "cancel": "cancelled", "failure": "an error"}
+    return words.get(reason, reason)
+
+
 def _solved(result: Any) -> str:
     """A result of radiosity: its picture, if it has one, and the solution."""
-    facts: dict[str, Any] = {"stopped by": result.stopped_by, "time": time_text(result.elapsed)}
+    counted = "bundles" if getattr(result, "bundles", 0) else "lines"
+    facts: dict[str, Any] = {"ended by": _ended_by(result.stopped_by, counted), "time": time_text(result.elapsed)}
     for name in ("bundles", "points", "passes"):
         if getattr(result, name, 0):
             facts[name] = getattr(result, name)
@@ -170,7 +179,8 @@ def _matrix(matrix: Any) -> Any:
 
 
 def _factor_result(result: Any) -> str:
-    more = {"bundles": result.bundles, "stopped by": result.stopped_by, "time": time_text(result.elapsed)}
+    ended = _ended_by(result.stopped_by, "bundles")
+    more = {"bundles": result.bundles, "ended by": ended, "time": time_text(result.elapsed)}
     return _factors(result.factors, more)
 
 
@@ -207,7 +217,8 @@ def _projected(particles: Any) -> Any:
 
 
 def _particle_result(result: Any) -> str:
-    facts = {"passes": result.passes, "stopped by": result.stopped_by, "time": time_text(result.elapsed)}
+    ended = _ended_by(result.stopped_by, "paths")
+    facts = {"passes": result.passes, "ended by": ended, "time": time_text(result.elapsed)}
     facts |= {name: f"{count:.6g}" for name, count in result.counters.items()}
     if result.particles is not None:
         return _particles(result.particles, facts)
@@ -239,6 +250,23 @@ def _made_map(made: Any) -> str:
     return card("Map of irradiance", {"kind": made.map.kind, **more})
 
 
+# ---------------------------------------------------------------- checks
+
+
+def _report(report: Any) -> str:
+    """What failed and warns, with what it means; then how many tests each component passed."""
+    facts: dict[str, str] = {}
+    for kind, findings in (("failed", report.failures), ("warning", report.warnings)):
+        for finding in findings:
+            figure = f" ({number_text(finding.figure)})" if np.isfinite(finding.figure) else ""
+            facts[f"{kind}: {finding.component}, {finding.test}"] = f"{finding.meaning}{figure}"
+    passed = Counter(finding.component for finding in report.findings if finding.verdict == "pass")
+    tests = Counter(finding.component for finding in report.findings)
+    facts |= {component: f"{passed[component]} of {count} passed" for component, count in tests.items()}
+    counts = f"{passed.total()} tests passed, {len(report.warnings)} warn, {len(report.failures)} failed"
+    return card(f"Check of {report.source}", facts, status=f"{counts}, in {time_text(report.seconds)}")
+
+
 _CARDS: dict[str, Callable[[Any], str]] = {
     "Result": _result,
     "Rendering": _result,
@@ -254,6 +282,7 @@ _CARDS: dict[str, Callable[[Any], str]] = {
     "ParticleFile": _particle_file,
     "PatchMap": _patch_map,
     "MadeMap": _made_map,
+    "Report": _report,
 }
 
 
@@ -266,6 +295,7 @@ class LiveProgress:
     def __init__(self, title: str, display: Any, html: Any) -> None:
         self._title, self._html = title, html
         self._next = 0.0
+        self._latest = Progress()
         self._handle = display(html(card(title, {}, status="starting")), display_id=True)
 
     @classmethod
@@ -281,9 +311,27 @@ class LiveProgress:
         shown: Any = import_module("IPython.display")
         return cls(title, shown.display, shown.HTML)
 
-    def update(self, progress: Progress, last: bool = False) -> None:
+    def update(self, progress: Progress) -> None:
         """Show the progress, a few times a second."""
-        if self._handle is None or (not last and time.monotonic() < self._next):
-            return
-        self._next = time.monotonic() + _EVERY
-        self._handle.update(self._html(card(self._title, {}, **_progress(progress))))
+        self._latest = progress
+        if time.monotonic() >= self._next:
+            self._next = time.monotonic() + _EVERY
+            self._show(**_progress(progress))
+
+    def finishing(self, progress: Progress) -> None:
+        """All passes are made; what they give is computed and written, which may take a while."""
+        self._latest = progress
+        self._show(status=_after("finishing", progress))
+
+    def end(self, how: str) -> None:
+        """The run has ended: ``done``, ``interrupted`` or ``failed``."""
+        self._show(status=_after(how, self._latest))
+
+    def _show(self, **shown: Any) -> None:
+        if self._handle is not None:
+            self._handle.update(self._html(card(self._title, {}, **shown)))
+
+
+def _after(how: str, progress: Progress) -> str:
+    """What was made, after the last pass: nothing is left to come then."""
+    return f"{how}: {replace(progress, eta=None)}" if progress.passes else f"{how} before the first pass was done"

@@ -17,7 +17,7 @@ export class Connection {
     this.socket.onopen = () => { this.wait = 500; this.onStatus('open'); };
     this.socket.onmessage = (event) => this.take(event.data);
     this.socket.onclose = (event) => {
-      if (event.code === 1001 && !this.ended) this.end(); // the server has gone, and its token with it
+      if (event.code === 1001 && !this.ended) this.end(event.reason); // the server has gone, and its token with it
       if (this.ended) return;
       this.onStatus('closed');
       setTimeout(() => this.open(), this.wait);
@@ -25,9 +25,9 @@ export class Connection {
     };
   }
 
-  end() {
+  end(why = '') {
     this.ended = true;
-    this.onStatus('ended');
+    this.onStatus('ended', why);
   }
 
   on(type, listener) {

@@ -13,14 +13,15 @@ let state = null;
 let camera = null;
 let compared = null;
 
-const connection = new Connection((status) => {
-  const texts = { open: '', closed: 'The connection is lost; trying again…', ended: 'The session has ended. This page can be closed.' };
+const connection = new Connection((status, why) => {
+  const texts = { open: '', closed: 'The connection is lost; trying again…', ended: `The session has ended${why ? `: ${why}` : ''}. This page can be closed.` };
   wait(texts[status]);
   document.body.dataset.connection = status;
 });
 
 const stage = new Stage(connection, {
-  drawn: () => { if (state?.loaded) wait(''); },
+  // A picture may still be decoded when the connection has gone: what is said of that stays.
+  drawn: () => { if (state?.loaded && document.body.dataset.connection === 'open') wait(''); },
   keys: {
     Home: () => connection.send('camera', { reset: true }),
     KeyV: () => connection.send('views', { save: true }),
