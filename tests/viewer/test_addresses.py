@@ -12,6 +12,7 @@ def opened(monkeypatch):
     """Opens viewers without a scene; they are closed at the end."""
     monkeypatch.delenv(VARIABLE, raising=False)
     monkeypatch.setattr("etendue.viewer.opening.Session.start", lambda session: None)
+    monkeypatch.setattr("etendue.viewer.opening._open", set())  # a session that has not started is not closed
     viewers = []
 
     def make(**options):

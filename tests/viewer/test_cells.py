@@ -18,6 +18,7 @@ def run_cell(monkeypatch):
     """Sets the cell that is running, as a kernel tells it."""
     python = ModuleType("IPython")
     monkeypatch.setitem(sys.modules, "IPython", python)
+    monkeypatch.setattr(opening, "_open", set())  # those of this test alone
 
     def run(cell, number):
         parent = {"header": {"msg_id": f"run {number}"}, "metadata": {"cellId": cell} if cell else {}}
