@@ -17,7 +17,7 @@ from etendue.core import Replica
 from .measuring import COST_SCENE, COST_SETTINGS, Clock, Record, interleaved, spread, verdict
 from .options import Rounds, Size, WarmUp
 
-BARS = {"bpt": 2.8, "vcm": 4.0, "sppm": 3.0}
+BARS = {"bpt": 2.2, "vcm": 3.0, "sppm": 3.0}
 BAR_SIZE = (512, 512)
 _MITSUBA = "Mitsuba path"
 #: Russian roulette as Mitsuba's ``path`` plays it by default, and no other.

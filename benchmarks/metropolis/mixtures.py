@@ -13,9 +13,10 @@ import typer
 from numpy.typing import NDArray
 
 from etendue.core import Replica
-from etendue.methods.metropolis.chains import PassResult, Progressed, Runner, _Walk
+from etendue.methods.metropolis.chains import Runner, _Walk
 from etendue.methods.metropolis.mmlt import Mmlt
 from etendue.methods.metropolis.pssmlt import Pssmlt
+from etendue.methods.metropolis.states import PassResult, Progressed
 from etendue.scene import bundled_scene, load
 from etendue.transport import Splats
 

@@ -195,6 +195,27 @@ def test_light_that_is_found_late(monkeypatch):
     assert changed > 2 and set(chosen[:changed]) == {"path"} and set(chosen[changed:]) == {"vcm"}
 
 
+def test_the_choice_of_the_last_first_pass_is_free(monkeypatch):
+    """What connections have learned in the first pass changes it. Later ones have to be worth a change."""
+    better = {1: FIXED["vcm"], 2: FIXED["bpt"], 3: PATH}  # by the number of passes that have learned
+
+    def errors(what):
+        costs = np.array([what.mean_work().cost(c) for c in CANDIDATES])
+        kept = [0.97 if c == better[what.passes] else 1.0 for c in CANDIDATES]
+        return np.array([k if c in better.values() else 9.0 for c, k in zip(CANDIDATES, kept, strict=True)]) / costs
+
+    monkeypatch.setattr(Learned, "errors", errors)
+    monkeypatch.setattr(auto, "_SHARE", 0.9)
+    method = prepared(scenes.room("rectangle", scenes.FEW), "auto", samples_per_pass=4)
+    chosen = {}
+    for iteration in range(20):
+        method.step(iteration, 1)
+        chosen.setdefault(method.state()["learned"]["passes"], Candidate(*method.state()["counts"]))
+        if len(chosen) == 3:
+            break
+    assert list(chosen.values()) == [FIXED["vcm"], FIXED["bpt"], FIXED["bpt"]]
+
+
 @pytest.mark.slow
 def test_light_that_is_found_late_is_in_the_picture(monkeypatch):
     """The mean over 64 runs that change from path tracing to merging is that of path tracing."""

@@ -123,8 +123,10 @@ def runner_of(target: Any, chains: int = 1 << 12, bootstrap: int = 1 << 14, **op
 
 
 @pytest.mark.parametrize("lit", [1.0, 0.02])
-def test_no_chain_stays_at_a_bright_path(lit):
-    """Chains at the brightest paths of a target with a heavy tail leave them as fast as is said."""
+def test_no_chain_stays_at_a_bright_path(lit, monkeypatch):
+    """Chains at the brightest paths of a target with a heavy tail leave them as fast as is said, without those that
+    begin anew."""
+    monkeypatch.setattr(Runner, "renewed", lambda self, carried, *_: carried.states)
     scenes.camera()
     runner, steps = runner_of(heavy(lit)), 64
     start = runner.start(1)
@@ -136,6 +138,58 @@ def test_no_chain_stays_at_a_bright_path(lit):
     # No faster either, or more of the target were limited than must be.
     assert abs(stay - expected) < 0.08
     assert dr.max(start.states.target)[0] <= start.cap * (1.0 + 1e-6)
+
+
+def test_chains_begin_anew_in_proportion_to_the_light_that_large_steps_find():
+    """As many as if first states had been drawn from all samples, at those that have it, and in their own half."""
+    scenes.camera()
+    runner = runner_of(heavy(), chains=1 << 14)
+    start = runner.start(1)
+    half, first = runner.chains // 2, 1 << 20
+    moves = runner._moves(1, first)
+    numbers = mi.UInt32([5, 900, (1 << 31) + 7])  # two proposals of the first half and one of the second have light
+    expected = moves["camera"].write(runner.target.layouts["camera"], dr.zeros(mi.Float, 6), None, numbers, 3).numpy()
+    targets = np.zeros((2, 4 * half))
+    targets[0, [5, 900]], targets[1, 7] = (3.0, 1.0), 2.0
+    states = runner.renewed(replace(start, found=np.array([[1.0, 10.0, 1.0], [1.0, 20.0, 1.0]])), first, targets, 1)
+    before, after = (one.numbers["camera"].numpy().reshape(2, -1) for one in (start.states, states))
+    places = expected.reshape(2, -1)
+    anew = [(after == places[:, [k]]).all(axis=0) for k in range(3)]
+    assert not anew[0][half:].any() and not anew[1][half:].any() and not anew[2][:half].any()
+    # Half of them change with a share of 4 / 10, three quarters of these to the brighter one; the others of 2 / 20.
+    for begun, share in zip(anew, (0.3, 0.1, 0.1), strict=True):
+        assert abs(begun.sum() - share * half) < 4.0 * np.sqrt(half * share)
+    begun = np.any(anew, axis=0)
+    np.testing.assert_array_equal(after[:, ~begun], before[:, ~begun])
+    traced = runner._trace(moves, numbers, None)
+    values = np.minimum(traced.contributions[0].value.x.numpy(), start.cap)
+    for one, value in zip(anew, values, strict=True):
+        np.testing.assert_allclose(states.target.numpy()[one], value, rtol=1e-6)
+    np.testing.assert_array_equal(states.target.numpy()[~begun], start.states.target.numpy()[~begun])
+
+
+def test_chains_that_cannot_move_show_all_that_large_steps_have_found():
+    """Where small steps are refused and large ones nearly always, chains would stay at what the bootstrap has found:
+    here at few of 256 bright cells, each as probable as the others."""
+    scenes.camera()
+
+    def trace(sources: Any, lanes: int) -> Traced:
+        (u, v), w = sources["camera"].next_2d(0, 0), sources["camera"].next_1d(0, 2)
+        value, nothing = dr.select(w < 1.0 / 4096.0, 1.0, 0.0), dr.zeros(mi.UInt32, lanes)
+        return Traced([Contribution(16.0 * mi.Point2f(u, v), mi.Color3f(value))], nothing, nothing)
+
+    target = SimpleNamespace(layouts={"camera": Layout([Slot(0, 2), Slot(2)], [], 0)}, trace=trace)
+    runner = runner_of(target, 1 << 12, 1 << 14)
+    carried = replace(runner.start(1), size=1e-6, share=0.5)
+    errors = []
+    for _ in range(33):
+        place = carried.states.contributions[0].position
+        cells = np.bincount((np.array(place.y).astype(int) * 16 + np.array(place.x).astype(int)), minlength=256)
+        errors.append(float(np.square(cells / 16.0 - 1.0).mean()))
+        carried, _ = runner.run(carried, 8, 1, None)
+    # The relative variance of a cell is 256 over the samples that have found light: 32, and after the passes 160.
+    found = carried.found[:, 1].sum()
+    assert errors[0] > 5.0 and errors[-1] < 1.5 * 256.0 / found < 3.0, (errors[0], errors[-1], found)
 
 
 def test_the_largest_target_of_some_values():

@@ -98,20 +98,30 @@ class Move:
         return PrimarySource(layout, self.fresh(chain), chain, chains, state, self.size)
 
     def write(
-        self, layout: Layout, state: dr.ArrayBase, accepted: dr.ArrayBase | None, chain: dr.ArrayBase, chains: int
+        self,
+        layout: Layout,
+        state: dr.ArrayBase,
+        accepted: dr.ArrayBase | None,
+        chain: dr.ArrayBase,
+        chains: int,
+        at: dr.ArrayBase | None = None,
     ) -> dr.ArrayBase:
         """The state of all chains after the step: the proposal where it is ``accepted``, everywhere if ``None``.
-        ``chain``: the numbers by which ``fresh`` knows the chains. The given state is not changed."""
+        ``chain``: the numbers by which ``fresh`` knows the chains; those of the chains ``at`` alone if these are given,
+        in a large step. The given state is not changed."""
         result = type(state)(state)
+        # Opaque where it changes: it would be compiled into the kernels.
+        count = chains if at is None else dr.opaque(type(chain), dr.width(chain))
         for end, place in layout.firsts():
-            lane = dr.arange(type(chain), place.vertices * chains)
-            row = lane // chains
-            number = lane - row * chains
+            lane = dr.arange(type(chain), place.vertices * dr.width(chain))
+            row = lane // count
+            number = lane - row * count
             own = dr.gather(type(chain), chain, number)
             source = PrimarySource(layout, self.fresh(own), number, chains, state, self.size)
             mask = True if accepted is None else dr.gather(type(accepted), accepted, number)
+            goal = row * chains + (number if at is None else dr.gather(type(chain), at, number))
             for index, value in enumerate(source.values(0 if end else row + 1, place.slot)):
-                dr.scatter(result, value, lane + (place.row + index * place.vertices) * chains, mask)
+                dr.scatter(result, value, goal + (place.row + index * place.vertices) * chains, mask)
         dr.eval(result)
         return result
 

@@ -37,7 +37,7 @@ from etendue.film import LUMINANCE
 from ..base import ImageMethod
 
 if TYPE_CHECKING:
-    from .chains import PassResult
+    from .states import PassResult
 
 #: Side of a cell in which variances are measured, in pixels, and the weight of the independent estimator before they
 #: are known.

@@ -37,6 +37,7 @@ from etendue.transport import Splats
 from ..base import total
 from .blend import luminance
 from .film import BrightnessMap
+from .states import HALF_BIT, ChainStates, PassResult, Progressed, drawn, numbers_of
 from .targets import Contribution, Target, Traced, largest_target
 
 #: Weight of a step of a chain relative to that of an independent sample, because neighbours of a chain are correlated.
@@ -53,54 +54,7 @@ IMAGES = 2 * _LARGE
 _CONTRIBUTION_BYTES, _TARGET_BYTES = 12, 24
 #: Most samples of the bootstrap that are traced together.
 _BATCH = 1 << 16
-#: Bit of the number of a sample or a chain that tells its half.
-_HALF_BIT = 31
 _WORD = 0xFFFFFFFF
-
-
-@dataclass(frozen=True)
-class ChainStates:
-    """The current paths, one lane a chain; replaced by every step, never modified."""
-
-    numbers: dict[str, mi.Float]  #: by sub-path, row by row
-    contributions: list[Contribution]
-    target: mi.Float
-    rejected: mi.UInt32  #: proposals rejected in a row
-
-
-@dataclass(frozen=True)
-class Progressed:
-    """All that chains carry on from pass to pass."""
-
-    states: ChainStates
-    factors: BrightnessMap
-    unit: float  #: b_0
-    cap: float
-    #: For each half: samples of the bootstrap and of large steps, and the sums of the target and of its square.
-    found: Array
-    steps: int = 0  #: steps so far
-    large: int = 0  #: large ones among them
-    longest: int = 0  #: proposals that a chain has rejected in a row, at most
-    size: float = 1.0 / 64.0  #: of small steps
-    share: float = 0.25  #: of large steps
-    owed: float = 0.0  #: large steps that passes have not made yet, because they make whole ones
-
-
-@dataclass
-class PassResult:
-    """A pass of all chains.
-
-    ``chained``, ``large``: pictures, (parts, 2, height, width, 3), of each component of light, or of the only one, and
-    of the two halves: of the chains without the factor kappa b / b_0, and of the large steps as independent samples.
-    ``contrast``: half differences of the luminance of both between the groups of each half, (2, 2, height, width).
-    ``None`` without splats. ``factors``: an estimate of that factor by the bootstrap and all large steps, of each half.
-    """
-
-    chained: NDArray[np.float64] | None
-    large: NDArray[np.float64] | None
-    contrast: NDArray[np.float64] | None
-    counters: dict[str, float]
-    factors: Array
 
 
 @dataclass
@@ -138,9 +92,9 @@ class Runner:
         :func:`numbers_of` samples."""
 
         def fresh(number: mi.UInt32) -> SampleSource:
-            half = number >> _HALF_BIT
+            half = number >> HALF_BIT
             start = dr.opaque(mi.UInt32, first & _WORD)
-            index = (number & ((1 << _HALF_BIT) - 1)) + start
+            index = (number & ((1 << HALF_BIT) - 1)) + start
             high = dr.select(index < start, mi.UInt32(1), mi.UInt32(0)) + dr.opaque(mi.UInt32, first >> 32)
             if self.sampler == "owen":
                 return OwenSobolSource(half, index, seed, f"large {name}", high)
@@ -220,11 +174,7 @@ class Runner:
         half = self.chains // 2
         chosen = np.empty((2, half), np.uint32)
         for index, row in enumerate(targets):
-            offset = (seed_key(seed, f"start {index}", 0)[0] + 0.5) / 2.0**32
-            reached = np.cumsum(row, dtype=np.float64)
-            place = np.searchsorted(reached, (np.arange(half) + offset) / half * reached[-1], side="right")
-            chosen[index] = np.minimum(place, np.flatnonzero(row)[-1])
-            chosen[index] += np.uint32(index << _HALF_BIT)
+            chosen[index] = drawn(row, half, _offset(seed, "start", index, 0)) + (index << HALF_BIT)
         numbers, moves = mi.UInt32(chosen.ravel()), self._moves(seed, first)
         traced = self._trace(moves, numbers, None)
         target = self._target(traced.contributions, factors, cap)
@@ -234,6 +184,49 @@ class Runner:
             for name, layout in self.target.layouts.items()
         }
         return ChainStates(kept, traced.contributions, target, dr.zeros(mi.UInt32, self.chains))
+
+    def renewed(self, carried: Progressed, first: int, targets: Array, seed: int) -> ChainStates:
+        """The states after some chains have begun anew: at proposals of large steps, drawn in proportion to the target,
+        as many as if all first states had been drawn from all independent samples so far.
+
+        ``targets``: of the proposals, those numbered from ``first`` on in each half, (halves, proposals).
+        """
+        half, sums = self.chains // 2, targets.sum(axis=1)
+        u = np.array(IndependentSource(self._numbers, seed, "renew", carried.steps).next_1d(0, 0)).reshape(2, half)
+        begins = u < (sums / np.maximum(carried.found[:, 1], 1e-300))[:, None]
+        counts = begins.sum(axis=1)
+        if not counts.any():
+            return carried.states
+        chosen = [
+            drawn(row, count, _offset(seed, "renew", index, carried.steps)) + (index << HALF_BIT)
+            for index, (row, count) in enumerate(zip(targets, counts, strict=True))
+            if count
+        ]
+        numbers, at = mi.UInt32(np.concatenate(chosen).astype(np.uint32)), mi.UInt32(np.flatnonzero(begins))
+        moves, old = self._moves(seed, first), carried.states
+        traced = self._trace(moves, numbers, None)
+        target = self._target(traced.contributions, carried.factors, carried.cap)
+        dr.eval(traced.contributions, target)
+        # A copy of all states, in which those of some chains are replaced.
+        kept = [
+            Contribution(mi.Point2f(one.position), mi.Color3f(one.value), one.component) for one in old.contributions
+        ]
+        states = ChainStates(
+            {
+                name: moves[name].write(layout, old.numbers[name], None, numbers, self.chains, at)
+                for name, layout in self.target.layouts.items()
+            },
+            kept,
+            mi.Float(old.target),
+            mi.UInt32(old.rejected),
+        )
+        for mine, new in zip(kept, traced.contributions, strict=True):
+            dr.scatter(mine.position, new.position, at)
+            dr.scatter(mine.value, new.value, at)
+        dr.scatter(states.target, target, at)
+        dr.scatter(states.rejected, mi.UInt32(0), at)
+        dr.eval(states.contributions, states.target, states.rejected)
+        return states
 
     @staticmethod
     def _target(contributions: Sequence[Contribution], factors: BrightnessMap, cap: float) -> mi.Float:
@@ -257,19 +250,14 @@ class Runner:
         return walk.finish(steps, seed)
 
 
+def _offset(seed: int, purpose: str, half: int, step: int) -> float:
+    """A random number in [0, 1)."""
+    return float((seed_key(seed, f"{purpose} {half}", step)[0] + 0.5) / 2.0**32)
+
+
 def _by_half(parts: Sequence[Array]) -> Array:
     """Values of the samples of some batches, (halves, samples)."""
     return np.concatenate([part.reshape(2, -1) for part in parts], axis=1)
-
-
-def numbers_of(lanes: int) -> mi.UInt32:
-    """The numbers by which sources know ``lanes`` chains or samples, half of them in each half: the half in the upper
-    bit, and the number in the half."""
-    lane, half = dr.arange(mi.UInt32, lanes), dr.opaque(mi.UInt32, lanes // 2)
-    second = lane >= half
-    numbers = dr.select(second, (lane - half) + mi.UInt32(1 << _HALF_BIT), lane)
-    dr.eval(numbers)
-    return numbers
 
 
 def replace_fresh(move: Move, fresh: Callable[[mi.UInt32], SampleSource], numbers: mi.UInt32) -> Move:
@@ -298,9 +286,9 @@ class _Walk:
         carried, chains = self.carried, self.runner.chains
         self._inverse_unit, self._share = (dr.opaque(mi.Float, v) for v in (1.0 / carried.unit, self.share))
         self._longest = dr.zeros(mi.UInt32, chains)
-        self._sums = [dr.zeros(mi.Float, chains) for _ in range(2)]  # over large steps: as in Progressed.found
         self._accepted = {large: dr.zeros(mi.UInt32, chains) for large in (True, False)}
         self._tried = {True: 0, False: 0}
+        self._proposed: list[mi.Float] = []  # targets of the proposals of large steps
         self._rays = self._bad = dr.zeros(mi.UInt32, chains)
 
     def _weight(self, target: mi.Float) -> mi.Float:
@@ -343,7 +331,7 @@ class _Walk:
         self.waiting = dr.select(accepted, go, self.waiting + stay)
         if is_large:
             self._splat(_LARGE, traced.contributions, self._weight(target), places)
-            self._sums = [self._sums[0] + target, self._sums[1] + target * target]
+            self._proposed.append(target)
         self._accepted[is_large] = self._accepted[is_large] + dr.select(accepted, mi.UInt32(1), 0)
         self._tried[is_large] += 1
         rejected = dr.select(accepted, mi.UInt32(0), old.rejected + 1)
@@ -354,7 +342,7 @@ class _Walk:
         if self.splats is not None:
             dr.schedule(self.splats.array)
         dr.eval(self.waiting, new, kept, rejected, accepted, self._longest, self._accepted)
-        dr.eval(self._sums, self._rays, self._bad)
+        dr.eval(self._rays, self._bad)
         numbers = {
             name: moves[name].write(layout, old.numbers[name], accepted, runner._numbers, runner.chains)
             for name, layout in runner.target.layouts.items()
@@ -371,9 +359,9 @@ class _Walk:
         runner, carried = self.runner, self.carried
         places = IndependentSource(runner._numbers, seed, "last filter", carried.steps)
         self._splat(0, carried.states.contributions, self.waiting, places)
-        new = np.array([[np.array(s).reshape(2, -1).sum(1, dtype=np.float64)] for s in self._sums])[:, 0]
-        count = np.full((1, 2), self._tried[True] * (runner.chains // 2))
-        found = carried.found + np.concatenate([count, new]).T
+        targets = _by_half([np.zeros(0), *(np.array(target, np.float64) for target in self._proposed)])
+        new = [np.full(2, targets.shape[1]), targets.sum(axis=1), np.square(targets).sum(axis=1)]
+        found = carried.found + np.stack(new, axis=1)
         mean = found[:, 1] / found[:, 0]
         factors = CORRELATED * mean / carried.unit
         chained = large = contrast = None
@@ -395,4 +383,8 @@ class _Walk:
             "small steps accepted": total(self._accepted[False]),
         }
         longest = max(carried.longest, int(np.array(self._longest).max()))
-        return replace(carried, found=found, longest=longest), PassResult(chained, large, contrast, counters, factors)
+        carried = replace(carried, found=found, longest=longest)
+        if targets.any():
+            first = carried.large - targets.shape[1]
+            carried = replace(carried, states=runner.renewed(carried, first, targets, seed))
+        return carried, PassResult(chained, large, contrast, counters, factors)

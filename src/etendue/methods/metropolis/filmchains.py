@@ -43,8 +43,8 @@ from etendue.transport import dimensions as dim
 from ..base import ImageMethod, ImageSettings, keep_finite, total
 from ..path import traced
 from .blend import Blend, brightness, luminance
-from .chains import PassResult, numbers_of
 from .method import MetropolisMethod, MetropolisSettings, beside_paths
+from .states import PassResult, numbers_of
 from .targets import ROULETTE, Contribution, Target, Traced, camera_slots
 
 Rows = NDArray[np.float32]

@@ -7,6 +7,7 @@ from abc import abstractmethod
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -32,12 +33,14 @@ from ..base import ImageMethod, ImageSettings, Layer
 from ..bidirectional import Bpt
 from ..path import Path
 from .blend import Beside, Blend, Grid
-from .chains import IMAGES, ChainStates, PassResult, Progressed, Runner
+from .chains import IMAGES, Runner
 from .film import BrightnessMap
+from .states import ChainStates, PassResult, Progressed
 from .targets import Contribution, Target
 
-#: Most chains, and steps of a pass.
-_MOST_CHAINS = 1 << 16
+#: Most chains, and on a CPU, whose cores fewer keep busy: the same steps by fewer chains take these further. Steps of
+#: a pass by the former, at least.
+_MOST_CHAINS, _MOST_CPU_CHAINS = 1 << 16, 1 << 15
 _STEPS = 8
 #: Share of the memory that the bootstrap may take.
 _BOOTSTRAP_SHARE = 0.25
@@ -130,7 +133,9 @@ class MetropolisMethod(Carrying, ImageMethod):
         s = self.settings
         samples = self._samples(problem)
         paths = self.camera.pixels * samples
-        chains = s.chains or min(_MOST_CHAINS, max(paths // _STEPS, 1))
+        is_cpu = dr.backend_v(mi.Float) == dr.JitBackend.LLVM
+        most = _MOST_CPU_CHAINS if is_cpu else _MOST_CHAINS
+        chains = s.chains or min(most, max(paths // _STEPS, 1))
         chains += -chains % 4
         self._steps, self._chains = max(2, -(-paths // chains)), chains
         self.runner = Runner(

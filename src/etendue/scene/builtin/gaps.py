@@ -1,4 +1,4 @@
-"""A room lit through two small gaps in a row: a lamp in the third chamber, which faces away from the gap before it.
+"""A room lit through two narrow gaps in a row: a lamp in the third chamber, which faces away from the gap before it.
 
 Light must pass the gap between the third chamber and the second, and the one between the second and the room, which are
 not opposite each other. Few paths of the camera or of the lamp pass either, and hardly a path passes both.
@@ -14,7 +14,7 @@ from .pieces import box, diffuse, rgb
 _HALF, _HEIGHT, _ROOM, _CHAMBER = 1.6, 2.2, 3.2, 1.4
 _WALL = 0.08
 #: The gaps: (range of x, range of y) in the wall of the room and in the wall behind it.
-_GAPS = (((-1.05, -0.9), (0.8, 1.15)), ((0.8, 0.95), (1.0, 1.35)))
+_GAPS = (((-1.1, -0.8), (0.65, 1.35)), ((0.7, 1.0), (0.8, 1.5)))
 
 
 def gaps() -> dict[str, Any]:
@@ -40,7 +40,7 @@ def gaps() -> dict[str, Any]:
             "type": "disk",
             "to_world": lamp,
             "bsdf": diffuse(0.2, 0.2, 0.2),
-            "emitter": {"type": "area", "radiance": rgb(1.6e7, 1.4e7, 1.16e7)},
+            "emitter": {"type": "area", "radiance": rgb(4.0e6, 3.5e6, 2.9e6)},
         },
         "ball": {
             "type": "sphere",

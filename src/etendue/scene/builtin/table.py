@@ -65,7 +65,7 @@ def bundled() -> dict[str, BundledScene]:
         ("cornell-box", "the Cornell box: diffuse walls, two boxes, an area light", cornell_box),
         ("cornell-glass", "the Cornell box with a glass ball and a box of rough gold", cornell_glass),
         ("ajar", "a room lit through a half-open door, by a lamp in the next room that faces a wall", ajar),
-        ("gaps", "a room lit through two small gaps, from a lamp in the second chamber behind its wall", gaps),
+        ("gaps", "a room lit through two narrow gaps, from a lamp in the second chamber behind its wall", gaps),
         ("flat", "a living room lit through a hall, by a lamp in the bedroom behind it", flat),
         ("street", "a street at night among 1,024 lanterns, most of them hidden by houses", street),
         ("skylight", "frosted glass and lacquer under a sky with a low sun, through a thin lens", skylight),

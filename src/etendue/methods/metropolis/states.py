@@ -1,0 +1,81 @@
+"""What Markov chains over primary samples carry on from pass to pass, and how states are drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from numpy.typing import NDArray
+
+from etendue.core import Array
+
+from .film import BrightnessMap
+from .targets import Contribution
+
+#: Bit of the number of a sample or a chain that tells its half.
+HALF_BIT = 31
+
+
+@dataclass(frozen=True)
+class ChainStates:
+    """The current paths, one lane a chain; replaced by every step, never modified."""
+
+    numbers: dict[str, mi.Float]  #: by sub-path, row by row
+    contributions: list[Contribution]
+    target: mi.Float
+    rejected: mi.UInt32  #: proposals rejected in a row
+
+
+@dataclass(frozen=True)
+class Progressed:
+    """All that chains carry on from pass to pass."""
+
+    states: ChainStates
+    factors: BrightnessMap
+    unit: float  #: b_0
+    cap: float
+    #: For each half: samples of the bootstrap and of large steps, and the sums of the target and of its square.
+    found: Array
+    steps: int = 0  #: steps so far
+    large: int = 0  #: large ones among them
+    longest: int = 0  #: proposals that a chain has rejected in a row, at most
+    size: float = 1.0 / 64.0  #: of small steps
+    share: float = 0.25  #: of large steps
+    owed: float = 0.0  #: large steps that passes have not made yet, because they make whole ones
+
+
+@dataclass
+class PassResult:
+    """A pass of all chains.
+
+    ``chained``, ``large``: pictures, (parts, 2, height, width, 3), of each component of light, or of the only one, and
+    of the two halves: of the chains without the factor kappa b / b_0, and of the large steps as independent samples.
+    ``contrast``: half differences of the luminance of both between the groups of each half, (2, 2, height, width).
+    ``None`` without splats. ``factors``: an estimate of that factor by the bootstrap and all large steps, of each half.
+    """
+
+    chained: NDArray[np.float64] | None
+    large: NDArray[np.float64] | None
+    contrast: NDArray[np.float64] | None
+    counters: dict[str, float]
+    factors: Array
+
+
+def numbers_of(lanes: int) -> mi.UInt32:
+    """The numbers by which sources know ``lanes`` chains or samples, half of them in each half: the half in the upper
+    bit, and the number in the half."""
+    lane, half = dr.arange(mi.UInt32, lanes), dr.opaque(mi.UInt32, lanes // 2)
+    second = lane >= half
+    numbers = dr.select(second, (lane - half) + mi.UInt32(1 << HALF_BIT), lane)
+    dr.eval(numbers)
+    return numbers
+
+
+def drawn(targets: Array, count: int, offset: float) -> NDArray[np.int64]:
+    """``count`` indices in proportion to ``targets``, which are not all 0, in order: systematic sampling with an
+    ``offset`` in [0, 1)."""
+    reached = np.cumsum(targets, dtype=np.float64)
+    place = np.searchsorted(reached, (np.arange(count) + offset) / count * reached[-1], side="right")
+    return np.minimum(place, np.flatnonzero(targets)[-1])

@@ -1,0 +1,36 @@
+"""Camera paths of a pass whose number is not given: so many that its fixed cost is small, few where a pass learns."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import pytest
+from support import scenes
+from support.running import prepared
+
+#: Samples of a pass of 256x256 pixels, on two cores and on eight.
+SAMPLES = {
+    "path": (16, 64),
+    "bpt": (8, 32),
+    "vcm": (4, 16),
+    "bpm": (4, 16),
+    "sppm": (4, 16),
+    "auto": (4, 16),
+    "guided": (2, 2),
+}
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_samples_of_a_pass(name, monkeypatch):
+    if dr.backend_v(mi.Float) != dr.JitBackend.LLVM:
+        pytest.skip("numbers of a CPU")
+    problem = scenes.field(0.5, 1.0, size=(256, 256))
+    for threads, samples in zip((2, 8), SAMPLES[name], strict=True):
+        monkeypatch.setattr(dr, "thread_count", lambda n=threads: n)
+        assert prepared(problem, name).samples_per_iteration == samples
+
+
+def test_small_pictures_have_at_most_64_samples_a_pass_and_large_ones_one(monkeypatch):
+    monkeypatch.setattr(dr, "thread_count", lambda: 2)
+    assert prepared(scenes.field(0.5, 1.0, size=(8, 8)), "path").samples_per_iteration == 64
+    assert prepared(scenes.field(0.5, 1.0, size=(1024, 1024)), "vcm").samples_per_iteration == 1
