@@ -20,10 +20,14 @@ SAMPLES = {
 }
 
 
-@pytest.mark.parametrize("name", SAMPLES)
-def test_samples_of_a_pass(name, monkeypatch):
+@pytest.fixture(autouse=True)
+def on_a_cpu():
     if dr.backend_v(mi.Float) != dr.JitBackend.LLVM:
         pytest.skip("numbers of a CPU")
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_samples_of_a_pass(name, monkeypatch):
     problem = scenes.field(0.5, 1.0, size=(256, 256))
     for threads, samples in zip((2, 8), SAMPLES[name], strict=True):
         monkeypatch.setattr(dr, "thread_count", lambda n=threads: n)

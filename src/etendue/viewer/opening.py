@@ -160,10 +160,9 @@ def view(
     environment variable ``ETENDUE_VIEW_ADDRESS``, else the server itself.
 
     The session goes on in the background until ``close()``, or until the same cell of a notebook is run again; while it
-    does, use no other Mitsuba or Dr.Jit code in this
-    process, or pause it in the page. Files that are saved are written to ``folder``. ``tev`` is the address of the
-    image viewer tev, such as ``localhost:14158``, which then shows the picture and its layers, too. ``solution`` is a
-    file of a solution of radiosity, which the 3-D view then shows.
+    does, use no other Mitsuba or Dr.Jit code in this process, or pause it in the page. Files that are saved are written
+    to ``folder``. ``tev`` is the address of the image viewer tev, such as ``localhost:14158``, which then shows the
+    picture and its layers, too. ``solution`` is a file of a solution of radiosity, which the 3-D view then shows.
 
     Raises :class:`OptionError` for an argument out of range, and :class:`BackendError` if tornado is not installed. A
     scene that cannot be loaded is told in the page, where another can be opened.

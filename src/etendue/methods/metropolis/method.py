@@ -38,8 +38,8 @@ from .film import BrightnessMap
 from .states import ChainStates, PassResult, Progressed
 from .targets import Contribution, Target
 
-#: Most chains, and on a CPU, whose cores fewer keep busy: the same steps by fewer chains take these further. Steps of
-#: a pass by the former, at least.
+#: Most chains, on a GPU and on a CPU, whose cores fewer keep busy: the same number of steps takes fewer chains further;
+#: and least steps of a pass.
 _MOST_CHAINS, _MOST_CPU_CHAINS = 1 << 16, 1 << 15
 _STEPS = 8
 #: Share of the memory that the bootstrap may take.
