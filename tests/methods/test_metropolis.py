@@ -94,7 +94,7 @@ def test_the_first_states_are_not_among_the_samples_that_tell_the_factors():
         value, nothing = dr.select(w < 0.05, 1.0 + 9.0 * u, 0.0), dr.zeros(mi.UInt32, lanes)
         return Traced([Contribution(16.0 * mi.Point2f(u, v), mi.Color3f(value))], nothing, nothing)
 
-    target = SimpleNamespace(layouts={"camera": Layout([Slot(0, 2), Slot(2)], [], 0)}, trace=trace)
+    target = target_of(Layout([Slot(0, 2), Slot(2)], [], 0), trace)
     runner = Runner(target, (16, 16), 1 << 12, 1 << 12, "independent", True)
     light, found = 1.0 + 9.0 * (np.arange(16) + 0.5) / 16.0, []
     for seed in range(40):
@@ -106,7 +106,11 @@ def test_the_first_states_are_not_among_the_samples_that_tell_the_factors():
     assert error < 0.01 and abs(np.mean(found) - 1.0) < 3.0 * error, (np.mean(found), error)
 
 
-def heavy(lit: float = 1.0) -> SimpleNamespace:
+def target_of(layout: Layout, trace: Any) -> Any:
+    return SimpleNamespace(layouts={"camera": layout}, trace=trace, reads=list)
+
+
+def heavy(lit: float = 1.0) -> Any:
     """A target without a finite mean, on ``lit`` of its numbers."""
 
     def trace(sources: Any, lanes: int) -> Traced:
@@ -115,7 +119,7 @@ def heavy(lit: float = 1.0) -> SimpleNamespace:
         nothing = dr.zeros(mi.UInt32, lanes)
         return Traced([Contribution(mi.Point2f(u, v), mi.Color3f(value))], nothing, nothing)
 
-    return SimpleNamespace(layouts={"camera": Layout([Slot(0, 2)], [], 0)}, trace=trace)
+    return target_of(Layout([Slot(0, 2)], [], 0), trace)
 
 
 def runner_of(target: Any, chains: int = 1 << 12, bootstrap: int = 1 << 14, **options: Any) -> Runner:
@@ -178,7 +182,7 @@ def test_chains_that_cannot_move_show_all_that_large_steps_have_found():
         value, nothing = dr.select(w < 1.0 / 4096.0, 1.0, 0.0), dr.zeros(mi.UInt32, lanes)
         return Traced([Contribution(16.0 * mi.Point2f(u, v), mi.Color3f(value))], nothing, nothing)
 
-    target = SimpleNamespace(layouts={"camera": Layout([Slot(0, 2), Slot(2)], [], 0)}, trace=trace)
+    target = target_of(Layout([Slot(0, 2), Slot(2)], [], 0), trace)
     runner = runner_of(target, 1 << 12, 1 << 14)
     carried = replace(runner.start(1), size=1e-6, share=0.5)
     errors = []
@@ -203,7 +207,7 @@ def test_the_largest_target_of_some_values():
 def test_the_share_of_large_steps_is_that_asked_for():
     """Of a few steps in a pass: none in many passes, one in others, whose weights differ."""
     scenes.camera()
-    target = SimpleNamespace(layouts=heavy().layouts, trace=lambda s, n: flat(s["camera"].next_2d(0, 0), n))
+    target = target_of(heavy().layouts["camera"], lambda s, n: flat(s["camera"].next_2d(0, 0), n))
     runner = runner_of(target)
     carried, large, means = replace(runner.start(1), share=0.06, size=0.1), 0.0, []
     total: list[float] = []
@@ -301,3 +305,31 @@ def test_the_probabilities_of_lengths(depth):
     found = np.bincount(np.array(length), minlength=depth + 1)[1:] / (1 << 16)
     assert len(found) == depth
     np.testing.assert_allclose(found[np.array(length) - 1], np.array(probability), atol=1e-3)
+
+
+@pytest.mark.parametrize("method, settings", [("pssmlt", {}), ("pssmlt", {"estimator": "bidirectional"}), ("mmlt", {})])
+def test_kernels_of_steps_are_traced_once(method, settings):
+    """The picture is that of steps which are traced anew, also after light vertices found no room."""
+    options = SMALL | settings | {"chains": 256, "step_size": 0.02, "large_steps": 0.25}
+    pictures = []
+    for frozen in (False, True):
+        chains = prepared(scenes.room("rectangle", scenes.FEW), method, 3, **options)
+        runner = chains.runner
+        if not frozen:
+            runner._frozen = runner._proposals
+        pictures.append(go(chains, 2, 3).mean)
+        if frozen:
+            assert runner._frozen.recordings == 2  # large steps and small ones
+    assert np.allclose(*pictures, rtol=1e-4, atol=1e-4 * pictures[0].mean())
+
+
+def test_light_vertices_without_room_are_traced_again():
+    """With more room, by kernels of that room."""
+    options = SMALL | {"estimator": "bidirectional", "chains": 256, "step_size": 0.02, "large_steps": 0.25}
+    pictures = []
+    for room in (4.0, 0.01):
+        chains = prepared(scenes.room("rectangle", scenes.FEW), "pssmlt", 3, **options)
+        chains.runner.target._per_path = room
+        pictures.append(go(chains, 2, 3).mean)
+        assert chains.runner.target._per_path > 0.5
+    assert np.allclose(*pictures, rtol=1e-4, atol=1e-4 * pictures[0].mean())

@@ -16,6 +16,7 @@ from .errors import (
     suggest,
 )
 from .extras import library, sparse
+from .frozen import Frozen
 from .log import logger
 from .measurement import CONTRAST, RELATIVE_EPSILON, Array, Iterations, Measurement, warn_of_nonfinite
 from .memory import free_memory
@@ -44,6 +45,7 @@ __all__ = [
     "CheckpointError",
     "ClusterError",
     "EtendueError",
+    "Frozen",
     "InNotebooks",
     "IndependentSource",
     "Iterations",

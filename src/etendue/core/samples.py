@@ -6,7 +6,7 @@ sequences, Markov chains) can replace independent numbers.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import TYPE_CHECKING, ClassVar, Protocol, Self
 
 import drjit as dr
 
@@ -88,6 +88,8 @@ class IndependentSource:
     ``lane``: one entry a path; ``high``: upper words of lane numbers beyond 2^32. ``seed``, ``role`` and ``iteration``
     are opaque scalars in kernels, so that all passes share them.
     """
+
+    DRJIT_STRUCT: ClassVar = {"_key0": object, "_key1": object}
 
     def __init__(self, lane: mi.UInt32, seed: int, role: str, iteration: int, high: mi.UInt32 | None = None) -> None:
         key0, key1 = seed_key(seed, role, iteration)

@@ -184,6 +184,10 @@ class ImageMethod(ABC):
         """Set the scene for which the method was prepared, or release it (``None``) until the next run."""
         self.problem.scene = self.scene = self.visibility.scene = scene
 
+    def tables(self) -> tuple[object, ...]:
+        """What the kernels of the prepared method read, for ``core.Frozen``."""
+        return self.scene, self.camera, self.lights, self.visibility, self.edges
+
     @property
     def samples_per_iteration(self) -> int:
         """Camera paths per pixel of one pass."""

@@ -7,6 +7,8 @@ of ``2^m`` form a (0, m, 2)-net. Numbers of different dimensions or sequences ar
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import drjit as dr
 
 from etendue.core import COMPONENTS_PER_VERTEX, hash_mix, keyed_bits, seed_key, to_unit_float
@@ -45,6 +47,8 @@ class OwenSobolSource:
     seed, role: as of ``IndependentSource``. Passes of a run continue the sequence by their indices.
     high: UInt32 per lane, the upper word of the index; each 2^32 points have a different scrambling.
     """
+
+    DRJIT_STRUCT: ClassVar = {"_key": object, "_reversed_index": object, "_lane_keys": tuple}
 
     def __init__(
         self, sequence: dr.ArrayBase, index: dr.ArrayBase, seed: int, role: str, high: dr.ArrayBase | int = 0

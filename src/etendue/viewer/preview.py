@@ -1,7 +1,7 @@
 """Small pictures while the camera moves: paths of few edges, one a pixel, at a resolution that keeps the pace.
 
-A pass of a small picture spends most of its time in Python, which traces its kernel anew; ``dr.freeze`` keeps the trace
-(of 17 to 52 ms of a tiny picture, 4 to 8 remain).
+A pass of a small picture spends most of its time in Python, which traces its kernel anew; ``core.Frozen`` keeps the
+trace (of 17 to 52 ms of a tiny picture, 4 to 8 remain).
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue import methods
-from etendue.core import IndependentSource, logger, seed_key
+from etendue.core import Frozen, IndependentSource, seed_key
 from etendue.scene import Problem, resized
 
 from .camera import Pose, place
@@ -30,8 +29,6 @@ _FAR = 3.0
 _STEPS = (1, 1.5, 2, 3, 4, 6, 8, 12, 16)
 #: Edges of the paths: light that is reflected twice.
 _EDGES = 3
-#: How deep device arrays lie in a prepared method.
-_DEPTH = 5
 
 
 class Preview:
@@ -98,8 +95,7 @@ class Moving:
         self._problem = problem
         self._function: Callable[..., mi.Color3f] = self._radiance
         if frozen:
-            held = _device_parts(self._method)
-            self._function = dr.freeze(self._radiance, state_fn=lambda *_: held)
+            self._function = Frozen(self._radiance, self._method.tables)
         self._iteration = 0
 
     def picture(self, pose: Pose) -> NDArray[np.float32]:
@@ -107,48 +103,15 @@ class Moving:
         place(self._problem.sensor, pose)
         key0, key1 = seed_key(0, "moving", self._iteration)
         keys = dr.opaque(mi.UInt32, key0), dr.opaque(mi.UInt32, key1)
-        try:
-            radiance = self._function(self._problem.scene, self._problem.sensor, *keys)
-        except RuntimeError as error:
-            if self._iteration or self._function == self._radiance:
-                raise
-            logger.debug("viewer: moving pictures are not frozen: %s", error)
-            self._function = self._radiance
-            radiance = self._function(self._problem.scene, self._problem.sensor, *keys)
+        radiance = self._function(*keys)
         self._iteration += 1
         width, height = self._problem.size
         return np.array(dr.ravel(radiance), np.float32).reshape(height, width, 3)
 
-    def _radiance(self, scene: mi.Scene, sensor: mi.Sensor, key0: mi.UInt32, key1: mi.UInt32) -> mi.Color3f:
-        """``scene`` and ``sensor`` are those of the method, as arguments so that the frozen function knows them."""
+    def _radiance(self, key0: mi.UInt32, key1: mi.UInt32) -> mi.Color3f:
         method = self._method
         lanes = dr.arange(mi.UInt32, method.camera.pixels)
         source = IndependentSource.of_key(lanes, key0, key1)
         ray, importance, _ = method.camera.primary(lanes, source)
         radiance, _ = method.kept(method.trace(ray, source).radiance * importance)
         return radiance
-
-
-def _device_parts(root: object) -> list[Any]:
-    """Device arrays and Mitsuba objects in étendue's objects below ``root``: the state of a frozen function."""
-    found: list[Any] = []
-    seen: set[int] = set()
-
-    def walk(value: Any, depth: int) -> None:
-        if value is None or depth > _DEPTH:
-            return
-        if isinstance(value, (mi.Object, mi.DiscreteDistribution)) or dr.is_jit_v(value):
-            found.append(value)
-        elif isinstance(value, (list, tuple)):
-            for part in value:
-                walk(part, depth + 1)
-        elif isinstance(value, dict):
-            for part in value.values():
-                walk(part, depth + 1)
-        elif type(value).__module__.startswith("etendue") and hasattr(value, "__dict__") and id(value) not in seen:
-            seen.add(id(value))
-            for part in vars(value).values():
-                walk(part, depth + 1)
-
-    walk(root, 0)
-    return found

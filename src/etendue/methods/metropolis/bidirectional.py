@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -125,21 +125,15 @@ class PairTarget:
         method, camera = self._method, self._method.camera
         mis = Mis(self._techniques, [0.0], dr.opaque(mi.Float, float(camera.pixels)))
         common = {"camera": camera, "mis": mis, "dark": dr.opaque(mi.Float, 0.0)}
-        while True:
-            splats = None
-            if self._techniques.splat:
-                u = sources["light"].next_1d(0, dim.SPLAT_SHADOW)  # without a place in the layout
-                splats = SplatList(camera=camera, count=self._vertices, u=u, components=method.settings.components)
-            capacity = int(self._per_path * lanes) + 16
-            vertices = LightVertices(capacity, lanes, self._indexed, connected=True)
-            walk: LightWalk = method.walker(LightWalk, **common, sink=splats)
-            light_rays, light_bad = walk.trace(lanes, sources["light"], vertices)
-            dr.schedule(light_rays, light_bad, splats.array if splats else None)
-            vertices.launch()
-            wanted = int(vertices.wanted[0])
-            if wanted <= capacity:
-                break
-            self._per_path = _GROWTH * wanted / lanes
+        splats = None
+        if self._techniques.splat:
+            u = sources["light"].next_1d(0, dim.SPLAT_SHADOW)  # without a place in the layout
+            splats = SplatList(camera=camera, count=self._vertices, u=u, components=method.settings.components)
+        vertices = LightVertices(self._room(lanes), lanes, self._indexed, connected=True)
+        walk: LightWalk = method.walker(LightWalk, **common, sink=splats)
+        light_rays, light_bad = walk.trace(lanes, sources["light"], vertices)
+        dr.schedule(light_rays, light_bad, splats.array if splats else None)
+        vertices.launch()
         vertices.number(by_path=True)
         one = dr.full(mi.Float, 1.0)
         cache = LightCache(vertices, mi.UInt32(vertices.count), one, dr.opaque(mi.UInt32, lanes), None)
@@ -153,4 +147,18 @@ class PairTarget:
         contributions = [Contribution(place, part, number) for number, part in enumerate(parts)]
         contributions += splats.contributions() if splats else []
         nonfinite = light_bad + dr.select(bad, mi.UInt32(1), 0)
-        return Traced(contributions, rays + light_rays, nonfinite)
+        return Traced(contributions, rays + light_rays, nonfinite, vertices.wanted)
+
+    def reads(self) -> Sequence[object]:
+        """See :class:`Target`."""
+        return self._method.tables()
+
+    def _room(self, lanes: int) -> int:
+        return int(self._per_path * lanes) + 16
+
+    def held(self, stored: int, lanes: int) -> bool:
+        """See :class:`Target`."""
+        if stored <= self._room(lanes):
+            return True
+        self._per_path = _GROWTH * stored / lanes
+        return False

@@ -29,8 +29,8 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, IndependentSource, SampleSource, SceneError, logger, seed_key
-from etendue.integration import Move
+from etendue.core import Array, Frozen, IndependentSource, SampleSource, SceneError, logger, seed_key
+from etendue.integration import Move, PrimarySource
 from etendue.points import OwenSobolSource
 from etendue.transport import Splats
 
@@ -79,11 +79,17 @@ class Runner:
     #: Called with all that is splatted: whether by large steps as independent samples, contributions, weight.
     record: Callable[[bool, Sequence[Contribution], mi.Float], None] | None = None
     _numbers: mi.UInt32 = field(init=False)
+    _frozen: Frozen[Traced] = field(init=False)
 
     def __post_init__(self) -> None:
         self._numbers = numbers_of(self.chains)
         self._group = dr.arange(mi.UInt32, self.chains) // dr.opaque(mi.UInt32, self.chains // (2 * _GROUPS))
         dr.eval(self._group)
+        self.release()
+
+    def release(self) -> None:
+        """Forget the kernels of steps, which keep the scene in memory."""
+        self._frozen = Frozen(self._proposals, self.target.reads)
 
     # ------------------------------------------------------------------ random numbers
 
@@ -110,13 +116,33 @@ class Runner:
         return {name: Move(self.independent(name, seed, first)) for name in self.target.layouts}
 
     def _trace(self, moves: Mapping[str, Move], numbers: mi.UInt32, states: ChainStates | None) -> Traced:
-        sources: dict[str, SampleSource] = {}
+        """The proposals of a move, not yet evaluated if they are not those of a step: ``states`` is ``None`` for
+        samples of the bootstrap."""
+        fresh = {name: move.fresh(numbers) for name, move in moves.items()}
+        size = next(iter(moves.values())).size
         lanes = dr.width(numbers)
+        while True:
+            if states is None:
+                traced = self._proposals(fresh, None, None, lanes)
+            else:
+                traced = self._frozen(fresh, None if size is None else states.numbers, size, lanes)
+            if traced.stored is None or self.target.held(int(traced.stored[0]), lanes):
+                return traced
+            self.release()
+
+    def _proposals(
+        self,
+        fresh: Mapping[str, SampleSource],
+        numbers: Mapping[str, mi.Float] | None,
+        size: mi.Float | None,
+        lanes: int,
+    ) -> Traced:
+        """Paths by fresh numbers, or by those of the states moved with them, by small steps of a ``size``."""
         lane = dr.arange(mi.UInt32, lanes)
-        for name, layout in self.target.layouts.items():
-            fresh = moves[name].fresh
-            known = replace_fresh(moves[name], fresh, numbers)
-            sources[name] = known.source(layout, None if states is None else states.numbers[name], lane, lanes)
+        sources = {
+            name: PrimarySource(layout, fresh[name], lane, lanes, None if numbers is None else numbers[name], size)
+            for name, layout in self.target.layouts.items()
+        }
         return self.target.trace(sources, lanes)
 
     # ------------------------------------------------------------------ start
@@ -258,11 +284,6 @@ def _offset(seed: int, purpose: str, half: int, step: int) -> float:
 def _by_half(parts: Sequence[Array]) -> Array:
     """Values of the samples of some batches, (halves, samples)."""
     return np.concatenate([part.reshape(2, -1) for part in parts], axis=1)
-
-
-def replace_fresh(move: Move, fresh: Callable[[mi.UInt32], SampleSource], numbers: mi.UInt32) -> Move:
-    """``move`` for lanes in order, whose chains its fresh numbers know by ``numbers``."""
-    return replace(move, fresh=lambda lane: fresh(dr.gather(mi.UInt32, numbers, lane)))
 
 
 def _on_host(contributions: Sequence[Contribution]) -> NDArray[np.float32]:

@@ -134,6 +134,14 @@ class FilmTarget:
         radiance, bad = keep_finite(radiance * importance)
         return Traced([Contribution(place, radiance)], rays, dr.select(bad, mi.UInt32(1), 0))
 
+    def reads(self) -> Sequence[object]:
+        """See :class:`Target`."""
+        return self._method.tables()
+
+    def held(self, stored: int, lanes: int) -> bool:
+        """See :class:`Target`."""
+        return True
+
     def painted(self, source: SampleSource) -> tuple[mi.Point2f, mi.Color3f, mi.UInt32]:
         """(place, light that the chains leave out times the area of the film, rays)."""
         place = self.place(source)

@@ -184,6 +184,7 @@ class MetropolisMethod(Carrying, ImageMethod):
         """See :class:`ImageMethod`."""
         super().bind(scene)
         self._beside.method.bind(scene)
+        self.runner.release()
 
     @property
     def samples_per_iteration(self) -> int:

@@ -15,7 +15,7 @@ Limit: as of ``pssmlt``, chains know only what independent samples have found.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -149,6 +149,14 @@ class SingleTarget:
                 for number in range(len(COMPONENTS))
             ]
         return Traced(contributions, found.rays, dr.select(bad, mi.UInt32(1), 0))
+
+    def reads(self) -> Sequence[object]:
+        """See :class:`Target`."""
+        return self._single, self._probability, self._reached, *self._method.tables()
+
+    def held(self, stored: int, lanes: int) -> bool:
+        """See :class:`Target`."""
+        return True
 
 
 class Mmlt(MetropolisMethod):

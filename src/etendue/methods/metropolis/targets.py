@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -44,6 +44,7 @@ class Traced:
     contributions: list[Contribution]
     rays: mi.UInt32
     nonfinite: mi.UInt32  #: contributions that were not finite and are 0
+    stored: mi.UInt32 | None = None  #: what a store of limited room was asked to hold, one number
 
 
 class Target(Protocol):
@@ -56,6 +57,15 @@ class Target(Protocol):
     def trace(self, sources: Mapping[str, SampleSource], lanes: int) -> Traced:
         """Trace a path in each lane, with the numbers of ``sources``, one for each of ``layouts``. A function of these
         numbers only: the count of the contributions is always the same, and no other number is used."""
+        ...
+
+    def reads(self) -> Sequence[object]:
+        """The objects with the device arrays that :meth:`trace` reads, for ``core.Frozen``."""
+        ...
+
+    def held(self, stored: int, lanes: int) -> bool:
+        """Whether there was room for what was ``stored``; if not, there is more now, and the paths must be traced
+        again."""
         ...
 
 
@@ -126,3 +136,11 @@ class PathTarget:
         path.weigh(importance)
         contributions, bad = found_by(path, place)
         return Traced(contributions, path.rays, dr.select(bad, mi.UInt32(1), 0))
+
+    def reads(self) -> Sequence[object]:
+        """See :class:`Target`."""
+        return self._method.tables()
+
+    def held(self, stored: int, lanes: int) -> bool:
+        """See :class:`Target`."""
+        return True

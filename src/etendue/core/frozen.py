@@ -1,0 +1,73 @@
+"""Functions whose kernels are launched again without being traced anew in Python."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+import drjit as dr
+
+from .log import logger
+
+R = TypeVar("R")
+#: How deep device arrays lie in an object.
+_DEPTH = 6
+
+
+class Frozen(Generic[R]):
+    """A function of device arrays, frozen by ``dr.freeze`` if it can be, and called as it is if not.
+
+    Parameters
+    ----------
+    function: a function of device arrays and of Mitsuba's objects, evaluated or not, which evaluates nothing itself and
+        reads nothing back. What its Python code does depends on the types and sizes of its arguments only.
+    reads: the objects with the device arrays that it reads beside its arguments, asked for at each call.
+    """
+
+    def __init__(self, function: Callable[..., R], reads: Callable[[], object]) -> None:
+        self._function = function
+        self._frozen = dr.freeze(function, state_fn=lambda *_, **__: device_parts(reads()), warn_after=1 << 30)
+        self._fails = False
+
+    @property
+    def recordings(self) -> int:
+        """How often the function was traced; 0 if it is not frozen."""
+        return 0 if self._fails else int(self._frozen.n_recordings)
+
+    def __call__(self, *arguments: Any) -> R:
+        """What the function returns."""
+        if not self._fails:
+            try:
+                result: R = self._frozen(*arguments)
+                return result
+            except RuntimeError as error:
+                logger.debug("%s is not frozen: %s", getattr(self._function, "__qualname__", "a function"), error)
+                self._fails = True
+        return self._function(*arguments)
+
+
+def device_parts(root: object) -> list[Any]:
+    """Device arrays and Mitsuba objects in étendue's objects below ``root``: the state of a frozen function."""
+    import mitsuba as mi
+
+    found: list[Any] = []
+    seen: set[int] = set()
+
+    def walk(value: Any, depth: int) -> None:
+        if value is None or depth > _DEPTH:
+            return
+        if isinstance(value, (mi.Object, mi.DiscreteDistribution)) or dr.is_jit_v(value):
+            found.append(value)
+        elif isinstance(value, (list, tuple)):
+            for part in value:
+                walk(part, depth + 1)
+        elif isinstance(value, dict):
+            for part in value.values():
+                walk(part, depth + 1)
+        elif type(value).__module__.startswith("etendue") and hasattr(value, "__dict__") and id(value) not in seen:
+            seen.add(id(value))
+            for part in vars(value).values():
+                walk(part, depth + 1)
+
+    walk(root, 0)
+    return found

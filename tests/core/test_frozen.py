@@ -1,0 +1,68 @@
+"""Functions that are not traced anew."""
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from etendue.core import Frozen, IndependentSource
+from etendue.core.frozen import device_parts
+from etendue.points import OwenSobolSource
+
+
+class Table:
+    """Stands for a prepared method."""
+
+    def __init__(self) -> None:
+        self.values = mi.Float([1.0, 2.0, 3.0])
+        self.calls = 0
+
+
+# device_parts enters étendue's objects only
+Table.__module__ = "etendue.tests"
+
+
+def test_a_frozen_function_sees_new_arguments_and_new_tables() -> None:
+    table = Table()
+
+    def scaled(x: mi.Float) -> mi.Float:
+        table.calls += 1
+        return table.values * x
+
+    frozen = Frozen(scaled, lambda: table)
+    for x in (2.0, 3.0, 4.0):
+        assert np.array(frozen(dr.opaque(mi.Float, x))).tolist() == [x, 2 * x, 3 * x]
+    table.values = mi.Float([5.0, 6.0, 7.0])
+    assert np.array(frozen(dr.opaque(mi.Float, 2.0))).tolist() == [10.0, 12.0, 14.0]
+    assert table.calls == frozen.recordings == 1
+
+
+def test_random_numbers_are_arguments() -> None:
+    """Sources of every seed are the same to a frozen function."""
+    lane = dr.arange(mi.UInt32, 16)
+    kinds = {
+        "independent": lambda seed: IndependentSource(lane, seed, "test", 0),
+        "owen": lambda seed: OwenSobolSource(mi.UInt32(0), lane, seed, "test"),
+    }
+    for make in kinds.values():
+        frozen = Frozen(lambda source: (*source.next_2d(3, 5), source.decide(2, 1)), list)
+        for seed in range(4):
+            source = make(seed)
+            assert np.array_equal(np.array(frozen(source)), np.array((*source.next_2d(3, 5), source.decide(2, 1))))
+        assert frozen.recordings == 1
+
+
+def test_a_function_that_cannot_be_frozen_is_called() -> None:
+    def reads_back(x: mi.Float) -> mi.Float:
+        return x * float(dr.sum(x)[0])
+
+    frozen = Frozen(reads_back, list)
+    for factor in (1.0, 2.0):
+        x = mi.Float([1.0, 2.0]) * factor
+        assert np.allclose(np.array(frozen(x)), np.array([3.0, 6.0]) * factor**2)
+    assert frozen.recordings == 0
+
+
+def test_device_parts_are_found_in_containers_once() -> None:
+    table = Table()
+    table.more = {"a": [mi.UInt32(1), "name"], "itself": table}  # type: ignore[attr-defined]
+    assert len(device_parts((table, table))) == 2
