@@ -13,10 +13,11 @@ import typer
 from numpy.typing import NDArray
 
 from etendue.core import Replica
-from etendue.methods.metropolis.chains import Runner, _Walk
+from etendue.methods.metropolis.chains import Runner
 from etendue.methods.metropolis.mmlt import Mmlt
 from etendue.methods.metropolis.pssmlt import Pssmlt
 from etendue.methods.metropolis.states import PassResult, Progressed
+from etendue.methods.metropolis.walk import Walk
 from etendue.scene import bundled_scene, load
 from etendue.transport import Splats
 
@@ -35,14 +36,14 @@ MIXTURES: dict[str, tuple[float, ...]] = {
 _LARGEST = 1.0
 
 
-class _MixedWalk(_Walk):
+class _MixedWalk(Walk):
     """Chains whose small steps have one of several sizes. Steps of each size are symmetric, so that any order of them
     that is fixed beforehand leaves the target as it is."""
 
     factors: tuple[float, ...] = (1.0,)
 
     def step(self, seed: int, is_large: bool) -> None:
-        """See :class:`_Walk`."""
+        """See :class:`Walk`."""
         size = self.carried.size
         chosen = np.random.default_rng([seed & 0xFFFFFFFF, self.carried.steps]).choice(self.factors)
         self.carried = replace(self.carried, size=min(size * float(chosen), _LARGEST))

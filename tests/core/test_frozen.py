@@ -1,5 +1,7 @@
 """Functions that are not traced anew."""
 
+import gc
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -66,3 +68,27 @@ def test_device_parts_are_found_in_containers_once() -> None:
     table = Table()
     table.more = {"a": [mi.UInt32(1), "name"], "itself": table}  # type: ignore[attr-defined]
     assert len(device_parts((table, table))) == 2
+
+
+def test_nothing_is_collected_while_a_function_is_recorded() -> None:
+    """Dr.Jit aborts if a frozen function, or a scene, is deleted then."""
+    threshold, collections, during = gc.get_threshold(), [], []
+
+    def allocates(x: mi.Float) -> mi.Float:
+        before = len(collections)
+        parts = [[x + float(k)] for k in range(100)]
+        during.append(len(collections) - before)
+        return parts[-1][0]
+
+    def count(phase: str, info: dict[str, int]) -> None:
+        collections.append(phase)
+
+    gc.callbacks.append(count)
+    try:
+        gc.set_threshold(10, 10, 10)
+        allocates(mi.Float(1.0))
+        assert np.array(Frozen(allocates, list)(dr.opaque(mi.Float, 1.0))).tolist() == [100.0]
+    finally:
+        gc.set_threshold(*threshold)
+        gc.callbacks.remove(count)
+    assert during[0] > 0 and during[1] == 0 and gc.isenabled()

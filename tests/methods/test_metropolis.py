@@ -150,7 +150,7 @@ def test_chains_begin_anew_in_proportion_to_the_light_that_large_steps_find():
     runner = runner_of(heavy(), chains=1 << 14)
     start = runner.start(1)
     half, first = runner.chains // 2, 1 << 20
-    moves = runner._moves(1, first)
+    moves = runner.moves(1, first)
     numbers = mi.UInt32([5, 900, (1 << 31) + 7])  # two proposals of the first half and one of the second have light
     expected = moves["camera"].write(runner.target.layouts["camera"], dr.zeros(mi.Float, 6), None, numbers, 3).numpy()
     targets = np.zeros((2, 4 * half))
@@ -165,7 +165,7 @@ def test_chains_begin_anew_in_proportion_to_the_light_that_large_steps_find():
         assert abs(begun.sum() - share * half) < 4.0 * np.sqrt(half * share)
     begun = np.any(anew, axis=0)
     np.testing.assert_array_equal(after[:, ~begun], before[:, ~begun])
-    traced = runner._trace(moves, numbers, None)
+    traced = runner.trace(moves, numbers, None)
     values = np.minimum(traced.contributions[0].value.x.numpy(), start.cap)
     for one, value in zip(anew, values, strict=True):
         np.testing.assert_allclose(states.target.numpy()[one], value, rtol=1e-6)

@@ -1,7 +1,6 @@
 """Basics for all rooms, independent of rendering: settings, measurements, methods, random numbers, errors, backend."""
 
 from .backend import check_llvm, check_variant, choose_variant, copied_to_device, on_device, set_threads, use_variant
-from .checks import is_number, is_whole
 from .citations import bibliography, bibtex
 from .errors import (
     BackendError,
@@ -33,7 +32,7 @@ from .samples import (
     seed_key,
     to_unit_float,
 )
-from .settings import Settings, setting
+from .settings import Settings, is_number, is_whole, setting
 
 __all__ = [
     "COMPONENTS_PER_VERTEX",

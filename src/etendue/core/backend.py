@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import llvm
-from .checks import is_whole
 from .errors import BackendError, OptionError
 from .log import logger
+from .settings import is_whole
 
 if TYPE_CHECKING:
     import drjit as dr

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, Generic, TypeVar
 
 import drjit as dr
@@ -38,12 +40,26 @@ class Frozen(Generic[R]):
         """What the function returns."""
         if not self._fails:
             try:
-                result: R = self._frozen(*arguments)
+                with _without_collection():
+                    result: R = self._frozen(*arguments)
                 return result
             except RuntimeError as error:
                 logger.debug("%s is not frozen: %s", getattr(self._function, "__qualname__", "a function"), error)
                 self._fails = True
         return self._function(*arguments)
+
+
+@contextmanager
+def _without_collection() -> Iterator[None]:
+    """Without garbage collection: the process aborts if a scene or a frozen function is deleted while Dr.Jit records
+    another one."""
+    is_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if is_on:
+            gc.enable()
 
 
 def device_parts(root: object) -> list[Any]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import numbers
 from collections.abc import Callable, Iterable, Mapping
 from inspect import signature
 from typing import Any, Self, get_type_hints
@@ -171,3 +172,16 @@ def _check_range(field: dataclasses.Field[Any], value: Any) -> None:
             bound = limits.get(key)
             if bound is not None and not ok(value, bound):
                 raise OptionError(f"option '{field.name}' must be {words} {bound:g}, not {value:g}")
+
+
+# Python counts ``True`` as a number; no option accepts it as one.
+
+
+def is_number(value: Any) -> bool:
+    """Whether ``value`` is a finite real number of Python or NumPy, and not a truth value."""
+    return isinstance(value, numbers.Real) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def is_whole(value: Any) -> bool:
+    """Whether ``value`` has an integer type of Python or NumPy, and is not a truth value."""
+    return isinstance(value, numbers.Integral) and not isinstance(value, bool)

@@ -8,7 +8,7 @@ import numpy as np
 
 from etendue.core import OptionError, logger
 
-from .denoising import Picture, component_names, denoiser, find_features
+from .denoising import Picture, component_names, denoiser, find_features, restored
 from .denoising.pictures import colours
 
 #: Radius of the windows of the filters, in pixels.
@@ -53,5 +53,12 @@ def develop(
         if not kind.by_component:
             parts = [np.sum(parts, axis=0, dtype=np.float32)]
         features = features if kind.prepare is None else kind.prepare(features)
+        raw = _sum(parts)
         parts = [kind.function(part, features, radius, strength) for part in parts]
-    return np.sum(parts, axis=0, dtype=np.float32)
+        if kind.is_restored and features.variance is not None and not components:
+            return restored(_sum(parts), raw, features.variance)
+    return _sum(parts)
+
+
+def _sum(parts: Sequence[Picture]) -> Picture:
+    return np.asarray(np.sum(parts, axis=0, dtype=np.float32))

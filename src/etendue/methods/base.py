@@ -396,9 +396,3 @@ def with_image(layers: dict[str, Layer]) -> dict[str, Layer]:
 def total(values: mi.UInt32 | mi.Bool) -> float:
     """Sum over all lanes of an evaluated array of counts or flags."""
     return float(np.asarray(values).sum(dtype=np.float64))
-
-
-def corners(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner of a scene's bounding box."""
-    box = problem.scene.bbox()
-    return np.asarray(box.min, float).ravel(), np.asarray(box.max, float).ravel()

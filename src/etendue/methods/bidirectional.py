@@ -62,7 +62,6 @@ from .base import (
     ImageSettings,
     Lanes,
     Layer,
-    corners,
     total,
     with_image,
 )
@@ -121,7 +120,7 @@ class Bidirectional(Carrying, ImageMethod):
         if s.pyramid:
             check_pyramid(self.techniques, s.pyramid_depth, self.camera, problem.memory)
         self._indexed = needs_interaction(problem.scene)
-        self._box = corners(problem)
+        self._box = radii.corners(problem)
         if s.guide_connections and self.techniques.connection and s.light_source == "cache":
             self._choosing = LearnedConnections(*self._box, problem.size)
         self._paths = max(1, round(s.light_paths * self.camera.pixels * self.samples_per_iteration))

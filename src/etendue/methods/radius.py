@@ -7,8 +7,9 @@ import mitsuba as mi
 import numpy as np
 
 from etendue.core import IndependentSource, OptionError
+from etendue.scene import Problem
 
-from .base import ImageMethod, corners
+from .base import ImageMethod
 
 #: Names of the units; see :func:`absolute_radius`.
 UNITS = ("scene", "pixel", "absolute")
@@ -76,3 +77,9 @@ def _pixel_footprint(method: ImageMethod, seed: int) -> float:
     side = np.asarray(dr.select(si.is_valid(), camera.footprint(si.p, aperture), dr.inf))
     side = side[np.isfinite(side)]
     return float(np.median(side)) if len(side) else 0.002 * half_diagonal(method)
+
+
+def corners(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner of a scene's bounding box."""
+    box = problem.scene.bbox()
+    return np.asarray(box.min, float).ravel(), np.asarray(box.max, float).ravel()

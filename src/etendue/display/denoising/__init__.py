@@ -2,5 +2,6 @@
 
 from .pictures import Features, Picture, component_names, find_features
 from .registry import DENOISERS, Denoiser, denoiser
+from .restoring import restored
 
-__all__ = ["DENOISERS", "Denoiser", "Features", "Picture", "component_names", "denoiser", "find_features"]
+__all__ = ["DENOISERS", "Denoiser", "Features", "Picture", "component_names", "denoiser", "find_features", "restored"]

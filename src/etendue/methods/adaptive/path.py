@@ -23,7 +23,7 @@ from etendue.transport import CameraPath, CameraSampler, FirstHits, Walker, Walk
 from etendue.transport import dimensions as dim
 
 from .. import radius as radii
-from ..base import STEP_LANES, ImageSettings, corners
+from ..base import STEP_LANES, ImageSettings
 from ..ending import EndsInMap
 from ..path import EndingPathSettings
 from ..photon.photons import PhotonGrid, PhotonTracer
@@ -78,7 +78,7 @@ class AdaptivePath(EndsInMap):
         self._maps: PhotonGrid | None = None
         if not o.maps:
             return
-        self._box = corners(problem)
+        self._box = radii.corners(problem)
         self._first_radius = radii.absolute_radius(self, o.radius, o.radius_unit, seed)
         self._tracer = PhotonTracer(self, seed)
         wanted = round(o.light_paths * self.camera.pixels * self.samples_per_iteration)

@@ -34,22 +34,14 @@ from etendue.integration import Move, PrimarySource
 from etendue.points import OwenSobolSource
 from etendue.transport import Splats
 
-from ..base import total
-from .blend import luminance
 from .film import BrightnessMap
-from .states import HALF_BIT, ChainStates, PassResult, Progressed, drawn, numbers_of
+from .states import HALF_BIT, ChainStates, PassResult, Progressed, by_half, drawn, numbers_of
 from .targets import Contribution, Target, Traced, largest_target
+from .walk import GROUPS, Walk
 
-#: Weight of a step of a chain relative to that of an independent sample, because neighbours of a chain are correlated.
-CORRELATED = 0.25
 #: The bootstrap ends with this many samples that find light, or when it has grown by this factor; by the second one as
 #: long as only one of the halves has found light.
 _ENOUGH_LIT, _MOST_GROWTH, _ONE_SIDED_GROWTH = 1 << 12, 8, 64
-#: Groups of the chains of a half, whose pictures are apart.
-_GROUPS = 2
-#: Images of the splats of a component: of the chains and of large steps, for each half and group.
-_LARGE = 2 * _GROUPS
-IMAGES = 2 * _LARGE
 #: Bytes of a sample of the bootstrap on the host: a contribution, and the target.
 _CONTRIBUTION_BYTES, _TARGET_BYTES = 12, 24
 #: Most samples of the bootstrap that are traced together.
@@ -78,13 +70,15 @@ class Runner:
     room: float = math.inf
     #: Called with all that is splatted: whether by large steps as independent samples, contributions, weight.
     record: Callable[[bool, Sequence[Contribution], mi.Float], None] | None = None
-    _numbers: mi.UInt32 = field(init=False)
+    #: By which sources know the chains (:func:`numbers_of`), and the group of each.
+    numbers: mi.UInt32 = field(init=False)
+    group: mi.UInt32 = field(init=False)
     _frozen: Frozen[Traced] = field(init=False)
 
     def __post_init__(self) -> None:
-        self._numbers = numbers_of(self.chains)
-        self._group = dr.arange(mi.UInt32, self.chains) // dr.opaque(mi.UInt32, self.chains // (2 * _GROUPS))
-        dr.eval(self._group)
+        self.numbers = numbers_of(self.chains)
+        self.group = dr.arange(mi.UInt32, self.chains) // dr.opaque(mi.UInt32, self.chains // (2 * GROUPS))
+        dr.eval(self.group)
         self.release()
 
     def release(self) -> None:
@@ -108,16 +102,16 @@ class Runner:
 
         return fresh
 
-    def _small(self, name: str, seed: int, step: int) -> Callable[[mi.UInt32], SampleSource]:
+    def small(self, name: str, seed: int, step: int) -> Callable[[mi.UInt32], SampleSource]:
         """Numbers that move the states."""
         return lambda number: IndependentSource(number, seed, f"small {name}", step)
 
-    def _moves(self, seed: int, first: int) -> dict[str, Move]:
+    def moves(self, seed: int, first: int) -> dict[str, Move]:
+        """Large steps by the independent samples from the number ``first`` of each half on."""
         return {name: Move(self.independent(name, seed, first)) for name in self.target.layouts}
 
-    def _trace(self, moves: Mapping[str, Move], numbers: mi.UInt32, states: ChainStates | None) -> Traced:
-        """The proposals of a move, not yet evaluated if they are not those of a step: ``states`` is ``None`` for
-        samples of the bootstrap."""
+    def trace(self, moves: Mapping[str, Move], numbers: mi.UInt32, states: ChainStates | None) -> Traced:
+        """The proposals of a move; of a step if there are ``states``, whose kernels are frozen."""
         fresh = {name: move.fresh(numbers) for name, move in moves.items()}
         size = next(iter(moves.values())).size
         lanes = dr.width(numbers)
@@ -160,7 +154,7 @@ class Runner:
         parts: list[NDArray[np.float32]] = []  # (x y luminance, contribution, sample)
         lit = np.zeros((0, 2), int)
         while self._goes_on(len(parts), wanted, lit[self._for_the_map(len(parts)) :].sum(axis=0), lanes, parts):
-            traced = self._trace(self._moves(seed, len(parts) * (lanes // 2)), numbers_of(lanes), None)
+            traced = self.trace(self.moves(seed, len(parts) * (lanes // 2)), numbers_of(lanes), None)
             parts.append(_on_host(traced.contributions))
             lit = np.append(lit, [(parts[-1][2].sum(axis=0) > 0.0).reshape(2, -1).sum(axis=1)], axis=0)
         used = self._for_the_map(len(parts))
@@ -172,7 +166,7 @@ class Runner:
             )
         flat = BrightnessMap.flat(self.size)
         factors = BrightnessMap.measured(parts[:used] or parts, self.size) if self.equalise else flat
-        targets = _by_half([(luminance * factors.on_host(x, y)).sum(axis=0) for x, y, luminance in parts[used:]])
+        targets = by_half([(luminance * factors.on_host(x, y)).sum(axis=0) for x, y, luminance in parts[used:]])
         cap = largest_target(targets)
         targets = np.minimum(targets, cap)
         found = np.stack([np.full(2, samples), targets.sum(axis=1), np.square(targets).sum(axis=1)], axis=1)
@@ -201,9 +195,9 @@ class Runner:
         chosen = np.empty((2, half), np.uint32)
         for index, row in enumerate(targets):
             chosen[index] = drawn(row, half, _offset(seed, "start", index, 0)) + (index << HALF_BIT)
-        numbers, moves = mi.UInt32(chosen.ravel()), self._moves(seed, first)
-        traced = self._trace(moves, numbers, None)
-        target = self._target(traced.contributions, factors, cap)
+        numbers, moves = mi.UInt32(chosen.ravel()), self.moves(seed, first)
+        traced = self.trace(moves, numbers, None)
+        target = self.value(traced.contributions, factors, cap)
         dr.eval(traced.contributions, target)
         kept = {
             name: moves[name].write(layout, dr.zeros(mi.Float, layout.size * self.chains), None, numbers, self.chains)
@@ -218,7 +212,7 @@ class Runner:
         ``targets``: of the proposals, those numbered from ``first`` on in each half, (halves, proposals).
         """
         half, sums = self.chains // 2, targets.sum(axis=1)
-        u = np.array(IndependentSource(self._numbers, seed, "renew", carried.steps).next_1d(0, 0)).reshape(2, half)
+        u = np.array(IndependentSource(self.numbers, seed, "renew", carried.steps).next_1d(0, 0)).reshape(2, half)
         begins = u < (sums / np.maximum(carried.found[:, 1], 1e-300))[:, None]
         counts = begins.sum(axis=1)
         if not counts.any():
@@ -229,33 +223,19 @@ class Runner:
             if count
         ]
         numbers, at = mi.UInt32(np.concatenate(chosen).astype(np.uint32)), mi.UInt32(np.flatnonzero(begins))
-        moves, old = self._moves(seed, first), carried.states
-        traced = self._trace(moves, numbers, None)
-        target = self._target(traced.contributions, carried.factors, carried.cap)
+        moves, old = self.moves(seed, first), carried.states
+        traced = self.trace(moves, numbers, None)
+        target = self.value(traced.contributions, carried.factors, carried.cap)
         dr.eval(traced.contributions, target)
-        # A copy of all states, in which those of some chains are replaced.
-        kept = [
-            Contribution(mi.Point2f(one.position), mi.Color3f(one.value), one.component) for one in old.contributions
-        ]
-        states = ChainStates(
-            {
-                name: moves[name].write(layout, old.numbers[name], None, numbers, self.chains, at)
-                for name, layout in self.target.layouts.items()
-            },
-            kept,
-            mi.Float(old.target),
-            mi.UInt32(old.rejected),
-        )
-        for mine, new in zip(kept, traced.contributions, strict=True):
-            dr.scatter(mine.position, new.position, at)
-            dr.scatter(mine.value, new.value, at)
-        dr.scatter(states.target, target, at)
-        dr.scatter(states.rejected, mi.UInt32(0), at)
-        dr.eval(states.contributions, states.target, states.rejected)
-        return states
+        kept = {
+            name: moves[name].write(layout, old.numbers[name], None, numbers, self.chains, at)
+            for name, layout in self.target.layouts.items()
+        }
+        return old.replaced(at, ChainStates(kept, traced.contributions, target, dr.zeros(mi.UInt32, len(at))))
 
     @staticmethod
-    def _target(contributions: Sequence[Contribution], factors: BrightnessMap, cap: float) -> mi.Float:
+    def value(contributions: Sequence[Contribution], factors: BrightnessMap, cap: float) -> mi.Float:
+        """The target of paths."""
         result = mi.Float(0.0)
         for one in contributions:
             result = result + dr.maximum(mi.luminance(one.value), 0.0) * factors.at(one.position)
@@ -270,7 +250,7 @@ class Runner:
         large_steps = min(int(owed + 1e-9), steps)
         carried = replace(carried, owed=owed - large_steps)
         # The weights are exact for the share of this pass, and only on average for that of all passes.
-        walk = _Walk(self, carried, splats, large_steps / steps, dr.zeros(mi.Float, self.chains))
+        walk = Walk(self, carried, splats, large_steps / steps, dr.zeros(mi.Float, self.chains))
         for index in range(steps):
             walk.step(seed, (index + 1) * large_steps // steps > index * large_steps // steps)
         return walk.finish(steps, seed)
@@ -281,131 +261,8 @@ def _offset(seed: int, purpose: str, half: int, step: int) -> float:
     return float((seed_key(seed, f"{purpose} {half}", step)[0] + 0.5) / 2.0**32)
 
 
-def _by_half(parts: Sequence[Array]) -> Array:
-    """Values of the samples of some batches, (halves, samples)."""
-    return np.concatenate([part.reshape(2, -1) for part in parts], axis=1)
-
-
 def _on_host(contributions: Sequence[Contribution]) -> NDArray[np.float32]:
     """(x y luminance, contributions, samples)."""
     found = [(one.position.x, one.position.y, dr.maximum(mi.luminance(one.value), 0.0)) for one in contributions]
     dr.eval(found)
     return np.array([[np.array(row[i]) for row in found] for i in range(3)], np.float32)
-
-
-@dataclass
-class _Walk:
-    """The chains during a pass."""
-
-    runner: Runner
-    carried: Progressed
-    splats: Splats | None
-    share: float
-    waiting: mi.Float  #: weight of the current paths that is not splatted yet
-
-    def __post_init__(self) -> None:
-        carried, chains = self.carried, self.runner.chains
-        self._inverse_unit, self._share = (dr.opaque(mi.Float, v) for v in (1.0 / carried.unit, self.share))
-        self._longest = dr.zeros(mi.UInt32, chains)
-        self._accepted = {large: dr.zeros(mi.UInt32, chains) for large in (True, False)}
-        self._tried = {True: 0, False: 0}
-        self._proposed: list[mi.Float] = []  # targets of the proposals of large steps
-        self._rays = self._bad = dr.zeros(mi.UInt32, chains)
-
-    def _weight(self, target: mi.Float) -> mi.Float:
-        """1 / q; 0 for a path that no kind of step of this pass samples."""
-        density = target * (self._inverse_unit * CORRELATED) + self._share
-        return dr.select(density > 0.0, dr.rcp(density), 0.0)
-
-    def _splat(self, image: int, contributions: Sequence[Contribution], weight: mi.Float, number: SampleSource) -> None:
-        if self.runner.record is not None:
-            self.runner.record(image > 0, contributions, weight)
-        if self.splats is None:
-            return
-        for index, one in enumerate(contributions):
-            place = self.splats.at(one.position, number.next_2d(index, 0))
-            value = one.value * (weight * place.weight)
-            number_of = self.runner._group + (image + IMAGES * one.component)
-            self.splats.add_to(number_of, place, value, place.on_film & ~dr.all(value == 0.0))
-
-    def step(self, seed: int, is_large: bool) -> None:
-        """Move all chains."""
-        runner, carried, old = self.runner, self.carried, self.carried.states
-        if is_large:
-            moves = runner._moves(seed, carried.large)
-        else:
-            size = dr.opaque(mi.Float, carried.size)
-            moves = {name: Move(runner._small(name, seed, carried.steps), size) for name in runner.target.layouts}
-        traced = runner._trace(moves, runner._numbers, old)
-        target = runner._target(traced.contributions, carried.factors, carried.cap)
-        dr.eval(traced.contributions, target, traced.rays, traced.nonfinite)
-
-        decisions = IndependentSource(runner._numbers, seed, "accept", carried.steps)
-        chance = dr.select(target < old.target, target / old.target, 1.0)
-        accepted = decisions.next_1d(0, 0) < chance
-        # Not those that decide: contributions would move on the film by whether they are accepted.
-        places = IndependentSource(runner._numbers, seed, "filter", carried.steps)
-        stay, go = (1.0 - chance) * self._weight(old.target), chance * self._weight(target)
-        # One path is splatted now: the old one if it is left for good, or else the proposal.
-        left = [a.where(accepted, b) for a, b in zip(old.contributions, traced.contributions, strict=True)]
-        self._splat(0, left, dr.select(accepted, self.waiting + stay, go), places)
-        self.waiting = dr.select(accepted, go, self.waiting + stay)
-        if is_large:
-            self._splat(_LARGE, traced.contributions, self._weight(target), places)
-            self._proposed.append(target)
-        self._accepted[is_large] = self._accepted[is_large] + dr.select(accepted, mi.UInt32(1), 0)
-        self._tried[is_large] += 1
-        rejected = dr.select(accepted, mi.UInt32(0), old.rejected + 1)
-        self._longest = dr.maximum(self._longest, rejected)
-        self._rays, self._bad = self._rays + traced.rays, self._bad + traced.nonfinite
-        new = [b.where(accepted, a) for a, b in zip(old.contributions, traced.contributions, strict=True)]
-        kept = dr.select(accepted, target, old.target)
-        if self.splats is not None:
-            dr.schedule(self.splats.array)
-        dr.eval(self.waiting, new, kept, rejected, accepted, self._longest, self._accepted)
-        dr.eval(self._rays, self._bad)
-        numbers = {
-            name: moves[name].write(layout, old.numbers[name], accepted, runner._numbers, runner.chains)
-            for name, layout in runner.target.layouts.items()
-        }
-        self.carried = replace(
-            carried,
-            states=ChainStates(numbers, new, kept, rejected),
-            steps=carried.steps + 1,
-            large=carried.large + (runner.chains // 2 if is_large else 0),
-        )
-
-    def finish(self, steps: int, seed: int) -> tuple[Progressed, PassResult]:
-        """Splat the current paths, and combine the images of the pass."""
-        runner, carried = self.runner, self.carried
-        places = IndependentSource(runner._numbers, seed, "last filter", carried.steps)
-        self._splat(0, carried.states.contributions, self.waiting, places)
-        targets = _by_half([np.zeros(0), *(np.array(target, np.float64) for target in self._proposed)])
-        new = [np.full(2, targets.shape[1]), targets.sum(axis=1), np.square(targets).sum(axis=1)]
-        found = carried.found + np.stack(new, axis=1)
-        mean = found[:, 1] / found[:, 0]
-        factors = CORRELATED * mean / carried.unit
-        chained = large = contrast = None
-        if self.splats is not None:
-            sums = self.splats.sums()
-            sums = sums.reshape(-1, 2, 2, _GROUPS, *sums.shape[1:])  # by component, kind, half and group
-            scale = runner.size[0] * runner.size[1] / (steps * runner.chains / 2)
-            images = scale * sums.sum(axis=3, dtype=np.float64)
-            chained, large = images[:, 0], images[:, 1]
-            first, second = np.moveaxis(luminance(sums.sum(axis=0)), 2, 0)
-            contrast = scale * (first - second)
-        counters = {
-            "rays": total(self._rays),
-            "paths": float(steps * runner.chains),
-            "nonfinite": total(self._bad),
-            "large steps": float(self._tried[True] * runner.chains),
-            "large steps accepted": total(self._accepted[True]),
-            "small steps": float(self._tried[False] * runner.chains),
-            "small steps accepted": total(self._accepted[False]),
-        }
-        longest = max(carried.longest, int(np.array(self._longest).max()))
-        carried = replace(carried, found=found, longest=longest)
-        if targets.any():
-            first = carried.large - targets.shape[1]
-            carried = replace(carried, states=runner.renewed(carried, first, targets, seed))
-        return carried, PassResult(chained, large, contrast, counters, factors)

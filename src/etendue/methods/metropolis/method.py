@@ -33,10 +33,11 @@ from ..base import ImageMethod, ImageSettings, Layer
 from ..bidirectional import Bpt
 from ..path import Path
 from .blend import Beside, Blend, Grid
-from .chains import IMAGES, Runner
+from .chains import Runner
 from .film import BrightnessMap
 from .states import ChainStates, PassResult, Progressed
 from .targets import Contribution, Target
+from .walk import IMAGES
 
 #: Most chains, on a GPU and on a CPU, whose cores fewer keep busy: the same number of steps takes fewer chains further;
 #: and least steps of a pass.

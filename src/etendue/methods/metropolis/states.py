@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import drjit as dr
@@ -26,6 +27,18 @@ class ChainStates:
     contributions: list[Contribution]
     target: mi.Float
     rejected: mi.UInt32  #: proposals rejected in a row
+
+    def replaced(self, at: mi.UInt32, new: ChainStates) -> ChainStates:
+        """A copy in which the chains ``at`` are ``new``, one lane each; ``new.numbers`` are those of all chains."""
+        kept = [Contribution(mi.Point2f(c.position), mi.Color3f(c.value), c.component) for c in self.contributions]
+        copy = ChainStates(new.numbers, kept, mi.Float(self.target), mi.UInt32(self.rejected))
+        for mine, its in zip(kept, new.contributions, strict=True):
+            dr.scatter(mine.position, its.position, at)
+            dr.scatter(mine.value, its.value, at)
+        dr.scatter(copy.target, new.target, at)
+        dr.scatter(copy.rejected, new.rejected, at)
+        dr.eval(copy.contributions, copy.target, copy.rejected)
+        return copy
 
 
 @dataclass(frozen=True)
@@ -79,3 +92,8 @@ def drawn(targets: Array, count: int, offset: float) -> NDArray[np.int64]:
     reached = np.cumsum(targets, dtype=np.float64)
     place = np.searchsorted(reached, (np.arange(count) + offset) / count * reached[-1], side="right")
     return np.minimum(place, np.flatnonzero(targets)[-1])
+
+
+def by_half(parts: Sequence[Array]) -> Array:
+    """Values of the samples of some batches, (halves, samples)."""
+    return np.concatenate([part.reshape(2, -1) for part in parts], axis=1)

@@ -32,7 +32,7 @@ from etendue.scene import Problem
 from etendue.transport import Kind, WalkVertex
 
 from .. import radius as radii
-from ..base import ImageSettings, corners
+from ..base import ImageSettings
 from .mapping import GatherPath, PhotonMapping, PhotonSettings
 from .photons import PhotonGrid, PhotonShot, no_light
 
@@ -90,7 +90,7 @@ class Sppm(Carrying, PhotonMapping):
         self._count = dr.zeros(mi.Float, entries)
         self._most = first * first  # upper limit of R^2
         self._passes = 0
-        self._box = corners(problem)
+        self._box = radii.corners(problem)
         self._tree: KdTree | None = None
         if self.settings.neighbours:
             self._begin_with_nearest(first * first, seed)

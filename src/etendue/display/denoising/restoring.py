@@ -1,0 +1,79 @@
+r"""What a denoiser has taken away besides noise, given back by the variance of the pixels.
+
+A network smooths details that it takes for noise, and makes whole surfaces a little brighter or darker, by more than
+the noise of the raw picture, whose mean over many pixels is hardly noisy. The residual r = raw - clean is divided into
+bands by Gaussians of growing width. The energy n of noise in a band is known if pixels are independent: the variance
+times the squared norm of the band's kernel. A band whose energy E around a pixel is larger holds what was lost, and is
+added to the clean picture with the weight :math:`\max(0, 1 - c n / E)` of Wiener's filter. So are means over the widest
+Gaussian.
+
+The noise that a network leaves is like that of the raw picture, so the residual has less of it: where nothing is lost,
+E < n. This is why c is large for bands, in which most of the noise is, and small for means, which have little.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .filters import Frame, packets, unpacked
+from .pictures import Picture
+
+#: Standard deviations of the Gaussians between the bands, in pixels, and their radii in standard deviations.
+_SIGMAS, _RADIUS = (1.0, 2.0, 4.0, 8.0, 12.0), 2.5
+#: c of the bands, and of the means over the widest Gaussian.
+_BANDS, _MEANS = 2.5, 0.3
+#: What is added to a clean picture, relative to its mean, where residuals are divided by it.
+_FLOOR = 0.01
+
+
+def restored(clean: Picture, raw: Picture, variance: Picture) -> Picture:
+    """The picture ``clean`` (height, width, 3), with what differs from ``raw`` by more than noise.
+
+    ``variance``: of the pixels of ``raw``, whose errors are taken for independent of each other. Where they are not, as
+    with ``reconstruction=neighbours``, more noise comes back.
+    """
+    frame = Frame(clean.shape[1], clean.shape[0])
+    level = float(clean.mean())
+    if level <= 0.0:
+        return clean
+    scale = np.maximum(clean, 0.0) + np.float32(_FLOOR * level)  # noise of light grows with the light
+    residual = (raw - clean) / scale
+    noise = (np.maximum(variance, 0.0) / np.square(scale)).mean(axis=2, keepdims=True)
+    result, narrow, kernel = clean.copy(), residual, np.ones(1)
+    for sigma in _SIGMAS:
+        wide, wider = _blurred(frame, residual, sigma), _gaussian(sigma)
+        band = narrow - wide
+        result += scale * band * _weight(frame, band, noise, _BANDS * _norm(kernel, wider), sigma)
+        narrow, kernel = wide, wider
+    means = _blurred(frame, raw - clean, sigma) / _blurred(frame, scale, sigma)
+    result += scale * means * _weight(frame, means, noise, _MEANS * _norm(wider, np.zeros(1)), sigma)
+    return np.asarray(result, np.float32)
+
+
+def _weight(frame: Frame, band: Picture, noise: Picture, factor: float, sigma: float) -> Picture:
+    """Weight of a band, by its energy and that of noise around each pixel; ``factor``: on the variance."""
+    energy = np.square(band).mean(axis=2, keepdims=True)
+    around = _blurred(frame, np.concatenate([energy, noise, noise], axis=2), sigma)
+    return np.clip(1.0 - np.float32(factor) * around[:, :, 1:2] / np.maximum(around[:, :, :1], 1e-30), 0.0, 1.0)
+
+
+def _gaussian(sigma: float) -> NDArray[np.float64]:
+    radius = round(_RADIUS * sigma)
+    weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
+    return np.asarray(weights / weights.sum())
+
+
+def _norm(narrow: NDArray[np.float64], wide: NDArray[np.float64]) -> float:
+    """Squared norm of the difference of two kernels, each the product of one along rows and one along columns."""
+    margin = (max(len(narrow), len(wide)) - np.array([len(narrow), len(wide)])) // 2
+    a, b = np.pad(narrow, margin[0]), np.pad(wide, margin[1])
+    return float((a @ a) ** 2 - 2.0 * (a @ b) ** 2 + (b @ b) ** 2)
+
+
+def _blurred(frame: Frame, layer: Picture, sigma: float) -> Picture:
+    weights = _gaussian(sigma)
+    values = [packets(layer)]
+    for down in (False, True):
+        values = frame.along(down, len(weights) // 2, values, weights=weights)
+    return unpacked(values[0], *layer.shape[:2])

@@ -1,0 +1,67 @@
+"""What denoisers take away besides noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from etendue.display import develop
+from etendue.display.denoising import DENOISERS, Picture, restored
+from etendue.display.denoising.registry import Denoiser
+
+HEIGHT, WIDTH = 96, 128
+
+
+def textured() -> Picture:
+    """Stripes on the left side, nothing on the right."""
+    x = np.arange(WIDTH, dtype=np.float32)
+    row = np.where(x < WIDTH // 2, 1.0 + 0.5 * np.sin(x), 1.0)
+    return np.broadcast_to(row[None, :, None], (HEIGHT, WIDTH, 3)).astype(np.float32)
+
+
+def noisy(truth: Picture, sigma: float, seed: int) -> tuple[Picture, Picture]:
+    """(picture with noise in proportion to light, variance)."""
+    noise = np.random.default_rng(seed).normal(size=truth.shape)
+    return (truth * (1.0 + sigma * noise)).astype(np.float32), np.square(sigma * truth)
+
+
+def rms(difference: Picture) -> float:
+    return float(np.sqrt(np.mean(np.square(difference))))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_lost_details_and_means_come_back(seed: int) -> None:
+    """Stripes that were smoothed, and a picture that is 5 % too dark: they come back with a part of the noise."""
+    truth = textured()
+    raw, variance = noisy(truth, 0.1, seed)
+    clean = np.full_like(truth, 0.95)
+    result = restored(clean, raw, variance)
+    left, right = (slice(None), slice(WIDTH // 2 - 16)), (slice(None), slice(WIDTH // 2 + 24, None))
+    assert rms(result[left] - truth[left]) < 0.12 < rms(clean[left] - truth[left])
+    assert rms(result[right] - truth[right]) < 0.02 < rms(raw[right] - truth[right])
+    assert abs(float((result - truth)[right].mean())) < 0.01
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_clean_picture_stays_clean(seed: int) -> None:
+    """Noise is that of the means over the widest Gaussian, a hundredth of that of a pixel."""
+    truth = textured()
+    raw, variance = noisy(truth, 0.1, seed)
+    assert rms(restored(truth, raw, variance) - truth) < 0.03 * rms(raw - truth)
+
+
+def test_black_pictures_stay_black() -> None:
+    black = np.zeros((HEIGHT, WIDTH, 3), np.float32)
+    np.testing.assert_array_equal(restored(black, black, black), black)
+
+
+def test_pictures_are_restored_where_the_variance_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not those of chosen components, whose variance nobody knows."""
+    truth = textured()
+    raw, variance = noisy(truth, 0.1, 1)
+    flat = Denoiser("flat", "", lambda part, *_: np.full_like(part, part.mean() / 2), is_restored=True)
+    monkeypatch.setitem(DENOISERS, "flat", flat)
+    layers = {"image": raw, "direct": raw / 2, "indirect": raw / 2}
+    assert np.ptp(develop(layers, "flat")) == 0.0
+    assert rms(develop(layers | {"variance": variance}, "flat") - truth) < 0.15
+    assert np.ptp(develop(layers | {"variance": variance}, "flat", components=["direct"])) == 0.0
