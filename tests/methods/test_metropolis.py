@@ -333,3 +333,17 @@ def test_light_vertices_without_room_are_traced_again():
         pictures.append(go(chains, 2, 3).mean)
         assert chains.runner.target._per_path > 0.5
     assert np.allclose(*pictures, rtol=1e-4, atol=1e-4 * pictures[0].mean())
+
+
+@pytest.mark.parametrize("method, settings", [("pssmlt", {"estimator": "bidirectional"}), ("mmlt", {})])
+def test_any_number_of_chains_begins_anew_by_the_same_kernels(method, settings):
+    """Their number differs from pass to pass."""
+    runner = prepared(scenes.room("rectangle", scenes.FEW), method, 3, **(SMALL | settings)).runner
+    kernels = []
+    for lanes in (1234, 998):
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            traced = runner.trace(runner.moves(1, 0), mi.UInt32(np.arange(lanes)), None)
+            dr.eval(traced.contributions, traced.rays)
+            kernels.append({one["hash"] for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT})
+    assert kernels[1] and kernels[1] <= kernels[0]

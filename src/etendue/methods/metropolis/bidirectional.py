@@ -56,7 +56,7 @@ class SplatList(Sink):
         self._kept = mi.UInt32(dr.maximum(-dr.floor(dr.log2(1.0 - self.u)), 1.0)) - 1  # J - 1
         self._rows = 6 if self.components else 5
         self.array = dr.zeros(mi.Float, self._rows * lanes * (self.count + 1))
-        self._lanes = lanes
+        self._lanes = dr.opaque(mi.UInt32, lanes)  # opaque, so that any number of paths shares the kernels
 
     @property
     def splats(self) -> SplatList:
