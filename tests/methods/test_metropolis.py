@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -338,8 +340,8 @@ def test_light_vertices_without_room_are_traced_again():
 @pytest.mark.parametrize("method, settings", [("pssmlt", {"estimator": "bidirectional"}), ("mmlt", {})])
 def test_any_number_of_chains_begins_anew_by_the_same_kernels(method, settings):
     """Their number differs from pass to pass."""
-    runner = prepared(scenes.room("rectangle", scenes.FEW), method, 3, **(SMALL | settings)).runner
-    kernels = []
+    chains = prepared(scenes.room("rectangle", scenes.FEW), method, 3, **(SMALL | settings))
+    runner, kernels = chains.runner, []
     for lanes in (1234, 998):
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
@@ -347,3 +349,17 @@ def test_any_number_of_chains_begins_anew_by_the_same_kernels(method, settings):
             dr.eval(traced.contributions, traced.rays)
             kernels.append({one["hash"] for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT})
     assert kernels[1] and kernels[1] <= kernels[0]
+
+
+@pytest.mark.parametrize("method, settings", [("pssmlt", {}), ("pssmlt", {"estimator": "bidirectional"}), ("mmlt", {})])
+def test_a_method_ends_with_its_last_reference(method, settings):
+    """Not by garbage collection, which may come while the kernels of another one are traced."""
+    gc.disable()
+    try:
+        chains = prepared(scenes.room("rectangle", scenes.FEW), method, 3, **(SMALL | settings | {"chains": 256}))
+        go(chains, 1, 3)
+        gone = weakref.ref(chains)
+        del chains
+        assert gone() is None
+    finally:
+        gc.enable()

@@ -15,7 +15,7 @@ from .errors import (
     suggest,
 )
 from .extras import library, sparse
-from .frozen import Frozen
+from .frozen import Frozen, uncollected
 from .log import logger
 from .measurement import CONTRAST, RELATIVE_EPSILON, Array, Iterations, Measurement, warn_of_nonfinite
 from .memory import free_memory
@@ -90,6 +90,7 @@ __all__ = [
     "sparse",
     "suggest",
     "to_unit_float",
+    "uncollected",
     "use_variant",
     "warn_of_nonfinite",
 ]

@@ -1,8 +1,10 @@
-"""Functions whose kernels are launched again without being traced anew in Python."""
+"""Functions whose kernels are launched again without being traced anew in Python, and tracing without interruption."""
 
 from __future__ import annotations
 
 import gc
+import inspect
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Generic, TypeVar
@@ -21,14 +23,21 @@ class Frozen(Generic[R]):
 
     Parameters
     ----------
-    function: a function of device arrays and of Mitsuba's objects, evaluated or not, which evaluates nothing itself and
-        reads nothing back. What its Python code does depends on the types and sizes of its arguments only.
+    function: a function of device arrays and of Mitsuba's objects, evaluated or not, which reads no results back. What
+        its Python code does depends on the types and sizes of its arguments only. The object of a bound method is not
+        kept alive: it may own what is made of it here.
     reads: the objects with the device arrays that it reads beside its arguments, asked for at each call.
     """
 
     def __init__(self, function: Callable[..., R], reads: Callable[[], object]) -> None:
-        self._function = function
-        self._frozen = dr.freeze(function, state_fn=lambda *_, **__: device_parts(reads()), warn_after=1 << 30)
+        self._function, self._reads = _weakly(function), _weakly(reads)
+        call, ask = self._function, self._reads
+
+        def traced(*arguments: Any) -> R:
+            result: R = call()(*arguments)
+            return result
+
+        self._frozen = dr.freeze(traced, state_fn=lambda *_, **__: device_parts(ask()()), warn_after=1 << 30)
         self._fails = False
 
     @property
@@ -38,21 +47,38 @@ class Frozen(Generic[R]):
 
     def __call__(self, *arguments: Any) -> R:
         """What the function returns."""
+        result: R
         if not self._fails:
             try:
-                with _without_collection():
-                    result: R = self._frozen(*arguments)
+                with uncollected():
+                    result = self._frozen(*arguments)
                 return result
             except RuntimeError as error:
-                logger.debug("%s is not frozen: %s", getattr(self._function, "__qualname__", "a function"), error)
+                name = getattr(self._function(), "__qualname__", "a function")
+                logger.debug("%s is not frozen: %s", name, error)
                 self._fails = True
-        return self._function(*arguments)
+        result = self._function()(*arguments)
+        return result
+
+
+def _weakly(function: Callable[..., Any]) -> Callable[[], Callable[..., Any]]:
+    """A function that returns ``function``, without a reference to the object of a bound method."""
+    if not inspect.ismethod(function):
+        return lambda: function
+    method = weakref.WeakMethod(function)
+
+    def alive() -> Callable[..., Any]:
+        found = method()
+        assert found is not None  # its object calls it
+        return found
+
+    return alive
 
 
 @contextmanager
-def _without_collection() -> Iterator[None]:
-    """Without garbage collection: the process aborts if a scene or a frozen function is deleted while Dr.Jit records
-    another one."""
+def uncollected() -> Iterator[None]:
+    """Without garbage collection. While kernels are traced, Dr.Jit calls Python for all lights and materials there are;
+    the process dies if the collection deletes one of another scene then, or a frozen function while one is recorded."""
     is_on = gc.isenabled()
     gc.disable()
     try:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from .frozen import uncollected
 from .measurement import Measurement
 from .notebooks import InNotebooks
 from .settings import Settings as AnySettings
@@ -112,7 +113,8 @@ class Replica:
 
     def step(self, iteration: int) -> Measurement:
         """Run a pass. If it raises, the state does not change."""
-        made = self.method.step(iteration, self.seed, self.state)
+        with uncollected():
+            made = self.method.step(iteration, self.seed, self.state)
         self.state = made.state
         return made.measurement
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from etendue.core import Method, OptionError
+from etendue.core import Method, OptionError, uncollected
 from etendue.scene import Problem
 
 
@@ -20,7 +20,8 @@ def fit_samples(method: Method, samples: int, problem: Problem, seed: int) -> Me
         return method
     kind: Any = type(method)
     fitted: Method = kind(method.settings.replace(samples_per_pass=fitting))
-    fitted.prepare(problem, seed)
+    with uncollected():
+        fitted.prepare(problem, seed)
     return fitted
 
 

@@ -25,6 +25,7 @@ from etendue.core import (
     State,
     is_whole,
     logger,
+    uncollected,
 )
 from etendue.scene import BundledScene, Camera, Problem, bundled_scene, load, locate, unmerged
 
@@ -141,7 +142,8 @@ class Job:
         begin = time.perf_counter()
         budget = task.budget or Budget(samples=max(1, problem.spp))
         method: Method = task.method(task_settings(task, problem))
-        method.prepare(problem, task.seed)
+        with uncollected():
+            method.prepare(problem, task.seed)
         if budget.samples is not None:
             method = fit_samples(method, budget.samples, problem, task.seed)
         settle_samples(method)
@@ -184,7 +186,8 @@ class Job:
         checkpoint.require_scene(problem.fingerprint)
         begin = time.perf_counter()
         instance = method(settings)
-        instance.prepare(problem, checkpoint.seed)
+        with uncollected():
+            instance.prepare(problem, checkpoint.seed)
         instance = replicated(instance, checkpoint.state, problem, checkpoint.seed)
         instance.enter(checkpoint.state)
         preparation = time.perf_counter() - begin

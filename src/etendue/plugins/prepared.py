@@ -9,7 +9,7 @@ from typing import Any
 
 import mitsuba as mi
 
-from etendue.core import Method
+from etendue.core import Method, uncollected
 from etendue.engine import fit_samples, settle_samples
 from etendue.methods import ImageMethod, ImageSettings
 from etendue.scene import Parameters, Problem, check, parameters, view, warn_of_offsets
@@ -55,7 +55,8 @@ class Prepared:
             kept = self._prepare(problem, seed, seen)
             self._scene = parameters(problem.scene)  # traversing an emitter turns its scalars into variables
         elif kept.carries_on:
-            kept.method.prepare(problem, _pilot_seed(kept.method, seed))
+            with uncollected():
+                kept.method.prepare(problem, _pilot_seed(kept.method, seed))
         else:
             kept.method.bind(problem.scene)
         yield kept.method
@@ -70,7 +71,8 @@ class Prepared:
     def _prepare(self, problem: Problem, seed: int, seen: Parameters) -> _Kept:
         method, problem = self._kind(self._settings), replace(problem)  # a copy, because bind() changes its scene
         seed = _pilot_seed(method, seed)
-        method.prepare(problem, seed)
+        with uncollected():
+            method.prepare(problem, seed)
         fitted: Any = fit_samples(method, problem.spp, problem, seed)
         settle_samples(fitted)
         return _Kept(problem.sensor, seen, fitted, bool(fitted.carries_on))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from etendue import film, methods
-from etendue.core import Measurement, Replica, Result, Settings
+from etendue.core import Measurement, Replica, Result, Settings, uncollected
 from etendue.engine import LEAST_PASSES_FOR_ERROR, Budget, Task, task_settings, versions
 from etendue.scene import Problem
 
@@ -45,7 +45,8 @@ class Refinement:
 
     def _prepared(self, kind: type[Any], settings: Settings) -> Any:
         method = kind(settings)
-        method.prepare(self.problem, self.seed)
+        with uncollected():
+            method.prepare(self.problem, self.seed)
         return method
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import operator
+import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -108,7 +109,8 @@ class PairTarget:
     """A light sub-path and a camera sub-path, connected with each other and with lights and sensor in all ways."""
 
     def __init__(self, method: ImageMethod, vertices: int) -> None:
-        self._method, self._vertices = method, vertices
+        self._method: ImageMethod = weakref.proxy(method)  # which owns the target
+        self._vertices = vertices
         self._techniques = Techniques(splat=method.camera.can_splat, merge=False)
         self._indexed = needs_interaction(method.scene)
         self._per_path = _VERTICES

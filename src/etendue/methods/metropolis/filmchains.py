@@ -12,6 +12,7 @@ the region of the film where lights are seen are independent ones (``split``).
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -108,7 +109,7 @@ class FilmTarget:
     """Camera paths as of ``path``, through a film that is wider than the picture."""
 
     def __init__(self, method: FilmMetropolis) -> None:
-        self._method = method
+        self._method: FilmMetropolis = weakref.proxy(method)  # which owns the target
         end, inner = camera_slots(method)
         vertices = method.settings.vertices
         self.layouts: Mapping[str, Layout] = {"camera": Layout(end, [*inner, ROULETTE], vertices)}

@@ -15,6 +15,7 @@ Limit: as of ``pssmlt``, chains know only what independent samples have found.
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
@@ -51,7 +52,7 @@ class SingleTarget:
     """One technique of bidirectional path tracing a sample."""
 
     def __init__(self, method: ImageMethod, vertices: int, seed: int) -> None:
-        self._method = method
+        self._method: ImageMethod = weakref.proxy(method)  # which owns the target
         can_splat = method.camera.can_splat
         techniques = Techniques(splat=can_splat, merge=False)
         self._single = SingleTechnique(

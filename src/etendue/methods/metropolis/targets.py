@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -123,7 +124,7 @@ class PathTarget:
     numbers, 7 in a scene with several lights."""
 
     def __init__(self, method: ImageMethod, vertices: int) -> None:
-        self._method = method
+        self._method: ImageMethod = weakref.proxy(method)  # which owns the target
         end, inner = camera_slots(method)
         self.layouts: Mapping[str, Layout] = {"camera": Layout(end, [*inner, ROULETTE], vertices)}
 
