@@ -44,6 +44,8 @@ REFERENCES: dict[str, dict[str, Any]] = {
     "cornell-glass": {},
     "skylight": {},
 }
+#: Scenes with light that only merging finds: it is not in their references, and what ``auto`` shows of it is its error.
+_MERGED = ("stage",)
 #: Bars: scenes on which the best of the chains has a lower error than ``path``; than ``bpt``; and at most twice path's.
 BELOW_PATH, BELOW_BPT = ("veach-bidir", "water-caustic", "ajar", "stage", "gaps"), ("gaps",)
 Entrants = Annotated[Any, typer.Option("--entrants", parser=words, help="Rows, separated by commas.", metavar="NAMES")]
@@ -194,6 +196,8 @@ def _record(case: Case, own: float, runs: Mapping[str, list[_Run]], seconds: flo
             text += ", and below bpt's"
             reached.append(middle[best] < middle["bpt"])
         record.notes.append(f"{text}: {'reached' if all(reached) else 'missed'}")
+    if case.name in _MERGED:
+        record.notes.append("light that only merging finds is not in the reference; it is the error of auto")
     record.notes += [
         f"reference: {case.note}" + (f"; its own relMSE: {own:.2g}" if own else ""),
         f"median of {len(next(iter(runs.values())))} seeds; entrants in turn in one process; preparation counts, "

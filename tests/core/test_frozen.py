@@ -5,8 +5,9 @@ import gc
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+import pytest
 
-from etendue.core import Frozen, IndependentSource
+from etendue.core import Frozen, IndependentSource, uncollected
 from etendue.core.frozen import device_parts
 from etendue.points import OwenSobolSource
 
@@ -92,3 +93,23 @@ def test_nothing_is_collected_while_a_function_is_recorded() -> None:
         gc.set_threshold(*threshold)
         gc.callbacks.remove(count)
     assert during[0] > 0 and during[1] == 0 and gc.isenabled()
+
+
+def test_an_interrupt_gets_through() -> None:
+    """Dr.Jit makes a RuntimeError of it."""
+
+    def stopped(x: mi.Float) -> mi.Float:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Frozen(stopped, list)(dr.opaque(mi.Float, 1.0))
+
+
+def test_collection_is_off_until_the_last_thread_is_through() -> None:
+    first, second = uncollected(), uncollected()
+    first.__enter__()
+    second.__enter__()
+    first.__exit__(None, None, None)
+    assert not gc.isenabled()
+    second.__exit__(None, None, None)
+    assert gc.isenabled()

@@ -37,14 +37,14 @@ def test_lost_details_and_means_come_back(seed: int) -> None:
     clean = np.full_like(truth, 0.95)
     result = restored(clean, raw, variance)
     left, right = (slice(None), slice(WIDTH // 2 - 16)), (slice(None), slice(WIDTH // 2 + 24, None))
-    assert rms(result[left] - truth[left]) < 0.12 < rms(clean[left] - truth[left])
+    assert rms(result[left] - truth[left]) < 0.4 * rms(clean[left] - truth[left])
     assert rms(result[right] - truth[right]) < 0.02 < rms(raw[right] - truth[right])
     assert abs(float((result - truth)[right].mean())) < 0.01
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_clean_picture_stays_clean(seed: int) -> None:
-    """Noise is that of the means over the widest Gaussian, a hundredth of that of a pixel."""
+    """Noise is that of the means over the widest Gaussian, a fortieth of that of a pixel."""
     truth = textured()
     raw, variance = noisy(truth, 0.1, seed)
     assert rms(restored(truth, raw, variance) - truth) < 0.03 * rms(raw - truth)
@@ -53,6 +53,21 @@ def test_a_clean_picture_stays_clean(seed: int) -> None:
 def test_black_pictures_stay_black() -> None:
     black = np.zeros((HEIGHT, WIDTH, 3), np.float32)
     np.testing.assert_array_equal(restored(black, black, black), black)
+
+
+def test_a_firefly_does_not_come_back_as_a_blotch() -> None:
+    raw, variance = noisy(np.ones((HEIGHT, WIDTH, 3), np.float32), 0.1, 1)
+    raw[48, 64], variance[48, 64] = 1000.0, 1e6
+    assert np.abs(restored(np.ones_like(raw), raw, variance) - 1.0).max() < 0.02
+
+
+def test_what_is_black_stays_black() -> None:
+    """Beside a square that was made too bright."""
+    truth = np.zeros((HEIGHT, WIDTH, 3), np.float32)
+    truth[30:60, 40:80] = 1.0
+    result = restored(1.05 * truth, truth, np.full_like(truth, 1e-8))
+    np.testing.assert_array_equal(result[truth == 0.0], 0.0)
+    assert result.min() >= 0.0 and abs(float(result[40:50, 50:70].mean()) - 1.0) < 0.02
 
 
 def test_pictures_are_restored_where_the_variance_is_known(monkeypatch: pytest.MonkeyPatch) -> None:

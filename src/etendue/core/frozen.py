@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import gc
 import inspect
+import threading
 import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Generic, TypeVar
+from typing import Any, ClassVar, Generic, TypeVar
 
 import drjit as dr
 
@@ -25,7 +26,7 @@ class Frozen(Generic[R]):
     ----------
     function: a function of device arrays and of Mitsuba's objects, evaluated or not, which reads no results back. What
         its Python code does depends on the types and sizes of its arguments only. The object of a bound method is not
-        kept alive: it may own what is made of it here.
+        kept alive, because it usually owns this object.
     reads: the objects with the device arrays that it reads beside its arguments, asked for at each call.
     """
 
@@ -54,6 +55,7 @@ class Frozen(Generic[R]):
                     result = self._frozen(*arguments)
                 return result
             except RuntimeError as error:
+                _raise_interrupts(error)
                 name = getattr(self._function(), "__qualname__", "a function")
                 logger.debug("%s is not frozen: %s", name, error)
                 self._fails = True
@@ -75,17 +77,40 @@ def _weakly(function: Callable[..., Any]) -> Callable[[], Callable[..., Any]]:
     return alive
 
 
+def _raise_interrupts(error: BaseException) -> None:
+    """Raise what Dr.Jit turned into a RuntimeError if it is no failure, such as KeyboardInterrupt."""
+    cause: BaseException | None = error
+    while cause is not None:
+        if not isinstance(cause, Exception):
+            raise cause
+        cause = cause.__cause__ or cause.__context__
+
+
+class _Collection:
+    """How many threads want no garbage collection, and whether there was one before the first."""
+
+    lock: ClassVar = threading.Lock()
+    count: ClassVar[int] = 0
+    was_on: ClassVar[bool] = True
+
+
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Without garbage collection. While kernels are traced, Dr.Jit calls Python for all lights and materials there are;
-    the process dies if the collection deletes one of another scene then, or a frozen function while one is recorded."""
-    is_on = gc.isenabled()
-    gc.disable()
+    """Without garbage collection, in any thread. While kernels are traced, Dr.Jit calls Python for all lights and
+    materials there are; the process dies if a collection deletes a scene then, or another frozen function while one is
+    recorded."""
+    with _Collection.lock:
+        if not _Collection.count:
+            _Collection.was_on = gc.isenabled()
+            gc.disable()
+        _Collection.count += 1
     try:
         yield
     finally:
-        if is_on:
-            gc.enable()
+        with _Collection.lock:
+            _Collection.count -= 1
+            if not _Collection.count and _Collection.was_on:
+                gc.enable()
 
 
 def device_parts(root: object) -> list[Any]:

@@ -23,6 +23,8 @@ from .pictures import Picture
 _SIGMAS, _RADIUS = (1.0, 2.0, 4.0, 8.0, 12.0), 2.5
 #: c of the bands, and of the means over the widest Gaussian.
 _BANDS, _MEANS = 2.5, 0.3
+#: Variance of a pixel that is left out, relative to the mean around it.
+_FIREFLY = 300.0
 #: What is added to a clean picture, relative to its mean, where residuals are divided by it.
 _FLOOR = 0.01
 
@@ -40,14 +42,18 @@ def restored(clean: Picture, raw: Picture, variance: Picture) -> Picture:
     scale = np.maximum(clean, 0.0) + np.float32(_FLOOR * level)  # noise of light grows with the light
     residual = (raw - clean) / scale
     noise = (np.maximum(variance, 0.0) / np.square(scale)).mean(axis=2, keepdims=True)
+    # A firefly has most of the noise of its surroundings, and would come back as a blotch.
+    usual = noise <= _FIREFLY * _blurred(frame, np.repeat(noise, 3, axis=2), _SIGMAS[-1])[:, :, :1]
+    residual, noise = np.where(usual, residual, 0.0), np.where(usual, noise, 0.0)
+    gain = np.maximum(clean, 0.0)  # what is black stays black
     result, narrow, kernel = clean.copy(), residual, np.ones(1)
     for sigma in _SIGMAS:
         wide, wider = _blurred(frame, residual, sigma), _gaussian(sigma)
         band = narrow - wide
-        result += scale * band * _weight(frame, band, noise, _BANDS * _norm(kernel, wider), sigma)
+        result += gain * band * _weight(frame, band, noise, _BANDS * _norm(kernel, wider), sigma)
         narrow, kernel = wide, wider
-    means = _blurred(frame, raw - clean, sigma) / _blurred(frame, scale, sigma)
-    result += scale * means * _weight(frame, means, noise, _MEANS * _norm(wider, np.zeros(1)), sigma)
+    # What is left are means over the widest Gaussian.
+    result += gain * narrow * _weight(frame, narrow, noise, _MEANS * _norm(kernel, np.zeros(1)), _SIGMAS[-1])
     return np.asarray(result, np.float32)
 
 
