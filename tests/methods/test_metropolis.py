@@ -311,7 +311,7 @@ def test_the_probabilities_of_lengths(depth):
 
 @pytest.mark.parametrize("method, settings", [("pssmlt", {}), ("pssmlt", {"estimator": "bidirectional"}), ("mmlt", {})])
 def test_kernels_of_steps_are_traced_once(method, settings):
-    """The picture is that of steps which are traced anew, also after light vertices found no room."""
+    """The picture is that of steps which are traced anew."""
     options = SMALL | settings | {"chains": 256, "step_size": 0.02, "large_steps": 0.25}
     pictures = []
     for frozen in (False, True):

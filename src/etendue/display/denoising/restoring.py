@@ -7,8 +7,8 @@ times the squared norm of the band's kernel. A band whose energy E around a pixe
 added to the clean picture with the weight :math:`\max(0, 1 - c n / E)` of Wiener's filter. So are means over the widest
 Gaussian.
 
-The noise that a network leaves is like that of the raw picture, so the residual has less of it: where nothing is lost,
-E < n. This is why c is large for bands, in which most of the noise is, and small for means, which have little.
+c is above 1 for bands, because E scatters around its mean in small windows, and below 1 for means, in which there is
+little noise.
 """
 
 from __future__ import annotations
