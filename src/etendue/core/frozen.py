@@ -31,8 +31,8 @@ class Frozen(Generic[R]):
     """
 
     def __init__(self, function: Callable[..., R], reads: Callable[[], object]) -> None:
-        self._function, self._reads = _weakly(function), _weakly(reads)
-        call, ask = self._function, self._reads
+        self._function = call = _weakly(function)
+        ask = _weakly(reads)
 
         def traced(*arguments: Any) -> R:
             result: R = call()(*arguments)
