@@ -346,7 +346,7 @@ def test_any_number_of_chains_begins_anew_by_the_same_kernels(method, settings):
     for lanes in (1234, 998):
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
-            traced = runner.trace(runner.moves(1, 0), mi.UInt32(np.arange(lanes)), None)
+            traced = runner.trace(runner.moves(1, 0), dr.arange(mi.UInt32, lanes), None)
             dr.eval(traced.contributions, traced.rays)
             kernels.append({one["hash"] for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT})
     assert kernels[1] and kernels[1] <= kernels[0]

@@ -191,10 +191,13 @@ def on_device(array_type: type[dr.ArrayBase], values: ArrayLike) -> dr.ArrayBase
 
 
 def copied_to_device(array_type: type[dr.ArrayBase], values: ArrayLike) -> dr.ArrayBase:
-    """As :func:`on_device`, for many numbers: a kernel copies them."""
+    """As :func:`on_device`, for many numbers: a kernel copies them. A single one is no literal."""
     import drjit as dr
 
-    borrowed = array_type(np.ascontiguousarray(values).ravel())
+    numbers = np.ascontiguousarray(values).ravel()
+    if numbers.size == 1:
+        return dr.opaque(array_type, numbers[0].item())
+    borrowed = array_type(numbers)
     index = dr.uint32_array_t(array_type)
     # The opaque offset forces a copy: Dr.Jit would replace a gather of all entries in order by the array itself.
     own = dr.gather(array_type, borrowed, dr.arange(index, len(borrowed)) + dr.opaque(index, 0))

@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import Array, logger, on_device
+from etendue.core import Array, copied_to_device, logger
 from etendue.integration import Box, Domain
 
 from .errors import DensityError
@@ -159,11 +159,7 @@ class Frame:
 
 def uploaded(values: Array) -> mi.Float:
     """Host numbers as a ``Float`` with memory of its own."""
-    if values.size == 1:  # from a list it would be a literal, and each value would need another kernel
-        return dr.opaque(mi.Float, float(values.ravel()[0]))
-    if values.size <= 1 << 16:
-        return on_device(mi.Float, values)
-    return mi.Float(np.array(values, dtype=np.float32))
+    return copied_to_device(mi.Float, np.asarray(values, dtype=np.float32))
 
 
 def by_place(points: Array) -> NDArray[np.int64]:

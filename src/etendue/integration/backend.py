@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, IndependentSource, on_device, use_variant
+from etendue.core import Array, IndependentSource, copied_to_device, use_variant
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -254,10 +254,8 @@ class DeviceBackend:
         """See :class:`Backend`."""
         array = np.asarray(values)
         if array.dtype.kind in "iu":
-            return self._uint(np.array(array.ravel(), dtype=np.uint32))
-        if array.size <= 1 << 16:
-            return on_device(self._float, array)
-        return self._float(np.array(array.ravel(), dtype=np.float32))
+            return copied_to_device(self._uint, array.astype(np.uint32))
+        return copied_to_device(self._float, array.astype(np.float32))
 
     def take(self, table: mi.Float, index: mi.UInt32) -> mi.Float:
         """See :class:`Backend`."""

@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from etendue.core import Array, OptionError
+from etendue.core import Array, OptionError, copied_to_device
 from etendue.integration import Integrand
 from etendue.scene import RenderSpace
 from etendue.surfaces import Irradiance
@@ -239,4 +239,4 @@ def _tangents(normal: Array) -> tuple[Array, Array]:
 
 
 def _column(values: Array) -> mi.Float:
-    return mi.Float(np.array(values, dtype=np.float32).ravel())
+    return copied_to_device(mi.Float, np.asarray(values, dtype=np.float32))

@@ -29,7 +29,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, Frozen, IndependentSource, SampleSource, SceneError, logger, seed_key
+from etendue.core import Array, Frozen, IndependentSource, SampleSource, SceneError, copied_to_device, logger, seed_key
 from etendue.integration import Move, PrimarySource
 from etendue.points import OwenSobolSource
 from etendue.transport import Splats
@@ -195,7 +195,7 @@ class Runner:
         chosen = np.empty((2, half), np.uint32)
         for index, row in enumerate(targets):
             chosen[index] = drawn(row, half, _offset(seed, "start", index, 0)) + (index << HALF_BIT)
-        numbers, moves = mi.UInt32(chosen.ravel()), self.moves(seed, first)
+        numbers, moves = copied_to_device(mi.UInt32, chosen), self.moves(seed, first)
         traced = self.trace(moves, numbers, None)
         target = self.value(traced.contributions, factors, cap)
         dr.eval(traced.contributions, target)
@@ -222,7 +222,8 @@ class Runner:
             for index, (row, count) in enumerate(zip(targets, counts, strict=True))
             if count
         ]
-        numbers, at = mi.UInt32(np.concatenate(chosen).astype(np.uint32)), mi.UInt32(np.flatnonzero(begins))
+        numbers = copied_to_device(mi.UInt32, np.concatenate(chosen).astype(np.uint32))
+        at = copied_to_device(mi.UInt32, np.flatnonzero(begins).astype(np.uint32))
         moves, old = self.moves(seed, first), carried.states
         traced = self.trace(moves, numbers, None)
         target = self.value(traced.contributions, carried.factors, carried.cap)
