@@ -7,8 +7,8 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from etendue.core import Frozen, IndependentSource, uncollected
-from etendue.core.frozen import device_parts
+from etendue.core import Frozen, IndependentSource
+from etendue.core.frozen import device_parts, uncollected
 from etendue.points import OwenSobolSource
 
 

@@ -74,7 +74,7 @@ def test_pictures_are_restored_where_the_variance_is_known(monkeypatch: pytest.M
     """Not those of chosen components, whose variance nobody knows."""
     truth = textured()
     raw, variance = noisy(truth, 0.1, 1)
-    flat = Denoiser("flat", "", lambda part, *_: np.full_like(part, part.mean() / 2), is_restored=True)
+    flat = Denoiser("flat", "", lambda part, *_: np.full_like(part, part.mean() / 2), restores=True)
     monkeypatch.setitem(DENOISERS, "flat", flat)
     layers = {"image": raw, "direct": raw / 2, "indirect": raw / 2}
     assert np.ptp(develop(layers, "flat")) == 0.0

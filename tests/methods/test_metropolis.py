@@ -331,9 +331,10 @@ def test_light_vertices_without_room_are_traced_again():
     pictures = []
     for room in (4.0, 0.01):
         chains = prepared(scenes.room("rectangle", scenes.FEW), "pssmlt", 3, **options)
-        chains.runner.target._per_path = room
+        runner = chains.runner
+        runner.target._per_path, recorded = room, runner._frozen
         pictures.append(go(chains, 2, 3).mean)
-        assert chains.runner.target._per_path > 0.5
+        assert (runner.target._per_path == room) == (room == 4.0) == (runner._frozen is recorded)
     assert np.allclose(*pictures, rtol=1e-4, atol=1e-4 * pictures[0].mean())
 
 

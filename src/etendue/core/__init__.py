@@ -15,11 +15,11 @@ from .errors import (
     suggest,
 )
 from .extras import library, sparse
-from .frozen import Frozen, uncollected
+from .frozen import Frozen
 from .log import logger
 from .measurement import CONTRAST, RELATIVE_EPSILON, Array, Iterations, Measurement, warn_of_nonfinite
 from .memory import free_memory
-from .method import Carrying, Method, Pass, Replica, Result, State
+from .method import Carrying, Method, Pass, Replica, Result, State, prepared
 from .notebooks import InNotebooks
 from .progress import Progress, format_count, format_number, format_rate, format_seconds, format_shares
 from .records import PassKey, Record, RecordFile
@@ -84,13 +84,13 @@ __all__ = [
     "library",
     "logger",
     "on_device",
+    "prepared",
     "seed_key",
     "set_threads",
     "setting",
     "sparse",
     "suggest",
     "to_unit_float",
-    "uncollected",
     "use_variant",
     "warn_of_nonfinite",
 ]

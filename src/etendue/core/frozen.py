@@ -6,7 +6,8 @@ import gc
 import inspect
 import threading
 import weakref
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -17,6 +18,8 @@ from .log import logger
 R = TypeVar("R")
 #: How deep device arrays lie in an object.
 _DEPTH = 6
+#: Recordings that are kept, for different sizes of arguments.
+_RECORDINGS = 8
 
 
 class Frozen(Generic[R]):
@@ -38,7 +41,9 @@ class Frozen(Generic[R]):
             result: R = call()(*arguments)
             return result
 
-        self._frozen = dr.freeze(traced, state_fn=lambda *_, **__: device_parts(ask()()), warn_after=1 << 30)
+        self._frozen = dr.freeze(
+            traced, state_fn=lambda *_, **__: device_parts(ask()()), limit=_RECORDINGS, warn_after=1 << 30
+        )
         self._fails = False
 
     @property
@@ -57,7 +62,8 @@ class Frozen(Generic[R]):
             except RuntimeError as error:
                 _raise_interrupts(error)
                 name = getattr(self._function(), "__qualname__", "a function")
-                logger.debug("%s is not frozen: %s", name, error)
+                log = logger.warning if self.recordings else logger.debug
+                log("kernels of %s are traced for every call: %s", name, error)
                 self._fails = True
         result = self._function()(*arguments)
         return result
@@ -119,22 +125,19 @@ def device_parts(root: object) -> list[Any]:
 
     found: list[Any] = []
     seen: set[int] = set()
-
-    def walk(value: Any, depth: int) -> None:
-        if value is None or depth > _DEPTH:
-            return
+    waiting = deque([(root, 0)])  # the shallow ones first: what is seen again is not nearer
+    while waiting:
+        value, depth = waiting.popleft()
+        parts: Iterable[Any] = ()
         if isinstance(value, (mi.Object, mi.DiscreteDistribution)) or dr.is_jit_v(value):
             found.append(value)
         elif isinstance(value, (list, tuple)):
-            for part in value:
-                walk(part, depth + 1)
+            parts = value
         elif isinstance(value, dict):
-            for part in value.values():
-                walk(part, depth + 1)
+            parts = value.values()
         elif type(value).__module__.startswith("etendue") and hasattr(value, "__dict__") and id(value) not in seen:
             seen.add(id(value))
-            for part in vars(value).values():
-                walk(part, depth + 1)
-
-    walk(root, 0)
+            parts = vars(value).values()
+        if depth < _DEPTH:
+            waiting.extend((part, depth + 1) for part in parts if part is not None)
     return found

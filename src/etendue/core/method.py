@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,6 +101,20 @@ class Method(Protocol):
     def develop(self, measurement: Measurement, state: State) -> Result:
         """The picture of the passes in ``measurement``; ``state``: after the last of them."""
         ...
+
+
+class _Prepares(Protocol):
+    def prepare(self, problem: Any, seed: int) -> None: ...
+
+
+M = TypeVar("M", bound=_Prepares)
+
+
+def prepared(method: M, problem: Any, seed: int) -> M:
+    """The method itself, after ``prepare``, during which there is no garbage collection."""
+    with uncollected():
+        method.prepare(problem, seed)
+    return method
 
 
 class Replica:

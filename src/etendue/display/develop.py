@@ -55,7 +55,7 @@ def develop(
         features = features if kind.prepare is None else kind.prepare(features)
         raw = _sum(parts)
         parts = [kind.function(part, features, radius, strength) for part in parts]
-        if kind.is_restored and features.variance is not None and tuple(components) in ((), ("image",)):
+        if kind.restores and features.variance is not None and tuple(components) in ((), ("image",)):
             return restored(_sum(parts), raw, features.variance)
     return _sum(parts)
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import ClusterError, Method, use_variant
+from etendue.core import ClusterError, Method, prepared, use_variant
 from etendue.engine import Task, versions
 from etendue.scene import Camera, PortableScene, load, load_part, part_files, portable, restored, unmerged
 
@@ -127,8 +127,7 @@ class OpenRecipe:
         method = (
             kind(settings) if manifest["make"] is None else _named(manifest["make"])(settings, self.problem, **given)
         )
-        method.prepare(self.problem, seed)
-        return method
+        return prepared(method, self.problem, seed)
 
 
 def check_versions(wanted: Mapping[str, str]) -> None:

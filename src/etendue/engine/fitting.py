@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from etendue.core import Method, OptionError, uncollected
+from etendue.core import Method, OptionError, prepared
 from etendue.scene import Problem
 
 
@@ -19,9 +19,7 @@ def fit_samples(method: Method, samples: int, problem: Problem, seed: int) -> Me
     if fitting == most or getattr(method.settings, "samples_per_pass", 1) != 0:
         return method
     kind: Any = type(method)
-    fitted: Method = kind(method.settings.replace(samples_per_pass=fitting))
-    with uncollected():
-        fitted.prepare(problem, seed)
+    fitted: Method = prepared(kind(method.settings.replace(samples_per_pass=fitting)), problem, seed)
     return fitted
 
 

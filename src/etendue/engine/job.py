@@ -25,7 +25,7 @@ from etendue.core import (
     State,
     is_whole,
     logger,
-    uncollected,
+    prepared,
 )
 from etendue.scene import BundledScene, Camera, Problem, bundled_scene, load, locate, unmerged
 
@@ -141,9 +141,7 @@ class Job:
         )
         begin = time.perf_counter()
         budget = task.budget or Budget(samples=max(1, problem.spp))
-        method: Method = task.method(task_settings(task, problem))
-        with uncollected():
-            method.prepare(problem, task.seed)
+        method: Method = prepared(task.method(task_settings(task, problem)), problem, task.seed)
         if budget.samples is not None:
             method = fit_samples(method, budget.samples, problem, task.seed)
         settle_samples(method)
@@ -185,9 +183,7 @@ class Job:
             raise CheckpointError(f"the scene of the checkpoint cannot be loaded: {error}") from error
         checkpoint.require_scene(problem.fingerprint)
         begin = time.perf_counter()
-        instance = method(settings)
-        with uncollected():
-            instance.prepare(problem, checkpoint.seed)
+        instance = prepared(method(settings), problem, checkpoint.seed)
         instance = replicated(instance, checkpoint.state, problem, checkpoint.seed)
         instance.enter(checkpoint.state)
         preparation = time.perf_counter() - begin

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from etendue.core import CheckpointError, Measurement, Method, OptionError, Pass, Result, State, seed_key
+from etendue.core import CheckpointError, Measurement, Method, OptionError, Pass, Result, State, prepared, seed_key
 
 
 def replica_seed(seed: int, replica: int) -> int:
@@ -85,8 +85,7 @@ class Replicated:
     def _of(self, replica: int) -> Method:
         if replica not in self._methods:
             kind: Any = type(self.method)
-            method: Method = kind(self.method.settings)
-            method.prepare(self._problem, replica_seed(self._seed, replica))
+            method: Method = prepared(kind(self.method.settings), self._problem, replica_seed(self._seed, replica))
             self._tell(method)
             self._methods[replica] = method
         return self._methods[replica]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from etendue.core import InNotebooks, OptionError, SceneError, logger
+from etendue.core import InNotebooks, OptionError, SceneError, logger, prepared
 from etendue.distributed import Correspondence, Rounds
 from etendue.engine import Budget, Checkpoint, remaining
 from etendue.radiosity import (
@@ -179,7 +179,7 @@ class HierarchyWork(RequestedWork[HierarchyRequest, HierarchyResult]):
             self.method = DividedMultipath(settings, len(self.cluster.pool.workers()))
         elif request.divide:
             logger.info("without workers, all boxes are in this process")
-        self.method.prepare(self.parts, int(request.seed))
+        prepared(self.method, self.parts, int(request.seed))
         return self._run(self.parts, self.method, part_recipe, spent=time.perf_counter() - begin, **options)
 
     def _executor(

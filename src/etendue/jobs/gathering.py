@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from etendue.core import OptionError, Progress, Result, SampleSource, is_whole
+from etendue.core import OptionError, Progress, Result, SampleSource, is_whole, prepared
 from etendue.engine import Budget, RunError, Runner
 from etendue.methods import CameraSettings, ImageMethod, ImageSettings, total
 from etendue.radiosity import RadiosityError, Solution, check_colours, radiosity_on
@@ -90,7 +90,7 @@ def _run(
     method: ImageMethod, problem: Problem, samples: int, seed: int, on_pass: Callable[[int, int], object] | None = None
 ) -> NDArray[np.float32]:
     """The picture from ``samples`` paths per pixel, or a few more."""
-    method.prepare(problem, seed)
+    prepared(method, problem, seed)
     if method.samples_per_iteration > samples:
         method.settings = dataclasses.replace(method.settings, samples_per_pass=samples)
     passes = -(-samples // method.samples_per_iteration)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import free_memory
+from etendue.core import free_memory, prepared
 from etendue.distributed import Ingredients, Recipe, recipe
 from etendue.engine import Budget, Checkpoint, Job, Runner, RunResult
 from etendue.radiosity import (
@@ -102,7 +102,7 @@ class LinesJob:
             settings = saved.settings_of(type(casting), asked, task.seed)
             saved.require_scene(problem.fingerprint)
             casting = self.casting = self._casting(settings)
-        casting.prepare(problem, task.seed)
+        prepared(casting, problem, task.seed)
         casting.most, limited = self._limited()
         earlier = 0.0
         if saved is not None:

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from etendue.core import CheckpointError, format_count, logger
+from etendue.core import CheckpointError, format_count, logger, prepared
 from etendue.radiosity import MultipathPasses, MultipathSettings, PatchProblem, RadiosityError
 
 from .lines import patch_recipe
@@ -60,7 +60,7 @@ class MultipathWork(PatchWork[RadiosityRequest, RadiosityResult]):
         begin = time.perf_counter()
         if saved is not None:
             self.method = self._of_checkpoint(saved, problem.fingerprint)
-        self.method.prepare(problem, seed)
+        prepared(self.method, problem, seed)
         if saved is None:
             self._refine_shot(problem, seed)
         else:
@@ -155,4 +155,4 @@ class MultipathWork(PatchWork[RadiosityRequest, RadiosityResult]):
                 )
             more = min(2 * (share / (_SHOT_SHARE * wanted)) ** 2, 64.0) * settings.shot_rays
             self.method = MultipathPasses(settings.replace(shot_rays=float(min(more, _MOST_SHOT_RAYS))))
-            self.method.prepare(problem, seed)
+            prepared(self.method, problem, seed)

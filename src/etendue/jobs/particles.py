@@ -24,6 +24,7 @@ from etendue.core import (
     describe,
     is_number,
     logger,
+    prepared,
     suggest,
 )
 from etendue.engine import (
@@ -142,8 +143,7 @@ class ParticleWork:
         problem = load(request.scene, parameters=request.parameters, memory=request.memory, change=change)
         begin = time.perf_counter()
         kind = TRACINGS[request.method]
-        tracing: Any = kind(kind.Settings.from_mapping(request.settings))
-        tracing.prepare(problem, request.seed)
+        tracing: Any = prepared(kind(kind.Settings.from_mapping(request.settings)), problem, request.seed)
         paths = request.paths
         if request.particles is not None:
             paths = tracing.paths_for(request.particles)

@@ -9,7 +9,7 @@ from typing import Any
 
 import mitsuba as mi
 
-from etendue.core import Method, uncollected
+from etendue.core import Method, prepared
 from etendue.engine import fit_samples, settle_samples
 from etendue.methods import ImageMethod, ImageSettings
 from etendue.scene import Parameters, Problem, check, parameters, view, warn_of_offsets
@@ -55,8 +55,7 @@ class Prepared:
             kept = self._prepare(problem, seed, seen)
             self._scene = parameters(problem.scene)  # traversing an emitter turns its scalars into variables
         elif kept.carries_on:
-            with uncollected():
-                kept.method.prepare(problem, _pilot_seed(kept.method, seed))
+            prepared(kept.method, problem, _pilot_seed(kept.method, seed))
         else:
             kept.method.bind(problem.scene)
         yield kept.method
@@ -71,9 +70,7 @@ class Prepared:
     def _prepare(self, problem: Problem, seed: int, seen: Parameters) -> _Kept:
         method, problem = self._kind(self._settings), replace(problem)  # a copy, because bind() changes its scene
         seed = _pilot_seed(method, seed)
-        with uncollected():
-            method.prepare(problem, seed)
-        fitted: Any = fit_samples(method, problem.spp, problem, seed)
+        fitted: Any = fit_samples(prepared(method, problem, seed), problem.spp, problem, seed)
         settle_samples(fitted)
         return _Kept(problem.sensor, seen, fitted, bool(fitted.carries_on))
 

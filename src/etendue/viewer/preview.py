@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from etendue import methods
-from etendue.core import Frozen, IndependentSource, seed_key
+from etendue.core import Frozen, IndependentSource, prepared, seed_key
 from etendue.scene import Problem, resized
 
 from .camera import Pose, place
@@ -90,8 +90,7 @@ class Moving:
 
     def __init__(self, problem: Problem, frozen: bool = True) -> None:
         values = {"max_depth": _EDGES, "samples_per_pass": 1, "sampler": "independent", "reconstruction": "independent"}
-        self._method = methods.Path(methods.Path.Settings.from_mapping(values))
-        self._method.prepare(problem, 0)
+        self._method = prepared(methods.Path(methods.Path.Settings.from_mapping(values)), problem, 0)
         self._problem = problem
         self._function: Callable[..., mi.Color3f] = self._radiance
         if frozen:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from etendue import film, methods
-from etendue.core import Measurement, Replica, Result, Settings, uncollected
+from etendue.core import Measurement, Replica, Result, Settings, prepared
 from etendue.engine import LEAST_PASSES_FOR_ERROR, Budget, Task, task_settings, versions
 from etendue.scene import Problem
 
@@ -44,10 +44,7 @@ class Refinement:
         self._next_noise = 2.0
 
     def _prepared(self, kind: type[Any], settings: Settings) -> Any:
-        method = kind(settings)
-        with uncollected():
-            method.prepare(self.problem, self.seed)
-        return method
+        return prepared(kind(settings), self.problem, self.seed)
 
     @property
     def method(self) -> Any:

@@ -33,7 +33,7 @@ class Denoiser:
     #: What is done to the features before, once for all components.
     prepare: Callable[[Features], Features] | None = None
     #: Whether it smooths details and shifts means, which :func:`restored` gives back if the variance is known.
-    is_restored: bool = False
+    restores: bool = False
 
     def check(self, features: Features) -> None:
         """Raise :class:`OptionError` if a feature is missing that it needs."""
@@ -53,7 +53,7 @@ DENOISERS: Final[dict[str, Denoiser]] = {
             open_image_denoise,
             uses=_FIRST_HIT,
             prepare=prefiltered,
-            is_restored=True,
+            restores=True,
         ),
         Denoiser("bilateral", "mean of pixels that are near and alike", bilateral, uses=_FIRST_HIT),
         Denoiser("guided", "linear regression on albedo, normal and luminance in windows", guided, uses=_FIRST_HIT),

@@ -36,6 +36,8 @@ from .targets import ROULETTE, Contribution, Traced, camera_slots, film_place, l
 
 #: Room for the light vertices of a path at first, and growth where it was too small.
 _VERTICES, _GROWTH = 4.0, 1.5
+#: How many of the longest paths there is always room for.
+_FEW = 32
 
 
 @dataclass(kw_only=True)
@@ -156,11 +158,11 @@ class PairTarget:
         return self._method.tables()
 
     def _room(self, lanes: int) -> int:
-        return int(self._per_path * lanes) + 16
+        return int(self._per_path * lanes) + _FEW * self._vertices
 
-    def held(self, stored: int, lanes: int) -> bool:
+    def had_room(self, wanted: int, lanes: int) -> bool:
         """See :class:`Target`."""
-        if stored <= self._room(lanes):
+        if wanted <= self._room(lanes):
             return True
-        self._per_path = _GROWTH * stored / lanes
+        self._per_path = _GROWTH * wanted / lanes
         return False

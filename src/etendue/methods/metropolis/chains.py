@@ -120,7 +120,7 @@ class Runner:
                 traced = self._proposals(fresh, None, None, lanes)
             else:
                 traced = self._frozen(fresh, None if size is None else states.numbers, size, lanes)
-            if traced.stored is None or self.target.held(int(traced.stored[0]), lanes):
+            if traced.wanted is None or self.target.had_room(int(traced.wanted[0]), lanes):
                 return traced
             self.release()
 

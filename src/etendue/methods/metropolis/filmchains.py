@@ -139,7 +139,7 @@ class FilmTarget:
         """See :class:`Target`."""
         return self._method.tables()
 
-    def held(self, stored: int, lanes: int) -> bool:
+    def had_room(self, wanted: int, lanes: int) -> bool:
         """See :class:`Target`."""
         return True
 

@@ -155,7 +155,7 @@ class SingleTarget:
         """See :class:`Target`."""
         return self._single, self._probability, self._reached, *self._method.tables()
 
-    def held(self, stored: int, lanes: int) -> bool:
+    def had_room(self, wanted: int, lanes: int) -> bool:
         """See :class:`Target`."""
         return True
 

@@ -45,7 +45,7 @@ class Traced:
     contributions: list[Contribution]
     rays: mi.UInt32
     nonfinite: mi.UInt32  #: contributions that were not finite and are 0
-    stored: mi.UInt32 | None = None  #: what a store of limited room was asked to hold, one number
+    wanted: mi.UInt32 | None = None  #: the room that a store of vertices needs, one number
 
 
 class Target(Protocol):
@@ -64,8 +64,8 @@ class Target(Protocol):
         """The objects with the device arrays that :meth:`trace` reads, for ``core.Frozen``."""
         ...
 
-    def held(self, stored: int, lanes: int) -> bool:
-        """Whether there was room for what was ``stored``; if not, there is more now, and the paths must be traced
+    def had_room(self, wanted: int, lanes: int) -> bool:
+        """Whether the store had the room that was ``wanted``; if not, there is more now, and the paths must be traced
         again."""
         ...
 
@@ -142,6 +142,6 @@ class PathTarget:
         """See :class:`Target`."""
         return self._method.tables()
 
-    def held(self, stored: int, lanes: int) -> bool:
+    def had_room(self, wanted: int, lanes: int) -> bool:
         """See :class:`Target`."""
         return True

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from etendue.core import Array, Measurement, OptionError
+from etendue.core import Array, Measurement, OptionError, prepared
 from etendue.film import LUMINANCE
 from etendue.radiosity import (
     CastingSettings,
@@ -128,8 +128,8 @@ class LiveSolution(ShownSolution):
         if len(self.patches) > MOST_PATCHES:
             raise OptionError(f"{len(self.patches)} patches are more than {MOST_PATCHES}: give a larger area")
         self.max_area, self._seed = max_area, seed
-        self._casting = LineCasting(CastingSettings(replicates=_REPLICATES))
-        self._casting.prepare(PatchProblem(self.patches, problem.source), seed)
+        casting = LineCasting(CastingSettings(replicates=_REPLICATES))
+        self._casting = prepared(casting, PatchProblem(self.patches, problem.source), seed)
         self._measurement: Measurement | None = None
         self._next = _REPLICATES  # passes at the next solution
         self._solved = 0  # passes of the latest
