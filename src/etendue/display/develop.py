@@ -49,7 +49,7 @@ def develop(
         kind.check(features)
         missing = [name for name in kind.uses if name not in features.names]
         if missing:
-            tell(f"no layer {' and '.join(missing)}: {kind.name} works better on a picture rendered with --aovs")
+            tell(f"no layer {', '.join(missing)}: {kind.name} works better with --aovs in several passes")
         if not kind.by_component:
             parts = [np.sum(parts, axis=0, dtype=np.float32)]
         features = features if kind.prepare is None else kind.prepare(features)

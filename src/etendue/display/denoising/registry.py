@@ -51,7 +51,7 @@ DENOISERS: Final[dict[str, Denoiser]] = {
             "oidn",
             "Intel Open Image Denoise, a trained network",
             open_image_denoise,
-            uses=_FIRST_HIT,
+            uses=(*_FIRST_HIT, "variance"),
             prepare=prefiltered,
             restores=True,
         ),

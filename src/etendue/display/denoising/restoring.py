@@ -8,7 +8,8 @@ added to the clean picture with the weight :math:`\max(0, 1 - c n / E)` of Wiene
 Gaussian.
 
 c is above 1 for bands, because E scatters around its mean in small windows, and below 1 for means, in which there is
-little noise.
+little noise. Between the pixels and the first Gaussian, E is of those with neighbours of too much energy:
+the variance of single pixels, from few passes, is uncertain.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ _SIGMAS, _RADIUS = (1.0, 2.0, 4.0, 8.0, 12.0), 2.5
 _BANDS, _MEANS = 2.5, 0.3
 #: Variance of a pixel that is left out, relative to the mean around it.
 _FIREFLY = 300.0
+#: Standard deviation of the Gaussian around a pixel that tells of its neighbours, in pixels.
+_NEAR = 2.0
 #: What is added to a clean picture, relative to its mean, where residuals are divided by it.
 _FLOOR = 0.01
 
@@ -43,7 +46,8 @@ def restored(clean: Picture, raw: Picture, variance: Picture) -> Picture:
     residual = (raw - clean) / scale
     noise = (np.maximum(variance, 0.0) / np.square(scale)).mean(axis=2, keepdims=True)
     # A firefly has most of the noise of its surroundings, and would come back as a blotch.
-    usual = noise <= _FIREFLY * _blurred(frame, np.repeat(noise, 3, axis=2), _SIGMAS[-1])[:, :, :1]
+    finite = np.where(np.isfinite(noise), noise, 0.0)
+    usual = noise <= _FIREFLY * _blurred(frame, np.repeat(finite, 3, axis=2), _SIGMAS[-1])[:, :, :1]
     residual, noise = np.where(usual, residual, 0.0), np.where(usual, noise, 0.0)
     gain = np.maximum(clean, 0.0)  # what is black stays black
     result, narrow, kernel = clean.copy(), residual, np.ones(1)
@@ -60,6 +64,10 @@ def restored(clean: Picture, raw: Picture, variance: Picture) -> Picture:
 def _weight(frame: Frame, band: Picture, noise: Picture, factor: float, sigma: float) -> Picture:
     """Weight of a band, by its energy and that of noise around each pixel; ``factor``: on the variance."""
     energy = np.square(band).mean(axis=2, keepdims=True)
+    if sigma == _SIGMAS[0]:  # a pixel whose neighbours are explained by noise is noise, whose variance is uncertain
+        near, own = _blurred(frame, np.concatenate([energy, noise, noise], axis=2), _NEAR), _gaussian(_NEAR).max() ** 2
+        others = near[:, :, :2] - np.float32(own) * np.concatenate([energy, noise], axis=2)
+        energy = np.where(others[:, :, :1] > factor * others[:, :, 1:], energy, np.float32(0.0))
     around = _blurred(frame, np.concatenate([energy, noise, noise], axis=2), sigma)
     return np.clip(1.0 - np.float32(factor) * around[:, :, 1:2] / np.maximum(around[:, :, :1], 1e-30), 0.0, 1.0)
 
