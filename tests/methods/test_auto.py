@@ -12,6 +12,7 @@ from support.tables import thinned
 from etendue.core import RELATIVE_EPSILON, CheckpointError
 from etendue.methods.auto import CANDIDATES, FIXED, LEARNER, Learned, Work, describe
 from etendue.methods.auto import method as auto
+from etendue.methods.bidirectional_settings import BidirectionalSettings
 from etendue.transport import TILE, Candidate
 
 PATH = FIXED["path"]
@@ -80,37 +81,41 @@ BRUTE = {
 
 @pytest.fixture(scope="module")
 def estimated():
-    """Eight passes that learn, in a room with a rough and a smooth thing."""
-    method = prepared(
-        scenes.room("rectangle", scenes.FEW), "auto", samples_per_pass=SAMPLES, probe_passes=1000, rr_depth=2
-    )
-    go(method, 8)
-    return method
+    """Six runs of 32 passes that learn, in a room with a rough and a smooth thing."""
+    methods = []
+    for seed in range(1, 7):
+        scene = scenes.room("rectangle", scenes.FEW)
+        methods.append(prepared(scene, "auto", seed, samples_per_pass=SAMPLES, probe_passes=1000, rr_depth=2))
+        go(methods[-1], 32, seed)
+    return methods
 
 
 @pytest.mark.parametrize("name", thinned(BRUTE, ("path", "bpt", "vcm")))
 def test_moments_are_those_of_the_candidate(estimated, name):
-    """The variance that the learning passes foresee, and that between passes with the candidate's counts."""
-    counts = BRUTE[name]
-    method = estimated.method
-    what = method._learned
-    moments, means = np.moveaxis(what.tiles.astype(float) / what.passes, 2, 0)[..., CANDIDATES.index(counts)]
-    picture = what.picture / what.passes
-    images = []
+    """The variance that the learning passes foresee, and that between passes with the candidate's counts. They differ
+    by what is stratified within a pass, and by the first passes, which learn lamps; runs tell the precision."""
+    counts, images = BRUTE[name], []
+    method = estimated[0].method
     for iteration in range(100, 140):
         if counts.light_paths:
             method._vcm.use(counts)
         render = method._vcm.render_pass if counts.light_paths else method._path
         images.append(render(iteration, 1, SAMPLES)[0]["image"] / SAMPLES)
     images = np.stack(images).astype(float)
-    share = means.mean() / picture.mean()
-    foreseen = moments.mean() - share**2 * np.square(images.mean(axis=(0, 3))).mean()
-    assert foreseen == pytest.approx(variance(images) * SAMPLES, rel=0.2)
+    foreseen = []
+    for what in (one.method._learned for one in estimated):
+        moments, means = np.moveaxis(what.tiles.astype(float) / what.passes, 2, 0)[..., CANDIDATES.index(counts)]
+        share = means.mean() / (what.picture.mean() / what.passes)
+        foreseen.append(moments.mean() - share**2 * np.square(images.mean(axis=(0, 3))).mean())
+    relative = np.array(foreseen) / (variance(images) * SAMPLES)
+    error = relative.std(ddof=1) / np.sqrt(len(relative))
+    assert error <= 0.15 and abs(relative.mean() - 1.0) <= 3.0 * error + 0.05, (relative, error)
 
 
 @pytest.fixture(scope="module")
 def many_lamps():
-    """Passes that learn under nine lamps, of which one lights what is seen, and three have learned which."""
+    """Passes that learn under nine lamps, of which one lights what is seen, and three have learned which. They play no
+    roulette before shadow rays, as path tracing does not: it would add a quarter to what is foreseen of it."""
     scene = {
         "type": "scene",
         "sensor": scenes.camera((0.0, 1.9, 0.8), (0.0, 0.0, 0.0)),  # no edges, which moments count as noise
@@ -119,8 +124,10 @@ def many_lamps():
         "lamp": scenes.lamp([-0.8, 2.2, 0.3], 0.15, 30.0),
     }
     hidden = {f"above{i}": scenes.lamp([0.4 * i - 1.4, 3.5, 0.0], 0.15, 60.0) for i in range(8)}
-    method = prepared(scenes.load(scene | hidden), "auto", samples_per_pass=SAMPLES, probe_passes=1000, rr_depth=2)
-    go(method, 10)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(BidirectionalSettings, "shadow_roulette", 0.0)
+        method = prepared(scenes.load(scene | hidden), "auto", samples_per_pass=SAMPLES, probe_passes=1000, rr_depth=2)
+        go(method, 10)
     return method
 
 

@@ -289,14 +289,14 @@ def _uniform_share(bsdf: mi.BSDF) -> tuple[float, float]:
 
 
 def roulette(
-    throughput: mi.Color3f, eta: mi.Float, depth: mi.UInt32, first_depth: int, u: mi.Float
+    throughput: mi.Color3f, eta: mi.Float, depth: mi.UInt32, first_depth: int, u: mi.Float, scale: float = 1.0
 ) -> tuple[mi.Bool, mi.Float]:
-    """Russian roulette by throughput from ``first_depth`` on: (survives, factor on the throughput).
+    """Russian roulette by ``scale`` times the throughput from ``first_depth`` on: (survives, factor on the throughput).
 
     ``eta``: product of the relative indices of refraction, which compensates the scaling of radiance by refraction;
     1 for light sub-paths, whose throughput is not scaled.
     """
-    survival = dr.minimum(dr.max(throughput) * dr.square(eta), 0.95)
+    survival = dr.minimum(dr.max(throughput) * dr.square(eta) * scale, 0.95)
     playing = depth >= first_depth
     return ~playing | ~(u >= survival), dr.select(playing, dr.rcp(survival), 1.0)
 

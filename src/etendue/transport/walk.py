@@ -152,6 +152,7 @@ class Walker:
     lights: LightTable
     max_edges: mi.UInt32  #: opaque
     rr_depth: int
+    survival: float = 1.0  #: factor on the probability by which a path survives roulette
     proposal: Proposal = scatter_camera  #: samples directions
     departures: Departures | None = None  #: learned directions of emission, for its densities
     first: FirstHits | None = None  #: records what the first edges meet
@@ -252,7 +253,7 @@ class Walker:
         s.ray = vertex.ray(scattered.direction)
         by, eta = roulette_by or (s.throughput, s.eta)
         u = source.decide(vertex.number, dim.ROULETTE)
-        alive, factor = roulette(by, eta, vertex.number, self.rr_depth, u)
+        alive, factor = roulette(by, eta, vertex.number, self.rr_depth, u, self.survival)
         s.throughput = s.throughput * factor
         s.depth = vertex.number + 1
         if s.seen is not None:

@@ -29,7 +29,7 @@ import numpy as np
 from etendue.core import Carrying, CheckpointError, Measurement, Result, SampleSource, State, logger, setting
 from etendue.film import COMPONENTS
 from etendue.scene import LightTable, Problem, materials
-from etendue.transport import CameraPath, Candidate, DirectWeights, FirstHits, Moments, Walker
+from etendue.transport import CameraPath, CameraWalk, Candidate, DirectWeights, FirstHits, Moments, Walker
 
 from ..base import CameraSettings, ImageMethod, Layer
 from ..bidirectional import Vcm
@@ -219,9 +219,11 @@ class Auto(Carrying, ImageMethod):
     def _path(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], dict[str, float]]:
         """A pass of path tracing."""
         lights = self._lights_of_paths()
+        # Roulette as in the passes that foresee the error, unless it renders as the method ``path`` does.
+        survival = Walker.survival if self.settings.choice in FIXED else CameraWalk.survival
 
         def trace(ray: mi.Ray3f, source: SampleSource, first: FirstHits | None) -> CameraPath:
-            walker = self.walker(Walker, lights=lights, first=first)
+            walker = self.walker(Walker, lights=lights, first=first, survival=survival)
             return traced(ray, walker, DirectWeights(), source, **self.path_fields())
 
         return path_pass(self, iteration, seed, samples, trace)
