@@ -20,7 +20,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import mitsuba as mi
@@ -64,6 +64,8 @@ _LEAST, _PER_KIND = 6.0, 1.5
 _SHARE = 0.06
 #: Least ratio of products of error and cost at which the counts stay as they are.
 _WORTH_IT = 0.93
+#: Products of error and cost that are as good, from few passes.
+_ALIKE = 1.05
 #: If caustics are expected, products of candidates without light paths, and without merging, are multiplied by 1 plus
 #: this number over the number of passes that have learned: a caustic may be too small for all of them.
 _DOUBT = {"path": 1.0, "bpt": 0.4}
@@ -278,6 +280,11 @@ class Auto(Carrying, ImageMethod):
                 if not candidate.merging:
                     products[candidate] *= 1.0 + _DOUBT[kind] / self._learned.passes
         best = min(products, key=lambda c: products[c])
+        # Rare bright paths, which two passes may find or not, add as much to the error of all candidates, and make the
+        # cheap ones look better than they are: of two that are as good, the one with more connections is chosen.
+        alike = [c for c in products if replace(c, connections=best.connections) == best]
+        alike = [c for c in alike if products[c] <= _ALIKE * products[best]]
+        best = max(alike, key=lambda c: c.connections)
         now = products.get(self._counts)
         if now is None or self._learned.passes <= self.settings.probe_passes or products[best] < _WORTH_IT * now:
             self._counts = best
