@@ -69,14 +69,16 @@ def measure(
     before: Annotated[
         Path | None, typer.Option(help="A checkout of an earlier state, whose methods run in place of today's.")
     ] = None,
+    both: Annotated[bool, typer.Option("--both", help="With --before: its auto, too.")] = False,
 ) -> list[Record]:
     """A table for each time; the methods take turns pass by pass, the next is always the one with the least time.
 
-    With ``before`` all methods but ``auto`` are those of the earlier state; ``auto-before`` is its ``auto``."""
+    With ``before`` all methods but ``auto`` are those of the earlier state."""
     marks = sorted(float(word) for word in at.split(","))
     known = sources()
     if before is not None:
-        entrants = [name if name == "auto" else name.removesuffix("-before") + _BEFORE for name in entrants]
+        entrants = [name if name == "auto" else name + _BEFORE for name in entrants]
+        entrants += ["auto" + _BEFORE] * both
     out.mkdir(parents=True, exist_ok=True)
     for name in names:
         if name not in known:
