@@ -281,10 +281,10 @@ class Auto(Carrying, ImageMethod):
                     products[candidate] *= 1.0 + _DOUBT[kind] / self._learned.passes
         best = min(products, key=lambda c: products[c])
         # Rare bright paths, which two passes may find or not, add as much to the error of all candidates, and make the
-        # cheap ones look better than they are: of two that are as good, the one with more connections is chosen.
-        alike = [c for c in products if replace(c, connections=best.connections) == best]
-        alike = [c for c in alike if products[c] <= _ALIKE * products[best]]
-        best = max(alike, key=lambda c: c.connections)
+        # cheap ones look better than they are: a connection is made even if it seems to pay a little less than none.
+        connected = replace(best, connections=1)
+        if best.connections == 0 and products.get(connected, math.inf) <= _ALIKE * products[best]:
+            best = connected
         now = products.get(self._counts)
         if now is None or self._learned.passes <= self.settings.probe_passes or products[best] < _WORTH_IT * now:
             self._counts = best
