@@ -52,7 +52,7 @@ class _Joined:
 class CameraWalk(BidirectionalWalk):
     """Traces camera sub-paths; :meth:`trace` is one kernel."""
 
-    # The rest of a path costs less than a new one with its light paths; measured on twelve scenes.
+    # The rest of a path costs less than a new one with its light paths; measured on ten scenes.
     survival: float = 2.0
     sink: CameraSink
     cache: LightCache | None = None
