@@ -55,6 +55,8 @@ _FOR_DENOISING = {"aovs": True, "components": True, "reconstruction": "independe
 _PIECE, _REFERENCE_SEED = 60.0, 7001
 #: Largest noise of a reference that tells pictures apart, relative to that of the raw picture of the long run.
 _REFERENCE_SHARE = 0.25
+#: The same of FLIP, between two halves of the reference.
+_FLIP_SHARE = 0.5
 
 
 def measure(
@@ -85,6 +87,7 @@ class _Truth:
 
     image: Picture
     noise: float
+    flip: float  #: between its halves
     about: str
 
 
@@ -103,7 +106,8 @@ def _reference(folder: Path, name: str, case: Case, seconds: float) -> _Truth:
     variance = scatter * len(pieces) / (len(pieces) - 1.0)
     noise = float((variance / (np.square(image) + 0.01)).mean())
     about = f"{case.method}, {sum(samples)} samples a pixel in {len(pieces)} pieces of {_PIECE:g} s"
-    return _Truth(image, noise, about)
+    first, second = (np.mean(pieces[start::2], axis=0, dtype=np.float32) for start in range(2))
+    return _Truth(image, noise, film.flip(first, second), about)
 
 
 def _compared(
@@ -142,7 +146,7 @@ def _compared(
             found.setdefault(row, []).append(one)
     bar = statistics.mean(one["flip"] for one in found[f"raw, {long:g} s"])
     noise = statistics.mean(one["relMSE"] for one in found[f"raw, {long:g} s"])
-    is_known = truth.noise <= _REFERENCE_SHARE * noise
+    is_known = truth.noise <= _REFERENCE_SHARE * noise and truth.flip <= _FLIP_SHARE * bar
     for row, ones in found.items():
         flips = [one["flip"] for one in ones]
         ratio = statistics.mean(flips) / bar
@@ -157,7 +161,7 @@ def _compared(
         )
     record.notes += [
         f"reference: {truth.about}; its noise, a relMSE of {truth.noise:.2g}, is {truth.noise / noise:.2g} of that of "
-        f"the raw picture after {long:g} s, and part of every error",
+        f"the raw picture after {long:g} s, and part of every error; FLIP between its halves is {truth.flip:.3f}",
         f"samples a pixel: {made.metadata['samples']} after {short:g} s, {raw.metadata['samples']} after {long:g} s; "
         "the scene is loaded and kernels are compiled before; s: of denoising alone, after the rendering",
     ]
