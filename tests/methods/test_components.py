@@ -167,6 +167,17 @@ def test_first_hits_are_recorded_by_the_walk(name, monkeypatch):
     assert measured.mean().any()
 
 
+@pytest.mark.parametrize("name", thinned(("path", "bpt", "sppm", "guided", "vegas", "stratified"), ("path", "bpt")))
+@pytest.mark.parametrize("reconstruction", ["neighbours", "independent"])
+def test_of_many_camera_paths_of_a_pixel_the_first_ones_tell_the_first_hits(name, reconstruction):
+    """A camera path has the same numbers in a pass of 8 per pixel and in one of 16."""
+    settings = {"aovs": True, "sampler": "owen", "reconstruction": reconstruction}
+    few, many = (prepared(hall(), name, samples_per_pass=n, **settings).step(0, 1) for n in (8, 16))
+    assert np.abs(few.mean() - many.mean()).max() > 1e-3
+    for layer in ("albedo", "normal", "depth", "emitted"):
+        np.testing.assert_allclose(many.mean(layer), few.mean(layer), rtol=1e-4, atol=1e-5, err_msg=layer)
+
+
 def test_the_shape_in_the_middle_of_each_pixel():
     problem = hall()
     result = prepared(problem, "path", samples_per_pass=1, aovs=True).develop(run(problem, "path", 1, 1).measurement)

@@ -219,7 +219,7 @@ class ImageMethod(ABC):
 
     def _step(self, iteration: int, seed: int) -> Measurement:
         samples = self.samples_per_iteration
-        self._hits = FirstHits(self.camera.pixels * samples) if self.settings.aovs else None
+        self._hits = FirstHits(self.camera.pixels, samples) if self.settings.aovs else None
         layers, counters = self.render_pass(iteration, seed, samples)
         layers = with_image(layers)
         if self.settings.components and not layers.keys() >= set(COMPONENTS):
@@ -338,16 +338,19 @@ class ImageMethod(ABC):
         lane a path, the paths of a pixel consecutive."""
         return self.images({"": values}, seed, iteration)[""]
 
-    def images(self, layers: Mapping[str, Any], seed: int, iteration: int) -> dict[str, Layer]:
-        """:meth:`image` of each layer, in one kernel."""
+    def images(
+        self, layers: Mapping[str, Any], seed: int, iteration: int, samples: int | None = None
+    ) -> dict[str, Layer]:
+        """:meth:`image` of each layer, in one kernel. ``samples``: camera paths per pixel of the pass, if ``layers``
+        have only the first ones of each pixel."""
         width, height = self.problem.size
         values = list(layers.values())
-        samples = max(1, dr.width(values[0]) // (height * width))
+        count = max(1, dr.width(values[0]) // (height * width))
         if self.one_place or self.camera.independent:
-            values, samples = [dr.block_sum(layer, samples) if samples > 1 else layer for layer in values], 1
+            values, count = [dr.block_sum(layer, count) if count > 1 else layer for layer in values], 1
         if not self.camera.independent:
-            number = dr.arange(mi.UInt32, samples)
-            places = self._film_numbers(number, samples, seed, iteration, "camera").next_2d(0, dim.FILM)
+            number = dr.arange(mi.UInt32, count)
+            places = self._film_numbers(number, samples or count, seed, iteration, "camera").next_2d(0, dim.FILM)
             dr.eval(values, places)
             values = self.camera.filter.spread_together(values, *places)
         # Copies, because the device reuses the memory of the raveled arrays.
@@ -362,9 +365,9 @@ class ImageMethod(ABC):
     def first_layers(self, iteration: int, seed: int, samples: int) -> tuple[dict[str, Layer], int]:
         """(layers of what was met first by the camera paths of a pass, or by camera rays where the pass has traced
         none; number of values that were not finite)."""
-        hits, self._hits = self._hits or FirstHits(self.camera.pixels * samples), None
+        hits, self._hits = self._hits or FirstHits(self.camera.pixels, samples), None
         if not hits.recorded:
-            lanes = dr.arange(mi.UInt32, self.camera.pixels * samples)
+            lanes = hits.lanes()
             source = self.camera_numbers(lanes, samples, seed, iteration)
             ray, _, _ = self.camera.primary(lanes // samples, source)
             recorder = hits.of(lanes, iteration)
@@ -374,8 +377,11 @@ class ImageMethod(ABC):
             path = CameraPath.start(ray, mi.UInt32(1))
             walker.emission(path, walker.arrive(path))
         found, bad = hits.found()
-        layers = self.images(found, seed, hits.iteration)
+        layers = self.images(found, seed, hits.iteration, samples)
         layers["depth"] /= np.float32(self.problem.space.scale)
+        if hits.rays < samples:
+            for layer in layers.values():
+                layer *= np.float32(samples / hits.rays)
         return layers, bad
 
 

@@ -21,18 +21,24 @@ from .vertex import WalkVertex
 
 #: Packets of four floats of a camera ray: albedo and depth; emission and the packed shading normal.
 _PACKETS = 2
+#: Camera rays of a pixel and pass whose first hits are recorded: the layers have far less noise than the picture.
+_MOST_RAYS = 8
 #: Rays of a pixel along a side that tell what covers it, and the most shapes that are kept.
 _RAYS, _RANKS = 8, 6
 
 
 class FirstHits:
-    """Albedo, shading normal, depth and emission of the first surfaces that ``rays`` camera rays meet, 0 where they
-    meet none; the emission is that of the environment there."""
+    """Albedo, shading normal, depth and emission of the first surfaces that the first ``rays`` camera rays of each
+    pixel meet, 0 where they meet none; the emission is that of the environment there. A pass has ``samples`` camera
+    rays per pixel."""
 
-    def __init__(self, rays: int) -> None:
-        self._rays = rays
-        self._packets = dr.zeros(mi.Float, 4 * _PACKETS * rays)
+    def __init__(self, pixels: int, samples: int) -> None:
+        self.rays = min(samples, _MOST_RAYS)
+        self._samples = samples
+        self._count = pixels * self.rays
+        self._packets = dr.zeros(mi.Float, 4 * _PACKETS * self._count)
         self._ray: mi.UInt32 | None = None
+        self._kept = mi.Bool(True)
         #: Pass whose places on the film the rays have.
         self.iteration = 0
 
@@ -42,9 +48,19 @@ class FirstHits:
         return self._ray is not None
 
     def of(self, ray: mi.UInt32, iteration: int) -> FirstHits:
-        """The recorder for a walk whose lanes are the camera rays ``ray``."""
+        """The recorder for a walk whose lanes are the camera rays ``ray`` of the pass, by pixel and number."""
         self._ray, self.iteration = ray, iteration
+        if self.rays < self._samples:
+            pixel = ray // self._samples
+            number = ray - pixel * self._samples
+            self._ray, self._kept = pixel * self.rays + number, number < self.rays
         return self
+
+    def lanes(self) -> mi.UInt32:
+        """The camera rays of the pass whose first hits are recorded."""
+        ray = dr.arange(mi.UInt32, self._count)
+        pixel = ray // self.rays
+        return pixel * self._samples + (ray - pixel * self.rays)
 
     def record(self, vertex: WalkVertex, emitted: mi.Color3f, active: mi.Bool) -> None:
         """Record the ends of first edges and the emission there, inside the walk."""
@@ -68,13 +84,14 @@ class FirstHits:
             return active
 
         # A branch, because only one of the edges of a path is the first.
+        active &= self._kept
         arguments = self._ray, vertex.si, vertex.bsdf, emitted, active & vertex.valid, active
         dr.if_stmt(arguments, active, put, lambda *_: _[-1], label="first hit")
 
     def found(self) -> tuple[dict[str, Any], int]:
         """(layers by name, one lane a ray, depth in units of the render space; number of values that were not finite
         and are 0)."""
-        ray = dr.arange(mi.UInt32, self._rays)
+        ray = dr.arange(mi.UInt32, self._count)
         first, second = (dr.gather(mi.Vector4f, self._packets, ray * _PACKETS + number) for number in range(_PACKETS))
         emitted = mi.Color3f(second.x, second.y, second.z)
         finite, shines = dr.all(dr.isfinite(first)), dr.all(dr.isfinite(emitted))
