@@ -191,19 +191,9 @@ class Runner:
         return False
 
     def _first_states(self, seed: int, first: int, targets: Array, factors: BrightnessMap, cap: float) -> ChainStates:
-        half = self.chains // 2
-        chosen = np.empty((2, half), np.uint32)
-        for index, row in enumerate(targets):
-            chosen[index] = drawn(row, half, _offset(seed, "start", index, 0)) + (index << HALF_BIT)
-        numbers, moves = copied_to_device(mi.UInt32, chosen), self.moves(seed, first)
-        traced = self.trace(moves, numbers, None)
-        target = self.value(traced.contributions, factors, cap)
-        dr.eval(traced.contributions, target)
-        kept = {
-            name: moves[name].write(layout, dr.zeros(mi.Float, layout.size * self.chains), None, numbers, self.chains)
-            for name, layout in self.target.layouts.items()
-        }
-        return ChainStates(kept, traced.contributions, target, dr.zeros(mi.UInt32, self.chains))
+        numbers = _drawn_numbers(targets, [self.chains // 2] * 2, seed, "start", 0)
+        empty = {name: dr.zeros(mi.Float, layout.size * self.chains) for name, layout in self.target.layouts.items()}
+        return self._states_at(numbers, self.moves(seed, first), factors, cap, empty, None)
 
     def renewed(self, carried: Progressed, first: int, targets: Array, seed: int) -> ChainStates:
         """The states after some chains have begun anew: at proposals of large steps, drawn in proportion to the target,
@@ -214,25 +204,32 @@ class Runner:
         half, sums = self.chains // 2, targets.sum(axis=1)
         u = np.array(IndependentSource(self.numbers, seed, "renew", carried.steps).next_1d(0, 0)).reshape(2, half)
         begins = u < (sums / np.maximum(carried.found[:, 1], 1e-300))[:, None]
-        counts = begins.sum(axis=1)
-        if not counts.any():
+        if not begins.any():
             return carried.states
-        chosen = [
-            drawn(row, count, _offset(seed, "renew", index, carried.steps)) + (index << HALF_BIT)
-            for index, (row, count) in enumerate(zip(targets, counts, strict=True))
-            if count
-        ]
-        numbers = copied_to_device(mi.UInt32, np.concatenate(chosen).astype(np.uint32))
+        numbers = _drawn_numbers(targets, begins.sum(axis=1), seed, "renew", carried.steps)
         at = copied_to_device(mi.UInt32, np.flatnonzero(begins).astype(np.uint32))
-        moves, old = self.moves(seed, first), carried.states
+        old, moves = carried.states, self.moves(seed, first)
+        return old.replaced(at, self._states_at(numbers, moves, carried.factors, carried.cap, old.numbers, at))
+
+    def _states_at(
+        self,
+        numbers: mi.UInt32,
+        moves: Mapping[str, Move],
+        factors: BrightnessMap,
+        cap: float,
+        kept: Mapping[str, mi.Float],
+        at: mi.UInt32 | None,
+    ) -> ChainStates:
+        """States at the independent samples ``numbers``, whose random numbers are written to those ``kept`` of all
+        chains, to the chains ``at``, or to all of them."""
         traced = self.trace(moves, numbers, None)
-        target = self.value(traced.contributions, carried.factors, carried.cap)
+        target = self.value(traced.contributions, factors, cap)
         dr.eval(traced.contributions, target)
-        kept = {
-            name: moves[name].write(layout, old.numbers[name], None, numbers, self.chains, at)
+        written = {
+            name: moves[name].write(layout, kept[name], None, numbers, self.chains, at)
             for name, layout in self.target.layouts.items()
         }
-        return old.replaced(at, ChainStates(kept, traced.contributions, target, dr.zeros(mi.UInt32, len(at))))
+        return ChainStates(written, traced.contributions, target, dr.zeros(mi.UInt32, dr.width(numbers)))
 
     @staticmethod
     def value(contributions: Sequence[Contribution], factors: BrightnessMap, cap: float) -> mi.Float:
@@ -255,6 +252,17 @@ class Runner:
         for index in range(steps):
             walk.step(seed, (index + 1) * large_steps // steps > index * large_steps // steps)
         return walk.finish(steps, seed)
+
+
+def _drawn_numbers(targets: Array, counts: Sequence[int], seed: int, purpose: str, step: int) -> mi.UInt32:
+    """Numbers of samples (:func:`numbers_of`), so many of each half, drawn in proportion to their targets, (halves,
+    samples)."""
+    chosen = [
+        drawn(row, count, _offset(seed, purpose, index, step)) + (index << HALF_BIT)
+        for index, (row, count) in enumerate(zip(targets, counts, strict=True))
+        if count
+    ]
+    return copied_to_device(mi.UInt32, np.concatenate(chosen).astype(np.uint32))
 
 
 def _offset(seed: int, purpose: str, half: int, step: int) -> float:
