@@ -33,7 +33,8 @@ def test_maps(tmp_path, monkeypatch):
 
 def test_records_of_the_thesis(tmp_path, monkeypatch):
     """Check 18 of the framework's list: strips are smaller than rows, chains than independent particles, small steps
-    than large ones; bzip2 mostly at most as large as zlib."""
+    than large ones; bzip2 mostly at most as large as zlib: so it is for rows, while strips of so few particles have
+    nearly the same size by both."""
     ratios, saving = tables_of("particles", ["thesis", "--count", "20000"], tmp_path, monkeypatch)
     table = {(row[0], row[1]): list(map(float, row[3:])) for row in ratios.rows}
     for zlib_row, zlib_strip, bz2_row, bz2_strip, rle_row, rle_strip in table.values():
@@ -42,6 +43,6 @@ def test_records_of_the_thesis(tmp_path, monkeypatch):
         by_step = [table[f"walk, step {step}", kind][1] for step in ("0.1", "0.01", "0.001")]
         assert by_step[0] > by_step[1] > by_step[2]
         assert by_step[1] < table["independent", kind][1]
-    better = [values[3] <= values[1] + 0.005 for values in table.values()]
+    better = [bz2_row <= zlib_row for zlib_row, _, bz2_row, *_ in table.values()]
     assert sum(better) > len(better) / 2
     assert all(float(row[1]) < 40 for row in saving.rows)
