@@ -26,6 +26,14 @@ def test_packets_are_those_of_the_protocol() -> None:
     )  # fmt: skip
 
 
+def test_packets_are_those_of_the_client_of_tevs_author() -> None:
+    client = pytest.importorskip("tevclient.packet")
+    names, pixels = ["R", "normal.X", "Tiefe"], np.random.default_rng(0).random((5, 7, 3), np.float32)
+    assert create_packet("räum", 7, 5, names) == client.create_image("räum", 7, 5, names, True)
+    assert update_packet("räum", names, 2, 3, pixels) == client.update_image("räum", pixels, names, 2, 3, False)
+    assert close_packet("räum") == client.close_image("räum")
+
+
 def test_layers_arrive_and_a_known_layout_is_not_made_again() -> None:
     rng = np.random.default_rng(3)
     layers = {
