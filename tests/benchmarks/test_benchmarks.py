@@ -50,6 +50,14 @@ def test_the_list_has_every_benchmark():
             assert re.search(row, shown, re.MULTILINE), row
 
 
+def test_the_readme_has_a_row_for_every_benchmark():
+    readme = (ROOT / "benchmarks" / "README.md").read_text("utf-8")
+    for program in module("registry").PROGRAMS.values():
+        assert f"python -m {program.package}" in readme or program.package == "benchmarks"
+        for benchmark in program.benchmarks:
+            assert f"| `{benchmark.name}`" in readme or f", `{benchmark.name}`" in readme, benchmark.name
+
+
 def test_without_a_command_all_are_run(monkeypatch, tmp_path):
     """With their defaults, and the options that all share; those that take too long are run by name only."""
     registry, options, measuring = (module(name) for name in ("registry", "options", "measuring"))

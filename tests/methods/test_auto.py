@@ -259,7 +259,7 @@ def test_the_choice_goes_with_the_checkpoint():
     with pytest.raises(CheckpointError, match="another picture"):
         other = prepared(scenes.room("rectangle", scenes.FEW, size=(8, 8)), "auto", samples_per_pass=4)
         other.restore(state)
-    with pytest.raises(CheckpointError, match="probe"):
+    with pytest.raises(CheckpointError, match="another version"):
         again.restore({"choice": "path", "costs": {}, "chosen": {}})
 
 

@@ -77,9 +77,9 @@ class AutoSettings(CameraSettings):
 
     choice: str = setting(
         "learn",
-        "sample counts of the passes: chosen while it renders (learn, probe), or those of path, bpt, bpt with "
+        "sample counts of the passes: chosen while it renders (learn), or those of path, bpt, bpt with "
         "6 connections, or vcm",
-        choices=("learn", "probe", *FIXED),
+        choices=("learn", *FIXED),
     )
     probe_passes: int = setting(
         2, "first passes, from which the first choice is made; more: a better choice", minimum=1, maximum=1000
@@ -318,7 +318,7 @@ class Auto(Carrying, ImageMethod):
             paths, connections, merging = state["counts"]
             learned = Learned.of(state["learned"])
         except (KeyError, TypeError, ValueError):
-            raise CheckpointError("the checkpoint's auto chose by a probe; start a new run") from None
+            raise CheckpointError("the checkpoint is of another version of auto; start a new run") from None
         height, width = self.problem.size[::-1]
         if learned.passes and learned.picture.shape != (height, width):
             raise CheckpointError("what auto has learned is of another picture; start a new run")
