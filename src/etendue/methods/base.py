@@ -338,9 +338,7 @@ class ImageMethod(ABC):
         lane a path, the paths of a pixel consecutive."""
         return self.images({"": values}, seed, iteration)[""]
 
-    def images(
-        self, layers: Mapping[str, Any], seed: int, iteration: int, samples: int | None = None
-    ) -> dict[str, Layer]:
+    def images(self, layers: Mapping[str, Any], seed: int, iteration: int, samples: int = 0) -> dict[str, Layer]:
         """:meth:`image` of each layer, in one kernel. ``samples``: camera paths per pixel of the pass, if ``layers``
         have only the first ones of each pixel."""
         width, height = self.problem.size
@@ -379,10 +377,7 @@ class ImageMethod(ABC):
         found, bad = hits.found()
         layers = self.images(found, seed, hits.iteration, samples)
         layers["depth"] /= np.float32(self.problem.space.scale)
-        if hits.rays < samples:
-            for layer in layers.values():
-                layer *= np.float32(samples / hits.rays)
-        return layers, bad
+        return {name: layer * np.float32(samples / hits.rays) for name, layer in layers.items()}, bad
 
 
 def keep_finite(value: V) -> tuple[V, mi.Bool]:
