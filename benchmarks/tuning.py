@@ -47,6 +47,21 @@ REFERENCES: dict[str, tuple[str, dict[str, Any]]] = {
     "grey-white-room": ("path", {}),
     "wooden-staircase": ("path", {}),
 }
+#: Of the methods of the earlier state other than ``vcm`` the one with the least error, as recorded with one seed.
+BEST = {
+    "stage": "sppm",
+    "grey-white-room": "path",
+    "wooden-staircase": "bpt",
+    "veach-bidir": "bpt",
+    "cornell-glass": "bpt",
+    "cornell-box": "path",
+    "skylight": "path",
+    "ajar": "bpt",
+    "water-caustic": "bpm",
+    "caustics": "bpm",
+    "flat": "bpt",
+    "street": "path",
+}
 #: Each half of a reference takes this many times the longest time.
 _HALF = 3.0
 #: Share of the brightest errors that is left out: one firefly must not decide.
@@ -70,29 +85,41 @@ def measure(
         Path | None, typer.Option(help="A checkout of an earlier state, whose methods run in place of today's.")
     ] = None,
     both: Annotated[bool, typer.Option("--both", help="With --before: its auto, too.")] = False,
+    best: Annotated[
+        bool, typer.Option("--best", help="In place of --methods: auto, vcm, and the method that was best before.")
+    ] = False,
 ) -> list[Record]:
     """A table for each time; the methods take turns pass by pass, the next is always the one with the least time.
 
-    With ``before`` all methods but ``auto`` are those of the earlier state."""
+    With ``before`` all methods but ``auto`` are those of the earlier state; with ``best`` only ``auto``, ``vcm`` and
+    the one of :data:`BEST` run on a scene."""
     marks = sorted(float(word) for word in at.split(","))
     known = sources()
-    if before is not None:
-        entrants = [name if name == "auto" else name + _BEFORE for name in entrants]
-        entrants += ["auto" + _BEFORE] * both
+    racing = {name: _entrants(name, entrants, before, both, best) for name in names}
     out.mkdir(parents=True, exist_ok=True)
-    for name in names:
-        if name not in known:
-            raise SystemExit(f"no test scene '{name}'; there are {', '.join(known)}")
+    for name, own in racing.items():
         size = scaled_size(known[name], pixels)
         for seed in range(seeds):
             done = {(row["method"], row["seed"]) for row in _rows(out, name, size, marks)}
-            if wanted := [entrant for entrant in entrants if (entrant, seed) not in done]:
+            if wanted := [entrant for entrant in own if (entrant, seed) not in done]:
                 _race(name, known[name], size, wanted, seed, marks, out, before)
-    tables = [_table(names, known, pixels, entrants, seeds, marks, mark, out) for mark in marks]
+    tables = [_table(racing, known, pixels, seeds, marks, mark, out) for mark in marks]
     if before is not None:
         for table in tables:
             table.notes.append(f"before: the state of {revision(before)}")
     return tables
+
+
+def _entrants(name: str, entrants: Sequence[str], before: Path | None, both: bool, best: bool) -> list[str]:
+    """Who runs on a scene."""
+    if name not in sources():
+        raise SystemExit(f"no test scene '{name}'; there are {', '.join(sources())}")
+    if best and name not in BEST:
+        raise SystemExit(f"--best: which method is best on '{name}' is not known; it is for {', '.join(BEST)}")
+    own = list(dict.fromkeys(["auto", "vcm", BEST[name]])) if best else list(entrants)
+    if before is not None:
+        own = [one if one == "auto" else one + _BEFORE for one in own] + ["auto" + _BEFORE] * both
+    return own
 
 
 def _file(out: Path) -> Path:
@@ -242,37 +269,39 @@ def _error(image: np.ndarray, halves: Sequence[np.ndarray]) -> float:
 
 
 def _table(
-    names: Sequence[str],
+    racing: Mapping[str, Sequence[str]],
     known: Mapping[str, Any],
     pixels: int,
-    entrants: Sequence[str],
     seeds: int,
     marks: Sequence[float],
     mark: float,
     out: Path,
 ) -> Record:
-    """Median errors at a mark, and the ratios of ``auto``."""
+    """Median errors at a mark, and the ratios of ``auto``; ``racing``: the entrants of each scene."""
+    entrants = list(dict.fromkeys(entrant for each in racing.values() for entrant in each))
     record = Record(
         f"Tuning, about {pixels} pixels, {mark:g} s of CPU",
-        ("", *entrants, "auto / vcm", "auto / best other", "bar", "chosen"),
+        ("", *entrants, "auto / vcm", "auto / best other", "of the seeds", "bar", "chosen"),
     )
     over_vcm, over_best = [], []
-    for name in names:
+    for name, own in racing.items():
         rows = [row for row in _rows(out, name, scaled_size(known[name], pixels), marks) if row["seed"] < seeds]
         index = list(marks).index(mark)
-        found = {entrant: [row["found"][index] for row in rows if row["method"] == entrant] for entrant in entrants}
+        found = {entrant: [row["found"][index] for row in rows if row["method"] == entrant] for entrant in own}
         middle = {entrant: statistics.median(one["error"] for one in each) for entrant, each in found.items() if each}
         others = {entrant: error for entrant, error in middle.items() if entrant != "auto"}
-        ratios = ["", "", "", ""]
+        ratios = ["", "", "", "", ""]
         if "auto" in middle and others:
-            best = middle["auto"] / min(others.values())
+            rival = min(others, key=lambda entrant: others[entrant])
+            best = middle["auto"] / others[rival]
             over_best.append(best)
+            pairs = [one["error"] / other["error"] for one, other in zip(found["auto"], found[rival], strict=False)]
             by_vcm = ""
             if vcm := others.get("vcm", others.get("vcm" + _BEFORE)):
                 over_vcm.append(middle["auto"] / vcm)
                 by_vcm = f"{over_vcm[-1]:.2f}"
             chosen = ", ".join(dict.fromkeys(one["chosen"] for one in found["auto"]))
-            ratios = [by_vcm, f"{best:.2f}", verdict(best, WORST_BAR), chosen]
+            ratios = [by_vcm, f"{best:.2f}", f"{min(pairs):.2f} to {max(pairs):.2f}", verdict(best, WORST_BAR), chosen]
         record.add(name, *(f"{middle[entrant]:.3g}" if entrant in middle else "" for entrant in entrants), *ratios)
     if over_vcm:
         mean = statistics.geometric_mean(over_vcm)
@@ -285,7 +314,8 @@ def _table(
     record.notes += [
         f"error: mean of (x - ref)² / (ref² + {RELATIVE_EPSILON:g}) without the worst 0.1 % of pixels, less that of "
         "the reference, times the CPU seconds of the pass that reached the time over the time",
-        f"median of {seeds} seed{'s' if seeds > 1 else ''}; kernels are compiled before; preparation counts",
+        f"median of {seeds} seed{'s' if seeds > 1 else ''}; kernels are compiled before; preparation counts; "
+        "of the seeds: the least and the greatest ratio to the best other method with the same seed",
         "references: " + ", ".join(f"{name} by {method[0]}" for name, method in REFERENCES.items()) + ", others by bpt",
     ]
     return record
